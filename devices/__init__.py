@@ -1,0 +1,1 @@
+"""Where streams begin and end: devices, simulators, files, the screen."""

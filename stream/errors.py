@@ -1,0 +1,67 @@
+"""What goes wrong, told to the person who can mend it: what was given, where, and what would be accepted."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+
+class KinegraphError(Exception):
+    """An error that a user can act on: the command line prints its text, without a traceback, and exits with `exit_code`."""
+
+    exit_code = 2
+
+
+class ParameterError(KinegraphError):
+    """A parameter that cannot be: raised by `open`, completed with the node's name and line by the graph."""
+
+    def __init__(self, parameter: str, given: object, accepts: str) -> None:
+        """`accepts` completes the sentence "it must be ..."."""
+        super().__init__(f"{parameter} is {given!r}; it must be {accepts}")
+        self.parameter = parameter
+
+
+class InputError(KinegraphError):
+    """A stream that an operator's input cannot take: wrong shape, rate, unit or channels."""
+
+    def __init__(self, port: str, given: str, accepts: str) -> None:
+        """`given` describes what is connected, `accepts` completes the sentence "it must be ..."."""
+        super().__init__(f"input '{port}' is {given}; it must be {accepts}")
+        self.port = port
+
+
+class GraphError(KinegraphError):
+    """A graph that cannot run, with the file and line of what is wrong."""
+
+    def __init__(self, text: str, *, path: str = "", line: int | None = None, node: str = "") -> None:
+        where = f"{path}:{line}: " if path and line else f"{path}: " if path else ""
+        super().__init__(f"{where}{f'node {node!r}: ' if node else ''}{text}")
+        self.line, self.node = line, node
+
+
+class RecordingError(KinegraphError):
+    """A recording that cannot be read, or is not what was asked for."""
+
+
+class DeviceError(KinegraphError):
+    """A device that cannot be opened or stopped answering: says what was expected and what came."""
+
+    exit_code = 3
+
+
+class RunError(KinegraphError):
+    """A graph that stopped while running: names the node and the sample's time."""
+
+    exit_code = 4
+
+
+def nearest(name: str, valid: Iterable[str]) -> str:
+    """A sentence that names what `name` may have been meant to be: "did you mean 'cutoff_hz'?", else all valid names."""
+    names = sorted(valid)
+    close = get_close_matches(name, names, n=1, cutoff=0.6)
+    if close:
+        return f"did you mean {close[0]!r}?"
+    return f"valid are {', '.join(repr(n) for n in names)}" if names else "there are none"

@@ -1,0 +1,120 @@
+"""A graph that has been read and checked: nodes in the order in which samples pass, every spec known, nothing opened yet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from stream.chunk import Specs, StreamSpec
+from stream.operator import Operator, Outlet
+from stream.source import Source
+
+Policy = Literal["block", "drop_oldest", "fail"]
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """One output of a node, as a graph names it: "board.accel", or "board" for its first output."""
+
+    node: str
+    output: str
+
+    def __str__(self) -> str:
+        return self.node if self.output == "out" else f"{self.node}.{self.output}"
+
+
+@dataclass(frozen=True, slots=True)
+class NodeOptions:
+    """What the engine, not the node itself, is told about a node in YAML.
+
+    lane        run this node (and what hangs on it alone) in a thread of this name, behind a queue
+    queue       how many chunks may wait before a source or a lane
+    policy      what a full queue does: `block` its writer, `drop_oldest` chunk (counted, recorded), or `fail` the run
+    required    the run starts only when this source is ready, and fails if it is not so within `deadline_s`
+    patience_s  after how long without a chunk the engine declares that nothing happened (advances `until`)
+    silence_s   after how long without a chunk a source is closed and opened again; 0: never
+    stale_s     after how long without a chunk an alarm is raised
+    """
+
+    lane: str = ""
+    queue: int = 256
+    policy: Policy = "block"
+    required: bool = True
+    deadline_s: float = 10.0
+    patience_s: float = 1.0
+    silence_s: float = 0.0
+    stale_s: float = 2.0
+
+
+@dataclass(slots=True)
+class Node:
+    """One node: a part (source, operator or outlet), where its inputs come from, and what flows out."""
+
+    name: str
+    part: Source | Operator[Any]
+    use: str
+    inputs: dict[str, Edge] = field(default_factory=dict)
+    specs: Specs = field(default_factory=dict)
+    """Output specs, by output name."""
+    options: NodeOptions = field(default_factory=NodeOptions)
+    line: int = 0
+    given: dict[str, Any] = field(default_factory=dict)
+    """The parameters as written in YAML."""
+
+    @property
+    def is_source(self) -> bool:
+        return isinstance(self.part, Source)
+
+    @property
+    def is_outlet(self) -> bool:
+        return isinstance(self.part, Outlet)
+
+
+@dataclass(slots=True)
+class Graph:
+    """A checked graph. `nodes` is in topological order; operators in it are opened (scratch), see `fresh_operator`."""
+
+    name: str
+    nodes: dict[str, Node]
+    text: str
+    path: str = ""
+    latency_budget_ms: float | None = None
+    checkpoint_s: float = 10.0
+    record: tuple[Edge, ...] = ()
+    """Edges that are recorded beside the input log."""
+    recording: RecordingOptions = field(default_factory=lambda: RecordingOptions())
+    session: dict[str, Any] = field(default_factory=dict)
+    """Free facts about the session that stand in its recording: subject code, speed, side, electrode sites."""
+
+    def spec(self, edge: Edge) -> StreamSpec:
+        return self.nodes[edge.node].specs[edge.output]
+
+    def input_specs(self, node: Node) -> Specs:
+        """The specs on a node's input ports, in port order."""
+        return {port: self.spec(edge) for port, edge in node.inputs.items()}
+
+    @property
+    def sources(self) -> list[Node]:
+        return [n for n in self.nodes.values() if n.is_source]
+
+    def readers(self, edge: Edge) -> list[tuple[Node, str]]:
+        """The (node, port) pairs that read an edge, in topological order."""
+        return [(n, port) for n in self.nodes.values() for port, e in n.inputs.items() if e == edge]
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingOptions:
+    """Where and how a session is recorded.
+
+    folder      where recordings go
+    rotate_mb   a new file is begun after so many megabytes; 0: never
+    quota_mb    the oldest recordings of this folder are deleted beyond so many megabytes; 0: no quota
+    gather_s    how long small chunks are gathered into one message
+    flush_s     at most this much is lost when the process is killed
+    """
+
+    folder: str = "recordings"
+    rotate_mb: float = 0.0
+    quota_mb: float = 0.0
+    gather_s: float = 0.1
+    flush_s: float = 0.5

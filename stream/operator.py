@@ -1,0 +1,121 @@
+"""What is done to streams: the operator, its ports, its state, and the cases it is tried on.
+
+An operator is three things: frozen parameters (its dataclass fields), a state, and `process`. It remembers nothing outside the state,
+so that a snapshot of the state is a snapshot of the operator. `docs/operators.md` shows how to write one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Generic, Self, TypeAlias, TypeVar
+
+import numpy as np
+
+from stream.chunk import Array, Chunk, Specs, StreamSpec
+from stream.state import pack, size_of, unpack
+
+S = TypeVar("S")
+
+Emitted: TypeAlias = Chunk | Sequence[tuple[str, Chunk]] | None
+"""What `process` gives back: a chunk for the first output, nothing, or (output, chunk) pairs in the order of emission."""
+
+
+class Operator(Generic[S]):
+    """Something done to streams. Subclasses are frozen dataclasses of parameters:
+
+        @dataclass(frozen=True, slots=True)
+        class Gain(Operator[GainState]):
+            factor: float = param(1.0)
+
+    inputs     names of the input ports; an operator with several gets its samples in global time order (ties: port order)
+    optional   those inputs that a graph may leave unconnected
+    variadic   any number of inputs (at least one), named after what they are connected to; `inputs` is then empty
+    outputs    names of the output ports; the first is meant where a graph names none
+    """
+
+    __slots__ = ("delay_s", "state")
+    inputs: ClassVar[tuple[str, ...]] = ("in",)
+    optional: ClassVar[tuple[str, ...]] = ()
+    variadic: ClassVar[bool] = False
+    outputs: ClassVar[tuple[str, ...]] = ("out",)
+
+    state: S
+    delay_s: float
+    """How much later than the newest input sample an output sample's stamp is reached (group delay, windows, look-ahead); set by `hold`."""
+
+    def open(self, specs: Specs) -> Specs:
+        """Check the input specs (by port), allocate the state with `hold`, and return the output specs (by port).
+
+        Raises ParameterError or InputError for everything that can be wrong, before any device opens.
+        """
+        raise NotImplementedError
+
+    def process(self, port: str, chunk: Chunk) -> Emitted:
+        """Take a chunk from an input port, and give back what it leads to: a function of the state and the samples alone.
+
+        `chunk.lost` is non-zero only with samples. Every emission must carry an `until`: what it promises about the output.
+        Arrays that are emitted are C-contiguous and never written again.
+        """
+        raise NotImplementedError
+
+    def close(self) -> Emitted:
+        """Emit what is still pending; called once, when every input has ended."""
+        return None
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        """What the laws try this operator on: at least one case, with enough samples that its windows fill and outputs come."""
+        return ()
+
+    def hold(self, state: S, *, delay_s: float = 0.0) -> None:
+        """Keep the state (a slotted dataclass of arrays, numbers and texts) and declare the delay; called by `open`."""
+        object.__setattr__(self, "state", state)
+        object.__setattr__(self, "delay_s", delay_s)
+
+    def fresh(self) -> Self:
+        """The same operator, not opened."""
+        return replace(self)  # type: ignore[type-var]
+
+    def snapshot(self) -> dict[str, Array]:
+        """The state as plain arrays (copies)."""
+        return pack(self.state)
+
+    def restore(self, arrays: dict[str, Array]) -> None:
+        """Go on from a snapshot of an operator with the same parameters and input specs; `open` comes first."""
+        unpack(self.state, arrays)
+
+    @property
+    def memory_bytes(self) -> int:
+        """What the state takes now."""
+        return size_of(self.state)
+
+
+class Outlet(Operator[S]):
+    """Where streams leave the graph: a file, a network, a screen. It has inputs and no outputs.
+
+    An outlet is silent in replay unless it is asked to speak; after a crash it is restored like any operator, and what it wrote since
+    then is written again at the same place (see `restore`), so that nothing is doubled or missing.
+    """
+
+    __slots__ = ()
+    outputs: ClassVar[tuple[str, ...]] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One set-up that an operator must obey the laws on.
+
+    operator   its parameters
+    inputs     per port: the spec and the samples (times (n,) int64 ns, data (n, *shape)); enough to fill every window
+    least      how many output samples must come out (over all ports) for the trial to mean anything
+    """
+
+    operator: Operator[Any]
+    inputs: dict[str, tuple[StreamSpec, Array, Array]]
+    least: int = 1
+
+
+def grid(rate_hz: float, n: int, start_ns: int = 1_000_000_000) -> Array:
+    """Stamps of `n` samples at `rate_hz`, from an index and an anchor, never by accumulation. Returns (n,) int64 ns."""
+    return start_ns + np.round(np.arange(n) * (1e9 / rate_hz)).astype(np.int64)

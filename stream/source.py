@@ -1,0 +1,53 @@
+"""Where streams begin: the source, and the feed through which it hands over what it reads.
+
+A source reads in a thread of its own, which may block. It is reopened with growing pauses when it raises or falls silent, while the rest
+of the graph goes on; so `read` opens the device, reads until told to stop, and closes it again, whatever happens.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import ClassVar, Protocol, Self
+
+from stream.chunk import Chunk, Specs
+
+
+class Feed(Protocol):
+    """A source's way into the graph."""
+
+    def emit(self, chunk: Chunk, output: str = "out") -> None:
+        """Hand over a chunk. With the policy `block` this waits while the queue is full."""
+
+    def now(self) -> int:
+        """Session time: nanoseconds UTC that never run backwards."""
+
+    def wait(self, seconds: float) -> bool:
+        """Sleep, but wake at once when the source must stop; returns whether it must."""
+
+    @property
+    def stopped(self) -> bool:
+        """Whether `read` must return as soon as it can."""
+
+    def problem(self, kind: str, count: int = 1) -> None:
+        """Count something that went wrong without ending the stream: 'bad packet', 'lost packet', 'resync'."""
+
+
+class Source:
+    """A device, file or simulator. Subclasses are frozen dataclasses of parameters.
+
+    `read` returning means that the stream has ended; raising means that the device failed and will be opened again.
+    """
+
+    __slots__ = ()
+    outputs: ClassVar[tuple[str, ...]] = ("out",)
+
+    def specs(self) -> Specs:
+        """The specs of the outputs, by name, known from the parameters before anything is opened. Raises ParameterError."""
+        raise NotImplementedError
+
+    def read(self, feed: Feed) -> None:
+        """Open, read and emit until `feed.stopped`, close. Runs in its own thread."""
+        raise NotImplementedError
+
+    def fresh(self) -> Self:
+        return replace(self)  # type: ignore[type-var]
