@@ -163,3 +163,10 @@ def empty(spec: StreamSpec, until: int, lost: int = 0) -> Chunk:
 def add_lost(first: int, then: int) -> int:
     """The sum of two `lost` numbers, where -1 stands for an unknown number."""
     return -1 if first < 0 or then < 0 else first + then
+
+
+def utc(time: int) -> str:
+    """A stamp for people: "2026-11-21T01:02:03.456789Z"."""
+    if not 0 <= time < 2**62:
+        return "the end of time" if time > 0 else "before time"
+    return f"{np.datetime64(time, 'ns').astype('datetime64[us]')}Z"

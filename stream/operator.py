@@ -94,12 +94,24 @@ class Operator(Generic[S]):
 class Outlet(Operator[S]):
     """Where streams leave the graph: a file, a network, a screen. It has inputs and no outputs.
 
-    An outlet is silent in replay unless it is asked to speak; after a crash it is restored like any operator, and what it wrote since
-    then is written again at the same place (see `restore`), so that nothing is doubled or missing.
+    An outlet is silent in replay unless it is asked to speak. It runs on the lane `outlets` unless told otherwise, and when it fails it
+    is reported and switched off while the graph goes on. `open` only checks and allocates (a graph is opened to be checked, too); what
+    touches the world begins in `begin`.
+
+    durable    whether the outlet can take its words back: after a crash it is restored to its last snapshot (a file is cut back to the
+               length it had) and given again what followed, so that nothing is doubled or missing. One that is not durable, a network,
+               hears nothing of what is worked through a second time.
     """
 
     __slots__ = ()
     outputs: ClassVar[tuple[str, ...]] = ()
+    durable: ClassVar[bool] = False
+
+    def begin(self) -> None:
+        """Touch the world: create the file, connect. Called once, after `open` (and `restore`), before any device starts.
+
+        Raises KinegraphError where that cannot be done: the run does not start.
+        """
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,12 @@ class Feed(Protocol):
     def stopped(self) -> bool:
         """Whether `read` must return as soon as it can."""
 
+    def ready(self) -> None:
+        """The device is there and set up, though no sample has come yet (the first sample says the same)."""
+
+    def hear(self, timeout_s: float) -> str | None:
+        """Wait for a word that a person types for this source while the graph runs; None if none comes."""
+
     def problem(self, kind: str, count: int = 1) -> None:
         """Count something that went wrong without ending the stream: 'bad packet', 'lost packet', 'resync'."""
 
@@ -40,6 +46,18 @@ class Source:
 
     __slots__ = ()
     outputs: ClassVar[tuple[str, ...]] = ("out",)
+    background: ClassVar[bool] = False
+    """Whether a session may start and end without this source (a person's annotations)."""
+
+    @property
+    def live(self) -> bool:
+        """Whether what is not read is gone: then samples from before the common start are left out. A file waits instead."""
+        return True
+
+    @property
+    def chunk_s(self) -> float:
+        """About how much time one chunk covers: part of every path's delay."""
+        return 0.0
 
     def specs(self) -> Specs:
         """The specs of the outputs, by name, known from the parameters before anything is opened. Raises ParameterError."""

@@ -1,0 +1,121 @@
+"""A bounded queue of chunks before a thread, with a declared policy; every drop is counted and marked in the next chunk.
+
+Many channels share one doorbell, the only thing their thread waits on: it rings once per chunk, with the channel to look into.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from queue import SimpleQueue
+from typing import Any, TypeAlias
+
+from stream.chunk import Chunk, add_lost
+from stream.errors import RunError
+from stream.graph import Policy
+
+Doorbell: TypeAlias = "SimpleQueue[Channel | None]"
+"""Rings with the channel that has a chunk; None only wakes the thread."""
+
+
+class Channel:
+    """What waits between the thread that writes and the thread that reads.
+
+    name      what is waiting, for people: "board.emg", or "camera -> blocks"
+    limit     how many chunks may wait
+    policy    what a full queue does: `block` its writer, `drop_oldest`, or `fail`
+    on_drop   told (first, n) of every drop: the dropped samples' running index in this channel and their number
+    """
+
+    __slots__ = (
+        "_index",
+        "_items",
+        "_lock",
+        "_owed",
+        "_room",
+        "bell",
+        "closed",
+        "dropped",
+        "limit",
+        "name",
+        "on_drop",
+        "owner",
+        "policy",
+    )
+
+    def __init__(
+        self, name: str, bell: Doorbell, limit: int, policy: Policy, on_drop: Callable[[int, int], None] | None = None
+    ) -> None:
+        self.name, self.bell, self.limit, self.policy, self.on_drop = name, bell, limit, policy, on_drop
+        self.owner: Any = None
+        self.dropped = 0
+        self.closed = False
+        self._items: deque[tuple[Chunk, int, int]] = deque()
+        self._lock = threading.Lock()
+        self._room = threading.Event()
+        self._owed = 0
+        self._index = 0
+
+    def put(self, chunk: Chunk, arrival: int = 0) -> None:
+        """Leave a chunk; waits, drops or fails as the policy says where the queue is full."""
+        if len(self._items) >= self.limit:
+            self._make_room()
+        with self._lock:
+            self._items.append((chunk, arrival, self._index))
+            self._index += len(chunk.time)
+        self.bell.put(self)
+
+    def take(self) -> tuple[Chunk, int] | None:
+        """The oldest chunk and its arrival, with the drops before it added to its `lost`; None if it was dropped meanwhile."""
+        with self._lock:
+            if not self._items:
+                return None
+            chunk, arrival, _ = self._items.popleft()
+            if self._owed:
+                chunk = Chunk(chunk.time, chunk.data, chunk.until, add_lost(self._owed, chunk.lost))
+                self._owed = 0
+        if not self._room.is_set():
+            self._room.set()
+        return chunk, arrival
+
+    def close(self) -> None:
+        """Let a blocked writer go; what it puts from now on waits without limit."""
+        self.closed = True
+        self._room.set()
+
+    @property
+    def depth(self) -> int:
+        """How many chunks wait now."""
+        return len(self._items)
+
+    @property
+    def index(self) -> int:
+        """How many samples have been put, ever."""
+        return self._index
+
+    def start_at(self, index: int) -> None:
+        """Continue the running sample index of a resumed session."""
+        self._index = index
+
+    def _make_room(self) -> None:
+        if self.policy == "fail":
+            raise RunError(f"the queue of {self.name} is full ({self.limit} chunks) and its policy is 'fail'")
+        while len(self._items) >= self.limit and not self.closed:
+            if self.policy == "drop_oldest":
+                self._drop()
+            else:
+                self._room.clear()
+                if len(self._items) >= self.limit:
+                    self._room.wait(0.5)
+
+    def _drop(self) -> None:
+        with self._lock:
+            if not self._items:
+                return
+            chunk, _, index = self._items.popleft()
+            n = len(chunk.time)
+            self._owed = add_lost(self._owed, add_lost(chunk.lost, n))
+            self.dropped += n
+        if n and self.on_drop:
+            self.on_drop(index, n)
