@@ -2,84 +2,135 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from bisect import bisect_right
+from collections import deque
 
 import numpy as np
 
-from stream.chunk import NEVER, Array, Chunk, Specs, empty
+from stream.chunk import FOREVER, NEVER, Array, Chunk, Specs, add_lost, empty
 
 
 class Merge:
     """Holds back the chunks of several ports until their order is certain; drops nothing.
 
-    The pieces that come out depend on the samples alone in their order, whatever the order and the cutting in which chunks arrived.
+    The samples that come out, in their order, depend on the samples that went in alone, not on the cutting or on which port's chunk came
+    first. A piece's `until` holds for all ports at once: whatever comes later, on any port, is later than that.
     """
 
-    __slots__ = ("_pending", "_ports", "_specs", "_told", "_until")
+    __slots__ = ("_empty", "_index", "_lost", "_next", "_pending", "_ports", "_stamps", "_start", "_told", "_until")
 
     def __init__(self, specs: Specs) -> None:
         """`specs` by port, in port order."""
         self._ports = list(specs)
-        self._specs = specs
-        self._pending: list[list[Chunk]] = [[] for _ in specs]
-        self._until = [NEVER] * len(specs)
-        self._told = [NEVER] * len(specs)
+        self._index = {port: i for i, port in enumerate(specs)}
+        self._empty = [empty(spec, NEVER) for spec in specs.values()]
+        n = len(specs)
+        self._pending: list[deque[Chunk]] = [deque() for _ in range(n)]
+        self._start = [0] * n
+        """How many samples of each port's first pending chunk have gone out."""
+        self._next = [FOREVER] * n
+        """The stamp of each port's next sample; FOREVER where none is pending."""
+        self._stamps: list[list[int]] = [[] for _ in range(n)]
+        """The stamps of each port's first pending chunk, once it had to be cut."""
+        self._until = [NEVER] * n
+        self._told = [NEVER] * n
+        self._lost = [0] * n
 
-    def push(self, port: str, chunk: Chunk) -> Iterator[tuple[str, Chunk]]:
-        """Take a chunk; yields (port, piece) for everything that is now certain, then the time that has passed on each port."""
-        i = self._ports.index(port)
+    def push(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
+        """Take a chunk; gives (port, piece) for everything that is now certain, then the time that has passed on each port."""
+        i = self._index[port]
         if len(chunk.time):
-            self._pending[i].append(chunk)
+            self._append(i, chunk)
+        elif chunk.lost:
+            self._lost[i] = add_lost(self._lost[i], chunk.lost)
         if chunk.until > self._until[i]:
             self._until[i] = chunk.until
         frontier = min(self._until)
-        while (piece := self._next(frontier)) is not None:
-            yield piece
-        for j, name in enumerate(self._ports):
-            if self._told[j] < frontier:
+        pieces: list[tuple[str, Chunk]] = []
+        while (earliest := min(self._next)) <= frontier and earliest != FOREVER:
+            first = self._next.index(earliest)
+            pieces.append((self._ports[first], self._take(first, frontier)))
+        for j, told in enumerate(self._told):
+            if told < frontier:
                 self._told[j] = frontier
-                yield name, empty(self._specs[name], frontier)
+                nothing = self._empty[j]
+                pieces.append((self._ports[j], Chunk(nothing.time, nothing.data, frontier)))
+        return pieces
 
-    def _next(self, frontier: int) -> tuple[str, Chunk] | None:
-        """The longest run of one port that precedes everything else pending, cut at the frontier."""
-        heads = [(int(queue[0].time[0]), j) for j, queue in enumerate(self._pending) if queue]
-        if not heads or min(heads)[0] > frontier:
-            return None
-        first = min(heads)[1]
-        limit = min([frontier, *(time - 1 if j < first else time for time, j in heads if j != first)])
+    def _append(self, i: int, chunk: Chunk) -> None:
+        if self._lost[i]:
+            chunk = Chunk(chunk.time, chunk.data, chunk.until, add_lost(self._lost[i], chunk.lost))
+            self._lost[i] = 0
+        if not self._pending[i]:
+            self._next[i] = int(chunk.time[0])
+        self._pending[i].append(chunk)
+
+    def _take(self, first: int, frontier: int) -> Chunk:
+        """The longest run of one port's first pending chunk that precedes what is pending on the others, cut at the frontier."""
+        limit = told = frontier
+        for j, time in enumerate(self._next):
+            if time <= frontier and j != first:
+                if time <= told:
+                    told = time - 1
+                limit = min(limit, time if j > first else time - 1)
         queue = self._pending[first]
-        chunk = queue[0]
-        n = int(chunk.time.searchsorted(limit, side="right"))
-        if n < len(chunk.time):
-            queue[0] = chunk.part(n, len(chunk.time))
+        chunk, start, stamps = queue[0], self._start[first], self._stamps[first]
+        size = len(chunk.time)
+        if (stamps[-1] if stamps else int(chunk.time[-1])) <= limit:
+            stop = size
+            queue.popleft()
+            self._start[first] = 0
+            self._stamps[first] = []
+            self._next[first] = int(queue[0].time[0]) if queue else FOREVER
+            after = chunk.until
         else:
-            queue.pop(0)
-        until = min(limit if n < len(chunk.time) else chunk.until, frontier)
-        self._told[first] = max(self._told[first], until)
-        return self._ports[first], Chunk(chunk.time[:n], chunk.data[:n], until, chunk.lost)
+            if not stamps:
+                stamps = self._stamps[first] = chunk.time.tolist()
+            stop = self._start[first] = bisect_right(stamps, limit, start)
+            self._next[first] = stamps[stop]
+            after = stamps[stop] - 1
+        if after < told:
+            told = after
+        if told < self._told[first]:
+            told = self._told[first]
+        self._told[first] = told
+        if stop - start == size:
+            return chunk if chunk.until == told else Chunk(chunk.time, chunk.data, told, chunk.lost)
+        return Chunk(chunk.time[start:stop], chunk.data[start:stop], told, 0 if start else chunk.lost)
 
     def snapshot(self) -> dict[str, Array]:
         """What is held back, as plain arrays."""
-        arrays: dict[str, Array] = {"until": np.array(self._until), "told": np.array(self._told)}
+        arrays: dict[str, Array] = {
+            "until": np.array(self._until, np.int64),
+            "told": np.array(self._told, np.int64),
+            "lost": np.array(self._lost, np.int64),
+        }
         for j, queue in enumerate(self._pending):
-            arrays[f"{j}.n"] = np.array(len(queue))
-            for k, chunk in enumerate(queue):
-                arrays[f"{j}.{k}.time"], arrays[f"{j}.{k}.data"] = chunk.time, chunk.data
-                arrays[f"{j}.{k}.head"] = np.array([chunk.until, chunk.lost])
+            chunks = list(queue)
+            if self._start[j]:
+                chunks[0] = chunks[0].part(self._start[j], len(chunks[0]))
+            arrays[f"{j}.lengths"] = np.array([len(c) for c in chunks], np.int64)
+            arrays[f"{j}.until"] = np.array([c.until for c in chunks], np.int64)
+            arrays[f"{j}.lost"] = np.array([c.lost for c in chunks], np.int64)
+            arrays[f"{j}.time"] = np.concatenate([self._empty[j].time, *(c.time for c in chunks)])
+            arrays[f"{j}.data"] = np.concatenate([self._empty[j].data, *(c.data for c in chunks)])
         return arrays
 
     def restore(self, arrays: dict[str, Array]) -> None:
-        self._until = [int(v) for v in arrays["until"]]
-        self._told = [int(v) for v in arrays["told"]]
+        """Go on from a snapshot of a merge of the same ports."""
+        self._until = arrays["until"].tolist()
+        self._told = arrays["told"].tolist()
+        self._lost = arrays["lost"].tolist()
         for j in range(len(self._ports)):
-            self._pending[j] = [_chunk(arrays, f"{j}.{k}") for k in range(int(arrays[f"{j}.n"]))]
+            time, data = arrays[f"{j}.time"], arrays[f"{j}.data"]
+            stops = np.cumsum(arrays[f"{j}.lengths"]).tolist()
+            heads = zip([0, *stops], stops, arrays[f"{j}.until"].tolist(), arrays[f"{j}.lost"].tolist(), strict=False)
+            self._pending[j] = deque(Chunk(time[a:b], data[a:b], until, lost) for a, b, until, lost in heads)
+            self._start[j] = 0
+            self._stamps[j] = []
+            self._next[j] = int(time[0]) if len(time) else FOREVER
 
     @property
     def held(self) -> int:
         """Chunks waiting."""
         return sum(len(queue) for queue in self._pending)
-
-
-def _chunk(arrays: dict[str, Array], name: str) -> Chunk:
-    until, lost = (int(v) for v in arrays[f"{name}.head"])
-    return Chunk(arrays[f"{name}.time"], arrays[f"{name}.data"], until, lost)

@@ -1,0 +1,25 @@
+"""Settings of all tests: random ones draw the same examples every time; `KINEGRAPH_EXAMPLES` asks for more of them."""
+
+from __future__ import annotations
+
+import os
+
+from hypothesis import HealthCheck, settings
+
+EXAMPLES = int(os.environ.get("KINEGRAPH_EXAMPLES", "0"))
+
+settings.register_profile(
+    "kinegraph",
+    derandomize=not EXAMPLES,
+    max_examples=EXAMPLES or 50,
+    deadline=None,
+    print_blob=True,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+)
+settings.load_profile("kinegraph")
+
+
+def pytest_report_header() -> str:
+    if EXAMPLES:
+        return f"random tests: {EXAMPLES} examples each, drawn anew; a failure prints how to repeat it"
+    return "random tests: the same examples every time (KINEGRAPH_EXAMPLES=500 draws that many new ones)"
