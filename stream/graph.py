@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from stream.chunk import Specs, StreamSpec
 from stream.operator import Operator, Outlet
+from stream.params import param
 from stream.source import Source
 
 Policy = Literal["block", "drop_oldest", "fail"]
@@ -29,7 +30,8 @@ class NodeOptions:
 
     lane        run this node (and what hangs on it alone) in a thread of this name, behind a queue
     queue       how many chunks may wait before a source or a lane
-    policy      what a full queue does: `block` its writer, `drop_oldest` chunk (counted, recorded), or `fail` the run
+    policy      what a full queue does: `block` its writer, `drop_oldest` chunk (counted, recorded), or `fail` the run; left
+                open, an outlet drops where the graph cannot wait (its sources are live), everything else blocks
     required    the run starts only when this source is ready, and fails if it is not so within `deadline_s`
     patience_s  after how long without a chunk the engine declares that nothing happened (advances `until`)
     silence_s   after how long without a chunk a source is closed and opened again; 0: never
@@ -37,13 +39,13 @@ class NodeOptions:
     """
 
     lane: str = ""
-    queue: int = 256
-    policy: Policy = "block"
+    queue: int = param(256, least=1)
+    policy: Policy | None = None
     required: bool = True
-    deadline_s: float = 10.0
-    patience_s: float = 1.0
-    silence_s: float = 0.0
-    stale_s: float = 2.0
+    deadline_s: float = param(10.0, above=0.0)
+    patience_s: float = param(1.0, above=0.0)
+    silence_s: float = param(0.0, least=0.0)
+    stale_s: float = param(2.0, above=0.0)
 
 
 @dataclass(slots=True)
@@ -114,7 +116,7 @@ class RecordingOptions:
     """
 
     folder: str = "recordings"
-    rotate_mb: float = 0.0
-    quota_mb: float = 0.0
-    gather_s: float = 0.1
-    flush_s: float = 0.5
+    rotate_mb: float = param(0.0, least=0.0)
+    quota_mb: float = param(0.0, least=0.0)
+    gather_s: float = param(0.1, least=0.0)
+    flush_s: float = param(0.5, above=0.0)

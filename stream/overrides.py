@@ -1,0 +1,86 @@
+"""Settings from the command line (`--set envelope.cutoff_hz=10`) that replace what a graph's file says."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from stream.errors import GraphError, KinegraphError, nearest
+from stream.problems import Problems
+from stream.yaml_lines import Located, locate, parse
+
+SECTIONS = ("session", "recording")
+
+
+def read(settings: Iterable[str]) -> dict[str, Any]:
+    """{"envelope.cutoff_hz": 10} from ["envelope.cutoff_hz=10"]; values are read as YAML."""
+    found: dict[str, Any] = {}
+    for setting in settings:
+        name, equals, value = setting.partition("=")
+        if not equals or not name:
+            raise KinegraphError(f"--set {setting}: it must be NODE.PARAMETER=VALUE, as in 'envelope.cutoff_hz=10'")
+        if name in found:
+            raise KinegraphError(f"--set {name} is given twice")
+        try:
+            found[name.strip()] = parse(value, "").plain()
+        except GraphError as error:
+            raise KinegraphError(f"--set {setting}: {error}") from None
+    return found
+
+
+def override(root: Located, overrides: Mapping[str, Any], problems: Problems) -> Located:
+    """The graph with these settings in place of its own."""
+    top = dict(root.items())
+    for name, value in overrides.items():
+        new = locate(value, 0, f"--set {name}")
+        place = _place(name, top)
+        if place is None:
+            nodes = top["nodes"].items() if "nodes" in top else {}
+            problems.add(f"there is no node {name.partition('.')[0]!r}; {nearest(name.partition('.')[0], nodes)}", new)
+            continue
+        _put(top, place, new)
+    return Located(top, root.line) if overrides and isinstance(root.value, dict) else root
+
+
+def rewrite(text: str, overrides: Mapping[str, Any]) -> str:
+    """The graph's text with the settings written into it, comments kept: what a recording remembers as the graph that made it."""
+    yaml = YAML(typ="rt")
+    yaml.preserve_quotes, yaml.width = True, 1000
+    root = yaml.load(text)
+    for name, value in overrides.items():
+        *way, key = _place(name, root) or ()
+        inner = root
+        for step in way:
+            if inner.get(step) is None:
+                inner[step] = {}
+            inner = inner[step]
+        inner[key] = value
+    out = io.StringIO()
+    yaml.dump(root, out)
+    return out.getvalue()
+
+
+def _place(name: str, top: Mapping[str, Any]) -> tuple[str, ...] | None:
+    """The keys under which a setting stands: a node's, a section's, or the graph's own; None if it names an unknown node."""
+    head, dot, key = name.partition(".")
+    nodes = top.get("nodes")
+    known = nodes.items() if isinstance(nodes, Located) else nodes or {}
+    if not dot:
+        return (name,)
+    if head in dict(known):
+        return ("nodes", head, key)
+    return (head, key) if head in SECTIONS else None
+
+
+def _put(inside: dict[str, Located], place: tuple[str, ...], new: Located) -> None:
+    head, *rest = place
+    if rest:
+        old = inside.get(head, Located({}, new.line, new.origin))
+        entries = dict(old.items())
+        _put(entries, tuple(rest), new)
+        inside[head] = Located(entries, old.line, old.origin)
+    else:
+        inside[head] = new

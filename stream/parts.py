@@ -1,0 +1,162 @@
+"""The classes that a graph can name: found by dotted path (`use: operators.emg.Envelope`), or all of them, for editors.
+
+Nothing is registered anywhere: a new source, operator or outlet is a class in a file that Python can import, ours or anyone's; a file
+beside the graph will do.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import sys
+import traceback
+from dataclasses import is_dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from types import ModuleType
+from typing import Any, TypeAlias, TypeGuard
+
+from stream.errors import KinegraphError, nearest
+from stream.operator import Operator, Outlet
+from stream.source import Source
+
+PACKAGES = ("operators", "devices", "stream.manual")
+"""Where `catalogue` looks if not told otherwise: by name, at run time, so that the engine depends on none of them."""
+
+Part: TypeAlias = type[Source] | type[Operator[Any]]
+
+_beside: list[str] = []
+"""Folders that `import_from` has put on Python's search path."""
+
+
+class UseError(KinegraphError):
+    """A `use` that leads to no source, operator or outlet."""
+
+
+def import_from(folder: Path) -> None:
+    """Let graphs name modules in `folder` (the graph's own) and in the current one; installed packages come first.
+
+    A module of the same name that another graph's folder had brought in is forgotten.
+    """
+    wanted = [str(folder.resolve()), str(Path.cwd())]
+    for old in [entry for entry in _beside if entry not in wanted]:
+        _beside.remove(old)
+        sys.path.remove(old)
+        for name in [n for n in sys.modules if _is_beside(n.partition(".")[0], Path(old))]:
+            if any((Path(new) / f"{name.partition('.')[0]}{end}").exists() for new in wanted for end in (".py", "")):
+                del sys.modules[name]
+    for new in dict.fromkeys(wanted):
+        if new not in sys.path:
+            sys.path.append(new)
+            _beside.append(new)
+    importlib.invalidate_caches()
+
+
+def _is_beside(top: str, folder: Path) -> bool:
+    """Whether the imported module or package `top` is one of `folder`'s own (never one of ours)."""
+    file = getattr(sys.modules.get(top), "__file__", None)
+    ours = ("stream", "devices", "operators")
+    return bool(file) and top not in ours and Path(str(file)) in (folder / f"{top}.py", folder / top / "__init__.py")
+
+
+def find(use: str) -> Part:
+    """The class at a dotted path; raises UseError with the nearest that exists."""
+    module_name, _, name = use.rpartition(".")
+    if not module_name or not all(part.isidentifier() for part in use.split(".")):
+        raise UseError(f"use is {use!r}; it must be a dotted path to a class{_similar(use)}")
+    module = _import(module_name, use)
+    found = getattr(module, name, None)
+    if is_part(found):
+        return found
+    here = [n for n, member in vars(module).items() if is_part(member)]
+    if found is None:
+        raise UseError(f"{module_name} has no {name!r}; {nearest(name, here)}")
+    fault = "is no dataclass" if isinstance(found, type) and issubclass(found, Source | Operator) else "is none"
+    raise UseError(
+        f"{use} must be a source, an operator or an outlet (a dataclass), but {fault}; {nearest(name, here)}"
+    )
+
+
+def is_part(candidate: object) -> TypeGuard[Part]:
+    """Whether it is a class that a graph can use, and not one that others are derived from."""
+    if not isinstance(candidate, type) or not is_dataclass(candidate):
+        return False
+    if issubclass(candidate, Source):
+        return candidate.read is not Source.read
+    return issubclass(candidate, Operator) and candidate.open is not Operator.open
+
+
+def kind_of(part: Part) -> str:
+    return "source" if issubclass(part, Source) else "outlet" if issubclass(part, Outlet) else "operator"
+
+
+def catalogue(packages: tuple[str, ...] = PACKAGES) -> tuple[dict[str, Part], dict[str, str]]:
+    """All parts in these packages by their shortest dotted path, and the modules that could not be imported, with the reason."""
+    found: dict[Part, str] = {}
+    failed: dict[str, str] = {}
+    for package in packages:
+        for name in _modules(package, failed):
+            try:
+                module = importlib.import_module(name)
+            except Exception as error:  # noqa: BLE001  (a broken module must not hide the others; it is reported)
+                failed[name] = explain(error)
+                continue
+            for attribute, member in vars(module).items():
+                path = f"{name}.{attribute}"
+                if is_part(member) and not attribute.startswith("_") and member.__module__.startswith(package):
+                    found[member] = min(found.get(member, path), path, key=lambda p: (p.count("."), p))
+    return {path: part for part, path in sorted(found.items(), key=lambda item: item[1])}, failed
+
+
+def _modules(package: str, failed: dict[str, str]) -> list[str]:
+    """The package and everything in it, without importing more than packages."""
+    try:
+        root = importlib.import_module(package)
+    except ModuleNotFoundError as error:
+        if error.name != package:
+            failed[package] = explain(error)
+        return []
+    except Exception as error:  # noqa: BLE001
+        failed[package] = explain(error)
+        return []
+    names = [package]
+    for info in pkgutil.iter_modules(getattr(root, "__path__", ()), package + "."):
+        if not info.name.rpartition(".")[2].startswith("_"):
+            names += _modules(info.name, failed) if info.ispkg else [info.name]
+    return names
+
+
+def _import(name: str, use: str) -> ModuleType:
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name and (name == error.name or name.startswith(error.name + ".")):
+            raise UseError(f"there is no module {error.name!r}{_similar(use)}") from None
+        raise UseError(f"{name} could not be imported: {explain(error)}") from error
+    except Exception as error:
+        raise UseError(f"{name} could not be imported: {explain(error)}") from error
+
+
+def explain(error: BaseException) -> str:
+    """An exception on one line, with the file and line where it was raised."""
+    if isinstance(error, SyntaxError):
+        return f"SyntaxError: {error.msg} ({error.filename}, line {error.lineno})"
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if "importlib" not in f.filename]
+    where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames and frames[-1].filename != __file__ else ""
+    return f"{type(error).__name__}: {error}{where}"
+
+
+def _similar(use: str) -> str:
+    """What `use` may have been meant to be."""
+    top = use.partition(".")[0]
+    paths = [*catalogue((*PACKAGES, top) if top not in PACKAGES and top in sys.modules else PACKAGES)[0]]
+    by_name = {path.rpartition(".")[2].lower(): path for path in paths}
+    close = get_close_matches(use, paths, n=1, cutoff=0.75)
+    if not close:
+        close = [by_name[n] for n in get_close_matches(use.rpartition(".")[2].lower(), by_name, n=1, cutoff=0.75)]
+    if close:
+        return f"; did you mean {close[0]!r}?"
+    modules = sorted(
+        {path.rpartition(".")[0] for path in paths} | {f.stem for d in _beside for f in Path(d).glob("*.py")}
+    )
+    return f"; modules that have some are {', '.join(modules)}" if modules else ""
