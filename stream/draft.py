@@ -1,0 +1,115 @@
+"""A node as the graph writes it, on its way: its class found, its engine options and parameters checked and built."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, field, fields
+from typing import Any, TypeVar
+
+from stream.errors import ParameterError, nearest
+from stream.graph import NodeOptions
+from stream.operator import Operator
+from stream.params import build
+from stream.parts import Part, UseError, find
+from stream.problems import Problems
+from stream.source import Source
+from stream.wiring import Wires
+from stream.yaml_lines import Located
+
+T = TypeVar("T")
+
+SOURCE_OPTIONS = ("queue", "policy", "required", "deadline_s", "patience_s", "silence_s", "stale_s")
+OPERATOR_OPTIONS = ("lane", "queue", "policy")
+
+
+@dataclass(slots=True)
+class Draft:
+    """A node on its way."""
+
+    name: str
+    entry: Located
+    kind: Part
+    part: Source | Operator[Any] | None = None
+    options: NodeOptions = field(default_factory=NodeOptions)
+    wires: Wires | None = None
+
+    def at(self, key: str) -> Located:
+        """Where a key of this node stands; the node itself if it was not given."""
+        return self.entry.items().get(key.partition("[")[0].partition(".")[0], self.entry)
+
+
+def read_node(name: str, entry: Located, problems: Problems) -> Draft | None:
+    if not isinstance(entry.value, dict):
+        problems.add(f"a node is a mapping with 'use', not {entry.kind}", entry, name)
+        return None
+    use = entry.value.get("use")
+    if use is None or not isinstance(use.value, str):
+        given = "'use' is missing" if use is None else f"use is {use.kind}"
+        problems.add(f"{given}; it must be a dotted path, as in 'use: operators.emg.Envelope'", use or entry, name)
+        return None
+    try:
+        kind = find(use.value)
+    except UseError as error:
+        problems.add(str(error), use, name, cause=error.__cause__)
+        return None
+    draft = Draft(name, entry, kind)
+    _fill(draft, {key: at for key, at in entry.value.items() if key not in ("use", "from")}, problems)
+    return draft
+
+
+def _fill(draft: Draft, given: dict[str, Located], problems: Problems) -> None:
+    """Engine options and parameters, which stand in one mapping."""
+    allowed = SOURCE_OPTIONS if issubclass(draft.kind, Source) else OPERATOR_OPTIONS
+    parameters = parameters_of(draft.kind)
+    every = [f.name for f in fields(NodeOptions)]
+    twice = [p for p in parameters if p in every or p in ("use", "from")]
+    if twice:
+        text = f"{draft.kind.__name__} has a parameter {twice[0]!r}, which is a key of every node; it must be renamed"
+        problems.add(text, draft.entry, draft.name)
+        return
+    for key, at in given.items():
+        if key in every and key not in allowed:
+            owner = "a source's" if key in SOURCE_OPTIONS else "an operator's"
+            problems.add(f"{key!r} is {owner} option; {draft.kind.__name__} is none", at, draft.name)
+        elif key not in every and key not in parameters:
+            hint = nearest(key, [*parameters, *allowed, "use", "from"])
+            problems.add(f"{draft.kind.__name__} has no parameter {key!r}; {hint}", at, draft.name)
+    options = build_from(NodeOptions, {k: v for k, v in given.items() if k in allowed}, problems, node=draft.name)
+    draft.options = options or NodeOptions()
+    if issubclass(draft.kind, Operator) and not draft.options.lane:
+        for key in {"queue", "policy"} & given.keys():
+            problems.add(f"{key!r} needs a 'lane'; without one nothing waits here", given[key], draft.name)
+    values = {k: v for k, v in given.items() if k in parameters}
+    draft.part = build_from(draft.kind, values, problems, node=draft.name, entry=draft.entry)
+
+
+def build_from(
+    cls: type[T],
+    given: Mapping[str, Located],
+    problems: Problems,
+    section: str = "",
+    node: str = "",
+    entry: Located | None = None,
+) -> T | None:
+    """An instance of `cls`; None if a value is wrong, and then every wrong one is reported."""
+    known = parameters_of(cls)
+    for key in [k for k in given if k not in known]:
+        problems.add(f"{section}unknown key {key!r}; {nearest(key, known)}", given[key], node)
+    left = {key: at.plain() for key, at in given.items() if key in known}
+    complete = len(left) == len(given)
+    required = {f.name for f in fields(cls) if f.default is MISSING and f.default_factory is MISSING}  # type: ignore[arg-type]
+    while True:
+        try:
+            made = build(cls, left)
+            return made if complete else None
+        except ParameterError as error:
+            problems.add(f"{section}{error}", given.get(error.parameter, entry), node)
+            complete = False
+            if error.parameter not in left or error.parameter in required:
+                return None
+            del left[error.parameter]
+
+
+def parameters_of(cls: Any) -> list[str]:
+    """The names of a part's parameters."""
+    return [f.name for f in fields(cls) if f.init]

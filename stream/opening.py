@@ -1,0 +1,135 @@
+"""Nodes opened in the order in which samples pass: every spec agreed on, every fault told at the node that has it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from stream.chunk import Specs, StreamSpec
+from stream.draft import Draft
+from stream.errors import InputError, KinegraphError, ParameterError
+from stream.graph import Edge, Node, NodeOptions
+from stream.operator import Operator
+from stream.parts import explain
+from stream.problems import Problems
+from stream.source import Source
+from stream.wiring import Wires, order
+
+
+def open_nodes(
+    drafts: Mapping[str, Draft | None], problems: Problems, recorded: Mapping[str, StreamSpec] | None
+) -> dict[str, Node]:
+    """Every node that can be opened, in topological order (the file's order among those that are ready)."""
+    opening = _Opening(problems, recorded)
+    for name in _in_order(drafts, problems):
+        draft = drafts[name]
+        if draft is not None:
+            opening.node(draft)
+    return opening.nodes
+
+
+def _in_order(drafts: Mapping[str, Draft | None], problems: Problems) -> list[str]:
+    reads = {
+        name: {edge.node for edge, _ in draft.wires.values()} if draft and draft.wires else set()
+        for name, draft in drafts.items()
+    }
+    names, cycles = order(reads)
+    for cycle in cycles:
+        first = drafts[cycle[0]]
+        assert first is not None  # it reads something
+        problems.add(f"the graph runs in a circle: {' -> '.join([*cycle, cycle[0]])}", first.at("from"))
+    return names
+
+
+@dataclass(slots=True)
+class _Opening:
+    """The nodes that are open so far."""
+
+    problems: Problems
+    recorded: Mapping[str, StreamSpec] | None
+    nodes: dict[str, Node] = field(default_factory=dict)
+
+    def node(self, draft: Draft) -> None:
+        """Open one more; nothing, if something is wrong with it or with what it reads."""
+        if draft.part is None or draft.wires is None:
+            return
+        inputs = self._inputs(draft, draft.wires)
+        specs = None if inputs is None else self._specs(draft, draft.part, draft.wires, inputs)
+        if specs is not None:
+            self.nodes[draft.name] = _node(draft, draft.part, draft.wires, specs)
+
+    def _inputs(self, draft: Draft, wires: Wires) -> Specs | None:
+        inputs: Specs = {}
+        for port, (edge, at) in wires.items():
+            if edge.node not in self.nodes:
+                return None
+            if edge.output not in self.nodes[edge.node].specs:
+                has = ", ".join(map(repr, sorted(self.recorded or ()))) or "none"
+                text = f"the recording lacks the stream {str(edge)!r}, which is read here; it has {has}"
+                self.problems.add(text, at, draft.name)
+                return None
+            inputs[port] = self.nodes[edge.node].specs[edge.output]
+        return inputs
+
+    def _specs(self, draft: Draft, part: Source | Operator[Any], wires: Wires, inputs: Specs) -> Specs | None:
+        """What flows out of a node."""
+        if isinstance(part, Source) and self.recorded is not None:
+            return _recorded(draft, self.recorded)
+        try:
+            specs = part.specs() if isinstance(part, Source) else part.open(inputs)
+        except ParameterError as error:
+            self.problems.add(str(error), draft.at(error.parameter), draft.name)
+            return None
+        except InputError as error:
+            wire = wires.get(error.port)
+            text = f"{error} (it comes from {str(wire[0])!r})" if wire else str(error)
+            self.problems.add(text, wire[1] if wire else draft.at("from"), draft.name)
+            return None
+        except KinegraphError as error:
+            self.problems.add(str(error), draft.entry, draft.name, cause=error)
+            return None
+        except Exception as error:  # noqa: BLE001  (a fault in anyone's operator is told like any other, with its place)
+            text = f"{draft.kind.__name__} failed while it was being opened: {explain(error)}"
+            self.problems.add(text, draft.entry, draft.name, cause=error)
+            return None
+        return self._promised(draft, part, specs)
+
+    def _promised(self, draft: Draft, part: Source | Operator[Any], specs: Specs) -> Specs | None:
+        """Whether a part gave the specs of the outputs that it declares."""
+        given = list(specs) if isinstance(specs, dict) else []
+        if sorted(given) != sorted(part.outputs):
+            text = f"{draft.kind.__name__} declares the outputs {list(part.outputs)} but gave specs for {given}"
+            self.problems.add(text, draft.entry, draft.name)
+            return None
+        if isinstance(part, Operator) and not hasattr(part, "state"):
+            self.problems.add(
+                f"{draft.kind.__name__}.open() must call hold(state, delay_s=...)", draft.entry, draft.name
+            )
+            return None
+        return {output: specs[output] for output in part.outputs}
+
+
+def _recorded(draft: Draft, recorded: Mapping[str, StreamSpec]) -> Specs:
+    """The recorded specs of a source; an output that was not recorded has none."""
+    specs: Specs = {}
+    for output in draft.kind.outputs:
+        for name in (str(Edge(draft.name, output)), f"{draft.name}.{output}"):
+            if name in recorded:
+                specs[output] = recorded[name]
+    return specs
+
+
+def _node(draft: Draft, part: Source | Operator[Any], wires: Wires, specs: Specs) -> Node:
+    options = {f.name for f in fields(NodeOptions)} | {"use", "from"}
+    entry = draft.entry.items()
+    return Node(
+        name=draft.name,
+        part=part,
+        use=str(entry["use"].value),
+        inputs={port: edge for port, (edge, _) in wires.items()},
+        specs=specs,
+        options=draft.options,
+        line=draft.entry.line,
+        given={key: at.plain() for key, at in entry.items() if key not in options},
+    )

@@ -1,0 +1,149 @@
+"""What a graph costs before it runs: how late each result is, where that comes from, and how much memory is held."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from stream.chunk import StreamSpec
+from stream.errors import GraphError
+from stream.graph import Graph, Node
+from stream.operator import Operator
+from stream.source import Source
+
+_CHUNK_S = 0.02
+"""What a chunk is taken to cover where the source does not say."""
+_CHUNK_BYTES = 300
+"""What a chunk takes beside its samples (objects, array headers)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One node on a path.
+
+    delay_s       by how much it delays (s)
+    memory_bytes  what it holds: its state, and the queue before or behind it
+    wait_s        how long what comes this way waits here for the slowest input (s)
+    """
+
+    node: str
+    delay_s: float
+    memory_bytes: int
+    wait_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """The slowest way from a source to a node whose output nobody reads.
+
+    A result stands `delay_s` after what it describes: the chunk that the source fills, then the sum of what the operators on the way
+    look ahead or smooth. An operator with several inputs waits for the slowest of them, so ways that meet are equally late.
+    """
+
+    steps: tuple[Step, ...]
+
+    @property
+    def source(self) -> str:
+        return self.steps[0].node
+
+    @property
+    def sink(self) -> str:
+        return self.steps[-1].node
+
+    @property
+    def delay_s(self) -> float:
+        return sum(step.delay_s + step.wait_s for step in self.steps)
+
+    @property
+    def memory_bytes(self) -> int:
+        return sum(step.memory_bytes for step in self.steps)
+
+    def __str__(self) -> str:
+        return " -> ".join(step.node for step in self.steps)
+
+    def explain(self) -> str:
+        """Where the delay comes from: "board 10 ms + envelope 24 ms = 34 ms"."""
+        parts: list[str] = []
+        for step in self.steps:
+            parts += [f"{step.node} waits {_ms(step.wait_s)}"] if step.wait_s > 1e-9 else []
+            parts += [f"{step.node} {_ms(step.delay_s)}"] if step.delay_s else []
+        return f"{' + '.join(parts) or 'nothing'} = {_ms(self.delay_s)}"
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Every path of a graph, and what all its nodes hold together."""
+
+    paths: tuple[Path, ...]
+    memory_bytes: int
+
+    @property
+    def slowest(self) -> Path | None:
+        return max(self.paths, key=lambda path: path.delay_s, default=None)
+
+
+def plan(graph: Graph, *, enforce: bool = True) -> Plan:
+    """Delay and memory of every path; raises GraphError if one exceeds the graph's `latency_budget_ms` (unless not to `enforce`)."""
+    steps = {node.name: _step(graph, node) for node in graph.nodes.values()}
+    paths = tuple(_paths(graph, steps))
+    if enforce:
+        refuse_late(graph, paths)
+    return Plan(paths, sum(step.memory_bytes for step in steps.values()))
+
+
+def refuse_late(graph: Graph, paths: tuple[Path, ...]) -> None:
+    """Raise GraphError if a path's delay exceeds the graph's latency budget."""
+    budget = graph.latency_budget_ms
+    late = [path for path in paths if budget is not None and path.delay_s * 1e3 > budget * (1 + 1e-9)]
+    if late:
+        texts = [f"{path} is late by {path.explain()}" for path in late]
+        text = f"latency_budget_ms is {budget:g}, but " + "; ".join(texts)
+        raise GraphError(text, path=graph.path or graph.name)
+
+
+def _paths(graph: Graph, steps: dict[str, Step]) -> Iterator[Path]:
+    """One path per source and last node: the way that delays most by itself."""
+    best: dict[str, dict[str, tuple[Step, ...]]] = {}
+    late: dict[str, float] = {}
+    for node in graph.nodes.values():
+        own = steps[node.name]
+        best[node.name] = {node.name: (own,)} if node.is_source else {}
+        waited = max((late[edge.node] for edge in node.inputs.values()), default=0.0)
+        late[node.name] = waited + own.delay_s
+        for edge in node.inputs.values():
+            here = replace(own, wait_s=waited - late[edge.node])
+            for source, way in best[edge.node].items():
+                if source not in best[node.name] or _own(way) > _own(best[node.name][source][:-1]):
+                    best[node.name][source] = (*way, here)
+    read = {edge.node for node in graph.nodes.values() for edge in node.inputs.values()}
+    for node in graph.nodes.values():
+        if node.name not in read and not node.is_source:
+            yield from (Path(way) for way in best[node.name].values())
+
+
+def _own(way: tuple[Step, ...]) -> float:
+    """What the nodes on a way delay by themselves."""
+    return sum(step.delay_s for step in way)
+
+
+def _step(graph: Graph, node: Node) -> Step:
+    part = node.part
+    if isinstance(part, Source):
+        held = sum(_chunk_bytes(spec, part.chunk_s) for spec in node.specs.values()) * node.options.queue
+        return Step(node.name, part.chunk_s, held)
+    assert isinstance(part, Operator)
+    held = part.memory_bytes
+    if node.options.lane:
+        waiting = graph.input_specs(node).values()
+        held += sum(_chunk_bytes(spec, 0.0) for spec in waiting) * node.options.queue
+    return Step(node.name, part.delay_s, held)
+
+
+def _chunk_bytes(spec: StreamSpec, chunk_s: float) -> int:
+    """About what one chunk takes: its samples and their stamps; an irregular stream is taken to bring one sample at a time."""
+    samples = max(1, round((chunk_s or _CHUNK_S) * spec.rate_hz)) if spec.rate_hz else 1
+    return _CHUNK_BYTES + samples * (spec.sample_bytes + 8)
+
+
+def _ms(seconds: float) -> str:
+    return f"{seconds * 1e3:.4g} ms"
