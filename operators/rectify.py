@@ -1,0 +1,50 @@
+"""Full-wave rectification (thesis, section 6.2.3: the absolute value of the raw EMG)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from operators.continuity import Continuity, Filter, nothing, numeric, rows
+from stream.chunk import Chunk, Samples, Specs, StreamSpec
+from stream.kernel import kernel
+from stream.operator import Case, grid
+
+
+@kernel
+def magnitudes(x: Samples, out: Samples) -> None:
+    """Absolute values of `x` (n, c) into `out` (n, c); what is not finite becomes NaN."""
+    for i in range(x.shape[0]):
+        for c in range(x.shape[1]):
+            v = abs(x[i, c])
+            out[i, c] = v if v < math.inf else math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class Rectify(Filter[Continuity]):
+    """Every number's absolute value, as float64. No delay; works at any rate, and passes gaps on as they are."""
+
+    def open(self, specs: Specs) -> Specs:
+        out = numeric(specs["in"])
+        self.hold(Continuity(**self.watch(specs["in"])))
+        return {"out": out}
+
+    def process(self, port: str, chunk: Chunk) -> Chunk:
+        state = self.state
+        if not len(chunk.time):
+            return nothing(chunk, state)
+        x = chunk.data
+        out = np.empty(x.shape)
+        if state.plain:
+            magnitudes(x, out)
+        else:
+            magnitudes(rows(x, state.width), out.reshape(len(x), state.width))
+        return Chunk(chunk.time, out, chunk.until, chunk.lost)
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        data = np.random.default_rng(1).normal(size=(400, 3))
+        return [Case(cls(), {"in": (StreamSpec((3,), rate_hz=1000.0), grid(1000.0, 400), data)}, least=400)]

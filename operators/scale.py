@@ -1,0 +1,84 @@
+"""Gain and offset, with the change of unit that they mean: counts to microvolts, g to m/s2."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from operators.continuity import Continuity, Filter, nothing, numeric, rows
+from stream.chunk import Chunk, Samples, Specs, StreamSpec
+from stream.errors import InputError, ParameterError
+from stream.kernel import kernel
+from stream.operator import Case, grid
+from stream.params import param
+
+
+@kernel
+def straight_line(x: Samples, line: Samples, out: Samples) -> None:
+    """`x` (n, c) times `line[0]` (c,) plus `line[1]` (c,) into `out` (n, c); what is not finite becomes NaN."""
+    for i in range(x.shape[0]):
+        for c in range(x.shape[1]):
+            v = x[i, c]
+            out[i, c] = v * line[0, c] + line[1, c] if abs(v) < math.inf else math.nan
+
+
+@dataclass(slots=True)
+class ScaleState(Continuity):
+    line: Samples
+    """(2, width): gain and offset of every number of a sample."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scale(Filter[ScaleState]):
+    """Every number times `gain` plus `offset`, as float64. No delay; works at any rate, and passes gaps on as they are.
+
+    `gain` and `offset` are one number for all, or one per channel of a signal; `unit` names what comes out, if it changes.
+    """
+
+    gain: float | tuple[float, ...] = param(1.0, help="one number, or one per channel")
+    offset: float | tuple[float, ...] = param(0.0, help="added after the gain; one number, or one per channel")
+    unit: str | None = param(None, help="the unit of what comes out; left out: unchanged")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = specs["in"]
+        out = numeric(spec)
+        watch = self.watch(spec)
+        line = np.empty((2, watch["width"]))
+        for row, parameter in enumerate(("gain", "offset")):
+            given = getattr(self, parameter)
+            if isinstance(given, Sequence):
+                if not spec.is_signal:
+                    raise InputError("in", spec.describe(), f"a signal, as {parameter} has one number per channel")
+                if len(given) != spec.shape[0]:
+                    raise ParameterError(parameter, given, f"one number, or {spec.shape[0]}: one per channel")
+            line[row] = given
+        if not np.isfinite(line).all():
+            parameter = "gain" if not np.isfinite(line[0]).all() else "offset"
+            raise ParameterError(parameter, getattr(self, parameter), "finite")
+        self.hold(ScaleState(**watch, line=line))
+        return {"out": out if self.unit is None else out.derive(units=(self.unit,))}
+
+    def process(self, port: str, chunk: Chunk) -> Chunk:
+        state = self.state
+        if not len(chunk.time):
+            return nothing(chunk, state)
+        x = chunk.data
+        out = np.empty(x.shape)
+        if state.plain:
+            straight_line(x, state.line, out)
+        else:
+            straight_line(rows(x, state.width), state.line, out.reshape(len(x), state.width))
+        return Chunk(chunk.time, out, chunk.until, chunk.lost)
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        data = np.random.default_rng(3).integers(-2000, 2000, (400, 2)).astype(np.int16)
+        spec = StreamSpec((2,), np.dtype(np.int16), 500.0, channels=("left", "right"), units=("counts",))
+        case = {"in": (spec, grid(500.0, 400), data)}
+        return [
+            Case(cls(gain=0.5, offset=-1.0, unit="uV"), case, least=400),
+            Case(cls(gain=(0.5, 2.0)), case, least=400),
+        ]
