@@ -1,0 +1,164 @@
+"""How a recording's bytes are laid out: `docs/recordings.md` says the same for other people's programs.
+
+A recording is MCAP with the profile "kinegraph". Each stream is a channel; one message holds the chunks that came within about 100 ms,
+each with its boundaries, its `until` and `lost`, its arrival and its place in the input log.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator, Sequence
+from typing import Any, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+
+from stream.chunk import NS, Array, Chunk, StreamSpec, add_lost
+from stream.errors import RecordingError
+
+FORMAT = 1
+"""The version of the layout; raised whenever an older kinegraph could misread a newer file."""
+PROFILE = "kinegraph"
+ENCODING = "kinegraph"
+"""Schema encoding and message encoding of streams."""
+HEADER = "kinegraph"
+SUMMARY = "kinegraph.end"
+"""Names of the metadata records at a part's beginning and end."""
+LOG = "kinegraph/log"
+METRICS = "kinegraph/metrics"
+"""Topics of the session's log and of the nodes' metrics."""
+
+Role: TypeAlias = Literal["input", "edge"]
+
+HEAD = struct.Struct("<IIq")
+"""Chunks, samples, cumulative index of the first sample."""
+COLUMNS = 5
+"""Per chunk: samples, until, lost, arrival, sequence (int64 each)."""
+
+
+class Entry(NamedTuple):
+    """A chunk with its arrival (ns of session time) and its place in the input log."""
+
+    chunk: Chunk
+    arrival: int
+    sequence: int
+
+
+def encode(spec: StreamSpec, entries: Sequence[Entry], first: int) -> bytes:
+    """One message: HEAD, the table (chunks, 5), the stamps (n,), the samples (n, *shape) as the spec's dtype lays them out."""
+    rows = [(len(e.chunk.time), e.chunk.until, e.chunk.lost, e.arrival, e.sequence) for e in entries]
+    parts = [HEAD.pack(len(rows), sum(row[0] for row in rows), first), np.array(rows, "<i8").tobytes()]
+    parts += [e.chunk.time.astype("<i8", copy=False).tobytes() for e in entries]
+    for e in entries:
+        if e.chunk.data.shape != (len(e.chunk.time), *spec.shape):
+            raise ValueError(f"samples of shape {e.chunk.data.shape[1:]} in a stream of shape {spec.shape}")
+        parts.append(e.chunk.data.astype(spec.dtype, copy=False).tobytes())
+    return b"".join(parts)
+
+
+class Table(NamedTuple):
+    """What a message says about its chunks. `rows` (chunks, 5) int64; `times` (n,) int64; `first` the index of the first sample."""
+
+    rows: Array
+    times: Array
+    first: int
+    end: int
+    """Where the samples begin in the message."""
+
+
+def table(body: bytes | memoryview) -> Table:
+    """The tables of a message, without its samples. The arrays are views of `body`."""
+    chunks, samples, first = HEAD.unpack_from(body)
+    rows = np.frombuffer(body, "<i8", chunks * COLUMNS, HEAD.size).reshape(chunks, COLUMNS)
+    start = HEAD.size + rows.nbytes
+    return Table(rows, np.frombuffer(body, "<i8", samples, start), first, start + 8 * samples)
+
+
+def decode(spec: StreamSpec, body: bytes | memoryview, missed: int = 0) -> Iterator[Entry]:
+    """The chunks of a message, in fresh, writable memory; `missed` (what a full disk cost) adds to the first's `lost`."""
+    rows, stamps, _, start = table(body)
+    time = stamps.astype(np.int64)
+    count = len(time) * int(np.prod(spec.shape, dtype=np.int64))
+    data = np.frombuffer(body, spec.dtype, count, start).copy().reshape(len(time), *spec.shape)
+    at = 0
+    for n, until, lost, arrival, sequence in rows.tolist():
+        if missed:
+            lost, missed = add_lost(lost, missed), 0
+        yield Entry(Chunk(time[at : at + n], data[at : at + n], until, lost), arrival, sequence)
+        at += n
+
+
+def schema_of(spec: StreamSpec, role: Role) -> bytes:
+    """A stream's schema record: its spec as JSON, with how messages are encoded."""
+    return json.dumps({**spec.to_json(), "role": role, "encoding": ENCODING, "format": FORMAT}).encode()
+
+
+def spec_of(schema: bytes) -> tuple[StreamSpec, Role]:
+    """The spec and role that `schema_of` wrote down."""
+    record = json.loads(schema)
+    return StreamSpec.from_json(record), record["role"]
+
+
+def dump(value: Any) -> bytes:
+    """JSON of facts that may hold numpy numbers and arrays; whatever else JSON lacks is written as text."""
+    return json.dumps(value, default=_plain).encode()
+
+
+def _plain(value: object) -> object:
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) else str(value)
+
+
+LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4}
+LOG_SCHEMA = dump(
+    {
+        "title": "foxglove.Log",
+        "type": "object",
+        "properties": {
+            "timestamp": {
+                "title": "time",
+                "type": "object",
+                "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
+            },
+            "level": {"title": "foxglove.LogLevel", "type": "integer"},
+            "message": {"type": "string"},
+            "name": {"type": "string"},
+            "file": {"type": "string"},
+            "line": {"type": "integer"},
+            "kind": {"type": "string"},
+            "time": {"type": "integer"},
+            "facts": {"type": "object"},
+        },
+    }
+)
+METRICS_SCHEMA = dump(
+    {
+        "title": "kinegraph.Metrics",
+        "type": "object",
+        "properties": {"time": {"type": "integer"}, "table": {"type": "object"}},
+    }
+)
+
+
+def encode_log(kind: str, time: int, facts: dict[str, Any]) -> bytes:
+    """A line of the session's log, in the shape of foxglove.Log (so that Foxglove lists it) with our own fields beside."""
+    message = " ".join([kind, *(f"{name}={value}" for name, value in facts.items())])
+    level = LEVELS.get(str(facts.get("level", "info")), 2)
+    stamp = {"sec": max(time, 0) // NS, "nsec": max(time, 0) % NS}
+    line = {"timestamp": stamp, "level": level, "message": message, "name": "kinegraph", "file": "", "line": 0}
+    return dump({**line, "kind": kind, "time": time, "facts": facts})
+
+
+def decode_log(body: bytes | memoryview) -> dict[str, Any]:
+    """{"kind": ..., "time": ..., fact: value, ...}"""
+    record = json.loads(bytes(body))
+    return {**record["facts"], "kind": record["kind"], "time": record["time"]}
+
+
+def check_format(version: object, path: str) -> None:
+    """Raises RecordingError for a version that this kinegraph cannot read."""
+    if not isinstance(version, int) or version < 1:
+        raise RecordingError(f"{path}: the recording names no valid format version ({version!r}); it is damaged")
+    if version > FORMAT:
+        raise RecordingError(
+            f"{path}: written in recording format {version}; this kinegraph reads formats up to {FORMAT}: install a newer kinegraph"
+        )

@@ -1,0 +1,121 @@
+"""One file of a recording while it is written: messages gather in memory, and go to the disk as far as it takes them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import IO, Any, cast
+
+from mcap.writer import CompressionType, Writer
+
+from stream.chunk import StreamSpec
+from stream.recording.format import (
+    ENCODING,
+    FORMAT,
+    HEADER,
+    LOG,
+    LOG_SCHEMA,
+    METRICS,
+    METRICS_SCHEMA,
+    PROFILE,
+    SUMMARY,
+    Role,
+    dump,
+    schema_of,
+)
+
+PIECE = 1 << 20
+"""Bytes per write call."""
+
+
+class Part:
+    """A file in which every byte up to the last `save` that returned is whole messages; a `save` that raised can be tried again."""
+
+    def __init__(self, path: Path, number: int, header: dict[str, Any], compression: CompressionType) -> None:
+        """Creates the file; raises OSError if that cannot be, FileExistsError if it is there."""
+        self.path = path
+        self.number = number
+        self.saved = 0
+        """Size of the file at the end of the last `save`."""
+        self._spool = _Spool()
+        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o644)
+        self._written = 0
+        self._finished = False
+        self._writer = Writer(cast("IO[bytes]", self._spool), compression=compression)
+        self._writer.start(PROFILE)
+        self._writer.add_metadata(HEADER, {"format": str(FORMAT), "part": str(number), "header": dump(header).decode()})
+        self._json = {
+            LOG: self._declare_json(LOG, "foxglove.Log", LOG_SCHEMA),
+            METRICS: self._declare_json(METRICS, "kinegraph.Metrics", METRICS_SCHEMA),
+        }
+
+    def _declare_json(self, topic: str, name: str, schema: bytes) -> int:
+        return self._writer.register_channel(topic, "json", self._writer.register_schema(name, "jsonschema", schema))
+
+    def declare(self, name: str, spec: StreamSpec, role: Role) -> int:
+        """The channel of a stream."""
+        schema = self._writer.register_schema(f"kinegraph.{name}", ENCODING, schema_of(spec, role))
+        return self._writer.register_channel(name, ENCODING, schema, {"role": role})
+
+    def channel_of(self, topic: str) -> int:
+        """The channel of the log or of the metrics."""
+        return self._json[topic]
+
+    def add(self, channel: int, log_time: int, publish_time: int, batch: int, body: bytes) -> None:
+        """A message; to memory only. Times before 1970 are written as 0, for MCAP's are unsigned (the body keeps the true ones)."""
+        self._writer.add_message(channel, max(log_time, 0), body, max(publish_time, 0), batch & 0xFFFFFFFF)
+
+    @property
+    def waiting(self) -> int:
+        """Bytes in memory that `save` would write, without the chunk being compressed."""
+        return len(self._spool.pending)
+
+    def save(self, *, sync: bool = False) -> None:
+        """Write everything so far. Raises OSError as the disk gives it; what it did not take is kept for the next try."""
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        pending = self._spool.pending
+        while pending:
+            with memoryview(pending)[:PIECE] as piece:
+                n = os.write(self._file, piece)
+            del pending[:n]
+            self._written += n
+        self.saved = self._written
+        if sync:
+            os.fsync(self._file)
+
+    def finish(self, summary: dict[str, Any]) -> None:
+        """Write the end: counts per stream, the index, the footer. Raises OSError; it can be tried again."""
+        if not self._finished:
+            self._finished = True
+            self._writer.add_metadata(SUMMARY, {"streams": dump(summary).decode()})
+            self._writer.finish()  # type: ignore[no-untyped-call]
+        self.save(sync=True)
+        os.close(self._file)
+
+    def abandon(self) -> None:
+        """Close without an end, cut after the last whole `save`; a file into which nothing was saved is removed."""
+        try:
+            os.ftruncate(self._file, self.saved)
+        finally:
+            os.close(self._file)
+            if not self.saved:
+                self.path.unlink(missing_ok=True)
+
+
+class _Spool:
+    """Memory that the MCAP writer takes for a file."""
+
+    def __init__(self) -> None:
+        self.pending = bytearray()
+        self._total = 0
+
+    def write(self, data: bytes) -> int:
+        self.pending += data
+        self._total += len(data)
+        return len(data)
+
+    def flush(self) -> None:
+        """What is pending goes to the disk by `Part.save` only."""
+
+    def tell(self) -> int:
+        return self._total

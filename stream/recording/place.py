@@ -1,0 +1,66 @@
+"""Where a recording lies: the names of its parts, and the lock that keeps a second instance away."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from stream.errors import RecordingError
+
+SUFFIX = ".mcap"
+
+
+def part_path(path: Path, number: int) -> Path:
+    """Part `number` of a recording at `path`: session.0000.mcap ... in a folder; name.mcap, name.0001.mcap ... beside a named file."""
+    if path.suffix != SUFFIX:
+        return path / f"session.{number:04d}{SUFFIX}"
+    return path if number == 0 else path.with_name(f"{path.stem}.{number:04d}{SUFFIX}")
+
+
+def parts_of(path: Path) -> list[Path]:
+    """The parts of the recording at `path` (a folder, or a named file) that exist, in order."""
+    if path.is_dir():
+        found = [p for p in path.iterdir() if re.fullmatch(r"session\.\d{4,}\.mcap", p.name)]
+        return sorted(found, key=_number)
+    more = re.compile(re.escape(path.stem) + r"\.\d{4,}\.mcap")
+    if not path.parent.is_dir():
+        return []
+    found = sorted((p for p in path.parent.iterdir() if more.fullmatch(p.name)), key=_number)
+    return [path, *found] if path.is_file() else []
+
+
+def _number(path: Path) -> int:
+    return int(path.stem.rpartition(".")[2])
+
+
+def lock_path(path: Path) -> Path:
+    return path.with_name(f".{path.name}.lock") if path.suffix == SUFFIX else path / ".lock"
+
+
+def lock(path: Path) -> FileLock:
+    """Take the recording at `path` for this process, until `release` or the process's end. Raises RecordingError if another holds it."""
+    held = FileLock(lock_path(path))
+    try:
+        held.acquire(blocking=False)
+    except Timeout:
+        raise RecordingError(
+            f"{path}: another kinegraph is recording there; choose another folder, or stop that one first"
+        ) from None
+    except OSError as error:
+        raise RecordingError(
+            f"{path}: cannot write there ({error.strerror or error}); choose a folder that can be written"
+        ) from None
+    return held
+
+
+def is_running(path: Path) -> bool:
+    """Whether some process is recording at `path` now."""
+    if not lock_path(path).exists():
+        return False
+    try:
+        with FileLock(lock_path(path)).acquire(blocking=False):
+            return False
+    except (Timeout, OSError):
+        return True

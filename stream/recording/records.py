@@ -1,0 +1,165 @@
+"""The records of an MCAP file, also of one that ends in the middle: where they lie, and the messages inside a chunk of them.
+
+The `mcap` library's own reader gives up without a footer and spends some 15 us on a message; replay at hundreds of times real time needs
+both otherwise, so records are hopped over here by their lengths, and only their contents are left to the library.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import NamedTuple
+
+import lz4.frame
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Header, Metadata, Schema
+
+from stream.errors import RecordingError
+
+MAGIC = b"\x89MCAP0\r\n"
+_RECORD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+
+
+class Record(NamedTuple):
+    """Where a record's content lies in the file."""
+
+    opcode: int
+    offset: int
+    length: int
+
+
+class RawMessage(NamedTuple):
+    """A message of a chunk: its channel, its batch (MCAP's "sequence"), and its body, a view of the chunk's memory."""
+
+    channel: int
+    batch: int
+    log_time: int
+    body: memoryview
+
+
+class RecordFile:
+    """An MCAP file as a list of whole records; `finished` where it ends as it should."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises RecordingError for what is no MCAP file."""
+        self.path = path
+        try:
+            self._file = path.open("rb", buffering=0)
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be read ({error.strerror or error})") from None
+        try:
+            self._check_magic()
+            self.finished = False
+            self.records = list(self._hop())
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _check_magic(self) -> None:
+        self.size = os.fstat(self._file.fileno()).st_size
+        magic = self._file.read(len(MAGIC))
+        if not magic:
+            raise RecordingError(f"{self.path}: the file is empty; nothing was written before the session ended")
+        if magic != MAGIC:
+            raise RecordingError(f"{self.path}: not an MCAP recording; CSV, NPZ and XDF files are read by `kinegraph import`")
+
+    def close(self) -> None:
+        self._file.close()
+
+    def _hop(self) -> Iterator[Record]:
+        """Every whole record, from its length to the next one's; ends where the file does, or where zeros or nonsense begin."""
+        at = len(MAGIC)
+        while at + _RECORD.size <= self.size:
+            self._file.seek(at)
+            opcode, length = _RECORD.unpack(self._file.read(_RECORD.size))
+            offset = at + _RECORD.size
+            if opcode == 0 or offset + length > self.size:
+                return
+            yield Record(opcode, offset, length)
+            at = offset + length
+            if opcode == Opcode.FOOTER:
+                self._file.seek(at)
+                self.finished = self._file.read(len(MAGIC)) == MAGIC
+                return
+
+    def content(self, record: Record) -> bytes:
+        self._file.seek(record.offset)
+        content: bytes = self._file.read(record.length)
+        while len(content) < record.length:
+            more: bytes = self._file.read(record.length - len(content))
+            if not more:
+                raise RecordingError(f"{self.path}: the file became shorter while it was read")
+            content += more
+        return content
+
+    def stream(self, record: Record) -> ReadDataStream:
+        """A record's content, as the library reads it."""
+        return ReadDataStream(BytesIO(self.content(record)))
+
+    def header(self) -> Header | None:
+        first = self.records[0] if self.records else None
+        return Header.read(self.stream(first)) if first is not None and first.opcode == Opcode.HEADER else None
+
+    def metadata(self, name: str) -> dict[str, str] | None:
+        """The metadata record of this name; the last one if there are several."""
+        found = None
+        for record in self.records:
+            if record.opcode == Opcode.METADATA:
+                metadata = Metadata.read(self.stream(record))
+                found = metadata.metadata if metadata.name == name else found
+        return found
+
+    @property
+    def chunks(self) -> list[Record]:
+        return [record for record in self.records if record.opcode == Opcode.CHUNK]
+
+    def unpack(self, record: Record) -> bytes:
+        """A chunk's records, decompressed and checked. Raises RecordingError where the file is damaged."""
+        try:
+            chunk = Chunk.read(self.stream(record))
+            data: bytes = chunk.data
+            if chunk.compression == "zstd":
+                data = zstandard.decompress(chunk.data, chunk.uncompressed_size)
+            elif chunk.compression == "lz4":
+                data = lz4.frame.decompress(chunk.data)
+            if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+                raise ValueError("its checksum is wrong")
+        except (ValueError, RuntimeError, EOFError, struct.error, zstandard.ZstdError) as error:
+            raise RecordingError(
+                f"{self.path}: damaged at byte {record.offset} ({error}); `kinegraph recover` rewrites what can be read"
+            ) from None
+        return data
+
+
+def declared(data: bytes) -> Iterator[Channel | Schema]:
+    """The schemas and channels declared in a chunk."""
+    for opcode, offset, length in _records(data):
+        if opcode == Opcode.SCHEMA:
+            yield Schema.read(ReadDataStream(BytesIO(data[offset : offset + length])))
+        elif opcode == Opcode.CHANNEL:
+            yield Channel.read(ReadDataStream(BytesIO(data[offset : offset + length])))
+
+
+def messages(data: bytes) -> Iterator[RawMessage]:
+    """The messages in a chunk, in the order in which they were written."""
+    view = memoryview(data)
+    for opcode, offset, length in _records(data):
+        if opcode == Opcode.MESSAGE:
+            channel, batch, log_time, _ = _MESSAGE.unpack_from(data, offset)
+            yield RawMessage(channel, batch, log_time, view[offset + _MESSAGE.size : offset + length])
+
+
+def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
+    at, end, size = 0, len(data), _RECORD.size
+    unpack = _RECORD.unpack_from
+    while at < end:
+        opcode, length = unpack(data, at)
+        yield opcode, at + size, length
+        at += size + length
