@@ -1,0 +1,191 @@
+"""Ground contact from what a foot presses on: vertical force, a footswitch, or a trigger line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from operators.contacts import Contacts, Followed, signal_channels
+from stream.chunk import NEVER, NS, Array, Samples, Specs, StreamSpec, Times
+from stream.errors import InputError, ParameterError
+from stream.kernel import kernel
+from stream.operator import Case, grid
+from stream.params import param
+
+NEWTONS = {"N": 1.0, "kN": 1000.0}
+UNKNOWN, FREE, PRESSED = -1, 0, 1
+LEVEL, ABOVE, SINCE, DEEP, LAST = range(5)
+
+
+@kernel
+def presses(
+    time: Times,
+    load: Samples,
+    on: float,
+    off: float,
+    hold_ns: int,
+    gap_ns: int,
+    memory: Times,
+    last: Samples,
+    found: Times,
+) -> tuple[int, int]:
+    """Follow `load` (n,): pressed once it has stayed at or above `on` for `hold_ns`, free once it has stayed below and reached `off`.
+
+    Both onsets are where the straight line between two samples crosses `on`. Loads that are not finite are passed over.
+
+    memory (5,)   the level now (-1: not known), whether the last load was above `on`, since when, whether it reached `off`, its stamp
+    last   (1,)   the last load
+    found  (2, n + 1, 2)   presses and releases: stamp, onset. Returns how many of each.
+    """
+    downs = ups = 0
+    for i in range(time.shape[0]):
+        value, at = load[i], time[i]
+        if not np.isfinite(value):
+            continue
+        above = 1 if value >= on else 0
+        if memory[LAST] == NEVER or at - memory[LAST] > gap_ns:
+            memory[LEVEL], memory[ABOVE], memory[SINCE], memory[DEEP] = UNKNOWN, above, at, 0
+        elif above != memory[ABOVE]:
+            share = (on - last[0]) / (value - last[0])
+            memory[ABOVE], memory[DEEP] = above, 0
+            memory[SINCE] = memory[LAST] + np.int64(share * (at - memory[LAST]))
+        if value <= off:
+            memory[DEEP] = 1
+        memory[LAST], last[0] = at, value
+        if above == memory[LEVEL] or at - memory[SINCE] < hold_ns or not (above or memory[DEEP]):
+            continue
+        if memory[LEVEL] != UNKNOWN and above:
+            found[0, downs, 0], found[0, downs, 1] = at, memory[SINCE]
+            downs += 1
+        elif memory[LEVEL] != UNKNOWN:
+            found[1, ups, 0], found[1, ups, 1] = at, memory[SINCE]
+            ups += 1
+        memory[LEVEL] = above
+    return downs, ups
+
+
+@dataclass(slots=True)
+class PressState(Followed):
+    picked: Times
+    sign: float
+    memory: Times
+    load: Samples
+
+
+class _Press(Contacts[PressState]):
+    """What force and switch share: one number per sample, a threshold, a hysteresis, and a time for which it must last."""
+
+    __slots__ = ()
+    channels: tuple[str, ...]
+    inverted: bool
+    debounce_s: float
+    reset_gap_s: float
+
+    def watch(self, spec: StreamSpec, gain: float) -> None:
+        picked = signal_channels(spec, self.channels, "channels")
+        state = PressState(
+            gap_ns=round(self.reset_gap_s * NS) + spec.period_ns,
+            last=NEVER,
+            picked=np.array(picked),
+            sign=-gain if self.inverted else gain,
+            memory=np.array([UNKNOWN, 0, 0, 0, NEVER]),
+            load=np.zeros(1),
+        )
+        self.hold(state, delay_s=self.debounce_s + spec.period_ns / NS)
+
+    def run(self, time: Times, load: Samples, threshold: float, hysteresis: float, found: Times) -> tuple[int, int]:
+        state, hold_ns = self.state, round(self.debounce_s * NS)
+        return presses(
+            time, load, threshold, threshold - hysteresis, hold_ns, state.gap_ns, state.memory, state.load, found
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ForceContacts(_Press):
+    """Contacts of one foot from the vertical force under it, in N or kN; 20 N is what gait laboratories use.
+
+    Takes a signal (channels,); several channels (the cells of one plate or insole) are added up. A touch-down is where the force rises
+    through `threshold_n` and stays there for `debounce_s`; a lift-off where it falls through `threshold_n`, goes on to `threshold_n` less
+    `hysteresis_n`, and stays below for as long. Both onsets lie between samples, on the straight line. What is there at the start, or
+    after a gap, is no event. Decided `debounce_s` after the onset.
+    """
+
+    threshold_n: float = param(20.0, above=0.0, help="on the ground from this force up")
+    hysteresis_n: float = param(5.0, least=0.0, help="a lift-off must fall this much further")
+    channels: tuple[str, ...] = param((), help="the channels to add up; empty: all")
+    inverted: bool = param(False, help="the plate shows pressure as a negative force")
+    debounce_s: float = param(0.03, least=0.0, most=0.5, help="how long a contact or a swing lasts at least")
+    reset_gap_s: float = param(0.1, least=0.0, help="after a longer gap it is not known where the foot is")
+    side: Literal["left", "right", ""] = param("", help="whose foot: left, right, or empty where it is not known")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = specs["in"]
+        picked = signal_channels(spec, self.channels, "channels")
+        units = {spec.units[0] if len(spec.units) == 1 else spec.units[i] for i in picked}
+        if len(units) != 1 or not units <= set(NEWTONS):
+            raise InputError("in", f"in {', '.join(sorted(units)) or 'no unit'}", f"in {' or '.join(NEWTONS)}: a force")
+        if self.hysteresis_n >= self.threshold_n:
+            raise ParameterError("hysteresis_n", self.hysteresis_n, f"below threshold_n, which is {self.threshold_n:g}")
+        self.watch(spec, NEWTONS[units.pop()])
+        return self.contacts(spec)
+
+    def follow(self, time: Times, data: Array, found: Times) -> tuple[int, int]:
+        load = np.zeros(len(time))
+        for i in self.state.picked:
+            load += data[:, i]
+        return self.run(time, load * self.state.sign, self.threshold_n, self.hysteresis_n, found)
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        time, load = _footfalls(0.0, 700.0)
+        return [Case(cls(side="right"), {"in": (StreamSpec((1,), rate_hz=200.0, units=("N",)), time, load)}, least=12)]
+
+
+@dataclass(frozen=True, slots=True)
+class SwitchContacts(_Press):
+    """Contacts of one foot from a footswitch or a trigger line, in whatever unit it comes: on from `threshold` up.
+
+    Takes a signal (channels,); of several channels (heel, ball and toe switches of one foot) the highest counts. Onsets as in
+    `ForceContacts`: where the line between samples crosses `threshold`. Decided `debounce_s` after the onset.
+    """
+
+    threshold: float = param(
+        help="on the ground from this level up, in the input's unit; half of the switch's swing is a good choice"
+    )
+    hysteresis: float = param(0.0, least=0.0, help="a lift-off must fall this much further, in the input's unit")
+    channels: tuple[str, ...] = param((), help="the foot's switches; empty: all channels")
+    inverted: bool = param(
+        False, help="the switch is closed to ground: low means pressed; the threshold is that of the line itself"
+    )
+    debounce_s: float = param(0.03, least=0.0, most=0.5, help="how long a contact or a swing lasts at least")
+    reset_gap_s: float = param(0.1, least=0.0, help="after a longer gap it is not known where the foot is")
+    side: Literal["left", "right", ""] = param("", help="whose foot: left, right, or empty where it is not known")
+
+    def open(self, specs: Specs) -> Specs:
+        self.watch(specs["in"], 1.0)
+        return self.contacts(specs["in"])
+
+    def follow(self, time: Times, data: Array, found: Times) -> tuple[int, int]:
+        sign = self.state.sign
+        load = np.max(np.asarray(data[:, self.state.picked], np.float64) * sign, axis=1)
+        return self.run(time, load, self.threshold * sign, self.hysteresis, found)
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        time, load = _footfalls(0.1, 3.2)
+        spec = StreamSpec((1,), rate_hz=200.0, units=("V",))
+        return [
+            Case(cls(threshold=1.5), {"in": (spec, time, load)}, least=12),
+            Case(cls(threshold=1.5, inverted=True), {"in": (spec, time, 3.3 - load)}, least=12),
+        ]
+
+
+def _footfalls(low: float, high: float) -> tuple[Array, Array]:
+    """Eight strides of 1.1 s at 200 Hz, on the ground for 60 % of each, with noise: stamps (n,) and loads (n, 1)."""
+    n, rng = 1760, np.random.default_rng(6)
+    phase = (np.arange(n) / 220.0 + 0.7) % 1.0
+    bump = np.clip(6.0 * np.minimum(phase, 0.6 - phase), 0.0, 1.0)
+    return grid(200.0, n), (low + (high - low) * bump + rng.normal(0.0, 0.001 * high, n))[:, None]
