@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from typing import Any, TypeVar
@@ -18,6 +19,7 @@ from stream.yaml_lines import Located
 
 T = TypeVar("T")
 
+NODE_NAME = "^[A-Za-z_][A-Za-z0-9_-]*$"
 SOURCE_OPTIONS = ("queue", "policy", "required", "deadline_s", "patience_s", "silence_s", "stale_s")
 OPERATOR_OPTIONS = ("lane", "queue", "policy")
 
@@ -39,6 +41,8 @@ class Draft:
 
 
 def read_node(name: str, entry: Located, problems: Problems) -> Draft | None:
+    if not re.fullmatch(NODE_NAME, name):
+        problems.add(f"a node's name is made of letters (a-z), digits, '_' and '-', not {name!r}", entry)
     if not isinstance(entry.value, dict):
         problems.add(f"a node is a mapping with 'use', not {entry.kind}", entry, name)
         return None

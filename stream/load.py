@@ -153,8 +153,6 @@ class _Loading:
         written = dict(self._section(top, "nodes"))
         drafts: dict[str, Draft | None] = {}
         for name, entry in written.items():
-            if not name.replace("-", "_").isidentifier():
-                self._problems.add(f"a node's name is made of letters, digits, '_' and '-', not {name!r}", entry)
             drafts[name] = read_node(name, entry, self._problems)
         if written and all(draft and issubclass(draft.kind, Operator) for draft in drafts.values()):
             self._problems.add("the graph has no source; nothing would ever flow", top["nodes"])

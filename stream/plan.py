@@ -96,7 +96,7 @@ def refuse_late(graph: Graph, paths: tuple[Path, ...]) -> None:
     budget = graph.latency_budget_ms
     late = [path for path in paths if budget is not None and path.delay_s * 1e3 > budget * (1 + 1e-9)]
     if late:
-        texts = [f"{path} is late by {path.explain()}" for path in late]
+        texts = [f"{path} takes {path.explain()}" for path in late]
         text = f"latency_budget_ms is {budget:g}, but " + "; ".join(texts)
         raise GraphError(text, path=graph.path or graph.name)
 

@@ -1,0 +1,97 @@
+"""`kinegraph check`: whether a graph can run, what flows in it, how late its results are, and what it holds in memory."""
+
+from __future__ import annotations
+
+from pathlib import Path as File
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from stream import overrides
+from stream.drawing import shown
+from stream.graph import Edge, Graph, Node
+from stream.load import load
+from stream.plan import Plan, plan, refuse_late
+
+
+def check(
+    config: Annotated[File, typer.Argument(help="the graph, a YAML file")],
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NODE.PARAMETER=VALUE", help="replace a value of the graph")
+    ] = None,
+) -> None:
+    """Check a graph without opening any device: names, parameters, specs, delay and memory. Exit code 2 if it cannot run."""
+    graph = load(config, overrides=overrides.read(set_ or ()))
+    planned = plan(graph, enforce=False)
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = 200
+    console.print(_nodes(graph))
+    console.print(_paths(planned))
+    for hint in _unread(graph):
+        console.print(f"[dim]note: {escape(hint)}[/dim]")
+    refuse_late(graph, planned.paths)
+    console.print(_verdict(graph, planned))
+
+
+def _nodes(graph: Graph) -> Table:
+    table = Table(
+        title=f"{graph.name}: {len(shown(graph))} nodes", title_justify="left", box=None, padding=(0, 2, 0, 0)
+    )
+    for heading in ("node", "use", "reads", "gives"):
+        table.add_column(heading, overflow="fold")
+    for node in shown(graph):
+        table.add_row(*map(escape, (node.name, node.use, _reads(graph, node), _gives(node))))
+    return table
+
+
+def _reads(graph: Graph, node: Node) -> str:
+    if len(node.inputs) == 1:
+        return ", ".join(map(str, node.inputs.values()))
+    return "\n".join(f"{port}: {edge}" if port != str(edge) else port for port, edge in node.inputs.items())
+
+
+def _gives(node: Node) -> str:
+    if node.specs.keys() == {"out"}:
+        return node.specs["out"].describe()
+    return "\n".join(f"{output}: {spec.describe()}" for output, spec in node.specs.items())
+
+
+def _paths(planned: Plan) -> Table:
+    table = Table(title="\npaths", title_justify="left", box=None, padding=(0, 2, 0, 0))
+    table.add_column("path", overflow="fold")
+    table.add_column("delay", justify="right")
+    table.add_column("where from", overflow="fold")
+    table.add_column("memory", justify="right")
+    for path in planned.paths:
+        table.add_row(
+            escape(str(path)), f"{path.delay_s * 1e3:.4g} ms", escape(path.explain()), size(path.memory_bytes)
+        )
+    return table
+
+
+def _unread(graph: Graph) -> list[str]:
+    """Outputs of operators that lead nowhere: no error, but often a forgotten line."""
+    return [
+        f"nobody reads or records {str(Edge(node.name, output))!r}"
+        for node in shown(graph)
+        for output in node.specs
+        if not node.is_source
+        and not graph.readers(Edge(node.name, output))
+        and Edge(node.name, output) not in graph.record
+    ]
+
+
+def _verdict(graph: Graph, planned: Plan) -> str:
+    slowest = planned.slowest
+    delay = f"{slowest.delay_s * 1e3:.4g} ms" if slowest else "0 ms"
+    budget = f" (budget {graph.latency_budget_ms:g} ms)" if graph.latency_budget_ms else ""
+    return f"[bold green]OK[/bold green]: delay at most {delay}{budget}, memory about {size(planned.memory_bytes)}"
+
+
+def size(n: int) -> str:
+    """Bytes for people."""
+    return f"{n / 1e6:.1f} MB" if n >= 1e6 else f"{n / 1e3:.1f} kB" if n >= 1e3 else f"{n} B"

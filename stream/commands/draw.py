@@ -1,0 +1,40 @@
+"""`kinegraph draw`: a graph as a tree in the terminal, or as Mermaid or DOT."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from stream import drawing, overrides
+from stream.load import load
+
+
+class Format(StrEnum):
+    tree = "tree"
+    mermaid = "mermaid"
+    dot = "dot"
+
+
+def draw(
+    config: Annotated[Path, typer.Argument(help="the graph, a YAML file")],
+    format: Annotated[
+        Format, typer.Option(help="a tree for the terminal, Mermaid for Markdown, DOT for Graphviz")
+    ] = Format.tree,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NODE.PARAMETER=VALUE", help="replace a value of the graph")
+    ] = None,
+) -> None:
+    """Draw a graph: its nodes, what flows between them, and what is recorded."""
+    graph = load(config, overrides=overrides.read(set_ or ()))
+    match format:
+        case Format.mermaid:
+            print(drawing.mermaid(graph), end="")
+        case Format.dot:
+            print(drawing.dot(graph), end="")
+        case Format.tree:
+            console = Console(highlight=False)
+            console.print(drawing.tree(graph), soft_wrap=not console.is_terminal)

@@ -1,0 +1,41 @@
+"""`kinegraph schema`: the JSON Schema with which an editor completes and checks a graph while it is written."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stream.errors import KinegraphError
+from stream.parts import PACKAGES, catalogue, import_from
+from stream.schema import graph_schema
+
+
+def schema(
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="write it to this file instead of showing it")
+    ] = None,
+    package: Annotated[
+        list[str] | None, typer.Option(help="a package or module of your own to look into as well")
+    ] = None,
+) -> None:
+    """Write the JSON Schema of graphs, with every source, operator and outlet that is installed.
+
+    In an editor with a YAML language server, begin a graph with the line: # yaml-language-server: $schema=kinegraph.schema.json
+    """
+    import_from(Path())
+    parts, failed = catalogue((*PACKAGES, *(package or ())))
+    for module, reason in failed.items():
+        print(f"left out {module}: {reason}", file=sys.stderr)
+    text = json.dumps(graph_schema(parts), indent=2, ensure_ascii=False) + "\n"
+    if output is None:
+        print(text, end="")
+        return
+    try:
+        output.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise KinegraphError(f"{output} cannot be written: {error.strerror}") from None
+    print(f"{output}: {len(parts)} sources, operators and outlets")
