@@ -50,6 +50,14 @@ class Treadmill(Source):
     start: str = param("", help="stamp of the first sample, e.g. 2026-01-31T09:00:00Z; left out: when reading begins")
     faults: tuple[Fault, ...] = param((), help="what goes wrong, and when")
 
+    @property
+    def live(self) -> bool:
+        return self.realtime
+
+    @property
+    def chunk_s(self) -> float:
+        return self.chunk_ms / 1000
+
     def specs(self) -> Specs:
         for muscle in [*self.muscles, *(fault.muscle for fault in self.faults if fault.muscle)]:
             if muscle not in BURSTS:
@@ -96,6 +104,7 @@ class Treadmill(Source):
         signal.spoil = faults.spoil
         anchor = self._start_ns(feed.now())
         begun = feed.now()
+        feed.ready()
         last = round(self.duration_s * self.rate_hz) if self.duration_s else None
         start = lost = number = 0
         while not feed.stopped and start != last:

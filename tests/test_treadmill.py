@@ -30,6 +30,7 @@ class Recorder:
     problems: Counter[str] = field(default_factory=Counter)
     arrivals: list[int] = field(default_factory=list)
     stop_at: int = 0
+    is_ready: bool = False
 
     def emit(self, chunk: Chunk, output: str = "out") -> None:
         self.chunks[output].append(chunk)
@@ -47,6 +48,12 @@ class Recorder:
     @property
     def stopped(self) -> bool:
         return bool(self.stop_at) and self.clock >= self.stop_at
+
+    def ready(self) -> None:
+        self.is_ready = True
+
+    def hear(self, timeout_s: float) -> str | None:
+        return None
 
     def problem(self, kind: str, count: int = 1) -> None:
         self.problems[kind] += count
@@ -201,7 +208,7 @@ def test_lost_packets_are_gaps_that_are_counted() -> None:
 def test_in_real_time_a_sample_comes_when_it_is_due() -> None:
     feed = walked(replace(WALK, realtime=True, start="", duration_s=2.0))
     last = [c.time[-1] for c in feed.chunks["emg"]]
-    assert len(last) == 200
+    assert feed.is_ready and len(last) == 200
     assert all(0 <= arrival - stamp <= 2_000_000 for arrival, stamp in zip(feed.arrivals, last, strict=True))
 
 
@@ -239,3 +246,7 @@ def test_what_cannot_be_is_refused(given: dict[str, object], told: str) -> None:
 
 def test_every_known_muscle_is_simulated_by_default() -> None:
     assert WALK.specs()["emg"].channels == tuple(BURSTS) and len(BURSTS) == 13
+
+
+def test_a_walk_in_real_time_is_live_and_another_waits_for_the_graph() -> None:
+    assert Treadmill().live and not WALK.live and Treadmill(chunk_ms=20.0).chunk_s == 0.02
