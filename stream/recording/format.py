@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -74,18 +74,25 @@ def table(body: bytes | memoryview) -> Table:
     return Table(rows, np.frombuffer(body, "<i8", samples, start), first, start + 8 * samples)
 
 
-def decode(spec: StreamSpec, body: bytes | memoryview, missed: int = 0) -> Iterator[Entry]:
+def decode(spec: StreamSpec, body: bytes | memoryview, missed: int = 0) -> list[Entry]:
     """The chunks of a message, in fresh, writable memory; `missed` (what a full disk cost) adds to the first's `lost`."""
     rows, stamps, _, start = table(body)
     time = stamps.astype(np.int64)
     count = len(time) * int(np.prod(spec.shape, dtype=np.int64))
     data = np.frombuffer(body, spec.dtype, count, start).copy().reshape(len(time), *spec.shape)
+    nothing, none = time[:0], data[:0]
+    entries: list[Entry] = []
     at = 0
     for n, until, lost, arrival, sequence in rows.tolist():
-        if missed:
-            lost, missed = add_lost(lost, missed), 0
-        yield Entry(Chunk(time[at : at + n], data[at : at + n], until, lost), arrival, sequence)
-        at += n
+        if n:
+            chunk = Chunk(time[at : at + n], data[at : at + n], until, lost)
+            at += n
+        else:
+            chunk = Chunk(nothing, none, until, lost)
+        entries.append(Entry(chunk, arrival, sequence))
+    if missed and entries:
+        entries[0].chunk.lost = add_lost(entries[0].chunk.lost, missed)
+    return entries
 
 
 def schema_of(spec: StreamSpec, role: Role) -> bytes:

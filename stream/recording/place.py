@@ -55,6 +55,44 @@ def lock(path: Path) -> FileLock:
     return held
 
 
+def claim(path: Path, *, resume: bool) -> tuple[FileLock, int]:
+    """Lock the place, and prove that it can be written. Returns the lock and the number of the part to begin with."""
+    folder = path.parent if path.suffix == SUFFIX else path
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordingError(
+            f"{folder}: cannot be created ({error.strerror or error}); choose a folder that can be written"
+        ) from None
+    held = lock(path)
+    try:
+        parts = parts_of(path)
+        if parts and not resume:
+            raise RecordingError(f"{path}: holds a recording already; name another place, or resume that session")
+        number = 0 if not parts else 1 if parts[-1] == path else _number(parts[-1]) + 1
+        _probe(part_path(path, number))
+    except RecordingError:
+        held.release()
+        raise
+    except OSError as error:
+        held.release()
+        raise RecordingError(
+            f"{path}: cannot write there ({error.strerror or error}); free some space or choose another folder"
+        ) from None
+    return held, number
+
+
+def _probe(path: Path) -> None:
+    """Write a little beside `path` and remove it again: raises OSError where the disk is full or may not be written."""
+    trial = path.with_name(f".{path.name}.trial")
+    try:
+        with trial.open("wb") as file:
+            file.write(bytes(4096))
+            file.flush()
+    finally:
+        trial.unlink(missing_ok=True)
+
+
 def is_running(path: Path) -> bool:
     """Whether some process is recording at `path` now."""
     if not lock_path(path).exists():

@@ -219,7 +219,7 @@ class Recording:
                 if number != batch:
                     yield from _in_order(held, after)
                     batch, held = number, []
-                held += [(e.sequence, name, e.chunk, e.arrival) for e in self._entries(part, name, body, ends)]
+                held += [(seq, name, chunk, arrival) for chunk, arrival, seq in self._entries(part, name, body, ends)]
             yield from _in_order(held, after)
 
     def entries(self, name: str) -> Iterator[Entry]:
@@ -231,7 +231,7 @@ class Recording:
                 yield from self._entries(part, name, body, ends)
 
     @staticmethod
-    def _entries(part: RecordedPart, name: str, body: memoryview, ends: dict[str, int]) -> Iterator[Entry]:
+    def _entries(part: RecordedPart, name: str, body: memoryview, ends: dict[str, int]) -> list[Entry]:
         """A message's chunks; samples that the recorder had to drop before them count as lost."""
         _, samples, first = HEAD.unpack_from(body)
         missed = max(first - ends.get(name, first), 0)
@@ -293,6 +293,6 @@ class Recording:
         return max(last) - min(first) if first else 0
 
 
-def _in_order(held: list[tuple[int, str, Chunk, int]], after: int) -> Iterator[tuple[int, str, Chunk, int]]:
+def _in_order(held: list[tuple[int, str, Chunk, int]], after: int) -> list[tuple[int, str, Chunk, int]]:
     held.sort(key=itemgetter(0))
-    return (item for item in held if item[0] > after)
+    return held if held and held[0][0] > after else [item for item in held if item[0] > after]

@@ -68,7 +68,9 @@ class RecordFile:
         if not magic:
             raise RecordingError(f"{self.path}: the file is empty; nothing was written before the session ended")
         if magic != MAGIC:
-            raise RecordingError(f"{self.path}: not an MCAP recording; CSV, NPZ and XDF files are read by `kinegraph import`")
+            raise RecordingError(
+                f"{self.path}: not an MCAP recording; CSV, NPZ and XDF files are read by `kinegraph import`"
+            )
 
     def close(self) -> None:
         self._file.close()

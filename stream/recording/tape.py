@@ -1,0 +1,144 @@
+"""The files of a recording, one after the other: messages come in, and get onto the disk in spite of what it does."""
+
+from __future__ import annotations
+
+import errno
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import structlog
+from mcap.writer import CompressionType
+
+from stream.chunk import StreamSpec
+from stream.graph import RecordingOptions
+from stream.recording.format import LOG, METRICS, Role, table
+from stream.recording.part import Part
+from stream.recording.place import part_path
+from stream.recording.quota import keep_quota
+from stream.recording.tally import RecordedStream
+
+log = structlog.get_logger(__name__)
+
+FULL = (errno.ENOSPC, errno.EDQUOT)
+"""What a full disk says: it is waited for, and the file goes on where it stopped."""
+
+
+@dataclass(slots=True)
+class Track:
+    """A topic: a stream, or (without a spec) the log or the metrics."""
+
+    name: str
+    spec: StreamSpec | None = None
+    role: Role = "edge"
+    channel: int = 0
+    tally: RecordedStream | None = None
+
+
+class Tape:
+    """Used by the recorder's thread alone, but for `declare`, which any thread may call, and `saved`, which it may read."""
+
+    def __init__(self, path: Path, number: int, header: dict[str, Any], options: RecordingOptions) -> None:
+        """`number` is that of the first part to be written."""
+        self._path, self._number, self._header, self._options = path, number, header, options
+        self._tracks = [Track(LOG), Track(METRICS)]
+        self._part: Part | None = None
+        self._declared = 0
+        self._closed_bytes = 0
+        self._unsaved: list[tuple[int, int, int, int, bytes]] = []
+
+    def declare(self, name: str, spec: StreamSpec, role: Role) -> int:
+        """A further stream; returns its number (0 and 1 are the log and the metrics)."""
+        self._tracks.append(Track(name, spec, role, tally=RecordedStream(spec, role)))
+        return len(self._tracks) - 1
+
+    @property
+    def saved(self) -> int:
+        """Bytes on the disk."""
+        part = self._part
+        return self._closed_bytes + (part.saved if part else 0)
+
+    @property
+    def waiting(self) -> int:
+        """About how many bytes `save` would write; a file that has not begun counts as one that must be."""
+        return self._part.waiting if self._part is not None else 1 << 62
+
+    def add(self, number: int, log_time: int, publish_time: int, batch: int, body: bytes) -> None:
+        """A message, to memory. It is kept until `save` has succeeded, for a file may have to be given up in between."""
+        message = (number, log_time, publish_time, batch, body)
+        self._unsaved.append(message)
+        if self._part is not None:
+            self._write(self._part, *message)
+
+    def save(self, *, sync: bool) -> None:
+        """Get everything onto the disk, in a new file if need be. Raises OSError; then it can be tried again, and nothing is lost."""
+        if self._part is None:
+            self._begin()
+        assert self._part is not None
+        try:
+            self._part.save(sync=sync)
+        except OSError as error:
+            if error.errno not in FULL:
+                self._leave()
+            raise
+        self._unsaved.clear()
+        if 0 < self._options.rotate_mb * 1e6 <= self._part.saved:
+            self.finish()
+
+    def finish(self) -> None:
+        """Write the end of the current file. Raises OSError; it can be tried again."""
+        if self._part is None:
+            return
+        self._part.finish({t.name: t.tally.to_json() for t in self._tracks if t.tally is not None})
+        self._closed_bytes += self._part.saved
+        self._part = None
+        self._number += 1
+
+    def abandon(self) -> None:
+        """Leave the current file as a killed process would."""
+        if self._part is not None:
+            self._leave()
+
+    def _begin(self) -> None:
+        """A new file, which holds first what could not be saved in the last one. Frames are compressed fast, the rest well."""
+        frames = any(len(t.spec.shape) > 1 and t.spec.sample_bytes > 1 << 14 for t in self._tracks if t.spec)
+        for gone in keep_quota(self._path, self._options.quota_mb):
+            log.info("an old recording was deleted to keep the quota", path=str(gone), quota_mb=self._options.quota_mb)
+        part = Part(
+            part_path(self._path, self._number),
+            self._number,
+            self._header,
+            CompressionType.LZ4 if frames else CompressionType.ZSTD,
+        )
+        self._part, self._declared = part, 0
+        for track in self._tracks:
+            track.tally = RecordedStream(track.spec, track.role) if track.spec else None
+        self._declare(part)
+        for message in self._unsaved:
+            self._write(part, *message)
+
+    def _leave(self) -> None:
+        """Give up a file that cannot grow (its own error, not a full disk): what it does not hold goes to the next one."""
+        part, self._part = self._part, None
+        assert part is not None
+        self._closed_bytes += part.saved
+        self._number += bool(part.saved)
+        try:
+            part.abandon()
+        except OSError as error:
+            log.warning("a part of the recording could not be closed", path=str(part.path), error=str(error))
+
+    def _declare(self, part: Part) -> None:
+        while self._declared < len(self._tracks):
+            track = self._tracks[self._declared]
+            track.channel = (
+                part.channel_of(track.name) if track.spec is None else part.declare(track.name, track.spec, track.role)
+            )
+            self._declared += 1
+
+    def _write(self, part: Part, number: int, log_time: int, publish_time: int, batch: int, body: bytes) -> None:
+        self._declare(part)
+        track = self._tracks[number]
+        part.add(track.channel, log_time, publish_time, batch, body)
+        if track.tally is not None:
+            track.tally.count(table(body))
