@@ -15,8 +15,8 @@ from stream.chunk import Chunk, add_lost
 from stream.errors import RunError
 from stream.graph import Policy
 
-Doorbell: TypeAlias = "SimpleQueue[Channel | None]"
-"""Rings with the channel that has a chunk; None only wakes the thread."""
+Doorbell: TypeAlias = "SimpleQueue[Channel | threading.Event | None]"
+"""Rings with the channel that has a chunk, with an event to set when everything before it is done, or with None to wake the thread."""
 
 
 class Channel:
@@ -35,6 +35,7 @@ class Channel:
         "_owed",
         "_room",
         "bell",
+        "chunks",
         "closed",
         "dropped",
         "limit",
@@ -51,6 +52,7 @@ class Channel:
         self.owner: Any = None
         self.dropped = 0
         self.closed = False
+        self.chunks = 0
         self._items: deque[tuple[Chunk, int, int]] = deque()
         self._lock = threading.Lock()
         self._room = threading.Event()
@@ -64,6 +66,7 @@ class Channel:
         with self._lock:
             self._items.append((chunk, arrival, self._index))
             self._index += len(chunk.time)
+            self.chunks += 1
         self.bell.put(self)
 
     def take(self) -> tuple[Chunk, int] | None:

@@ -47,7 +47,7 @@ class Wire:
         self.samples += len(chunk.time)
         if not chunk.data.flags.carray:
             chunk = Chunk(
-                np.ascontiguousarray(chunk.time), np.require(chunk.data, requirements="CAW"), chunk.until, chunk.lost
+                np.ascontiguousarray(chunk.time), np.require(chunk.data, requirements=["C", "A", "W"]), chunk.until, chunk.lost
             )
         for tap in self.taps:
             tap(chunk)
@@ -115,7 +115,7 @@ class Stage:
             note(end - start)
             timing.samples += len(chunk.time)
             if emitted.__class__ is Chunk:
-                return send(emitted, end)  # type: ignore[arg-type]
+                return send(emitted, end)
             return end if emitted is None else self.emit(emitted, end)
 
         return run
@@ -163,10 +163,11 @@ class Stage:
         try:
             emitted = self.operator.close()
         except Exception as error:
-            if self.node.is_outlet:
-                return self._switch_off(error)
-            raise _failure(self.node.name, error) from error
-        self.emit(emitted, perf_counter_ns())
+            if not self.node.is_outlet:
+                raise _failure(self.node.name, error) from error
+            self._switch_off(error)
+        else:
+            self.emit(emitted, perf_counter_ns())
 
 
 def _failure(node: str, error: Exception, port: str = "", chunk: Chunk | None = None) -> RunError:

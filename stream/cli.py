@@ -1,0 +1,87 @@
+"""The command line: `kinegraph COMMAND ...`. Each command is loaded when it is called, so that help and short commands are quick."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from importlib.metadata import entry_points, version
+from typing import Any
+
+from stream.errors import KinegraphError, nearest
+
+COMMANDS = {
+    "run": ("stream.commands.run:run", "Run a graph on live devices; record the session."),
+    "replay": ("stream.commands.replay:replay", "Run a graph on a recording, bit for bit as it was live."),
+    "check": ("stream.commands.check:check", "Check a graph; print its streams, delays and memory."),
+    "draw": ("stream.commands.draw:draw", "Draw a graph in the terminal, or as Mermaid or DOT."),
+    "schema": ("stream.commands.schema:schema", "Write the JSON Schema of graphs, for editors."),
+    "info": ("stream.commands.info:info", "Show what a recording holds."),
+    "recover": ("stream.commands.recover:recover", "Finish a recording that a killed process left."),
+    "import": ("stream.commands.import_:import_", "Turn CSV, NPZ or XDF into a recording."),
+    "export": ("stream.commands.export:export", "Write a recording's streams as CSV or XDF."),
+    "try": ("stream.commands.try_:try_", "Try an operator of your own on the laws."),
+}
+"""Our commands; packages add theirs through the entry-point group `kinegraph.commands`."""
+
+
+USAGE = """usage: kinegraph COMMAND [ARGUMENTS]
+
+A real-time engine for motion and biosignal devices: graphs in YAML, live or replayed bit for bit.
+"""
+
+
+def main() -> None:
+    """The entry point: errors that a user can act on are printed without a traceback; the exit code tells what kind they were."""
+    arguments = sys.argv[1:]
+    try:
+        if not arguments or arguments[0] in ("-h", "--help", "help"):
+            print(overview(), file=sys.stdout if arguments else sys.stderr)
+            sys.exit(0 if arguments else 2)
+        if arguments[0] in ("-V", "--version"):
+            print(f"kinegraph {version('kinegraph')}")
+            return
+        call(arguments[0], arguments[1:])
+    except KinegraphError as error:
+        print(f"kinegraph: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        print("kinegraph: stopped", file=sys.stderr)
+        sys.exit(130)
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(141)
+
+
+def call(name: str, arguments: list[str]) -> None:
+    """Run one command; wrong arguments end the program with exit code 2 and the command's usage."""
+    import typer
+
+    app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    app.command(name, context_settings={"help_option_names": ["-h", "--help"]})(_function(name))
+    app(arguments, prog_name=f"kinegraph {name}")
+
+
+def overview() -> str:
+    """What `kinegraph --help` prints."""
+    rows = {name: text for name, (_, text) in COMMANDS.items()} | {e.name: _first_line(e.load()) for e in _added()}
+    listing = "\n".join(f"  {name:<10} {text}" for name, text in rows.items())
+    return f"{USAGE}\ncommands:\n{listing}\n\nkinegraph COMMAND --help says more."
+
+
+def _function(name: str) -> Any:
+    if name in COMMANDS:
+        module, _, function = COMMANDS[name][0].partition(":")
+        return getattr(importlib.import_module(module), function)
+    added = _added()
+    for entry in added:
+        if entry.name == name:
+            return entry.load()
+    raise KinegraphError(f"there is no command {name!r}; {nearest(name, [*COMMANDS, *(e.name for e in added)])}")
+
+
+def _added() -> list[Any]:
+    return [e for e in entry_points(group="kinegraph.commands") if e.name not in COMMANDS]
+
+
+def _first_line(function: Any) -> str:
+    return (function.__doc__ or "").strip().partition("\n")[0]

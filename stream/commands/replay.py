@@ -1,0 +1,96 @@
+"""`kinegraph replay`: a recording through a graph, with a progress bar and a comparison with what was recorded."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from stream.errors import KinegraphError, nearest
+
+if TYPE_CHECKING:
+    from stream.graph import Graph
+    from stream.replay import Replayed
+
+
+def replay(
+    config: Annotated[Path, typer.Argument(help="the graph, a YAML file", metavar="CONFIG")],
+    recording: Annotated[
+        Path, typer.Argument(help="a recording: an .mcap file, or a session's folder", metavar="FILE")
+    ],
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NODE.PARAMETER=VALUE", help="change a parameter of the graph")
+    ] = None,
+    speed: Annotated[float, typer.Option(help="how many times real time; 0: as fast as it goes", min=0.0)] = 0.0,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="record the graph's edges into this folder or .mcap file")
+    ] = None,
+    speak: Annotated[
+        list[str] | None, typer.Option("--speak", metavar="OUTLET", help="let this outlet speak; 'all': every one")
+    ] = None,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="exit with 1 unless every recorded edge is reproduced bit for bit")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("-q", "--quiet", help="no progress bar")] = False,
+) -> None:
+    """Run a graph on a recording: its streams stand in for the sources of the same names.
+
+    The graph gives what it gave live, bit for bit. Outlets (files, networks) stay silent unless asked with --speak.
+    """
+    from stream import logs
+    from stream.load import load
+    from stream.overrides import read
+    from stream.recording import Recording
+    from stream.replay import Replay
+
+    logs.set_up()
+    source = Recording.open(recording)
+    graph = load(config, recorded={n: s.spec for n, s in source.streams.items()}, overrides=read(settings or []))
+    run = Replay(graph, source, speaking=_speaking(graph, speak or []), speed=speed or None, output=out)
+    before = signal.signal(signal.SIGINT, lambda *_: run.stop())
+    try:
+        result = _with_progress(run, source.duration_ns / 1e9, quiet)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    _tell(result)
+    if verify and (result.differing or result.stopped):
+        sys.exit(1)
+
+
+def _speaking(graph: Graph, asked: list[str]) -> set[str]:
+    outlets = {n.name for n in graph.nodes.values() if n.is_outlet}
+    for name in asked:
+        if name != "all" and name not in outlets:
+            raise KinegraphError(f"--speak: there is no outlet {name!r}; {nearest(name, outlets)}")
+    return outlets if "all" in asked else set(asked)
+
+
+def _with_progress(run: object, total_s: float, quiet: bool) -> Replayed:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from stream.replay import Replay
+
+    assert isinstance(run, Replay)
+    columns = (
+        TextColumn("replay"),
+        BarColumn(),
+        TextColumn("{task.completed:.0f} of {task.total:.0f} s"),
+        TimeRemainingColumn(),
+    )
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=quiet or not console.is_terminal) as bar:
+        task = bar.add_task("replay", total=max(total_s, 1e-9))
+        return run.run(lambda done_s: bar.update(task, completed=done_s))
+
+
+def _tell(result: Replayed) -> None:
+    pace = f", {result.seconds / result.took_s:.0f} times real time" if result.took_s > 0 else ""
+    print(f"replayed {result.seconds:.1f} s in {result.took_s:.2f} s{pace}{' (stopped)' if result.stopped else ''}")
+    for name, (recorded, replayed) in result.digests.items():
+        print(
+            f"  {name}: {'identical to the recording' if recorded == replayed else 'DIFFERS from the recording'} ({replayed})"
+        )

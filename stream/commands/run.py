@@ -1,0 +1,135 @@
+"""`kinegraph run`: a live session, with its recording, its metrics on the screen, and a clean end."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from stream.errors import KinegraphError, RecordingError
+
+if TYPE_CHECKING:
+    from stream.session import Outcome, Session
+
+
+def run(
+    config: Annotated[Path, typer.Argument(help="the graph, a YAML file", metavar="CONFIG")],
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NODE.PARAMETER=VALUE", help="change a parameter of the graph")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", help="the session's folder (default: a new one in the graph's recording folder)"),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="go on with the session that was broken off: in --out, else the newest one")
+    ] = False,
+    record: Annotated[bool, typer.Option("--record/--no-record", help="keep a recording of the session")] = True,
+    duration_s: Annotated[
+        float,
+        typer.Option("--for", metavar="SECONDS", help="end after so many seconds; 0: when stopped or all sources end"),
+    ] = 0.0,
+    view: Annotated[str, typer.Option(help="how the session is shown: auto, live, lines or none")] = "auto",
+    json_log: Annotated[bool, typer.Option("--log-json", help="log lines as JSON")] = False,
+    verbose: Annotated[bool, typer.Option("-v", "--verbose", help="log more")] = False,
+) -> None:
+    """Run a graph on live devices, and record the session.
+
+    While it runs: a word and Enter annotates this moment; a digit or the space bar marks it at once; name=number changes a value node.
+    Ctrl-C ends the session cleanly.
+
+    Exit codes: 0 well; 2 the graph or an argument is wrong; 3 a device was missing; 4 an operator stopped the graph; 5 an outlet or the
+    recording lost something.
+    """
+    from stream import logs
+    from stream.console import Console
+    from stream.load import load
+    from stream.overrides import read
+    from stream.session import Session
+
+    logs.set_up(json=json_log, verbose=verbose)
+    began = time.monotonic()
+    graph = load(config, overrides=read(settings or []))
+    from stream.plan import plan
+
+    plan(graph)
+    folder = _folder(graph.name, Path(graph.recording.folder), out, resume) if record or resume else None
+    screen = _screen(view, graph)
+    session = Session(graph, folder, resume=resume, view=screen)
+    with _signals(session), Console(session).listening(), screen or nullcontext():
+        if duration_s:
+            _end_after(session, duration_s)
+        outcome = session.run()
+    _tell_end(outcome, time.monotonic() - began)
+    sys.exit(outcome.exit_code)
+
+
+def _folder(name: str, recordings: Path, out: Path | None, resume: bool) -> Path:
+    if out:
+        return out
+    if not resume:
+        return recordings / f"{name}-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
+    sessions = sorted(recordings.glob(f"{name}-*Z"))
+    if not sessions:
+        raise RecordingError(f"there is no session of {name!r} in {recordings} to resume; name its folder with --out")
+    return sessions[-1]
+
+
+def _screen(view: str, graph: Any) -> Any:
+    """The view by its name; they come from the entry-point group `kinegraph.views`."""
+    if view == "none":
+        return None
+    if view == "auto":
+        view = "live" if sys.stdout.isatty() else "lines"
+    for entry in entry_points(group="kinegraph.views", name=view):
+        return entry.load()(graph)
+    names = ", ".join(sorted(e.name for e in entry_points(group="kinegraph.views")))
+    raise KinegraphError(f"there is no view {view!r}; valid are auto, none, {names}")
+
+
+@contextmanager
+def _signals(session: Session) -> Iterator[None]:
+    """Within: Ctrl-C and SIGTERM end the session cleanly; a second Ctrl-C breaks off."""
+    asked = 0
+
+    def stop(_number: int, _frame: object) -> None:
+        nonlocal asked
+        asked += 1
+        if asked > 1:
+            raise KeyboardInterrupt
+        session.stop()
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _end_after(session: Session, seconds: float) -> None:
+    import threading
+
+    timer = threading.Timer(seconds, session.stop)
+    timer.daemon = True
+    timer.start()
+
+
+def _tell_end(outcome: Outcome, took_s: float) -> None:
+    print(f"session of {took_s:.1f} s ended{'' if outcome.error is None else ' by an error'}", file=sys.stderr)
+    for name, row in outcome.table.items():
+        troubles = {k: row[k] for k in ("dropped", "late", "gaps", "dropped_chunks", "error", "problems") if row.get(k)}
+        if troubles:
+            print(f"  {name}: {json.dumps(troubles)}", file=sys.stderr)
+    if outcome.folder:
+        print(f"recording: {outcome.folder}", file=sys.stderr)
+    if outcome.error:
+        print(f"kinegraph: {outcome.error}", file=sys.stderr)

@@ -1,0 +1,201 @@
+"""Replay: a recording stands in for the sources of the same names; the graph gives what it gave live, bit for bit."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Container
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter_ns
+from typing import Any
+
+from stream.chunk import FOREVER, NS, Chunk, empty
+from stream.drops import recorded_drops
+from stream.graph import Edge, Graph
+from stream.pipeline import Pipeline, Push, Stage
+from stream.recording import Recorder, Recording, versions
+from stream.warmup import Compilations, warm_up
+
+FOLD_EVERY = 1000
+"""Chunks between two foldings of the durations."""
+
+
+class Digest:
+    """A hash of a stream's samples, stamps and gap positions that does not depend on how they were cut into chunks."""
+
+    def __init__(self, limit: int | None = None) -> None:
+        """`limit`: only so many samples count."""
+        self._data, self._time, self._gaps = hashlib.blake2b(), hashlib.blake2b(), hashlib.blake2b()
+        self.samples = 0
+        self._limit = limit
+
+    def add(self, chunk: Chunk) -> None:
+        n = len(chunk.time)
+        if self._limit is not None and self.samples + n > self._limit:
+            n = self._limit - self.samples
+        if not n:
+            return
+        if chunk.lost:
+            self._gaps.update(f"{self.samples}:{chunk.lost};".encode())
+        self._data.update(chunk.data[:n].tobytes())
+        self._time.update(chunk.time[:n].tobytes())
+        self.samples += n
+
+    def hexdigest(self) -> str:
+        return hashlib.blake2b(
+            self._data.digest() + self._time.digest() + self._gaps.digest(), digest_size=16
+        ).hexdigest()
+
+
+@dataclass(slots=True)
+class Replayed:
+    """What a replay came to.
+
+    digests    per recorded edge that the graph computes: (recorded, replayed) digest of the samples that the recording holds
+    seconds    of session time that were replayed
+    took_s     how long that took
+    """
+
+    digests: dict[str, tuple[str, str]] = field(default_factory=dict)
+    samples: dict[str, int] = field(default_factory=dict)
+    seconds: float = 0.0
+    took_s: float = 0.0
+    compiled: list[str] = field(default_factory=list)
+    stopped: bool = False
+
+    @property
+    def differing(self) -> list[str]:
+        """Edges whose replayed samples are not those recorded."""
+        return [name for name, (recorded, replayed) in self.digests.items() if recorded != replayed]
+
+
+class Replay:
+    """A graph fed from a recording, on the caller's thread.
+
+    speaking   names of the outlets that take part; the others stay silent
+    speed      how many times real time; None: as fast as it goes
+    output     record the graph's edges again, into this file or folder
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        recording: Recording,
+        *,
+        speaking: Container[str] = (),
+        speed: float | None = None,
+        output: Path | None = None,
+    ) -> None:
+        self.graph, self.recording, self._speed = graph, recording, speed
+        self._drops = recorded_drops(recording.log)
+        self.pipeline = Pipeline(graph, speaking=speaking, bridge=self._bridge)
+        self.sequence = -1
+        self._output = output
+        self._stopping = False
+
+    def _bridge(self, stage: Stage, port: str, edge: Edge, push: Push) -> Push:
+        """Lanes run on this thread, in order; what their queues dropped live is left out again."""
+        drops = self._drops.get(f"{edge} -> {stage.node.name}.{port}")
+        return push if drops is None else lambda chunk, start: push(drops.repeat(chunk), start)
+
+    def stop(self) -> None:
+        """End after the chunk in hand, cleanly."""
+        self._stopping = True
+
+    def run(self, progress: Callable[[float], None] = lambda done_s: None) -> Replayed:
+        """Feed the whole recording; `progress` is told the seconds of session time that are done."""
+        warm_up(self.graph)
+        recorder = self._open_output()
+        result = Replayed()
+        computed = self._listen()
+        self.pipeline.begin()
+        compilations = Compilations()
+        began = time.monotonic()
+        try:
+            self._feed_all(recorder, progress, result, began)
+            self._close()
+        finally:
+            compilations.stop()
+            if recorder:
+                recorder.close()
+        result.took_s = time.monotonic() - began
+        result.compiled = compilations.names
+        result.samples = {name: wire.samples for name, wire in self.pipeline.wires.items()}
+        result.digests = {name: (self._digest_of(name), digest.hexdigest()) for name, digest in computed.items()}
+        return result
+
+    def _feed_all(
+        self, recorder: Recorder | None, progress: Callable[[float], None], result: Replayed, began: float
+    ) -> None:
+        entries = {name: wire.send for name, wire in self.pipeline.entries.items()}
+        numbers = self._numbers if recorder else {}
+        first: int | None = None
+        for count, (sequence, stream, chunk, arrival) in enumerate(self.recording.inputs()):
+            if self._stopping:
+                result.stopped = True
+                break
+            self.sequence = sequence
+            send = entries.get(stream)
+            if send is None:
+                continue
+            first = arrival if first is None else first
+            if self._speed:
+                self._keep_pace((arrival - first) / NS, began)
+            if recorder:
+                recorder.write(numbers[stream], chunk, arrival, sequence)
+            send(chunk, perf_counter_ns())
+            if not count % FOLD_EVERY:
+                self.pipeline.fold()
+                result.seconds = (arrival - first) / NS
+                progress(result.seconds)
+        else:
+            result.seconds = self.recording.duration_ns / NS
+            progress(result.seconds)
+
+    def _keep_pace(self, session_s: float, began: float) -> None:
+        assert self._speed
+        ahead = session_s / self._speed - (time.monotonic() - began)
+        if ahead > 0 and not self._stopping:
+            time.sleep(ahead)
+
+    def _close(self) -> None:
+        """As a live session ends: every source's stream is over, then every operator emits what is pending."""
+        for wire in self.pipeline.entries.values():
+            wire.send(empty(wire.spec, FOREVER), perf_counter_ns())
+        self.pipeline.close()
+
+    def _listen(self) -> dict[str, Digest]:
+        """Digests of the edges that the recording also holds."""
+        digests: dict[str, Digest] = {}
+        for name, stream in self.recording.streams.items():
+            if stream.role == "edge" and name in self.pipeline.wires:
+                digests[name] = Digest(stream.samples)
+                self.pipeline.wires[name].taps.append(digests[name].add)
+        return digests
+
+    def _digest_of(self, name: str) -> str:
+        digest = Digest()
+        for chunk in self.recording.chunks(name):
+            digest.add(chunk)
+        return digest.hexdigest()
+
+    def _open_output(self) -> Recorder | None:
+        if self._output is None:
+            return None
+        header: dict[str, Any] = {
+            **self.recording.header,
+            "graph": self.graph.text,
+            "replayed": True,
+            "versions": versions(),
+        }
+        recorder = Recorder(self._output, header, self.graph.recording, wait=True)
+        self._numbers = {
+            name: recorder.add_stream(name, wire.spec, "input") for name, wire in self.pipeline.entries.items()
+        }
+        for edge in self.graph.record:
+            wire = self.pipeline.wires[str(edge)]
+            if wire not in self.pipeline.entries.values():
+                number = recorder.add_stream(str(edge), wire.spec, "edge")
+                wire.taps.append(lambda chunk, number=number: recorder.write(number, chunk, 0, self.sequence))  # type: ignore[misc]
+        return recorder

@@ -1,0 +1,81 @@
+"""The state of a running session as one table: what flows where, how long it takes, what waits, what was lost."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from stream.metrics import rounded
+
+if TYPE_CHECKING:
+    from stream.lanes import Lanes
+    from stream.pipeline import Pipeline, Stage
+    from stream.recording import Recorder
+    from stream.session import Intake
+
+Table: TypeAlias = dict[str, dict[str, Any]]
+"""Per stream of a source ("board.emg"), per node, and for "recording": named numbers with units in their names."""
+
+
+def table_of(
+    pipeline: Pipeline, intakes: Iterable[Intake], lanes: Lanes, recorder: Recorder | None, before: Table | None = None
+) -> Table:
+    """The table now; `before` is the one read last, for rates. Reading it starts a new interval of the timings."""
+    now = time.monotonic()
+    table: Table = {}
+    for intake in intakes:
+        table[intake.stream] = _source_row(intake, now)
+    for name, stage in pipeline.stages.items():
+        table[name] = _stage_row(stage, lanes)
+    for name, row in table.items():
+        old = (before or {}).get(name)
+        row["at_s"] = round(now, 3)
+        row["rate_hz"] = (
+            round((row["samples"] - old["samples"]) / (now - old["at_s"]), 2) if old and now > old["at_s"] else 0.0
+        )
+    if recorder:
+        status = recorder.status
+        table["recording"] = {
+            "kind": "recording",
+            "bytes": status.bytes,
+            "behind_s": round(status.behind_s, 2),
+            "dropped_chunks": sum(status.dropped.values()),
+            "error": status.error,
+        }
+    return table
+
+
+def _source_row(intake: Intake, now: float) -> dict[str, Any]:
+    runner, wire = intake.runner, intake.wire
+    channel = runner.channels[intake.output]
+    return {
+        "kind": "source",
+        "state": "stale" if intake.stale else runner.state,
+        "samples": wire.samples,
+        "age_s": round(now - intake.last, 3),
+        "queue": channel.depth,
+        "queue_limit": channel.limit,
+        "dropped": channel.dropped,
+        "late": intake.late,
+        "gaps": wire.gaps,
+        "lost": wire.lost,
+        "openings": runner.openings,
+        "problems": dict(runner.problems),
+        "error": runner.error if runner.state == "failed" else "",
+    }
+
+
+def _stage_row(stage: Stage, lanes: Lanes) -> dict[str, Any]:
+    queues = [
+        c for name, c in lanes.channels.items() if name.partition(" -> ")[2].rpartition(".")[0] == stage.node.name
+    ]
+    return {
+        "kind": "outlet" if stage.node.is_outlet else "operator",
+        "lane": stage.lane,
+        **rounded(stage.timing.read()),
+        "queue": sum(c.depth for c in queues),
+        "dropped": sum(c.dropped for c in queues),
+        "gaps": sum(w.gaps for w in stage.wires.values()),
+        "error": stage.failed,
+    }

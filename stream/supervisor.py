@@ -1,0 +1,215 @@
+"""A source under supervision: read in its own thread, reopened with growing pauses when it fails or falls silent, its gaps marked."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from queue import Empty, SimpleQueue
+from typing import Any, Literal
+
+import numpy as np
+import structlog
+
+from stream.channel import Channel, Doorbell
+from stream.chunk import FOREVER, Chunk, empty, utc
+from stream.clock import SessionClock
+from stream.errors import DeviceError, KinegraphError
+from stream.graph import Edge, Node
+from stream.source import Source
+
+FIRST_PAUSE_S = 0.25
+LONGEST_PAUSE_S = 10.0
+STEADY_S = 10.0
+"""A source that ran for so long is given the first pause again."""
+GRACE_S = 2.0
+"""How long a source that must stop may take before its thread is given up."""
+
+State = Literal["starting", "running", "failed", "ended", "stopped"]
+Report = Callable[..., None]
+"""report(kind, **facts): something that belongs into the log and the recording."""
+
+log = structlog.get_logger(__name__)
+
+
+class _StopReadingError(Exception):
+    """Raised by `emit` in the thread of a source that has been given up."""
+
+
+class _Feed:
+    """One opening of a source; a source that is opened again gets a new one."""
+
+    def __init__(self, runner: Runner, again: bool) -> None:
+        self._runner = runner
+        self._stop = threading.Event()
+        self._unmarked = set(runner.channels) if again else set()
+
+    @property
+    def stopped(self) -> bool:
+        return self._stop.is_set()
+
+    def stop(self) -> None:
+        self._stop.set()
+
+    def now(self) -> int:
+        return self._runner.clock.now()
+
+    def wait(self, seconds: float) -> bool:
+        return self._stop.wait(seconds)
+
+    def ready(self) -> None:
+        self._runner.came_alive()
+
+    def hear(self, timeout_s: float) -> str | None:
+        try:
+            return self._runner.mailbox.get(timeout=timeout_s)
+        except Empty:
+            return None
+
+    def problem(self, kind: str, count: int = 1) -> None:
+        self._runner.problems[kind] += count
+
+    def emit(self, chunk: Chunk, output: str = "out") -> None:
+        if self._stop.is_set():
+            raise _StopReadingError
+        chunk = self._runner.normal(chunk, output)
+        if self._unmarked and len(chunk.time) and output in self._unmarked:
+            self._unmarked.discard(output)
+            chunk.lost = chunk.lost or -1
+        runner = self._runner
+        runner.came_alive()
+        runner.channels[output].put(chunk, runner.clock.now())
+
+
+class Runner:
+    """A source node at work.
+
+    channels   per output, the queue to the graph's thread
+    problems   what the source counted, by kind
+    openings   how often the source was opened
+    """
+
+    def __init__(self, node: Node, bell: Doorbell, clock: SessionClock, report: Report) -> None:
+        assert isinstance(node.part, Source)
+        self.node, self.clock, self.report = node, clock, report
+        self.source: Source = node.part.fresh()
+        options = node.options
+        self.channels = {
+            output: Channel(str(Edge(node.name, output)), bell, options.queue, options.policy or "block")
+            for output in node.specs
+        }
+        self.mailbox: SimpleQueue[str] = SimpleQueue()
+        self.problems: Counter[str] = Counter()
+        self.state: State = "starting"
+        self.ready = False
+        self.error = ""
+        self.openings = 0
+        self.last_alive = time.monotonic()
+        self._opened = 0.0
+        self._retry_at = 0.0
+        self._pause_s = FIRST_PAUSE_S
+        self._feed: _Feed | None = None
+        self._thread: threading.Thread | None = None
+
+    def start(self, again: bool = False) -> None:
+        """Open the source in a new thread; `again` marks its first samples as coming after a gap."""
+        self.openings += 1
+        self.state = "running" if self.ready else "starting"
+        self._opened = self.last_alive = time.monotonic()
+        self._feed = _Feed(self, again or self.openings > 1)
+        self._thread = threading.Thread(
+            target=self._work, args=(self._feed,), name=f"source {self.node.name}", daemon=True
+        )
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Tell the source to stop and let go a blocked write; `join` waits for it."""
+        if self.state not in ("ended",):
+            self.state = "stopped"
+        if self._feed:
+            self._feed.stop()
+        for channel in self.channels.values():
+            channel.close()
+
+    def join(self, timeout_s: float = GRACE_S) -> bool:
+        """Wait until the source's thread has ended; returns whether it has."""
+        if self._thread:
+            self._thread.join(timeout_s)
+            return not self._thread.is_alive()
+        return True
+
+    def watch(self) -> None:
+        """Called several times a second: reopen what failed, give up what fell silent."""
+        now = time.monotonic()
+        if self.state == "failed" and now >= self._retry_at:
+            if self._thread and self._thread.is_alive():
+                if now < self._retry_at + GRACE_S:
+                    return
+                log.warning("source does not stop; its thread is given up", node=self.node.name)
+            self.report("source reopened", node=self.node.name, opening=self.openings + 1)
+            self.start()
+        elif self.state in ("starting", "running") and 0 < self.node.options.silence_s < now - self.last_alive:
+            assert self._feed
+            self._feed.stop()
+            self._failed(f"silent for {now - self.last_alive:.1f} s")
+
+    def came_alive(self) -> None:
+        """Something came from the device."""
+        self.last_alive = time.monotonic()
+        if not self.ready or self.state == "starting":
+            self.ready = True
+            if self.state == "starting":
+                self.state = "running"
+
+    def normal(self, chunk: Chunk, output: str) -> Chunk:
+        """The chunk as operators expect it: declared shape and dtype, contiguous, writable, times not decreasing."""
+        spec = self.node.specs[output]
+        times = np.require(chunk.time, np.int64, ["C", "A", "W"])
+        data = np.require(chunk.data, spec.dtype, ["C", "A", "W"])
+        if data.shape != (len(times), *spec.shape):
+            raise DeviceError(
+                f"source {self.node.name!r} gave samples of shape {data.shape[1:]}; its spec says {spec.shape}"
+            )
+        if len(times) > 1 and (times[1:] < times[:-1]).any():
+            times, data = self._in_order(times, data)
+        until = max(chunk.until, int(times[-1])) if len(times) else chunk.until
+        return Chunk(times, data, until, chunk.lost)
+
+    def _in_order(self, times: Any, data: Any) -> tuple[Any, Any]:
+        keep = times >= np.maximum.accumulate(times)
+        self.problems["time ran backwards"] += int((~keep).sum())
+        self.report("time ran backwards", node=self.node.name, samples=int((~keep).sum()), at=utc(int(times[~keep][0])))
+        return np.ascontiguousarray(times[keep]), np.ascontiguousarray(data[keep])
+
+    def _work(self, feed: _Feed) -> None:
+        try:
+            self.source.read(feed)
+            if not feed.stopped:
+                self._end()
+        except _StopReadingError:
+            pass
+        except KinegraphError as error:
+            if not feed.stopped:
+                self._failed(str(error))
+        except Exception as error:
+            if not feed.stopped:
+                log.debug("source failed", node=self.node.name, exc_info=True)
+                self._failed(f"{type(error).__name__}: {error}")
+
+    def _end(self) -> None:
+        self.ready = True
+        self.state = "ended"
+        self.report("source ended", node=self.node.name)
+        for output, channel in self.channels.items():
+            channel.put(empty(self.node.specs[output], FOREVER), self.clock.now())
+
+    def _failed(self, error: str) -> None:
+        now = time.monotonic()
+        if now - self._opened > STEADY_S:
+            self._pause_s = FIRST_PAUSE_S
+        self.error = error
+        self._retry_at = now + self._pause_s
+        self.state = "failed"
+        self.report("source failed", node=self.node.name, error=error, retry_in_s=self._pause_s)
+        self._pause_s = min(2 * self._pause_s, LONGEST_PAUSE_S)

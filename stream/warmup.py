@@ -1,0 +1,128 @@
+"""Before any device opens: a scratch instance of every operator is run, so that nothing compiles while a graph runs.
+
+Two runs for each: its own cases, which reach every kernel, and made-up samples under the specs of this graph, which also show whether the
+operator keeps the promises of its specs.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+import structlog
+
+from stream.chunk import NS, Chunk, StreamSpec, empty
+from stream.errors import GraphError, KinegraphError
+from stream.graph import Graph, Node
+from stream.operator import Emitted, Operator, grid
+
+SAMPLES = 64
+CASE_SAMPLES = 4096
+"""At most so many samples of a case are run."""
+
+log = structlog.get_logger(__name__)
+
+
+def warm_up(graph: Graph) -> None:
+    """Compile (or load from the cache) all kernels of a graph; raises GraphError where an operator breaks its specs' promises."""
+    seen: set[type[Any]] = set()
+    for node in graph.nodes.values():
+        if not isinstance(node.part, Operator) or node.is_outlet:
+            continue
+        if type(node.part) not in seen:
+            seen.add(type(node.part))
+            _run_cases(node.part)
+        _run_made_up(graph, node)
+
+
+def _run_cases(part: Operator[Any]) -> None:
+    for case in part.cases():
+        operator = case.operator.fresh()
+        operator.open({port: spec for port, (spec, _, _) in case.inputs.items()})
+        for port, (spec, times, data) in case.inputs.items():
+            for piece in _pieces(spec, times[:CASE_SAMPLES], data[:CASE_SAMPLES]):
+                with suppress(KinegraphError):
+                    operator.process(port, piece)
+        operator.close()
+
+
+def _run_made_up(graph: Graph, node: Node) -> None:
+    """Made-up signals and frames under the node's own specs; events are left to the cases, for their fields have meanings."""
+    assert isinstance(node.part, Operator)
+    operator = node.part.fresh()
+    specs = graph.input_specs(node)
+    promised = operator.open(specs)
+    for port, spec in specs.items():
+        if spec.is_event:
+            operator.process(port, empty(spec, NS))
+            continue
+        times, data = made_up(spec, SAMPLES)
+        for piece in _pieces(spec, times, data):
+            check_promises(node, promised, operator.process(port, piece))
+
+
+def _pieces(spec: StreamSpec, times: Any, data: Any) -> Iterable[Chunk]:
+    """The samples in two chunks and an empty one."""
+    half = len(times) // 2
+    whole = Chunk(times, data, int(times[-1]) if len(times) else NS)
+    if half:
+        yield whole.part(0, half)
+        yield whole.part(half, len(times))
+    yield empty(spec, whole.until)
+
+
+def made_up(spec: StreamSpec, n: int, seed: int = 0) -> tuple[Any, Any]:
+    """Times (n,) and plausible numbers (n, *shape) for a stream that is not an event."""
+    random = np.random.default_rng(seed)
+    times = grid(spec.rate_hz or 100.0, n)
+    if spec.dtype.kind in "iu":
+        return times, random.integers(0, 100, (n, *spec.shape)).astype(spec.dtype)
+    return times, random.standard_normal((n, *spec.shape)).astype(spec.dtype)
+
+
+def check_promises(node: Node, promised: dict[str, StreamSpec], emitted: Emitted) -> None:
+    """Raise GraphError where what an operator gave back is not what its `open` said."""
+    if emitted is None:
+        return
+    pairs = [(next(iter(promised)), emitted)] if isinstance(emitted, Chunk) else emitted
+    for output, chunk in pairs:
+        if output not in promised:
+            raise GraphError(f"emits on {output!r}, but `open` gave no spec for it", node=node.name, line=node.line)
+        spec = promised[output]
+        if chunk.data.dtype != spec.dtype or chunk.data.shape[1:] != spec.shape or len(chunk.data) != len(chunk.time):
+            raise GraphError(
+                f"emits {chunk.data.shape} {chunk.data.dtype} for {len(chunk.time)} stamps on {output!r};"
+                f" `open` promised (n, {', '.join(map(str, spec.shape))}) {spec.dtype}",
+                node=node.name,
+                line=node.line,
+            )
+
+
+class Compilations:
+    """Counts what numba compiles from now on, anywhere in this process; after warm-up there must be nothing."""
+
+    def __init__(self) -> None:
+        from numba.core import event
+
+        self.names: list[str] = []
+        outer = self
+
+        class Listener(event.Listener):
+            def on_start(self, event: Any) -> None:
+                name = str(event.data.get("dispatcher", "")) if isinstance(event.data, dict) else ""
+                outer.names.append(name)
+                log.warning("a kernel was compiled while running", kernel=name, thread=threading.current_thread().name)
+
+            def on_end(self, event: Any) -> None:
+                pass
+
+        self._listener = Listener()
+        event.register("numba:compile", self._listener)  # type: ignore[no-untyped-call]
+
+    def stop(self) -> None:
+        from numba.core import event
+
+        event.unregister("numba:compile", self._listener)  # type: ignore[no-untyped-call]
