@@ -1,0 +1,37 @@
+# make demo: a treadmill session on a simulated signal, live in the terminal, with a report at the end.
+# make test: everything that is checked before a change goes in.
+# Each needs Python >= 3.11 and nothing else; the environment is made in .venv.
+
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
+	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$p" && break; done)
+SECONDS_OF_DEMO ?= 30
+BIN := .venv/bin
+
+.PHONY: demo test bench clean
+
+demo: .venv/installed
+	$(BIN)/kinegraph run configs/treadmill_emg.yaml --set treadmill.duration_s=$(SECONDS_OF_DEMO)
+
+test: .venv/installed-for-tests
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	cache=$$(mktemp -d) && trap 'rm -rf "$$cache"' EXIT && export KINEGRAPH_CACHE="$$cache" && \
+		$(BIN)/python -m tests.compile_kernels && $(BIN)/pytest -n 2 --dist worksteal
+
+bench: .venv/installed-for-tests
+	$(BIN)/python -m bench
+
+.venv/bin/python:
+	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed; name it: make PYTHON=/path/to/python3" >&2; exit 1; }
+	$(PYTHON) -m venv .venv || { rm -rf .venv; echo "Python's venv module is needed (Debian: apt-get install python3-venv)" >&2; exit 1; }
+
+.venv/installed: .venv/bin/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+.venv/installed-for-tests: .venv/bin/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	@touch .venv/installed $@
+
+clean:
+	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache
