@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from stream.chunk import Specs, StreamSpec
 from stream.operator import Operator, Outlet
 from stream.params import param
 from stream.source import Source
 
+T = TypeVar("T")
 Policy = Literal["block", "drop_oldest", "fail"]
 
 
@@ -98,6 +99,15 @@ class Graph:
     @property
     def sources(self) -> list[Node]:
         return [n for n in self.nodes.values() if n.is_source]
+
+    @property
+    def outlets(self) -> set[str]:
+        """The names of the outlets."""
+        return {n.name for n in self.nodes.values() if n.is_outlet}
+
+    def parts(self, kind: type[T]) -> list[T]:
+        """The sources, operators or outlets of one kind."""
+        return [n.part for n in self.nodes.values() if isinstance(n.part, kind)]
 
     def readers(self, edge: Edge) -> list[tuple[Node, str]]:
         """The (node, port) pairs that read an edge, in topological order."""

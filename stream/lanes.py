@@ -87,6 +87,11 @@ class Lanes:
 
         return put
 
+    @property
+    def indices(self) -> dict[str, int]:
+        """How many samples have gone into each queue."""
+        return {name: channel.index for name, channel in self.channels.items()}
+
     def repeat(self, drops: dict[str, Drops], indices: dict[str, int]) -> None:
         """From now on, leave out what a log says was dropped; `indices` says how far each queue had come. Nothing: the log ends here."""
         for name, index in indices.items():

@@ -9,17 +9,21 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from stream.metrics import rounded
 
 if TYPE_CHECKING:
+    from stream.intake import Intake
     from stream.lanes import Lanes
     from stream.pipeline import Pipeline, Stage
-    from stream.recording import Recorder
-    from stream.session import Intake
+    from stream.recording import RecorderStatus
 
 Table: TypeAlias = dict[str, dict[str, Any]]
 """Per stream of a source ("board.emg"), per node, and for "recording": named numbers with units in their names."""
 
 
 def table_of(
-    pipeline: Pipeline, intakes: Iterable[Intake], lanes: Lanes, recorder: Recorder | None, before: Table | None = None
+    pipeline: Pipeline,
+    intakes: Iterable[Intake],
+    lanes: Lanes,
+    recording: RecorderStatus | None,
+    before: Table | None = None,
 ) -> Table:
     """The table now; `before` is the one read last, for rates. Reading it starts a new interval of the timings."""
     now = time.monotonic()
@@ -34,14 +38,13 @@ def table_of(
         row["rate_hz"] = (
             round((row["samples"] - old["samples"]) / (now - old["at_s"]), 2) if old and now > old["at_s"] else 0.0
         )
-    if recorder:
-        status = recorder.status
+    if recording:
         table["recording"] = {
             "kind": "recording",
-            "bytes": status.bytes,
-            "behind_s": round(status.behind_s, 2),
-            "dropped_chunks": sum(status.dropped.values()),
-            "error": status.error,
+            "bytes": recording.bytes,
+            "behind_s": round(recording.behind_s, 2),
+            "dropped_chunks": sum(recording.dropped.values()),
+            "error": recording.error,
         }
     return table
 

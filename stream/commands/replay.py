@@ -61,7 +61,7 @@ def replay(
 
 
 def _speaking(graph: Graph, asked: list[str]) -> set[str]:
-    outlets = {n.name for n in graph.nodes.values() if n.is_outlet}
+    outlets = graph.outlets
     for name in asked:
         if name != "all" and name not in outlets:
             raise KinegraphError(f"--speak: there is no outlet {name!r}; {nearest(name, outlets)}")

@@ -63,10 +63,8 @@ def run(
     plan(graph)
     folder = _folder(graph.name, Path(graph.recording.folder), out, resume) if record or resume else None
     screen = _screen(view, graph)
-    session = Session(graph, folder, resume=resume, view=screen)
+    session = Session(graph, folder, resume=resume, duration_s=duration_s, view=screen)
     with _signals(session), Console(session).listening(), screen or nullcontext():
-        if duration_s:
-            _end_after(session, duration_s)
         outcome = session.run()
     _tell_end(outcome, time.monotonic() - began)
     sys.exit(outcome.exit_code)
@@ -113,14 +111,6 @@ def _signals(session: Session) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _end_after(session: Session, seconds: float) -> None:
-    import threading
-
-    timer = threading.Timer(seconds, session.stop)
-    timer.daemon = True
-    timer.start()
 
 
 def _tell_end(outcome: Outcome, took_s: float) -> None:

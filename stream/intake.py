@@ -1,0 +1,109 @@
+"""Where a source's chunks enter the graph: what is too late is decided here, once, and the sources' common start."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from stream.chunk import FOREVER, NEVER, Chunk, add_lost, utc
+from stream.errors import DeviceError
+from stream.pipeline import Wire
+from stream.supervisor import Runner
+
+
+@dataclass(slots=True)
+class Intake:
+    """One output of a source, as the graph's thread sees it.
+
+    number     its number in the input log
+    promised   the stream is complete up to this time; what comes later and is older is dropped
+    last       when its last chunk came (monotonic s)
+    late       samples dropped because they came too late
+    """
+
+    stream: str
+    runner: Runner
+    output: str
+    wire: Wire
+    number: int = -1
+    promised: int = NEVER
+    last: float = field(default_factory=time.monotonic)
+    late: int = 0
+    silent: bool = False
+    stale: bool = False
+
+    @property
+    def ended(self) -> bool:
+        return self.promised == FOREVER
+
+    def admit(self, chunk: Chunk, report: Callable[..., None]) -> Chunk | None:
+        """The chunk as it may enter: without late samples, its `until` never going back; None if it says nothing new."""
+        self.last = time.monotonic()
+        self.silent = self.stale = False
+        if len(chunk.time) and chunk.time[0] <= self.promised:
+            chunk = self._without_late(chunk, report)
+        if chunk.until <= self.promised:
+            if not len(chunk.time) and not chunk.lost:
+                return None
+            chunk.until = self.promised
+        self.promised = chunk.until
+        return chunk
+
+    def _without_late(self, chunk: Chunk, report: Callable[..., None]) -> Chunk:
+        keep = chunk.time > self.promised
+        n = int((~keep).sum())
+        self.late += n
+        report("late samples dropped", stream=self.stream, samples=n, at=utc(int(chunk.time[0])))
+        times, data = np.ascontiguousarray(chunk.time[keep]), np.ascontiguousarray(chunk.data[keep])
+        return Chunk(times, data, chunk.until, add_lost(chunk.lost, n))
+
+
+class CommonStart:
+    """No sample passes until every required source is ready. What a live device sends before is left out; a file waits instead."""
+
+    def __init__(self, runners: list[Runner]) -> None:
+        self._required = [r for r in runners if r.node.options.required and not r.source.background]
+        self._held: list[tuple[Intake, Chunk, int]] = []
+        self._began = time.monotonic()
+        self.done = False
+
+    def pass_on(self, intake: Intake, chunk: Chunk, arrival: int) -> list[tuple[Intake, Chunk, int]]:
+        """What may enter now that this chunk has come: it and all that was held, or nothing yet."""
+        if self.done:
+            return [(intake, chunk, arrival)]
+        if not intake.runner.source.live or self.ready:
+            self._held.append((intake, chunk, arrival))
+        return self.release()
+
+    def release(self) -> list[tuple[Intake, Chunk, int]]:
+        """What was held, once all required sources are ready."""
+        if not self.ready:
+            return []
+        self.done = True
+        held, self._held = self._held, []
+        return held
+
+    @property
+    def ready(self) -> bool:
+        return all(r.ready for r in self._required)
+
+    def check_deadlines(self) -> None:
+        """Raise DeviceError for a required source that is not ready in time."""
+        waited = time.monotonic() - self._began
+        for runner in self._required:
+            deadline = runner.node.options.deadline_s
+            if not runner.ready and waited > deadline:
+                why = f": {runner.error}" if runner.error else ""
+                raise DeviceError(
+                    f"source {runner.node.name!r} gave nothing within {deadline:g} s{why};"
+                    " connect it, or set `required: false` or a longer `deadline_s`"
+                )
+
+
+def promises(intakes: list[Intake]) -> dict[str, Any]:
+    """Up to when each stream is complete."""
+    return {intake.stream: intake.promised for intake in intakes}

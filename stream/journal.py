@@ -1,0 +1,145 @@
+"""What a session leaves on disk: the input log, recorded edges, what happened, metrics, checkpoints; and what a former session left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import structlog
+
+from stream.checkpoint import Checkpoint, Keeper, fingerprint
+from stream.chunk import FOREVER, NEVER, Chunk, StreamSpec, utc
+from stream.clock import SessionClock
+from stream.errors import RunError
+from stream.graph import Graph
+from stream.pipeline import Pipeline
+from stream.recording import Recorder, RecorderStatus, Recording, versions
+
+QUIET = {"source ended", "session resumed", "source reopened"}
+"""Reports that are news, not warnings."""
+
+log = structlog.get_logger(__name__)
+
+
+class Former:
+    """A session that was broken off: its recording and its last checkpoint, if it came to one."""
+
+    def __init__(self, folder: Path, graph: Graph) -> None:
+        """Raises RecordingError or RunError where it cannot be resumed with this graph."""
+        self.recording, self.checkpoint = Recording.open(folder), Checkpoint.load(folder)
+        if self.recording.finished and self.checkpoint is None:
+            raise RunError(f"{folder} holds a session that was ended properly; start a new one instead of resuming it")
+        graph_then = self.checkpoint.graph if self.checkpoint else fingerprint(self.recording.header["graph"])
+        if graph_then != fingerprint(graph.text):
+            raise RunError(f"{folder} was recorded with another graph; resume with that one, or start a new session")
+
+    @property
+    def last_time(self) -> int:
+        """The last stamp that it gave."""
+        lasts = [s.last for s in self.recording.streams.values() if s.last is not None and s.last < FOREVER // 2]
+        return max(lasts, default=NEVER)
+
+    def recorded(self, edge: str) -> int:
+        """How many samples of an edge are recorded."""
+        return self.recording.last_samples(edge) if edge in self.recording.streams else 0
+
+
+class Journal:
+    """Everything that is written while a session runs. Without a folder it writes nothing, and everything else is as ever.
+
+    sequence   the number of the input log's last chunk
+    """
+
+    def __init__(self, folder: Path | None, graph: Graph, clock: SessionClock, former: Former | None) -> None:
+        self.folder, self._graph, self._clock, self._former = folder, graph, clock, former
+        self.sequence = -1
+        self._recorder: Recorder | None = None
+        self._keeper: Keeper | None = None
+        if folder is not None:
+            self._recorder = Recorder(folder, self._header(), graph.recording, resume=former is not None)
+            self._keeper = Keeper(folder, self._recorder.flush)
+
+    def _header(self) -> dict[str, Any]:
+        return {
+            "graph": self._graph.text,
+            "graph_path": self._graph.path,
+            "name": self._graph.name,
+            "session": self._graph.session,
+            "clock": self._clock.to_json(),
+            "started": utc(self._clock.utc_ns),
+            "resumed": self._former is not None,
+            "versions": versions(),
+        }
+
+    def add_input(self, stream: str, spec: StreamSpec, first: int) -> int:
+        """Declare a stream of the input log; returns its number."""
+        return self._recorder.add_stream(stream, spec, "input", first) if self._recorder else -1
+
+    def tap_edges(self, pipeline: Pipeline) -> None:
+        """Record the edges that the graph asks for; what the input log holds anyway is not doubled."""
+        if self._recorder is None:
+            return
+        for edge in map(str, self._graph.record):
+            if edge not in pipeline.entries:
+                wire = pipeline.wires[edge]
+                done = self._former.recorded(edge) if self._former else 0
+                number = self._recorder.add_stream(edge, wire.spec, "edge", max(done, wire.samples))
+                wire.taps.append(self._tap(number, max(0, done - wire.samples)))
+
+    def _tap(self, number: int, skip: int) -> Callable[[Chunk], None]:
+        """Record an edge, but not again the `skip` samples that are recorded already."""
+        recorder = self._recorder
+        assert recorder
+
+        def tap(chunk: Chunk) -> None:
+            nonlocal skip
+            if skip:
+                n = min(skip, len(chunk.time))
+                skip -= n
+                if skip or n == len(chunk.time):
+                    return
+                chunk = chunk.part(n, len(chunk.time))
+            recorder.write(number, chunk, 0, self.sequence)
+
+        return tap
+
+    def enter(self, number: int, chunk: Chunk, arrival: int) -> None:
+        """A chunk enters the graph: its place in the input log."""
+        self.sequence += 1
+        if self._recorder:
+            self._recorder.write(number, chunk, arrival, self.sequence)
+
+    def report(self, kind: str, **facts: Any) -> None:
+        """Something worth knowing happened: to the log, and into the recording."""
+        tell = log.error if "failed" in kind else log.info if kind in QUIET else log.warning
+        tell(kind, **facts)
+        if self._recorder:
+            self._recorder.log(kind, self._clock.now(), **facts)
+
+    def metrics(self, table: dict[str, Any]) -> None:
+        if self._recorder:
+            self._recorder.metrics(self._clock.now(), table)
+
+    @property
+    def wants_checkpoint(self) -> bool:
+        return self._keeper is not None and not self._keeper.busy
+
+    def checkpoint(self, promised: dict[str, int], indices: dict[str, int], pipeline: Pipeline) -> None:
+        """Keep the state as it is now; it is copied here and written in the background."""
+        assert self._keeper
+        now, graph = self._clock.now(), fingerprint(self._graph.text)
+        self._keeper.keep(Checkpoint(self.sequence, now, graph, promised, indices, pipeline.snapshot()))
+
+    @property
+    def status(self) -> RecorderStatus | None:
+        return self._recorder.status if self._recorder else None
+
+    def close(self, *, well: bool) -> None:
+        """End the recording. After a session that ended `well` there is nothing to resume."""
+        if self._keeper:
+            self._keeper.wait()
+        if self._recorder:
+            self._recorder.close()
+        if self._keeper and well:
+            self._keeper.discard()
