@@ -28,6 +28,8 @@ ROUND_BYTES = 1 << 20
 """Beyond this many bytes of samples the gathering ends early."""
 SYNC_S = 2.0
 """How often the file is forced to the disk itself, for the case of a power cut."""
+FLUSH = -1
+"""Stands for a stream's number where everything must be written now."""
 GRACE_S = 5.0
 """How long `close` goes on trying to write to a disk that refuses."""
 
@@ -168,6 +170,12 @@ class Recorder:
             error=self._error,
         )
 
+    def flush(self, timeout_s: float = 5.0) -> bool:
+        """Wait until everything handed over so far is on the disk itself; returns whether it is. Not for the graph's thread."""
+        done = Event()
+        self._queue.put((FLUSH, done, 0, 0, 0))
+        return done.wait(timeout_s)
+
     def close(self) -> None:
         """Write what is left and the end, and wait for it; a disk that refuses is given up after some seconds."""
         self._stop.set()
@@ -206,6 +214,12 @@ class Recorder:
             self._due = now + self._options.flush_s
 
     def _take(self, number: int, what: Any, arrival: int, sequence: int, missed: int) -> None:
+        if number == FLUSH:
+            self._round()
+            self._sync_due = 0.0
+            self._save()
+            what.set()
+            return
         lane = self._lanes[number]
         if lane.spec is None:
             lane.got += OVERHEAD
