@@ -38,7 +38,7 @@ def presses(
 
     memory (5,)   the level now (-1: not known), whether the last load was above `on`, since when, whether it reached `off`, its stamp
     last   (1,)   the last load
-    found  (2, n + 1, 2)   presses and releases: stamp, onset. Returns how many of each.
+    found  (2, 2 n + 2, 2)   presses and releases: stamp, onset. Returns how many of each.
     """
     downs = ups = 0
     for i in range(time.shape[0]):
@@ -51,7 +51,7 @@ def presses(
         elif above != memory[ABOVE]:
             share = (on - last[0]) / (value - last[0])
             memory[ABOVE], memory[DEEP] = above, 0
-            memory[SINCE] = memory[LAST] + np.int64(share * (at - memory[LAST]))
+            memory[SINCE] = memory[LAST] + int(share * (at - memory[LAST]))
         if value <= off:
             memory[DEEP] = 1
         memory[LAST], last[0] = at, value

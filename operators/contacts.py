@@ -56,7 +56,7 @@ class Contacts(Operator[F]):
             return [(name, Chunk(time, np.empty(0, CONTACT), chunk.until, chunk.lost)) for name in self.outputs]
         state = self.state
         broken = chunk.lost != 0 and state.last != NEVER and int(time[0]) - state.last > state.gap_ns
-        found = np.empty((2, len(time) + 1, 2), np.int64)
+        found = np.empty((2, 2 * len(time) + 2, 2), np.int64)
         counts = self.follow(time, chunk.data, found)
         state.last = int(time[-1])
         return [
@@ -65,7 +65,7 @@ class Contacts(Operator[F]):
         ]
 
     def follow(self, time: Times, data: Array, found: Times) -> tuple[int, int]:
-        """Write touch-downs and lift-offs into `found` (2, n + 1, 2) as (stamp, onset) in ns; returns how many of each."""
+        """Write touch-downs and lift-offs into `found` (2, 2 n + 2, 2) as (stamp, onset) in ns; returns how many of each."""
         raise NotImplementedError
 
 
