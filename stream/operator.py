@@ -32,6 +32,7 @@ class Operator(Generic[S]):
     optional   those inputs that a graph may leave unconnected
     variadic   any number of inputs (at least one), named after what they are connected to; `inputs` is then empty
     outputs    names of the output ports; the first is meant where a graph names none
+    departures rules of the laws (RULES in stream/trial/broken.py) that do not hold here on purpose, each with the reason, for the docs
     """
 
     __slots__ = ("delay_s", "state")
@@ -39,6 +40,7 @@ class Operator(Generic[S]):
     optional: ClassVar[tuple[str, ...]] = ()
     variadic: ClassVar[bool] = False
     outputs: ClassVar[tuple[str, ...]] = ("out",)
+    departures: ClassVar[dict[str, str]] = {}
 
     state: S
     delay_s: float

@@ -1,0 +1,74 @@
+"""`kinegraph try`: hold an operator to the laws, before it meets a device."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from time import perf_counter
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import Progress
+
+from stream.errors import KinegraphError
+from stream.operator import Operator
+from stream.parts import find, import_from
+from stream.trial import Broken, Choices, Trial, smallest, trials
+
+
+def try_(
+    operator: Annotated[str, typer.Argument(help="dotted path to the class: my_ops.Gain")],
+    examples: Annotated[
+        int, typer.Option(min=1, help="how many random cuttings, gaps and bad samples to try per case")
+    ] = 50,
+    seed: Annotated[int, typer.Option(help="where chance begins: the same seed tries the same things")] = 1,
+) -> None:
+    """Try an operator on the laws: cut its case's samples in random ways, snapshot it, give it gaps and NaN, and compare.
+
+    Says which law is broken, where, and what to do; exit code 1. `cases` of the class gives the samples it is tried on.
+    """
+    import_from(Path())
+    cls = find(operator)
+    if not issubclass(cls, Operator):
+        raise KinegraphError(f"{operator} is a source; the laws are for operators and outlets")
+    console = Console(highlight=False)
+    try:
+        made = trials(cls)
+        for k, make in enumerate(made):
+            begun = perf_counter()
+            _one_case(make(), examples, seed, f"case {k + 1} of {len(made)}", console)
+            console.print(
+                f"case {k + 1} of {len(made)}: every law held, {examples} random tries, {perf_counter() - begun:.1f} s"
+            )
+    except Broken as broken:
+        raise LawBroken(operator, broken) from None
+    for rule, reason in cls.departures.items():
+        console.print(f"[dim]not asked: rule '{escape(rule)}' ({escape(reason)})[/dim]")
+
+
+def _one_case(trial: Trial, examples: int, seed: int, title: str, console: Console) -> None:
+    """Every check, then the random tries; what fails is made as simple as it goes."""
+    checks = trial.checks()
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task(title, total=len(checks) + examples)
+        for check in checks.values():
+            check()
+            progress.advance(task)
+        for k in range(examples):
+            choices = Choices(seed * 1_000_003 + k)
+            try:
+                trial.attempt(choices)
+            except Broken as broken:
+                progress.update(task, description="looking for the simplest case")
+                raise smallest(trial.attempt, choices, broken) from None
+            progress.advance(task)
+
+
+class LawBroken(KinegraphError):
+    """A broken law, with the operator's name before it."""
+
+    exit_code = 1
+
+    def __init__(self, operator: str, broken: Broken) -> None:
+        super().__init__(f"{operator} breaks {broken}")
