@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, StreamSpec
+from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Operator
 
@@ -55,12 +55,37 @@ C = TypeVar("C", bound=Continuity)
 
 
 class Filter(Operator[C]):
-    """A filter of one numeric stream; what `process` shares with other filters.
+    """A filter of one numeric stream: one sample out per sample in, later by the declared delay.
 
     Takes signals (channels,) and any other numeric samples, such as markers (points, 3): every number of a sample is filtered for itself.
+    Subclasses give `rest` and `work`, or their own `process`.
     """
 
     __slots__ = ()
+
+    def rest(self) -> None:
+        """Forget all samples: back to the state at the start."""
+
+    def work(self, x: Samples, time: Times, out: Samples, stamps: Times) -> None:
+        """Filter `x` (n, width) into `out`, and move `time` (n,) back by the delay into `stamps`: one kernel call."""
+        raise NotImplementedError
+
+    def process(self, port: str, chunk: Chunk) -> Chunk:
+        state = self.state
+        time = chunk.time
+        if not len(time):
+            return nothing(chunk, state)
+        if chunk.lost and state.breaks(chunk):
+            self.rest()
+        state.last = time[-1]
+        x = chunk.data
+        out: Samples = np.empty(x.shape)
+        stamps = np.empty(len(time), np.int64)
+        if state.plain:
+            self.work(x, time, out, stamps)
+        else:
+            self.work(rows(x, state.width), time, out.reshape(len(x), state.width), stamps)
+        return Chunk(stamps, out, back(chunk.until, state.delay_ns), chunk.lost)
 
     def watch(self, spec: StreamSpec, *, delay_s: float = 0.0, reset_gap_s: float = 0.0) -> dict[str, Any]:
         """The fields of `Continuity` for an input."""

@@ -120,10 +120,10 @@ class Sections(Filter[SectionsState]):
             unprimed=0,
         )
         self.hold(state, delay_s=delay_s)
-        self._rest()
+        self.rest()
         return {"out": spec.derive(settling_s=spec.settling_s + settling(sos) / rate_hz)}
 
-    def _rest(self) -> None:
+    def rest(self) -> None:
         state = self.state
         state.z[:] = 0.0
         if self.start == "first":
@@ -136,10 +136,11 @@ class Sections(Filter[SectionsState]):
         if not len(time):
             return nothing(chunk, state)
         if chunk.lost and state.breaks(chunk):
-            self._rest()
+            self.rest()
         state.last = time[-1]
         x = chunk.data
-        made = out = np.empty(x.shape)
+        made: Samples = np.empty(x.shape)
+        out = made
         if not state.plain:
             x, out = rows(x, state.width), made.reshape(len(x), state.width)
         if state.unprimed:

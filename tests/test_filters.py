@@ -4,58 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from one_stream import RATE, noise, run, same, signal_spec
 from scipy import signal
 
 from operators.iir import Bandpass, Highpass, Lowpass, Notch
 from operators.rectify import Rectify
 from operators.scale import Scale
-from stream.chunk import FOREVER, Chunk, StreamSpec
+from stream.chunk import StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.operator import grid
-
-RATE = 200.0
-
-
-def signal_spec(channels=3, rate_hz=RATE, **more):
-    return StreamSpec((channels,), rate_hz=rate_hz, **more)
-
-
-def run(operator, data, *, spec=None, time=None, cuts=(), lost=None):
-    """Everything that an operator with one input and one output makes of samples: (spec, stamps, data, {index: lost})."""
-    spec = spec or signal_spec(data.shape[1])
-    time = grid(spec.rate_hz, len(data)) if time is None else time
-    lost = lost or {}
-    operator = operator.fresh()
-    made = operator.open({"in": spec})["out"]
-    places = sorted({0, *cuts, *lost, len(data)})
-    emitted, stamps, values, marks, pending, told = [], [], [], {}, 0, None
-    for start, stop in zip(places[:-1], places[1:], strict=True):
-        until = int(time[stop]) - 1 if stop < len(time) else FOREVER
-        emitted.append(operator.process("in", Chunk(time[start:stop], data[start:stop], until, lost.get(start, 0))))
-    emitted.append(operator.close())
-    for given in emitted:
-        for chunk in [given] if isinstance(given, Chunk) else [c for _, c in given or ()]:
-            assert len(chunk.time) == len(chunk.data)
-            assert told is None or not len(chunk.time) or chunk.time[0] > told, "a sample at or before a promise"
-            told = chunk.until if told is None else max(told, chunk.until)
-            pending = chunk.lost or pending
-            if len(chunk.time) and pending:
-                marks[sum(map(len, stamps))] = pending
-                pending = 0
-            stamps.append(chunk.time)
-            values.append(chunk.data)
-            assert chunk.data.dtype == made.dtype and chunk.data.shape[1:] == made.shape
-            assert chunk.data.flags.c_contiguous
-    return made, np.concatenate(stamps), np.concatenate(values), marks
-
-
-def noise(n=700, channels=3, seed=0):
-    return np.random.default_rng(seed).normal(size=(n, channels)) + 0.7
-
-
-def same(a, b):
-    return np.array_equal(a, b, equal_nan=True)
-
 
 # Rectify, Scale
 
@@ -88,7 +45,7 @@ def test_scale_changes_numbers_and_unit():
 
 
 def test_scale_says_how_many_gains_it_takes():
-    with pytest.raises(ParameterError, match="gain is .*; it must be one number, or 3: one per channel"):
+    with pytest.raises(ParameterError, match=r"gain is .*; it must be one number, or 3: one per channel"):
         Scale(gain=(1.0, 2.0)).open({"in": signal_spec(3)})
 
 
