@@ -103,7 +103,7 @@ class _Reading:
             raise self._wrong(node, "anchors (&name, *name) that contain themselves or grow without end")
         if isinstance(node, ScalarNode):
             return Located(self._scalar(node), line)
-        if not str(node.tag).startswith(_TAG):
+        if str(node.tag) not in (_TAG + "map", _TAG + "seq"):
             raise self._wrong(node, f"the tag {node.tag!r} is refused; a graph holds plain values only")
         self._open.add(id(node))
         try:
