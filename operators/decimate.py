@@ -1,0 +1,78 @@
+"""Thinning out: every so-many-th sample is kept."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from operators.continuity import Continuity, Filter, numeric, regular, rows
+from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
+from stream.kernel import kernel
+from stream.operator import Case, grid
+from stream.params import param
+
+
+@kernel
+def thin_out(x: Samples, first: int, every: int, time: Times, out: Samples, stamps: Times) -> None:
+    """Rows first, first + every, ... of `x` (n, c) and `time` (n,) into `out` and `stamps`; what is not finite becomes NaN."""
+    for k in range(out.shape[0]):
+        i = first + k * every
+        stamps[k] = time[i]
+        for c in range(x.shape[1]):
+            out[k, c] = x[i, c] if abs(x[i, c]) < math.inf else math.nan
+
+
+@dataclass(slots=True)
+class DecimateState(Continuity):
+    skip: int
+    """How many samples pass before the next one is kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class Decimate(Filter[DecimateState]):
+    """Every `every`-th sample, unchanged, beginning with the first. No delay.
+
+    There is no filter in it: what lies above half of the new rate folds down, so a low-pass must come before it (or use Resample). In a
+    gap the lost samples are counted by time, so that what is kept stays on its grid; a gap above the limit begins a new grid. Bad samples
+    are kept like others, infinity as NaN.
+    """
+
+    every: int = param(least=1, help="one sample in so many is kept")
+    reset_gap_s: float = param(0.1, least=0.0, help="the first sample after a longer gap is kept")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = numeric(specs["in"])
+        rate_hz = regular(spec)
+        self.hold(DecimateState(**self.watch(specs["in"], reset_gap_s=self.reset_gap_s), skip=0))
+        return {"out": spec.derive(rate_hz=rate_hz / self.every)}
+
+    def process(self, port: str, chunk: Chunk) -> Chunk:
+        state = self.state
+        n = len(chunk.time)
+        lost = 0
+        if n:
+            if chunk.lost:
+                lost = -1
+                state.skip = 0 if state.breaks(chunk) else (state.skip - state.missing(chunk)) % self.every
+            state.last = chunk.time[-1]
+        first = state.skip
+        if first >= n:
+            state.skip = first - n
+            return Chunk(np.empty(0, np.int64), np.empty((0, *chunk.data.shape[1:])), chunk.until, lost)
+        state.skip = (first - n) % self.every
+        m = 1 + (n - first - 1) // self.every
+        out: Samples = np.empty((m, *chunk.data.shape[1:]))
+        stamps = np.empty(m, np.int64)
+        x, flat = chunk.data, out
+        if not state.plain:
+            x, flat = rows(x, state.width), out.reshape(m, state.width)
+        thin_out(x, first, self.every, chunk.time, flat, stamps)
+        return Chunk(stamps, out, chunk.until, lost)
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        data = np.random.default_rng(9).normal(size=(400, 3))
+        return [Case(cls(every=7), {"in": (StreamSpec((3,), rate_hz=100.0), grid(100.0, 400), data)}, least=57)]

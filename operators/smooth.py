@@ -1,0 +1,94 @@
+"""Binomial smoothing (thesis, section 2.6.2: accelerations at 30 Hz, a window of 16 frames)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from operators.continuity import Continuity, Filter, numeric, regular
+from stream.chunk import Samples, Specs, StreamSpec, Times
+from stream.kernel import kernel
+from stream.operator import Case, grid
+from stream.params import param
+
+
+@kernel
+def weigh(
+    x: Samples, weights: Samples, ring: Samples, places: Times, time: Times, delay_ns: int, out: Samples, stamps: Times
+) -> None:
+    """Weighted mean of the newest values of every channel of `x` (n, c) into `out` (n, c).
+
+    weights  (w,)     for the newest value, the one before it, ...; sum 1
+    ring     (2w, c)  the newest w values, each written twice, w rows apart, so that any w of them stand in a row
+    places   (2, c)   the place in the ring that is filled next, and how many are filled
+    """
+    w = weights.shape[0]
+    for i in range(x.shape[0]):
+        stamps[i] = time[i] - delay_ns
+        for c in range(x.shape[1]):
+            v = x[i, c]
+            if not abs(v) < math.inf:
+                out[i, c] = math.nan
+                continue
+            at = places[0, c]
+            ring[at, c] = v
+            ring[at + w, c] = v
+            places[0, c] = 0 if at == w - 1 else at + 1
+            places[1, c] = min(places[1, c] + 1, w)
+            total = 0.0
+            weight = 0.0
+            for k in range(places[1, c]):
+                total += weights[k] * ring[at + w - k, c]
+                weight += weights[k]
+            out[i, c] = total if places[1, c] == w else total / weight
+
+
+@dataclass(slots=True)
+class BinomialState(Continuity):
+    weights: Samples
+    ring: Samples
+    places: Times
+
+
+@dataclass(frozen=True, slots=True)
+class Binomial(Filter[BinomialState]):
+    """A mean of the newest `window` samples, weighted by the binomial coefficients of order `window` - 1 (near to a Gaussian).
+
+    Stamps are those of the window's centre, (window - 1) / 2 samples earlier: the declared delay, exact at all frequencies. Until the
+    window is full, the mean is that of what has come, by the weights it will have had. Bad samples do not enter the window.
+
+    The thesis names a window of 16 frames and neither its weights nor its alignment: here they are C(15, k) / 2^15 and the centre.
+    """
+
+    window: int = param(16, least=1, most=1000, help="how many samples are weighed")
+    reset_gap_s: float = param(0.1, least=0.0, help="a longer gap empties the window")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = numeric(specs["in"])
+        rate_hz = regular(spec)
+        w = self.window
+        delay_s = (w - 1) / 2 / rate_hz
+        watch = self.watch(specs["in"], delay_s=delay_s, reset_gap_s=self.reset_gap_s)
+        state = BinomialState(
+            **watch,
+            weights=np.array([math.comb(w - 1, k) / 2 ** (w - 1) for k in range(w)]),
+            ring=np.zeros((2 * w, watch["width"])),
+            places=np.zeros((2, watch["width"]), np.int64),
+        )
+        self.hold(state, delay_s=delay_s)
+        return {"out": spec.derive(settling_s=spec.settling_s + (w - 1) / rate_hz)}
+
+    def rest(self) -> None:
+        self.state.places[:] = 0
+
+    def work(self, x: Samples, time: Times, out: Samples, stamps: Times) -> None:
+        s = self.state
+        weigh(x, s.weights, s.ring, s.places, time, s.delay_ns, out, stamps)
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        data = np.random.default_rng(7).normal(size=(300, 3))
+        return [Case(cls(), {"in": (StreamSpec((3,), rate_hz=30.0), grid(30.0, 300), data)}, least=300)]
