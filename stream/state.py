@@ -102,7 +102,7 @@ def _hints(cls: Any) -> dict[str, Any]:
     return get_type_hints(cls)
 
 
-def _hint(cls: type[Any], name: str) -> Any:
+def _hint(cls: Any, name: str) -> Any:
     """The annotated type of a field; None where it cannot be resolved at run time (a name imported for type checkers only)."""
     try:
         return _hints(cls).get(name)
