@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from stream.errors import ParameterError, nearest
 from stream.graph import NodeOptions
-from stream.operator import Operator
+from stream.operator import Operator, Outlet
 from stream.params import build
 from stream.parts import Part, UseError, find
 from stream.problems import Problems
@@ -80,7 +80,7 @@ def _fill(draft: Draft, given: dict[str, Located], problems: Problems) -> None:
             problems.add(f"{draft.kind.__name__} has no parameter {key!r}; {hint}", at, draft.name)
     options = build_from(NodeOptions, {k: v for k, v in given.items() if k in allowed}, problems, node=draft.name)
     draft.options = options or NodeOptions()
-    if issubclass(draft.kind, Operator) and not draft.options.lane:
+    if issubclass(draft.kind, Operator) and not issubclass(draft.kind, Outlet) and not draft.options.lane:
         for key in {"queue", "policy"} & given.keys():
             problems.add(f"{key!r} needs a 'lane'; without one nothing waits here", given[key], draft.name)
     values = {k: v for k, v in given.items() if k in parameters}

@@ -125,6 +125,7 @@ def _node(path: str, part: Part) -> Json:
     if issubclass(part, Operator):
         properties["from"] = _from(part)
         required.append("from")
+    if kind_of(part) == "operator":
         node["dependentRequired"] = {"queue": ["lane"], "policy": ["lane"]}
     node["properties"] = {**properties, **made.get("properties", {}), **{key: options[key] for key in allowed}}
     node["required"] = required

@@ -57,7 +57,7 @@ def test_check_shows_the_paths_of_a_late_graph_too(good: Path, capsys: pytest.Ca
 
 
 def test_draw_a_tree(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    draw(good, set_=["low.order=3"])
+    draw(good, settings=["low.order=3"])
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "walking"
     assert lines[1] == "└── board graph_parts.Board()"

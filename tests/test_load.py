@@ -28,7 +28,7 @@ nodes:
   cycles:
     use: graph_parts.Cycles
     from: {touchdown: board.touchdown, signal: low}
-  screen: {use: graph_parts.Screen, from: cycles}
+  screen: {use: graph_parts.Screen, from: cycles, policy: drop_oldest, queue: 16}
   low:
     use: graph_parts.Low
     from: board

@@ -69,7 +69,7 @@ def test_memory_counts_states_and_queues() -> None:
     lane = memory(
         "low: {use: graph_parts.Low, from: board, lane: x, queue: 10}\nscreen: {use: graph_parts.Screen, from: low}"
     )
-    assert one - none == 8000, "the state of Low"
+    assert one - none == 8000, "the state of Low; the same chunks wait before the outlet"
     assert lane - one == 10 * (300 + 20 * (16 + 8)), "ten chunks of 20 ms wait before the lane"
 
 

@@ -18,13 +18,21 @@ from stream.plan import Plan, plan, refuse_late
 
 
 def check(
-    config: Annotated[File, typer.Argument(help="the graph, a YAML file")],
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NODE.PARAMETER=VALUE", help="replace a value of the graph")
+    config: Annotated[File, typer.Argument(help="the graph, a YAML file", metavar="CONFIG")],
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NODE.PARAMETER=VALUE", help="change a parameter of the graph")
+    ] = None,
+    recording: Annotated[
+        File | None, typer.Option(help="check it against the streams of this recording, as for a replay")
     ] = None,
 ) -> None:
-    """Check a graph without opening any device: names, parameters, specs, delay and memory. Exit code 2 if it cannot run."""
-    graph = load(config, overrides=overrides.read(set_ or ()))
+    """Check a graph without opening any device: names, parameters, streams, delay and memory. Exit code 2 if it cannot run."""
+    recorded = None
+    if recording:
+        from stream.recording import Recording
+
+        recorded = {name: stream.spec for name, stream in Recording.open(recording).streams.items()}
+    graph = load(config, recorded=recorded, overrides=overrides.read(settings or ()))
     planned = plan(graph, enforce=False)
     console = Console(highlight=False)
     if not console.is_terminal:

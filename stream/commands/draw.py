@@ -20,16 +20,16 @@ class Format(StrEnum):
 
 
 def draw(
-    config: Annotated[Path, typer.Argument(help="the graph, a YAML file")],
+    config: Annotated[Path, typer.Argument(help="the graph, a YAML file", metavar="CONFIG")],
     format: Annotated[
         Format, typer.Option(help="a tree for the terminal, Mermaid for Markdown, DOT for Graphviz")
     ] = Format.tree,
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NODE.PARAMETER=VALUE", help="replace a value of the graph")
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NODE.PARAMETER=VALUE", help="change a parameter of the graph")
     ] = None,
 ) -> None:
     """Draw a graph: its nodes, what flows between them, and what is recorded."""
-    graph = load(config, overrides=overrides.read(set_ or ()))
+    graph = load(config, overrides=overrides.read(settings or ()))
     match format:
         case Format.mermaid:
             print(drawing.mermaid(graph), end="")
