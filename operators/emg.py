@@ -1,0 +1,273 @@
+"""EMG envelope: high-pass, rectify, thin out without aliasing, low-pass, with the delay taken off the stamps (thesis 6.2.2, 6.2.3)."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+from typing import Literal
+
+import numpy as np
+
+from operators.emg_kernel import envelope, gap
+from operators.zero_phase import antialias_phases, highpass_reach, lowpass_phases
+from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
+from stream.errors import InputError, ParameterError
+from stream.operator import Case, Emitted, Operator, grid
+from stream.params import param
+
+
+@dataclass(slots=True)
+class Filters:
+    """What the parameters and the input's rate come to; see `operators.emg_kernel.envelope` for the shapes."""
+
+    hp_sos: Samples
+    hp_start: Samples
+    ahead: int
+    taps: Samples
+    step: Times
+    lp_sos: Samples
+    delay_s: float
+    settling_s: float
+
+
+@dataclass(slots=True)
+class EnvelopeState:
+    filters: Filters
+    hp_z: Samples
+    back_z: Samples
+    ahead: Samples
+    rectified: Samples
+    lp_z: Samples
+    held: Samples
+    bad: Array
+    stamps: Times
+    count: Times
+    last: int
+    limit: int
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Samples start..stop-1 of a chunk, `lost` before them; `anew`: the filters start again."""
+
+    start: int
+    stop: int
+    lost: int
+    anew: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Envelope(Operator[EnvelopeState]):
+    """Raw EMG (channels,) in, its linear envelope out, at `rate_hz`, in the input's unit.
+
+    The thesis rectifies, reduces the rate to 120 Hz behind an anti-alias filter, and low-passes (Butterworth, order 4, 20 Hz). Departures:
+    - Offset and motion artefact are removed before rectifying, by a high-pass of `highpass_hz` (SENIAM: 10-20 Hz), since rectifying
+      would turn them into activity for good. 0 leaves it out.
+    - `phase: zero` (default) filters forwards and backwards: the high-pass on short overlapping blocks, the low-pass as a symmetric FIR
+      filter of the squared response (`operators.zero_phase`). Peaks stay where they are; the look-ahead is 0.22 s with the defaults.
+      The low-pass is its own anti-alias filter: 76 dB down at 60 Hz.
+    - `phase: causal` uses the Butterworth filters as they are, about 0.05 s behind; stamps are set back by the anti-alias filter's delay
+      and by the low-pass's mean group delay below half its cut-off. One peak in ten then lies more than 1 % of a cycle off.
+
+    Delay: declared by `delay_s`, subtracted from the stamps. The last `delay_s` of a stream lack their look-ahead and do not come out.
+    NaN or infinity: the last finite value of that channel stands in; the outputs whose interval holds it are NaN.
+    A gap longer than `reset_gap_s` starts anew, settling for `settling_s`; after a shorter one the samples are taken as consecutive.
+    """
+
+    cutoff_hz: float = param(20.0, above=0.0, help="cut-off of the low-pass (each way)")
+    order: int = param(4, least=1, most=10)
+    highpass_hz: float = param(20.0, least=0.0, help="cut-off of the high-pass before rectifying; 0: none")
+    highpass_order: int = param(2, least=1, most=6)
+    rate_hz: float = param(120.0, least=0.0, help="rate of the envelope; 0: the input's")
+    phase: Literal["zero", "causal"] = param(
+        "zero", help="zero: peaks stay where they are; causal: sooner, peaks move a little"
+    )
+    reset_gap_s: float = param(0.05, least=0.0, help="a longer gap starts the filters anew")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = specs["in"]
+        if not spec.is_signal or spec.rate_hz is None or spec.dtype.kind not in "iuf":
+            raise InputError("in", spec.describe(), "a signal of channels at a regular rate")
+        up, down, rate = self._ratio(spec.rate_hz)
+        self._check(spec.rate_hz, rate)
+        filters = (self._zero if self.phase == "zero" else self._causal)(spec.rate_hz, up, down, rate)
+        n, waits, long = spec.shape[0], filters.ahead + int(filters.step[2]), filters.taps.shape[1]
+        ring = waits + long // 2 + down // up + 3
+        state = EnvelopeState(
+            filters=filters,
+            hp_z=np.zeros((len(filters.hp_sos), 2, n)),
+            back_z=np.zeros((len(filters.hp_sos), 2, n)),
+            ahead=np.zeros((waits, n)),
+            rectified=np.zeros((2 * long, n)),
+            lp_z=np.zeros((len(filters.lp_sos), 2, n)),
+            held=np.full(n, np.nan),
+            bad=np.zeros((ring, n), np.uint8),
+            stamps=np.zeros((ring, 2), np.int64),
+            count=np.zeros(4, np.int64),
+            last=NEVER,
+            limit=spec.period_ns + round(self.reset_gap_s * NS),
+        )
+        self.hold(state, delay_s=filters.delay_s)
+        made = {"envelope": {k: v for k, v in asdict(self).items() if k != "reset_gap_s"}, "normalisation": "none"}
+        out = spec.derive(
+            dtype=np.dtype(np.float64),
+            rate_hz=rate,
+            settling_s=spec.settling_s + filters.settling_s,
+            meta={**spec.meta, **made},
+        )
+        return {"out": out}
+
+    def process(self, port: str, chunk: Chunk) -> Emitted:
+        s = self.state
+        if not len(chunk.time):
+            return Chunk(np.empty(0, np.int64), np.empty((0, len(s.held))), self._until(chunk.until))
+        x = np.ascontiguousarray(chunk.data, np.float64)
+        runs = [
+            self._run(x[run.start : run.stop], chunk.time[run.start : run.stop], run.lost, run.anew)
+            for run in self._runs(chunk)
+        ]
+        marks, out = (
+            runs[0] if len(runs) == 1 else (np.concatenate([m for m, _ in runs]), np.concatenate([o for _, o in runs]))
+        )
+        whole = Chunk(marks[:, 0].copy(), out, self._until(chunk.until))
+        lost = marks[:, 1]
+        return _cut(whole, lost) if lost.any() else whole
+
+    @classmethod
+    def cases(cls) -> list[Case]:
+        rng = np.random.default_rng(6)
+        spec = StreamSpec((3,), rate_hz=500.0, channels=("TA", "GM", "SO"), units=("uV",))
+        samples = {"in": (spec, grid(500.0, 700), rng.standard_normal((700, 3)) * 50 + 10)}
+        return [
+            Case(cls(), samples, least=100),
+            Case(cls(phase="causal", cutoff_hz=8.0), samples, least=100),
+            Case(cls(rate_hz=0.0, highpass_hz=0.0), samples, least=500),
+        ]
+
+    def _ratio(self, rate_hz: float) -> tuple[int, int, float]:
+        """Output over input rate as up / down, and the rate that gives."""
+        wanted = self.rate_hz or rate_hz
+        ratio = Fraction(wanted / rate_hz).limit_denominator(1000)
+        if not 0 < ratio <= 1 or abs(float(ratio) * rate_hz / wanted - 1) > 1e-3:
+            raise ParameterError(
+                "rate_hz",
+                self.rate_hz,
+                f"between {rate_hz / 1000:g} and {rate_hz:g} (the input's rate), or 0 to keep that",
+            )
+        return ratio.numerator, ratio.denominator, rate_hz * ratio.numerator / ratio.denominator
+
+    def _check(self, rate_in: float, rate_out: float) -> None:
+        if self.cutoff_hz >= rate_out / 2:
+            raise ParameterError(
+                "cutoff_hz", self.cutoff_hz, f"below {rate_out / 2:g} (half of the envelope's {rate_out:g} Hz)"
+            )
+        if self.highpass_hz >= rate_in / 2:
+            raise ParameterError(
+                "highpass_hz", self.highpass_hz, f"below {rate_in / 2:g} (half of the input's {rate_in:g} Hz)"
+            )
+
+    def _zero(self, rate_in: float, up: int, down: int, rate_out: float) -> Filters:
+        hp, start = self._highpass(rate_in)
+        ahead = highpass_reach(self.highpass_hz, self.highpass_order, rate_in) if len(hp) else 0
+        block = down // up + 1 if len(hp) else 1
+        taps = lowpass_phases(self.cutoff_hz, self.order, rate_in, up)
+        delay = (ahead + block - 1 + taps.shape[1] // 2) / rate_in
+        return Filters(
+            hp, start, ahead, taps, self._step(rate_in, up, down, block, 0.0), np.zeros((0, 6)), delay, delay
+        )
+
+    def _causal(self, rate_in: float, up: int, down: int, rate_out: float) -> Filters:
+        from scipy.signal import butter, freqz_sos
+
+        hp, start = self._highpass(rate_in)
+        settling = 1.2 * self.highpass_order / self.highpass_hz if len(hp) else 0.0
+        low = np.ascontiguousarray(butter(self.order, self.cutoff_hz, fs=rate_out, output="sos"))
+        taps = np.ones((1, 1))
+        if up != down:
+            taps = antialias_phases(self.cutoff_hz, max(rate_out - self.cutoff_hz, 0.6 * rate_out), rate_in, up)
+        frequencies = np.linspace(0.0, self.cutoff_hz / 2, 101)
+        phase = np.unwrap(np.angle(freqz_sos(low, frequencies, fs=rate_out)[1]))
+        group = float(-np.mean(np.diff(phase)) / (2 * np.pi * frequencies[1]))
+        look = taps.shape[1] // 2 / rate_in
+        step = self._step(rate_in, up, down, 1, group)
+        return Filters(
+            hp,
+            start,
+            0,
+            taps,
+            step,
+            low,
+            look + group,
+            settling + 2 * look + 1.2 * self.order / self.cutoff_hz,
+        )
+
+    def _highpass(self, rate_hz: float) -> tuple[Samples, Samples]:
+        from scipy.signal import butter, sosfilt_zi
+
+        if not self.highpass_hz:
+            return np.zeros((0, 6)), np.zeros((0, 2))
+        sos = np.ascontiguousarray(butter(self.highpass_order, self.highpass_hz, "highpass", fs=rate_hz, output="sos"))
+        return sos, np.ascontiguousarray(sosfilt_zi(sos))
+
+    @staticmethod
+    def _step(rate_in: float, up: int, down: int, block: int, shift_s: float) -> Times:
+        """`step` of the kernel: the stamps' shift is in it."""
+        after = np.round(np.arange(up) / up * (NS / rate_in) - shift_s * NS).astype(np.int64)
+        return np.concatenate([np.array([up, down, block], np.int64), after])
+
+    def _runs(self, chunk: Chunk) -> list[Run]:
+        """The chunk cut where a gap is long enough to start anew."""
+        s = self.state
+        before = s.last if s.last != NEVER else int(chunk.time[0])
+        same = s.filters.step[0] == s.filters.step[1]
+        runs = []
+        start, lost, anew = 0, chunk.lost if same or not chunk.lost else -1, False
+        while start < len(chunk.time):
+            stop = gap(chunk.time, before, s.limit, start + anew)
+            if stop > start:
+                runs.append(Run(start, stop, lost, anew))
+            start, lost, anew = stop, -1, True
+        return runs
+
+    def _run(self, x: Samples, time: Times, lost: int, anew: bool) -> tuple[Times, Samples]:
+        """Consecutive samples to what is then known: per row its stamp and the `lost` before it, and the rows."""
+        s, f = self.state, self.state.filters
+        if anew:
+            self._reset()
+        s.last = int(time[-1])
+        room = (len(x) + len(s.ahead)) * int(f.step[0]) // int(f.step[1]) + 3
+        out, marks = np.empty((room, x.shape[1])), np.empty((room, 2), np.int64)
+        rows = envelope(
+            x, time, lost, f.hp_sos, f.hp_start, s.hp_z, s.back_z, s.ahead, f.taps, f.step, s.rectified, f.lp_sos, s.lp_z,
+            s.held, s.bad, s.stamps, s.count, out, marks,
+        )  # fmt: skip
+        return marks[:rows], out[:rows]
+
+    def _reset(self) -> None:
+        s = self.state
+        for array in (s.hp_z, s.ahead, s.rectified, s.lp_z, s.bad, s.stamps, s.count):
+            array[...] = 0
+        s.held[...] = np.nan
+
+    def _until(self, until: int) -> int:
+        """Just before the next output's stamp, as far as that is known; else what the input's `until` allows."""
+        s, step = self.state, self.state.filters.step
+        if until in (FOREVER, NEVER):
+            return until
+        earliest = until + min(int(step[3]), 0)
+        up, down = int(step[0]), int(step[1])
+        sample, phase = divmod(int(s.count[2]) * down, up)
+        if s.last == NEVER or sample >= s.count[0] or until >= s.last + s.limit:
+            return earliest
+        return min(earliest, int(s.stamps[sample % len(s.stamps), 0] + step[3 + phase]) - 1)
+
+
+def _cut(whole: Chunk, lost: Times) -> list[tuple[str, Chunk]]:
+    """The chunk cut before every sample that has something `lost` before it (n,)."""
+    starts = sorted({0, *(int(i) for i in lost.nonzero()[0])})
+    pieces = []
+    for a, b in zip(starts, [*starts[1:], len(whole)], strict=True):
+        piece = whole.part(a, b)
+        piece.lost = int(lost[a])
+        pieces.append(("out", piece))
+    return pieces
