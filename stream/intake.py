@@ -63,7 +63,7 @@ class Intake:
 
 
 class CommonStart:
-    """No sample passes until every required source is ready. What a live device sends before is left out; a file waits instead."""
+    """No sample passes until every required source is ready. What a live device sends before is left out; files and people wait instead."""
 
     def __init__(self, runners: list[Runner]) -> None:
         self._required = [r for r in runners if r.node.options.required and not r.source.background]
@@ -75,7 +75,8 @@ class CommonStart:
         """What may enter now that this chunk has come: it and all that was held, or nothing yet."""
         if self.done:
             return [(intake, chunk, arrival)]
-        if not intake.runner.source.live or self.ready:
+        source = intake.runner.source
+        if self.ready or source.background or not source.live:
             self._held.append((intake, chunk, arrival))
         return self.release()
 

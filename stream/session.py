@@ -91,7 +91,7 @@ class Session:
         self._down = False
         self.table: Table = {}
         waits = not any(s.live for s in graph.parts(Source) if not s.background)
-        self._lanes = Lanes(self._bell, waits, self._lane_failed, self._lane_dropped)
+        self._lanes = Lanes(self._bell, waits, self._fail, self._lane_dropped)
 
     def stop(self) -> None:
         """End the session cleanly; may be called from any thread and from a signal handler."""
@@ -138,7 +138,9 @@ class Session:
             self.pipeline.restore(checkpoint.arrays)
         self.journal = Journal(self.folder, self.graph, self.clock, self._former)
         self.journal.sequence = checkpoint.sequence if checkpoint else -1
-        self._runners = [Runner(node, self._bell, self.clock, self.journal.report) for node in self.graph.sources]
+        self._runners = [
+            Runner(node, self._bell, self.clock, self.journal.report, self._fail) for node in self.graph.sources
+        ]
         self._intakes = [self._intake(r, output) for r in self._runners for output in r.channels]
         for intake in self._intakes:
             intake.promised = checkpoint.promised.get(intake.stream, NEVER) if checkpoint else NEVER
@@ -184,6 +186,7 @@ class Session:
         for stage in self.pipeline.outlets:
             stage.muted = False
         self._lanes.repeat({}, {})
+        recording.close()
         self.journal.report("session resumed", sequence=self.journal.sequence)
 
     def _loop(self) -> None:
@@ -298,7 +301,8 @@ class Session:
             self._lanes.settle(self._pump)
             self.journal.checkpoint(promises(self._intakes), self._lanes.indices, self.pipeline)
 
-    def _lane_failed(self, error: Exception) -> None:
+    def _fail(self, error: Exception) -> None:
+        """From any thread: the run ends with this error."""
         self._error = self._error or error
         self._bell.put(None)
 
@@ -346,4 +350,4 @@ class Session:
         if self._down:
             return 3
         status = self.journal.status
-        return 5 if (status and status.dropped) or any(s.failed for s in self.pipeline.outlets) else 0
+        return 5 if (status and (status.dropped or status.error)) or any(s.failed for s in self.pipeline.outlets) else 0

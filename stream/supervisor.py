@@ -15,7 +15,7 @@ import structlog
 from stream.channel import Channel, Doorbell
 from stream.chunk import FOREVER, Chunk, empty, utc
 from stream.clock import SessionClock
-from stream.errors import DeviceError, KinegraphError
+from stream.errors import DeviceError, KinegraphError, RunError
 from stream.graph import Edge, Node
 from stream.source import Source
 
@@ -90,9 +90,12 @@ class Runner:
     openings   how often the source was opened
     """
 
-    def __init__(self, node: Node, bell: Doorbell, clock: SessionClock, report: Report) -> None:
+    def __init__(
+        self, node: Node, bell: Doorbell, clock: SessionClock, report: Report, fatal: Callable[[Exception], None]
+    ) -> None:
+        """`fatal` is told of what ends the run, not only this opening of the source: a queue that must not fill is full."""
         assert isinstance(node.part, Source)
-        self.node, self.clock, self.report = node, clock, report
+        self.node, self.clock, self.report, self._fatal = node, clock, report, fatal
         self.source: Source = node.part.fresh()
         options = node.options
         self.channels = {
@@ -189,6 +192,8 @@ class Runner:
                 self._end()
         except _StopReadingError:
             pass
+        except RunError as error:
+            self._fatal(error)
         except KinegraphError as error:
             if not feed.stopped:
                 self._failed(str(error))

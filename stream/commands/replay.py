@@ -47,7 +47,7 @@ def replay(
     from stream.replay import Replay
 
     logs.set_up()
-    source = Recording.open(recording)
+    source = Recording.open(recording)  # closed when the program ends
     graph = load(config, recorded={n: s.spec for n, s in source.streams.items()}, overrides=read(settings or []))
     run = Replay(graph, source, speaking=_speaking(graph, speak or []), speed=speed or None, output=out)
     before = signal.signal(signal.SIGINT, lambda *_: run.stop())

@@ -1,0 +1,5 @@
+"""`python -m stream` is `kinegraph`."""
+
+from stream.cli import main
+
+main()

@@ -1,0 +1,287 @@
+"""Live sessions: order and loss, supervision, lanes, the common start, a clean end in every case."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import parts
+import pytest
+
+from stream.errors import DeviceError, RunError
+from stream.load import load_text
+from stream.recording import Recording
+from stream.session import Outcome, Session
+
+HERE = Path(__file__).parent
+
+
+opened: list[Recording] = []
+
+
+@pytest.fixture(autouse=True)
+def _clean() -> Iterator[None]:
+    parts.seen.clear()
+    parts.openings.clear()
+    yield
+    while opened:
+        opened.pop().close()
+
+
+def recorded(folder: Path) -> Recording:
+    """The recording in a folder; closed after the test."""
+    opened.append(Recording.open(folder))
+    return opened[-1]
+
+
+def run(nodes: str, folder: Path | None = None, top: str = "", **options: object) -> Outcome:
+    """Run a graph given as YAML nodes, to its end."""
+    return session_of(nodes, folder, top, **options).run()
+
+
+def session_of(nodes: str, folder: Path | None = None, top: str = "", **options: object) -> Session:
+    graph = load_text(f"{top}\nnodes:\n{nodes}", path=str(HERE / "graph.yaml"))
+    return Session(graph, folder, **options)  # type: ignore[arg-type]
+
+
+CHAIN = """
+  board: {use: parts.Counting, samples: 5000, chunk: 7 %s}
+  same: {use: parts.Identity, from: board}
+  out: {use: parts.Collect, from: same}
+"""
+
+
+def test_every_sample_arrives_once_and_in_order() -> None:
+    outcome = run(CHAIN % "")
+    assert outcome.exit_code == 0, outcome.error
+    assert parts.numbers() == list(range(5000))
+    assert parts.lost() == []
+    assert outcome.compiled == []
+
+
+def test_all_threads_end() -> None:
+    run(CHAIN % "")
+    assert parts.threads() == set()
+
+
+def test_a_queue_that_drops_counts_and_marks_every_sample(tmp_path: Path) -> None:
+    nodes = """
+  board: {use: parts.Counting, samples: 2000, realtime: true, chunk: 10, queue: 3, policy: drop_oldest}
+  slow: {use: parts.RunningSum, from: board, slow_s: 0.03}
+  out: {use: parts.Collect, from: board, policy: block}
+"""
+    outcome = run(nodes, tmp_path / "s")
+    assert outcome.exit_code == 0, outcome.error
+    got = parts.numbers()
+    assert got == sorted(set(got))
+    assert len(got) < 2000
+    assert len(got) + sum(parts.lost()) == 2000 or got[0] > 0
+    assert outcome.table["board"]["dropped"] == 2000 - len(got)
+    log = recorded(tmp_path / "s").log
+    assert sum(e["samples"] for e in log if e["kind"] == "source queue dropped") == 2000 - len(got)
+
+
+def test_a_queue_that_must_not_fill_fails_the_source() -> None:
+    nodes = """
+  board: {use: parts.Counting, samples: 500, chunk: 1, queue: 2, policy: fail, realtime: true}
+  slow: {use: parts.RunningSum, from: board, slow_s: 0.02}
+"""
+    outcome = run(nodes, duration_s=1.0)
+    assert outcome.exit_code == 4
+    assert "queue of board is full" in str(outcome.error)
+
+
+@pytest.mark.parametrize("trouble", ["dies", "hangs"])
+def test_a_source_that_fails_is_opened_again_and_the_gap_is_marked(trouble: str, tmp_path: Path) -> None:
+    nodes = f"""
+  board: {{use: parts.Counting, samples: 1500, realtime: true, trouble: {trouble}, silence_s: 0.4, key: one}}
+  other: {{use: parts.Counting, samples: 2200, realtime: true, key: two}}
+  out: {{use: parts.Collect, from: board}}
+  beside: {{use: parts.Collect, from: other, name: beside}}
+"""
+    outcome = run(nodes, tmp_path / "s")
+    assert outcome.exit_code == 0, outcome.error
+    assert parts.openings == {"one": 2, "two": 1}
+    assert parts.lost() == [-1]
+    first, beside = parts.numbers(), parts.numbers("beside")
+    assert first == list(range(first[0], 1500))
+    assert beside == list(range(beside[0], 2200))
+    assert min(first[0], beside[0]) == 0
+    assert parts.lost("beside") == []
+    kinds = [e["kind"] for e in recorded(tmp_path / "s").log]
+    assert "source failed" in kinds
+    assert "source reopened" in kinds
+
+
+def test_a_required_source_that_never_starts_ends_the_run_with_its_name() -> None:
+    nodes = "  bed: {use: parts.Silent, deadline_s: 0.3}\n" + CHAIN % ", realtime: true"
+    outcome = run(nodes)
+    assert isinstance(outcome.error, DeviceError)
+    assert outcome.exit_code == 3
+    assert "'bed' gave nothing within 0.3 s" in str(outcome.error)
+    assert parts.numbers() == []
+
+
+def test_a_source_that_is_not_required_may_be_missing() -> None:
+    nodes = "  bed: {use: parts.Silent, required: false}\n" + CHAIN % ""
+    outcome = run(nodes, duration_s=0.5)
+    assert parts.numbers() == list(range(5000))
+    assert outcome.error is None
+
+
+def test_samples_that_run_backwards_are_refused_and_counted() -> None:
+    outcome = run(CHAIN % ", trouble: backwards, at: 2002")
+    assert outcome.table["board"]["problems"] == {"time ran backwards": 4}
+    assert len(parts.numbers()) == 4996
+
+
+def test_a_silent_source_does_not_stop_a_merge_and_what_comes_late_is_dropped(tmp_path: Path) -> None:
+    nodes = """
+  one: {use: parts.Counting, samples: 2500, realtime: true, key: one}
+  two: {use: parts.Counting, samples: 1000, realtime: true, trouble: pauses, pause_s: 1.5, at: 300, patience_s: 0.3, stale_s: 0.2, key: two}
+  both: {use: parts.Beside, from: {a: one, b: two}}
+  out: {use: parts.Collect, from: both}
+"""
+    outcome = run(nodes, tmp_path / "s", "record: [both]")
+    assert outcome.error is None
+    times = [t for c in parts.seen["out"] for t in c.time]
+    assert times == sorted(times)
+    assert outcome.table["two"]["late"] > 500
+    kinds = {e["kind"] for e in recorded(tmp_path / "s").log}
+    assert {"silent source advanced", "stream is stale", "late samples dropped"} <= kinds
+
+
+def test_an_operator_that_raises_stops_the_graph_and_leaves_the_recording_readable(tmp_path: Path) -> None:
+    nodes = """
+  board: {use: parts.Counting, samples: 5000}
+  sum: {use: parts.RunningSum, from: board, fails_at: 1234}
+"""
+    outcome = run(nodes, tmp_path / "s", "record: [sum]")
+    assert isinstance(outcome.error, RunError)
+    assert outcome.exit_code == 4
+    assert "node 'sum': ValueError: this number is not to my taste at sample time 2023-11-14T22:13:21.23" in str(
+        outcome.error
+    )
+    recording = recorded(tmp_path / "s")
+    assert recording.finished
+    assert recording.streams["sum"].samples == 1230
+    assert recording.streams["board"].samples >= 1240
+
+
+def test_an_outlet_that_fails_is_switched_off_and_the_graph_goes_on() -> None:
+    nodes = """
+  board: {use: parts.Counting, samples: 3000}
+  bad: {use: parts.Collect, from: board, name: bad, fails_after: 100}
+  out: {use: parts.Collect, from: board}
+"""
+    outcome = run(nodes)
+    assert outcome.exit_code == 5
+    assert outcome.table["bad"]["error"] == "OSError: the network is down"
+    assert parts.numbers() == list(range(3000))
+    assert len(parts.numbers("bad")) == 100
+
+
+def test_a_slow_outlet_loses_its_own_data_and_never_the_graphs() -> None:
+    nodes = """
+  board: {use: parts.Counting, samples: 1500, realtime: true, chunk: 5}
+  slow: {use: parts.Collect, from: board, name: slow, slow_s: 0.05, queue: 4, lane: slow}
+  out: {use: parts.Collect, from: board}
+"""
+    outcome = run(nodes)
+    assert parts.numbers() == list(range(1500))
+    assert outcome.table["slow"]["dropped"] > 100
+    assert len(parts.numbers("slow")) + outcome.table["slow"]["dropped"] == 1500
+
+
+def test_a_lane_changes_nothing_but_the_thread() -> None:
+    nodes = """
+  board: {use: parts.Counting, samples: 3000, chunk: 11}
+  aside: {use: parts.RunningSum, from: board, lane: side}
+  here: {use: parts.RunningSum, from: board}
+  both: {use: parts.Beside, from: {a: aside, b: here}}
+  out: {use: parts.Collect, from: both}
+"""
+    outcome = run(nodes)
+    assert outcome.error is None
+    got = parts.numbers()
+    assert got[0::2] == got[1::2]
+    assert len(got) == 6000
+
+
+def test_an_error_on_a_lane_stops_the_graph_with_the_nodes_name() -> None:
+    nodes = """
+  board: {use: parts.Counting, samples: 5000, realtime: true}
+  sum: {use: parts.RunningSum, from: board, fails_at: 200, lane: side}
+"""
+    outcome = run(nodes)
+    assert outcome.exit_code == 4
+    assert "node 'sum'" in str(outcome.error)
+
+
+def test_annotations_and_values_are_recorded_streams(tmp_path: Path) -> None:
+    nodes = """
+  board: {use: parts.Counting, samples: 100000, realtime: true}
+  volume: {use: stream.manual.Value, initial: 1.0, least: 0, most: 10}
+  loud: {use: parts.Gain, from: {signal: board, gain: volume}}
+  out: {use: parts.Collect, from: loud}
+"""
+    session = session_of(nodes, tmp_path / "s", "record: [loud]")
+
+    def person() -> None:
+        time.sleep(0.6)
+        session.tell("volume", "3.5")
+        session.mark("coughed")
+        time.sleep(0.4)
+        session.stop()
+
+    thread = threading.Thread(target=person)
+    thread.start()
+    outcome = session.run()
+    thread.join()
+    assert outcome.error is None
+    recording = recorded(tmp_path / "s")
+    assert recording.read("annotations")[1]["text"].tolist() == ["coughed"]
+    assert recording.read("volume")[1][:, 0].tolist() == [1.0, 3.5]
+    factors = {
+        round(float(r[1] / r[0]), 6) for c in parts.seen["out"] for r in zip(range(1, 10), range(1, 10), strict=True)
+    }
+    assert factors == {1.0}
+
+
+def test_a_value_out_of_bounds_is_refused_with_its_bounds() -> None:
+    session = session_of("  board: {use: parts.Counting}\n  volume: {use: stream.manual.Value, initial: 1, most: 2}")
+    session._prepare()
+    with pytest.raises(Exception, match=r"value is 3\.0; it must be between -1e\+308 and 2"):
+        session.tell("volume", "3")
+    with pytest.raises(Exception, match="there is no source 'nobody'"):
+        session.tell("nobody", "3")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_session_cleanly(number: int, tmp_path: Path) -> None:
+    graph = HERE / f"signal-{number}.yaml"
+    config = tmp_path / "graph.yaml"
+    config.write_text("nodes:\n  board: {use: devices.treadmill.Treadmill}\n")
+    assert not graph.exists()
+    folder = tmp_path / "s"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "stream", "run", str(config), "-o", str(folder), "--view", "none"],
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 60
+    while not list(folder.glob("*.mcap")) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    time.sleep(1.0)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 0, errors
+    recording = recorded(folder)
+    assert recording.finished
+    assert recording.streams["board.emg"].samples > 100
