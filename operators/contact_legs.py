@@ -94,7 +94,8 @@ def judge(legs: np.void, at: int, limits: Samples, voting: int) -> int:
     """Judge the leg under way at the time `at`; returns which contacts are now certain: LIFTOFF and TOUCHDOWN, added up.
 
     A lift-off is certain as soon as the swing is long enough, and its onset is where the leg began; a touch-down once the
-    swing is over, and its onset is the swing's extreme. So every touch-down has its lift-off before it.
+    swing is over, and its onset is the swing's extreme. So every touch-down has its lift-off before it; but where the caller
+    votes, the first leg of all may be a swing whose begin was not seen.
 
     limits  (4,)  how long a swing and the leg before it must be, by how much a turn must come back to be certain, and
                   after how many ns without progress a limb is at rest
@@ -112,6 +113,8 @@ def judge(legs: np.void, at: int, limits: Samples, voting: int) -> int:
         legs["told"] = 1
         legs["liftoff_at"] = legs["before_at"]
         certain += LIFTOFF
+    if ends and voting == NO_VOTE and legs["before_direction"] == 0 and size > limits[SWING]:
+        legs["told"] = 1 if legs["direction"] * legs["vote"] > 0.0 else 0
     if ends:
         if legs["told"]:
             legs["touchdown_at"] = legs["extreme_at"]

@@ -1,0 +1,333 @@
+"""Ground contact from the path of one marker on a foot or leg, with or without a marker on the hip or sacrum."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from operators.contact_legs import LEGS, LIFTOFF, NO_VOTE, TOUCHDOWN, glide, judge, rest
+from operators.contacts import Contacts, Followed
+from operators.iir import butterworth, group_delay, settling
+from operators.marker_columns import marker_columns
+from stream.chunk import NEVER, NS, Array, Samples, Specs, StreamSpec, Times
+from stream.errors import InputError, ParameterError
+from stream.kernel import kernel
+from stream.operator import Case, grid
+from stream.params import param
+
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+ORDER = 2
+SWING_M, STANCE_M, REVERSE_M = 0.15, 0.08, 0.03
+STILL_NS = 300_000_000
+DEAD_M_S, FASTEST_M_S = 0.05, 30.0
+MEMORY_S, BODY_S = 4.0, 1.0
+
+WALK = np.dtype(
+    [
+        ("last", "<i8"),
+        ("middle", "<i8"),
+        ("speed", "<f8"),
+        ("weight", "<f8"),
+        ("body", "<f8"),
+        ("cube", "<f8"),
+        ("raw", "<f8", (6,)),
+        ("smooth", "<f8", (6,)),
+        ("drift", "<f8", (2,)),
+        ("spread", "<f8", (3,)),
+        ("axis", "<f8", (2,)),
+    ]
+)
+"""The last stamp and the middle of the last interval, in ns; the speed along the way; decaying sums of time
+(long, and for the body), and of the speed's cube; raw and smooth positions of foot and body; decaying sums of the body's
+velocity and of the relative velocity's second moment xx, xy, yy; the way's direction."""
+
+
+@kernel
+def smooth(x: float, sos: Samples, z: Samples) -> float:
+    """One number through sections (s, 6) with memory (s, 2)."""
+    for s in range(sos.shape[0]):
+        y = sos[s, 0] * x + z[s, 0]
+        z[s, 0] = sos[s, 1] * x - sos[s, 4] * y + z[s, 1]
+        z[s, 1] = sos[s, 2] * x - sos[s, 5] * y
+        x = y
+    return x
+
+
+@kernel
+def start(walk: np.void, legs: np.void, place: Samples, sos: Samples, steady: Samples, z: Samples) -> None:
+    """Begin at `place` (6,), as if both markers had always been there."""
+    rest(legs)
+    legs["vote"] = 0.0
+    walk["speed"] = walk["weight"] = walk["body"] = walk["cube"] = 0.0
+    walk["middle"] = NEVER
+    for c in range(6):
+        walk["raw"][c] = walk["smooth"][c] = place[c]
+        for s in range(sos.shape[0]):
+            z[c, s, 0] = steady[s, 0] * place[c]
+            z[c, s, 1] = steady[s, 1] * place[c]
+    for c in range(2):
+        walk["drift"][c] = 0.0
+        walk["axis"][c] = np.sqrt(0.5)
+    for c in range(3):
+        walk["spread"][c] = 1e-9
+
+
+@kernel
+def seen(place: Samples) -> bool:
+    """Whether both markers of `place` (6,) were seen: finite, and not at 0, 0, 0, which stands for a lost marker."""
+    total, foot, body = 0.0, 0.0, 0.0
+    for c in range(3):
+        total += place[c] + place[3 + c]
+        foot += abs(place[c])
+        body += abs(place[3 + c])
+    return bool(np.isfinite(total) and foot > 0.0 and body > 0.0)
+
+
+@kernel
+def jumps(walk: np.void, place: Samples, elapsed_ns: int) -> bool:
+    """Whether a marker moved faster to `place` (6,) than any limb: another marker took its name."""
+    farthest = 0.0
+    for c in range(6):
+        farthest = max(farthest, abs(place[c] - walk["raw"][c]))
+    return farthest > FASTEST_M_S * 1e-9 * elapsed_ns
+
+
+@kernel
+def along(walk: np.void, step: Samples, dt: float, alone: bool) -> tuple[float, float]:
+    """The foot's speed in m/s relative to the body along the way, and a vote for that way to be forward (negative: backward).
+
+    step (6,) is what foot and body moved in `dt` s; without a body marker (`alone`) the body moves as the foot did on average.
+    The way is the horizontal direction of most relative motion, followed by one step of the power method a sample. The body
+    goes forward; on a treadmill, where it stays, the foot is faster on its way forward than on its way back.
+    """
+    keep = np.exp(-dt / MEMORY_S)
+    slow = keep if alone else np.exp(-dt / BODY_S)
+    walk["weight"] = keep * walk["weight"] + dt
+    walk["body"] = slow * walk["body"] + dt
+    for c in range(2):
+        walk["drift"][c] = slow * walk["drift"][c] + (step[c] if alone else step[3 + c])
+    east, north = walk["drift"][0] / walk["body"], walk["drift"][1] / walk["body"]
+    u = step[0] / dt - (east if alone else step[3] / dt)
+    v = step[1] / dt - (north if alone else step[4] / dt)
+    walk["spread"][0] = keep * walk["spread"][0] + u * u * dt
+    walk["spread"][1] = keep * walk["spread"][1] + u * v * dt
+    walk["spread"][2] = keep * walk["spread"][2] + v * v * dt
+    a = walk["spread"][0] * walk["axis"][0] + walk["spread"][1] * walk["axis"][1]
+    b = walk["spread"][1] * walk["axis"][0] + walk["spread"][2] * walk["axis"][1]
+    length = np.sqrt(a * a + b * b)
+    walk["axis"][0], walk["axis"][1] = a / length, b / length
+    speed = u * walk["axis"][0] + v * walk["axis"][1]
+    walk["cube"] = keep * walk["cube"] + speed * speed * speed * dt
+    typical = np.sqrt((walk["spread"][0] + walk["spread"][2]) / walk["weight"])
+    skew = walk["cube"] / walk["weight"] / (typical * typical * typical)
+    return speed, 2.0 * (east * walk["axis"][0] + north * walk["axis"][1]) / typical + skew
+
+
+@kernel
+def advance(
+    walk: np.void,
+    legs: np.void,
+    since: int,
+    at: int,
+    delay_ns: int,
+    alone: bool,
+    sos: Samples,
+    z: Samples,
+    limits: Samples,
+) -> int:
+    """Take the raw place of both markers at the time `at`, `since` being the one before; returns which contacts are now certain."""
+    step = np.empty(6)
+    for c in range(6):
+        value = smooth(walk["raw"][c], sos, z[c])
+        step[c] = value - walk["smooth"][c]
+        walk["smooth"][c] = value
+    dt = 1e-9 * (at - since)
+    speed, legs["vote"] = along(walk, step, dt, alone)
+    speed = speed - DEAD_M_S if speed > DEAD_M_S else speed + DEAD_M_S if speed < -DEAD_M_S else 0.0
+    middle = since + (at - since) // 2 - delay_ns
+    if walk["middle"] != NEVER:
+        glide(legs, walk["middle"], middle, walk["speed"], speed)
+    walk["middle"], walk["speed"] = middle, speed
+    return judge(legs, middle, limits, NO_VOTE)
+
+
+@kernel
+def follow(
+    time: Times,
+    place: Samples,
+    period_ns: int,
+    fill_ns: int,
+    delay_ns: int,
+    alone: bool,
+    sos: Samples,
+    steady: Samples,
+    z: Samples,
+    limits: Samples,
+    memory: Array,
+    motion: Array,
+    found: Times,
+) -> tuple[int, int]:
+    """Follow foot and body, `place` (n, 6) m with the vertical third; what is missing is filled on a straight line up to `fill_ns`.
+
+    found  (2, 2 n + 2, 2)  touch-downs and lift-offs: stamp, onset. Returns how many of each.
+    """
+    legs, walk = memory[0], motion[0]
+    downs = ups = 0
+    ends = np.empty(6)
+    for i in range(time.shape[0]):
+        at, since = time[i], walk["last"]
+        if not seen(place[i]) or at == since:
+            continue
+        walk["last"] = at
+        if since == NEVER or at - since - period_ns > fill_ns or jumps(walk, place[i], at - since):
+            start(walk, legs, place[i], sos, steady, z)
+            continue
+        parts = max(1, round((at - since) / period_ns))
+        down, up = NEVER, NEVER
+        for c in range(6):
+            ends[c] = walk["raw"][c]
+        for k in range(parts):
+            for c in range(6):
+                walk["raw"][c] = place[i, c] if k + 1 == parts else ends[c] + (place[i, c] - ends[c]) * (k + 1) / parts
+            one, two = since + (at - since) * k // parts, since + (at - since) * (k + 1) // parts
+            certain = advance(walk, legs, one, two, delay_ns, alone, sos, z, limits)
+            up = legs["liftoff_at"] if certain & LIFTOFF else up
+            down = legs["touchdown_at"] if certain & TOUCHDOWN else down
+        if up != NEVER:
+            found[1, ups, 0], found[1, ups, 1] = at, up
+            ups += 1
+        if down != NEVER:
+            found[0, downs, 0], found[0, downs, 1] = at, down
+            downs += 1
+    return downs, ups
+
+
+@dataclass(slots=True)
+class MarkerState(Followed):
+    columns: Times
+    metres: float
+    period_ns: int
+    fill_ns: int
+    delay_ns: int
+    alone: bool
+    sos: Samples
+    steady: Samples
+    z: Samples
+    limits: Samples
+    memory: Array
+    motion: Array
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerContacts(Contacts[MarkerState]):
+    """Contacts of one foot from a marker on it or on the leg, in m, cm or mm, at a regular rate.
+
+    Takes markers (points, 3), or a signal whose channels are markers' coordinates (LANK_x, LANK_y, LANK_z). Relative to the
+    body a foot moves forwards in the swing and backwards in the stance; it turns back at touch-down and forwards at
+    lift-off (Zeni 2008), overground and on a treadmill, whichever way one walks. That is where the thesis's curve of the
+    left fore foot becomes flat (section 6.2.3, figure 6.1). Without a `reference` marker on hip or sacrum the body is
+    taken to move as the foot does on average over some 4 s, which needs a stride or two of steady walking first.
+
+    Positions are smoothed by a causal Butterworth of order 2 at `cutoff_hz` (the thesis: 10 Hz; it names no order), whose delay the
+    onsets make up for. Samples that are missing, not finite, or exactly 0, 0, 0 are filled on a straight line up to
+    `fill_s`; a longer gap, and a jump that no limb makes (30 m/s), start anew.
+    Decided: touch-down some 70 to 120 ms after its onset, lift-off some 150 ms; a walker who stops within 0.3 s, the declared delay.
+    """
+
+    marker: str = param(help="the marker on the foot or leg: its name, or its number from 0")
+    reference: str = param("", help="a marker on hip or sacrum; empty: the foot's own mean motion stands in")
+    up: Literal["x", "y", "z"] = param("z", help="the vertical coordinate")
+    cutoff_hz: float = param(10.0, above=0.0, help="low-pass of the positions")
+    fill_s: float = param(0.2, least=0.0, most=1.0, help="the longest gap that is filled; a longer one starts anew")
+    side: Literal["left", "right", ""] = param("", help="whose foot: left, right, or empty where it is not known")
+
+    def open(self, specs: Specs) -> Specs:
+        from scipy.signal import sosfilt_zi
+
+        spec = specs["in"]
+        foot = marker_columns(spec, self.marker, "marker")
+        body = marker_columns(spec, self.reference, "reference") if self.reference else foot
+        units = {spec.units[0]} if len(spec.units) == 1 else {spec.unit_of(spec.channels[i]) for i in (*foot, *body)}
+        if len(units) != 1 or not units <= set(METRES):
+            raise InputError("in", f"in {', '.join(sorted(units)) or 'no unit'}", f"in {', '.join(METRES)}: positions")
+        if spec.rate_hz is None:
+            raise InputError("in", spec.describe(), "regular: its rate must be known")
+        if self.cutoff_hz >= spec.rate_hz / 2:
+            limit = f"below {spec.rate_hz / 2:g} (half of the input's {spec.rate_hz:g} Hz)"
+            raise ParameterError("cutoff_hz", self.cutoff_hz, limit)
+        sos = butterworth(ORDER, self.cutoff_hz, "lowpass", spec.rate_hz)
+        delay_s = group_delay(sos, 0.0) / spec.rate_hz
+        vertical = "xyz".index(self.up)
+        order = [(vertical + 1) % 3, (vertical + 2) % 3, vertical]
+        fill_ns = round(self.fill_s * NS)
+        state = MarkerState(
+            gap_ns=fill_ns + spec.period_ns,
+            last=NEVER,
+            columns=np.array([foot[i] for i in order] + [body[i] for i in order]),
+            metres=METRES[units.pop()],
+            period_ns=spec.period_ns,
+            fill_ns=fill_ns,
+            delay_ns=round(delay_s * NS),
+            alone=not self.reference,
+            sos=sos,
+            steady=np.ascontiguousarray(sosfilt_zi(sos)),
+            z=np.zeros((6, len(sos), 2)),
+            limits=np.array([SWING_M, STANCE_M, REVERSE_M, STILL_NS]),
+            memory=np.zeros(1, LEGS),
+            motion=np.zeros(1, WALK),
+        )
+        state.motion["last"] = NEVER
+        self.hold(state, delay_s=1e-9 * STILL_NS + delay_s + 2 * spec.period_ns / NS)
+        settled_s = settling(sos) / spec.rate_hz
+        return self.contacts(spec, settled_s if self.reference else MEMORY_S)
+
+    def follow(self, time: Times, data: Array, found: Times) -> tuple[int, int]:
+        s = self.state
+        place = np.ascontiguousarray(data.reshape(len(data), -1)[:, s.columns], np.float64) * s.metres
+        return follow(
+            time,
+            place,
+            s.period_ns,
+            s.fill_ns,
+            s.delay_ns,
+            s.alone,
+            s.sos,
+            s.steady,
+            s.z,
+            s.limits,
+            s.memory,
+            s.motion,
+            found,
+        )
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        n, rate_hz = 1200, 100.0
+        path = walker(n, rate_hz, speed_m_s=1.2, cadence_hz=0.9)
+        spec = StreamSpec((2, 3), rate_hz=rate_hz, channels=("HIP", "ANK"), units=("m",))
+        flat = StreamSpec((3,), rate_hz=rate_hz, channels=("ANK_x", "ANK_y", "ANK_z"), units=("mm",))
+        belt = walker(n, rate_hz, speed_m_s=1.2, cadence_hz=0.9, belt=True)[:, 1] * 1000.0
+        return [
+            Case(cls(marker="ANK", reference="HIP"), {"in": (spec, grid(rate_hz, n), path)}, least=18),
+            Case(cls(marker="ANK"), {"in": (flat, grid(rate_hz, n), belt)}, least=14),
+        ]
+
+
+def walker(n: int, rate_hz: float, *, speed_m_s: float, cadence_hz: float, belt: bool = False) -> Samples:
+    """Hip and ankle of somebody who walks along -y, with noise of 0.5 mm: positions (n, 2, 3) m.
+
+    The ankle lies still (on a `belt`: moves back with it) for 60 % of each stride, from whole multiples of the stride's time on.
+    """
+    seconds, stride_m = np.arange(n) / rate_hz, speed_m_s / cadence_hz
+    whole, phase = np.divmod(seconds * cadence_hz, 1.0)
+    swing = np.clip((phase - 0.6) / 0.4, 0.0, 1.0)
+    gone = stride_m * (whole + swing - np.sin(2 * np.pi * swing) / (2 * np.pi)) + 0.3 * stride_m
+    hip = speed_m_s * seconds
+    path = np.zeros((n, 2, 3))
+    path[:, 0, 1], path[:, 0, 2] = -hip, 1.0
+    path[:, 1, 1], path[:, 1, 2] = -gone, 0.08 + 0.1 * np.sin(np.pi * swing) ** 2
+    path[:, :, 1] += hip[:, None] if belt else 0.0
+    return np.asarray(path + np.random.default_rng(9).normal(0.0, 0.0005, path.shape))
