@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Sequence
+from math import prod
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -78,7 +79,7 @@ def decode(spec: StreamSpec, body: bytes | memoryview, missed: int = 0) -> list[
     """The chunks of a message, in fresh, writable memory; `missed` (what a full disk cost) adds to the first's `lost`."""
     rows, stamps, _, start = table(body)
     time = stamps.astype(np.int64)
-    count = len(time) * int(np.prod(spec.shape, dtype=np.int64))
+    count = len(time) * prod(spec.shape)
     data = np.frombuffer(body, spec.dtype, count, start).copy().reshape(len(time), *spec.shape)
     nothing, none = time[:0], data[:0]
     entries: list[Entry] = []
