@@ -87,16 +87,17 @@ class Filter(Operator[C]):
             self.work(rows(x, state.width), time, out.reshape(len(x), state.width), stamps)
         return Chunk(stamps, out, back(chunk.until, state.delay_ns), chunk.lost)
 
-    def watch(self, spec: StreamSpec, *, delay_s: float = 0.0, reset_gap_s: float = 0.0) -> dict[str, Any]:
-        """The fields of `Continuity` for an input."""
-        return {
-            "plain": spec.dtype == np.float64 and len(spec.shape) == 1,
-            "width": int(np.prod(spec.shape, dtype=np.int64)),
-            "period_ns": spec.period_ns,
-            "limit_ns": round(reset_gap_s * NS),
-            "delay_ns": round(delay_s * NS),
-            "last": NEVER,
-        }
+
+def watch(spec: StreamSpec, *, delay_s: float = 0.0, reset_gap_s: float = 0.0) -> dict[str, Any]:
+    """The fields of `Continuity` for an input."""
+    return {
+        "plain": spec.dtype == np.float64 and len(spec.shape) == 1,
+        "width": int(np.prod(spec.shape, dtype=np.int64)),
+        "period_ns": spec.period_ns,
+        "limit_ns": round(reset_gap_s * NS),
+        "delay_ns": round(delay_s * NS),
+        "last": NEVER,
+    }
 
 
 def numeric(spec: StreamSpec, port: str = "in") -> StreamSpec:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, numeric, regular, rows
+from operators.continuity import Continuity, Filter, numeric, regular, rows, watch
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from stream.kernel import kernel
 from stream.operator import Case, grid
@@ -46,7 +46,7 @@ class Decimate(Filter[DecimateState]):
     def open(self, specs: Specs) -> Specs:
         spec = numeric(specs["in"])
         rate_hz = regular(spec)
-        self.hold(DecimateState(**self.watch(specs["in"], reset_gap_s=self.reset_gap_s), skip=0))
+        self.hold(DecimateState(**watch(specs["in"], reset_gap_s=self.reset_gap_s), skip=0))
         return {"out": spec.derive(rate_hz=rate_hz / self.every)}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, back, nothing, numeric, regular, rows
+from operators.continuity import Continuity, Filter, back, nothing, numeric, regular, rows, watch
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from stream.kernel import kernel
 from stream.operator import Case, grid
@@ -64,9 +64,9 @@ class Derivative(Filter[DerivativeState]):
     def open(self, specs: Specs) -> Specs:
         spec = numeric(specs["in"])
         rate_hz = regular(spec)
-        watch = self.watch(specs["in"], delay_s=2 / rate_hz, reset_gap_s=self.reset_gap_s)
-        past = np.zeros((POINTS - 1, watch["width"]))
-        self.hold(DerivativeState(**watch, rate_hz=rate_hz, past=past, known=0), delay_s=2 / rate_hz)
+        seen = watch(specs["in"], delay_s=2 / rate_hz, reset_gap_s=self.reset_gap_s)
+        past = np.zeros((POINTS - 1, seen["width"]))
+        self.hold(DerivativeState(**seen, rate_hz=rate_hz, past=past, known=0), delay_s=2 / rate_hz)
         return {"out": spec.derive(units=tuple(f"{unit}/s" if unit else "1/s" for unit in spec.units))}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:

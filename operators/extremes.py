@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, numeric, regular, samples_in
+from operators.continuity import Continuity, Filter, numeric, regular, samples_in, watch
 from stream.chunk import Array, Samples, Specs, StreamSpec, Times
 from stream.kernel import kernel
 from stream.operator import Case, grid
@@ -78,10 +78,10 @@ class Extreme(Filter[ExtremeState]):
         rate_hz = regular(spec)
         w = samples_in("window_s", self.window_s, rate_hz)
         delay_s = (w - 1) / 2 / rate_hz
-        watch = self.watch(specs["in"], delay_s=delay_s, reset_gap_s=self.reset_gap_s)
-        c = watch["width"]
+        seen = watch(specs["in"], delay_s=delay_s, reset_gap_s=self.reset_gap_s)
+        c = seen["width"]
         state = ExtremeState(
-            **watch, queue=np.zeros((w, c)), numbers=np.zeros((w, c), np.int64), places=np.zeros((3, c), np.int64)
+            **seen, queue=np.zeros((w, c)), numbers=np.zeros((w, c), np.int64), places=np.zeros((3, c), np.int64)
         )
         self.hold(state, delay_s=delay_s)
         return {"out": spec.derive(settling_s=spec.settling_s + (w - 1) / rate_hz)}

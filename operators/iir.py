@@ -18,7 +18,7 @@ from typing import Literal
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, back, nothing, numeric, regular, rows
+from operators.continuity import Continuity, Filter, back, nothing, numeric, regular, rows, watch
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
 from stream.kernel import kernel
@@ -106,13 +106,13 @@ class Sections(Filter[SectionsState]):
         rate_hz = regular(spec)
         sos, centre_hz = self.design(rate_hz)
         delay_s = 0.0 if math.isnan(centre_hz) else group_delay(sos, centre_hz / rate_hz) / rate_hz
-        watch = self.watch(specs["in"], delay_s=delay_s, reset_gap_s=self.reset_gap_s)
-        width = watch["width"]
+        seen = watch(specs["in"], delay_s=delay_s, reset_gap_s=self.reset_gap_s)
+        width = seen["width"]
         steady = np.zeros((len(sos), 2))
         if self.start == "first":
             steady[:] = sosfilt_zi(sos)
         state = SectionsState(
-            **watch,
+            **seen,
             sos=sos,
             z=np.zeros((len(sos), 2, width)),
             steady=steady,

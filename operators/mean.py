@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, nothing, numeric, regular, rows, samples_in
+from operators.continuity import Continuity, Filter, nothing, numeric, regular, rows, samples_in, watch
 from operators.moving import add, slide
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from stream.kernel import kernel
@@ -71,10 +71,10 @@ class RemoveMean(Filter[RemoveMeanState]):
         spec = numeric(specs["in"])
         rate_hz = regular(spec)
         w = samples_in("window_s", self.window_s, rate_hz)
-        watch = self.watch(specs["in"], reset_gap_s=self.reset_gap_s)
-        c = watch["width"]
+        seen = watch(specs["in"], reset_gap_s=self.reset_gap_s)
+        c = seen["width"]
         state = RemoveMeanState(
-            **watch,
+            **seen,
             ring=np.zeros((w if self.mean == "moving" else 0, c)),
             sums=np.zeros((4, c)),
             places=np.zeros((2, c), np.int64),

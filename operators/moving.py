@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, numeric, regular, samples_in
+from operators.continuity import Continuity, Filter, numeric, regular, samples_in, watch
 from stream.chunk import Array, Samples, Specs, StreamSpec, Times
 from stream.kernel import kernel
 from stream.operator import Case, grid
@@ -103,9 +103,9 @@ class Moving(Filter[MovingState]):
         rate_hz = regular(spec)
         w = samples_in("window_s", self.window_s, rate_hz)
         delay_s = (w - 1) / 2 / rate_hz
-        watch = self.watch(specs["in"], delay_s=delay_s, reset_gap_s=self.reset_gap_s)
-        c = watch["width"]
-        state = MovingState(**watch, ring=np.zeros((w, c)), sums=np.zeros((4, c)), places=np.zeros((2, c), np.int64))
+        seen = watch(specs["in"], delay_s=delay_s, reset_gap_s=self.reset_gap_s)
+        c = seen["width"]
+        state = MovingState(**seen, ring=np.zeros((w, c)), sums=np.zeros((4, c)), places=np.zeros((2, c), np.int64))
         self.hold(state, delay_s=delay_s)
         return {"out": spec.derive(settling_s=spec.settling_s + (w - 1) / rate_hz)}
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, nothing, numeric, rows
+from operators.continuity import Continuity, Filter, nothing, numeric, rows, watch
 from stream.chunk import Chunk, Samples, Specs, StreamSpec
 from stream.kernel import kernel
 from stream.operator import Case, grid
@@ -29,7 +29,7 @@ class Rectify(Filter[Continuity]):
 
     def open(self, specs: Specs) -> Specs:
         out = numeric(specs["in"])
-        self.hold(Continuity(**self.watch(specs["in"])))
+        self.hold(Continuity(**watch(specs["in"])))
         return {"out": out}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:

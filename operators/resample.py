@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.continuity import Continuity, Filter, back, numeric, regular, rows
+from operators.continuity import Continuity, Filter, back, numeric, regular, rows, watch
 from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
 from stream.kernel import kernel
@@ -124,13 +124,13 @@ class Resample(Filter[ResampleState]):
         taps, half = low_pass(up, down, self.half_length)
         lead = half + (-half) % down
         delay_s = lead / up / rate_hz
-        watch = self.watch(specs["in"], delay_s=delay_s, reset_gap_s=self.reset_gap_s)
-        c = watch["width"]
+        seen = watch(specs["in"], delay_s=delay_s, reset_gap_s=self.reset_gap_s)
+        c = seen["width"]
         table = phase_table(np.concatenate([np.zeros(lead - half), taps]), up)
         phases = nearest_samples(up, down, lead, NS / rate_hz)
         size = max(table.shape[1], int(phases[2].max()))
         state = ResampleState(
-            **watch,
+            **seen,
             table=table,
             phases=phases,
             up=up,

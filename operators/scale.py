@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, nothing, numeric, rows
+from operators.continuity import Continuity, Filter, nothing, numeric, rows, watch
 from stream.chunk import Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.kernel import kernel
@@ -45,8 +45,8 @@ class Scale(Filter[ScaleState]):
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
         out = numeric(spec)
-        watch = self.watch(spec)
-        line = np.empty((2, watch["width"]))
+        seen = watch(spec)
+        line = np.empty((2, seen["width"]))
         for row, parameter in enumerate(("gain", "offset")):
             given = getattr(self, parameter)
             if isinstance(given, Sequence):
@@ -58,7 +58,7 @@ class Scale(Filter[ScaleState]):
         if not np.isfinite(line).all():
             parameter = "gain" if not np.isfinite(line[0]).all() else "offset"
             raise ParameterError(parameter, getattr(self, parameter), "finite")
-        self.hold(ScaleState(**watch, line=line))
+        self.hold(ScaleState(**seen, line=line))
         return {"out": out if self.unit is None else out.derive(units=(self.unit,))}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:

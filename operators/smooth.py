@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, numeric, regular
+from operators.continuity import Continuity, Filter, numeric, regular, watch
 from stream.chunk import Samples, Specs, StreamSpec, Times
 from stream.kernel import kernel
 from stream.operator import Case, grid
@@ -71,12 +71,12 @@ class Binomial(Filter[BinomialState]):
         rate_hz = regular(spec)
         w = self.window
         delay_s = (w - 1) / 2 / rate_hz
-        watch = self.watch(specs["in"], delay_s=delay_s, reset_gap_s=self.reset_gap_s)
+        seen = watch(specs["in"], delay_s=delay_s, reset_gap_s=self.reset_gap_s)
         state = BinomialState(
-            **watch,
+            **seen,
             weights=np.array([math.comb(w - 1, k) / 2 ** (w - 1) for k in range(w)]),
-            ring=np.zeros((2 * w, watch["width"])),
-            places=np.zeros((2, watch["width"]), np.int64),
+            ring=np.zeros((2 * w, seen["width"])),
+            places=np.zeros((2, seen["width"]), np.int64),
         )
         self.hold(state, delay_s=delay_s)
         return {"out": spec.derive(settling_s=spec.settling_s + (w - 1) / rate_hz)}

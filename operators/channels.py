@@ -1,0 +1,114 @@
+"""Choosing, ordering and naming the channels of a stream."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
+from stream.errors import InputError, ParameterError, nearest
+from stream.kernel import kernel
+from stream.operator import Case, Operator, grid
+from stream.params import param
+
+
+@kernel
+def gather(x: Samples, wanted: Times, out: Samples) -> None:
+    """Columns `wanted` (m,) of `x` (n, c) into `out` (n, m)."""
+    for i in range(x.shape[0]):
+        for k in range(wanted.shape[0]):
+            out[i, k] = x[i, wanted[k]]
+
+
+@dataclass(slots=True)
+class SelectState:
+    wanted: Times
+    axis: int
+    plain: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Select(Operator[SelectState]):
+    """Some of a stream's channels, in the order given, under new names if wanted. Values pass as they are, bad ones too; no delay.
+
+    channels  names, or numbers from 0 where a stream has no names (then its channels are called "0", "1", ...); empty: all
+    rename    new names by old ones
+
+    Takes signals and markers (whose channels are the points) of any dtype, which stays.
+    """
+
+    channels: tuple[str | int, ...] = param((), help="names, or numbers from 0; empty: all")
+    rename: Mapping[str, str] | None = param(None, help="new names by old ones")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = specs["in"]
+        if spec.is_event or not spec.shape:
+            raise InputError("in", spec.describe(), "a stream with channels (a signal or markers)")
+        names = names_of(spec)
+        wanted = [find_channel(spec, given, "channels") for given in self.channels] or list(range(len(names)))
+        if len(set(wanted)) < len(wanted):
+            raise ParameterError("channels", list(self.channels), "a list that names no channel twice")
+        axis = spec.channel_axis
+        shape = (*spec.shape[:axis], len(wanted), *spec.shape[axis + 1 :])
+        chosen = tuple(names[i] for i in wanted)
+        units = spec.units if len(spec.units) == 1 else tuple(spec.units[i] for i in wanted)
+        plain = spec.is_signal and spec.dtype == np.float64
+        self.hold(SelectState(np.array(wanted, np.int64), axis + 1, plain))
+        return {"out": spec.derive(shape=shape, channels=self._renamed(chosen), units=units)}
+
+    def _renamed(self, chosen: tuple[str, ...]) -> tuple[str, ...]:
+        new = self.rename or {}
+        for old in new:
+            if old not in chosen:
+                raise ParameterError(
+                    "rename", new, f"names by chosen channels; there is no {old!r}, {nearest(old, chosen)}"
+                )
+        names = tuple(new.get(name, name) for name in chosen)
+        for name in names:
+            if names.count(name) > 1:
+                raise ParameterError("rename", new, f"names that differ; {name!r} would be there twice")
+        return names
+
+    def process(self, port: str, chunk: Chunk) -> Chunk:
+        state = self.state
+        if state.plain:
+            data = np.empty((len(chunk.time), len(state.wanted)))
+            gather(chunk.data, state.wanted, data)
+        else:
+            data = np.ascontiguousarray(chunk.data.take(state.wanted, axis=state.axis))
+        return Chunk(chunk.time, data, chunk.until, chunk.lost)
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        rng = np.random.default_rng(11)
+        spec = StreamSpec((3,), rate_hz=100.0, channels=("x", "y", "z"), units=("g",))
+        inputs: dict[str, Any] = {"in": (spec, grid(100.0, 200), rng.normal(size=(200, 3)))}
+        points = StreamSpec((4, 3), np.dtype(np.float32), 50.0, channels=("hip", "knee", "ankle", "toe"), units=("m",))
+        return [
+            Case(cls(channels=("z", "x"), rename={"z": "up"}), inputs, least=200),
+            Case(
+                cls(channels=("toe", 1)),
+                {"in": (points, grid(50.0, 200), rng.normal(size=(200, 4, 3)).astype(np.float32))},
+                least=200,
+            ),
+        ]
+
+
+def names_of(spec: StreamSpec) -> tuple[str, ...]:
+    """A stream's channel names, or its channels' numbers as texts."""
+    return spec.channels or tuple(map(str, range(spec.shape[spec.channel_axis])))
+
+
+def find_channel(spec: StreamSpec, given: str | int, parameter: str) -> int:
+    """The place of a channel that a parameter names, or numbers from 0."""
+    names = names_of(spec)
+    if isinstance(given, int) and str(given) not in names:
+        if 0 <= given < len(names):
+            return given
+        raise ParameterError(parameter, given, f"a channel's name, or a number from 0 to {len(names) - 1}")
+    if str(given) not in names:
+        raise ParameterError(parameter, given, f"a channel of the input; {nearest(str(given), names)}")
+    return names.index(str(given))

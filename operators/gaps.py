@@ -1,0 +1,199 @@
+"""Filling of short gaps: samples that were lost, and values that are not numbers (a marker that was hidden)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from operators.continuity import Continuity, numeric, regular, rows, watch
+from stream.chunk import FOREVER, Chunk, Samples, Specs, StreamSpec, Times
+from stream.errors import ParameterError
+from stream.kernel import kernel
+from stream.operator import Case, Emitted, Operator, grid
+from stream.params import param
+
+
+@kernel
+def fill(
+    x: Samples,
+    time: Times,
+    last: int,
+    furthest: int,
+    most: int,
+    linear: bool,
+    left: Samples,
+    runs: Times,
+    work: Samples,
+) -> int:
+    """Append `x` (n, c) to the rows that wait at the head of `work` (p + n, c), and fill its runs of bad values.
+
+    last, furthest  the stamp of the sample before `x`; beyond this distance in time nothing is filled
+    most            the longest run, in samples, that is filled
+    left            (c,)  each channel's newest good value before its run
+    runs            (c,)  how long each channel's run of bad values is up to now; `most` + 1: too long, or nothing good came before it
+
+    Returns how many of the newest rows may yet be filled.
+    """
+    start = work.shape[0] - x.shape[0]
+    for i in range(x.shape[0]):
+        far = time[i] - last > furthest
+        last = time[i]
+        for c in range(x.shape[1]):
+            if far:
+                runs[c] = most + 1
+            v = x[i, c]
+            run = runs[c]
+            if not abs(v) < math.inf:
+                work[start + i, c] = math.nan
+                runs[c] = min(run + 1, most + 1)
+                continue
+            if 0 < run <= most:
+                for k in range(1, run + 1):
+                    share = k / (run + 1) if linear else 0.0
+                    work[start + i - run - 1 + k, c] = left[c] + share * (v - left[c])
+            work[start + i, c] = v
+            left[c] = v
+            runs[c] = 0
+    keep = 0
+    for c in range(x.shape[1]):
+        if runs[c] <= most:
+            keep = max(keep, runs[c])
+    return keep
+
+
+@dataclass(slots=True)
+class FillState(Continuity):
+    most: int
+    left: Samples
+    runs: Times
+    pending: Samples
+    stamps: Times
+    lost: int
+    """How many samples are missing before the first pending row."""
+
+
+@dataclass(frozen=True, slots=True)
+class FillGaps(Operator[FillState]):
+    """Gaps of up to `limit_s` in a regular stream are filled from the values on both sides; longer ones are left as they are.
+
+    Lost samples (`lost`, with their number judged by the stamps) are put back at even distances, and then nothing is lost there; values
+    that are not finite are filled channel by channel. A run of both kinds counts as one. A run that is too long, or that nothing good
+    precedes, stays NaN; across a gap in time that is too long nothing is filled.
+
+    method  linear: a straight line between the neighbours; hold: the value before the run
+    delay   a sample that may yet be filled waits for the next good one, so `limit_s` at most; without bad samples there is none
+    """
+
+    limit_s: float = param(0.1, above=0.0, help="the longest gap that is filled")
+    method: Literal["linear", "hold"] = param("linear", help="a straight line, or the last value")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = numeric(specs["in"])
+        rate_hz = regular(spec)
+        most = math.floor(self.limit_s * rate_hz + 1e-6)
+        if most < 1:
+            raise ParameterError("limit_s", self.limit_s, f"at least {1 / rate_hz:g} (one sample at {rate_hz:g} Hz)")
+        seen = watch(specs["in"], reset_gap_s=(most + 0.5) / rate_hz)
+        c = seen["width"]
+        state = FillState(
+            **seen,
+            most=most,
+            left=np.zeros(c),
+            runs=np.full(c, most + 1),
+            pending=np.zeros((0, *spec.shape)),
+            stamps=np.zeros(0, np.int64),
+            lost=0,
+        )
+        self.hold(state, delay_s=self.limit_s)
+        return {"out": spec}
+
+    def process(self, port: str, chunk: Chunk) -> Emitted:
+        state = self.state
+        time = chunk.time
+        if not len(time):
+            return self._wait(chunk)
+        x = chunk.data if state.plain else rows(chunk.data, state.width)
+        if not chunk.lost:
+            return self._fill(chunk, time, x)
+        missing = state.missing(chunk)
+        if missing and not state.breaks(chunk):
+            return self._fill(chunk, *self._put_back(time, x, missing))
+        before = self._give_up(int(time[0]) - 1)
+        state.lost = chunk.lost
+        return [("out", before), ("out", self._fill(chunk, time, x))]
+
+    def _fill(self, chunk: Chunk, time: Times, x: Samples) -> Chunk:
+        """Take these samples, filled as far as can be, and emit what need not wait."""
+        state = self.state
+        waiting = len(state.stamps)
+        total = waiting + len(time)
+        work: Samples = np.empty((total, state.width))
+        if waiting:
+            work[:waiting] = state.pending.reshape(waiting, state.width)
+            time = np.concatenate([state.stamps, time])
+        furthest = state.limit_ns + state.period_ns
+        linear = self.method == "linear"
+        keep = fill(x, time[waiting:], state.last, furthest, state.most, linear, state.left, state.runs, work)
+        state.last = int(time[-1])
+        lost = state.lost
+        data = work if state.plain else work.reshape(total, *chunk.data.shape[1:])
+        if keep or waiting:
+            state.pending, state.stamps = data[total - keep :].copy(), time[total - keep :].copy()
+            data, time = data[: total - keep], time[: total - keep]
+        if len(time):
+            state.lost = 0
+        return Chunk(time, data, self._promise(chunk.until), lost if len(time) else 0)
+
+    def _wait(self, chunk: Chunk) -> Chunk:
+        """Time has passed without samples: what waits goes on waiting, unless the gap is now too long to be filled."""
+        state = self.state
+        if len(state.stamps) and chunk.until - state.last > state.limit_ns + state.period_ns and chunk.until != FOREVER:
+            return self._give_up(chunk.until)
+        return Chunk(chunk.time, np.empty(chunk.data.shape), self._promise(chunk.until))
+
+    def _put_back(self, time: Times, x: Samples, missing: int) -> tuple[Times, Samples]:
+        """The samples with `missing` bad ones before them, evenly between the stamps on both sides."""
+        before, after = self.state.last, int(time[0])
+        stamps = [before + (after - before) * k // (missing + 1) for k in range(1, missing + 1)]
+        bad = np.full((missing, self.state.width), np.nan)
+        return np.concatenate([np.array(stamps, np.int64), time]), np.concatenate([bad, x])
+
+    def _give_up(self, until: int) -> Chunk:
+        """Emit what waits as it is: no neighbour will come."""
+        state = self.state
+        made = Chunk(state.stamps, state.pending, until, state.lost if len(state.stamps) else 0)
+        state.pending, state.stamps = state.pending[:0].copy(), np.zeros(0, np.int64)
+        state.runs[:] = state.most + 1
+        if len(made.time):
+            state.lost = 0
+        return made
+
+    def _promise(self, until: int) -> int:
+        """No later output lies at or before this: not before what waits, and not inside a gap that may yet be filled."""
+        state = self.state
+        if len(state.stamps):
+            return int(state.stamps[0]) - 1
+        if until != FOREVER and until - state.last <= state.limit_ns + state.period_ns:
+            return min(until, state.last)
+        return until
+
+    def close(self) -> Emitted:
+        return self._give_up(FOREVER)
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        rng = np.random.default_rng(13)
+        data = rng.normal(size=(400, 2)).cumsum(axis=0)
+        for start, length in ((50, 3), (90, 10), (91, 4), (200, 11), (300, 2)):
+            data[start : start + length, start % 2] = np.nan
+        marker = StreamSpec((2,), rate_hz=100.0, units=("mm",))
+        points = StreamSpec((2, 3), rate_hz=100.0, units=("m",))
+        hidden = np.where(rng.random((400, 2, 1)) < 0.05, np.nan, rng.normal(size=(400, 2, 3)))
+        return [
+            Case(cls(limit_s=0.1), {"in": (marker, grid(100.0, 400), data)}, least=400),
+            Case(cls(limit_s=0.03, method="hold"), {"in": (points, grid(100.0, 400), hidden)}, least=400),
+        ]
