@@ -1,0 +1,139 @@
+"""What a session's report is made of: plain numbers and texts, kept in one file until the page is drawn from it."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from stream.chunk import Samples
+from stream.params import adapter
+
+
+@dataclass(slots=True)
+class Value:
+    """A number for people: "57.1 ± 0.9 strides/min". `spread` is a standard deviation."""
+
+    label: str
+    value: float
+    unit: str = ""
+    spread: float = float("nan")
+    decimals: int = 1
+
+
+@dataclass(slots=True)
+class Column:
+    """A column of the table of muscles. `note` stands under the table."""
+
+    heading: str
+    unit: str = ""
+    decimals: int = 1
+    note: str = ""
+
+
+@dataclass(slots=True)
+class Muscle:
+    """One muscle: its row of the table (a value and a standard deviation per column) and what is to be said of its signal.
+
+    verdict   "good", "check" or "faulty"; "" where quality was not measured
+    """
+
+    name: str
+    site: str = ""
+    verdict: str = ""
+    remark: str = ""
+    values: list[tuple[float, float]] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class Rejected:
+    """A cycle that was left out of everything."""
+
+    time_s: float
+    duration_s: float
+    reason: str
+
+
+@dataclass(slots=True)
+class Stream:
+    """What came in by one stream, and what did not."""
+
+    name: str
+    what: str
+    samples: int
+    gaps: int = 0
+    lost: int = 0
+    dropped: int = 0
+    remark: str = ""
+
+
+@dataclass(slots=True)
+class Setting:
+    """One node of the graph."""
+
+    node: str
+    use: str
+    parameters: str
+    delay_ms: float = float("nan")
+
+
+@dataclass(slots=True)
+class Report:
+    """Everything on the page but the curves. Times in ns of session time (UTC)."""
+
+    title: str
+    unit: str
+    normalisation: str
+    started: int = 0
+    ended: int = 0
+    interim: bool = False
+    facts: list[tuple[str, str]] = field(default_factory=list)
+    accepted: int = 0
+    rejected: int = 0
+    reasons: list[tuple[str, int]] = field(default_factory=list)
+    rejections: list[Rejected] = field(default_factory=list)
+    gait: list[Value] = field(default_factory=list)
+    columns: list[Column] = field(default_factory=list)
+    muscles: list[Muscle] = field(default_factory=list)
+    pairs: list[Value] = field(default_factory=list)
+    pairs_note: str = ""
+    streams: list[Stream] = field(default_factory=list)
+    settings: list[Setting] = field(default_factory=list)
+    versions: list[tuple[str, str]] = field(default_factory=list)
+    graph: str = ""
+    table_file: str = ""
+    stance_percent: float = float("nan")
+
+
+@dataclass(slots=True)
+class Curves:
+    """Time-normalised curves of m muscles.
+
+    mean, sd   (100, m)     over all accepted cycles; NaN where there are too few
+    single     (k, 100, m)  some of the single cycles, evenly chosen
+    """
+
+    mean: Samples
+    sd: Samples
+    single: Samples
+
+
+def save(path: Path, report: Report, curves: Curves) -> None:
+    """Write both into one file, whole or not at all. Raises OSError."""
+    draft = path.with_name(f"{path.name}.draft")
+    with draft.open("wb") as file:
+        head = np.frombuffer(json.dumps(asdict(report)).encode(), np.uint8)
+        np.savez(file, report=head, mean=curves.mean, sd=curves.sd, single=curves.single.astype(np.float32))
+        file.flush()
+        os.fsync(file.fileno())
+    draft.replace(path)
+
+
+def load(path: Path) -> tuple[Report, Curves]:
+    """What `save` wrote."""
+    with np.load(path, allow_pickle=False) as file:
+        report: Report = adapter(Report).validate_json(file["report"].tobytes())
+        return report, Curves(file["mean"], file["sd"], file["single"].astype(np.float64))
