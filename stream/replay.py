@@ -193,6 +193,8 @@ class Replay:
         self._numbers = {
             name: recorder.add_stream(name, wire.spec, "input") for name, wire in self.pipeline.entries.items()
         }
+        for entry in self.recording.log:  # its drops belong to this replay as well
+            recorder.log(entry["kind"], entry["time"], **{k: v for k, v in entry.items() if k not in ("kind", "time")})
         for edge in self.graph.record:
             wire = self.pipeline.wires[str(edge)]
             if wire not in self.pipeline.entries.values():
