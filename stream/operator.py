@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Generic, Self, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeAlias, TypeVar
 
 import numpy as np
 
 from stream.chunk import Array, Chunk, Specs, StreamSpec
 from stream.state import pack, size_of, unpack
+
+if TYPE_CHECKING:
+    from stream.graph import Graph
 
 S = TypeVar("S")
 
@@ -108,6 +111,9 @@ class Outlet(Operator[S]):
     __slots__ = ()
     outputs: ClassVar[tuple[str, ...]] = ()
     durable: ClassVar[bool] = False
+
+    def meet(self, graph: Graph) -> None:
+        """Told once, before `begin`, which graph this is: its text, its nodes with their parameters and delays, the session's facts."""
 
     def begin(self) -> None:
         """Touch the world: create the file, connect. Called once, after `open` (and `restore`), before any device starts.

@@ -238,6 +238,7 @@ class Pipeline:
         """Let the outlets touch the world."""
         for stage in self.outlets:
             assert isinstance(stage.operator, Outlet)
+            stage.operator.meet(self.graph)
             stage.operator.begin()
 
     @property
