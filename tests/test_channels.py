@@ -38,7 +38,7 @@ def test_points_are_channels_and_the_dtype_stays():
 @pytest.mark.parametrize(
     ("operator", "message"),
     [
-        (Select(channels=("zz",)), r"channels is 'zz'; it must be a channel of the input; valid are 'x', 'y', 'z'"),
+        (Select(channels=("zz",)), r"channels is 'zz'; it must be a channel of the input; did you mean 'z'\?"),
         (Select(channels=(3,)), r"channels is 3; it must be a channel's name, or a number from 0 to 2"),
         (Select(channels=("x", 0)), r"it must be a list that names no channel twice"),
         (Select(rename={"u": "v"}), r"there is no 'u'"),
