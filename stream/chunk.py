@@ -150,9 +150,10 @@ class Chunk:
         return f"Chunk({len(self.time)} samples, until={self.until}, lost={self.lost})"
 
     def part(self, start: int, stop: int) -> Chunk:
-        """Samples start..stop-1; the first part keeps `lost`, the last one `until`."""
-        until = self.until if stop >= len(self.time) else int(self.time[stop]) - 1
-        return Chunk(self.time[start:stop], self.data[start:stop], until, 0 if start else self.lost)
+        """Samples start..stop-1; what holds the first sample keeps `lost`, what holds the last one keeps `until`."""
+        until = self.until if stop >= len(self.time) else min(self.until, int(self.time[stop]) - 1)
+        lost = self.lost if start == 0 and (stop > 0 or not len(self.time)) else 0
+        return Chunk(self.time[start:stop], self.data[start:stop], until, lost)
 
 
 def empty(spec: StreamSpec, until: int, lost: int = 0) -> Chunk:

@@ -22,6 +22,8 @@ import numba
 import platformdirs
 from numba.core import config
 
+from stream.errors import KinegraphError
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -60,29 +62,34 @@ def _compile(function: Callable[P, R], nogil: bool) -> Callable[P, R]:
 
 @cache
 def _package_of(function: Callable[..., object]) -> Path | None:
-    """The folder of a user's own package, or None for ours."""
+    """The folder of a user's own package, or of a file in none; None for ours."""
     path = Path(inspect.getfile(function)).resolve()
     if any(path.is_relative_to(_HOUSE / package) for package in _PACKAGES):
         return None
     folder = path.parent
     while (folder / "__init__.py").exists() and (folder.parent / "__init__.py").exists():
         folder = folder.parent
-    return folder if (folder / "__init__.py").exists() else path
+    return folder
 
 
 @cache
 def cache_folder(user: Path | None = None) -> Path:
-    """Where compiled kernels are kept: named by a hash of all our sources and, if given, of a user's package or file."""
+    """Where compiled kernels are kept: named by a hash of all our sources and, if given, of a user's package (or folder of files)."""
     digest = hashlib.sha256()
-    roots = [_HOUSE / package for package in _PACKAGES] + ([user] if user else [])
-    for root in roots:
-        for file in sorted(root.rglob("*.py")) if root.is_dir() else [root]:
-            digest.update(str(file.name).encode())
+    for root in [_HOUSE / package for package in _PACKAGES] + ([user] if user else []):
+        deep = root != user or (root / "__init__.py").exists()
+        for file in sorted(root.rglob("*.py") if deep else root.glob("*.py")):
+            digest.update(str(file.relative_to(root)).encode())
             digest.update(file.read_bytes())
     top = Path(os.environ.get("KINEGRAPH_CACHE", platformdirs.user_cache_dir("kinegraph"))) / "kernels"
     folder = top / digest.hexdigest()[:20]
-    folder.mkdir(parents=True, exist_ok=True)
-    os.utime(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        os.utime(folder)
+    except OSError as error:
+        raise KinegraphError(
+            f"compiled kernels cannot be kept in {top}: {error.strerror}; set KINEGRAPH_CACHE to a folder that can be written"
+        ) from None
     _forget_unused(top)
     return folder
 
