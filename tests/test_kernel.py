@@ -1,0 +1,110 @@
+"""Compiled code is never stale: an edit anywhere in the package of a kernel is seen; an empty cache, or none to write to, is no trouble."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stream.kernel import kernel
+
+RUN = """
+import sys
+sys.path.insert(0, {folder!r})
+from numba.core import event
+with event.install_recorder("numba:compile") as recorder:
+    from {module} import outer
+    print(outer(3.0), sum(e.is_start for _, e in recorder.buffer))
+"""
+OUTER = """
+from stream.kernel import kernel
+from {inner} import inner
+
+@kernel
+def outer(x):
+    return inner(x) + 1.0
+"""
+INNER = """
+from stream.kernel import kernel
+
+@kernel
+def inner(x):
+    return x * {factor}
+"""
+
+
+def run(folder: Path, module: str, cache: Path) -> tuple[float, int]:
+    """In a process of its own: what `outer(3.0)` gives, and how many kernels were compiled for it."""
+    code = RUN.format(folder=str(folder), module=module)
+    environment = {**os.environ, "KINEGRAPH_CACHE": str(cache)}
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
+    assert found.returncode == 0, found.stderr
+    value, compiled = found.stdout.split()
+    return float(value), int(compiled)
+
+
+def write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(textwrap.dedent(text))
+
+
+@pytest.mark.parametrize("packaged", [True, False], ids=["package", "loose files"])
+def test_an_edit_of_a_callee_in_another_file_is_seen(tmp_path: Path, packaged: bool) -> None:
+    home, cache = tmp_path / "mine", tmp_path / "cache"
+    place = home / "gains" if packaged else home
+    module = "gains.outer" if packaged else "outer_gain"
+    inner = "gains.deep.inner" if packaged else "inner_gain"
+    if packaged:
+        write(place / "__init__.py", "")
+        write(place / "deep" / "__init__.py", "")
+    write(home / f"{module.replace('.', '/')}.py", OUTER.format(inner=inner))
+    write(home / f"{inner.replace('.', '/')}.py", INNER.format(factor=10.0))
+    value, compiled = run(home, module, cache)
+    assert (value, compiled > 0) == (31.0, True), "an empty cache is filled"
+    assert run(home, module, cache) == (31.0, 0), "nothing changed: nothing compiles"
+    write(home / f"{inner.replace('.', '/')}.py", INNER.format(factor=20.0))
+    assert run(home, module, cache)[0] == 61.0, "the old machine code was used"
+
+
+def test_a_cache_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    code = "from stream.kernel import kernel\n@kernel\ndef f(x): return x\n"
+    (tmp_path / "late.py").write_text(code)
+    environment = {**os.environ, "KINEGRAPH_CACHE": str(tmp_path / "file")}
+    found = subprocess.run(
+        [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import late"],
+        capture_output=True, text=True, env=environment, check=False,
+    )  # fmt: skip
+    assert found.returncode == 1
+    assert "set KINEGRAPH_CACHE to a folder that can be written" in found.stderr
+
+
+def test_division_follows_numpy_and_raises_nothing() -> None:
+    @kernel
+    def divide(x: float, y: float) -> float:
+        return x / y
+
+    assert divide(1.0, 0.0) == np.inf
+    assert np.isnan(divide(0.0, 0.0))
+
+
+def test_sums_keep_their_order() -> None:
+    """Fastmath would be free to add in another order, and so to depend on the chunk."""
+
+    @kernel
+    def total(x: np.ndarray) -> float:
+        s = 0.0
+        for v in x:
+            s += v
+        return s
+
+    x = np.random.default_rng(1).normal(size=1001) * 10.0 ** np.random.default_rng(2).integers(-8, 8, 1001)
+    plain = 0.0
+    for v in x:
+        plain += v
+    assert total(x) == plain
