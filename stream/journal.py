@@ -11,7 +11,7 @@ import structlog
 from stream.checkpoint import Checkpoint, Keeper, fingerprint
 from stream.chunk import FOREVER, NEVER, Chunk, StreamSpec, utc
 from stream.clock import SessionClock
-from stream.errors import RunError
+from stream.errors import KinegraphError, RunError
 from stream.graph import Graph
 from stream.pipeline import Pipeline
 from stream.recording import Recorder, RecorderStatus, Recording, versions
@@ -27,7 +27,15 @@ class Former:
 
     def __init__(self, folder: Path, graph: Graph) -> None:
         """Raises RecordingError or RunError where it cannot be resumed with this graph."""
-        self.recording, self.checkpoint = Recording.open(folder), Checkpoint.load(folder)
+        self.recording = Recording.open(folder)
+        try:
+            self.checkpoint = Checkpoint.load(folder)
+            self._check(folder, graph)
+        except KinegraphError:
+            self.recording.close()
+            raise
+
+    def _check(self, folder: Path, graph: Graph) -> None:
         if self.recording.finished and self.checkpoint is None:
             raise RunError(f"{folder} holds a session that was ended properly; start a new one instead of resuming it")
         graph_then = self.checkpoint.graph if self.checkpoint else fingerprint(self.recording.header["graph"])

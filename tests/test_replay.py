@@ -84,7 +84,12 @@ def test_a_replay_can_be_recorded_and_replayed_again(tmp_path: Path) -> None:
 
 
 def test_outlets_are_silent_in_replay_unless_asked(tmp_path: Path) -> None:
-    text = "nodes:\n  board: {use: parts.Counting}\n  a: {use: parts.Collect, from: board, name: a}\n  b: {use: parts.Collect, from: board, name: b}\n"
+    text = """
+nodes:
+  board: {use: parts.Counting}
+  a: {use: parts.Collect, from: board, name: a}
+  b: {use: parts.Collect, from: board, name: b}
+"""
     Session(graph_of(text), tmp_path / "s").run()
     parts.seen.clear()
     with Recording.open(tmp_path / "s") as recording:
