@@ -16,14 +16,15 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import ParamSpec, TypeVar, overload
+from typing import Any, ParamSpec, TypeVar, overload
 
 import numba
 import platformdirs
-from numba.core import config
+from numba.core import config as numba_config
 
 from stream.errors import KinegraphError
 
+config: Any = numba_config
 P = ParamSpec("P")
 R = TypeVar("R")
 

@@ -68,9 +68,13 @@ def schema(cls: type[Any]) -> dict[str, Any]:
     return made
 
 
-@cache
 def adapter(cls: Any) -> TypeAdapter[Any]:
     """Pydantic's validator of a dataclass, made once."""
+    return _adapter(cls)
+
+
+@cache
+def _adapter(cls: Any) -> TypeAdapter[Any]:
     from pydantic import TypeAdapter
 
     return TypeAdapter(cls)
