@@ -10,11 +10,15 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import parts
 import pytest
 
+from stream.chunk import Chunk, empty
 from stream.errors import DeviceError, RunError
+from stream.graph import Graph
 from stream.load import load_text
+from stream.pipeline import Pipeline
 from stream.recording import Recording
 from stream.session import Outcome, Session
 
@@ -285,3 +289,49 @@ def test_a_signal_ends_a_session_cleanly(number: int, tmp_path: Path) -> None:
     recording = recorded(folder)
     assert recording.finished
     assert recording.streams["board.emg"].samples > 100
+
+
+def test_a_source_that_floods_waits_and_loses_nothing() -> None:
+    nodes = """
+  hose: {use: parts.Counting, samples: 200000, chunk: 3, queue: 8}
+  out: {use: parts.Collect, from: hose}
+"""
+    outcome = run(nodes)
+    assert outcome.error is None
+    assert parts.numbers() == list(range(200000))
+
+
+def test_two_drifting_sources_keep_their_order_through_a_minute_of_silence() -> None:
+    """An hour's worth of drift at 50 ppm in the stamps; the second source says nothing for a minute, as its supervisor would tell."""
+    graph = load_text(
+        "nodes:\n  a: {use: parts.Counting}\n  b: {use: parts.Counting}\n"
+        "  both: {use: parts.Beside, from: {a: a, b: b}}\n  out: {use: parts.Collect, from: both}",
+        path=str(HERE / "graph.yaml"),
+    )
+    pipeline = Pipeline(graph, speaking={"out"})
+    held = []
+    for second in range(120):
+        for stream, rate in (("a", 100.0), ("b", 100.0 * (1 + 50e-6))):
+            index = np.arange(second * 100, second * 100 + 100)
+            times = parts.START + np.round(index * 1e9 / rate).astype(np.int64)
+            if stream == "b" and 30 <= second < 90:
+                pipeline.feed("b", empty(graph.nodes["b"].specs["out"], int(times[-1])))
+            else:
+                lost = -1 if stream == "b" and second == 90 else 0
+                pipeline.feed(stream, Chunk(times, np.stack([index, index], axis=1) * 1.0, int(times[-1]), lost))
+        merge = pipeline.stages["both"].merge
+        assert merge
+        held.append(merge.held)
+    times = np.concatenate([c.time for c in parts.seen["out"]])
+    assert (np.diff(times) >= 0).all()
+    assert max(held) <= 2
+    assert len(times) == 100 * (120 + 60) - merge_tail(graph, pipeline)
+    assert parts.lost() == [-1]
+
+
+def merge_tail(graph: Graph, pipeline: Pipeline) -> int:
+    """How many samples still wait for the other source."""
+    before = sum(len(c) for c in parts.seen["out"])
+    for name in ("a", "b"):
+        pipeline.end(name)
+    return sum(len(c) for c in parts.seen["out"]) - before
