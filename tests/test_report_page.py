@@ -1,0 +1,170 @@
+"""The report's page: one file that needs nothing else, every number with its unit and normalisation, opened by a real browser."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.report_data import Column, Curves, Muscle, Rejected, Report, Setting, Stream, Value, load, save
+from devices.report_page import quality_sentence, render, write
+
+NAN = float("nan")
+VOID = {"meta", "br", "link", "img", "input", "hr"}
+
+
+def sample(muscles: tuple[str, ...] = ("TA", "SO"), accepted: int = 12) -> tuple[Report, Curves]:
+    phase = np.arange(100)[:, None] / 100
+    mean = 50 + 40 * np.sin(2 * np.pi * (phase + np.arange(len(muscles)) / 7))
+    single = mean + np.random.default_rng(0).normal(0, 5, (accepted, 1, len(muscles)))
+    report = Report(
+        title="Treadmill EMG",
+        unit="uV",
+        normalisation="none",
+        started=1_767_225_600_000_000_000,
+        ended=1_767_225_690_000_000_000,
+        facts=[("Subject", "K-017 <script>alert(1)</script>"), ("Side", "right")],
+        accepted=accepted,
+        rejected=2,
+        reasons=[("gap", 2)],
+        rejections=[Rejected(3.25, 1.5, "gap"), Rejected(9.0, NAN, "gap")],
+        gait=[Value("cadence", 57.1, "strides/min", 0.9), Value("stance", NAN, "%")],
+        columns=[Column("Peak", "uV"), Column("Peak at", "% of cycle", 0, "circular")],
+        muscles=[Muscle(m, f"{m} right", "good", "", [(91.2, 3.4), (25.0, NAN)]) for m in muscles],
+        pairs=[Value("TA / SO", 31.5, "%", 2.5)],
+        streams=[Stream("treadmill.emg", "2 channels", 90000, 1, 30)],
+        settings=[Setting("envelope", "operators.emg.Envelope", "cutoff_hz: 10", 212.0)],
+        versions=[("kinegraph", "0.1.0")],
+        graph="nodes: {}",
+        table_file="cycles.csv",
+        stance_percent=63.0,
+    )
+    return report, Curves(mean, np.full_like(mean, 5.0), single)
+
+
+class Page(HTMLParser):
+    """Fails on tags that do not match; gathers the text, and every attribute that could load something."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.tags: list[str] = []
+        self.text = ""
+        self.loads: list[str] = []
+        self.feed(html)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.loads += [value or "" for name, value in attrs if name in ("src", "href", "xlink:href", "data")]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if not self.open or self.open[-1] not in ("style", "title"):
+            self.text += data + " "
+
+
+def test_the_page_stands_alone() -> None:
+    html = render(*sample())
+    page = Page(html)
+    assert all(address.startswith("#") for address in page.loads)
+    assert "script" not in page.tags and "@import" not in html and "url(http" not in html
+    ids = re.findall(r'\bid="([^"]+)"', html)
+    assert len(ids) == len(set(ids)) and page.tags.count("svg") == 2
+
+
+def test_the_page_says_what_a_reader_needs() -> None:
+    text = " ".join(Page(render(*sample())).text.split())
+    for told in (
+        "K-017 <script>alert(1)</script>",
+        "12 cycles (2 rejected)",
+        "57.1 ± 0.9 cadence (strides/min)",
+        "– stance (%)",
+        "1:30 session",
+        "of the right leg",
+        "mean lift-off at 63.0 %",
+        "Amplitude: µV, not normalised.",
+        "Amplitudes in µV, not normalised.",
+        "TA / SO 31.5 ± 2.5 %",
+        "3.25 1.500 gap 9.00 – gap",
+        "90 000 1 30",
+        "operators.emg.Envelope cutoff_hz: 10 212",
+        "All 2 channels are good.",
+        "cycles.csv",
+        "Amplitudes are not normalised. They hang on electrodes",
+    ):
+        assert told in text, told
+    assert "Interim" not in text and "uncertain" not in text
+
+
+def test_few_cycles_interim_and_normalised() -> None:
+    report, curves = sample(accepted=4)
+    report.interim, report.normalisation, report.unit = True, "MVC of 2026-01-01", "%"
+    text = " ".join(Page(render(report, curves)).text.split())
+    assert "Interim report: the session was still running at 00:01:30 UTC" in text
+    assert "Only 4 cycles were accepted" in text
+    assert text.count("%, normalised to MVC of 2026-01-01") == 2 and "not normalised" not in text
+
+
+def test_a_session_without_a_single_cycle_has_a_page() -> None:
+    report, _ = sample(accepted=0)
+    report.muscles[0].values = report.muscles[1].values = [(NAN, NAN), (NAN, NAN)]
+    report.stance_percent = NAN
+    nothing = np.full((100, 2), np.nan)
+    text = Page(render(report, Curves(nothing, nothing, np.empty((0, 100, 2))))).text
+    assert text.count("no valid cycle") == 2
+
+
+def test_the_sentence_on_quality_names_bad_channels() -> None:
+    muscles = [Muscle("TA", "", "good"), Muscle("SO", "", "faulty", "flat line"), Muscle("GM", "", "check")]
+    assert quality_sentence(muscles) == "1 of 3 channels are good. Look at: SO: flat line; GM: check."
+    assert "Not judged" in quality_sentence([Muscle("TA")])
+
+
+def test_what_is_saved_is_what_is_drawn(tmp_path: Path) -> None:
+    report, curves = sample()
+    save(tmp_path / "data.npz", report, curves)
+    again, same = load(tmp_path / "data.npz")
+    assert repr(again) == repr(report)
+    assert np.array_equal(same.mean, curves.mean) and np.allclose(same.single, curves.single, rtol=1e-6)
+    subprocess.run(
+        [sys.executable, "-m", "devices.report_page", tmp_path / "data.npz", tmp_path / "page.html"], check=True
+    )
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["data.npz", "page.html"]
+    Page((tmp_path / "page.html").read_text())
+
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium here (Debian: apt-get install chromium)")
+def test_a_browser_shows_it_and_prints_it_on_few_sheets(tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    write(page, *sample(tuple(f"M{i}" for i in range(13))))
+    quiet = ["disable-gpu", "disable-quic", "no-first-run", "disable-background-networking", "disable-component-update"]
+    flags = [f"--{flag}" for flag in ("headless", "no-sandbox", *quiet, "disable-sync", "no-pdf-header-footer")]
+    command = [str(CHROMIUM), *flags, f"--user-data-dir={tmp_path / 'profile'}"]
+
+    def browse(*what: str) -> bytes:
+        return subprocess.run([*command, *what, page.as_uri()], check=True, capture_output=True, timeout=120).stdout
+
+    assert b"M12 right" in browse("--dump-dom")
+    browse(f"--print-to-pdf={tmp_path / 'page.pdf'}")
+    sheets = re.findall(rb"/Type\s*/Page\b", (tmp_path / "page.pdf").read_bytes())
+    assert 2 <= len(sheets) <= 4
