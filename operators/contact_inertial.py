@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from operators.contact_legs import BY_ENERGY, BY_SIZE, LEGS, LIFTOFF, TOUCHDOWN, glide, judge, rest
+from operators.contact_legs import BY_ENERGY, BY_SIZE, LEGS, LIFTOFF, LONGEST_NS, TOUCHDOWN, glide, judge, rest
 from operators.contacts import Contacts, Followed, signal_channels
 from stream.chunk import NEVER, NS, Array, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError
@@ -87,7 +87,7 @@ def bout(turn: np.void, at: int, dt: float, speed: float) -> bool:
     if at - turn["moved_at"] <= PAUSE_NS:
         return False
     turn["moving"] = 0
-    if at - turn["landed_at"] > LATEST_NS:
+    if at - turn["landed_at"] > LATEST_NS or turn["landed_at"] - turn["began"] > LONGEST_NS:
         return False
     return not turn["found"] and turn["path"] > STEP_RAD and turn["landed_at"] - turn["touched_at"] > APART_NS
 
@@ -180,6 +180,9 @@ class InertialContacts(Contacts[InertialState]):
     angular_velocity: tuple[str, ...] = param(
         (), help="the three channels of angular velocity; empty: those in rad/s or deg/s"
     )
+    unit: Literal["", "rad/s", "deg/s"] = param(
+        "", help="unit of the channels named in angular_velocity; empty: the input's"
+    )
     reset_gap_s: float = param(
         0.3, least=0.0, most=1.0, help="a longer gap, or run of bad samples, starts anew; the axis is kept"
     )
@@ -189,6 +192,7 @@ class InertialContacts(Contacts[InertialState]):
         spec = specs["in"]
         picked, unit = self._angular(spec)
         foot = self.site == "foot"
+        shifts = FOOT_NS if foot else SHANK_NS
         if spec.rate_hz is not None and spec.rate_hz < SLOWEST_HZ:
             raise InputError("in", spec.describe(), f"at {SLOWEST_HZ:g} Hz or faster")
         state = InertialState(
@@ -196,8 +200,8 @@ class InertialContacts(Contacts[InertialState]):
             last=NEVER,
             picked=np.array(picked),
             radians=RADIANS[unit],
-            limits=np.array([SWING_RAD, STANCE_RAD, REVERSE_RAD, STILL_NS]),
-            shifts=np.array(FOOT_NS if foot else SHANK_NS),
+            limits=np.array([SWING_RAD, STANCE_RAD, REVERSE_RAD, STILL_NS, shifts[0]]),
+            shifts=np.array(shifts),
             voting=BY_SIZE if foot else BY_ENERGY,
             memory=np.zeros(1, LEGS),
             motion=np.zeros(1, TURN),
@@ -211,15 +215,18 @@ class InertialContacts(Contacts[InertialState]):
 
     def _angular(self, spec: StreamSpec) -> tuple[list[int], str]:
         """Where the angular velocity stands, and its unit."""
-        chosen = signal_channels(spec, self.angular_velocity, "angular_velocity")
-        units = [spec.units[0] if len(spec.units) == 1 else spec.units[i] for i in chosen]
-        picked = [i for i, unit in zip(chosen, units, strict=True) if unit in RADIANS]
+        picked = signal_channels(spec, self.angular_velocity, "angular_velocity")
+        units = [spec.units[0] if len(spec.units) == 1 else spec.units[i] for i in picked]
+        if self.unit and self.angular_velocity:
+            units = [self.unit] * len(picked)
+        picked = [i for i, unit in zip(picked, units, strict=True) if unit in RADIANS]
         used = {unit for unit in units if unit in RADIANS}
         if len(picked) != 3 or len(used) != 1:
             raise InputError(
                 "in",
-                f"{spec.describe()}, of which {len(picked)} in an angular velocity's unit",
-                f"three channels of angular velocity in {', '.join(RADIANS)}, or more channels and those three named in angular_velocity",
+                f"{spec.describe()}, of which {len(picked)} in {' and '.join(sorted(used)) or 'a unit of angular velocity'}",
+                f"three channels of angular velocity in one of {', '.join(RADIANS)}; else name the three in "
+                "angular_velocity, and their unit in unit",
             )
         return picked, used.pop()
 

@@ -35,8 +35,8 @@ LEGS = np.dtype(
 the vote on polarity: positive where the swing runs towards positive coordinates, and the onsets of the last contacts. Times are ns."""
 
 LIFTOFF, TOUCHDOWN = 1, 2
-SWING, STANCE, REVERSE, STILL = range(4)
-NO_VOTE, BY_SIZE, BY_ENERGY = range(3)
+SWING, STANCE, REVERSE, STILL, WAIT = range(5)
+NO_VOTE, SURE, BY_SIZE, BY_ENERGY = range(4)
 FORGET = 0.97
 """What a leg's vote keeps with each later leg."""
 LONGEST_NS = 1_500_000_000
@@ -71,10 +71,11 @@ def glide(legs: np.void, since: int, at: int, before: float, now: float) -> None
 
 
 @kernel
-def over(legs: np.void, at: int, reverse: float, still_ns: float) -> bool:
-    """Whether the leg under way has ended: the coordinate has come back by `reverse`, or its extreme is `still_ns` old."""
+def over(legs: np.void, at: int, limits: Samples) -> bool:
+    """Whether the leg under way has ended: the coordinate has come back from its extreme, or has not gone on for a while."""
     back = (legs["extreme"] - legs["coordinate"]) * legs["direction"]
-    return bool(legs["direction"] != 0 and (back > reverse or at - legs["extreme_at"] > still_ns))
+    age = at - legs["extreme_at"]
+    return bool(legs["direction"] != 0 and age >= limits[WAIT] and (back > limits[REVERSE] or age > limits[STILL]))
 
 
 @kernel
@@ -95,16 +96,17 @@ def judge(legs: np.void, at: int, limits: Samples, voting: int) -> int:
 
     A lift-off is certain as soon as the swing is long enough, and its onset is where the leg began; a touch-down once the
     swing is over, and its onset is the swing's extreme. So every touch-down has its lift-off before it; but where the caller
-    votes, the first leg of all may be a swing whose begin was not seen.
+    is sure of the polarity, the first leg of all may be a swing whose begin was not seen.
 
-    limits  (4,)  how long a swing and the leg before it must be, by how much a turn must come back to be certain, and
-                  after how many ns without progress a limb is at rest
-    voting        NO_VOTE, or what a leg that is over counts for the swing running its way: its size squared, or that per s
+    limits  (5,)  how long a swing and the leg before it must be, by how much a turn must come back to be certain,
+                  after how many ns without progress a limb is at rest, and how many ns old a turn must be
+    voting        NO_VOTE or SURE: the caller votes; BY_SIZE, BY_ENERGY: a leg that is over counts for the swing running its
+                  way by its size squared, or that per second
     """
     certain = 0
-    ends = over(legs, at, limits[REVERSE], limits[STILL])
+    ends = over(legs, at, limits)
     size = abs(legs["extreme"] - legs["start"])
-    if ends and voting != NO_VOTE and size > limits[REVERSE]:
+    if ends and voting >= BY_SIZE and size > limits[REVERSE]:
         weight = size * size
         if voting == BY_ENERGY:
             weight /= max(1e-9 * (legs["extreme_at"] - legs["start_at"]), 0.05)
@@ -113,7 +115,7 @@ def judge(legs: np.void, at: int, limits: Samples, voting: int) -> int:
         legs["told"] = 1
         legs["liftoff_at"] = legs["before_at"]
         certain += LIFTOFF
-    if ends and voting == NO_VOTE and legs["before_direction"] == 0 and size > limits[SWING]:
+    if ends and voting == SURE and legs["before_direction"] == 0 and size > limits[SWING]:
         legs["told"] = 1 if legs["direction"] * legs["vote"] > 0.0 else 0
     if ends:
         if legs["told"]:

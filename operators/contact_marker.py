@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from operators.contact_legs import LEGS, LIFTOFF, NO_VOTE, TOUCHDOWN, glide, judge, rest
+from operators.contact_legs import LEGS, LIFTOFF, NO_VOTE, SURE, TOUCHDOWN, glide, judge, rest
 from operators.contacts import Contacts, Followed
 from operators.iir import butterworth, group_delay, settling
 from operators.marker_columns import marker_columns
@@ -96,8 +96,8 @@ def jumps(walk: np.void, place: Samples, elapsed_ns: int) -> bool:
 
 
 @kernel
-def along(walk: np.void, step: Samples, dt: float, alone: bool) -> tuple[float, float]:
-    """The foot's speed in m/s relative to the body along the way, and a vote for that way to be forward (negative: backward).
+def along(walk: np.void, step: Samples, dt: float, alone: bool) -> tuple[float, float, float]:
+    """The foot's speed in m/s relative to the body along the way, and two votes for that way to be forward (negative: backward).
 
     step (6,) is what foot and body moved in `dt` s; without a body marker (`alone`) the body moves as the foot did on average.
     The way is the horizontal direction of most relative motion, followed by one step of the power method a sample. The body
@@ -123,7 +123,7 @@ def along(walk: np.void, step: Samples, dt: float, alone: bool) -> tuple[float, 
     walk["cube"] = keep * walk["cube"] + speed * speed * speed * dt
     typical = np.sqrt((walk["spread"][0] + walk["spread"][2]) / walk["weight"])
     skew = walk["cube"] / walk["weight"] / (typical * typical * typical)
-    return speed, 2.0 * (east * walk["axis"][0] + north * walk["axis"][1]) / typical + skew
+    return speed, 2.0 * (east * walk["axis"][0] + north * walk["axis"][1]) / typical, skew
 
 
 @kernel
@@ -145,13 +145,14 @@ def advance(
         step[c] = value - walk["smooth"][c]
         walk["smooth"][c] = value
     dt = 1e-9 * (at - since)
-    speed, legs["vote"] = along(walk, step, dt, alone)
+    speed, going, skew = along(walk, step, dt, alone)
+    legs["vote"] = going + skew
     speed = speed - DEAD_M_S if speed > DEAD_M_S else speed + DEAD_M_S if speed < -DEAD_M_S else 0.0
     middle = since + (at - since) // 2 - delay_ns
     if walk["middle"] != NEVER:
         glide(legs, walk["middle"], middle, walk["speed"], speed)
     walk["middle"], walk["speed"] = middle, speed
-    return judge(legs, middle, limits, NO_VOTE)
+    return judge(legs, middle, limits, SURE if abs(going) > 1.0 and not alone else NO_VOTE)
 
 
 @kernel
@@ -233,15 +234,16 @@ class MarkerContacts(Contacts[MarkerState]):
 
     Positions are smoothed by a causal Butterworth of order 2 at `cutoff_hz` (the thesis: 10 Hz; it names no order), whose delay the
     onsets make up for. Samples that are missing, not finite, or exactly 0, 0, 0 are filled on a straight line up to
-    `fill_s`; a longer gap, and a jump that no limb makes (30 m/s), start anew.
+    `fill_gap_s`; a longer gap, and a jump that no limb makes (30 m/s), start anew.
     Decided: touch-down some 70 to 120 ms after its onset, lift-off some 150 ms; a walker who stops within 0.3 s, the declared delay.
     """
 
     marker: str = param(help="the marker on the foot or leg: its name, or its number from 0")
     reference: str = param("", help="a marker on hip or sacrum; empty: the foot's own mean motion stands in")
     up: Literal["x", "y", "z"] = param("z", help="the vertical coordinate")
+    unit: Literal["", "m", "cm", "mm"] = param("", help="unit of the positions; empty: the input's")
     cutoff_hz: float = param(10.0, above=0.0, help="low-pass of the positions")
-    fill_s: float = param(0.2, least=0.0, most=1.0, help="the longest gap that is filled; a longer one starts anew")
+    fill_gap_s: float = param(0.2, least=0.0, most=1.0, help="the longest gap that is filled; a longer one starts anew")
     side: Literal["left", "right", ""] = param("", help="whose foot: left, right, or empty where it is not known")
 
     def open(self, specs: Specs) -> Specs:
@@ -250,9 +252,17 @@ class MarkerContacts(Contacts[MarkerState]):
         spec = specs["in"]
         foot = marker_columns(spec, self.marker, "marker")
         body = marker_columns(spec, self.reference, "reference") if self.reference else foot
-        units = {spec.units[0]} if len(spec.units) == 1 else {spec.unit_of(spec.channels[i]) for i in (*foot, *body)}
+        units = (
+            {self.unit}
+            if self.unit
+            else {spec.units[0]}
+            if len(spec.units) == 1
+            else {spec.unit_of(spec.channels[i]) for i in (*foot, *body)}
+        )
         if len(units) != 1 or not units <= set(METRES):
-            raise InputError("in", f"in {', '.join(sorted(units)) or 'no unit'}", f"in {', '.join(METRES)}: positions")
+            raise InputError(
+                "in", f"in {', '.join(sorted(units)) or 'no unit'}", f"in {', '.join(METRES)}, or unit must say it"
+            )
         if spec.rate_hz is None:
             raise InputError("in", spec.describe(), "regular: its rate must be known")
         if self.cutoff_hz >= spec.rate_hz / 2:
@@ -262,7 +272,7 @@ class MarkerContacts(Contacts[MarkerState]):
         delay_s = group_delay(sos, 0.0) / spec.rate_hz
         vertical = "xyz".index(self.up)
         order = [(vertical + 1) % 3, (vertical + 2) % 3, vertical]
-        fill_ns = round(self.fill_s * NS)
+        fill_ns = round(self.fill_gap_s * NS)
         state = MarkerState(
             gap_ns=fill_ns + spec.period_ns,
             last=NEVER,
@@ -275,7 +285,7 @@ class MarkerContacts(Contacts[MarkerState]):
             sos=sos,
             steady=np.ascontiguousarray(sosfilt_zi(sos)),
             z=np.zeros((6, len(sos), 2)),
-            limits=np.array([SWING_M, STANCE_M, REVERSE_M, STILL_NS]),
+            limits=np.array([SWING_M, STANCE_M, REVERSE_M, STILL_NS, 0.0]),
             memory=np.zeros(1, LEGS),
             motion=np.zeros(1, WALK),
         )
