@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 import sys
+import sysconfig
 import traceback
 from dataclasses import is_dataclass
 from difflib import get_close_matches
@@ -25,6 +26,7 @@ PACKAGES = ("operators", "devices", "stream.manual")
 
 Part: TypeAlias = type[Source] | type[Operator[Any]]
 
+_PYTHON = sysconfig.get_paths()["stdlib"]
 _beside: list[str] = []
 """Folders that `import_from` has put on Python's search path."""
 
@@ -138,11 +140,12 @@ def _import(name: str, use: str) -> ModuleType:
 
 
 def explain(error: BaseException) -> str:
-    """An exception on one line, with the file and line where it was raised."""
+    """An exception on one line, with the last file and line on its way that is not Python's own or an installed package's."""
     if isinstance(error, SyntaxError):
         return f"SyntaxError: {error.msg} ({error.filename}, line {error.lineno})"
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if "importlib" not in f.filename]
-    where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames and frames[-1].filename != __file__ else ""
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename != __file__]
+    own = [f for f in frames if not f.filename.startswith((_PYTHON, "<frozen")) and "site-packages" not in f.filename]
+    where = "".join(f" ({at.filename}, line {at.lineno})" for at in (own or frames)[-1:])
     return f"{type(error).__name__}: {error}{where}"
 
 

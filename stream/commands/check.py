@@ -31,7 +31,8 @@ def check(
     if recording:
         from stream.recording import Recording
 
-        recorded = {name: stream.spec for name, stream in Recording.open(recording).streams.items()}
+        with Recording.open(recording) as opened:
+            recorded = {name: stream.spec for name, stream in opened.streams.items()}
     graph = load(config, recorded=recorded, overrides=overrides.read(settings or ()))
     planned = plan(graph, enforce=False)
     console = Console(highlight=False)
