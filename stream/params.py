@@ -7,15 +7,15 @@ switch), and whatever is wrong is raised as a `ParameterError` that names the pa
 from __future__ import annotations
 
 import json
-from dataclasses import MISSING, field, fields
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, Field, field, fields
 from functools import cache
+from operator import ge, gt, le, lt
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from stream.errors import ParameterError, nearest
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from pydantic import TypeAdapter
 
 T = TypeVar("T")
@@ -30,13 +30,14 @@ def param(
     most: float | None = None,
     help: str = "",
 ) -> Any:
-    """A parameter of an operator, source or outlet. Without a default it must be given.
+    """A parameter of an operator, source or outlet. Without a default it must be given (and stands before those that have one).
 
-    `above`/`below` are exclusive bounds, `least`/`most` inclusive ones; `help` is one line, shown by editors and `kinegraph draw`.
+    `above`/`below` are exclusive bounds, `least`/`most` inclusive ones, of a number or of each number in a list; `help` is one line,
+    shown by editors and `kinegraph draw`.
     """
-    bounds = {"gt": above, "ge": least, "lt": below, "le": most}
-    metadata = {name: bound for name, bound in bounds.items() if bound is not None}
-    return field(default=default, metadata={**metadata, "description": help})
+    bounds = {"above": above, "least": least, "below": below, "most": most}
+    metadata = {"description": help, **{name: bound for name, bound in bounds.items() if bound is not None}}
+    return field(default=default, metadata={"kinegraph": metadata})
 
 
 def build(cls: type[T], values: Mapping[str, Any]) -> T:
@@ -56,6 +57,9 @@ def build(cls: type[T], values: Mapping[str, Any]) -> T:
         made: T = adapter(cls).validate_json(text, strict=True)
     except ValidationError as error:
         raise _explain(cls, values, error) from None
+    for f in fields(cls):  # type: ignore[arg-type]
+        if f.name in values:
+            _check_bounds(f.name, values[f.name], _facts(f))
     return made
 
 
@@ -63,9 +67,18 @@ def schema(cls: type[Any]) -> dict[str, Any]:
     """The JSON Schema of a dataclass's parameters, for editors."""
     made: dict[str, Any] = adapter(cls).json_schema()
     made.pop("title", None)
-    for entry in made.get("properties", {}).values():
+    entries = made.get("properties", {})
+    for f in fields(cls):
+        entry, facts = entries[f.name], _facts(f)
         entry.pop("title", None)
+        entry["description"] = facts.get("description", "")
+        _tell_bounds(entry, facts)
     return made
+
+
+def help_of(cls: type[Any], name: str) -> str:
+    """The line that explains a parameter; "" if there is none."""
+    return next((str(_facts(f).get("description", "")) for f in fields(cls) if f.name == name), "")
 
 
 def adapter(cls: Any) -> TypeAdapter[Any]:
@@ -80,6 +93,47 @@ def _adapter(cls: Any) -> TypeAdapter[Any]:
     return TypeAdapter(cls)
 
 
+def _facts(f: Field[Any]) -> Mapping[str, Any]:
+    """What `param` was told about a field."""
+    facts: Mapping[str, Any] = f.metadata.get("kinegraph", {})
+    return facts
+
+
+BOUNDS: dict[str, tuple[Callable[[float, float], bool], str, str]] = {
+    "above": (gt, "above", "exclusiveMinimum"),
+    "least": (ge, "at least", "minimum"),
+    "below": (lt, "below", "exclusiveMaximum"),
+    "most": (le, "at most", "maximum"),
+}
+"""By the name of a bound: when it holds, how it reads, and what JSON Schema calls it."""
+
+
+def _check_bounds(name: str, value: Any, facts: Mapping[str, Any]) -> None:
+    """Raise ParameterError if a number, or one in a list or mapping, is out of bounds."""
+    if isinstance(value, tuple | list):
+        for i, item in enumerate(value):
+            _check_bounds(f"{name}[{i}]", item, facts)
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            _check_bounds(f"{name}.{key}", item, facts)
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        told = [f"{text} {facts[bound]:g}" for bound, (_, text, _) in BOUNDS.items() if bound in facts]
+        if not all(holds(value, facts[bound]) for bound, (holds, _, _) in BOUNDS.items() if bound in facts):
+            raise _within(name, ParameterError(name, value, " and ".join(told)))
+
+
+def _tell_bounds(entry: Any, facts: Mapping[str, Any]) -> None:
+    """Write the bounds into every place of a JSON Schema where a number may stand."""
+    if isinstance(entry, dict):
+        if entry.get("type") in ("number", "integer"):
+            entry.update({key: facts[bound] for bound, (_, _, key) in BOUNDS.items() if bound in facts})
+        for key in ("items", "additionalProperties"):
+            _tell_bounds(entry.get(key), facts)
+        for key in ("anyOf", "prefixItems"):
+            for inner in entry.get(key, ()):
+                _tell_bounds(inner, facts)
+
+
 def _is_plain(value: Any) -> bool:
     try:
         json.dumps(value, allow_nan=False)
@@ -88,31 +142,54 @@ def _is_plain(value: Any) -> bool:
     return True
 
 
+WANTED = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "a text",
+    "literal_error": "{expected}",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "dict_type": "a mapping of names to values",
+    "dataclass_type": "a mapping of names to values",
+    "dataclass_exact_type": "a mapping of names to values",
+    "none_required": "left out",
+    "too_long": "a list of {max_length}",
+}
+"""Pydantic's kinds of complaint, in our words."""
+
+
 def _explain(cls: type[Any], values: Mapping[str, Any], error: Any) -> ParameterError:
-    """Pydantic's first complaint, in our words."""
-    first = error.errors(include_url=False, include_context=True)[0]
-    location = [str(part) for part in first["loc"] if not str(part).startswith(("function-", "list[", "tuple["))]
-    name = location[0] if location else cls.__name__
-    if first["type"] == "missing":
-        return MissingParameter(name, cls.__name__)
-    limits = first.get("ctx", {})
-    wanted = {
-        "greater_than": "above {gt}",
-        "greater_than_equal": "at least {ge}",
-        "less_than": "below {lt}",
-        "less_than_equal": "at most {le}",
-        "float_type": "a number",
-        "int_type": "a whole number",
-        "int_from_float": "a whole number",
-        "bool_type": "true or false",
-        "string_type": "a text",
-        "literal_error": "one of {expected}",
-        "list_type": "a list",
-        "tuple_type": "a list",
-        "dict_type": "a mapping of names to values",
-        "none_required": "left out",
-    }.get(first["type"])
-    return ParameterError(name, values.get(name), wanted.format(**limits) if wanted else _lower(first["msg"]))
+    """Pydantic's first complaint, and the others about the same value (a parameter may accept several types), in our words."""
+    errors = error.errors(include_url=False, include_context=True)
+    where = [_locate(values, e["loc"]) for e in errors]
+    name, given = where[0]
+    if errors[0]["type"] == "missing":
+        return _within(name, MissingParameter(name, cls.__name__))
+    wanted = [
+        WANTED[e["type"]].format(**e.get("ctx", {})) if e["type"] in WANTED else _lower(e["msg"])
+        for e, (other, _) in zip(errors, where, strict=True)
+        if other == name
+    ]
+    return _within(name, ParameterError(name, given, " or ".join(dict.fromkeys(wanted))))
+
+
+def _within(path: str, error: ParameterError) -> ParameterError:
+    """The error about a part of a parameter, known by the parameter's own name."""
+    error.parameter = path.partition("[")[0].partition(".")[0]
+    return error
+
+
+def _locate(values: Mapping[str, Any], location: tuple[str | int, ...]) -> tuple[str, Any]:
+    """The path and value that a complaint is about: ("pairs[0].name", 3). Pydantic's path also names the types it tried."""
+    name, value = str(location[0]), values.get(str(location[0]))
+    for step in location[1:]:
+        if isinstance(step, int) and isinstance(value, list | tuple):
+            name, value = f"{name}[{step}]", value[step] if step < len(value) else None
+        elif isinstance(value, dict) and step in value:
+            name, value = f"{name}.{step}", value[step]
+    return name, value
 
 
 def _lower(message: str) -> str:
