@@ -1,0 +1,112 @@
+"""The house: which way imports point, that modules are named after an idea, that nothing knows this machine, that the public is told."""
+
+from __future__ import annotations
+
+import ast
+import re
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from stream.parts import catalogue
+from stream.source import Source
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ("stream", "devices", "operators")
+MAY_IMPORT = {"stream": {"stream"}, "devices": {"devices", "stream"}, "operators": {"operators", "stream"}}
+VAGUE = {"utils", "util", "common", "base", "helpers", "helper", "manager", "misc", "core", "tools"}
+MACHINE = re.compile(r"\.\./shared|/work/|/root/|/home/[a-z]|/Users/|C:\\\\Users")
+TEXTS = {".py", ".md", ".yaml", ".yml", ".toml", ".j2", ".html", ".js", ".css", ".json", ".cfg", ""}
+UNITS = re.compile(r"_(hz|s|ms|ns|min|per_min|uV|mV|V|N|m|mm|cm|g|kg|deg|rad|percent|pct|dB|samples|bytes|mb|kib)$")
+
+
+def modules(package: str) -> list[Path]:
+    return sorted((ROOT / package).rglob("*.py"))
+
+
+ALL = [pytest.param(p, id=str(p.relative_to(ROOT))) for package in PACKAGES for p in modules(package)]
+
+
+def imported(path: Path) -> set[str]:
+    """The top-level packages that a file imports, wherever in it, also by name at run time."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: line {node.lineno}: relative imports hide which way they point"
+            found.add((node.module or "").partition(".")[0])
+        elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
+            called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            if called in ("import_module", "__import__"):
+                found.add(str(node.args[0].value).partition(".")[0])
+    return found
+
+
+@pytest.mark.parametrize("path", ALL)
+def test_imports_point_one_way(path: Path) -> None:
+    package = path.relative_to(ROOT).parts[0]
+    assert imported(path) & set(PACKAGES) <= MAY_IMPORT[package]
+
+
+@pytest.mark.parametrize("path", ALL)
+def test_a_module_is_named_after_its_idea_and_says_it(path: Path) -> None:
+    assert path.stem not in VAGUE
+    if path.stem not in ("__init__", "__main__") or path.read_text(encoding="utf-8").strip():
+        assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))), (
+            "a module says in its first line what it is about"
+        )
+
+
+@pytest.mark.parametrize("path", ALL)
+def test_only_kernel_compiles(path: Path) -> None:
+    """No numba but through `@kernel` (and what watches it), no fastmath, no pickle."""
+    text = path.read_text(encoding="utf-8")
+    if path != ROOT / "stream" / "kernel.py":
+        assert not re.search(r"\b(njit|jit|vectorize|guvectorize)\(|@(numba\.)?n?jit\b", text)
+    assert not re.search(r"fastmath\s*=", text)
+    assert not imported(path) & {"pickle", "cPickle", "dill", "joblib", "shelve", "marshal"}
+    assert not re.search(r"allow_pickle\s*=\s*True", text)
+
+
+def texts() -> list[Path]:
+    """Every file of the project that people read, and that is not made by a tool."""
+    places = ["stream", "devices", "operators", "configs", "docs", "tests", "bench", ".ci"]
+    found = [p for place in places for p in (ROOT / place).rglob("*") if p.is_file() and p.suffix in TEXTS]
+    found += [p for p in ROOT.iterdir() if (p.is_file() and p.suffix in {".md", ".toml"}) or p.name == "Makefile"]
+    return [p for p in found if "__pycache__" not in p.parts and p != Path(__file__).resolve()]
+
+
+def test_no_file_knows_this_machine() -> None:
+    told = []
+    for path in texts():
+        for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
+            if MACHINE.search(line):
+                told.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()[:100]}")
+    assert not told, "\n".join(told)
+
+
+PARTS, FAILED = catalogue(PACKAGES)
+each_part = pytest.mark.parametrize("part", [pytest.param(part, id=use) for use, part in PARTS.items()])
+
+
+def test_every_module_can_be_imported() -> None:
+    assert not FAILED
+    assert any(issubclass(part, Source) for part in PARTS.values())
+
+
+@each_part
+def test_a_part_says_what_it_does(part: Any) -> None:
+    said = part.__dict__.get("__doc__") or ""
+    assert said and not said.startswith(f"{part.__name__}("), (
+        "a part needs a docstring: what goes in, what comes out, delay, source"
+    )
+
+
+@each_part
+def test_a_parameter_has_a_help_or_a_unit(part: Any) -> None:
+    for f in fields(part):
+        told = f.metadata.get("kinegraph", {}).get("description") or UNITS.search(f.name)
+        assert told, f"{part.__name__}.{f.name} needs `help` in its param, or a unit in its name"
