@@ -75,9 +75,9 @@ class Envelope(Operator[EnvelopeState]):
     """
 
     cutoff_hz: float = param(20.0, above=0.0, help="cut-off of the low-pass (each way)")
-    order: int = param(4, least=1, most=10)
+    order: int = param(4, least=1, most=10, help="of the low-pass (each way)")
     highpass_hz: float = param(20.0, least=0.0, help="cut-off of the high-pass before rectifying; 0: none")
-    highpass_order: int = param(2, least=1, most=6)
+    highpass_order: int = param(2, least=1, most=6, help="of the high-pass (each way)")
     rate_hz: float = param(120.0, least=0.0, help="rate of the envelope; 0: the input's")
     phase: Literal["zero", "causal"] = param(
         "zero", help="zero: peaks stay where they are; causal: sooner, peaks move a little"

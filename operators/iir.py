@@ -162,7 +162,7 @@ class Lowpass(Sections):
     """
 
     cutoff_hz: float = param(above=0.0, help="where the filter is 3 dB down")
-    order: int = param(4, least=1, most=20)
+    order: int = param(4, least=1, most=20, help="of the filter: each adds 6 dB per octave")
     start: Literal["zero", "first"] = param("zero", help="what came before: zeros, or the first sample's value")
     reset_gap_s: float = param(0.1, least=0.0, help="a longer gap resets the filter")
 
@@ -180,7 +180,7 @@ class Highpass(Sections):
     """Butterworth high-pass: removes offset and drift, e.g. motion artefacts of EMG below 10-20 Hz. Stamps unchanged, no delay declared."""
 
     cutoff_hz: float = param(above=0.0, help="where the filter is 3 dB down")
-    order: int = param(4, least=1, most=20)
+    order: int = param(4, least=1, most=20, help="of the filter: each adds 6 dB per octave")
     start: Literal["zero", "first"] = param("zero", help="what came before: zeros, or the first sample's value")
     reset_gap_s: float = param(0.1, least=0.0, help="a longer gap resets the filter")
 
@@ -202,7 +202,7 @@ class Bandpass(Sections):
 
     low_hz: float = param(above=0.0, help="lower edge, 3 dB down")
     high_hz: float = param(above=0.0, help="upper edge, 3 dB down")
-    order: int = param(4, least=1, most=20)
+    order: int = param(4, least=1, most=20, help="of each flank: each adds 6 dB per octave")
     start: Literal["zero", "first"] = param("zero", help="what came before: zeros, or the first sample's value")
     reset_gap_s: float = param(0.1, least=0.0, help="a longer gap resets the filter")
 
