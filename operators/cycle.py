@@ -1,0 +1,129 @@
+"""What a gait cycle is to the operators that make and read cycles: its points, its event, and why one is rejected."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec, Times
+from stream.errors import InputError
+
+POINTS = 100
+REASONS = ("too short", "too long", "gap", "settling", "incomplete", "irregular", "missing")
+"""Why a cycle is rejected, in the order in which it is asked; see `Cycles`."""
+
+CLOSED = np.dtype(
+    [
+        ("onset", "<i8"),
+        ("end", "<i8"),
+        ("number", "<i8"),
+        ("duration_s", "<f8"),
+        ("stance_pct", "<f8"),
+        ("cadence", "<f8"),
+        ("rejected", "<U12"),
+    ]
+)
+"""A cycle that has ended: from touch-down `onset` to touch-down `end`, the `number`-th since the start (rejected ones counted);
+`stance_pct` is when the foot left the ground (NaN: not known); `cadence` is 60 / duration; `rejected` is "" or why it was."""
+CLOSED_UNITS = ("ns", "ns", "", "s", "%", "strides/min", "")
+
+MAXIMUM = np.dtype(
+    [
+        ("onset", "<i8"),
+        ("number", "<i8"),
+        ("muscle", "<i4"),
+        ("name", "<U16"),
+        ("position_pct", "<f8"),
+        ("height", "<f8"),
+    ]
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Closing:
+    """A cycle at the moment at which it is closed: `curve` (102, c) spans -1..100 %."""
+
+    stamp: int
+    onset: int
+    end: int
+    number: int
+    stance_pct: float
+    rejected: str
+    curve: Samples
+
+    def row(self) -> tuple[int, int, int, float, float, float, str]:
+        duration = (self.end - self.onset) / NS
+        return (self.onset, self.end, self.number, duration, self.stance_pct, 60.0 / duration, self.rejected)
+
+
+@dataclass(slots=True)
+class Expected:
+    """Accepted cycles whose event has come and whose sample has not: the events (32,) and their stamps; the first `waiting` count."""
+
+    rows: Array
+    stamps: Times
+    waiting: int
+
+    @staticmethod
+    def none() -> Expected:
+        return Expected(np.zeros(32, CLOSED), np.zeros(32, np.int64), 0)
+
+    def note(self, chunk: Chunk) -> None:
+        """Take a chunk of `closed`; rejected cycles have no sample to wait for."""
+        for stamp, row in zip(chunk.time.tolist(), chunk.data, strict=True):
+            if not row["rejected"]:
+                if self.waiting == len(self.rows):
+                    self._drop()
+                self.rows[self.waiting], self.stamps[self.waiting] = row, stamp
+                self.waiting += 1
+
+    def match(self, stamp: int) -> Array | None:
+        """The event (1,) that belongs to a sample of `cycles`; None if there is none."""
+        while self.waiting and self.stamps[0] < stamp:
+            self._drop()
+        if not self.waiting or self.stamps[0] != stamp:
+            return None
+        row = self.rows[:1].copy()
+        self._drop()
+        return row
+
+    def _drop(self) -> None:
+        self.rows[:-1], self.stamps[:-1] = self.rows[1:].copy(), self.stamps[1:].copy()
+        self.waiting -= 1
+
+
+def check_cycles(specs: Specs) -> StreamSpec:
+    """The spec of input `cycles`, both inputs being those that `Cycles` gives. Raises InputError."""
+    cycles, closed = specs["cycles"], specs["closed"]
+    if cycles.is_event or len(cycles.shape) != 2 or cycles.shape[0] != POINTS or cycles.channel_axis != 1:
+        raise InputError(
+            "cycles", cycles.describe(), f"cycles of {POINTS} points (output 'cycles' of operators.cycles.Cycles)"
+        )
+    if closed.dtype != CLOSED:
+        raise InputError("closed", closed.describe(), "the cycles' events (output 'closed' of operators.cycles.Cycles)")
+    return cycles
+
+
+def some_cycles(count: int, muscles: int, seed: int) -> dict[str, tuple[StreamSpec, Array, Array]]:
+    """Made-up inputs `closed` and `cycles` for trying operators on: every fifth cycle is rejected, one muscle is missing once."""
+    rng = np.random.default_rng(seed)
+    names = ("TA", "SO", "GM", "BF")[:muscles]
+    meta = {"side": "right", "normalisation": "mvc"}
+    touch = (NS + np.cumsum(1.0 + 0.05 * rng.random(count + 1)) * NS).astype(np.int64)
+    closed = np.zeros(count, CLOSED)
+    closed["onset"], closed["end"], closed["number"] = touch[:-1], touch[1:], np.arange(1, count + 1)
+    closed["duration_s"] = np.diff(touch) / NS
+    closed["cadence"] = 60 / closed["duration_s"]
+    closed["stance_pct"] = 60 + rng.random(count)
+    closed["rejected"][4::5] = "irregular"
+    stamps = touch[1:] + 20_000_000
+    taken = closed["rejected"] == ""
+    phase = np.linspace(0, 2 * np.pi, POINTS, endpoint=False)[:, None]
+    curves = 50 + 30 * np.sin(phase + np.arange(muscles)) + 5 * rng.standard_normal((int(taken.sum()), POINTS, muscles))
+    curves[2, :, -1] = np.nan
+    spec = StreamSpec((POINTS, muscles), channels=names, units=("% MVC",), channel_axis=1, meta=meta)
+    return {
+        "closed": (StreamSpec((), CLOSED, units=CLOSED_UNITS, meta=meta), stamps, closed),
+        "cycles": (spec, stamps[taken], curves),
+    }

@@ -1,0 +1,282 @@
+"""What many gait cycles have in common, and how far they differ: mean curve, spread, repeatability, co-contraction, cadence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from operators.cycle import POINTS, REASONS, Expected, check_cycles, some_cycles
+from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec
+from stream.errors import InputError, ParameterError, nearest
+from stream.operator import Case, Operator
+from stream.params import param
+
+WHEN = [("onset", "<i8"), ("end", "<i8"), ("number", "<i8")]
+MUSCLE = np.dtype(
+    [
+        *WHEN,
+        ("muscle", "<i4"),
+        ("name", "<U16"),
+        ("cycles", "<i8"),
+        ("peak", "<f8"),
+        ("peak_pct", "<f8"),
+        ("cv_pct", "<f8"),
+        ("variance_ratio", "<f8"),
+        ("verdict", "<U16"),
+        ("deviation", "<f8"),
+        ("mad", "<f8"),
+    ]
+)
+PAIR = np.dtype(
+    [
+        *WHEN,
+        ("first", "<U16"),
+        ("second", "<U16"),
+        ("co_contraction_pct", "<f8"),
+        ("mean_pct", "<f8"),
+        ("cycles", "<i8"),
+    ]
+)
+SESSION = np.dtype(
+    [
+        *WHEN,
+        ("cadence", "<f8"),
+        ("stance_pct", "<f8"),
+        ("accepted", "<i8"),
+        ("rejected", "<i8"),
+        *((reason.replace(" ", "_"), "<i8") for reason in REASONS),
+    ]
+)
+RATIO_FROM = 10
+"""The variance ratio is given from so many cycles on (Hershler and Milner 1978)."""
+
+
+@dataclass(slots=True)
+class EnsembleState:
+    """
+    count (m,), mean (100, m), spread (100, m)   cycles per muscle, their mean, and the sum of squared differences from it (Welford)
+    kept (remember, 100, m)   the latest cycles, a ring; `seen` in all
+    strides, stances (over,)  durations in s and stance in % of the latest accepted cycles, rings
+    accepted, reasons (7,)    counts
+    shared, pairs (p,)        sum of the co-contraction over cycles, and their number, per pair
+    """
+
+    expected: Expected
+    count: Samples
+    mean: Samples
+    spread: Samples
+    kept: Samples
+    seen: int
+    strides: Samples
+    stances: Samples
+    accepted: int
+    reasons: Array
+    shared: Samples
+    pairs: Samples
+    muscles: list[int]
+    names: list[str]
+
+
+@dataclass(frozen=True, slots=True)
+class CycleEnsemble(Operator[EnsembleState]):
+    """Cycles (100, muscles) and their events in; after every accepted cycle, the state of all accepted ones so far.
+
+    mean, sd   (100, muscles) mean curve and standard deviation (n - 1) point by point; NaN until there are enough cycles
+    muscles    one event per muscle: how many cycles; the mean curve's peak and where (%);
+               cv_pct, Winter's coefficient of variation: root mean square of the sd curve over the mean of the mean curve's amount;
+               variance_ratio (Hershler and Milner 1978), from 10 cycles on, else NaN: variance about the mean curve over variance about
+               the grand mean; 0 means each cycle is like the other, 1 that the curve explains nothing. Above `repeatable_below` the
+               `verdict` is "not repeatable", and that is all it says: walking unsteadily, changing speed and a loose electrode look alike;
+               deviation and mad, of the latest `remember` cycles: the mean Euclidean distance between a cycle and their mean curve, and
+               the mean absolute deviation of these distances from their mean. These two are what the thesis's tables 6.1 and 6.2 hold;
+               its eq. 6.9 prints a sum, and 6.10 leaves its n open. Scaled as `scale` says, see `CycleStatistics`
+    pairs      one event per pair of `pairs`: the co-contraction of this cycle (Falconer and Winter 1985), 2 sum min(a, b) / sum (a + b)
+               in %, and its mean over all cycles. Only of channels normalised in amplitude, because it compares them
+    session    one event per cycle, rejected ones too: cadence, 60 over the mean duration of the latest `over` accepted cycles in
+               strides/min; mean stance; counts of accepted and rejected cycles, by reason
+
+    A muscle that is missing in a cycle keeps the numbers it had.
+    """
+
+    inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")
+    outputs: ClassVar[tuple[str, ...]] = ("mean", "sd", "muscles", "pairs", "session")
+
+    pairs: tuple[tuple[str, str], ...] = param((), help="muscles whose co-contraction is told, e.g. [[TA, SO]]")
+    repeatable_below: float = param(0.65, above=0.0, most=1.0, help="a higher variance ratio is 'not repeatable'")
+    scale: Literal["session", "cycle", "none"] = param("session", help="what deviations are relative to")
+    remember: int = param(64, least=2, most=4096, help="cycles over which deviations are taken")
+    over: int = param(10, least=1, most=1000, help="cycles over which cadence and stance are averaged")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = check_cycles(specs)
+        n = spec.shape[1]
+        flat = self._muscles(spec)
+        self.hold(
+            EnsembleState(
+                Expected.none(), np.zeros(n), np.zeros((POINTS, n)), np.zeros((POINTS, n)), np.full((self.remember, POINTS, n), np.nan), 0,
+                np.full(self.over, np.nan), np.full(self.over, np.nan), 0, np.zeros(len(REASONS), np.int64),
+                np.zeros(len(self.pairs)), np.zeros(len(self.pairs)), flat, list(spec.channels),
+            )
+        )  # fmt: skip
+        unit = spec.units[0] if len(spec.units) == 1 else ""
+        when, meta = ("ns", "ns", ""), {**spec.meta, "deviation_scale": self.scale}
+        muscle = (*when, "", "", "", unit, "%", "%", "", "", *(2 * [unit if self.scale == "none" else ""]))
+        return {
+            "mean": spec,
+            "sd": spec,
+            "muscles": StreamSpec((), MUSCLE, units=muscle, meta=meta),
+            "pairs": StreamSpec((), PAIR, units=(*when, "", "", "%", "%", ""), meta=meta),
+            "session": StreamSpec((), SESSION, units=(*when, "strides/min", "%", *(9 * [""])), meta=meta),
+        }
+
+    def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
+        s = self.state
+        made: dict[str, list[tuple[int, Array]]] = {name: [] for name in self.outputs}
+        if port == "closed":
+            s.expected.note(chunk)
+            for stamp, row in zip(chunk.time.tolist(), chunk.data, strict=True):
+                made["session"].append((stamp, self._session(row)))
+        else:
+            for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
+                closed = s.expected.match(stamp)
+                if closed is not None:
+                    curve = np.where(np.isfinite(curve), curve, np.nan)
+                    self._take(curve)
+                    made["mean"].append((stamp, np.where(s.count > 0, s.mean, np.nan)[None]))
+                    made["sd"].append((stamp, self._sd()[None]))
+                    made["muscles"].append((stamp, self._repeatability(closed)))
+                    made["pairs"].append((stamp, self._co_contraction(closed, curve)))
+        lost = -1 if chunk.lost else 0
+        return [(name, self._chunk(name, parts, chunk.until, lost)) for name, parts in made.items()]
+
+    @classmethod
+    def cases(cls) -> list[Case]:
+        return [
+            Case(cls(pairs=(("TA", "SO"),), remember=8), some_cycles(20, 3, 3), least=60),
+            Case(cls(scale="cycle", remember=4, over=3), some_cycles(16, 2, 4), least=40),
+        ]
+
+    def _muscles(self, spec: StreamSpec) -> list[int]:
+        """The pairs' channels, one after another."""
+        names = [name for pair in self.pairs for name in pair]
+        for name in names:
+            if name not in spec.channels:
+                raise ParameterError("pairs", name, f"one of the muscles; {nearest(name, spec.channels)}")
+        if any(a == b for a, b in self.pairs):
+            raise ParameterError("pairs", [list(pair) for pair in self.pairs], "pairs of two different muscles")
+        if names and spec.meta.get("normalisation", "none") == "none":
+            raise InputError(
+                "cycles",
+                f"not normalised in amplitude (in {', '.join(dict.fromkeys(spec.units)) or 'no unit'})",
+                "normalised for `pairs`, since co-contraction compares two muscles (operators.normalise.Normalise before the cycles)",
+            )
+        return [spec.channels.index(name) for name in names]
+
+    def _chunk(self, name: str, parts: list[tuple[int, Array]], until: int, lost: int) -> Chunk:
+        shape, kind = {"muscles": ((), MUSCLE), "pairs": ((), PAIR), "session": ((), SESSION)}.get(
+            name, (self.state.mean.shape, np.dtype(np.float64))
+        )
+        data = np.concatenate([part for _, part in parts]) if parts else np.empty((0, *shape), kind)
+        counts = [len(part) for _, part in parts]
+        return Chunk(np.array([stamp for stamp, _ in parts], np.int64).repeat(counts), data, until, lost)
+
+    def _take(self, curve: Samples) -> None:
+        s = self.state
+        there = ~np.isnan(curve).any(axis=0)
+        s.count[there] += 1
+        before = curve[:, there] - s.mean[:, there]
+        s.mean[:, there] += before / s.count[there]
+        s.spread[:, there] += before * (curve[:, there] - s.mean[:, there])
+        s.kept[s.seen % self.remember] = np.where(there, curve, np.nan)
+        s.seen += 1
+
+    def _sd(self) -> Samples:
+        s = self.state
+        return np.where(s.count > 1, np.sqrt(s.spread / np.maximum(s.count - 1, 1)), np.nan)
+
+    def _repeatability(self, closed: Array) -> Array:
+        s = self.state
+        n = len(s.names)
+        rows = _rows(MUSCLE, closed, n)
+        rows["muscle"], rows["name"], rows["cycles"] = np.arange(n), s.names, s.count
+        mean = np.where(s.count > 0, s.mean, np.nan)
+        peak = s.mean.argmax(axis=0)
+        rows["peak"] = mean[peak, np.arange(n)]
+        rows["peak_pct"] = np.where(s.count > 0, peak * (100 / POINTS), np.nan)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            rows["cv_pct"] = 100 * np.sqrt((self._sd() ** 2).mean(axis=0)) / np.abs(mean).mean(axis=0)
+            rows["variance_ratio"] = self._variance_ratio()
+        known = np.isfinite(rows["variance_ratio"])
+        rows["verdict"] = np.where(
+            known, np.where(rows["variance_ratio"] > self.repeatable_below, "not repeatable", "repeatable"), ""
+        )
+        rows["deviation"], rows["mad"] = self._deviations()
+        return rows
+
+    def _variance_ratio(self) -> Samples:
+        s = self.state
+        within = s.spread.sum(axis=0)
+        between = s.count * ((s.mean - s.mean.mean(axis=0)) ** 2).sum(axis=0)
+        ratio = (within / (POINTS * (s.count - 1))) / ((within + between) / (POINTS * s.count - 1))
+        return np.where(s.count >= RATIO_FROM, ratio, np.nan)
+
+    def _deviations(self) -> tuple[Samples, Samples]:
+        """Mean distance to the mean curve, and the mean absolute deviation of the distances, of the cycles kept; NaN below two."""
+        s = self.state
+        kept = s.kept[: s.seen]
+        there = ~np.isnan(kept[:, 0])
+        count = there.sum(axis=0)
+        some = np.where(there[:, None], kept, 0.0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            if self.scale == "cycle":
+                some = np.where(there[:, None], some / some.max(axis=1, keepdims=True), 0.0)
+            elif self.scale == "session":
+                some = some / np.where(there[:, None], kept, -np.inf).max(axis=(0, 1))
+            away = np.where(there, np.sqrt(((some - some.sum(axis=0) / count) ** 2).sum(axis=1)), 0.0)
+            mean = away.sum(axis=0) / count
+            mad = np.where(there, np.abs(away - mean), 0.0).sum(axis=0) / count
+        return np.where(count > 1, mean, np.nan), np.where(count > 1, mad, np.nan)
+
+    def _co_contraction(self, closed: Array, curve: Samples) -> Array:
+        s = self.state
+        rows = _rows(PAIR, closed, len(self.pairs))
+        if not self.pairs:
+            return rows
+        a, b = curve[:, s.muscles[::2]], curve[:, s.muscles[1::2]]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            index = 200 * np.minimum(a, b).sum(axis=0) / (a + b).sum(axis=0)
+            known = np.isfinite(index)
+            s.shared[known] += index[known]
+            s.pairs[known] += 1
+            rows["mean_pct"] = s.shared / s.pairs
+        rows["first"], rows["second"] = zip(*self.pairs, strict=True)
+        rows["co_contraction_pct"], rows["cycles"] = np.where(known, index, np.nan), s.pairs
+        return rows
+
+    def _session(self, closed: Array) -> Array:
+        s = self.state
+        reason = str(closed["rejected"])
+        if reason:
+            s.reasons[REASONS.index(reason)] += 1
+        else:
+            s.strides[s.accepted % self.over] = closed["duration_s"]
+            s.stances[s.accepted % self.over] = closed["stance_pct"]
+            s.accepted += 1
+        rows = _rows(SESSION, closed[None], 1)
+        stances = s.stances[np.isfinite(s.stances)]
+        rows["cadence"] = 60 / s.strides[: s.accepted].mean() if s.accepted else np.nan
+        rows["stance_pct"] = stances.mean() if len(stances) else np.nan
+        rows["accepted"], rows["rejected"] = s.accepted, s.reasons.sum()
+        for name, count in zip(REASONS, s.reasons, strict=True):
+            rows[name.replace(" ", "_")] = count
+        return rows
+
+
+def _rows(kind: np.dtype[np.void], closed: Array, count: int) -> Array:
+    """`count` events about the cycle `closed` (1,)."""
+    rows = np.zeros(count, kind)
+    for name, _ in WHEN:
+        rows[name] = closed[name][0]
+    return rows

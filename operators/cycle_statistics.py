@@ -1,0 +1,141 @@
+"""Numbers of one gait cycle, muscle by muscle, as the cycle ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from operators.cycle import Expected, check_cycles, some_cycles
+from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec
+from stream.operator import Case, Operator
+from stream.params import param
+
+STATISTICS = np.dtype(
+    [
+        ("onset", "<i8"),
+        ("end", "<i8"),
+        ("number", "<i8"),
+        ("muscle", "<i4"),
+        ("name", "<U16"),
+        ("peak", "<f8"),
+        ("peak_pct", "<f8"),
+        ("mean", "<f8"),
+        ("integrated", "<f8"),
+        ("mean_stance", "<f8"),
+        ("mean_swing", "<f8"),
+        ("integrated_stance", "<f8"),
+        ("integrated_swing", "<f8"),
+        ("deviation", "<f8"),
+    ]
+)
+
+
+@dataclass(slots=True)
+class StatisticsState:
+    """
+    mean   (100, muscles) mean curve of the cycles so far, in the space in which deviations are taken; count (muscles,) how many
+    top    (muscles,) highest value so far
+    """
+
+    expected: Expected
+    mean: Samples
+    count: Samples
+    top: Samples
+    names: list[str]
+
+
+@dataclass(frozen=True, slots=True)
+class CycleStatistics(Operator[StatisticsState]):
+    """Cycles (100, muscles) and their events in, one event per accepted cycle and muscle out, stamped like the cycle.
+
+    peak, peak_pct       the highest of the 100 points and where it lies, in % of the cycle (whole ones; the first of equal ones)
+    mean                 of the 100 points: the envelope's mean over the cycle's time
+    integrated           mean x duration: the integrated EMG (input's unit x s; uV s)
+    mean_stance, _swing  of the points before and from lift-off on; integrated_stance + integrated_swing = integrated. NaN where lift-off
+                         is not known
+    deviation            Euclidean distance over the 100 points between this cycle and the mean of the accepted cycles before it, both
+                         divided by the scale; dimensionless unless `scale: none`. NaN for the first cycle
+
+    `scale: session` (default) divides by the highest value of that muscle so far, this cycle included; `cycle` scales each cycle to its own
+    maximum, as the thesis does (6.2.3), which hides differences in strength; `none` does not scale.
+
+    The deviation is one term of what the thesis's tables 6.1 and 6.2 average: their numbers fit the mean distance per cycle, not the
+    root of summed squares that eq. 6.9 prints. There the mean curve is that of the whole session; live it can only be that of the
+    cycles until now. `CycleEnsemble` gives the tables' own numbers. A muscle that is missing in a cycle has NaN throughout.
+    """
+
+    inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")
+
+    scale: Literal["session", "cycle", "none"] = param("session", help="what deviations are relative to")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = check_cycles(specs)
+        n = spec.shape[1]
+        self.hold(
+            StatisticsState(
+                Expected.none(), np.zeros((spec.shape[0], n)), np.zeros(n), np.zeros(n), list(spec.channels)
+            )
+        )
+        unit = spec.units[0] if len(spec.units) == 1 else ""
+        area, ratio = f"{unit} s".strip(), unit if self.scale == "none" else ""
+        units = ("ns", "ns", "", "", "", unit, "%", unit, area, unit, unit, area, area, ratio)
+        return {"out": StreamSpec((), STATISTICS, units=units, meta={**spec.meta, "deviation_scale": self.scale})}
+
+    def process(self, port: str, chunk: Chunk) -> Chunk:
+        rows, stamps = [], []
+        if port == "closed":
+            self.state.expected.note(chunk)
+        else:
+            for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
+                closed = self.state.expected.match(stamp)
+                if closed is not None:
+                    rows.append(self._rows(closed[0], curve))
+                    stamps.append(stamp)
+        n = self.state.mean.shape[1]
+        data = np.concatenate(rows) if rows else np.empty(0, STATISTICS)
+        return Chunk(np.array(stamps, np.int64).repeat(n), data, chunk.until, -1 if chunk.lost else 0)
+
+    @classmethod
+    def cases(cls) -> list[Case]:
+        return [Case(cls(), some_cycles(20, 3, 1), least=40), Case(cls(scale="cycle"), some_cycles(12, 2, 2), least=15)]
+
+    def _rows(self, closed: Array, curve: Samples) -> Array:
+        duration, stance = float(closed["duration_s"]), float(closed["stance_pct"])
+        points, n = curve.shape
+        standing = np.arange(points) < stance / 100 * points
+        known = stance == stance
+        rows = np.empty(n, STATISTICS)
+        for name in ("onset", "end", "number"):
+            rows[name] = closed[name]
+        rows["muscle"], rows["name"] = np.arange(n), self.state.names
+        curve = np.where(np.isfinite(curve), curve, np.nan)
+        absent = np.asarray(np.isnan(curve).any(axis=0))
+        peak = np.where(absent, 0, curve.argmax(axis=0))
+        rows["peak"], rows["peak_pct"] = curve[peak, np.arange(n)], np.where(absent, np.nan, peak * (100 / points))
+        rows["mean"] = curve.mean(axis=0)
+        rows["integrated"] = rows["mean"] * duration
+        for part, chosen in (("stance", standing), ("swing", ~standing)):
+            total = curve[chosen].sum(axis=0) if known else np.full(n, np.nan)
+            count = int(chosen.sum())
+            rows[f"mean_{part}"] = total / count if count else np.nan
+            rows[f"integrated_{part}"] = total * (duration / points)
+        rows["deviation"] = self._deviation(curve, absent)
+        return rows
+
+    def _deviation(self, curve: Samples, absent: Array) -> Samples:
+        """This cycle's distance to the running mean, which then takes it in."""
+        s = self.state
+        there = ~absent
+        s.top[there] = np.maximum(np.where(s.count == 0, -np.inf, s.top), curve.max(axis=0))[there]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            if self.scale == "cycle":
+                curve = curve / curve.max(axis=0)
+            distance = np.asarray(np.sqrt(((curve - s.mean) ** 2).sum(axis=0)))
+            if self.scale == "session":
+                distance = distance / s.top
+        distance[s.count == 0] = np.nan
+        s.count[there] += 1
+        s.mean[:, there] += (curve[:, there] - s.mean[:, there]) / s.count[there]
+        return distance

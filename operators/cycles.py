@@ -1,0 +1,331 @@
+"""Gait cycles: a signal cut at one foot's touch-downs, each cycle on 100 points (thesis 6.2.3, "Detection of Cycles")."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from operators.cycle import CLOSED, CLOSED_UNITS, MAXIMUM, POINTS, Closing
+from operators.cycle_kernel import maxima, normalise_time
+from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
+from stream.errors import InputError, ParameterError
+from stream.operator import Case, Operator, grid
+from stream.params import param
+
+WAITING, LIFTS, RECENT = 16, 16, 11
+FLOAT = np.dtype(np.float64)
+
+
+@dataclass(slots=True)
+class CyclesState:
+    """
+    time, data     the signal's newest `fill` samples; `keep` of them suffice for any cycle
+    began          the signal's first stamp
+    touches        (16, 2) touch-downs whose cycle is not closed yet, onset and stamp; `waiting` of them
+    lifts          (16,) the latest lift-offs' onsets, a ring; `lifted` in all
+    durations      (11,) the latest plausible cycles' durations in ns, a ring; `measured` in all
+    start          the open cycle's touch-down; `broken`: contacts may have been missed since
+    last, before   (100, c) the latest cycle, if `whole` > 0, and the one before it, if `whole` > 1
+    """
+
+    time: Times
+    data: Samples
+    fill: int
+    keep: int
+    period: int
+    settling: int
+    began: int
+    touches: Times
+    waiting: int
+    lifts: Times
+    lifted: int
+    durations: Times
+    measured: int
+    start: int
+    broken: bool
+    number: int
+    last: Samples
+    before: Samples
+    whole: int
+    names: list[str]
+
+
+@dataclass(frozen=True, slots=True)
+class Cycles(Operator[CyclesState]):
+    """A regular signal (channels,) and one foot's contacts in, whole cycles out.
+
+    cycles     (100, channels) of each accepted cycle: point p is the signal at p % of the time from touch-down to touch-down, so that the
+               next cycle's point 0 follows point 99 (interpolation: `operators.cycle_kernel.normalise_time`)
+    closed     one event per cycle, rejected ones with the reason (`CLOSED`); an accepted one comes before its sample in `cycles`
+    maxima     one event per local maximum of an accepted cycle and channel; at 0 and 99 % the neighbouring cycle's points decide
+    panorama   (200, channels) per accepted cycle, in order, -50..149 %: with the halves of its neighbours, NaN where a neighbour was
+               rejected or there is none. It comes when the next cycle closes; a session's last cycle has none. (Thesis 6.4.1, outlook.)
+
+    A cycle is closed as soon as its second touch-down has been told and two samples after that are there; that is its events' stamp.
+    Rejected is what lasts less than `shortest_s` ("too short") or more than `longest_s` ("too long"), has a gap in signal or contacts
+    inside ("gap"; gaps up to `gap_s` are interpolated), begins before the signal has settled ("settling"), begins before the signal did
+    or was told more than `late_s` after it ended ("incomplete"), differs from the median of the last 11 cycles by more than `off_median`
+    of it ("irregular", from the sixth cycle on), or holds NaN ("missing"): in every channel, or with `missing: cycle` in any. With
+    `missing: muscle` the other channels are used, and the one is NaN throughout.
+    Of several lift-offs in a cycle the last counts. A touch-down at or before the previous one is passed over.
+
+    Delay: none beyond the signal's own. Memory: the signal of `longest_s` + `late_s` and its settling time, twice.
+    """
+
+    inputs: ClassVar[tuple[str, ...]] = ("signal", "touchdown", "liftoff")
+    optional: ClassVar[tuple[str, ...]] = ("liftoff",)
+    outputs: ClassVar[tuple[str, ...]] = ("cycles", "closed", "maxima", "panorama")
+
+    shortest_s: float = param(0.4, above=0.0, help="a shorter cycle is rejected")
+    longest_s: float = param(3.0, above=0.0, most=60.0, help="a longer cycle is rejected")
+    off_median: float = param(
+        0.5, least=0.0, help="rejected beyond this part of the recent median duration; 0: not asked"
+    )
+    gap_s: float = param(0.05, least=0.0, help="a longer gap inside rejects the cycle, a shorter one is interpolated")
+    late_s: float = param(1.0, least=0.0, help="how long after it happened a touch-down may be told")
+    missing: Literal["muscle", "cycle"] = param(
+        "muscle", help="what a NaN spoils: its muscle in that cycle, or the cycle"
+    )
+
+    def open(self, specs: Specs) -> Specs:
+        spec, touch = specs["signal"], specs["touchdown"]
+        if not spec.is_signal or spec.rate_hz is None or spec.dtype.kind not in "iuf":
+            raise InputError("signal", spec.describe(), "a signal of channels at a regular rate")
+        for port in ("touchdown", "liftoff"):
+            if port in specs and "onset" not in (specs[port].dtype.names or ()):
+                raise InputError(port, specs[port].describe(), "contact events with a field 'onset'")
+        if self.shortest_s >= self.longest_s:
+            raise ParameterError("shortest_s", self.shortest_s, f"below longest_s ({self.longest_s:g})")
+        if POINTS / self.shortest_s > 100 * spec.rate_hz:
+            raise ParameterError("shortest_s", self.shortest_s, f"at least one sample, {1 / spec.rate_hz:g} s")
+        n = spec.shape[0]
+        names = list(spec.channels or [f"channel {i + 1}" for i in range(n)])
+        keep = int((self.longest_s + self.late_s + spec.settling_s + self.gap_s) * spec.rate_hz * 1.1) + 8
+        state = CyclesState(
+            time=np.zeros(2 * keep, np.int64),
+            data=np.zeros((2 * keep, n)),
+            fill=0,
+            keep=keep,
+            period=spec.period_ns,
+            settling=round(spec.settling_s * NS),
+            began=NEVER,
+            touches=np.zeros((WAITING, 2), np.int64),
+            waiting=0,
+            lifts=np.zeros(LIFTS, np.int64),
+            lifted=0,
+            durations=np.zeros(RECENT, np.int64),
+            measured=0,
+            start=NEVER,
+            broken=False,
+            number=0,
+            last=np.zeros((POINTS, n)),
+            before=np.zeros((POINTS, n)),
+            whole=0,
+            names=names,
+        )
+        self.hold(state)
+        meta = {**spec.meta, "side": touch.meta.get("side", spec.meta.get("side", ""))}
+        unit = spec.units if len(spec.units) == 1 else ("",)
+        curves = StreamSpec(
+            (POINTS, n), channels=tuple(names), units=spec.units, channel_axis=1, meta={**meta, "from_pct": 0}
+        )
+        return {
+            "cycles": curves,
+            "closed": StreamSpec((), CLOSED, units=CLOSED_UNITS, meta=meta),
+            "maxima": StreamSpec((), MAXIMUM, units=("ns", "", "", "", "%", *unit), meta=meta),
+            "panorama": curves.derive(shape=(2 * POINTS, n), meta={**meta, "from_pct": -50}),
+        }
+
+    def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
+        s = self.state
+        closings: list[Closing] = []
+        if port == "signal":
+            for a in range(0, len(chunk.time), s.keep):
+                self._append(chunk.time[a : a + s.keep], chunk.data[a : a + s.keep])
+                self._close_due(closings)
+        elif port == "touchdown":
+            s.broken |= chunk.lost != 0
+            for stamp, onset in zip(chunk.time.tolist(), chunk.data["onset"].tolist(), strict=True):
+                if s.waiting == WAITING:
+                    closings.append(self._closing(int(s.touches[0, 0]), stamp))
+                    self._next_touch()
+                s.touches[s.waiting] = onset, stamp
+                s.waiting += 1
+                self._close_due(closings)
+        else:
+            for onset in chunk.data["onset"].tolist():
+                s.lifts[s.lifted % LIFTS] = onset
+                s.lifted += 1
+        return self._emitted(closings, chunk.until, -1 if chunk.lost else 0)
+
+    @classmethod
+    def cases(cls) -> list[Case]:
+        rng = np.random.default_rng(7)
+        n, meta = 900, {"side": "right"}
+        signal = StreamSpec((2,), rate_hz=60.0, channels=("TA", "SO"), units=("uV",), settling_s=0.2, meta=meta)
+        contact = StreamSpec((), np.dtype([("onset", "<i8")]), units=("ns",), meta=meta)
+        time = grid(60.0, n)
+        smooth = np.apply_along_axis(np.convolve, 0, rng.random((n + 8, 2)), np.ones(9) / 9, "valid")
+        touch = (1e9 + np.cumsum(1.0 + 0.1 * rng.random(13)) * 1e9).astype(np.int64)
+        lift = touch[:-1] + (0.6 * np.diff(touch)).astype(np.int64)
+        inputs = {
+            "signal": (signal, time, smooth),
+            "touchdown": (contact, touch + 30_000_000, touch.view(contact.dtype)),
+        }
+        both = {**inputs, "liftoff": (contact, lift + 50_000_000, lift.view(contact.dtype))}
+        return [Case(cls(), both, least=40), Case(cls(missing="cycle", gap_s=0.1, late_s=0.5), inputs, least=40)]
+
+    def _append(self, time: Times, data: Array) -> None:
+        """Add up to `keep` samples; of what came before, `keep` stay."""
+        s = self.state
+        if not len(time):
+            return
+        if s.began == NEVER:
+            s.began = int(time[0])
+        if s.fill + len(time) > len(s.time):
+            s.time[: s.keep] = s.time[s.fill - s.keep : s.fill].copy()
+            s.data[: s.keep] = s.data[s.fill - s.keep : s.fill].copy()
+            s.fill = s.keep
+        s.time[s.fill : s.fill + len(time)] = time
+        s.data[s.fill : s.fill + len(time)] = np.where(np.isfinite(data), data, np.nan)
+        s.fill += len(time)
+
+    def _close_due(self, closings: list[Closing]) -> None:
+        """Close every cycle that has ended and whose samples are there."""
+        s = self.state
+        while s.waiting:
+            onset, stamp = int(s.touches[0, 0]), int(s.touches[0, 1])
+            if s.start == NEVER or onset <= s.start:
+                if s.start == NEVER:
+                    s.start, s.broken = onset, False
+            else:
+                second = int(s.time[: s.fill].searchsorted(onset, "right")) + 1
+                if second >= s.fill:
+                    return
+                closings.append(self._closing(onset, max(stamp, int(s.time[second]))))
+            self._next_touch()
+
+    def _next_touch(self) -> None:
+        s = self.state
+        s.touches[:-1] = s.touches[1:].copy()
+        s.waiting -= 1
+
+    def _closing(self, end: int, stamp: int) -> Closing:
+        """Close the open cycle at the touch-down `end`, and open the next."""
+        s = self.state
+        s.number += 1
+        onset, duration = s.start, end - s.start
+        a = max(int(s.time[: s.fill].searchsorted(onset - s.settling - s.period, "right")) - 2, 0)
+        b = min(int(s.time[: s.fill].searchsorted(end, "right")) + 2, s.fill)
+        time = s.time[a:b]
+        curve = np.full((POINTS + 2, s.data.shape[1]), np.nan)
+        rejected = self._plausible(duration) or self._complete(time, onset, end, stamp) or self._regular(duration)
+        if not rejected:
+            normalise_time(time, s.data[a:b], onset, duration, curve)
+            bad = np.isnan(curve[1:-1]).any(axis=0)
+            curve[:, bad] = np.nan
+            if bad.all() or (self.missing == "cycle" and bad.any()):
+                rejected = "missing"
+        if rejected not in ("too short", "too long", "gap"):
+            s.durations[s.measured % RECENT] = duration
+            s.measured += 1
+        lifts = [lift for lift in s.lifts[: s.lifted].tolist() if onset < lift < end]
+        stance = (max(lifts) - onset) / duration * 100 if lifts else np.nan
+        s.start, s.broken = end, False
+        return Closing(stamp, onset, end, s.number, stance, rejected, curve)
+
+    def _plausible(self, duration: int) -> str:
+        if duration < self.shortest_s * NS:
+            return "too short"
+        return "too long" if duration > self.longest_s * NS else "gap" if self.state.broken else ""
+
+    def _complete(self, time: Times, onset: int, end: int, stamp: int) -> str:
+        s = self.state
+        gaps = time[1:][np.diff(time) > s.period + self.gap_s * NS]
+        if (gaps > onset).any():
+            return "gap"
+        if onset < s.began:
+            return "incomplete"
+        if (gaps > onset - s.settling).any() or onset < s.began + s.settling:
+            return "settling"
+        enough = len(time) > 3 and int(time[1]) <= onset and int(time[-2]) > end
+        return "" if enough and stamp - end <= self.late_s * NS else "incomplete"
+
+    def _regular(self, duration: int) -> str:
+        s = self.state
+        if not self.off_median or s.measured < 5:
+            return ""
+        median = float(np.median(s.durations[: s.measured]))
+        return "irregular" if abs(duration - median) > self.off_median * median else ""
+
+    def _emitted(self, closings: list[Closing], until: int, lost: int) -> list[tuple[str, Chunk]]:
+        s = self.state
+        if not closings:
+            return [
+                (name, Chunk(np.empty(0, np.int64), np.empty((0, *shape), kind), until, lost))
+                for name, shape, kind in self._shapes()
+            ]
+        accepted = [c for c in closings if not c.rejected]
+        curves = np.array([c.curve[1:-1] for c in accepted]).reshape(-1, *s.last.shape)
+        closed = np.array([c.row() for c in closings], CLOSED)
+        peaks = [self._maxima(c) for c in accepted]
+        views = [(c.stamp, view) for c in closings if (view := self._panorama(c)) is not None]
+        panoramas = np.array([view for _, view in views]).reshape(-1, 2 * POINTS, s.last.shape[1])
+        when = _stamps([c.stamp for c in accepted])
+        tops = np.concatenate([np.empty(0, MAXIMUM), *peaks])
+        return [
+            ("closed", Chunk(_stamps([c.stamp for c in closings]), closed, until, lost)),
+            ("cycles", Chunk(when, curves, until, lost)),
+            ("maxima", Chunk(when.repeat([len(p) for p in peaks]), tops, until, lost)),
+            ("panorama", Chunk(_stamps([stamp for stamp, _ in views]), panoramas, until, lost)),
+        ]
+
+    def _shapes(self) -> list[tuple[str, tuple[int, ...], np.dtype[Any]]]:
+        points, n = self.state.last.shape
+        return [
+            ("closed", (), CLOSED),
+            ("cycles", (points, n), FLOAT),
+            ("maxima", (), MAXIMUM),
+            ("panorama", (2 * points, n), FLOAT),
+        ]
+
+    def _maxima(self, closing: Closing) -> Array:
+        room = closing.curve.shape[1] * POINTS // 2
+        place, height = np.empty((room, 2), np.int64), np.empty(room)
+        found = maxima(closing.curve, place, height)
+        rows = np.empty(found, MAXIMUM)
+        muscle, at = place[:found, 0], place[:found, 1]
+        rows["onset"] = closing.onset + (closing.end - closing.onset) * at // POINTS
+        rows["number"], rows["muscle"], rows["position_pct"], rows["height"] = (
+            closing.number,
+            muscle,
+            at,
+            height[:found],
+        )
+        rows["name"] = np.array(self.state.names)[muscle]
+        return rows
+
+    def _panorama(self, closing: Closing) -> Samples | None:
+        """The view of the cycle before this one, which this one completes, if there was one; then move on by one cycle."""
+        s = self.state
+        view = None
+        if s.whole:
+            view = np.full((2 * POINTS, s.last.shape[1]), np.nan)
+            view[50:150] = s.last
+            if s.whole > 1:
+                view[:50] = s.before[50:]
+            if not closing.rejected:
+                view[150:] = closing.curve[1:51]
+        if closing.rejected:
+            s.whole = 0
+        else:
+            s.before[...] = s.last
+            s.last[...] = closing.curve[1:-1]
+            s.whole = min(s.whole + 1, 2)
+        return view
+
+
+def _stamps(values: list[int]) -> Times:
+    return np.array(values, np.int64)
