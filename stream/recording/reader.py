@@ -36,8 +36,13 @@ from stream.recording.tally import RecordedStream
 class RecordedPart:
     """One file of a recording, and what is known of its streams."""
 
-    def __init__(self, path: Path) -> None:
-        """Raises RecordingError for a file that is no recording of ours, is newer than we are, or holds nothing."""
+    def __init__(self, path: Path, *, forgiving: bool = False) -> None:
+        """Raises RecordingError for a file that is no recording of ours, is newer than we are, or holds nothing.
+
+        With `forgiving`, every byte is read, and damaged places are left out and counted in `damaged`.
+        """
+        self.damaged = 0
+        self._forgiving = forgiving
         self.file = RecordFile(path)
         try:
             self._open()
@@ -61,29 +66,27 @@ class RecordedPart:
         self.topics: dict[int, str] = {}
         self.streams: dict[str, RecordedStream] = {}
         self._schemas: dict[int, Schema] = {}
-        summary = self.file.metadata(SUMMARY) if self.finished else None
+        if self.finished:
+            self._declare_from_end()
+        summary = self.file.metadata(SUMMARY) if self.finished and not self._forgiving else None
         if summary is None:
             self._scan()
         else:
-            self._trust(json.loads(summary["streams"]))
+            for name, counts in json.loads(summary["streams"]).items():
+                self.streams[name].fill(counts)
 
     @property
     def finished(self) -> bool:
         return self.file.finished
 
-    def _trust(self, summary: dict[str, Any]) -> None:
-        """Take counts and channels from a finished file's end."""
-        for record in reversed(self.file.records):
-            if record.opcode == Opcode.DATA_END:
-                break
+    def _declare_from_end(self) -> None:
+        """A finished file repeats all schemas and channels after its data."""
+        for record in self.file.records[-_tail(self.file.records) :]:
             if record.opcode == Opcode.SCHEMA:
                 schema = Schema.read(self.file.stream(record))
                 self._schemas[schema.id] = schema
-        for record in self.file.records[-_tail(self.file.records) :]:
-            if record.opcode == Opcode.CHANNEL:
+            elif record.opcode == Opcode.CHANNEL:
                 self._declare(Channel.read(self.file.stream(record)))
-        for name, counts in summary.items():
-            self.streams[name].fill(counts)
 
     def _scan(self) -> None:
         """Count what an unfinished file holds; a damaged chunk at its very end is left out."""
@@ -91,17 +94,18 @@ class RecordedPart:
             try:
                 data = self.file.unpack(record)
             except RecordingError:
-                if record != self.chunks[-1]:
+                if not self._forgiving and record != self.chunks[-1]:
                     raise
-                self.chunks.pop()
-                return
+                self.damaged += 1
+                self.chunks.remove(record)
+                continue
             for item in declared(data):
                 if isinstance(item, Schema):
                     self._schemas[item.id] = item
-                else:
+                elif item.id not in self.topics:
                     self._declare(item)
             for message in messages(data):
-                name = self.topics[message.channel]
+                name = self.topics.get(message.channel)
                 if name in self.streams:
                     self.streams[name].count(table(message.body))
 
@@ -114,7 +118,7 @@ class RecordedPart:
         """(topic, batch, body) of every message on `topics`, from the `start`-th chunk of records on."""
         wanted = {number: topic for number, topic in self.topics.items() if topic in topics}
         for record in self.chunks[start:]:
-            for number, batch, _, body in messages(self.file.unpack(record)):
+            for number, batch, _, _, body in messages(self.file.unpack(record)):
                 if number in wanted:
                     yield wanted[number], batch, body
 

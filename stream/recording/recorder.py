@@ -97,7 +97,7 @@ class Recorder:
         self._lanes = [_Lane(LOG), _Lane(METRICS)]
         self._queue: SimpleQueue[tuple[int, Any, int, int, int]] = SimpleQueue()
         self._latest = self._done = 0
-        self._batch = self._opened = self._gathered = 0
+        self._batch = self._opened = self._newest = self._gathered = 0
         self._error = ""
         self._dropping: dict[str, int] | None = None
         self._reported: dict[str, int] = {}
@@ -132,7 +132,8 @@ class Recorder:
             lane.missed += len(chunk.time)
             return
         lane.put += chunk.data.nbytes + OVERHEAD
-        self._latest = arrival
+        if arrival > self._latest:
+            self._latest = arrival
         self._queue.put((stream, chunk, arrival, sequence, lane.missed))
         if lane.missed:
             lane.missed = 0
@@ -226,10 +227,11 @@ class Recorder:
             body = dump({"time": arrival, "table": what}) if number else encode_log(what[0], arrival, what[1])
             self._tape.add(number, arrival, arrival, self._batch, body)
             return
-        if self._gathered and (arrival - self._opened >= self._options.gather_s * NS or self._gathered > ROUND_BYTES):
+        now = self._newest = max(arrival, self._newest)
+        if self._gathered and (now - self._opened >= self._options.gather_s * NS or self._gathered > ROUND_BYTES):
             self._round()
         if not self._gathered:
-            self._opened = arrival
+            self._opened = now
         if missed:
             self._message(number)
             lane.index += missed
@@ -264,7 +266,7 @@ class Recorder:
             self._note("not recorded", level="error", stream=lane.name, error=str(error))
             return
         stamp = int(entries[0].chunk.time[0]) if len(entries[0].chunk.time) else entries[0].arrival
-        self._tape.add(number, entries[-1].arrival, stamp, self._batch, body)
+        self._tape.add(number, entries[-1].arrival or self._newest, stamp, self._batch, body)
 
     def _save(self) -> None:
         """Write everything, however long it takes; while the disk refuses, the queue fills, and then the session's chunks are dropped."""

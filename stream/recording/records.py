@@ -41,6 +41,7 @@ class RawMessage(NamedTuple):
     channel: int
     batch: int
     log_time: int
+    publish_time: int
     body: memoryview
 
 
@@ -154,8 +155,8 @@ def messages(data: bytes) -> Iterator[RawMessage]:
     view = memoryview(data)
     for opcode, offset, length in _records(data):
         if opcode == Opcode.MESSAGE:
-            channel, batch, log_time, _ = _MESSAGE.unpack_from(data, offset)
-            yield RawMessage(channel, batch, log_time, view[offset + _MESSAGE.size : offset + length])
+            channel, batch, log_time, publish_time = _MESSAGE.unpack_from(data, offset)
+            yield RawMessage(channel, batch, log_time, publish_time, view[offset + _MESSAGE.size : offset + length])
 
 
 def _records(data: bytes) -> Iterator[tuple[int, int, int]]:

@@ -1,0 +1,123 @@
+"""`kinegraph export`: a recording's streams as CSV tables or as one XDF file."""
+
+from __future__ import annotations
+
+import re
+from enum import StrEnum
+from pathlib import Path as File
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from stream.errors import RecordingError
+
+if TYPE_CHECKING:
+    from stream.recording import Recording
+
+
+class Format(StrEnum):
+    csv = "csv"
+    xdf = "xdf"
+
+
+class Clock(StrEnum):
+    seconds = "seconds"
+    iso = "iso"
+    ns = "ns"
+
+
+def export(
+    recording: Annotated[File, typer.Argument(help="the recording", metavar="FILE")],
+    output: Annotated[File | None, typer.Option("-o", "--output", help="a folder for CSV, a file for XDF")] = None,
+    format: Annotated[
+        Format, typer.Option(help="csv: one table per stream; xdf: all streams in one file")
+    ] = Format.csv,
+    stream: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="only this stream; can be given again")
+    ] = None,
+    time: Annotated[
+        Clock, typer.Option(help="CSV: seconds since the recording's first sample, ISO 8601 in UTC, or ns since 1970")
+    ] = Clock.seconds,
+) -> None:
+    """Write streams as CSV or XDF. Frames are left out: they do not fit into a table."""
+    from stream.recording import Recording
+
+    with Recording.open(recording) as opened:
+        names = _chosen(opened, stream or [])
+        total = sum(opened.streams[name].samples for name in names)
+        to_xdf = format is Format.xdf
+        place = output or recording.with_name(recording.stem + (".xdf" if to_xdf else "_csv"))
+        written = _xdf(opened, names, place, total) if to_xdf else _csv(opened, names, place, total, time)
+    for name, path, rows in written:
+        typer.echo(f"{name}: {rows} samples to {path}")
+
+
+def _chosen(recording: Recording, wanted: list[str]) -> list[str]:
+    from stream.convert.columns import column_names
+
+    fit = []
+    for name in wanted or recording.streams:
+        try:
+            column_names(recording.stream(name).spec)
+        except RecordingError as error:
+            if wanted:
+                raise RecordingError(f"stream {name!r}: {error}") from None
+            typer.echo(f"{name}: left out ({error})", err=True)
+            continue
+        fit.append(name)
+    if not fit:
+        raise RecordingError(f"{recording.path}: there is no stream to export")
+    return fit
+
+
+def _csv(recording: Recording, names: list[str], folder: File, total: int, clock: Clock) -> list[tuple[str, File, int]]:
+    from stream.convert.csv_write import write_csv
+    from stream.convert.progress import bar
+
+    done = 0
+    written = []
+    origin = _origin(recording)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with bar(f"exporting {recording.path.name}") as progress:
+
+            def more(rows: int) -> None:
+                nonlocal done
+                done += rows
+                progress(done, total)
+
+            for name in names:
+                path = folder / f"{re.sub(r'[^A-Za-z0-9._-]', '_', name)}.csv"
+                spec = recording.streams[name].spec
+                rows = write_csv(path, spec, recording.chunks(name), clock=clock.value, origin=origin, progress=more)
+                written.append((name, path, rows))
+    except OSError as error:
+        raise RecordingError(f"{folder}: cannot be written ({error.strerror or error})") from None
+    return written
+
+
+def _xdf(recording: Recording, names: list[str], path: File, total: int) -> list[tuple[str, File, int]]:
+    from stream.convert.progress import bar
+    from stream.convert.xdf_write import XdfWriter
+
+    if path.is_dir():
+        raise RecordingError(f"--output {path}: is a folder; name the XDF file")
+    done = 0
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("wb") as file, bar(f"exporting {recording.path.name}") as progress:
+            writer = XdfWriter(file, _origin(recording))
+            numbers = {name: writer.add_stream(name, recording.streams[name].spec) for name in names}
+            for name, number in numbers.items():
+                for chunk in recording.chunks(name):
+                    writer.write(number, chunk)
+                    done += len(chunk)
+                    progress(done, total)
+            writer.close()
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written ({error.strerror or error})") from None
+    return [(name, path, recording.streams[name].samples) for name in names]
+
+
+def _origin(recording: Recording) -> int:
+    return min((s.first for s in recording.streams.values() if s.first is not None), default=0)

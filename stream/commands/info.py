@@ -1,0 +1,175 @@
+"""`kinegraph info`: what a recording holds."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path as File
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from stream.recording import RecordedStream, Recording
+
+ANNOTATIONS = "annotations"
+"""The stream of marks that a session always has."""
+SHOWN = 20
+"""Lines of the log, and annotations, that are shown; --all shows the rest."""
+
+
+def info(
+    recording: Annotated[File, typer.Argument(help="the recording: a file or a session's folder", metavar="FILE")],
+    as_json: Annotated[bool, typer.Option("--json", help="everything as JSON")] = False,
+    everything: Annotated[bool, typer.Option("--all", help="every line of the log and every annotation")] = False,
+    graph: Annotated[bool, typer.Option("--graph", help="only the graph that made it, as YAML")] = False,
+) -> None:
+    """Show a recording's streams, rates, durations, gaps, drops, annotations, log, versions, and the graph that made it."""
+    from rich.console import Console
+
+    from stream.recording import Recording
+
+    with Recording.open(recording) as opened:
+        if graph:
+            typer.echo(opened.header.get("graph", ""), nl=False)
+        elif as_json:
+            typer.echo(json.dumps(facts(opened), indent=2))
+        else:
+            console = Console(highlight=False)
+            if not console.is_terminal:
+                console.width = 200
+            _show(console, opened, None if everything else SHOWN)
+
+
+def facts(recording: Recording) -> dict[str, Any]:
+    """What `info` knows, as JSON-like values; times in ns UTC."""
+    return {
+        "path": str(recording.path),
+        "finished": recording.finished,
+        "parts": [{"path": str(p.file.path), "bytes": p.file.size, "finished": p.finished} for p in recording.parts],
+        "duration_s": recording.duration_ns / 1e9,
+        "header": recording.header,
+        "streams": {name: _stream_facts(stream) for name, stream in recording.streams.items()},
+        "annotations": marks(recording),
+        "log": recording.log,
+    }
+
+
+def _stream_facts(stream: RecordedStream) -> dict[str, Any]:
+    return {
+        "role": stream.role,
+        **stream.spec.to_json(),
+        **{
+            name: getattr(stream, name)
+            for name in ("samples", "chunks", "first", "last", "gaps", "lost", "dropped", "begin", "end")
+        },
+        "duration_s": stream.duration_s,
+        "measured_hz": stream.rate_hz,
+    }
+
+
+def marks(recording: Recording) -> list[dict[str, Any]]:
+    """The marks that were set: {"time": ns, field: value, ...}."""
+    if ANNOTATIONS not in recording.streams or not recording.streams[ANNOTATIONS].spec.is_event:
+        return []
+    times, data = recording.read(ANNOTATIONS)
+    names = data.dtype.names or ()
+    return [
+        {"time": t, **dict(zip(names, row, strict=True))} for t, row in zip(times.tolist(), data.tolist(), strict=True)
+    ]
+
+
+def _show(console: Console, recording: Recording, most: int | None) -> None:
+    from rich.markup import escape
+
+    header = recording.header
+    state = "" if recording.finished else " [yellow](not closed in order; `kinegraph recover` finishes it)[/yellow]"
+    size = sum(part.file.size for part in recording.parts) / 1e6
+    parts = f", {len(recording.parts)} parts" if len(recording.parts) > 1 else ""
+    console.print(
+        f"[bold]{escape(str(recording.path))}[/bold]{state}: {_duration(recording.duration_ns / 1e9)}, {size:.1f} MB{parts}"
+    )
+    if (
+        recording.streams
+        and (first := min((s.first for s in recording.streams.values() if s.first is not None), default=None))
+        is not None
+    ):
+        console.print(f"begins {_when(first)}")
+    for title in ("session", "imported", "versions"):
+        if header.get(title):
+            console.print(f"{title}: " + escape(", ".join(f"{k} {v}" for k, v in header[title].items())))
+    if header.get("graph"):
+        console.print(f"graph: {escape(str(header.get('name') or header.get('graph_path') or ''))} (--graph prints it)")
+    console.print(_streams(recording))
+    _list(console, "annotations", [_line(a) for a in marks(recording)], most)
+    log = recording.log
+    _list(console, "log", [_line(entry) for entry in log], most)
+    if most is not None and len(log) > most:
+        console.print(
+            "  in all: " + ", ".join(f"{kind} {n}" for kind, n in Counter(entry["kind"] for entry in log).items())
+        )
+
+
+def _streams(recording: Recording) -> Table:
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for heading, justify in (
+        *(("stream", "left"), ("role", "left"), ("samples", "right"), ("duration", "right"), ("measured Hz", "right")),
+        *(("gaps", "right"), ("lost", "right"), ("dropped", "right"), ("what", "left")),
+    ):
+        table.add_column(heading, justify="right" if justify == "right" else "left", overflow="fold")
+    for name, s in recording.streams.items():
+        rate = f"{s.rate_hz:.2f}" if s.spec.rate_hz and s.rate_hz else ""
+        table.add_row(
+            *(
+                name,
+                s.role,
+                str(s.samples),
+                _duration(s.duration_s),
+                rate,
+                str(s.gaps),
+                str(s.lost),
+                str(s.dropped),
+                s.spec.describe(),
+            )
+        )
+    return table
+
+
+def _list(console: Console, title: str, lines: list[str], most: int | None) -> None:
+    from rich.markup import escape
+
+    if not lines:
+        return
+    console.print(f"{title}: {len(lines)}")
+    for line in lines[:most]:
+        console.print(f"  {escape(line)}")
+    if most is not None and len(lines) > most:
+        console.print(f"  ... and {len(lines) - most} more (--all)")
+
+
+def _line(entry: dict[str, Any]) -> str:
+    rest = {k: v for k, v in entry.items() if k not in ("time", "kind", "onset", "level")}
+    words = " ".join(f"{k}={v}" if k != "text" else str(v) for k, v in rest.items())
+    return " ".join(filter(None, [_when(int(entry.get("onset", entry["time"]))), entry.get("kind", ""), words]))
+
+
+def _when(ns: int) -> str:
+    """A time as people read it; one near 1970 is that of a file without a date, and is shown in seconds."""
+    from datetime import UTC, datetime
+
+    if abs(ns) < 366 * 86_400 * 1_000_000_000:
+        return f"{ns / 1e9:.3f} s"
+    return f"{datetime.fromtimestamp(ns / 1e9, UTC):%Y-%m-%d %H:%M:%S.%f}"[:-3] + " UTC"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 60:
+        return f"{seconds:.2f} s"
+    minutes, rest = divmod(seconds, 60)
+    hours, minutes = divmod(int(minutes), 60)
+    return f"{hours}:{minutes:02d}:{rest:04.1f} h" if hours else f"{minutes}:{rest:04.1f} min"

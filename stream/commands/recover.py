@@ -1,0 +1,32 @@
+"""`kinegraph recover`: finish a recording that a killed process or a power cut left."""
+
+from __future__ import annotations
+
+from pathlib import Path as File
+from typing import Annotated
+
+import typer
+
+
+def recover(
+    recording: Annotated[File, typer.Argument(help="the recording: a file or a session's folder", metavar="FILE")],
+    output: Annotated[
+        File | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="write it here; otherwise it takes the old file's place, which is kept as *.unfinished",
+        ),
+    ] = None,
+) -> None:
+    """Rewrite a recording with everything that can be read of it, with its end and index. Replay and info read it without that, too."""
+    from stream.convert.progress import bar
+    from stream.recording.recover import rewrite
+
+    with bar(f"recovering {recording.name}") as progress:
+        found = rewrite(recording, output, progress)
+    for part in found:
+        damage = f"; {part.damaged} damaged places were left out" if part.damaged else ""
+        typer.echo(f"{part.path}: {part.messages} messages, {part.samples} samples{damage}")
+    if not found:
+        typer.echo(f"{recording}: finished already, nothing to do")

@@ -1,0 +1,1 @@
+"""Other people's files in and out: CSV, NPZ and XDF become recordings, and recordings become CSV and XDF."""

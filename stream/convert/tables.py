@@ -1,0 +1,126 @@
+"""CSV tables and NPZ archives, read as named arrays; what is wrong in them is named by file and line."""
+
+from __future__ import annotations
+
+import csv
+import re
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from stream.chunk import Array
+from stream.convert.shelf import Column
+from stream.errors import RecordingError
+
+DELIMITERS = ",;\t|"
+
+
+def read_npz(path: Path) -> dict[str, Column]:
+    """The arrays of an NPZ file. Raises RecordingError; nothing that would run code (pickles) is loaded."""
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: Column(archive[name], path) for name in archive.files}
+    except (OSError, ValueError, zipfile.BadZipFile, AttributeError) as error:
+        raise RecordingError(f"{path}: cannot be read as an NPZ file ({error})") from None
+
+
+def read_csv(path: Path) -> dict[str, Column]:
+    """The columns of a CSV file with a header line: names, with units in brackets ("emg [uV]").
+
+    The delimiter (comma, semicolon, tab or bar) is found in the header; with another one than a comma, numbers may have decimal commas.
+    Empty cells are NaN; lines before the header that begin with # are skipped. Raises RecordingError with file and line.
+    """
+    text = _text(path)
+    lines = text.splitlines()
+    at = next((i for i, line in enumerate(lines) if line.strip() and not line.startswith("#")), None)
+    if at is None:
+        raise RecordingError(f"{path}: the file is empty")
+    delimiter = max(DELIMITERS, key=lines[at].count)
+    header = [name.strip() for name in next(csv.reader([lines[at]], delimiter=delimiter))]
+    if any(_is_number(name) for name in header):
+        raise RecordingError(
+            f"{path}: line {at + 1}: the first line must name the columns, but holds the number {next(filter(_is_number, header))}"
+        )
+    names = [_split(name) for name in header]
+    if len({name for name, _ in names}) != len(names) or not all(name for name, _ in names):
+        raise RecordingError(
+            f"{path}: line {at + 1}: every column needs a name of its own, got {', '.join(map(repr, header))}"
+        )
+    while not lines[-1].strip():
+        lines.pop()
+    data = _fast(lines[at + 1 :], delimiter, len(names))
+    if data is None:
+        data = _careful(path, lines, at + 1, delimiter, header)
+    return {name: Column(np.ascontiguousarray(data[:, i]), path, at + 2, unit) for i, (name, unit) in enumerate(names)}
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise RecordingError(f"{path}: not a text file in UTF-8, so no CSV") from None
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror or error})") from None
+
+
+def _split(name: str) -> tuple[str, str]:
+    """A column's name and unit: "emg [uV]" or "emg (uV)"."""
+    match = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]", name)
+    return (match[1].strip(), match[2].strip()) if match else (name, "")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def _fast(body: list[str], delimiter: str, columns: int) -> Array | None:
+    """numpy's own reader, where the table is what it should be; else None."""
+    if not body:
+        return np.empty((0, columns))
+    if not all(map(str.strip, body)):
+        return None
+    try:
+        data: Array = np.loadtxt(body, delimiter=delimiter, ndmin=2, comments=None, quotechar='"')
+    except ValueError:
+        return None
+    return data if data.shape[1] == columns else None
+
+
+def _careful(path: Path, lines: list[str], start: int, delimiter: str, header: list[str]) -> Array:
+    """Cell by cell: decimal commas, empty cells, and the line of whatever is no number."""
+    rows = list(_rows(path, lines, start, delimiter, header))
+    return np.array(rows).reshape(len(rows), len(header))
+
+
+def _rows(path: Path, lines: list[str], start: int, delimiter: str, header: list[str]) -> Iterator[list[float]]:
+    for number, line in enumerate(lines[start:], start + 1):
+        cells = next(csv.reader([line], delimiter=delimiter), [])
+        if len(cells) != len(header):
+            raise RecordingError(
+                f"{path}: line {number}: {len(cells)} cells, but the header names {len(header)} columns"
+            )
+        try:
+            yield [_value(cell, delimiter) for cell in cells]
+        except ValueError:
+            i = next(i for i, cell in enumerate(cells) if not _reads(cell, delimiter))
+            raise RecordingError(f"{path}: line {number}: {cells[i]!r} in column {header[i]!r} is no number") from None
+
+
+def _value(cell: str, delimiter: str) -> float:
+    if not cell.strip():
+        return np.nan
+    return float(cell if delimiter == "," else cell.replace(",", "."))
+
+
+def _reads(cell: str, delimiter: str) -> bool:
+    try:
+        _value(cell, delimiter)
+    except ValueError:
+        return False
+    return True

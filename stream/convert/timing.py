@@ -1,0 +1,111 @@
+"""When a file's samples were taken: a time column, a rate, or a packet counter, made into stamps and numbers of lost samples."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stream.chunk import NS, Array, Times
+from stream.errors import RecordingError
+
+UNITS = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": NS, "min": 60 * NS}
+TOLERANCE = 0.3
+"""How far a stamp may be from the regular grid, in periods, for the grid's own stamps to be put in its place."""
+SNAP = 1e-4
+"""A measured rate within this share of a whole number (or of a tenth) is that number."""
+
+
+def unit_in(name: str, unit: str = "") -> str:
+    """The unit of a column or array of times: as given in brackets, or by the name's ending (`t_ms`), else seconds."""
+    if unit in UNITS:
+        return unit
+    ending = name.rpartition("_")[2]
+    return ending if "_" in name and ending in UNITS else "s"
+
+
+def to_ns(values: Array, unit: str) -> Times:
+    """Times in `unit` as int64 ns, exactly where the values are whole numbers. Raises ValueError for NaN or infinity."""
+    if values.dtype.kind in "iu":
+        return values.astype(np.int64) * UNITS[unit]
+    if not np.isfinite(values).all():
+        raise ValueError(f"row {int(np.flatnonzero(~np.isfinite(values))[0])} holds no time")
+    return np.round(values.astype(np.float64) * UNITS[unit]).astype(np.int64)
+
+
+def grid_of(rate_hz: float, index: Array, anchor: int) -> Times:
+    """Stamps of samples number `index` of a regular stream whose sample 0 is at `anchor` ns."""
+    return anchor + np.round(index * (NS / rate_hz)).astype(np.int64)
+
+
+def check_order(time: Times, what: str, row: int, *, repeated: bool) -> None:
+    """Raises RecordingError at the first time that is not after the one before it (with `repeated`: that is before it).
+
+    `row` is what the first time's row or line is called.
+    """
+    wrong = np.flatnonzero(np.diff(time) < 0 if repeated else np.diff(time) <= 0)
+    if not len(wrong):
+        return
+    i = int(wrong[0])
+    if time[i + 1] < time[i]:
+        raise RecordingError(
+            f"{what} {row + i + 1}: time runs backwards, from {time[i] / NS:.9g} s to {time[i + 1] / NS:.9g} s"
+        )
+    raise RecordingError(
+        f"{what} {row + i + 1}: the time {time[i] / NS:.9g} s is repeated; if the clock is coarser than the rate, say --repeated"
+    )
+
+
+def regular(time: Times, rate_hz: float | None) -> tuple[float, Times, Array] | None:
+    """Whether samples at `time` are regular, but for missing ones: the rate, exact stamps, and the samples lost before each.
+
+    The rate is the given one, or is estimated from the times (a rate within 0.01 % of a whole number is taken for that number).
+    Stamps come from an index and one anchor. None where the times lie more than 0.3 periods off every such grid.
+    """
+    if len(time) < 3:
+        return None
+    rate = rate_hz or _estimate(time)
+    if rate is None:
+        return None
+    period = NS / rate
+    index = np.round((time - time[0]) / period).astype(np.int64)
+    anchor = round(float(np.median((time - time[0]) - index * period)))
+    stamps = grid_of(rate, index, int(time[0]) + anchor)
+    if (np.diff(index) < 1).any() or np.abs(stamps - time).max() > TOLERANCE * period:
+        return None
+    lost = np.concatenate([[0], np.diff(index) - 1])
+    return rate, stamps, lost
+
+
+def _estimate(time: Times) -> float | None:
+    """The rate from the median distance, made finer by the whole recording's length where there are no gaps in it."""
+    steps = np.diff(time)
+    middle = float(np.median(steps))
+    if middle <= 0:
+        return None
+    near = steps[np.abs(steps - middle) <= TOLERANCE * middle]
+    count = len(near)
+    rate = NS / float(near.mean()) if count else NS / middle
+    for digits in (0, 1):
+        snapped = round(rate, digits)
+        if snapped > 0 and abs(rate - snapped) <= SNAP * rate:
+            return snapped
+    return rate
+
+
+def lost_by_counter(counter: Array, what: str) -> Array:
+    """Samples missing before each one by a packet counter that grows by one and may wrap at a power of two. Returns (n,) int64.
+
+    Raises RecordingError where it does not grow.
+    """
+    values = counter.astype(np.int64)
+    steps = np.diff(values)
+    if (steps < 0).any():
+        modulo = 1 << int(values.max()).bit_length()
+        back = values[:-1][steps < 0]
+        steps = np.where(steps < 0, steps + modulo, steps)
+        if (back < modulo * 3 // 4).any():
+            row = int(np.flatnonzero(np.diff(values) < 0)[0]) + 1
+            raise RecordingError(f"{what} {row}: the counter runs backwards, from {values[row - 1]} to {values[row]}")
+    if (steps == 0).any():
+        row = int(np.flatnonzero(steps == 0)[0]) + 1
+        raise RecordingError(f"{what} {row}: the counter stands still at {values[row]}")
+    return np.concatenate([[0], steps - 1])

@@ -1,0 +1,99 @@
+"""Recovery: what can be read of an unfinished or damaged recording, rewritten as finished files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcap.writer import CompressionType
+
+from stream.errors import RecordingError
+from stream.recording.format import LOG, METRICS, table
+from stream.recording.part import Part
+from stream.recording.place import is_running, part_path, parts_of
+from stream.recording.reader import RecordedPart
+from stream.recording.records import messages
+from stream.recording.tally import RecordedStream
+
+
+@dataclass(frozen=True, slots=True)
+class Recovered:
+    """A part that was rewritten: how much it holds, and how many damaged places were left out (each shows as lost samples)."""
+
+    path: Path
+    messages: int
+    samples: int
+    damaged: int
+
+
+def rewrite(path: Path, output: Path | None, progress: Callable[[int, int], None] | None = None) -> list[Recovered]:
+    """Rewrite the recording at `path`: whole to `output`, or only the unfinished parts in their place (kept as *.unfinished).
+
+    Raises RecordingError if nothing can be read, if the recording is running, or if `output` is there already.
+    """
+    if not path.exists():
+        raise RecordingError(f"{path}: there is no such recording")
+    if is_running(path):
+        raise RecordingError(f"{path}: is being recorded now; stop that session first")
+    if output is not None and parts_of(output):
+        raise RecordingError(f"{output}: holds a recording already; name another place")
+    done = []
+    paths = parts_of(path)
+    if not paths:
+        raise RecordingError(f"{path}: the folder holds no recording (session.0000.mcap is missing)")
+    for number, part in enumerate(paths):
+        if part.stat().st_size == 0 and len(paths) > 1:
+            continue
+        opened = RecordedPart(part, forgiving=True)
+        try:
+            if output is not None:
+                output.parent.mkdir(parents=True, exist_ok=True)
+                if output.suffix != ".mcap":
+                    output.mkdir(exist_ok=True)
+                done.append(_rewrite(opened, part_path(output, number), number, progress))
+            elif not opened.finished or opened.damaged:
+                done.append(_replace(opened, number, progress))
+        except OSError as error:
+            raise RecordingError(f"{output or part}: cannot be written ({error.strerror or error})") from None
+        finally:
+            opened.file.close()
+    return done
+
+
+def _replace(old: RecordedPart, number: int, progress: Callable[[int, int], None] | None) -> Recovered:
+    path = old.file.path
+    fresh = path.with_name(f".{path.name}.recovering")
+    fresh.unlink(missing_ok=True)
+    made = _rewrite(old, fresh, number, progress)
+    path.replace(path.with_name(path.name + ".unfinished"))
+    fresh.replace(path)
+    return Recovered(path, made.messages, made.samples, made.damaged)
+
+
+def _rewrite(old: RecordedPart, path: Path, number: int, progress: Callable[[int, int], None] | None) -> Recovered:
+    """Copy every message that can be read to a new file at `path`, and end it."""
+    part = Part(path, number, old.header, CompressionType.ZSTD)
+    try:
+        tallies = {name: RecordedStream(s.spec, s.role) for name, s in old.streams.items()}
+        channels = {name: part.declare(name, s.spec, s.role) for name, s in old.streams.items()}
+        channels |= {topic: part.channel_of(topic) for topic in (LOG, METRICS)}
+        count = 0
+        for i, record in enumerate(old.chunks):
+            for message in messages(old.file.unpack(record)):
+                if message.channel not in old.topics:
+                    continue
+                name = old.topics[message.channel]
+                part.add(channels[name], message.log_time, message.publish_time, message.batch, bytes(message.body))
+                if name in tallies:
+                    tallies[name].count(table(message.body))
+                count += 1
+            part.save()
+            if progress:
+                progress(i + 1, len(old.chunks))
+        part.finish({name: tally.to_json() for name, tally in tallies.items()})
+    except BaseException:
+        part.abandon()
+        path.unlink(missing_ok=True)
+        raise
+    return Recovered(path, count, sum(tally.samples for tally in tallies.values()), old.damaged)
