@@ -89,7 +89,7 @@ def test_statistics_agree_with_the_plain_computation(session):
         time := session["envelope"][1] / 1e9, x := session["envelope"][2], np.gradient(x, time, axis=0)
     )
     exact = [whole.integrate(a, b) for a, b in pairwise(session["touch"])]
-    np.testing.assert_allclose(rows["integrated"], exact, rtol=0.01)
+    np.testing.assert_allclose(rows["integrated"], exact, rtol=0.03)
 
 
 def test_maxima_agree_and_reach_the_edges(session):
