@@ -1,0 +1,78 @@
+"""`kinegraph try`: a user's own operator, in a file of their own, is held to the laws."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+OPERATOR = '''
+from dataclasses import dataclass
+
+import numpy as np
+
+from stream.chunk import Chunk, StreamSpec
+from stream.operator import Case, Operator, grid
+from stream.params import param
+
+
+@dataclass(frozen=True, slots=True)
+class Gain(Operator[None]):
+    """Every sample times `factor`."""
+
+    factor: float = param(2.0)
+
+    def open(self, specs):
+        self.hold(None)
+        return {"out": specs["in"]}
+
+    def process(self, port, chunk):
+        x = np.where(np.isfinite(chunk.data), chunk.data, np.nan)
+        return Chunk(chunk.time, BODY, chunk.until, chunk.lost)
+
+    @classmethod
+    def cases(cls):
+        spec = StreamSpec((2,), rate_hz=100.0)
+        data = np.random.default_rng(1).normal(size=(300, 2))
+        return [Case(cls(), {"in": (spec, grid(100.0, 300), data)}, least=300)]
+'''
+
+
+def attempt(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "stream", "try", *arguments], cwd=folder, capture_output=True, text=True, check=False
+    )
+
+
+def test_a_sound_operator_passes(tmp_path: Path) -> None:
+    (tmp_path / "my_ops.py").write_text(OPERATOR.replace("BODY", "x * self.factor"))
+    found = attempt(tmp_path, "my_ops.Gain", "--examples", "10")
+    assert found.returncode == 0, found.stderr
+    assert "case 1 of 1: every law held, 10 random tries" in found.stdout
+
+
+def test_a_broken_one_is_told_which_law_where_and_what_to_do(tmp_path: Path) -> None:
+    (tmp_path / "my_ops.py").write_text(OPERATOR.replace("BODY", "x - x[:1]"))
+    found = attempt(tmp_path, "my_ops.Gain")
+    assert found.returncode == 1
+    assert "my_ops.Gain breaks law 1, rule 'cuts'" in found.stderr
+    assert "output 'out', sample" in found.stderr
+    assert "chunks: 'in':" in found.stderr
+    assert "what to do:" in found.stderr
+    assert "Traceback" not in found.stderr
+
+
+@pytest.mark.parametrize(
+    ("use", "complaint"),
+    [
+        ("my_ops.Gian", "did you mean 'Gain'?"),
+        ("devices.treadmill.Treadmill", "the laws are for operators and outlets"),
+    ],
+)
+def test_what_is_no_operator_is_refused(tmp_path: Path, use: str, complaint: str) -> None:
+    (tmp_path / "my_ops.py").write_text(OPERATOR.replace("BODY", "x"))
+    found = attempt(tmp_path, use)
+    assert found.returncode == 2
+    assert complaint in found.stderr
