@@ -11,7 +11,7 @@ from stream.errors import DeviceError
 
 
 def claim(path: Path) -> FileLock:
-    """Hold `.<name>.lock` beside an output until `release`; the system lets go of it when the process dies, however it dies.
+    """Hold `.<name>.lock` beside an output until `let_go`; the system lets go of it when the process dies, however it dies.
 
     Makes the folder. Raises DeviceError if another session writes to `path`, or its folder cannot be written.
     """
@@ -26,6 +26,12 @@ def claim(path: Path) -> FileLock:
     except OSError as error:
         raise DeviceError(f"cannot write to {path.parent}: {error.strerror or error}; choose another path") from None
     return held
+
+
+def let_go(held: FileLock) -> None:
+    """End a claim; its file is removed first, while it is still held, so that no other session's is."""
+    Path(held.lock_file).unlink(missing_ok=True)
+    held.release()
 
 
 def check_path(path: Path) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from filelock import FileLock
 
 from devices.append_file import AppendFile
-from devices.claim import check_path, claim, free_name
+from devices.claim import check_path, claim, free_name, let_go
 from stream.chunk import NS, Array, Chunk, Specs, StreamSpec, Times, add_lost
 from stream.errors import InputError, ParameterError
 from stream.operator import Outlet
@@ -90,7 +90,7 @@ class CsvFile(_Writer):
         try:
             desk.file = self._begin(self.state)
         except BaseException:
-            desk.claim.release()
+            let_go(desk.claim)
             raise
 
     def process(self, port: str, chunk: Chunk) -> None:
@@ -113,7 +113,7 @@ class CsvFile(_Writer):
         finally:
             desk.file = None
             if desk.claim is not None:
-                desk.claim.release()
+                let_go(desk.claim)
 
     def snapshot(self) -> dict[str, Array]:
         if self.desk.file is not None:

@@ -66,8 +66,6 @@ class Stream:
     samples: int
     gaps: int = 0
     lost: int = 0
-    dropped: int = 0
-    remark: str = ""
 
 
 @dataclass(slots=True)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from devices.report_data import Curves, Muscle, Report, Value, load
+from devices.report_data import Curves, Muscle, Report, Stream, Value, load
 from stream.chunk import NS
 
 MARKS = {"good": "✓ good", "check": "! check", "faulty": "✗ faulty"}
@@ -46,6 +46,9 @@ def render(report: Report, curves: Curves) -> str:
         r=report,
         unit=pretty(report.unit),
         pretty=pretty,
+        pretty_text=lambda text: text.replace(" uV", " µV"),
+        lost=_lost,
+        judged=any(m.verdict for m in report.muscles),
         svgs=report_curves.draw(curves, stance, pretty(report.unit), [m.name for m in report.muscles]),
         figures=_figures(report),
         marks=MARKS,
@@ -127,6 +130,13 @@ def _figures(report: Report) -> list[dict[str, str]]:
 def _side(report: Report) -> str:
     side = dict(report.facts).get("Side", "")
     return f" of the {side} leg" if side in ("left", "right") else ""
+
+
+def _lost(stream: Stream) -> str:
+    if stream.lost < 0:
+        return "some, not known how many"
+    whole = stream.samples + stream.lost
+    return f"{stream.lost} ({100 * stream.lost / whole:.2f} %)" if stream.lost else "0"
 
 
 def _number(value: Value) -> str:

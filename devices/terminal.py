@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from typing import Any, ClassVar, Self, TextIO
 
 import structlog
+from rich.columns import Columns
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.table import Table
@@ -45,7 +46,7 @@ class View:
         self.metrics = metrics
 
     def hang_out(self, title: str, notice: RenderableType, line: str) -> None:
-        """Show `notice` under the metrics until the next one of this title; `line` says the same where lines are shown."""
+        """Show `notice` before the metrics until the next one of this title; `line` says the same where lines are shown."""
         self.notices[title] = notice
 
     @property
@@ -91,7 +92,7 @@ class LiveView(View):
 
     def panel(self) -> RenderableType:
         head = Text.assemble((self.name, "bold"), f"  {_clock(self.elapsed_s)}  ", (HINT, "dim"))
-        return Group(head, metrics_table(self.metrics), *self.notices.values())
+        return Group(head, Columns([*self.notices.values(), metrics_table(self.metrics)], padding=(0, 4)))
 
 
 class LineView(View):

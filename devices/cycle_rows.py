@@ -1,0 +1,89 @@
+"""One CSV row per gait cycle, rejected ones with their reason: a cycle's event joined to its numbers, muscle by muscle."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from devices.report_tally import numbers
+from stream.chunk import NS, Array, Samples, Specs, StreamSpec
+
+CYCLE = ("duration_s", "stance_pct", "cadence")
+NONE = -1
+
+
+@dataclass(slots=True)
+class Held:
+    """A cycle whose numbers have not all come: its event (1,), and the numbers (fields, m) so far; number -1: none is held."""
+
+    number: int
+    event: Array
+    values: Samples
+    came: int
+
+
+def nothing_held(specs: Specs) -> Held:
+    fields, muscles = len(numbers(specs.get("statistics"))), specs["cycles"].shape[1]
+    return Held(NONE, np.zeros(1, specs["closed"].dtype), np.full((fields, muscles), np.nan), 0)
+
+
+def header(specs: Specs) -> bytes:
+    """The first line: names with units."""
+    closed, statistics = specs["closed"], specs.get("statistics")
+    names = ["touch-down (UTC)", "touch-down (s)", "number", *(_named(f, closed) for f in CYCLE), "rejected"]
+    if statistics is not None:
+        fields = numbers(statistics)
+        names += [f"{muscle} {_named(f, statistics)}" for muscle in specs["cycles"].channels for f in fields]
+    return _line(names)
+
+
+def take_closed(held: Held, rows: Array, start_ns: int) -> bytes:
+    """Take events of cycles; returns the lines that are complete with them."""
+    lines = b""
+    for i in range(len(rows)):
+        lines += release(held, start_ns)
+        held.number, held.came = int(rows["number"][i]), 0
+        held.event[0] = rows[i]
+        held.values[:] = np.nan
+        if rows["rejected"][i] or not held.values.size:
+            lines += release(held, start_ns)
+    return lines
+
+
+def take_statistics(held: Held, rows: Array, fields: Sequence[str], start_ns: int) -> bytes:
+    """Take numbers of muscles; returns the line of the held cycle, if they were the last that it lacked."""
+    mine = rows[rows["number"] == held.number]
+    for i, name in enumerate(fields):
+        held.values[i, mine["muscle"]] = mine[name]
+    held.came += len(mine)
+    return release(held, start_ns) if held.came >= held.values.shape[1] else b""
+
+
+def release(held: Held, start_ns: int) -> bytes:
+    """The line of the held cycle, with what has come of it; nothing if none is held."""
+    if held.number == NONE:
+        return b""
+    event = held.event[0]
+    onset = int(event["onset"])
+    values: list[Any] = [f"{np.datetime64(onset, 'ns')}Z", f"{(onset - start_ns) / NS:.6f}", held.number]
+    values += [float(event[name]) for name in CYCLE]
+    values += [str(event["rejected"]), *held.values.T.ravel().tolist()]
+    held.number = NONE
+    return _line(values)
+
+
+def _named(field: str, spec: StreamSpec) -> str:
+    """The field with its unit, unless its name ends with it."""
+    unit = spec.unit_of(field)
+    return f"{field} ({unit})" if unit and not field.endswith(("_s", "_pct")) else field
+
+
+def _line(values: Sequence[Any]) -> bytes:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerow(values)
+    return text.getvalue().encode()

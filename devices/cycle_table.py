@@ -1,0 +1,134 @@
+"""The last gait cycle on the terminal: a table in the live view, one plain line per cycle elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from rich.table import Table
+
+from devices.terminal import View
+from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec
+from stream.errors import InputError, ParameterError, nearest
+from stream.operator import Outlet
+from stream.params import param
+
+CYCLE = ("number", "duration_s", "stance_pct", "cadence", "rejected")
+
+
+@dataclass(slots=True)
+class CycleTableState:
+    """The cycle whose numbers are awaited: its event (1,), the numbers (fields, m) so far; and counts of cycles."""
+
+    event: Array
+    values: Samples
+    came: int
+    accepted: int
+    rejected: int
+
+
+class _Shown(Outlet[CycleTableState]):
+    __slots__ = ("specs",)
+    specs: Specs
+
+
+@dataclass(frozen=True, slots=True)
+class CycleTable(_Shown):
+    """Every cycle as it closes: its duration, stance and cadence, and what was measured of each muscle; rejected ones with the reason.
+
+    closed       of `operators.cycles.Cycles`
+    statistics   of `operators.cycle_statistics.CycleStatistics`
+
+    `kinegraph run` shows the newest cycle as a table in its live view; where the output is no terminal, every cycle is a line.
+    """
+
+    inputs: ClassVar[tuple[str, ...]] = ("closed", "statistics")
+
+    fields: tuple[str, ...] = param(
+        ("peak", "peak_pct", "mean", "integrated", "deviation"), help="which numbers of `statistics` are shown"
+    )
+
+    def open(self, specs: Specs) -> Specs:
+        closed, statistics = specs["closed"], specs["statistics"]
+        if not set(CYCLE) <= set(closed.dtype.names or ()):
+            raise InputError("closed", closed.describe(), f"events with the fields {', '.join(CYCLE)}")
+        if not {"number", "muscle", "name"} <= set(statistics.dtype.names or ()):
+            raise InputError("statistics", statistics.describe(), "events with the fields number, muscle, name")
+        for field in self.fields:
+            if field not in statistics.channels or statistics.dtype[field].kind != "f":
+                known = [name for name in statistics.channels if statistics.dtype[name].kind == "f"]
+                raise ParameterError("fields", field, f"a number of `statistics`; {nearest(field, known)}")
+        object.__setattr__(self, "specs", specs)
+        self.hold(CycleTableState(np.zeros(0, closed.dtype), np.zeros((len(self.fields), 0)), 0, 0, 0))
+        return {}
+
+    def process(self, port: str, chunk: Chunk) -> None:
+        state = self.state
+        if port == "closed":
+            for i in range(len(chunk)):
+                event = chunk.data[i : i + 1]
+                state.event = event.copy()
+                state.accepted += not event["rejected"][0]
+                state.rejected += bool(event["rejected"][0])
+                if event["rejected"][0]:
+                    _show(headline(event, state), rejection(event))
+        elif len(chunk) and len(state.event):
+            rows = chunk.data[chunk.data["number"] == state.event["number"][0]]
+            if len(rows):
+                table = cycle_table(headline(state.event, state), rows, self.fields, self.specs["statistics"])
+                _show(table, cycle_line(state.event, rows, self.fields))
+
+
+def headline(event: Array, state: CycleTableState) -> str:
+    """The newest cycle in a line, and how many there were."""
+    counts = f"{state.accepted} accepted, {state.rejected} rejected"
+    return f"{_what(event)}  ({counts})" if not event["rejected"][0] else f"{rejection(event)}  ({counts})"
+
+
+def rejection(event: Array) -> str:
+    return f"cycle {event['number'][0]}  {event['duration_s'][0]:.3f} s  rejected: {event['rejected'][0]}"
+
+
+def cycle_table(title: str, rows: Array, fields: tuple[str, ...], spec: StreamSpec) -> Table:
+    """One row per muscle."""
+    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False, header_style="dim")
+    table.add_column("muscle")
+    for field in fields:
+        table.add_column(f"{_short(field)} {spec.unit_of(field)}".strip(), justify="right")
+    for row in rows:
+        table.add_row(str(row["name"]), *(_number(float(row[field])) for field in fields))
+    return table
+
+
+def cycle_line(event: Array, rows: Array, fields: tuple[str, ...]) -> str:
+    """The cycle, then the first number of each muscle and, if it is shown, where the peak lies: "TA 91.2@76"."""
+    parts = []
+    for row in rows:
+        place = f"@{row['peak_pct']:.0f}%" if "peak_pct" in fields and np.isfinite(row["peak_pct"]) else ""
+        first = next((field for field in fields if field != "peak_pct"), "")
+        parts.append(f"{row['name']} {_number(float(row[first])) if first else ''}{place}")
+    return f"{_what(event)}  {_short(fields[0]) if fields else ''}: {', '.join(parts)}"
+
+
+def _what(event: Array) -> str:
+    row: Any = event[0]
+    stance = f"  stance {row['stance_pct']:.1f} %" if np.isfinite(row["stance_pct"]) else ""
+    return f"cycle {row['number']}  {row['duration_s']:.3f} s{stance}  {row['cadence']:.1f} strides/min"
+
+
+def _short(field: str) -> str:
+    return {"peak_pct": "peak at", "integrated": "iEMG"}.get(field, field.replace("_", " "))
+
+
+def _number(value: float) -> str:
+    if not np.isfinite(value):
+        return "–"
+    return f"{value:.1f}" if abs(value) >= 10 else f"{value:.2f}"
+
+
+def _show(notice: Any, line: str) -> None:
+    if View.current is None:
+        print(line, flush=True)
+    else:
+        View.current.hang_out("cycle", notice, line)

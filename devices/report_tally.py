@@ -1,0 +1,164 @@
+"""What a session's report needs to remember of the streams it hears: bounded, whatever the session's length, and plain arrays."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from devices.running import Choice, Running
+from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times, add_lost
+
+REJECTION = np.dtype([("onset", "<i8"), ("duration_s", "<f8"), ("reason", "<U32")])
+LISTED = 200
+"""At most so many rejected cycles are listed, and so many single curves kept."""
+GAIT = ("cadence", "duration_s", "stance_pct")
+UNSEEN = -1
+
+
+@dataclass(slots=True)
+class Tally:
+    """
+    started, ended   first and last stamp seen (ns); -1: none yet
+    accepted         how many cycles
+    reasons, counts  why cycles were rejected, and how often each
+    rejections       (200,) the first of them
+    gait             (3,) cadence, duration and stance of accepted cycles
+    curve            (100, m) of accepted cycles
+    single           some of them
+    fields           per number of a muscle in a cycle: (m,)
+    overall          (fields, m) the latest numbers of each muscle over all cycles
+    verdicts         per muscle, what the latest quality event says; remarks: and why
+    pairs            (p,) the latest co-contraction over all cycles; pair_names
+    heard            (ports, 3) samples, gaps, samples lost (-1: not known) per port
+    """
+
+    started: int
+    ended: int
+    accepted: int
+    reasons: list[str]
+    counts: list[int]
+    rejections: Array
+    gait: Running
+    curve: Running
+    single: Choice
+    fields: list[Running]
+    overall: Samples
+    verdicts: list[str]
+    remarks: list[str]
+    pairs: list[float]
+    pair_names: list[str]
+    heard: Times
+
+    @property
+    def rejected(self) -> int:
+        return sum(self.counts)
+
+
+def numbers(spec: StreamSpec | None) -> list[str]:
+    """The fields of a muscle's events that hold measurements."""
+    if spec is None:
+        return []
+    return [name for name in spec.channels if spec.dtype[name].kind == "f"]
+
+
+def nothing_yet(specs: Specs) -> Tally:
+    """An empty tally for these inputs."""
+    shape = specs["cycles"].shape
+    statistics = specs.get("statistics")
+    fields = [Running.of((shape[1],), 100.0 if name == "peak_pct" else 0.0) for name in numbers(statistics)]
+    return Tally(
+        started=UNSEEN,
+        ended=UNSEEN,
+        accepted=0,
+        reasons=[],
+        counts=[],
+        rejections=np.zeros(LISTED, REJECTION),
+        gait=Running.of((len(GAIT),)),
+        curve=Running.of(shape),
+        single=Choice.of(LISTED, shape),
+        fields=fields,
+        overall=np.full((len(numbers(specs.get("muscles"))), shape[1]), np.nan),
+        verdicts=[""] * shape[1],
+        remarks=[""] * shape[1],
+        pairs=[],
+        pair_names=[],
+        heard=np.zeros((len(specs), 3), np.int64),
+    )
+
+
+def hear(tally: Tally, specs: Specs, port: str, chunk: Chunk) -> None:
+    """Take a chunk from an input."""
+    n = len(chunk)
+    if not n:
+        return
+    if tally.started == UNSEEN:
+        tally.started = int(chunk.time[0])
+    tally.ended = max(tally.ended, int(chunk.time[-1]))
+    heard = tally.heard[list(specs).index(port)]
+    heard[0] += n
+    if chunk.lost:
+        heard[1] += 1
+        heard[2] = add_lost(int(heard[2]), chunk.lost)
+    if port == "closed":
+        for row in chunk.data:
+            _closed(tally, row)
+    elif port == "cycles":
+        for curve in chunk.data:
+            tally.curve.add(curve)
+            tally.single.add(curve)
+    elif port == "statistics":
+        _statistics(tally, numbers(specs[port]), chunk.data)
+    elif port == "muscles":
+        for i, name in enumerate(numbers(specs[port])):
+            tally.overall[i, chunk.data["muscle"]] = chunk.data[name]
+    elif port == "pairs":
+        for row in chunk.data:
+            _pair(tally, row)
+    elif port == "quality":
+        for row in chunk.data:
+            _quality(tally, row)
+
+
+def _closed(tally: Tally, row: Any) -> None:
+    reason = str(row["rejected"])
+    if not reason:
+        tally.accepted += 1
+        tally.gait.add(np.array([row[name] for name in GAIT], np.float64))
+        return
+    if tally.rejected < LISTED:
+        tally.rejections[tally.rejected] = (row["onset"], row["duration_s"], reason)
+    if reason not in tally.reasons:
+        tally.reasons.append(reason)
+        tally.counts.append(0)
+    tally.counts[tally.reasons.index(reason)] += 1
+
+
+def _statistics(tally: Tally, names: list[str], rows: Array) -> None:
+    """One row per cycle and muscle; every cycle's rows are added at once, field by field."""
+    for number in dict.fromkeys(rows["number"].tolist()):
+        here = rows[rows["number"] == number]
+        for name, running in zip(names, tally.fields, strict=True):
+            values = np.full(len(running.n), np.nan)
+            values[here["muscle"]] = here[name]
+            running.add(values)
+
+
+def _pair(tally: Tally, row: Any) -> None:
+    name = f"{row['first']} / {row['second']}"
+    if name not in tally.pair_names:
+        tally.pair_names.append(name)
+        tally.pairs.append(float("nan"))
+    tally.pairs[tally.pair_names.index(name)] = float(row["mean_pct"])
+
+
+def _quality(tally: Tally, row: Any) -> None:
+    muscle = int(row["muscle"])
+    tally.verdicts[muscle], tally.remarks[muscle] = str(row["verdict"]), str(row["remark"])
+
+
+def most_common(tally: Tally) -> list[tuple[str, int]]:
+    """Reasons for rejection, the commonest first."""
+    return Counter(dict(zip(tally.reasons, tally.counts, strict=True))).most_common()
