@@ -10,10 +10,11 @@ what `latency_s` of a source corrects.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
-from stream.chunk import NS, Times
+from stream.chunk import NS, Samples, Times
 
 BUCKET_NS = NS
 WINDOW = 120
@@ -48,6 +49,10 @@ class DeviceClock:
     def __init__(self, latency_s: float = 0.0) -> None:
         """`latency_s`: the constant part of the delay, from the event to its arrival at best, measured by the user."""
         self._latency = round(latency_s * NS)
+        self._last: tuple[int, int] | None = None
+        self._forget()
+
+    def _forget(self) -> None:
         self._x: list[int] = []
         """Device time of each second's smallest difference, oldest first."""
         self._y: list[int] = []
@@ -57,7 +62,6 @@ class DeviceClock:
         self._height = 0.0
         self._at = 0
         self._spread = 0.0
-        self._last: tuple[int, int] | None = None
 
     def see(self, device_ns: int, arrival_ns: int) -> None:
         """A packet with this (unwrapped) device time has arrived now."""
@@ -91,10 +95,9 @@ class DeviceClock:
 
     def restart(self) -> None:
         """The device's own time began anew (a reset): everything known of it is forgotten, but stamps still never run backwards."""
-        last = self._last
-        self.__init__(self._latency / NS)  # type: ignore[misc]
-        if last is not None:
-            self._last = (0, last[1])
+        self._forget()
+        if self._last is not None:
+            self._last = (0, self._last[1])
 
     @property
     def state(self) -> ClockState:
@@ -122,7 +125,7 @@ class DeviceClock:
         self._spread = float(np.median(rest))
 
 
-def _edge(x: np.ndarray, y: np.ndarray, middle: float) -> tuple[int, int]:
+def _edge(x: Samples, y: Samples, middle: float) -> tuple[int, int]:
     """Indices of the two points of the lower convex hull between which `middle` lies. x (n,) increasing."""
     hull: list[int] = []
     for i in range(len(x)):
@@ -132,7 +135,7 @@ def _edge(x: np.ndarray, y: np.ndarray, middle: float) -> tuple[int, int]:
                 break
             hull.pop()
         hull.append(i)
-    for a, b in zip(hull, hull[1:], strict=False):
+    for a, b in pairwise(hull):
         if x[b] >= middle:
             return a, b
     return hull[-2], hull[-1]

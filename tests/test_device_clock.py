@@ -1,0 +1,90 @@
+"""Device clocks: drift, jitter, stalls and wraps, against the truth of a simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from devices.device_clock import Counter, DeviceClock
+from stream.chunk import NS, Times
+
+
+def link(seconds: int, rate_hz: float, ppm: float, seed: int, offset_s: float = 1000.0) -> tuple[Times, Times, Times]:
+    """True times, device times and arrivals (n,) ns: 20 ms of jitter, 1 % stalls of 100 ms, 3 ms at least, in order."""
+    random = np.random.default_rng(seed)
+    true = np.round(np.arange(seconds * rate_hz) * NS / rate_hz).astype(np.int64)
+    device = np.round(true * (1 + ppm * 1e-6)).astype(np.int64) + round(offset_s * NS)
+    delay = 0.003 + random.uniform(0, 0.02, len(true)) + 0.1 * (random.uniform(size=len(true)) < 0.01)
+    return true, device, np.maximum.accumulate(true + (delay * NS).astype(np.int64))
+
+
+def mapped(device: Times, arrival: Times, latency_s: float = 0.003) -> tuple[Times, DeviceClock]:
+    clock = DeviceClock(latency_s)
+    stamps = np.empty_like(device)
+    for i in range(len(device)):
+        clock.see(int(device[i]), int(arrival[i]))
+        stamps[i] = clock.stamps(device[i : i + 1])[0]
+    return stamps, clock
+
+
+@pytest.mark.parametrize("ppm", [0.0, 50.0, -50.0, 200.0])
+def test_stamps_follow_the_truth_through_jitter_and_stalls(ppm: float) -> None:
+    true, device, arrival = link(300, 50, ppm, seed=1)
+    stamps, clock = mapped(device, arrival)
+    error = np.abs(stamps - true) / NS
+    assert error[true > 30 * NS].max() < 0.002
+    assert error[true > 120 * NS].max() < 0.001
+    assert (np.diff(stamps) > 0).all()
+    assert clock.state.drift_ppm == pytest.approx(-ppm, abs=10)
+    assert 0 < clock.state.uncertainty_s < 0.005
+
+
+def test_arrival_times_alone_would_be_far_worse() -> None:
+    true, device, arrival = link(120, 50, 50.0, seed=2)
+    stamps, _ = mapped(device, arrival)
+    assert np.std(arrival - true) > 20 * np.std((stamps - true)[true > 30 * NS])
+
+
+def test_a_constant_delay_is_corrected_by_what_the_user_measured_and_by_nothing_else() -> None:
+    true, device, arrival = link(60, 50, 0.0, seed=3)
+    late, _ = mapped(device, arrival, latency_s=0.0)
+    assert np.median(late - true) / NS == pytest.approx(0.003, abs=0.001)
+
+
+def test_stamps_never_run_backwards_when_the_line_moves_down() -> None:
+    clock = DeviceClock()
+    clock.see(0, 50_000_000)
+    first = clock.stamps(np.arange(0, 5_000_000, 1_000_000))
+    clock.see(5_000_000, 6_000_000)
+    second = clock.stamps(np.arange(5_000_000, 200_000_000, 1_000_000))
+    assert (np.diff(np.concatenate([first, second])) > 0).all()
+    assert second[-1] == 199_000_000 + 1_000_000
+
+
+def test_a_device_that_was_reset_is_learned_anew() -> None:
+    _, device, arrival = link(30, 50, 20.0, seed=4)
+    stamps, clock = mapped(device, arrival)
+    clock.restart()
+    clock.see(0, int(arrival[-1]) + NS)
+    after = clock.stamps(np.array([0, NS]))
+    assert after[0] > stamps[-1]
+    assert after[1] - after[0] == NS
+
+
+def test_a_counter_finds_what_is_missing() -> None:
+    counter = Counter(8, 250.0)
+    lost = [
+        counter.lost_before(c, round(i * NS / 250))
+        for i, c in ((0, 250), (1, 251), (5, 255), (6, 0), (7, 1), (7, 1), (8, 2))
+    ]
+    assert lost == [0, 0, 3, 0, 0, -1, 0]
+    assert counter.value == 8
+
+
+@pytest.mark.parametrize("outage", [1, 255, 256, 257, 1000, 5000])
+def test_an_outage_longer_than_the_counters_range_is_counted_by_elapsed_time(outage: int) -> None:
+    counter = Counter(8, 250.0)
+    for i in range(20):
+        counter.lost_before(i, round(i * NS / 250))
+    at = 20 + outage
+    assert counter.lost_before(at % 256, round(at * NS / 250) + 30_000_000) == outage
