@@ -389,6 +389,23 @@ def _sum(x: Array) -> float:
 
 
 @dataclass(frozen=True, slots=True)
+class WritesSpecs(Smooth):
+    """breaks: inputs"""
+
+    def open(self, specs: Specs) -> Specs:
+        specs["in"].meta["smoothed"] = True
+        return Smooth.open(self, specs)
+
+
+@dataclass(frozen=True, slots=True)
+class SettlesAtOnce(Smooth):
+    """breaks: settling"""
+
+    def open(self, specs: Specs) -> Specs:
+        return {"out": Smooth.open(self, specs)["out"].derive(settling_s=0.1)}
+
+
+@dataclass(frozen=True, slots=True)
 class CompilesLate(Smooth):
     """breaks: compile"""
 

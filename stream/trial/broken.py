@@ -97,6 +97,11 @@ RULES: dict[str, Rule] = {
         "after a gap longer than reset_gap_s a signal goes on as if it began there",
         "reset the whole state, the stamps' anchor included",
     ),
+    "settling": Rule(
+        6,
+        "how long the inputs settle counts into how long a regular output does",
+        "derive the output's spec with settling_s = the longest of the inputs' + the operator's own",
+    ),
     "arrays": Rule(
         7,
         "what is emitted is C-contiguous and writable",
@@ -105,7 +110,7 @@ RULES: dict[str, Rule] = {
     "emitted": Rule(
         7, "an array is never written again once it has been emitted", "emit fresh arrays, not views of the state"
     ),
-    "inputs": Rule(7, "inputs are never written", "copy before working in place: others read the same arrays"),
+    "inputs": Rule(7, "inputs and their specs are never written", "copy before working in place: others read the same"),
     "compile": Rule(
         7,
         "nothing compiles after the warm-up",
