@@ -1,0 +1,1 @@
+"""The engines that are compared, one file each; a file runs in that engine's own environment."""

@@ -1,0 +1,91 @@
+"""kinegraph: graphs from YAML. "fed" goes through the pipeline as replay does; "session" is a whole live session with a source in its own
+thread. Metrics are always on; the recorder writes the input log and, in the overhead's graphs, the last edge."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Sequence
+from importlib.metadata import version
+from itertools import pairwise
+from pathlib import Path
+
+import structlog
+
+from bench.parts import TRIAL, feed_all
+from bench.work import CUTOFF_HZ, EVERY, ORDER, RATE_HZ, WINDOW, Feed, Sink, Step
+from bench.worker import SESSION, serve
+from stream.graph import RecordingOptions
+from stream.load import load_text
+from stream.pipeline import Pipeline
+from stream.recording import Recorder
+from stream.session import Session
+from stream.stalls import calm
+
+CHAIN = f"""
+  rectify: {{use: operators.rectify.Rectify, from: device}}
+  lowpass: {{use: operators.iir.Lowpass, from: rectify, cutoff_hz: {CUTOFF_HZ}, order: {ORDER}}}
+  thin: {{use: operators.decimate.Decimate, from: lowpass, every: {EVERY}}}
+  mean: {{use: operators.moving.MovingMean, from: thin, window_s: {WINDOW * EVERY / RATE_HZ}}}
+  count: {{use: bench.parts.Count, from: mean}}
+"""
+
+
+def graph_of(steps: Sequence[Step | None], live: bool) -> str:
+    """The YAML of a graph: the chain, or as many identities as there are steps."""
+    text = f"nodes:\n  device: {{use: bench.parts.Device, live_pace: {str(live).lower()}}}"
+    if any(steps):
+        return text + CHAIN
+    names = ["device", *(f"same{i}" for i in range(len(steps)))]
+    for before, name in pairwise(names):
+        text += f"\n  {name}: {{use: bench.parts.Identity, from: {before}}}"
+    return text + f"\n  count: {{use: bench.parts.Count, from: {names[-1]}}}\nrecord: [{names[-1]}]\n"
+
+
+class Kinegraph:
+    def versions(self) -> dict[str, str]:
+        return {"kinegraph": version("kinegraph")}
+
+    def drive(self, style: str, steps: Sequence[Step | None], feed: Feed, sink: Sink) -> tuple[int, int]:
+        TRIAL.feed, TRIAL.sink = feed, sink
+        graph = load_text(graph_of(steps, feed.paced))
+        if style == SESSION:
+            self._session(graph)
+        else:
+            self._fed(graph, feed, recorded=not any(steps))
+        return EVERY, 0
+
+    def _session(self, graph: object) -> None:
+        folder = Path(tempfile.mkdtemp(prefix="kinegraph-bench-"))
+        try:
+            outcome = Session(graph, folder / "session").run()  # type: ignore[arg-type]
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+        if outcome.error:
+            raise outcome.error
+
+    def _fed(self, graph: object, feed: Feed, *, recorded: bool) -> None:
+        pipeline = Pipeline(graph)  # type: ignore[arg-type]
+        folder = Path(tempfile.mkdtemp(prefix="kinegraph-bench-"))
+        recorder = Recorder(folder / "session", {"graph": ""}, RecordingOptions(), wait=True) if recorded else None
+        try:
+            if recorder:
+                for role, wire in (("input", pipeline.wires["device"]), ("edge", pipeline.wires[last_edge(pipeline)])):
+                    number = recorder.add_stream(str(wire.edge), wire.spec, role)  # type: ignore[arg-type]
+                    wire.taps.append(lambda chunk, n=number: recorder.write(n, chunk, 0, 0))  # type: ignore[misc]
+            with calm():
+                feed_all(pipeline.entries["device"].send, feed)
+            pipeline.fold()
+        finally:
+            if recorder:
+                recorder.close()
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def last_edge(pipeline: Pipeline) -> str:
+    return [name for name in pipeline.wires if name.startswith("same")][-1]
+
+
+if __name__ == "__main__":
+    structlog.configure(logger_factory=structlog.ReturnLoggerFactory())
+    serve(Kinegraph())

@@ -1,0 +1,96 @@
+"""At the pace of a device: 2000 Hz in 10-sample chunks; how long after a sample was due its result is there, and what it costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bench.engines import EngineError, Field
+from bench.report import Goal, Section, short
+from bench.work import RATE_HZ
+from bench.worker import KERNELS, OWN, SCIPY, SESSION
+
+CHUNK = 10
+
+
+@dataclass(slots=True)
+class Entry:
+    """One row: latencies in ns since the chunk's last sample was due, and since the chunk was handed out; share of one processor."""
+
+    engine: str
+    style: str
+    label: str
+    due: list[int] = field(default_factory=list)
+    made: list[int] = field(default_factory=list)
+    cpu: list[float] = field(default_factory=list)
+
+    def ms(self, q: float) -> float:
+        return float(np.percentile(self.due, q)) / 1e6
+
+    def made_ms(self, q: float) -> float:
+        return float(np.percentile(self.made, q)) / 1e6
+
+
+def entries() -> list[Entry]:
+    return [
+        Entry("bare", KERNELS, "bare loop over the same kernels"),
+        Entry("bare", SCIPY, "bare loop over scipy"),
+        Entry("kinegraph", SESSION, "**kinegraph**, whole session, recorded"),
+        Entry("csp", KERNELS, "csp, same kernels"),
+        Entry("streamz", KERNELS, "streamz, same kernels"),
+        Entry("timeflux", KERNELS, "timeflux, same kernels, bare arrays"),
+        Entry("timeflux", OWN, "timeflux, its own nodes"),
+        Entry("ezmsg", KERNELS, "ezmsg, same kernels, one process"),
+        Entry("ezmsg", OWN, "ezmsg-sigproc's units, one process"),
+    ]
+
+
+def paced(field: Field, rounds: int, seconds: float) -> Section:
+    """Every round gives every contender `seconds` of real time, one after the other."""
+    taking = entries()
+    count = max(20, round(seconds * RATE_HZ / CHUNK))
+    for turn in range(-1, rounds):
+        for e in [e for e in taking if e.engine in field.engines]:
+            try:
+                answer = field.engines[e.engine].ask(
+                    style=e.style, chunk=CHUNK, count=count if turn >= 0 else 20, paced=True, timeout_s=seconds + 60
+                )
+            except EngineError as error:
+                field.drop(e.engine, error)
+                continue
+            if turn >= 0:
+                e.due += answer["due_ns"]
+                e.made += answer["made_ns"]
+                e.cpu.append(answer["cpu"])
+    return _section([e for e in taking if e.engine in field.engines], rounds * seconds)
+
+
+def _section(taking: list[Entry], seconds: float) -> Section:
+    bare = taking[0]
+    cpu = {id(e): float(np.median(e.cpu)) for e in taking}
+    section = Section(
+        f"Paced: 2000 Hz in 10-sample chunks, {seconds:g} s each; from when a chunk's last sample is due to the sink",
+        [
+            "",
+            "p50, times bare",
+            "p99, times bare",
+            "CPU, times bare",
+            "p50 ms",
+            "p99 ms",
+            "max ms",
+            "since handed out: p50 ms",
+            "CPU %",
+        ],
+    )
+    for e in taking:
+        ratios = [e.ms(50) / bare.ms(50), e.ms(99) / bare.ms(99), cpu[id(e)] / cpu[id(bare)]]
+        times = [e.ms(50), e.ms(99), e.ms(100), e.made_ms(50)]
+        section.rows.append([e.label, *map(short, ratios), *map(short, times), short(100 * cpu[id(e)])])
+        if e.engine == "kinegraph":
+            section.goals = [
+                Goal("paced p50 latency against the bare loop", ratios[0], 1.5, "times"),
+                Goal("paced p99 latency against the bare loop", ratios[1], 1.5, "times"),
+                Goal("paced CPU against the bare loop", ratios[2], 1.5, "times"),
+            ]
+    return section

@@ -1,0 +1,116 @@
+"""What a user of kinegraph would write for the bench: an identity, a sink, a device; `TRIAL` holds what is being run."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from bench.work import CHANNELS, RATE_HZ, Feed, Sink, cycled
+from stream import source
+from stream.chunk import FOREVER, NS, Chunk, Specs, StreamSpec, Times
+from stream.operator import Operator
+from stream.params import param
+
+
+@dataclass(slots=True)
+class Trial:
+    """What the graph in this process is given, and where it goes."""
+
+    feed: Feed | None = None
+    sink: Sink | None = None
+
+
+TRIAL = Trial()
+
+
+@dataclass(slots=True)
+class Nothing:
+    """No state."""
+
+
+@dataclass(frozen=True, slots=True)
+class Identity(Operator[Nothing]):
+    """Passes on what it gets."""
+
+    def open(self, specs: Specs) -> Specs:
+        self.hold(Nothing())
+        return {"out": specs["in"]}
+
+    def process(self, port: str, chunk: Chunk) -> Chunk:
+        return chunk
+
+
+@dataclass(frozen=True, slots=True)
+class Count(Operator[Nothing]):
+    """The end of the chain: hands what comes to the trial's sink."""
+
+    def open(self, specs: Specs) -> Specs:
+        self.hold(Nothing())
+        return {"out": specs["in"]}
+
+    def process(self, port: str, chunk: Chunk) -> None:
+        if TRIAL.feed and TRIAL.feed.began and TRIAL.sink:  # the warm-up comes before
+            TRIAL.sink(chunk.data)
+
+
+@dataclass(frozen=True, slots=True)
+class FirstSample(Operator[Nothing]):
+    """Notes in a file when the first sample came (ns, monotonic clock of the machine)."""
+
+    path: str = param()
+    noted: ClassVar[bool] = False
+
+    def open(self, specs: Specs) -> Specs:
+        self.hold(Nothing())
+        return {"out": specs["in"]}
+
+    def process(self, port: str, chunk: Chunk) -> None:
+        if len(chunk.time) and chunk.until > NS * 10**6 and not FirstSample.noted:
+            FirstSample.noted = True
+            with open(self.path, "w") as file:  # noqa: PTH123
+                file.write(str(time.monotonic_ns()))
+
+
+@dataclass(frozen=True, slots=True)
+class Device(source.Source):
+    """Hands out the trial's feed, at its pace."""
+
+    live_pace: bool = param(False)
+
+    @property
+    def live(self) -> bool:
+        return self.live_pace
+
+    def specs(self) -> Specs:
+        return {"out": StreamSpec((CHANNELS,), rate_hz=float(RATE_HZ), units=("uV",))}
+
+    def read(self, feed: source.Feed) -> None:
+        trial = TRIAL.feed
+        assert trial
+        start = feed.now()
+        within = np.arange(trial.chunk) * (NS // RATE_HZ)
+        feed.ready()
+        for i, x in enumerate(trial):
+            stamps = within + (start + i * trial.period_ns)
+            feed.emit(Chunk(stamps, x, int(stamps[-1])))
+
+
+def stamps(feed: Feed) -> list[Times]:
+    """The stamps of every chunk of a feed, as a recording gives them."""
+    times = 10**18 + np.arange(feed.count * feed.chunk) * (NS // RATE_HZ)
+    return [times[i * feed.chunk : i * feed.chunk + len(x)] for i, x in enumerate(cycled(feed))]
+
+
+def feed_all(send: object, feed: Feed) -> None:
+    """Push a whole feed into a pipeline's entry, chunk by chunk, as replay does."""
+    push = send
+    assert callable(push)
+    times = stamps(feed)
+    feed.begin()
+    for t, x in zip(times, cycled(feed), strict=True):
+        push(Chunk(t, x, int(t[-1])), time.perf_counter_ns())
+    push(Chunk(np.empty(0, np.int64), np.empty((0, CHANNELS)), FOREVER), time.perf_counter_ns())
+    feed.end()

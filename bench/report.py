@@ -1,0 +1,74 @@
+"""What a measure gives back, and how it is shown: Markdown, goals reached or not, between two marks in the README."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+BEGIN = "<!-- bench: begin (written by `make bench`) -->"
+END = "<!-- bench: end -->"
+
+
+@dataclass(slots=True)
+class Goal:
+    """One promise: what was reached, and the most (or, with `least`, the least) that it may be."""
+
+    name: str
+    reached: float
+    limit: float
+    unit: str
+    least: bool = False
+
+    @property
+    def met(self) -> bool:
+        return self.reached >= self.limit if self.least else self.reached <= self.limit
+
+    def row(self) -> list[str]:
+        bound = f"{'at least' if self.least else 'at most'} {self.limit:g} {self.unit}"
+        return [self.name, f"{short(self.reached)} {self.unit}", bound, "yes" if self.met else "**no**"]
+
+
+@dataclass(slots=True)
+class Section:
+    """A table with a heading and what has to be said about it."""
+
+    title: str
+    header: list[str] = field(default_factory=list)
+    rows: list[list[str]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    goals: list[Goal] = field(default_factory=list)
+
+    def markdown(self) -> str:
+        return "\n\n".join([f"**{self.title}**", *([table(self.header, self.rows)] if self.rows else []), *self.notes])
+
+
+def table(header: list[str], rows: list[list[str]]) -> str:
+    """A Markdown table; every column but the first is set flush right."""
+    lines = ["| " + " | ".join(header) + " |", "|" + "|".join(["---", *["--:"] * (len(header) - 1)]) + "|"]
+    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)])
+
+
+def short(value: float) -> str:
+    """Three significant digits, without an exponent."""
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+def whole(sections: list[Section], about: str) -> str:
+    """The whole report: the goals first, then the tables."""
+    goals = [goal.row() for section in sections for goal in section.goals]
+    parts = [about]
+    if goals:
+        parts.append(table(["goal", "reached", "promised", "kept"], goals))
+    return "\n\n".join([*parts, *(section.markdown() for section in sections)])
+
+
+def into_readme(readme: Path, text: str) -> None:
+    """Put the report between its marks; at the end, where there are none yet."""
+    before = readme.read_text(encoding="utf-8")
+    block = f"{BEGIN}\n{text}\n{END}"
+    if BEGIN in before and END in before:
+        head, _, rest = before.partition(BEGIN)
+        after = head + block + rest.partition(END)[2]
+    else:
+        after = f"{before.rstrip()}\n\n## Speed\n\n{block}\n"
+    readme.write_text(after, encoding="utf-8")
