@@ -19,6 +19,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from operators.contact_acceleration import AccelerationContacts
 from operators.contact_inertial import InertialContacts
 from operators.contact_marker import MarkerContacts
 from operators.contacts import Contacts
@@ -136,10 +137,14 @@ def run(operator: Contacts[Any], spec: StreamSpec, seconds: Array, samples: Arra
     return {name: ((c.data["onset"] - START_NS) / NS, (c.time - START_NS) / NS) for name, c in told}
 
 
-def score(walk: Walk, change: Callable[[Walk], tuple[StreamSpec, Walk]]) -> tuple[Score, Score]:
+def score(
+    walk: Walk,
+    change: Callable[[Walk], tuple[StreamSpec, Walk]],
+    operator: type[InertialContacts | AccelerationContacts] = InertialContacts,
+) -> tuple[Score, Score]:
     """Touch-downs and lift-offs of one foot and trial."""
     spec, walk = change(walk)
-    told = run(InertialContacts(), spec, walk.seconds, walk.samples)
+    told = run(operator(), spec, walk.seconds, walk.samples)
     down, up = Score(), Score()
     down.add(*told["touchdown"], walk.touchdown)
     up.add(*told["liftoff"], walk.liftoff)
@@ -219,6 +224,13 @@ def inertial(folder: Path, console: Console) -> None:
         for name, change in VARIANTS.items()
     }
     _print(console, "Foot-worn inertial sensor, all persons, changed on purpose", variants)
+    alone = {
+        file.stem.removeprefix("imu_voisard_"): _sum(
+            score(walk, as_recorded, AccelerationContacts) for walk in walks(file)
+        )
+        for file in people(folder)
+    }
+    _print(console, "Foot-worn accelerometer alone", {**alone, "all": _sum(iter(alone.values()))})
 
 
 def _sum(scores: Iterator[tuple[Score, Score]]) -> tuple[Score, Score]:

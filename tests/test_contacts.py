@@ -11,13 +11,18 @@ import numpy as np
 import pytest
 
 from bench import contacts as bench
+from operators.contact_acceleration import AccelerationContacts
 from operators.contact_force import ForceContacts, SwitchContacts
 from operators.contact_inertial import InertialContacts
 from operators.contact_marker import MarkerContacts, walker
 from operators.contacts import Contacts
-from stream.chunk import NS, Array, Chunk, StreamSpec
+from operators.cycles import Cycles
+from stream.chunk import FOREVER, NS, Array, Chunk, Specs, StreamSpec
 from stream.errors import InputError, ParameterError
+from stream.merge import Merge
 from stream.operator import grid
+from stream.params import build
+from stream.parts import catalogue
 
 START = 5 * NS
 MARKERS = StreamSpec((2, 3), rate_hz=100.0, channels=("HIP", "ANK"), units=("m",))
@@ -275,6 +280,76 @@ def test_a_marker_that_jumps_starts_anew() -> None:
     assert len(jumped) <= len(expected)
 
 
+@pytest.mark.parametrize("rate_hz", [50.0, 100.0, 400.0])
+def test_an_accelerometer_alone(rate_hz: float) -> None:
+    seconds = np.arange(round(12 * rate_hz)) / rate_hz
+    phase = seconds % 1.2
+    size = np.full(len(seconds), 9.81)
+    size += np.where((phase >= 0.5) & (phase < 1.0), 3.0, 0.0)
+    size += 20.0 * np.exp(-(((phase - 0.6) / 0.03) ** 2)) + 20.0 * ((phase >= 0.9) & (phase < 1.0))
+    direction = np.array([0.36, 0.48, -0.8])
+    samples = size[:, None] * direction + np.random.default_rng(2).normal(0.0, 0.1, (len(seconds), 3))
+    spec = StreamSpec((3,), rate_hz=rate_hz, channels=("x", "y", "z"), units=("g",))
+    told = feed(AccelerationContacts(), spec, samples / 9.80665)
+    strides = 1.2 * np.arange(10)
+    tolerance = 0.003 + 1.5 / rate_hz
+    np.testing.assert_allclose(onsets(told, "touchdown"), (strides + 0.91)[: len(strides)], atol=tolerance)
+    np.testing.assert_allclose(onsets(told, "liftoff"), strides + 0.58, atol=tolerance)
+
+
+def cycles_of(told: dict[str, list[Chunk]], contacts: Specs, seconds: float) -> Array:
+    """The gait cycles of a ramp at 1000 Hz whose value is the time in s, by `Cycles`; its `closed` events."""
+    n = round(seconds * 1000)
+    spec = StreamSpec((1,), rate_hz=1000.0, channels=("t",), units=("s",))
+    inputs = {"signal": spec, **contacts}
+    operator, merge = Cycles(longest_s=4.0), Merge(inputs)
+    operator.open(inputs)
+    signal = Chunk(grid(1000.0, n, START), np.arange(n)[:, None] / 1000.0, FOREVER)
+    pieces = [*merge.push("signal", signal)]
+    for port, chunks in told.items():
+        for k, chunk in enumerate(chunks):
+            until = FOREVER if k + 1 == len(chunks) else chunk.until
+            pieces += merge.push(port, Chunk(chunk.time, chunk.data, until, chunk.lost))
+    emitted = [out for port, piece in pieces for out in operator.process(port, piece) or ()]
+    return np.concatenate([chunk.data for name, chunk in emitted if name == "closed"])
+
+
+def test_cycles_begin_at_the_touchdowns() -> None:
+    samples, _, _ = foot(100.0)
+    operator = InertialContacts(side="left")
+    told = feed(operator, bench.FOOT, samples)
+    closed = cycles_of(told, operator.fresh().open({"in": bench.FOOT}), len(samples) / 100.0)
+    assert len(closed) == 9
+    begins = (closed["onset"] - START) / NS
+    np.testing.assert_allclose(begins, onsets(told, "touchdown")[:-1], atol=1e-9)
+
+
+def test_the_nodes_in_the_docs_can_be_built() -> None:
+    from ruamel.yaml import YAML
+
+    page = (Path(__file__).resolve().parent.parent / "docs" / "contacts.md").read_text(encoding="utf-8")
+    parts, _ = catalogue(("operators",))
+    nodes = YAML(typ="safe").load(page.split("```yaml\n")[1].split("```")[0])
+    assert len(nodes) == 6
+    for node in nodes.values():
+        build(parts[node.pop("use")], {key: value for key, value in node.items() if key != "from"})
+
+
+def test_the_table_says_what_it_needs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.delenv("KINEGRAPH_DATA", raising=False)
+    assert bench.main() == 2
+    assert "KINEGRAPH_DATA" in capsys.readouterr().out
+
+
+def test_the_table_is_printed(
+    recordings: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(bench, "VARIANTS", {"as recorded": bench.as_recorded})
+    monkeypatch.setattr(bench, "people", lambda folder: sorted((folder / "steps").glob("imu_voisard_s*.npz"))[:1])
+    assert bench.main() == 0
+    assert "ankle and hip" in capsys.readouterr().out
+
+
 @pytest.fixture(scope="module")
 def recordings() -> Path:
     folder = os.environ.get("KINEGRAPH_DATA")
@@ -316,12 +391,22 @@ def test_steps_of_sensors_worn_otherwise(walks: dict[str, list[bench.Walk]], var
     assert total.median_ms <= 15.0
 
 
+def test_steps_of_an_accelerometer_alone(walks: dict[str, list[bench.Walk]]) -> None:
+    total = bench.Score()
+    for person in walks.values():
+        for walk in person:
+            total.merge(bench.score(walk, bench.as_recorded, AccelerationContacts)[0])
+    assert total.f1 >= 0.95
+    assert total.median_ms <= 25.0
+
+
 def test_cuts_and_snapshots_on_a_real_walk(walks: dict[str, list[bench.Walk]]) -> None:
     walk = next(iter(walks.values()))[0]
     time = START + np.round(walk.seconds * NS).astype(np.int64)
     runs = []
     for size in (1, 7, 100, len(time)):
-        operator, told = InertialContacts(), []
+        operator = InertialContacts()
+        told: list[tuple[str, Chunk]] = []
         operator.open({"in": bench.FOOT})
         for begin in range(0, len(time), size):
             part = slice(begin, begin + size)
@@ -355,6 +440,9 @@ def test_overground_markers_agree_with_an_offline_method(recordings: Path) -> No
             down.add(*told["touchdown"], truth[0], 0.15)
             up.add(*told["liftoff"], truth[1], 0.15)
             sides[side] = told["touchdown"][0]
+            speed = np.abs(np.gradient(path[:, names.index(f"{side}TOE"), 1])) / 10.0
+            for index in np.round(sides[side] * 100).astype(int):
+                assert speed[index : index + 60].min() < 0.15, "a foot that has landed stands still soon after, in m/s"
             cycles = np.diff(sides[side])
             assert ((cycles > 0.9) & (cycles < 3.2)).all(), (name, side)
         for left, right in pairwise(sides["L"]):
@@ -362,3 +450,14 @@ def test_overground_markers_agree_with_an_offline_method(recordings: Path) -> No
     for score in (down, up):
         assert score.f1 >= 0.96
         assert score.median_ms <= 10.0
+
+
+def test_overground_markers_give_cycles(recordings: Path) -> None:
+    for name, path, names in bench.marker_trials(recordings):
+        spec = StreamSpec((8, 3), rate_hz=100.0, channels=names, units=("mm",))
+        operator = MarkerContacts(marker="RTOE", reference="RHIP", side="right")
+        told = feed(operator, spec, path)
+        closed = cycles_of(told, operator.fresh().open({"in": spec}), len(path) / 100.0)
+        assert len(closed) == len(onsets(told, "touchdown")) - 1 >= 2, name
+        stance = closed["stance_pct"][closed["rejected"] == ""]
+        assert ((stance > 50.0) & (stance < 85.0)).all(), (name, stance)
