@@ -61,7 +61,8 @@ class Decimate(Filter[DecimateState]):
         first = state.skip
         if first >= n:
             state.skip = first - n
-            return Chunk(np.empty(0, np.int64), np.empty((0, *chunk.data.shape[1:])), chunk.until, lost)
+            data = chunk.data[:0] if state.plain else np.empty((0, *chunk.data.shape[1:]))
+            return Chunk(chunk.time[:0], data, chunk.until, lost)
         state.skip = (first - n) % self.every
         m = 1 + (n - first - 1) // self.every
         out: Samples = np.empty((m, *chunk.data.shape[1:]))

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from operators.continuity import Continuity, Filter, nothing, numeric, regular, rows, samples_in, watch
-from operators.moving import add, slide
+from operators.moving import slide, two_sum
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from stream.kernel import kernel
 from stream.operator import Case, grid
@@ -22,8 +22,10 @@ def less_moving_mean(x: Samples, ring: Samples, sums: Samples, places: Times, ou
     """`x` (n, c) less the mean of the newest values, the present one included; see `moving.slide` for the memory."""
     for i in range(x.shape[0]):
         for c in range(x.shape[1]):
-            v = x[i, c]
-            out[i, c] = v - slide(v, c, ring, sums, places) if abs(v) < math.inf else math.nan
+            out[i, c] = x[i, c] if abs(x[i, c]) < math.inf else math.nan
+        slide(out[i], ring, sums, places)
+        for c in range(x.shape[1]):
+            out[i, c] = x[i, c] - out[i, c]
 
 
 @kernel
@@ -39,7 +41,7 @@ def less_running_mean(x: Samples, most: int, sums: Samples, places: Times, out: 
                 out[i, c] = math.nan
                 continue
             if most == 0 or places[1, c] < most:
-                add(sums, 0, c, v)
+                sums[0, c], sums[1, c] = two_sum(sums[0, c], sums[1, c], v)
                 places[1, c] += 1
             out[i, c] = v - sums[0, c] / places[1, c]
 
