@@ -92,9 +92,9 @@ class SessionReport(_Reporter):
             raise InputError("cycles", cycles.describe(), "cycles (points, muscles), as operators.cycles.Cycles gives")
         _check_fields(specs, "closed", (*GAIT, "onset", "number", "rejected"))
         _check_fields(specs, "statistics", ("number", "muscle"))
-        _check_fields(specs, "muscles", ("muscle",))
+        _check_fields(specs, "muscles", ("muscle", "verdict"))
         _check_fields(specs, "pairs", ("first", "second", "mean_pct"))
-        _check_fields(specs, "quality", ("muscle", "verdict", "remark"))
+        _check_fields(specs, "quality", ("name", "flag", "reason", "session_flag", "session_reason"))
         object.__setattr__(self, "desk", _Desk(specs))
         self.hold(ReportState(nothing_yet(specs), nothing_held(specs)))
         return {}

@@ -87,6 +87,16 @@ def _streams(tally: Tally, specs: Specs, names: Mapping[str, str]) -> list[Strea
     return told
 
 
+def _remark(tally: Tally, i: int) -> str:
+    """What is to be said of a muscle's signal: of the electrode, how often it was not good, and of its cycles' likeness."""
+    judged, troubled = (int(n) for n in tally.windows[:, i])
+    electrode = tally.remarks[i] or tally.trouble[i]
+    often = f"{f'{electrode}, ' if electrode else ''}{troubled} of {judged} windows not good" if troubled else electrode
+    return "; ".join(
+        part for part in (often, tally.repeatable[i] if tally.repeatable[i] != "repeatable" else "") if part
+    )
+
+
 def _fill_table(report: Report, tally: Tally, specs: Specs, sites: Mapping[str, str]) -> None:
     """The table's columns, and a row per muscle."""
     table: list[tuple[Samples, Samples]] = []
@@ -100,4 +110,4 @@ def _fill_table(report: Report, tally: Tally, specs: Specs, sites: Mapping[str, 
             table.append((values, np.full(len(values), np.nan)))
     for i, name in enumerate(specs["cycles"].channels):
         values = [(float(centre[i]), float(spread[i])) for centre, spread in table]
-        report.muscles.append(Muscle(name, sites.get(name, ""), tally.verdicts[i], tally.remarks[i], values))
+        report.muscles.append(Muscle(name, sites.get(name, ""), tally.flags[i], _remark(tally, i), values))

@@ -38,7 +38,7 @@ class Column:
 class Muscle:
     """One muscle: its row of the table (a value and a standard deviation per column) and what is to be said of its signal.
 
-    verdict   "good", "check" or "faulty"; "" where quality was not measured
+    verdict   "good", "doubtful" or "bad"; "" where quality was not measured
     """
 
     name: str

@@ -16,7 +16,7 @@ import numpy as np
 from devices.report_data import Curves, Muscle, Report, Stream, Value, load
 from stream.chunk import NS
 
-MARKS = {"good": "✓ good", "check": "! check", "faulty": "✗ faulty"}
+MARKS = {"good": "✓ good", "doubtful": "! doubtful", "bad": "✗ bad"}
 
 
 def write(page: Path, report: Report, curves: Curves) -> None:
@@ -75,7 +75,9 @@ def quality_sentence(muscles: list[Muscle]) -> str:
     good = sum(m.verdict == "good" for m in judged)
     if good == len(judged):
         return f"All {good} channels are good."
-    rest = "; ".join(f"{m.name}: {m.remark or MARKS[m.verdict][2:]}" for m in judged if m.verdict != "good")
+    rest = "; ".join(
+        f"{m.name} {m.verdict}{f' ({m.remark})' if m.remark else ''}" for m in judged if m.verdict != "good"
+    )
     return f"{good} of {len(judged)} channels are good. Look at: {rest}."
 
 

@@ -30,7 +30,9 @@ class Tally:
     single           some of them
     fields           per number of a muscle in a cycle: (m,)
     overall          (fields, m) the latest numbers of each muscle over all cycles
-    verdicts         per muscle, what the latest quality event says; remarks: and why
+    repeatable       per muscle, what is said of its cycles' likeness
+    flags, remarks   per muscle, the electrode's flag over the whole session, and why
+    windows          (2, m) how many windows were judged, and how many of them were not good; trouble: why the latest was not
     pairs            (p,) the latest co-contraction over all cycles; pair_names
     heard            (ports, 3) samples, gaps, samples lost (-1: not known) per port
     """
@@ -46,8 +48,11 @@ class Tally:
     single: Choice
     fields: list[Running]
     overall: Samples
-    verdicts: list[str]
+    repeatable: list[str]
+    flags: list[str]
     remarks: list[str]
+    windows: Times
+    trouble: list[str]
     pairs: list[float]
     pair_names: list[str]
     heard: Times
@@ -81,8 +86,11 @@ def nothing_yet(specs: Specs) -> Tally:
         single=Choice.of(LISTED, shape),
         fields=fields,
         overall=np.full((len(numbers(specs.get("muscles"))), shape[1]), np.nan),
-        verdicts=[""] * shape[1],
+        repeatable=[""] * shape[1],
+        flags=[""] * shape[1],
         remarks=[""] * shape[1],
+        windows=np.zeros((2, shape[1]), np.int64),
+        trouble=[""] * shape[1],
         pairs=[],
         pair_names=[],
         heard=np.zeros((len(specs), 3), np.int64),
@@ -114,12 +122,14 @@ def hear(tally: Tally, specs: Specs, port: str, chunk: Chunk) -> None:
     elif port == "muscles":
         for i, name in enumerate(numbers(specs[port])):
             tally.overall[i, chunk.data["muscle"]] = chunk.data[name]
+        for row in chunk.data:
+            tally.repeatable[int(row["muscle"])] = str(row["verdict"])
     elif port == "pairs":
         for row in chunk.data:
             _pair(tally, row)
     elif port == "quality":
         for row in chunk.data:
-            _quality(tally, row)
+            _quality(tally, row, specs["cycles"].channels)
 
 
 def _closed(tally: Tally, row: Any) -> None:
@@ -154,9 +164,15 @@ def _pair(tally: Tally, row: Any) -> None:
     tally.pairs[tally.pair_names.index(name)] = float(row["mean_pct"])
 
 
-def _quality(tally: Tally, row: Any) -> None:
-    muscle = int(row["muscle"])
-    tally.verdicts[muscle], tally.remarks[muscle] = str(row["verdict"]), str(row["remark"])
+def _quality(tally: Tally, row: Any, muscles: tuple[str, ...]) -> None:
+    if row["name"] not in muscles:
+        return
+    i = muscles.index(str(row["name"]))
+    tally.flags[i], tally.remarks[i] = str(row["session_flag"]), str(row["session_reason"])
+    tally.windows[0, i] += 1
+    if row["flag"] != "good":
+        tally.windows[1, i] += 1
+        tally.trouble[i] = str(row["reason"])
 
 
 def most_common(tally: Tally) -> list[tuple[str, int]]:

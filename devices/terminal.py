@@ -20,6 +20,7 @@ from stream.graph import Graph
 REFRESH_HZ = 2.0
 LINE_S = 10.0
 HINT = "a word and Enter annotates · a digit or the space bar marks · Ctrl-C ends"
+WAITING = "getting ready (the first run after an installation compiles for up to a minute)"
 
 Metrics = Mapping[str, Mapping[str, Any]]
 """Per source stream, node, and "recording": what `stream.status.table_of` measures."""
@@ -42,7 +43,9 @@ class View:
         self._began = time.monotonic()
 
     def update(self, metrics: Metrics) -> None:
-        """The session's state now; called about once a second."""
+        """The session's state now; called about once a second, from when it has begun."""
+        if not self.metrics:
+            self._began = time.monotonic()
         self.metrics = metrics
 
     def hang_out(self, title: str, notice: RenderableType, line: str) -> None:
@@ -91,6 +94,8 @@ class LiveView(View):
         super().__exit__()
 
     def panel(self) -> RenderableType:
+        if not self.metrics:
+            return Text.assemble((self.name, "bold"), f"  {WAITING}")
         head = Text.assemble((self.name, "bold"), f"  {_clock(self.elapsed_s)}  ", (HINT, "dim"))
         return Group(head, Columns([*self.notices.values(), metrics_table(self.metrics)], padding=(0, 4)))
 
@@ -105,11 +110,15 @@ class LineView(View):
     def update(self, metrics: Metrics) -> None:
         super().update(metrics)
         if self.elapsed_s >= self._next:
-            self._next += LINE_S
+            self._next = self.elapsed_s + LINE_S
             self._say(f"{_clock(self.elapsed_s)}  {metrics_line(metrics)}")
 
     def hang_out(self, title: str, notice: RenderableType, line: str) -> None:
         self._say(line)
+
+    def __enter__(self) -> Self:
+        self._say(f"{self.name}: {WAITING}")
+        return super().__enter__()
 
     def _say(self, line: str) -> None:
         print(line, file=self._file, flush=True)

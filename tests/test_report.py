@@ -28,9 +28,13 @@ CLOSED = np.dtype([*WHEN, ("duration_s", "<f8"), ("stance_pct", "<f8"), ("cadenc
 NUMBERS = np.dtype(
     [*WHEN, ("muscle", "<i4"), ("name", "<U16"), ("peak", "<f8"), ("peak_pct", "<f8"), ("deviation", "<f8")]
 )
-OVERALL = np.dtype([*WHEN, ("muscle", "<i4"), ("name", "<U16"), ("cv_pct", "<f8"), ("variance_ratio", "<f8")])
+OVERALL = np.dtype(
+    [*WHEN, ("muscle", "<i4"), ("name", "<U16"), ("cv_pct", "<f8"), ("variance_ratio", "<f8"), ("verdict", "<U16")]
+)
 PAIRS = np.dtype([*WHEN, ("first", "<U16"), ("second", "<U16"), ("mean_pct", "<f8")])
-QUALITY = np.dtype([("muscle", "<i4"), ("name", "<U16"), ("verdict", "<U16"), ("remark", "<U64")])
+QUALITY = np.dtype(
+    [("name", "<U16"), ("flag", "<U8"), ("reason", "<U16"), ("session_flag", "<U8"), ("session_reason", "<U16")]
+)
 SPECS: Specs = {
     "emg": StreamSpec((3,), rate_hz=1000.0, channels=MUSCLES, units=("uV",), meta=META),
     "closed": StreamSpec((), CLOSED, units=("ns", "ns", "", "s", "%", "strides/min", ""), meta=META),
@@ -38,7 +42,7 @@ SPECS: Specs = {
     "statistics": StreamSpec(
         (), NUMBERS, units=("ns", "ns", "", "", "", "uV", "%", ""), meta={"deviation_scale": "session"}
     ),
-    "muscles": StreamSpec((), OVERALL, units=("ns", "ns", "", "", "", "%", "")),
+    "muscles": StreamSpec((), OVERALL, units=("ns", "ns", "", "", "", "%", "", "")),
     "pairs": StreamSpec((), PAIRS, units=("ns", "ns", "", "", "", "%")),
     "quality": StreamSpec((), QUALITY),
 }
@@ -84,9 +88,13 @@ class Walk:
         muscle[NUMBERS]["peak"], muscle[NUMBERS]["peak_pct"] = self.curves[i].max(0), self.peak_pct[i]
         muscle[NUMBERS]["deviation"] = np.nan if i == 0 else 0.5
         muscle[OVERALL]["cv_pct"], muscle[OVERALL]["variance_ratio"] = 30 + i, 0.1
+        muscle[OVERALL]["verdict"] = "repeatable", "not repeatable", ""
         pair = np.zeros(1, PAIRS)
         pair["first"], pair["second"], pair["mean_pct"] = "TA", "SO", 40 + i
-        quality = np.array([(1, "SO", "faulty", "flat line")], QUALITY)
+        quality = np.array(
+            [("SO", "bad" if i < 9 else "good", "clipping", "bad", "flat line"), ("Fz", "good", "", "good", "")],
+            QUALITY,
+        )
         return {"statistics": muscle[NUMBERS], "muscles": muscle[OVERALL], "pairs": pair, "quality": quality}
 
 
@@ -121,7 +129,12 @@ def test_the_report_holds_what_numpy_says(tmp_path: Path) -> None:
         assert abs(value.spread - walk.closed[field][good].std(ddof=1)) < 1e-9
     assert [c.heading for c in report.columns] == ["Peak", "Peak at", "Deviation", "CV", "VR"]
     so = report.muscles[1]
-    assert (so.name, so.site, so.verdict, so.remark) == ("SO", "calf", "faulty", "flat line")
+    assert (so.name, so.site, so.verdict, so.remark) == (
+        "SO",
+        "calf",
+        "bad",
+        "flat line, 7 of 23 windows not good; not repeatable",
+    )
     assert abs(so.values[0][0] - np.nanmean(walk.curves[good].max(1)[:, 1])) < 1e-9
     assert (so.values[1][0] > 97 or so.values[1][0] < 1) and so.values[1][1] < 3
     assert so.values[3][0] == 30 + good[-1]

@@ -132,8 +132,8 @@ def test_a_session_without_a_single_cycle_has_a_page() -> None:
 
 
 def test_the_sentence_on_quality_names_bad_channels() -> None:
-    muscles = [Muscle("TA", "", "good"), Muscle("SO", "", "faulty", "flat line"), Muscle("GM", "", "check")]
-    assert quality_sentence(muscles) == "1 of 3 channels are good. Look at: SO: flat line; GM: check."
+    muscles = [Muscle("TA", "", "good"), Muscle("SO", "", "bad", "flat line"), Muscle("GM", "", "doubtful")]
+    assert quality_sentence(muscles) == "1 of 3 channels are good. Look at: SO bad (flat line); GM doubtful."
     assert "Not judged" in quality_sentence([Muscle("TA")])
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from rich.console import Console
 
-from devices.terminal import LineView, LiveView, metrics_line
+from devices.terminal import WAITING, LineView, LiveView, metrics_line
 from stream.graph import Graph
 
 METRICS: dict[str, dict[str, Any]] = {
@@ -47,11 +47,11 @@ def test_without_a_terminal_there_are_plain_lines() -> None:
     out = io.StringIO()
     with LineView(graph(), out) as view:
         view.update(METRICS)
-        assert out.getvalue() == ""  # only every ten seconds
+        assert out.getvalue() == f"walk: {WAITING}\n"  # the metrics only every ten seconds
         view._next = 0.0
         view.update(METRICS)
         view.hang_out("cycle", "a table", "cycle 7  1.05 s")
-    first, second = out.getvalue().splitlines()
+    _, first, second = out.getvalue().splitlines()
     assert first == f"0:00  {metrics_line(METRICS)}" and second == "cycle 7  1.05 s"
     assert "treadmill.emg 1000/s" in first and "csv p99 1250 µs" in first and "dropped 9, gaps 2" in first
     assert "\x1b" not in out.getvalue()
