@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
@@ -55,3 +56,20 @@ def columns(spec: StreamSpec, data: Array) -> list[Array]:
         return [flat[:, i] for i in range(flat.shape[1])]
     assert spec.dtype.names is not None
     return [data[name][(slice(None), *i)] for name in spec.dtype.names for i in np.ndindex(spec.dtype[name].shape)]
+
+
+def assemble(spec: StreamSpec, parts: Sequence[Array]) -> Array:
+    """Samples (n, *shape) from the columns that `columns` gave, numbers or texts of them. Raises ValueError where they do not fit."""
+    n = len(parts[0])
+    if not spec.is_event:
+        return np.ascontiguousarray(np.stack(parts, axis=1).reshape(n, *spec.shape), spec.dtype)
+    data = np.zeros(n, spec.dtype)
+    names = iter(parts)
+    for name in spec.dtype.names or ():
+        field = spec.dtype[name]
+        for i in np.ndindex(field.shape):
+            values = next(names)
+            data[name][(slice(None), *i)] = (
+                [v == "True" for v in values] if field.base.kind == "b" and values.dtype.kind in "UO" else values
+            )
+    return data

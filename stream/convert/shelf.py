@@ -200,7 +200,7 @@ def _timed(
 
 def _times(wishes: Wishes, name: str, named: str, column: Column, rate: float | None) -> Times:
     """A column of times in ns; with the unit "samples" it counts samples at the stream's rate."""
-    unit = wishes.of(wishes.time_unit, name) or unit_in(named.rpartition(":")[0] or named, column.unit)
+    unit = wishes.of(wishes.time_unit, name) or unit_in(named, column.unit)
     if unit == "samples":
         if rate is None:
             raise RecordingError(f"--time-unit {name}=samples: give the rate of these samples, --rate {name}=HZ")

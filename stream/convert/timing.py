@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from stream.chunk import NS, Array, Times
@@ -15,11 +17,11 @@ SNAP = 1e-4
 
 
 def unit_in(name: str, unit: str = "") -> str:
-    """The unit of a column or array of times: as given in brackets, or by the name's ending (`t_ms`), else seconds."""
+    """The unit of a column or array of times: as given in brackets, or by the name's ending (`t_ms`, `t_ms:0`), else seconds."""
     if unit in UNITS:
         return unit
-    ending = name.rpartition("_")[2]
-    return ending if "_" in name and ending in UNITS else "s"
+    ending = re.search(r"_([a-z]+)(:\d+)?$", name)
+    return ending[1] if ending and ending[1] in UNITS else "s"
 
 
 def to_ns(values: Array, unit: str) -> Times:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import struct
 from collections.abc import Sequence
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from stream.chunk import NS, Array, StreamSpec, Times
+from stream.convert.columns import assemble
 from stream.convert.series import Series
 from stream.errors import RecordingError, nearest
 
@@ -64,6 +66,10 @@ def _load(path: Path, *, dejitter: bool, synchronize: bool) -> tuple[list[dict[s
 
     if not path.is_file():
         raise RecordingError(f"{path}: there is no such file")
+    with path.open("rb") as file:
+        magic = file.read(4)
+    if magic != b"XDF:" and magic[:2] != b"\x1f\x8b":
+        raise RecordingError(f"{path}: cannot be read as an XDF file (it does not begin with XDF:)")
     logging.getLogger("pyxdf").setLevel(logging.ERROR)
     try:
         return pyxdf.load_xdf(str(path), synchronize_clocks=synchronize, dejitter_timestamps=dejitter)  # type: ignore[no-any-return]
@@ -108,6 +114,8 @@ def _series(path: Path, name: str, stream: dict[str, Any], anchor: int, text_wid
     time = np.round(np.asarray(stream["time_stamps"], np.float64) * NS).astype(np.int64) + anchor
     order = np.argsort(time, kind="stable")
     time = time[order]
+    if (ours := _text(info, "desc", "kinegraph", "spec")) and (made := _ours(name, ours, stream, time, order)):
+        return made
     channels = _channel_facts(info)
     meta = {"xdf_type": _text(info, "type"), "source_id": _text(info, "source_id")}
     if _text(info, "channel_format") == "string":
@@ -124,6 +132,18 @@ def _series(path: Path, name: str, stream: dict[str, Any], anchor: int, text_wid
         meta=meta,
     )
     return Series(name, spec, time, data, _lost(time, rate) if rate else None)
+
+
+def _ours(name: str, spec_json: str, stream: dict[str, Any], time: Times, order: Array) -> Series | None:
+    """A stream that kinegraph wrote, with the spec it had; None if the samples are not of that spec any more."""
+    rows = stream["time_series"]
+    table = np.asarray(rows)[order] if isinstance(rows, np.ndarray) else np.array([rows[i] for i in order], object)
+    try:
+        spec = StreamSpec.from_json(json.loads(spec_json))
+        data = assemble(spec, [table[:, i] for i in range(table.shape[1])])
+    except (ValueError, KeyError, TypeError, IndexError, StopIteration):
+        return None
+    return Series(name, spec, time, data, _lost(time, spec.rate_hz) if spec.rate_hz else None)
 
 
 def _channel_facts(info: dict[str, Any]) -> list[tuple[str, str]]:
@@ -158,7 +178,7 @@ def _markers(
     """A string stream as events: `onset` (ns), and one text for each channel."""
     rows = [stream["time_series"][i] for i in order]
     count = int(stream["info"]["channel_count"][0])
-    fields = labels if count > 1 and len(set(labels)) == count and all(labels) else ["text"]
+    fields = labels if count > 1 and len({*labels, "onset"}) == count + 1 and all(labels) else ["text"]
     fields = fields if len(fields) == count else [f"text{i + 1}" for i in range(count)]
     longest = max((len(cell) for row in rows for cell in row), default=0)
     if longest > width:

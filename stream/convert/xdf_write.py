@@ -6,6 +6,7 @@ apart by tag. Numbers are little-endian, texts are XML.
 
 from __future__ import annotations
 
+import json
 import struct
 from datetime import UTC, datetime
 from typing import BinaryIO
@@ -99,7 +100,8 @@ class _Stream:
             "source_id": f"kinegraph.{self.name}",
         }
         text = "".join(f"<{key}>{escape(str(value))}</{key}>" for key, value in facts.items())
-        ours = f"<kinegraph><time_zero_ns>{origin}</time_zero_ns></kinegraph>"
+        spec = escape(json.dumps(self.spec.to_json()))
+        ours = f"<kinegraph><time_zero_ns>{origin}</time_zero_ns><spec>{spec}</spec></kinegraph>"
         return _xml("info", f"{text}<desc><channels>{channels}</channels>{ours}</desc>")
 
     def footer(self) -> bytes:

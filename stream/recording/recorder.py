@@ -186,17 +186,19 @@ class Recorder:
     # -- the recorder's thread
 
     def _run(self) -> None:
+        ended = False
         try:
             while not self._stop.wait(0.01 if self._wait else self._options.gather_s):
                 self._turn()
             self._turn(last=True)
             self._tape.finish()
+            ended = True
         except OSError as error:
             self._fail(error)
-            self._tape.abandon()
         finally:
-            if not self._stop.is_set():
+            if not ended:
                 self._error = self._error or "the recorder has stopped"
+                self._tape.abandon()
 
     def _turn(self, *, last: bool = False) -> None:
         """Take what has come, make messages of it, and write when it is time."""
