@@ -81,9 +81,9 @@ class CycleTable(_Shown):
 
 
 def headline(event: Array, state: CycleTableState) -> str:
-    """The newest cycle in a line, and how many there were."""
-    counts = f"{state.accepted} accepted, {state.rejected} rejected"
-    return f"{_what(event)}  ({counts})" if not event["rejected"][0] else f"{rejection(event)}  ({counts})"
+    """The newest cycle, and how many there were."""
+    what = rejection(event) if event["rejected"][0] else _what(event)
+    return f"{what}\n{state.accepted} accepted, {state.rejected} rejected"
 
 
 def rejection(event: Array) -> str:
@@ -97,7 +97,7 @@ def cycle_table(title: str, rows: Array, fields: tuple[str, ...], spec: StreamSp
     for field in fields:
         table.add_column(f"{_short(field)} {spec.unit_of(field)}".strip(), justify="right")
     for row in rows:
-        table.add_row(str(row["name"]), *(_number(float(row[field])) for field in fields))
+        table.add_row(str(row["name"]), *(_number(field, float(row[field])) for field in fields))
     return table
 
 
@@ -107,7 +107,7 @@ def cycle_line(event: Array, rows: Array, fields: tuple[str, ...]) -> str:
     for row in rows:
         place = f"@{row['peak_pct']:.0f}%" if "peak_pct" in fields and np.isfinite(row["peak_pct"]) else ""
         first = next((field for field in fields if field != "peak_pct"), "")
-        parts.append(f"{row['name']} {_number(float(row[first])) if first else ''}{place}")
+        parts.append(f"{row['name']} {_number(first, float(row[first])) if first else ''}{place}")
     return f"{_what(event)}  {_short(fields[0]) if fields else ''}: {', '.join(parts)}"
 
 
@@ -121,10 +121,9 @@ def _short(field: str) -> str:
     return {"peak_pct": "peak at", "integrated": "iEMG"}.get(field, field.replace("_", " "))
 
 
-def _number(value: float) -> str:
-    if not np.isfinite(value):
-        return "–"
-    return f"{value:.1f}" if abs(value) >= 10 else f"{value:.2f}"
+def _number(field: str, value: float) -> str:
+    decimals = 0 if field.endswith("_pct") else 2 if field == "deviation" or field.startswith("integrated") else 1
+    return f"{value:.{decimals}f}" if np.isfinite(value) else "–"
 
 
 def _show(notice: Any, line: str) -> None:

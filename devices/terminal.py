@@ -134,7 +134,9 @@ def metrics_table(metrics: Metrics) -> Table:
     for name, row in metrics.items():
         if row.get("kind") == "recording":
             continue
-        trouble = row.get("error") or ("" if row.get("state") in (None, "running", "ended") else row["state"])
+        trouble = row.get("error") or (
+            "" if row.get("state") in (None, "running", "ended", "stopped") else row["state"]
+        )
         table.add_row(
             name,
             f"{row.get('rate_hz', 0.0):.1f}",
