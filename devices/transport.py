@@ -1,0 +1,143 @@
+"""How bytes come and go: a serial port (pyserial) or a TCP connection (a plain socket), behind one small interface.
+
+Reading waits until something is there and then takes all of it: 0.08 ms from the wire to the caller over a pseudo-terminal, where a
+fixed-size read with a time-out takes 10 ms.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+from contextlib import suppress
+from typing import Protocol, Self
+
+from stream.errors import DeviceError
+
+MOST = 65536
+"""Bytes taken in one read."""
+
+
+class Transport(Protocol):
+    """An open connection to a device."""
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has come, or b"" if nothing comes in time. Raises DeviceError when the connection is gone."""
+
+    def write(self, data: bytes) -> None:
+        """Send all of it; raises DeviceError."""
+
+    def close(self) -> None:
+        """Let go of it; never raises."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+
+def connect(address: str, baud: int = 115200) -> Transport:
+    """Open "/dev/ttyUSB0", "COM3" or "tcp://host:port"; raises DeviceError saying what to look at."""
+    if address.startswith("tcp://"):
+        return TcpTransport(address)
+    return SerialTransport(address, baud)
+
+
+class SerialTransport:
+    """A serial port, for this process alone. Where the driver can, FTDI's 16 ms latency timer is set to 1 ms."""
+
+    def __init__(self, port: str, baud: int) -> None:
+        import serial
+
+        self.address = port
+        try:
+            self._port = serial.Serial(port, baud, timeout=0, exclusive=True)
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise DeviceError(f"serial port {port} cannot be opened: {_hint(error)}") from None
+        with suppress(OSError, ValueError, AttributeError, NotImplementedError):
+            self._port.set_low_latency_mode(True)
+
+    def read(self, timeout_s: float) -> bytes:
+        try:
+            if not select.select([self._port.fileno()], [], [], timeout_s)[0]:
+                return b""
+            data = bytes(self._port.read(max(1, self._port.in_waiting)))
+        except (OSError, ValueError, TypeError) as error:
+            raise DeviceError(f"serial port {self.address} is gone: {error}") from None
+        if not data:
+            raise DeviceError(
+                f"serial port {self.address} is gone: it says there is something to read, but there is nothing"
+            )
+        return data
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._port.write(data)
+            self._port.flush()
+        except (OSError, ValueError) as error:
+            raise DeviceError(f"serial port {self.address} cannot be written: {error}") from None
+
+    def close(self) -> None:
+        with suppress(OSError, ValueError):
+            self._port.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class TcpTransport:
+    """A TCP connection, "tcp://host:port"."""
+
+    def __init__(self, address: str, timeout_s: float = 3.0) -> None:
+        self.address = address
+        host, _, port = address.removeprefix("tcp://").rpartition(":")
+        if not host or not port.isdigit():
+            raise DeviceError(f"{address!r} is no TCP address; write tcp://host:port")
+        try:
+            self._socket = socket.create_connection((host.strip("[]"), int(port)), timeout_s)
+        except OSError as error:
+            raise DeviceError(
+                f"{address} cannot be reached: {error.strerror or error}; is the device's server running?"
+            ) from None
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def read(self, timeout_s: float) -> bytes:
+        try:
+            if not select.select([self._socket], [], [], timeout_s)[0]:
+                return b""
+            data = self._socket.recv(MOST)
+        except (OSError, ValueError) as error:
+            raise DeviceError(f"{self.address} is gone: {error}") from None
+        if not data:
+            raise DeviceError(f"{self.address} has closed the connection")
+        return data
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._socket.sendall(data)
+        except OSError as error:
+            raise DeviceError(f"{self.address} cannot be written: {error}") from None
+
+    def close(self) -> None:
+        with suppress(OSError):
+            self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _hint(error: Exception) -> str:
+    """The error, with what a person can do about it."""
+    text = str(error)
+    number = getattr(error, "errno", None)
+    if number == 13 or "Permission" in text:
+        return "permission denied; add yourself to the group that owns it (on Debian: sudo usermod -aG dialout $USER, then log in again)"
+    if number in (11, 16) or "exclusively lock" in text:
+        return "another program has it open; close that one first"
+    if number == 2 or "No such file" in text:
+        return "it does not exist; is the device plugged in? `kinegraph devices` lists what is there"
+    return text
