@@ -105,6 +105,10 @@ class Sections(Filter[SectionsState]):
         spec = numeric(specs["in"])
         rate_hz = regular(spec)
         sos, centre_hz = self.design(rate_hz)
+        if slowest(sos) >= 1.0:
+            raise ParameterError(
+                "order", getattr(self, "order", 2), f"lower: at {rate_hz:g} Hz this filter would not be stable"
+            )
         delay_s = 0.0 if math.isnan(centre_hz) else group_delay(sos, centre_hz / rate_hz) / rate_hz
         seen = watch(specs["in"], delay_s=delay_s, reset_gap_s=self.reset_gap_s)
         width = seen["width"]
@@ -236,6 +240,7 @@ class Notch(Sections):
         from scipy.signal import iirnotch, tf2sos
 
         below_nyquist("notch_hz", self.notch_hz, rate_hz)
+        below_nyquist("width_hz", self.width_hz, rate_hz)
         if self.harmonics * self.notch_hz >= rate_hz / 2:
             most = math.ceil(rate_hz / 2 / self.notch_hz) - 1
             raise ParameterError(
@@ -278,10 +283,15 @@ def group_delay(sos: Samples, turns: float) -> float:
     return total
 
 
+def slowest(sos: Samples) -> float:
+    """How much of the slowest transient is left after one sample: the largest pole's modulus."""
+    return max(float(abs(root)) for section in sos for root in np.roots(section[3:]))
+
+
 def settling(sos: Samples) -> float:
     """After how many samples the slowest pole's share in a transient has fallen to `SETTLED`."""
-    slowest = max(abs(root) for section in sos for root in np.roots(section[3:]))
-    return math.log(SETTLED) / math.log(slowest) if 0 < slowest < 1 else 0.0
+    left = slowest(sos)
+    return math.log(SETTLED) / math.log(left) if left > 0 else 0.0
 
 
 def _case(operator: Sections) -> Case:

@@ -154,6 +154,7 @@ def test_settling_says_when_a_step_has_arrived():
         (Highpass(cutoff_hz=500.0), r"cutoff_hz is 500\.0; it must be below 500 \(half of the input's 1000 Hz\)"),
         (Bandpass(low_hz=20.0, high_hz=600.0), r"high_hz is 600\.0; it must be below 500"),
         (Bandpass(low_hz=40.0, high_hz=20.0), r"low_hz is 40\.0; it must be below high_hz, which is 20"),
+        (Notch(notch_hz=50.0, width_hz=700.0), r"width_hz is 700\.0; it must be below 500"),
         (Notch(notch_hz=50.0, harmonics=12), r"harmonics is 12; it must be at most 9"),
     ],
 )
