@@ -79,7 +79,7 @@ class Cycles(Operator[CyclesState]):
     outputs: ClassVar[tuple[str, ...]] = ("cycles", "closed", "maxima", "panorama")
 
     shortest_s: float = param(0.4, above=0.0, help="a shorter cycle is rejected")
-    longest_s: float = param(3.0, above=0.0, most=60.0, help="a longer cycle is rejected")
+    longest_s: float = param(4.0, above=0.0, most=60.0, help="a longer cycle is rejected")
     off_median: float = param(
         0.5, least=0.0, help="rejected beyond this part of the recent median duration; 0: not asked"
     )

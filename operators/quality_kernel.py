@@ -7,33 +7,57 @@ import math
 from stream.chunk import Samples
 from stream.kernel import kernel
 
+LEVELS = 32
+"""A window whose range spans fewer of its smallest steps is too coarse to tell clipping by."""
+
 
 @kernel
-def runs(window: Samples, held: Samples, top: Samples, learn: bool, flat: int, counts: Samples) -> None:
+def runs(window: Samples, held: Samples, rails: Samples, full_scale: float, flat: int, counts: Samples) -> None:
     """Fill what is not finite in `window` (n, c), in place, and count per channel.
 
     held (c,)      the last finite value, which fills
-    top (c,)       the largest amount so far; raised by this window if `learn`
+    rails (2, c)   the lowest and the highest value so far; widened by this window
+    full_scale     amounts from 0.99 of it on are clipped; 0: samples at the window's very highest (or lowest) value are, if there are 3 or
+                   more of them, they lie within 2 % of the widest range so far of its end, and the window has levels enough
     flat           from how many equal samples on they are a flat line
-    counts (3, c)  written: samples in runs of 3 or more equal ones within 2 % of `top`, in runs of `flat` or more, and not finite
+    counts (3, c)  written: samples clipped, in runs of `flat` or more, and not finite
     """
     n = window.shape[0]
     for c in range(window.shape[1]):
+        step = math.inf
+        low, high, lows, highs, beyond = math.inf, -math.inf, 0, 0, 0
+        run = 1
         for i in range(n):
-            if math.isfinite(window[i, c]):
-                held[c] = window[i, c]
-                if learn and abs(held[c]) > top[c]:
-                    top[c] = abs(held[c])
-            else:
-                window[i, c] = held[c]
+            v = window[i, c]
+            if not math.isfinite(v):
                 counts[2, c] += 1
-        i = 0
-        while i < n:
-            j = i + 1
-            while j < n and window[j, c] == window[i, c]:
-                j += 1
-            if j - i >= 3 and top[c] > 0 and abs(window[i, c]) >= 0.98 * top[c]:
-                counts[0, c] += j - i
-            if j - i >= flat:
-                counts[1, c] += j - i
-            i = j
+                v = held[c]
+                window[i, c] = v
+            held[c] = v
+            if i and v == window[i - 1, c]:
+                run += 1
+                if run == flat:
+                    counts[1, c] += flat
+                elif run > flat:
+                    counts[1, c] += 1
+            else:
+                if i:
+                    step = min(step, abs(v - window[i - 1, c]))
+                run = 1
+            if v < low:
+                low, lows = v, 0
+            if v > high:
+                high, highs = v, 0
+            lows += v == low
+            highs += v == high
+            beyond += abs(v) >= 0.99 * full_scale
+        rails[0, c] = min(rails[0, c], low)
+        rails[1, c] = max(rails[1, c], high)
+        near = 0.02 * (rails[1, c] - rails[0, c])
+        if full_scale > 0:
+            counts[0, c] += beyond
+        elif high - low >= LEVELS * step:
+            if lows >= 3 and low - rails[0, c] <= near:
+                counts[0, c] += lows
+            if highs >= 3 and rails[1, c] - high <= near:
+                counts[0, c] += highs

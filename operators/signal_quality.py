@@ -55,7 +55,7 @@ class QualityState:
     bands (3, f), hum (2, f)   weights of the spectrum's lines: 1-20 Hz, from 1 Hz on, from 20 Hz on; hum at 50 and at 60 Hz
     sums (7, c)                over all windows: power in the three bands, hum's two, quietest and loudest block's rms
     counts (3, c)              over all windows: samples clipped, flat, missing; `windows` in all
-    top (c,)                   largest amount so far
+    rails (2, c)               lowest and highest value so far
     rest (c,)                  baseline noise at rest; NaN: not known
     """
 
@@ -69,7 +69,7 @@ class QualityState:
     sums: Samples
     counts: Samples
     windows: int
-    top: Samples
+    rails: Samples
     rest: Samples
     last: int
     limit: int
@@ -80,7 +80,8 @@ class QualityState:
 class SignalQuality(Operator[QualityState]):
     """Raw EMG (channels,) in, one event per window of `window_s` and channel out, stamped with the window's last sample.
 
-    clipped    share of samples in runs of 3 or more equal ones within 2 % of the largest amount so far (or of `full_scale`, if given)
+    clipped    share of samples at the amplifier's end: amounts from 99 % of `full_scale` on; where that is not known, samples exactly
+               at the window's highest or lowest value, if 3 or more are and it lies within 2 % of the end of the range so far
     flat       share of samples in runs of equal ones of at least 50 ms
     missing    share of samples that are NaN or infinite (the last finite value stands in for them elsewhere)
     hum        share of the power from 20 to 450 Hz that mains hum has: lines at 50 Hz and its multiples (or 60 Hz, whichever has more,
@@ -122,7 +123,7 @@ class SignalQuality(Operator[QualityState]):
         self.hold(
             QualityState(
                 np.zeros((n, c)), np.zeros(n, np.int64), 0, np.zeros(c), np.hanning(n), bands, hum, np.zeros((7, c)), np.zeros((3, c)), 0,
-                np.full(c, 0.99 * self.full_scale), self._rest(names), NEVER, spec.period_ns + round(self.reset_gap_s * NS), names,
+                np.outer([np.inf, -np.inf], np.ones(c)), self._rest(names), NEVER, spec.period_ns + round(self.reset_gap_s * NS), names,
             )
         )  # fmt: skip
         unit = spec.units[0] if len(spec.units) == 1 else ""
@@ -171,7 +172,7 @@ class SignalQuality(Operator[QualityState]):
         s = self.state
         n, c = s.window.shape
         counts = np.zeros((3, c))
-        runs(s.window, s.held, s.top, not self.full_scale, max(3, n * 50 // round(self.window_s * 1000)), counts)
+        runs(s.window, s.held, s.rails, self.full_scale, max(3, n * 50 // round(self.window_s * 1000)), counts)
         power = np.abs(np.fft.rfft((s.window - s.window.mean(axis=0)) * s.taper[:, None], axis=0)) ** 2
         sums = np.empty((7, c))
         for k, weights in enumerate([*s.bands, *s.hum]):
