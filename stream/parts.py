@@ -13,6 +13,7 @@ import sysconfig
 import traceback
 from dataclasses import is_dataclass
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeAlias, TypeGuard
@@ -106,8 +107,13 @@ def catalogue(packages: tuple[str, ...] = PACKAGES) -> tuple[dict[str, Part], di
             for attribute, member in vars(module).items():
                 path = f"{name}.{attribute}"
                 if is_part(member) and not attribute.startswith("_") and member.__module__.startswith(package):
-                    found[member] = min(found.get(member, path), path, key=lambda p: (p.count("."), p))
+                    found[member] = min(found.get(member, path), path, key=partial(_rank, member))
     return {path: part for part, path in sorted(found.items(), key=lambda item: item[1])}, failed
+
+
+def _rank(part: Part, path: str) -> tuple[int, bool, str]:
+    """How good a name is: the shortest, then the one where the class is defined rather than imported."""
+    return path.count("."), path.rpartition(".")[0] != part.__module__, path
 
 
 def _modules(package: str, failed: dict[str, str]) -> list[str]:
