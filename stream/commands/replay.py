@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -58,6 +58,12 @@ def replay(
     _tell(result)
     if verify and (result.differing or result.stopped):
         sys.exit(1)
+
+
+def _facts(written: dict[str, Any], recorded: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
+    """What is known of the session: what its recording says, else what the graph says; the command line has the last word."""
+    asked = {name.partition(".")[2] for name in overrides if name.startswith("session.")}
+    return (recorded or written) | {name: written[name] for name in asked if name in written}
 
 
 def _speaking(graph: Graph, asked: list[str]) -> set[str]:
