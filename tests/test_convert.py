@@ -50,6 +50,11 @@ def refused(tmp_path: Path, text: str, *arguments: object) -> None:
 # -- NPZ: real recordings
 
 
+def arrays(file: Path) -> dict[str, np.ndarray[Any, Any]]:
+    with np.load(file) as opened:
+        return dict(opened)
+
+
 @needs_data
 def test_the_real_treadmill_recording(tmp_path: Path) -> None:
     assert DATA
@@ -58,7 +63,7 @@ def test_the_real_treadmill_recording(tmp_path: Path) -> None:
     told = ["--meta", "treadmill.touchdown:side=right", "--fact", "subject=TW12", "--fact", "speed_kmh=5"]
     signal = ["--stream", "treadmill.emg=emg_uV", "--time", "t_s", "--names", "names", "--unit", "uV"]
     with imported(tmp_path, file, *signal, *events, *told) as recording:
-        truth = np.load(file)
+        truth = arrays(file)
         time, data = recording.read("treadmill.emg")
         assert data.dtype == np.float32 and np.array_equal(data, truth["emg_uV"])
         assert np.array_equal(time, np.round(truth["t_s"] * 1000).astype(np.int64) * 1_000_000)
@@ -107,7 +112,7 @@ def test_markers_and_signals_of_the_overground_recordings(tmp_path: Path) -> Non
         "kin=0.001",
     ]
     with imported(tmp_path, file, *streams, *rates) as recording:
-        truth = np.load(file)
+        truth = arrays(file)
         time, data = recording.read("kin")
         assert data.shape == truth["T_01_kin"].shape and np.allclose(data, truth["T_01_kin"] / 1000)
         assert np.array_equal(time, grid(100.0, len(time), 0))
@@ -123,7 +128,7 @@ def test_packet_counters_tell_what_was_lost(tmp_path: Path) -> None:
     streams = ["--stream", "foot=t1_lf", "--counter", "t1_lf_counter", "--rate", "fs"]
     events = ["--events", "strikes=t1_left_events:1", "--time-unit", "strikes=samples"]
     with imported(tmp_path, file, *streams, *events) as recording:
-        truth = np.load(file)
+        truth = arrays(file)
         counter = truth["t1_lf_counter"].astype(np.int64)
         time, data = recording.read("foot")
         assert np.array_equal(data, truth["t1_lf"]) and np.array_equal(time, counter * 10_000_000)
@@ -143,7 +148,7 @@ def test_bursty_stamps_stay_as_they_are(tmp_path: Path) -> None:
     refused(tmp_path, "row 2: the time .* is repeated.*--repeated", *arguments)
     with imported(tmp_path, *arguments, "--repeated") as recording:
         assert recording.streams["phone"].spec.rate_hz is None
-        assert np.array_equal(recording.read("phone")[0], np.load(file)["sp_01_t_ms"] * 1_000_000)
+        assert np.array_equal(recording.read("phone")[0], arrays(file)["sp_01_t_ms"] * 1_000_000)
 
 
 def test_wishes_that_cannot_be(tmp_path: Path) -> None:
@@ -411,8 +416,8 @@ def test_a_real_recording_through_xdf(tmp_path: Path) -> None:
         pass
     kinegraph("export", tmp_path / "made.mcap", "-o", tmp_path / "emg.xdf", "--format", "xdf")
     with imported(tmp_path / "back", tmp_path / "emg.xdf") as back:
-        assert np.array_equal(back.read("emg")[1], np.load(file)["emg_uV"])
-        assert back.streams["emg"].spec.channels == tuple(np.load(file)["names"])
+        assert np.array_equal(back.read("emg")[1], arrays(file)["emg_uV"])
+        assert back.streams["emg"].spec.channels == tuple(arrays(file)["names"])
 
 
 LABRECORDER = """

@@ -16,6 +16,7 @@ import numpy as np
 
 from stream.chunk import NS, Array, Chunk, StreamSpec, add_lost
 from stream.errors import RecordingError
+from stream.recording.image import frames_of, is_frames
 
 FORMAT = 1
 """The version of the layout; raised whenever an older kinegraph could misread a newer file."""
@@ -46,14 +47,19 @@ class Entry(NamedTuple):
 
 
 def encode(spec: StreamSpec, entries: Sequence[Entry], first: int) -> bytes:
-    """One message: HEAD, the table (chunks, 5), the stamps (n,), the samples (n, *shape) as the spec's dtype lays them out."""
+    """One message: HEAD, the table (chunks, 5), the stamps (n,), the samples (n, *shape) as the spec's dtype lays them out.
+
+    Depth frames are messages of their own, before this one, and are left out here.
+    """
     rows = [(len(e.chunk.time), e.chunk.until, e.chunk.lost, e.arrival, e.sequence) for e in entries]
     parts = [HEAD.pack(len(rows), sum(row[0] for row in rows), first), np.array(rows, "<i8").tobytes()]
     parts += [e.chunk.time.astype("<i8", copy=False).tobytes() for e in entries]
+    frames = is_frames(spec)
     for e in entries:
         if e.chunk.data.shape != (len(e.chunk.time), *spec.shape):
             raise ValueError(f"samples of shape {e.chunk.data.shape[1:]} in a stream of shape {spec.shape}")
-        parts.append(e.chunk.data.astype(spec.dtype, copy=False).tobytes())
+        if not frames:
+            parts.append(e.chunk.data.astype(spec.dtype, copy=False).tobytes())
     return b"".join(parts)
 
 
@@ -75,12 +81,21 @@ def table(body: bytes | memoryview) -> Table:
     return Table(rows, np.frombuffer(body, "<i8", samples, start), first, start + 8 * samples)
 
 
-def decode(spec: StreamSpec, body: bytes | memoryview, missed: int = 0) -> list[Entry]:
-    """The chunks of a message, in fresh, writable memory; `missed` (what a full disk cost) adds to the first's `lost`."""
-    rows, stamps, _, start = table(body)
+def decode(
+    spec: StreamSpec, body: bytes | memoryview, missed: int = 0, images: Sequence[memoryview] = ()
+) -> list[Entry]:
+    """The chunks of a message, in fresh, writable memory; `missed` (what a full disk cost) adds to the first's `lost`.
+
+    `images` are the frames that came before it, for a stream of frames.
+    """
+    rows, stamps, first, start = table(body)
     time = stamps.astype(np.int64)
-    count = len(time) * prod(spec.shape)
-    data = np.frombuffer(body, spec.dtype, count, start).copy().reshape(len(time), *spec.shape)
+    if is_frames(spec):
+        data = frames_of(spec, first, len(time), images)
+    else:
+        data = (
+            np.frombuffer(body, spec.dtype, len(time) * prod(spec.shape), start).copy().reshape(len(time), *spec.shape)
+        )
     nothing, none = time[:0], data[:0]
     entries: list[Entry] = []
     at = 0

@@ -23,6 +23,7 @@ from stream.recording.format import (
     dump,
     schema_of,
 )
+from stream.recording.image import CHUNKS, SCHEMA, descriptor, is_frames
 
 PIECE = 1 << 20
 """Bytes per write call."""
@@ -53,9 +54,15 @@ class Part:
         return self._writer.register_channel(topic, "json", self._writer.register_schema(name, "jsonschema", schema))
 
     def declare(self, name: str, spec: StreamSpec, role: Role) -> int:
-        """The channel of a stream."""
+        """The channel of a stream's chunks; a stream of frames gives its own name to the images."""
         schema = self._writer.register_schema(f"kinegraph.{name}", ENCODING, schema_of(spec, role))
-        return self._writer.register_channel(name, ENCODING, schema, {"role": role})
+        topic = name + CHUNKS if is_frames(spec) else name
+        return self._writer.register_channel(topic, ENCODING, schema, {"role": role, "stream": name})
+
+    def declare_images(self, name: str) -> int:
+        """The channel of a stream's frames."""
+        schema = self._writer.register_schema(SCHEMA, "protobuf", descriptor())
+        return self._writer.register_channel(name, "protobuf", schema)
 
     def channel_of(self, topic: str) -> int:
         """The channel of the log or of the metrics."""

@@ -9,140 +9,21 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from mcap.opcode import Opcode
-from mcap.records import Channel, Schema
 
 from stream.chunk import Array, Chunk, Times
 from stream.errors import RecordingError, nearest
 from stream.recording.format import (
     HEAD,
-    HEADER,
     LOG,
     METRICS,
-    PROFILE,
-    SUMMARY,
     Entry,
-    check_format,
     decode,
     decode_log,
-    spec_of,
     table,
 )
 from stream.recording.place import parts_of
-from stream.recording.records import Record, RecordFile, declared, messages
+from stream.recording.recorded import RecordedPart
 from stream.recording.tally import RecordedStream
-
-
-class RecordedPart:
-    """One file of a recording, and what is known of its streams."""
-
-    def __init__(self, path: Path, *, forgiving: bool = False) -> None:
-        """Raises RecordingError for a file that is no recording of ours, is newer than we are, or holds nothing.
-
-        With `forgiving`, every byte is read, and damaged places are left out and counted in `damaged`.
-        """
-        self.damaged = 0
-        self._forgiving = forgiving
-        self.file = RecordFile(path)
-        try:
-            self._open()
-        except BaseException:
-            self.file.close()
-            raise
-
-    def _open(self) -> None:
-        path = str(self.file.path)
-        head = self.file.header()
-        if head is not None and head.profile != PROFILE:
-            whose = f"profile {head.profile!r}" if head.profile else f"written by {head.library!r}"
-            raise RecordingError(f"{path}: an MCAP file, but not a kinegraph recording ({whose})")
-        facts = self.file.metadata(HEADER)
-        if facts is None:
-            raise RecordingError(f"{path}: truncated before anything was recorded; nothing can be recovered from it")
-        version = facts.get("format", "")
-        check_format(int(version) if version.isdigit() else version, path)
-        self.header: dict[str, Any] = json.loads(facts["header"])
-        self.chunks = self.file.chunks
-        self.topics: dict[int, str] = {}
-        self.streams: dict[str, RecordedStream] = {}
-        self._schemas: dict[int, Schema] = {}
-        if self.finished:
-            self._declare_from_end()
-        summary = self.file.metadata(SUMMARY) if self.finished and not self._forgiving else None
-        if summary is None:
-            self._scan()
-        else:
-            for name, counts in json.loads(summary["streams"]).items():
-                self.streams[name].fill(counts)
-
-    @property
-    def finished(self) -> bool:
-        return self.file.finished
-
-    def _declare_from_end(self) -> None:
-        """A finished file repeats all schemas and channels after its data."""
-        for record in self.file.records[-_tail(self.file.records) :]:
-            if record.opcode == Opcode.SCHEMA:
-                schema = Schema.read(self.file.stream(record))
-                self._schemas[schema.id] = schema
-            elif record.opcode == Opcode.CHANNEL:
-                self._declare(Channel.read(self.file.stream(record)))
-
-    def _scan(self) -> None:
-        """Count what an unfinished file holds; a damaged chunk at its very end is left out."""
-        for record in list(self.chunks):
-            try:
-                data = self.file.unpack(record)
-            except RecordingError:
-                if not self._forgiving and record != self.chunks[-1]:
-                    raise
-                self.damaged += 1
-                self.chunks.remove(record)
-                continue
-            for item in declared(data):
-                if isinstance(item, Schema):
-                    self._schemas[item.id] = item
-                elif item.id not in self.topics:
-                    self._declare(item)
-            for message in messages(data):
-                name = self.topics.get(message.channel)
-                if name in self.streams:
-                    self.streams[name].count(table(message.body))
-
-    def _declare(self, channel: Channel) -> None:
-        self.topics[channel.id] = channel.topic
-        if channel.topic not in (LOG, METRICS):
-            self.streams[channel.topic] = RecordedStream(*spec_of(self._schemas[channel.schema_id].data))
-
-    def messages(self, topics: set[str], start: int = 0) -> Iterator[tuple[str, int, memoryview]]:
-        """(topic, batch, body) of every message on `topics`, from the `start`-th chunk of records on."""
-        wanted = {number: topic for number, topic in self.topics.items() if topic in topics}
-        for record in self.chunks[start:]:
-            for number, batch, _, _, body in messages(self.file.unpack(record)):
-                if number in wanted:
-                    yield wanted[number], batch, body
-
-    def chunk_before(self, sequence: int, topics: set[str]) -> int:
-        """A chunk of records before which no input comes after `sequence`: found by bisection, for sequences grow."""
-        low, high = 0, len(self.chunks)
-        while low < high:
-            middle = (low + high) // 2
-            first = self._first_sequence(middle, topics)
-            if first is not None and first <= sequence:
-                low = middle + 1
-            else:
-                high = middle
-        return max(low - 2, 0)
-
-    def _first_sequence(self, start: int, topics: set[str]) -> int | None:
-        for _, _, body in self.messages(topics, start):
-            return int(table(body).rows[0, 4])
-        return None
-
-
-def _tail(records: list[Record]) -> int:
-    """How many records follow the data's end."""
-    return next(n for n, record in enumerate(reversed(records)) if record.opcode == Opcode.DATA_END)
 
 
 class Recording:
@@ -219,11 +100,17 @@ class Recording:
             start = part.chunk_before(after, topics) if after >= 0 else 0
             batch = -1
             held: list[tuple[int, str, Chunk, int]] = []
-            for name, number, body in part.messages(topics, start):
+            for name, number, body, frames in part.messages(topics, start):
                 if number != batch:
                     yield from _in_order(held, after)
                     batch, held = number, []
-                held += [(seq, name, chunk, arrival) for chunk, arrival, seq in self._entries(part, name, body, ends)]
+                if after >= 0 and int(table(body).rows[-1, 4]) <= after:
+                    _, samples, first = HEAD.unpack_from(body)
+                    ends[name] = first + samples
+                    continue
+                held += [
+                    (seq, name, chunk, arrival) for chunk, arrival, seq in self._entries(part, name, body, ends, frames)
+                ]
             yield from _in_order(held, after)
 
     def entries(self, name: str) -> Iterator[Entry]:
@@ -231,16 +118,21 @@ class Recording:
         self.stream(name)
         ends: dict[str, int] = {}
         for part in self.parts:
-            for _, _, body in part.messages({name} & part.streams.keys()):
-                yield from self._entries(part, name, body, ends)
+            for _, _, body, frames in part.messages({name} & part.streams.keys()):
+                yield from self._entries(part, name, body, ends, frames)
 
     @staticmethod
-    def _entries(part: RecordedPart, name: str, body: memoryview, ends: dict[str, int]) -> list[Entry]:
+    def _entries(
+        part: RecordedPart, name: str, body: memoryview, ends: dict[str, int], frames: list[memoryview]
+    ) -> list[Entry]:
         """A message's chunks; samples that the recorder had to drop before them count as lost."""
         _, samples, first = HEAD.unpack_from(body)
         missed = max(first - ends.get(name, first), 0)
         ends[name] = first + samples
-        return decode(part.streams[name].spec, body, missed)
+        try:
+            return decode(part.streams[name].spec, body, missed, frames)
+        except RecordingError as error:
+            raise RecordingError(f"{part.file.path}: stream {name!r}: {error}") from None
 
     def chunks(self, name: str) -> Iterator[Chunk]:
         """The chunks of one stream, in order."""
@@ -257,12 +149,12 @@ class Recording:
     @property
     def log(self) -> list[dict[str, Any]]:
         """The session's log: {"kind": ..., "time": ns, fact: value, ...} in the order in which it was written."""
-        return [decode_log(body) for part in self.parts for _, _, body in part.messages({LOG})]
+        return [decode_log(body) for part in self.parts for _, _, body, _ in part.messages({LOG})]
 
     def metrics(self) -> Iterator[dict[str, Any]]:
         """The nodes' metrics over time: {"time": ns, "table": {...}}."""
         for part in self.parts:
-            for _, _, body in part.messages({METRICS}):
+            for _, _, body, _ in part.messages({METRICS}):
                 yield json.loads(bytes(body))
 
     def last_samples(self, name: str) -> int:

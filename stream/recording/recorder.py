@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Event, Thread
@@ -15,13 +14,13 @@ from stream.chunk import NS, Chunk, StreamSpec
 from stream.errors import RecordingError
 from stream.graph import RecordingOptions
 from stream.recording.format import LOG, METRICS, Entry, Role, dump, encode, encode_log
+from stream.recording.image import encode_image, is_frames
+from stream.recording.lane import OVERHEAD, Lane, RecorderStatus
 from stream.recording.place import claim
 from stream.recording.tape import Tape
 
 log = structlog.get_logger(__name__)
 
-OVERHEAD = 400
-"""Bytes that a waiting chunk takes beside its samples."""
 SPOOL_BYTES = 4 << 20
 """Beyond this many bytes in memory the disk is written at once."""
 ROUND_BYTES = 1 << 20
@@ -32,42 +31,6 @@ FLUSH = -1
 """Stands for a stream's number where everything must be written now."""
 GRACE_S = 5.0
 """How long `close` goes on trying to write to a disk that refuses."""
-
-
-@dataclass(frozen=True, slots=True)
-class RecorderStatus:
-    """How recording goes.
-
-    bytes      written to the disk, all parts together
-    behind_s   session time between the newest chunk handed over and the newest one written
-    dropped    chunks that were not recorded because the disk was slow or full, by stream
-    error      what the disk last said, while it refuses; "" when all is well
-    """
-
-    bytes: int
-    behind_s: float
-    dropped: dict[str, int]
-    error: str
-
-
-@dataclass(slots=True)
-class _Lane:
-    """A stream (or the log, or the metrics) on its way to the recorder's thread. Each counter has one thread that writes it.
-
-    put, dropped, missed   of the stream's thread: bytes handed over; chunks dropped; samples dropped since the last chunk accepted
-    got, index             of the recorder's thread: bytes taken; cumulative index of the next sample
-    pending, first         of the recorder's thread: the chunks of the next message, and the index of their first sample
-    """
-
-    name: str
-    spec: StreamSpec | None = None
-    put: int = 0
-    dropped: int = 0
-    missed: int = 0
-    got: int = 0
-    index: int = 0
-    pending: list[Entry] = field(default_factory=list)
-    first: int = 0
 
 
 class Recorder:
@@ -94,7 +57,7 @@ class Recorder:
         """
         self._path, self._options = path, options
         self._wait, self._limit, self._share = wait, queue_bytes, queue_bytes
-        self._lanes = [_Lane(LOG), _Lane(METRICS)]
+        self._lanes = [Lane(LOG), Lane(METRICS)]
         self._queue: SimpleQueue[tuple[int, Any, int, int, int]] = SimpleQueue()
         self._latest = self._done = 0
         self._batch = self._opened = self._newest = self._gathered = 0
@@ -120,9 +83,12 @@ class Recorder:
         """Declare a stream; returns its number for `write`. `first` is the cumulative index of the sample it starts with."""
         if any(lane.name == name for lane in self._lanes):
             raise RecordingError(f"stream {name!r} is recorded already")
-        self._lanes.append(_Lane(name, spec, index=first))
+        lane = Lane(name, spec, index=first, track=self._tape.declare(name, spec, role))
+        if is_frames(spec):
+            lane.images = self._tape.declare_images(name)
+        self._lanes.append(lane)
         self._share = self._limit // (len(self._lanes) - 2)
-        return self._tape.declare(name, spec, role)
+        return len(self._lanes) - 1
 
     def write(self, stream: int, chunk: Chunk, arrival: int, sequence: int) -> None:
         """Hand over a chunk: its arrival (ns of session time) and its place in the input log. Its arrays are never written again."""
@@ -268,7 +234,19 @@ class Recorder:
             self._note("not recorded", level="error", stream=lane.name, error=str(error))
             return
         stamp = int(entries[0].chunk.time[0]) if len(entries[0].chunk.time) else entries[0].arrival
-        self._tape.add(number, entries[-1].arrival or self._newest, stamp, self._batch, body)
+        if lane.images:
+            self._images(lane, entries)
+        self._tape.add(lane.track, entries[-1].arrival or self._newest, stamp, self._batch, body)
+
+    def _images(self, lane: Lane, entries: list[Entry]) -> None:
+        """Frames go before the table of their chunks."""
+        index = lane.first
+        for chunk, arrival, _ in entries:
+            for stamp, frame in zip(chunk.time.tolist(), chunk.data, strict=True):
+                self._tape.add(
+                    lane.images, arrival or self._newest, stamp, self._batch, encode_image(stamp, index, frame)
+                )
+                index += 1
 
     def _save(self) -> None:
         """Write everything, however long it takes; while the disk refuses, the queue fills, and then the session's chunks are dropped."""

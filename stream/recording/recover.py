@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from stream.errors import RecordingError
 from stream.recording.format import LOG, METRICS, table
 from stream.recording.part import Part
 from stream.recording.place import is_running, part_path, parts_of
-from stream.recording.reader import RecordedPart
+from stream.recording.recorded import RecordedPart
 from stream.recording.records import messages
 from stream.recording.tally import RecordedStream
 
@@ -73,20 +74,28 @@ def _replace(old: RecordedPart, number: int, progress: Callable[[int, int], None
 
 def _rewrite(old: RecordedPart, path: Path, number: int, progress: Callable[[int, int], None] | None) -> Recovered:
     """Copy every message that can be read to a new file at `path`, and end it."""
-    part = Part(path, number, old.header, CompressionType.ZSTD)
+    part = Part(path, number, old.header, CompressionType.LZ4 if old.images else CompressionType.ZSTD)
     try:
         tallies = {name: RecordedStream(s.spec, s.role) for name, s in old.streams.items()}
         channels = {name: part.declare(name, s.spec, s.role) for name, s in old.streams.items()}
         channels |= {topic: part.channel_of(topic) for topic in (LOG, METRICS)}
+        images = {name: part.declare_images(name) for name in old.images.values()}
+        frames: Counter[tuple[str, int]] = Counter()
         count = 0
         for i, record in enumerate(old.chunks):
             for message in messages(old.file.unpack(record)):
-                if message.channel not in old.topics:
+                if image := old.images.get(message.channel):
+                    frames[image, message.batch] += 1
+                    channel = images[image]
+                elif name := old.topics.get(message.channel):
+                    if name in images and frames.pop((name, message.batch), 0) != len(table(message.body).times):
+                        continue
+                    channel = channels[name]
+                    if name in tallies:
+                        tallies[name].count(table(message.body))
+                else:
                     continue
-                name = old.topics[message.channel]
-                part.add(channels[name], message.log_time, message.publish_time, message.batch, bytes(message.body))
-                if name in tallies:
-                    tallies[name].count(table(message.body))
+                part.add(channel, message.log_time, message.publish_time, message.batch, bytes(message.body))
                 count += 1
             part.save()
             if progress:

@@ -26,13 +26,14 @@ FULL = (errno.ENOSPC, errno.EDQUOT)
 
 @dataclass(slots=True)
 class Track:
-    """A topic: a stream, or (without a spec) the log or the metrics."""
+    """A topic: a stream's chunks, its frames (`images`), or (without a spec) the log or the metrics."""
 
     name: str
     spec: StreamSpec | None = None
     role: Role = "edge"
     channel: int = 0
     tally: RecordedStream | None = None
+    images: bool = False
 
 
 class Tape:
@@ -50,6 +51,11 @@ class Tape:
     def declare(self, name: str, spec: StreamSpec, role: Role) -> int:
         """A further stream; returns its number (0 and 1 are the log and the metrics)."""
         self._tracks.append(Track(name, spec, role, tally=RecordedStream(spec, role)))
+        return len(self._tracks) - 1
+
+    def declare_images(self, name: str) -> int:
+        """Where a stream's frames go; returns the number."""
+        self._tracks.append(Track(name, images=True))
         return len(self._tracks) - 1
 
     @property
@@ -101,7 +107,7 @@ class Tape:
 
     def _begin(self) -> None:
         """A new file, which holds first what could not be saved in the last one. Frames are compressed fast, the rest well."""
-        frames = any(len(t.spec.shape) > 1 and t.spec.sample_bytes > 1 << 14 for t in self._tracks if t.spec)
+        frames = any(track.images for track in self._tracks)
         for gone in keep_quota(self._path, self._options.quota_mb):
             log.info("an old recording was deleted to keep the quota", path=str(gone), quota_mb=self._options.quota_mb)
         part = Part(
@@ -131,9 +137,12 @@ class Tape:
     def _declare(self, part: Part) -> None:
         while self._declared < len(self._tracks):
             track = self._tracks[self._declared]
-            track.channel = (
-                part.channel_of(track.name) if track.spec is None else part.declare(track.name, track.spec, track.role)
-            )
+            if track.images:
+                track.channel = part.declare_images(track.name)
+            elif track.spec is None:
+                track.channel = part.channel_of(track.name)
+            else:
+                track.channel = part.declare(track.name, track.spec, track.role)
             self._declared += 1
 
     def _write(self, part: Part, number: int, log_time: int, publish_time: int, batch: int, body: bytes) -> None:

@@ -1,0 +1,50 @@
+"""A stream on its way to the recorder's thread, and what is told of the recording from outside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from stream.chunk import StreamSpec
+from stream.recording.format import Entry
+
+OVERHEAD = 400
+"""Bytes that a waiting chunk takes beside its samples."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderStatus:
+    """How recording goes.
+
+    bytes      written to the disk, all parts together
+    behind_s   session time between the newest chunk handed over and the newest one written
+    dropped    chunks that were not recorded because the disk was slow or full, by stream
+    error      what the disk last said, while it refuses; "" when all is well
+    """
+
+    bytes: int
+    behind_s: float
+    dropped: dict[str, int]
+    error: str
+
+
+@dataclass(slots=True)
+class Lane:
+    """A stream (or the log, or the metrics) on its way to the recorder's thread. Each counter has one thread that writes it.
+
+    put, dropped, missed   of the stream's thread: bytes handed over; chunks dropped; samples dropped since the last chunk accepted
+    got, index             of the recorder's thread: bytes taken; cumulative index of the next sample
+    pending, first         of the recorder's thread: the chunks of the next message, and the index of their first sample
+    track, images          where on the tape its chunks go, and its frames if it has any
+    """
+
+    name: str
+    spec: StreamSpec | None = None
+    put: int = 0
+    dropped: int = 0
+    missed: int = 0
+    got: int = 0
+    index: int = 0
+    pending: list[Entry] = field(default_factory=list)
+    first: int = 0
+    track: int = 0
+    images: int = 0

@@ -1,0 +1,148 @@
+"""One file of a recording, finished or not: its header, its streams, and its messages."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+
+from stream.errors import RecordingError
+from stream.recording.format import ENCODING, HEADER, LOG, METRICS, PROFILE, SUMMARY, check_format, spec_of, table
+from stream.recording.records import Record, RecordFile, declared, messages
+from stream.recording.tally import RecordedStream
+
+
+class RecordedPart:
+    """One file of a recording, and what is known of its streams."""
+
+    def __init__(self, path: Path, *, forgiving: bool = False) -> None:
+        """Raises RecordingError for a file that is no recording of ours, is newer than we are, or holds nothing.
+
+        With `forgiving`, every byte is read, and damaged places are left out and counted in `damaged`.
+        """
+        self.damaged = 0
+        self._forgiving = forgiving
+        self.file = RecordFile(path)
+        try:
+            self._open()
+        except BaseException:
+            self.file.close()
+            raise
+
+    def _open(self) -> None:
+        path = str(self.file.path)
+        head = self.file.header()
+        if head is not None and head.profile != PROFILE:
+            whose = f"profile {head.profile!r}" if head.profile else f"written by {head.library!r}"
+            raise RecordingError(f"{path}: an MCAP file, but not a kinegraph recording ({whose})")
+        facts = self.file.metadata(HEADER)
+        if facts is None:
+            raise RecordingError(f"{path}: truncated before anything was recorded; nothing can be recovered from it")
+        version = facts.get("format", "")
+        check_format(int(version) if version.isdigit() else version, path)
+        self.header: dict[str, Any] = json.loads(facts["header"])
+        self.chunks = self.file.chunks
+        self.topics: dict[int, str] = {}
+        self.images: dict[int, str] = {}
+        self.streams: dict[str, RecordedStream] = {}
+        self._schemas: dict[int, Schema] = {}
+        if self.finished:
+            self._declare_from_end()
+        summary = self.file.metadata(SUMMARY) if self.finished and not self._forgiving else None
+        if summary is None:
+            self._scan()
+        else:
+            for name, counts in json.loads(summary["streams"]).items():
+                self.streams[name].fill(counts)
+
+    @property
+    def finished(self) -> bool:
+        return self.file.finished
+
+    def _declare_from_end(self) -> None:
+        """A finished file repeats all schemas and channels after its data."""
+        for record in self.file.records[-_tail(self.file.records) :]:
+            if record.opcode == Opcode.SCHEMA:
+                schema = Schema.read(self.file.stream(record))
+                self._schemas[schema.id] = schema
+            elif record.opcode == Opcode.CHANNEL:
+                self._declare(Channel.read(self.file.stream(record)))
+
+    def _scan(self) -> None:
+        """Count what an unfinished file holds; a damaged chunk at its very end is left out."""
+        for record in list(self.chunks):
+            try:
+                data = self.file.unpack(record)
+            except RecordingError:
+                if not self._forgiving and record != self.chunks[-1]:
+                    raise
+                self.damaged += 1
+                self.chunks.remove(record)
+                continue
+            for item in declared(data):
+                if isinstance(item, Schema):
+                    self._schemas[item.id] = item
+                elif item.id not in self.topics:
+                    self._declare(item)
+            for message in messages(data):
+                name = self.topics.get(message.channel)
+                if name in self.streams:
+                    self.streams[name].count(table(message.body))
+
+    def _declare(self, channel: Channel) -> None:
+        if channel.message_encoding == ENCODING:
+            self.topics[channel.id] = name = channel.metadata["stream"]
+            self.streams[name] = RecordedStream(*spec_of(self._schemas[channel.schema_id].data))
+        elif channel.topic in (LOG, METRICS):
+            self.topics[channel.id] = channel.topic
+        else:
+            self.images[channel.id] = channel.topic
+
+    def messages(self, topics: set[str], start: int = 0) -> Iterator[tuple[str, int, memoryview, list[memoryview]]]:
+        """(topic, batch, body, frames before it) of every message on `topics`, from the `start`-th chunk of records on."""
+        wanted = {number: topic for number, topic in self.topics.items() if topic in topics}
+        images = {number: topic for number, topic in self.images.items() if topic in topics}
+        waiting: dict[str, list[memoryview]] = {topic: [] for topic in images.values()}
+        for record in self.chunks[start:]:
+            for number, batch, _, _, body in messages(self.file.unpack(record)):
+                if number in wanted:
+                    name = wanted[number]
+                    yield name, batch, body, waiting.get(name, [])
+                    if name in waiting:
+                        waiting[name] = []
+                elif number in images:
+                    waiting[images[number]].append(body)
+
+    def chunk_before(self, sequence: int, topics: set[str]) -> int:
+        """A chunk of records before which no input comes after `sequence`: found by bisection, for sequences grow."""
+        low, high = 0, len(self.chunks)
+        while low < high:
+            middle = (low + high) // 2
+            first = self._first_sequence(middle, topics)
+            if first is not None and first <= sequence:
+                low = middle + 1
+            else:
+                high = middle
+        start = max(low - 1, 0)
+        batch = self._first_batch(start)
+        while start > 0 and self._first_batch(start) == batch:
+            start -= 1
+        return start
+
+    def _first_sequence(self, start: int, topics: set[str]) -> int | None:
+        for _, _, body, _ in self.messages(topics, start):
+            return int(table(body).rows[0, 4])
+        return None
+
+    def _first_batch(self, start: int) -> int:
+        """The batch that a chunk of records begins with; it may have begun before."""
+        return next((message.batch for message in messages(self.file.unpack(self.chunks[start]))), -1)
+
+
+def _tail(records: list[Record]) -> int:
+    """How many records follow the data's end."""
+    return next(n for n, record in enumerate(reversed(records)) if record.opcode == Opcode.DATA_END)

@@ -1,0 +1,107 @@
+"""Depth frames: images that Foxglove shows, and for us the same bits, stamps and boundaries as were recorded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from test_recording import START, same
+
+from stream import cli
+from stream.chunk import FOREVER, Chunk, StreamSpec, empty
+from stream.graph import RecordingOptions
+from stream.operator import grid
+from stream.recording import Recorder, Recording
+
+DEPTH = StreamSpec((48, 64), np.dtype(np.uint16), 30.0, units=("mm",))
+EMG = StreamSpec((2,), rate_hz=1000.0)
+
+
+def session(frames: int = 60) -> list[tuple[str, Chunk, int]]:
+    rng = np.random.default_rng(5)
+    times = grid(30.0, frames, START)
+    made: list[tuple[str, Chunk, int]] = []
+    at = 0
+    while at < frames:
+        n = int(rng.integers(0, 4))
+        end = min(at + n, frames)
+        until = int(times[end - 1]) if end else START - 1
+        depth = rng.integers(0, 65535, (end - at, 48, 64), np.uint16)
+        made.append(("cam", Chunk(times[at:end], depth, until, 5 if end > at and rng.random() < 0.2 else 0), until))
+        made.append(("emg", Chunk(np.array([until]), rng.normal(size=(1, 2)), until), until))
+        at = end
+    return [*made, ("cam", empty(DEPTH, FOREVER), int(times[-1]))]
+
+
+def record(path: Path, made: list[tuple[str, Chunk, int]], **more: Any) -> None:
+    with Recorder(path, {}, RecordingOptions(), wait=True, **more) as recorder:
+        numbers = {"cam": recorder.add_stream("cam", DEPTH, "input"), "emg": recorder.add_stream("emg", EMG, "input")}
+        for sequence, (name, chunk, arrival) in enumerate(made):
+            recorder.write(numbers[name], chunk, arrival, sequence)
+
+
+def assert_recorded(path: Path, made: list[tuple[str, Chunk, int]], after: int = -1) -> None:
+    with Recording.open(path) as recording:
+        found = list(recording.inputs(after))
+        assert [f[0] for f in found] == list(range(after + 1, len(made)))
+        assert all(f[1] == m[0] and same(f[2], m[1]) for f, m in zip(found, made[after + 1 :], strict=True))
+
+
+def test_frames_come_back_bit_for_bit(tmp_path: Path) -> None:
+    made = session(400)
+    record(tmp_path / "s", made)
+    for after in (-1, 0, 100, 200, 301, len(made) - 2):
+        assert_recorded(tmp_path / "s", made, after)
+    with Recording.open(tmp_path / "s") as recording:
+        assert recording.streams.keys() == {"cam", "emg"}
+        assert recording.streams["cam"].samples == 400 and recording.read("cam")[1].shape == (400, 48, 64)
+        assert recording.read("cam")[1].flags.writeable
+
+
+def test_an_image_is_what_protocol_buffers_and_foxglove_say(tmp_path: Path) -> None:
+    protobuf = pytest.importorskip("google.protobuf", reason="protobuf is not installed")
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+    assert protobuf
+    made = session()
+    record(tmp_path / "one.mcap", made)
+    frames = np.concatenate([c.data for name, c, _ in made if name == "cam"])
+    with (tmp_path / "one.mcap").open("rb") as file:
+        read = list(make_reader(file, validate_crcs=True).iter_messages(topics=["cam"], log_time_order=False))
+    assert len(read) == len(frames)
+    files = descriptor_pb2.FileDescriptorSet.FromString(read[0][0].data)
+    pool = descriptor_pool.DescriptorPool()
+    for one in files.file:
+        pool.Add(one)
+    image_class = message_factory.GetMessageClass(pool.FindMessageTypeByName("foxglove.RawImage"))
+    for i, (schema, channel, message) in enumerate(read):
+        assert schema.name == "foxglove.RawImage" and schema.encoding == channel.message_encoding == "protobuf"
+        image = image_class.FromString(message.data)
+        assert (image.width, image.height, image.step, image.encoding) == (64, 48, 128, "16UC1")
+        assert image.data == frames[i].tobytes()
+        assert (
+            image.timestamp.seconds * 10**9 + image.timestamp.nanos == message.publish_time == grid(30.0, 60, START)[i]
+        )
+
+
+def test_frames_of_a_cut_or_damaged_file(tmp_path: Path) -> None:
+    made = session(400)
+    record(tmp_path / "one.mcap", made)
+    whole = (tmp_path / "one.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
+    with Recording.open(tmp_path / "cut.mcap") as recording:
+        found = list(recording.inputs())
+    assert 100 < len(found) < len(made) and all(same(f[2], m[1]) for f, m in zip(found, made, strict=False))
+    broken = bytearray(whole)
+    broken[len(whole) // 2] ^= 0xFF
+    (tmp_path / "broken.mcap").write_bytes(broken)
+    with pytest.raises(SystemExit):
+        cli.call("recover", [str(tmp_path / "broken.mcap"), "-o", str(tmp_path / "out.mcap")])
+    with Recording.open(tmp_path / "out.mcap") as recording:
+        assert recording.finished and 0 < recording.streams["cam"].dropped < 250
+        kept = {sequence: chunk for sequence, _, chunk, _ in recording.inputs()}
+    assert all(np.array_equal(chunk.data, made[sequence][1].data) for sequence, chunk in kept.items())
+    assert len(kept) > len(made) // 3
