@@ -1,0 +1,80 @@
+"""The demo's graph from end to end: a simulated walk whose truth is known, its report, and the same report from a replay."""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.treadmill import Treadmill, truth
+
+CONFIG = Path(__file__).parent.parent / "configs" / "treadmill_emg.yaml"
+SECONDS = 20
+
+
+def kinegraph(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [str(Path(sys.executable).parent / "kinegraph"), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=280)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder in which a session was run, faster than real time, and what it printed."""
+    folder = tmp_path_factory.mktemp("session")
+    quick = ["treadmill.realtime=false", f"treadmill.duration_s={SECONDS}", f"report.path={folder / 'live.html'}"]
+    faults = "treadmill.faults=[{kind: flat, muscle: SO, from_s: 6, for_s: 8}, {kind: lost, from_s: 10, for_s: 0.3}]"
+    sets = [part for setting in [*quick, faults] for part in ("--set", setting)]
+    done = kinegraph("run", CONFIG, *sets, "-o", folder / "recording", "--view", "lines")
+    return folder, done.stdout
+
+
+def test_every_cycle_is_where_it_truly_was(session: tuple[Path, str]) -> None:
+    folder, shown = session
+    true, envelope = truth(Treadmill(), SECONDS * 1000)
+    rows = [row for row in table(folder / "live.csv") if float(row["touch-down (s)"]) > 0]
+    assert len(rows) >= len(true) - 1
+    for row, (touch, lift, end) in zip(rows, true, strict=False):
+        assert float(row["touch-down (s)"]) == touch / 1000
+        assert abs(float(row["duration_s"]) - (end - touch) / 1000) < 1e-9
+        assert abs(float(row["stance_pct"]) - 100 * (lift - touch) / (end - touch)) < 1e-9
+        hit, near = (touch < 10_300 + reach and end > 10_000 - reach for reach in (0, 500))
+        assert bool(row["rejected"]) == hit or near, row[
+            "number"
+        ]  # the envelope's filters reach 0.2 s into the gap's neighbours
+        assert f"cycle {row['number']} " in shown
+    good = [(row, cycle) for row, cycle in zip(rows, true, strict=False) if not row["rejected"]]
+    for muscle, name in enumerate(Treadmill().muscles[:-1]):
+        means = [float(row[f"{name} mean (uV)"]) for row, _ in good]
+        expected = [envelope[a:b, muscle].mean() * np.sqrt(2 / np.pi) for _, (a, _, b) in good]
+        assert abs(np.mean(means) / np.mean(expected) - 1) < 0.15, name
+
+
+def test_the_page_names_what_went_wrong(session: tuple[Path, str]) -> None:
+    page = (session[0] / "live.html").read_text()
+    for told in (
+        "SO bad (flat line",
+        "gap in the signal or the contacts",
+        "treadmill.emg",
+        "300 (1.50 %)",
+        "not normalised",
+    ):
+        assert told in page, told
+
+
+def test_a_replay_that_may_speak_writes_the_same_table(session: tuple[Path, str]) -> None:
+    folder, _ = session
+    again = ["--speak", "report", "--set", f"report.path={folder / 'again.html'}", "--verify", "-q"]
+    kinegraph("replay", CONFIG, folder / "recording", *again)
+    assert (folder / "again.csv").read_bytes() == (folder / "live.csv").read_bytes()
+    assert "<svg" in (folder / "again.html").read_text()
