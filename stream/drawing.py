@@ -45,19 +45,24 @@ def mermaid(graph: Graph) -> str:
     for i, node in nodes.items():
         left, right = ("([", "])") if node.is_source else ("[/", "/]") if node.is_outlet else ("[", "]")
         lines.append(f'  {i}{left}"{node.name}<br/>{node.use}"{right}')
-    lines += [f'  {a} -- "{text}" --> {b}' for a, b, text in edges]
+    lines += [f'  {a} -- "{text.replace(chr(34), "#quot;")}" --> {b}' for a, b, text in edges]
     return "\n".join(lines) + "\n"
 
 
 def dot(graph: Graph) -> str:
     """For Graphviz: `kinegraph draw CONFIG --format dot | dot -Tsvg`."""
     nodes, edges = _numbered(graph)
-    lines = [f'digraph "{graph.name}" {{', "  rankdir=LR; node [shape=box, fontname=Helvetica];"]
+    lines = [f"digraph {_quoted(graph.name)} {{", "  rankdir=LR; node [shape=box, fontname=Helvetica];"]
     for i, node in nodes.items():
         shape = "ellipse" if node.is_source else "parallelogram" if node.is_outlet else "box"
         lines.append(f'  {i} [label="{node.name}\\n{node.use}", shape={shape}];')
-    lines += [f'  {a} -> {b} [label="{text}"];' for a, b, text in edges]
+    lines += [f"  {a} -> {b} [label={_quoted(text)}];" for a, b, text in edges]
     return "\n".join([*lines, "}"]) + "\n"
+
+
+def _quoted(text: str) -> str:
+    """A text as DOT wants it."""
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
 def _numbered(graph: Graph) -> tuple[dict[str, Node], list[tuple[str, str, str]]]:

@@ -76,6 +76,8 @@ def test_draw_mermaid_and_dot(good: Path, capsys: pytest.CaptureFixture[str]) ->
     text = capsys.readouterr().out
     assert text.startswith('digraph "walking" {') and text.endswith("}\n")
     assert 'n0 -> n1 [label="emg: 2 channels float64 at 1000 Hz in uV"];' in text
+    draw(good, Format.dot, ['name=the "big" walk'])
+    assert capsys.readouterr().out.startswith(r'digraph "the \"big\" walk" {')
 
 
 SCHEMA = graph_schema(catalogue(("graph_parts", "stream.manual", "operators", "devices"))[0])

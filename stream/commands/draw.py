@@ -37,4 +37,6 @@ def draw(
             print(drawing.dot(graph), end="")
         case Format.tree:
             console = Console(highlight=False)
-            console.print(drawing.tree(graph), soft_wrap=not console.is_terminal)
+            if not console.is_terminal:
+                console.width = 200
+            console.print(drawing.tree(graph))
