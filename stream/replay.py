@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter_ns
@@ -15,6 +15,7 @@ from stream.drops import recorded_drops
 from stream.graph import Edge, Graph
 from stream.pipeline import Pipeline, Push, Stage
 from stream.recording import Recorder, Recording, versions
+from stream.recording.joined import joinable, joined
 from stream.warmup import Compilations, warm_up
 
 FOLD_EVERY = 1000
@@ -92,6 +93,7 @@ class Replay:
         self.pipeline = Pipeline(graph, speaking=speaking, bridge=self._bridge)
         self.sequence = -1
         self._output = output
+        self._joins = speed is None and output is None and not self._drops
         self._stopping = False
 
     def _bridge(self, stage: Stage, port: str, edge: Edge, push: Push) -> Push:
@@ -109,11 +111,12 @@ class Replay:
         recorder = self._open_output()
         result = Replayed()
         computed = self._listen()
+        recorded = {name: Digest() for name in computed}
         self.pipeline.begin()
         compilations = Compilations()
         began = time.monotonic()
         try:
-            self._feed_all(recorder, progress, result, began)
+            self._feed_all(recorder, progress, result, began, recorded)
             self._close()
         finally:
             compilations.stop()
@@ -122,23 +125,40 @@ class Replay:
         result.took_s = time.monotonic() - began
         result.compiled = compilations.names
         result.samples = {name: wire.samples for name, wire in self.pipeline.wires.items()}
-        result.digests = {name: (self._digest_of(name), digest.hexdigest()) for name, digest in computed.items()}
+        result.digests = {name: (recorded[name].hexdigest(), digest.hexdigest()) for name, digest in computed.items()}
         return result
 
+    def _chunks(self, recorded: dict[str, Digest]) -> Iterable[tuple[int, str, Chunk, int]]:
+        """What is fed, and beside it the recorded edges; in long chunks where nothing needs them as they came."""
+        names = {*self.recording.inputs_recorded, *recorded}
+        if self._joins and all(joinable(self.recording.streams[name].spec) for name in names):
+            return joined(self.recording, names)
+        for name, digest in recorded.items():
+            for chunk in self.recording.chunks(name):
+                digest.add(chunk)
+        return self.recording.inputs()
+
     def _feed_all(
-        self, recorder: Recorder | None, progress: Callable[[float], None], result: Replayed, began: float
+        self,
+        recorder: Recorder | None,
+        progress: Callable[[float], None],
+        result: Replayed,
+        began: float,
+        recorded: dict[str, Digest],
     ) -> None:
         entries = {name: wire.send for name, wire in self.pipeline.entries.items()}
         numbers = self._numbers if recorder else {}
         first: int | None = None
-        for count, (sequence, stream, chunk, arrival) in enumerate(self.recording.inputs()):
+        for count, (sequence, stream, chunk, arrival) in enumerate(self._chunks(recorded)):
             if self._stopping:
                 result.stopped = True
                 break
-            self.sequence = sequence
             send = entries.get(stream)
             if send is None:
+                if stream in recorded:
+                    recorded[stream].add(chunk)
                 continue
+            self.sequence = sequence
             first = arrival if first is None else first
             if self._speed:
                 self._keep_pace((arrival - first) / NS, began)
@@ -173,12 +193,6 @@ class Replay:
                 digests[name] = Digest(stream.samples)
                 self.pipeline.wires[name].taps.append(digests[name].add)
         return digests
-
-    def _digest_of(self, name: str) -> str:
-        digest = Digest()
-        for chunk in self.recording.chunks(name):
-            digest.add(chunk)
-        return digest.hexdigest()
 
     def _open_output(self) -> Recorder | None:
         if self._output is None:
