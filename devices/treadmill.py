@@ -138,7 +138,7 @@ class Treadmill(Source):
         return _emit_what_arrived(feed, faults, start, Chunk(time, emg, until, lost))
 
     def _stamps(self, anchor: int, index: Indices) -> Times:
-        return anchor + np.round(index * (NS / self.rate_hz)).astype(np.int64)
+        return anchor + np.round(index * (NS / self.rate_hz)).astype(np.int64) if len(index) else index
 
     def _start_ns(self, now: int) -> int:
         if not self.start:

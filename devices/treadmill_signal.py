@@ -83,6 +83,7 @@ class Gait:
         self._mean = walker.rate_hz * 60.0 / walker.cadence_per_min
         self._wave = random(walker.seed, STEPS, 0).uniform(0, 2 * np.pi, 2)
         self._stray = lru_cache(maxsize=64)(self._make_stray)
+        self._touch = lru_cache(maxsize=64)(self._make_touch)
 
     def cycle_at(self, index: int) -> int:
         """The cycle that a sample lies in; -1 before the first touch-down."""
@@ -95,7 +96,7 @@ class Gait:
 
     def touchdown(self, cycle: int) -> int:
         """The sample of a cycle's first ground contact; cycle -1 is the one that sample 0 lies in."""
-        return round(0.4 * self._walker.rate_hz + self._mean * (cycle + self._stray(cycle)[0]))
+        return self._touch(cycle)
 
     def liftoff(self, cycle: int) -> int:
         """The sample at which the foot leaves the ground within a cycle."""
@@ -119,6 +120,9 @@ class Gait:
         found = range(self.cycle_at(start), self.cycle_at(stop) + 1)
         rows = [(self.touchdown(c), self.liftoff(c), self.touchdown(c + 1)) for c in found]
         return np.array([row for row in rows if start <= row[0] and row[2] < stop], np.int64).reshape(-1, 3)
+
+    def _make_touch(self, cycle: int) -> int:
+        return round(0.4 * self._walker.rate_hz + self._mean * (cycle + self._stray(cycle)[0]))
 
     def _make_stray(self, cycle: int) -> tuple[float, float]:
         """How far a touch-down is off its beat, in cycles, and a number in -1..1 for its stance."""

@@ -12,6 +12,8 @@ import pytest
 
 from devices.treadmill import Treadmill, truth
 
+pytestmark = pytest.mark.xdist_group("treadmill session")  # one process runs it, once
+
 CONFIG = Path(__file__).parent.parent / "configs" / "treadmill_emg.yaml"
 SECONDS = 20
 
