@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from stream.errors import KinegraphError, nearest
+from stream.errors import KinegraphError
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -143,14 +143,14 @@ def _text(config: File) -> str:
 
 
 def _only(recording: Recording, what: str, fits: Any, ends: str = "") -> str:
-    """The one stream that fits. Raises KinegraphError where there is none, or more than one."""
-    names = [name for name, stream in recording.streams.items() if fits(stream) and name.endswith(ends)]
+    """The one stream that fits; those of the devices go before what was computed. Raises KinegraphError where it is not plain which."""
+    fitting = {name: stream for name, stream in recording.streams.items() if fits(stream) and name.endswith(ends)}
+    names = [name for name, stream in fitting.items() if stream.role == "input"] or list(fitting)
     if len(names) == 1:
         return names[0]
-    option = "--touchdown" if ends else "--emg"
-    some = f"it has {', '.join(names)}" if names else f"its streams: {', '.join(recording.streams)}"
+    some = f"it may be {' or '.join(names)}" if names else f"none of {', '.join(recording.streams)} seems to"
     raise KinegraphError(
-        f"{recording.path}: which stream holds the {what}? Name it with {option} ({some}); {nearest(what, names)}"
+        f"{recording.path}: which stream holds the {what}? Name it with {'--touchdown' if ends else '--emg'}; {some}"
     )
 
 
