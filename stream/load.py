@@ -76,7 +76,7 @@ def load_text(
     problems = Problems(path or name)
     root = override(parse(text, path or name), overrides or {}, problems)
     graph = _Loading(root, problems, recorded).graph(name)
-    graph.text, graph.path = (rewrite(text, overrides) if overrides else text), path
+    graph.text, graph.path = (rewrite(text, overrides, root) if overrides else text), path
     return graph
 
 

@@ -45,8 +45,11 @@ def override(root: Located, overrides: Mapping[str, Any], problems: Problems) ->
     return Located(top, root.line) if overrides and isinstance(root.value, dict) else root
 
 
-def rewrite(text: str, overrides: Mapping[str, Any]) -> str:
-    """The graph's text with the settings written into it, comments kept: what a recording remembers as the graph that made it."""
+def rewrite(text: str, overrides: Mapping[str, Any], wanted: Located) -> str:
+    """The graph's text with the settings written into it, comments kept: what a recording remembers as the graph that made it.
+
+    Where that would change more than is `wanted` (a setting of a mapping that others share by an anchor), comments are lost.
+    """
     yaml = YAML(typ="rt")
     yaml.preserve_quotes, yaml.width = True, 1000
     root = yaml.load(text)
@@ -58,6 +61,11 @@ def rewrite(text: str, overrides: Mapping[str, Any]) -> str:
                 inner[step] = {}
             inner = inner[step]
         inner[key] = value
+    written = _dump(yaml, root)
+    return written if parse(written, "").plain() == wanted.plain() else _dump(yaml, wanted.plain())
+
+
+def _dump(yaml: YAML, root: Any) -> str:
     out = io.StringIO()
     yaml.dump(root, out)
     return out.getvalue()

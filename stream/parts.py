@@ -41,10 +41,10 @@ def import_from(folder: Path) -> None:
 
     A module of the same name that another graph's folder had brought in is forgotten.
     """
-    wanted = [str(folder.resolve()), str(Path.cwd())]
+    wanted = [str(folder.absolute()), str(Path().absolute())]
     for old in [entry for entry in _beside if entry not in wanted]:
         _beside.remove(old)
-        sys.path.remove(old)
+        sys.path[:] = [entry for entry in sys.path if entry != old]
         for name in [n for n in sys.modules if _is_beside(n.partition(".")[0], Path(old))]:
             if any((Path(new) / f"{name.partition('.')[0]}{end}").exists() for new in wanted for end in (".py", "")):
                 del sys.modules[name]

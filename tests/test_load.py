@@ -281,6 +281,13 @@ def test_settings_of_the_command_line_replace_the_files() -> None:
     assert again.nodes["low"].part == graph.nodes["low"].part and again.session == graph.session
 
 
+def test_a_setting_changes_no_other_node_that_shares_an_anchor() -> None:
+    text = nodes("a: &a {use: graph_parts.Low, from: board}\nb: *a\nc: {<<: *a, order: 2}")
+    graph = load_text(text, overrides={"a.order": 3})
+    for loaded in (graph, load_text(graph.text)):
+        assert [loaded.nodes[name].part.order for name in "abc"] == [3, 4, 2]
+
+
 @pytest.mark.parametrize(
     ("setting", "words"),
     [
