@@ -6,6 +6,7 @@ of the graph goes on; so `read` opens the device, reads until told to stop, and 
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import ClassVar, Protocol, Self
 
@@ -66,6 +67,13 @@ class Source:
     def read(self, feed: Feed) -> None:
         """Open, read and emit until `feed.stopped`, close. Runs in its own thread."""
         raise NotImplementedError
+
+    def simulated(self) -> AbstractContextManager[Source] | None:
+        """This source as it reads a simulated device, which is there for as long as the context lasts; None: it needs or has none.
+
+        `kinegraph run --simulate` puts it in the source's place. The simulated device speaks the real protocol through the real transport.
+        """
+        return None
 
     def fresh(self) -> Self:
         return replace(self)  # type: ignore[type-var]

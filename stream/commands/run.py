@@ -7,16 +7,18 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
 from stream.errors import KinegraphError, RecordingError
+from stream.source import Source
 
 if TYPE_CHECKING:
+    from stream.graph import Graph
     from stream.session import Outcome, Session
 
 
@@ -37,6 +39,9 @@ def run(
         float,
         typer.Option("--for", metavar="SECONDS", help="end after so many seconds; 0: when stopped or all sources end"),
     ] = 0.0,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="simulated devices in the place of real ones, through the real protocols")
+    ] = False,
     view: Annotated[str, typer.Option(help="how the session is shown: auto, live, lines or none")] = "auto",
     json_log: Annotated[bool, typer.Option("--log-json", help="log lines as JSON")] = False,
     verbose: Annotated[bool, typer.Option("-v", "--verbose", help="log more")] = False,
@@ -50,24 +55,51 @@ def run(
     recording lost something.
     """
     from stream import logs
-    from stream.console import Console
     from stream.load import load
     from stream.overrides import read
-    from stream.session import Session
-
-    logs.set_up(json=json_log, verbose=verbose)
-    began = time.monotonic()
-    graph = load(config, overrides=read(settings or []))
     from stream.plan import plan
 
+    logs.set_up(json=json_log, verbose=verbose)
+    graph = load(config, overrides=read(settings or []))
     plan(graph)
     folder = _folder(graph.name, Path(graph.recording.folder), out, resume) if record or resume else None
-    screen = _screen(view, graph)
-    session = Session(graph, folder, resume=resume, duration_s=duration_s, view=screen)
-    with _signals(session), Console(session).listening(), screen or nullcontext():
-        outcome = session.run()
+    conduct(graph, folder, resume=resume, duration_s=duration_s, view=view, simulate=simulate)
+
+
+def conduct(
+    graph: Graph,
+    folder: Path | None,
+    *,
+    resume: bool = False,
+    duration_s: float = 0.0,
+    view: str = "auto",
+    simulate: bool = False,
+) -> NoReturn:
+    """Run a session from start to end, with its view and its console, and exit with its code."""
+    from stream.console import Console
+    from stream.session import Session
+
+    began = time.monotonic()
+    with _simulated(graph) if simulate else nullcontext():
+        screen = _screen(view, graph)
+        session = Session(graph, folder, resume=resume, duration_s=duration_s, view=screen)
+        with _signals(session), Console(session).listening(), screen or nullcontext():
+            outcome = session.run()
     _tell_end(outcome, time.monotonic() - began)
     sys.exit(outcome.exit_code)
+
+
+@contextmanager
+def _simulated(graph: Graph) -> Iterator[None]:
+    """Within: every source that has a simulated device reads that one; the recording says which they are."""
+    with ExitStack() as devices:
+        for node in graph.sources:
+            assert isinstance(node.part, Source)
+            device = node.part.simulated()
+            if device is not None:
+                node.part = devices.enter_context(device)
+                graph.session.setdefault("simulated_sources", []).append(node.name)
+        yield
 
 
 def _folder(name: str, recordings: Path, out: Path | None, resume: bool) -> Path:

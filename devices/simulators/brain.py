@@ -1,0 +1,18 @@
+"""What a simulated device is made of: bytes heard, bytes answered, packets said as time passes; no port, no thread, no clock."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+
+class Brain(Protocol):
+    """A simulated device without its cable. It begins at second 0, when it is switched on, and is asked in order."""
+
+    def hear(self, data: bytes) -> bytes:
+        """Bytes have come from the host; returns what the device answers."""
+
+    def say(self, seconds: float) -> list[bytes]:
+        """The packets that were sent since the last call, up to this second."""
+
+    def restart(self) -> None:
+        """Counters begin anew, as after a failing supply; what was set stays set."""

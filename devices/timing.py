@@ -1,0 +1,22 @@
+"""The output `timing` of every device with packets: what the stamps were made from, so that a better mapping can be made later."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stream.chunk import Chunk, StreamSpec, Times
+
+TIMING = np.dtype([("counter", "<i8"), ("device", "<i8"), ("arrival", "<i8"), ("stamp", "<i8")])
+"""One packet: its running counter, the device's time (ns), its arrival and its mapped stamp (ns, session time); -1: there is none."""
+
+
+def timing_spec() -> StreamSpec:
+    """The spec of the output `timing`: an event per packet, or per read of a fast device."""
+    return StreamSpec((), TIMING, units=("", "ns", "ns", "ns"))
+
+
+def timing_chunk(counter: Times | int, device: Times | int, arrival: Times | int, stamp: Times, lost: int = 0) -> Chunk:
+    """Events of (n,) packets; a number stands for all of them. Stamps never run backwards, nor may they across calls."""
+    events = np.empty(len(stamp), TIMING)
+    events["counter"], events["device"], events["arrival"], events["stamp"] = counter, device, arrival, stamp
+    return Chunk(stamp, events, int(stamp[-1]), lost)
