@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from pathlib import Path
 
 from filelock import FileLock, Timeout
@@ -55,6 +56,13 @@ def lock(path: Path) -> FileLock:
     return held
 
 
+def give_back(path: Path, held: FileLock) -> None:
+    """Release the place, and leave no lock file behind (filelock minds a file that vanished; Windows keeps it)."""
+    with suppress(OSError):
+        lock_path(path).unlink(missing_ok=True)
+    held.release()
+
+
 def claim(path: Path, *, resume: bool) -> tuple[FileLock, int]:
     """Lock the place, and prove that it can be written. Returns the lock and the number of the part to begin with."""
     folder = path.parent if path.suffix == SUFFIX else path
@@ -100,5 +108,7 @@ def is_running(path: Path) -> bool:
     try:
         with FileLock(lock_path(path)).acquire(blocking=False):
             return False
-    except (Timeout, OSError):
+    except Timeout:
         return True
+    except OSError:
+        return False

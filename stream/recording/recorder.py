@@ -16,7 +16,7 @@ from stream.graph import RecordingOptions
 from stream.recording.format import LOG, METRICS, Entry, Role, dump, encode, encode_log
 from stream.recording.image import encode_image, is_frames
 from stream.recording.lane import OVERHEAD, Lane, RecorderStatus
-from stream.recording.place import claim
+from stream.recording.place import claim, give_back
 from stream.recording.tape import Tape
 
 log = structlog.get_logger(__name__)
@@ -147,7 +147,7 @@ class Recorder:
         """Write what is left and the end, and wait for it; a disk that refuses is given up after some seconds."""
         self._stop.set()
         self._thread.join()
-        self._lock.release()
+        give_back(self._path, self._lock)
 
     # -- the recorder's thread
 

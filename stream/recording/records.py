@@ -46,7 +46,7 @@ class RawMessage(NamedTuple):
 
 
 class RecordFile:
-    """An MCAP file as a list of whole records; `finished` where it ends as it should."""
+    """An MCAP file as a list of whole records (but for its indexes); `finished` where it ends as it should."""
 
     def __init__(self, path: Path) -> None:
         """Raises RecordingError for what is no MCAP file."""
@@ -85,7 +85,8 @@ class RecordFile:
             offset = at + _RECORD.size
             if opcode == 0 or offset + length > self.size:
                 return
-            yield Record(opcode, offset, length)
+            if opcode not in (Opcode.MESSAGE_INDEX, Opcode.CHUNK_INDEX):
+                yield Record(opcode, offset, length)
             at = offset + length
             if opcode == Opcode.FOOTER:
                 self._file.seek(at)

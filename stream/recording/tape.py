@@ -20,6 +20,8 @@ from stream.recording.tally import RecordedStream
 
 log = structlog.get_logger(__name__)
 
+MOST_SAVES = 7200
+"""A file is ended after so many saves (an hour of a session), for its index is held in memory until then: about 1 KB per save."""
 FULL = (errno.ENOSPC, errno.EDQUOT)
 """What a full disk says: it is waited for, and the file goes on where it stopped."""
 
@@ -44,7 +46,7 @@ class Tape:
         self._path, self._number, self._header, self._options = path, number, header, options
         self._tracks = [Track(LOG), Track(METRICS)]
         self._part: Part | None = None
-        self._declared = 0
+        self._declared = self._saves = 0
         self._closed_bytes = 0
         self._unsaved: list[tuple[int, int, int, int, bytes]] = []
 
@@ -88,7 +90,8 @@ class Tape:
                 self._leave()
             raise
         self._unsaved.clear()
-        if 0 < self._options.rotate_mb * 1e6 <= self._part.saved:
+        self._saves += 1
+        if 0 < self._options.rotate_mb * 1e6 <= self._part.saved or self._saves >= MOST_SAVES:
             self.finish()
 
     def finish(self) -> None:
@@ -116,7 +119,7 @@ class Tape:
             self._header,
             CompressionType.LZ4 if frames else CompressionType.ZSTD,
         )
-        self._part, self._declared = part, 0
+        self._part, self._declared, self._saves = part, 0, 0
         for track in self._tracks:
             track.tally = RecordedStream(track.spec, track.role) if track.spec else None
         self._declare(part)
