@@ -18,6 +18,7 @@ from test_recording import assert_recorded, killed
 
 from stream import cli
 from stream.chunk import FOREVER, NS, Chunk, StreamSpec
+from stream.convert.columns import assemble, column_names, columns
 from stream.convert.timing import lost_by_counter, regular
 from stream.errors import RecordingError
 from stream.graph import RecordingOptions
@@ -480,6 +481,14 @@ def test_xdf_by_labrecorder(tmp_path: Path) -> None:
         assert (np.diff(time) > 0).all() and abs(np.median(np.diff(time)) - 2_000_000) < 100_000
         assert recording.read("marks")[1]["text"].tolist()[-1] == "step 1200"
         assert_live_like(recording)
+
+
+def test_columns_of_curves_are_named_by_channel_first() -> None:
+    spec = StreamSpec((2, 2), channels=("TA", "GM"), units=("uV", "mV"), channel_axis=1)
+    assert column_names(spec) == [("TA[0]", "uV"), ("GM[0]", "mV"), ("TA[1]", "uV"), ("GM[1]", "mV")]
+    data = np.arange(8.0).reshape(2, 2, 2)
+    assert [c.tolist() for c in columns(spec, data)] == [[0, 4], [1, 5], [2, 6], [3, 7]]
+    assert np.array_equal(assemble(spec, columns(spec, data)), data)
 
 
 # -- info and recover

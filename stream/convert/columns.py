@@ -32,9 +32,14 @@ def column_names(spec: StreamSpec) -> list[tuple[str, str]]:
             axes[1] = [".x", ".y", ".z"]
     elif len(spec.shape) == 1:
         axes = [[f"channel{i + 1}" for i in range(spec.shape[0])]]
-    names = ["".join(parts) or "value" for parts in product(*axes)]
+    names = ["".join(_channel_first(parts, spec)) or "value" for parts in product(*axes)]
     units = [spec.units[0]] * len(names) if len(spec.units) == 1 else _spread(spec)
     return list(zip(names, units, strict=True))
+
+
+def _channel_first(parts: tuple[str, ...], spec: StreamSpec) -> tuple[str, ...]:
+    axis = spec.channel_axis
+    return (parts[axis], *parts[:axis], *parts[axis + 1 :]) if spec.channels else parts
 
 
 def _spread(spec: StreamSpec) -> list[str]:
