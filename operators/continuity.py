@@ -73,19 +73,21 @@ class Filter(Operator[C]):
     def process(self, port: str, chunk: Chunk) -> Chunk:
         state = self.state
         time = chunk.time
-        if not len(time):
+        n = len(time)
+        if not n:
             return nothing(chunk, state)
         if chunk.lost and state.breaks(chunk):
             self.rest()
         state.last = time[-1]
         x = chunk.data
         out: Samples = np.empty(x.shape)
-        stamps = np.empty(len(time), np.int64)
+        stamps = np.empty(n, np.int64)
         if state.plain:
             self.work(x, time, out, stamps)
         else:
-            self.work(rows(x, state.width), time, out.reshape(len(x), state.width), stamps)
-        return Chunk(stamps, out, back(chunk.until, state.delay_ns), chunk.lost)
+            self.work(rows(x, state.width), time, out.reshape(n, state.width), stamps)
+        until = chunk.until
+        return Chunk(stamps, out, until - state.delay_ns if NEVER < until < FOREVER else until, chunk.lost)
 
 
 def watch(spec: StreamSpec, *, delay_s: float = 0.0, reset_gap_s: float = 0.0) -> dict[str, Any]:

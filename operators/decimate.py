@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, numeric, regular, rows, watch
+from operators.continuity import Continuity, numeric, regular, rows, watch
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from stream.kernel import kernel
-from stream.operator import Case, grid
+from stream.operator import Case, Operator, grid
 from stream.params import param
 
 
@@ -32,12 +32,12 @@ class DecimateState(Continuity):
 
 
 @dataclass(frozen=True, slots=True)
-class Decimate(Filter[DecimateState]):
+class Decimate(Operator[DecimateState]):
     """Every `every`-th sample, unchanged, beginning with the first. No delay.
 
     There is no filter in it: what lies above half of the new rate folds down, so a low-pass must come before it (or use Resample). In a
     gap the lost samples are counted by time, so that what is kept stays on its grid; a gap above the limit begins a new grid. Bad samples
-    are kept like others, infinity as NaN.
+    are kept like others, infinity as NaN. While samples flow, `until` is told with every kept sample only.
     """
 
     every: int = param(least=1, help="one sample in so many is kept")
@@ -49,29 +49,38 @@ class Decimate(Filter[DecimateState]):
         self.hold(DecimateState(**watch(specs["in"], reset_gap_s=self.reset_gap_s), skip=0))
         return {"out": spec.derive(rate_hz=rate_hz / self.every)}
 
-    def process(self, port: str, chunk: Chunk) -> Chunk:
+    def process(self, port: str, chunk: Chunk) -> Chunk | None:
         state = self.state
-        n = len(chunk.time)
+        time = chunk.time
+        n = len(time)
         lost = 0
-        if n:
-            if chunk.lost:
-                lost = -1
-                state.skip = 0 if state.breaks(chunk) else (state.skip - state.missing(chunk)) % self.every
-            state.last = chunk.time[-1]
+        if chunk.lost:
+            lost = -1
+            state.skip = 0 if state.breaks(chunk) else (state.skip - state.missing(chunk)) % self.every
         first = state.skip
         if first >= n:
             state.skip = first - n
-            data = chunk.data[:0] if state.plain else np.empty((0, *chunk.data.shape[1:]))
-            return Chunk(chunk.time[:0], data, chunk.until, lost)
-        state.skip = (first - n) % self.every
+            if not n or lost:
+                return self._nothing(chunk, lost)
+            state.last = time[-1]
+            return None
+        state.last = time[-1]
         m = 1 + (n - first - 1) // self.every
-        out: Samples = np.empty((m, *chunk.data.shape[1:]))
-        stamps = np.empty(m, np.int64)
-        x, flat = chunk.data, out
+        state.skip = first + m * self.every - n
+        x = chunk.data
+        made: Samples = np.empty((m, *x.shape[1:]))
+        out = made
         if not state.plain:
-            x, flat = rows(x, state.width), out.reshape(m, state.width)
-        thin_out(x, first, self.every, chunk.time, flat, stamps)
-        return Chunk(stamps, out, chunk.until, lost)
+            x, out = rows(x, state.width), made.reshape(m, state.width)
+        stamps = np.empty(m, np.int64)
+        thin_out(x, first, self.every, time, out, stamps)
+        return Chunk(stamps, made, chunk.until, lost)
+
+    def _nothing(self, chunk: Chunk, lost: int) -> Chunk:
+        """Nothing is kept of this chunk. Told only where no sample is soon to be kept that tells it, or something is lost."""
+        if len(chunk.time):
+            self.state.last = int(chunk.time[-1])
+        return Chunk(np.empty(0, np.int64), np.empty((0, *chunk.data.shape[1:])), chunk.until, lost)
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

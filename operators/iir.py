@@ -18,8 +18,8 @@ from typing import Literal
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, back, nothing, numeric, regular, rows, watch
-from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
+from operators.continuity import Continuity, Filter, nothing, numeric, regular, rows, watch
+from stream.chunk import FOREVER, NEVER, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
 from stream.kernel import kernel
 from stream.operator import Case, grid
@@ -137,7 +137,8 @@ class Sections(Filter[SectionsState]):
     def process(self, port: str, chunk: Chunk) -> Chunk:
         state = self.state
         time = chunk.time
-        if not len(time):
+        n = len(time)
+        if not n:
             return nothing(chunk, state)
         if chunk.lost and state.breaks(chunk):
             self.rest()
@@ -146,15 +147,17 @@ class Sections(Filter[SectionsState]):
         made: Samples = np.empty(x.shape)
         out = made
         if not state.plain:
-            x, out = rows(x, state.width), made.reshape(len(x), state.width)
+            x, out = rows(x, state.width), made.reshape(n, state.width)
         if state.unprimed:
             state.unprimed = prime(x, state.steady, state.waiting, state.z)
-        if not state.delay_ns:
+        delay_ns = state.delay_ns
+        if not delay_ns:
             sections(x, state.sos, state.z, out)
             return Chunk(time, made, chunk.until, chunk.lost)
-        stamps = np.empty(len(time), np.int64)
-        late_sections(x, state.sos, state.z, out, time, state.delay_ns, stamps)
-        return Chunk(stamps, made, back(chunk.until, state.delay_ns), chunk.lost)
+        stamps = np.empty(n, np.int64)
+        late_sections(x, state.sos, state.z, out, time, delay_ns, stamps)
+        until = chunk.until
+        return Chunk(stamps, made, until - delay_ns if NEVER < until < FOREVER else until, chunk.lost)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, nothing, numeric, rows, watch
+from operators.continuity import Continuity, Filter, numeric, rows, watch
 from stream.chunk import Chunk, Samples, Specs, StreamSpec
 from stream.kernel import kernel
 from stream.operator import Case, grid
@@ -33,11 +33,9 @@ class Rectify(Filter[Continuity]):
         return {"out": out}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
-        state = self.state
-        if not len(chunk.time):
-            return nothing(chunk, state)
         x = chunk.data
         out = np.empty(x.shape)
+        state = self.state
         if state.plain:
             magnitudes(x, out)
         else:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, nothing, numeric, rows, watch
+from operators.continuity import Continuity, Filter, numeric, rows, watch
 from stream.chunk import Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.kernel import kernel
@@ -63,8 +63,6 @@ class Scale(Filter[ScaleState]):
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
         state = self.state
-        if not len(chunk.time):
-            return nothing(chunk, state)
         x = chunk.data
         out = np.empty(x.shape)
         if state.plain:
