@@ -52,6 +52,7 @@ class Align(Operator[AlignState]):
 
     inputs: ClassVar[tuple[str, ...]] = ()
     variadic: ClassVar[bool] = True
+    in_turn: ClassVar[bool] = False
     rate_hz: float | None = param(None, above=0.0, help="rate of a common grid; left out: the first input's stamps")
     method: Literal["linear", "hold", "nearest"] = param("linear", help="how a value between samples is found")
     max_distance_s: float | None = param(

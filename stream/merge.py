@@ -17,10 +17,23 @@ class Merge:
     first. A piece's `until` holds for all ports at once: whatever comes later, on any port, is later than that.
     """
 
-    __slots__ = ("_empty", "_index", "_lost", "_next", "_pending", "_ports", "_stamps", "_start", "_told", "_until")
+    __slots__ = (
+        "_empty",
+        "_in_turn",
+        "_index",
+        "_lost",
+        "_next",
+        "_pending",
+        "_ports",
+        "_stamps",
+        "_start",
+        "_told",
+        "_until",
+    )
 
-    def __init__(self, specs: Specs) -> None:
-        """`specs` by port, in port order."""
+    def __init__(self, specs: Specs, *, in_turn: bool = True) -> None:
+        """`specs` by port, in port order. With `in_turn` off, pieces are not cut where another port's samples are due: see `Operator`."""
+        self._in_turn = in_turn
         self._ports = list(specs)
         self._index = {port: i for i, port in enumerate(specs)}
         self._empty = [empty(spec, NEVER) for spec in specs.values()]
@@ -72,7 +85,8 @@ class Merge:
             if time <= frontier and j != first:
                 if time <= told:
                     told = time - 1
-                limit = min(limit, time if j > first else time - 1)
+                if self._in_turn:
+                    limit = min(limit, time if j > first else time - 1)
         queue = self._pending[first]
         chunk, start, stamps = queue[0], self._start[first], self._stamps[first]
         size = len(chunk.time)

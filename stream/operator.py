@@ -35,6 +35,9 @@ class Operator(Generic[S]):
     optional   those inputs that a graph may leave unconnected
     variadic   any number of inputs (at least one), named after what they are connected to; `inputs` is then empty
     outputs    names of the output ports; the first is meant where a graph names none
+    in_turn    whether samples of several inputs come strictly in global time order, cut wherever another input's is due. Off, for operators
+               that wait for `until` in any case (joins): each input's own order, and far fewer pieces. Either way a piece's `until` holds
+               for all inputs at once
     departures rules of the laws (RULES in stream/trial/broken.py) that do not hold here on purpose, each with the reason, for the docs
     """
 
@@ -43,6 +46,7 @@ class Operator(Generic[S]):
     optional: ClassVar[tuple[str, ...]] = ()
     variadic: ClassVar[bool] = False
     outputs: ClassVar[tuple[str, ...]] = ("out",)
+    in_turn: ClassVar[bool] = True
     departures: ClassVar[dict[str, str]] = {}
 
     state: S

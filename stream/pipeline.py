@@ -47,7 +47,10 @@ class Wire:
         self.samples += len(chunk.time)
         if not chunk.data.flags.carray:
             chunk = Chunk(
-                np.ascontiguousarray(chunk.time), np.require(chunk.data, requirements=["C", "A", "W"]), chunk.until, chunk.lost
+                np.ascontiguousarray(chunk.time),
+                np.require(chunk.data, requirements=["C", "A", "W"]),
+                chunk.until,
+                chunk.lost,
             )
         for tap in self.taps:
             tap(chunk)
@@ -82,7 +85,7 @@ class Stage:
         self.operator: Operator[Any] = node.part.fresh()
         specs = graph.input_specs(node)
         self.wires = {name: Wire(Edge(node.name, name), spec) for name, spec in self.operator.open(specs).items()}
-        self.merge = Merge(specs) if len(specs) > 1 else None
+        self.merge = Merge(specs, in_turn=self.operator.in_turn) if len(specs) > 1 else None
         self.timing = Timing()
         self.muted = False
         self.failed = ""

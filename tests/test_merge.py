@@ -68,16 +68,35 @@ def in_order(samples: dict[str, list[tuple[int, int]]]) -> list[Row]:
 @given(data=st.data())
 def test_any_interleaving_and_cutting_gives_one_order(data: st.DataObject) -> None:
     samples = data.draw(streams())
-    merge = Merge({port: SPEC for port in samples})
+    merge = Merge(dict.fromkeys(samples, SPEC))
     pieces = [piece for port, chunk in data.draw(deliveries(samples)) for piece in merge.push(port, chunk)]
     assert rows_of(pieces) == in_order(samples)
     assert merge.held == 0
 
 
 @given(data=st.data())
-def test_until_is_true_of_all_ports_and_never_falls(data: st.DataObject) -> None:
+def test_out_of_turn_each_port_keeps_its_own_order(data: st.DataObject) -> None:
     samples = data.draw(streams())
-    merge = Merge({port: SPEC for port in samples})
+    merge = Merge(dict.fromkeys(samples, SPEC), in_turn=False)
+    order = data.draw(deliveries(samples))
+    rows = rows_of([piece for port, chunk in order for piece in merge.push(port, chunk)])
+    for port in samples:
+        assert [r for r in rows if r[0] == port] == [r for r in in_order(samples) if r[0] == port]
+
+
+def test_out_of_turn_a_chunk_stays_whole() -> None:
+    """Two streams of one rate: in turn every sample would be a piece of its own."""
+    merge = Merge({"a": SPEC, "b": SPEC}, in_turn=False)
+    time = np.arange(10)
+    merge.push("a", Chunk(time, np.zeros((10, 1)), 9))
+    pieces = [(port, len(piece), piece.until) for port, piece in merge.push("b", Chunk(time, np.zeros((10, 1)), 9))]
+    assert pieces == [("a", 10, -1), ("b", 10, 9), ("a", 0, 9)]
+
+
+@given(data=st.data(), in_turn=st.booleans())
+def test_until_is_true_of_all_ports_and_never_falls(data: st.DataObject, in_turn: bool) -> None:
+    samples = data.draw(streams())
+    merge = Merge(dict.fromkeys(samples, SPEC), in_turn=in_turn)
     told = dict.fromkeys(samples, NEVER)
     for port, chunk in data.draw(deliveries(samples)):
         for name, piece in merge.push(port, chunk):
@@ -92,7 +111,7 @@ def test_until_is_true_of_all_ports_and_never_falls(data: st.DataObject) -> None
 @given(data=st.data())
 def test_nothing_is_held_that_is_certain(data: st.DataObject) -> None:
     samples = data.draw(streams())
-    merge = Merge({port: SPEC for port in samples})
+    merge = Merge(dict.fromkeys(samples, SPEC))
     until, out = dict.fromkeys(samples, NEVER), 0
     seen: list[int] = []
     for port, chunk in data.draw(deliveries(samples)):
@@ -106,11 +125,11 @@ def test_nothing_is_held_that_is_certain(data: st.DataObject) -> None:
 def test_a_restored_merge_goes_on_as_if_nothing_had_happened(data: st.DataObject) -> None:
     samples = data.draw(streams())
     order = data.draw(deliveries(samples))
-    merge = other = Merge({port: SPEC for port in samples})
+    merge = other = Merge(dict.fromkeys(samples, SPEC))
     at = data.draw(st.integers(0, len(order)))
     for k, (port, chunk) in enumerate(order):
         if k == at:
-            other = Merge({port: SPEC for port in samples})
+            other = Merge(dict.fromkeys(samples, SPEC))
             other.restore({name: array.copy() for name, array in merge.snapshot().items()})
             assert other.held == merge.held
         one, two = merge.push(port, chunk), other.push(port, chunk) if k >= at else []

@@ -55,7 +55,7 @@ class Player:
         self._fresh, self._jitter_ns, self._excused = case.operator, jitter_ns, excused
         self.specs: Specs = {port: spec for port, (spec, _, _) in case.inputs.items()}
         self.operator, outputs = self._open()
-        self.merge = Merge(self.specs) if len(self.specs) > 1 else None
+        self.merge = Merge(self.specs, in_turn=self.operator.in_turn) if len(self.specs) > 1 else None
         self.outputs = {name: Output(spec) for name, spec in outputs.items()}
         self.newest = self.reached = NEVER
         self._singly = False
@@ -119,7 +119,7 @@ class Player:
         self.operator = operator
         if self.merge:
             held = self.merge.snapshot()
-            self.merge = Merge(self.specs)
+            self.merge = Merge(self.specs, in_turn=operator.in_turn)
             self.merge.restore(through_file(held) if by_file else held)
 
     def _snapshot(self) -> dict[str, Array]:
