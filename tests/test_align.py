@@ -64,11 +64,11 @@ def joined(operator, streams, specs):
     return np.array(stamps), np.array(rows)
 
 
-def run(operator, streams, specs, seed=None, lost=None):
+def run(operator, streams, specs, seed=None, lost=None, *, in_turn=False):
     """(output's spec, stamps, rows, {row: lost}), with the streams cut and interleaved at random, merged as the engine does it."""
     operator = operator.fresh()
     made = operator.open(specs)["out"]
-    merge = Merge(specs) if len(specs) > 1 else None
+    merge = Merge(specs, in_turn=in_turn) if len(specs) > 1 else None
     rng = np.random.default_rng(seed)
     waiting = {port: pieces(rng, port, *stream, lost or {}) for port, stream in streams.items()}
     emitted = []
@@ -127,10 +127,11 @@ def three(seed):
 @pytest.mark.parametrize("rate_hz", [None, 64.0])
 @pytest.mark.parametrize("method", ["linear", "hold", "nearest"])
 @pytest.mark.parametrize("seed", range(3))
-def test_rows_are_those_of_a_plain_reference(rate_hz, method, seed):
+@pytest.mark.parametrize("in_turn", [False, True])
+def test_rows_are_those_of_a_plain_reference(rate_hz, method, seed, in_turn):
     streams, specs = three(seed)
     operator = Align(rate_hz=rate_hz, method=method, max_distance_s=0.03)
-    made, stamps, rows, _ = run(operator, streams, specs, seed)
+    made, stamps, rows, _ = run(operator, streams, specs, seed, in_turn=in_turn)
     expected_stamps, expected = joined(operator, streams, specs)
     assert np.array_equal(stamps, expected_stamps)
     assert np.array_equal(rows, expected, equal_nan=True)
