@@ -44,7 +44,7 @@ class Intake:
         """The chunk as it may enter: without late samples, its `until` never going back; None if it says nothing new."""
         self.last = time.monotonic()
         self.silent = self.stale = False
-        if len(chunk.time) and chunk.time[0] <= self.promised:
+        if len(chunk.time) and chunk.time.item(0) <= self.promised:
             chunk = self._without_late(chunk, report)
         if chunk.until <= self.promised:
             if not len(chunk.time) and not chunk.lost:

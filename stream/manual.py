@@ -14,7 +14,9 @@ from stream.params import param
 from stream.source import Feed, Source
 
 HEARTBEAT_S = 0.05
-"""How often a manual source says that nothing was typed."""
+"""How often a value says that it was not changed: so long does an operator that reads it wait for it."""
+QUIET_S = 0.25
+"""How often the annotations say that nothing was typed: hardly anyone waits for them."""
 
 ANNOTATION = np.dtype([("onset", "<i8"), ("text", "U64")])
 
@@ -36,7 +38,7 @@ class Annotations(Source):
         spec = self.specs()["out"]
         feed.ready()
         while not feed.stopped:
-            word = feed.hear(HEARTBEAT_S)
+            word = feed.hear(QUIET_S)
             now = feed.now()
             if word is None:
                 feed.emit(empty(spec, now))

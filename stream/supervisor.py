@@ -33,6 +33,9 @@ Report = Callable[..., None]
 log = structlog.get_logger(__name__)
 
 
+STAMP = np.dtype(np.int64)
+
+
 class _StopReadingError(Exception):
     """Raised by `emit` in the thread of a source that has been given up."""
 
@@ -51,6 +54,7 @@ class _Feed:
 
     def stop(self) -> None:
         self._stop.set()
+        self._runner.mailbox.put(None)  # whoever waits for a word wakes
 
     def now(self) -> int:
         return self._runner.clock.now()
@@ -73,11 +77,11 @@ class _Feed:
     def emit(self, chunk: Chunk, output: str = "out") -> None:
         if self._stop.is_set():
             raise _StopReadingError
-        chunk = self._runner.normal(chunk, output)
+        runner = self._runner
+        chunk = runner.normal(chunk, output)
         if self._unmarked and len(chunk.time) and output in self._unmarked:
             self._unmarked.discard(output)
             chunk.lost = chunk.lost or -1
-        runner = self._runner
         runner.came_alive()
         runner.channels[output].put(chunk, runner.clock.now())
 
@@ -102,7 +106,7 @@ class Runner:
             output: Channel(str(Edge(node.name, output)), bell, options.queue, options.policy or "block")
             for output in node.specs
         }
-        self.mailbox: SimpleQueue[str] = SimpleQueue()
+        self.mailbox: SimpleQueue[str | None] = SimpleQueue()
         self.problems: Counter[str] = Counter()
         self.state: State = "starting"
         self.ready = False
@@ -168,15 +172,20 @@ class Runner:
     def normal(self, chunk: Chunk, output: str) -> Chunk:
         """The chunk as operators expect it: declared shape and dtype, contiguous, writable, times not decreasing."""
         spec = self.node.specs[output]
-        times = np.require(chunk.time, np.int64, ["C", "A", "W"])
-        data = np.require(chunk.data, spec.dtype, ["C", "A", "W"])
-        if data.shape != (len(times), *spec.shape):
+        times, data, until = chunk.time, chunk.data, chunk.until
+        if not (isinstance(times, np.ndarray) and times.dtype is STAMP and times.flags.carray):
+            times = np.require(times, STAMP, ["C", "A", "W"])
+        if not (isinstance(data, np.ndarray) and data.dtype == spec.dtype and data.flags.carray):
+            data = np.require(data, spec.dtype, ["C", "A", "W"])
+        n = len(times)
+        if len(data) != n or data.shape[1:] != spec.shape:
             raise DeviceError(
                 f"source {self.node.name!r} gave samples of shape {data.shape[1:]}; its spec says {spec.shape}"
             )
-        if len(times) > 1 and (times[1:] < times[:-1]).any():
-            times, data = self._in_order(times, data)
-        until = max(chunk.until, int(times[-1])) if len(times) else chunk.until
+        if n:
+            if n > 1 and 1 in (times[1:] < times[:-1]).tobytes():  # a third of what any() costs
+                times, data = self._in_order(times, data)
+            until = max(until, times.item(-1))
         return Chunk(times, data, until, chunk.lost)
 
     def _in_order(self, times: Any, data: Any) -> tuple[Any, Any]:
