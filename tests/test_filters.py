@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from emg_run import treadmill
 from one_stream import RATE, noise, run, same, signal_spec
 from scipy import signal
 
 from operators.iir import Bandpass, Highpass, Lowpass, Notch
 from operators.rectify import Rectify
+from operators.resample import Resample
 from operators.scale import Scale
 from stream.chunk import StreamSpec
 from stream.errors import InputError, ParameterError
@@ -166,3 +168,22 @@ def test_frequencies_above_nyquist_are_refused(operator, message):
 def test_sections_refuse_an_irregular_stream():
     with pytest.raises(InputError, match="irregular; it must be regular"):
         Lowpass(cutoff_hz=10.0).open({"in": signal_spec(2, None)})
+
+
+# A real recording
+
+
+def test_a_real_recording_is_filtered_as_scipy_filters_it():
+    """Thirteen muscles on a treadmill: band-pass, rectify, resample to 120 Hz, low-pass (thesis 6.2.3), against scipy on the whole."""
+    spec, time, emg = treadmill()["emg"]
+    cuts = range(0, len(emg), 37)
+    band = signal.sosfilt(signal.butter(4, (20.0, 450.0), "bandpass", fs=1000.0, output="sos"), emg, axis=0)
+    _, stamps, made, _ = run(Bandpass(low_hz=20.0, high_hz=450.0), emg, spec=spec, time=time, cuts=cuts)
+    assert np.array_equal(made, band)
+    _, _, made, _ = run(Rectify(), made, spec=spec, time=stamps, cuts=cuts)
+    slow, slow_stamps, made, _ = run(Resample(rate_hz=120.0), made, spec=spec, time=stamps, cuts=cuts)
+    reference = signal.resample_poly(np.abs(band), 3, 25, axis=0)[: len(made)]
+    np.testing.assert_allclose(made, reference, rtol=0, atol=1e-12 * np.abs(band).max())
+    _, _, made, _ = run(Lowpass(cutoff_hz=20.0), made, spec=slow, time=slow_stamps, cuts=range(0, len(made), 5))
+    sos = signal.butter(4, 20.0, fs=120.0, output="sos")
+    np.testing.assert_allclose(made, signal.sosfilt(sos, reference, axis=0), rtol=0, atol=1e-12 * np.abs(band).max())
