@@ -1,0 +1,88 @@
+"""Packets with a small counter and no time of their own: which are missing, and when each was made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.device_clock import ClockState, DeviceClock
+from stream.chunk import NS, Array, Times
+
+Flags = NDArray[np.bool_]
+
+EARLY_NS = 50_000_000
+"""A packet that claims to be made so much later than it arrived does not count on from those before it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Packets:
+    """The packets of one read. Repeated ones are left out: `kept` (n,) says of all which stand here, the rest has (m,) entries.
+
+    number    running number of each packet; the first one ever has its own counter's
+    lost      how many are missing just before each; -1: the counter has begun anew, and nobody knows
+    device    the device's time by that number (ns)
+    stamp     session time (ns), increasing
+    """
+
+    kept: Flags
+    number: Times
+    lost: Times
+    device: Times
+    stamp: Times
+
+
+class PacketClock:
+    """Unwraps the counter of a device that sends `rate_hz` packets a second, and maps it onto session time.
+
+    In one read packets follow each other without a whole turn of the counter missing. Between two reads the number of turns is chosen by
+    the time that has passed, the packets still to come in the read taken off; so read all that is there at once after a silence.
+    """
+
+    def __init__(self, bits: int, rate_hz: float, latency_s: float = 0.0) -> None:
+        self._range, self._rate, self._period = 1 << bits, rate_hz, NS / rate_hz
+        self._clock = DeviceClock(latency_s)
+        self._counter = self._number = -1
+        self._arrival = 0
+
+    @property
+    def state(self) -> ClockState:
+        """What is known of the device's clock."""
+        return self._clock.state
+
+    def take(self, counters: Array, arrival_ns: int) -> Packets:
+        """Packets with these counters (n,), n > 0, have arrived now."""
+        counters = counters.astype(np.int64)
+        steps = np.empty(len(counters), np.int64)
+        steps[1:] = (counters[1:] - counters[:-1]) % self._range
+        steps[0] = self._first_step(int(counters[0]), arrival_ns, int(steps[1:].sum()))
+        kept = steps != 0
+        number = (self._number if self._counter >= 0 else int(counters[0]) - 1) + np.cumsum(steps)[kept]
+        lost = steps[kept] - 1
+        if len(number):
+            excess = self._excess(int(number[-1]), arrival_ns)
+            if excess:
+                number -= excess
+                lost[0] = -1
+            self._number, self._counter, self._arrival = int(number[-1]), int(counters[-1]), arrival_ns
+            self._clock.see(round(self._number * self._period), arrival_ns)
+        device = np.round(number * self._period).astype(np.int64)
+        return Packets(kept, number, lost, device, self._clock.stamps(device))
+
+    def _first_step(self, counter: int, arrival_ns: int, following: int) -> int:
+        """How far a read's first packet is from the last one before it; 0: it is that one again."""
+        if self._counter < 0:
+            return 1
+        step = (counter - self._counter) % self._range
+        elapsed = (arrival_ns - self._arrival) / self._period - following
+        turns = max(0, round((elapsed - step) / self._range))
+        return step + turns * self._range
+
+    def _excess(self, number: int, arrival_ns: int) -> int:
+        """By how much a number is too high for its arrival; 0 if it can be."""
+        state = self._clock.state
+        if not state.seconds:
+            return 0
+        early = number * self._period + state.offset_s * NS - arrival_ns
+        return round(early / self._period) if early > EARLY_NS else 0

@@ -1,0 +1,176 @@
+"""OpenBCI Cyton and Daisy: 33-byte packets to counts, and commands as bytes. No port, no clock.
+
+A packet is A0, a counter (8 bits), eight 24-bit counts (big-endian, two's complement), six auxiliary bytes, and C0..C6, which says what
+those are (C0: accelerometer). There is no checksum: what stands at the right places is believed if it follows a packet directly, if
+another begins directly behind it, or if its counter is the next one.
+
+Source: docs.openbci.com, "Cyton Data Format" and "Cyton Board SDK"; BrainFlow's drivers agree (tests/peers).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stream.chunk import Array, Samples
+from stream.params import param
+
+SIZE = 33
+CHANNELS = 8
+ACCELEROMETER = 0xC0
+REFERENCE_V = 4.5
+FULL_SCALE = 2**23 - 1
+G_PER_COUNT = 0.002 / 16
+GAINS = (1, 2, 4, 6, 8, 12, 24)
+INPUTS = ("normal", "shorted", "bias_measured", "supply", "temperature", "test", "bias_positive", "bias_negative")
+
+SOFT_RESET, START, STOP, DEFAULTS = b"v", b"b", b"s", b"d"
+ONLY_BOARD, WITH_DAISY = b"c", b"C"
+ENDING = b"$$$"
+"""What every answer ends with."""
+
+_NAMES = "12345678QWERTYUI"
+_OFF, _ON = "12345678qwertyui", "!@#$%^&*QWERTYUI"
+_FRAME = rb"\xA0.{31}[\xC0-\xC6]"
+_RUN = re.compile(rb"(?:" + _FRAME + rb")+", re.DOTALL)
+_ONE = re.compile(_FRAME, re.DOTALL)
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelSetting:
+    """One channel's amplifier. What is not given is as the board's default: gain 24, normal input, with bias and SRB2.
+
+    For EMG from an electrode pair on the channel's own two pins, `srb2: false` measures between them.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+
+    channel: int = param(least=1, most=16, help="1 to 8 on the board, 9 to 16 on the Daisy")
+    gain: Literal[1, 2, 4, 6, 8, 12, 24] = param(
+        24, help="amplification; the range is 4.5 V divided by it, on both sides of 0"
+    )
+    input: Literal[
+        "normal", "shorted", "bias_measured", "supply", "temperature", "test", "bias_positive", "bias_negative"
+    ] = param("normal", help="what the channel measures")
+    bias: bool = param(True, help="whether it takes part in the bias drive")
+    srb2: bool = param(True, help="whether the common reference SRB2 is its negative side")
+    srb1: bool = param(False, help="whether SRB1 is the negative side of all channels")
+    power: bool = param(True, help="false: switched off, and 0 uV")
+
+    @property
+    def command(self) -> bytes:
+        """What sets it: x, channel, power down, gain, input, bias, SRB2, SRB1, X."""
+        numbers = (not self.power, GAINS.index(self.gain), INPUTS.index(self.input), self.bias, self.srb2, self.srb1)
+        return f"x{_NAMES[self.channel - 1]}{''.join(str(int(n)) for n in numbers)}X".encode()
+
+
+def switch(channel: int, on: bool) -> bytes:
+    """The command that switches a channel (from 1) on or off and leaves its settings."""
+    return (_ON if on else _OFF)[channel - 1].encode()
+
+
+def uv_per_count(gain: float) -> float:
+    """Microvolts per count of a channel at this gain."""
+    return REFERENCE_V / gain / FULL_SCALE * 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """The packets found.
+
+    counter   (n,) uint8
+    counts    (n, 8) float64, whole numbers
+    aux       (n, 6) uint8
+    kind      (n,) uint8: the footer
+    dropped   how many bytes belonged to no packet
+    resyncs   how often the beginning of the next packet had to be looked for
+    """
+
+    counter: NDArray[np.uint8]
+    counts: Samples
+    aux: NDArray[np.uint8]
+    kind: NDArray[np.uint8]
+    dropped: int
+    resyncs: int
+
+    def __len__(self) -> int:
+        return len(self.counter)
+
+
+class Decoder:
+    """Feed it bytes as they come, cut anywhere; it never waits and never raises."""
+
+    def __init__(self) -> None:
+        self._buffer = b""
+        self._following = False
+        """Whether what stands at the head of the buffer follows a packet directly."""
+        self._counter = -1
+
+    def feed(self, data: bytes) -> Frames:
+        buffer = self._buffer + data if self._buffer else data
+        pieces: list[bytes] = []
+        at = dropped = resyncs = 0
+        while len(buffer) - at >= SIZE:
+            run = _RUN.match(buffer, at) if self._following else None
+            if run:
+                pieces.append(run.group())
+                at = run.end()
+                self._counter = buffer[at - SIZE + 1]
+                continue
+            if self._following:
+                resyncs += 1
+                self._following = False
+            start, found = self._seek(buffer, at)
+            dropped += start - at
+            at = start
+            if not found:
+                break
+        self._buffer = buffer[at:]
+        return _frames(b"".join(pieces), dropped, resyncs)
+
+    def _seek(self, buffer: bytes, at: int) -> tuple[int, bool]:
+        """Where the next packet begins, if there is one to be believed, else where to look again when more has come."""
+        while True:
+            one = _ONE.search(buffer, at)
+            if one is None:
+                return _tail(buffer, at), False
+            start, end = one.span()
+            if (buffer[start + 1] - self._counter) % 256 != 1 or self._counter < 0:
+                if end == len(buffer):
+                    return start, False
+                if buffer[end] != 0xA0:
+                    at = start + 1
+                    continue
+            self._following = True
+            return start, True
+
+
+def _tail(buffer: bytes, at: int) -> int:
+    """The first place at which a packet may have begun that has not come as a whole."""
+    found = buffer.find(b"\xa0", max(at, len(buffer) - SIZE + 1))
+    return found if found >= 0 else len(buffer)
+
+
+def _frames(data: bytes, dropped: int, resyncs: int) -> Frames:
+    table = np.frombuffer(data, np.uint8).reshape(-1, SIZE)
+    wide = np.zeros((len(table), CHANNELS, 4), np.uint8)
+    wide[:, :, :3] = table[:, 2:26].reshape(-1, CHANNELS, 3)
+    counts = (wide.view(">i4")[:, :, 0] >> 8).astype(np.float64)
+    return Frames(table[:, 1], counts, table[:, 26:32], table[:, 32], dropped, resyncs)
+
+
+def acceleration(frames: Frames) -> tuple[Array, Samples]:
+    """Which packets (indices, (k,)) brought a new acceleration, and these (k, 3) in g: about each tenth, zeros stand in the others."""
+    new = np.flatnonzero((frames.kind == ACCELEROMETER) & frames.aux.any(axis=1))
+    counts = np.ascontiguousarray(frames.aux[new]).view(">i2")
+    return new, counts.astype(np.float64) * G_PER_COUNT
+
+
+def packet(counter: int, counts: Array, aux: bytes = bytes(6), kind: int = ACCELEROMETER) -> bytes:
+    """What the board sends: counts (8,), whole numbers of at most 24 bits; for simulators and tests."""
+    wide = np.asarray(counts).astype(">i4").view(np.uint8).reshape(CHANNELS, 4)
+    return bytes([0xA0, counter % 256]) + wide[:, 1:].tobytes() + aux + bytes([kind])
