@@ -80,14 +80,14 @@ class Filter(Operator[C]):
             self.rest()
         state.last = time[-1]
         x = chunk.data
-        out: Samples = np.empty(x.shape)
+        out: Samples = np.empty((n, state.width))
+        made = out
+        if not state.plain:
+            x, made = rows(x, state.width), out.reshape(x.shape)
         stamps = np.empty(n, np.int64)
-        if state.plain:
-            self.work(x, time, out, stamps)
-        else:
-            self.work(rows(x, state.width), time, out.reshape(n, state.width), stamps)
+        self.work(x, time, out, stamps)
         until = chunk.until
-        return Chunk(stamps, out, until - state.delay_ns if NEVER < until < FOREVER else until, chunk.lost)
+        return Chunk(stamps, made, until - state.delay_ns if NEVER < until < FOREVER else until, chunk.lost)
 
 
 def watch(spec: StreamSpec, *, delay_s: float = 0.0, reset_gap_s: float = 0.0) -> dict[str, Any]:

@@ -68,10 +68,10 @@ class Decimate(Operator[DecimateState]):
         m = 1 + (n - first - 1) // self.every
         state.skip = first + m * self.every - n
         x = chunk.data
-        made: Samples = np.empty((m, *x.shape[1:]))
-        out = made
+        out: Samples = np.empty((m, state.width))
+        made = out
         if not state.plain:
-            x, out = rows(x, state.width), made.reshape(m, state.width)
+            x, made = rows(x, state.width), out.reshape((m, *x.shape[1:]))
         stamps = np.empty(m, np.int64)
         thin_out(x, first, self.every, time, out, stamps)
         return Chunk(stamps, made, chunk.until, lost)

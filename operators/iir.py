@@ -144,10 +144,10 @@ class Sections(Filter[SectionsState]):
             self.rest()
         state.last = time[-1]
         x = chunk.data
-        made: Samples = np.empty(x.shape)
-        out = made
+        out: Samples = np.empty((n, state.width))
+        made = out
         if not state.plain:
-            x, out = rows(x, state.width), made.reshape(n, state.width)
+            x, made = rows(x, state.width), out.reshape(x.shape)
         if state.unprimed:
             state.unprimed = prime(x, state.steady, state.waiting, state.z)
         delay_ns = state.delay_ns
