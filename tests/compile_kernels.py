@@ -12,8 +12,8 @@ import time
 from typing import Any
 
 import operators
+from stream.engine.warmup import _run_cases
 from stream.operator import Operator
-from stream.warmup import _run_cases
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from operators.emg import Envelope
 from stream.chunk import FOREVER, NS, Chunk, StreamSpec
-from stream.merge import Merge
+from stream.engine.merge import Merge
 
 CONTACT = np.dtype([("onset", "<i8")])
 
@@ -40,7 +40,7 @@ def drive(operator, inputs, size=None, end=True):
     for port, chunk in pieces:
         for name, piece in merge.push(port, chunk) if len(specs) > 1 else [(port, chunk)]:
             emitted = operator.process(name, piece)
-            for output, out in [(next(iter(outputs)), emitted)] if isinstance(emitted, Chunk) else emitted:
+            for output, out in [(next(iter(outputs)), emitted)] if isinstance(emitted, Chunk) else emitted or ():
                 found[output][0].append(out.time)
                 found[output][1].append(out.data)
     return {name: (outputs[name], np.concatenate(time), np.concatenate(data)) for name, (time, data) in found.items()}

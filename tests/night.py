@@ -8,9 +8,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from stream.checkpoint import Checkpoint
-from stream.load import load
-from stream.session import Session
+from stream.engine.checkpoint import Checkpoint
+from stream.engine.session import Session
+from stream.graph.load import load
 
 
 def slow_checkpoints() -> None:

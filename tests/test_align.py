@@ -9,8 +9,8 @@ import pytest
 
 from operators.align import Align
 from stream.chunk import FOREVER, Chunk, StreamSpec
+from stream.engine.merge import Merge
 from stream.errors import InputError, ParameterError
-from stream.merge import Merge
 from stream.operator import grid
 
 MS = 1_000_000

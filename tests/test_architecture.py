@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from stream.parts import catalogue
+from stream.graph.parts import catalogue
 from stream.source import Source
 
 ROOT = Path(__file__).resolve().parent.parent

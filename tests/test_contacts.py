@@ -18,11 +18,11 @@ from operators.contact_marker import MarkerContacts, walker
 from operators.contacts import Contacts
 from operators.cycles import Cycles
 from stream.chunk import FOREVER, NS, Array, Chunk, Specs, StreamSpec
+from stream.engine.merge import Merge
 from stream.errors import InputError, ParameterError
-from stream.merge import Merge
+from stream.graph.parts import catalogue
 from stream.operator import grid
 from stream.params import build
-from stream.parts import catalogue
 
 START = 5 * NS
 MARKERS = StreamSpec((2, 3), rate_hz=100.0, channels=("HIP", "ANK"), units=("m",))

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stream.checkpoint import Checkpoint
+from stream.engine.checkpoint import Checkpoint
+from stream.engine.replay import Replay
+from stream.engine.session import Session
 from stream.errors import KinegraphError
-from stream.load import load
+from stream.graph.load import load
 from stream.recording import Recording
-from stream.replay import Replay
-from stream.session import Session
 
 HERE = Path(__file__).parent
 

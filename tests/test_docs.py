@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from stream.graph import NodeOptions, RecordingOptions
-from stream.load import SECTIONS, Settings, load_text
+from stream.graph.load import SECTIONS, Settings, load_text
 
 HOUSE = Path(__file__).resolve().parent.parent
 PAGES = sorted([HOUSE / "README.md", *(HOUSE / "docs").glob("*.md")])

@@ -15,10 +15,10 @@ from stream.commands.check import check
 from stream.commands.draw import Format, draw
 from stream.commands.schema import schema
 from stream.errors import GraphError, KinegraphError
-from stream.load import load_text
-from stream.parts import catalogue
-from stream.schema import graph_schema, unit_of
-from stream.yaml_lines import parse
+from stream.graph.load import load_text
+from stream.graph.parts import catalogue
+from stream.graph.schema import graph_schema, unit_of
+from stream.graph.yaml_lines import parse
 
 CONFIGS = sorted((Path(__file__).parent.parent / "configs").glob("*.yaml"))
 

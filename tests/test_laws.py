@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from stream.graph.parts import catalogue
 from stream.operator import Operator, Outlet
-from stream.parts import catalogue
 from stream.trial import Broken, Trial, trials
 
 EXAMPLES = int(os.environ.get("KINEGRAPH_EXAMPLES", "0")) or 12

@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stream import overrides
 from stream.chunk import StreamSpec
 from stream.errors import GraphError, KinegraphError
-from stream.graph import Edge, Graph
-from stream.load import load, load_text
-from stream.parts import catalogue
+from stream.graph import Edge, Graph, overrides
+from stream.graph.load import load, load_text
+from stream.graph.parts import catalogue
 
 GOOD = """\
 name: walking

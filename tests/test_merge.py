@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stream.chunk import FOREVER, NEVER, Chunk, StreamSpec, empty
-from stream.merge import Merge
+from stream.engine.merge import Merge
 
 SPEC = StreamSpec((1,))
 Row = tuple[str, int, float, int]

@@ -7,8 +7,8 @@ from test_load import nodes
 
 from stream.errors import GraphError
 from stream.graph import Graph
-from stream.load import load_text
-from stream.plan import plan
+from stream.graph.load import load_text
+from stream.graph.plan import plan
 
 TWO_WAYS = """
     slow: {use: graph_parts.Low, from: board, order: 10}

@@ -11,12 +11,12 @@ import parts
 import pytest
 
 from stream.chunk import Chunk
-from stream.drops import Drops
+from stream.engine.drops import Drops
+from stream.engine.replay import Digest, Replay
+from stream.engine.session import Session
 from stream.graph import Graph
-from stream.load import load_text
+from stream.graph.load import load_text
 from stream.recording import Recording
-from stream.replay import Digest, Replay
-from stream.session import Session
 
 HERE = Path(__file__).parent
 

@@ -134,6 +134,11 @@ def test_a_session_without_a_single_cycle_has_a_page() -> None:
 def test_the_sentence_on_quality_names_bad_channels() -> None:
     muscles = [Muscle("TA", "", "good"), Muscle("SO", "", "bad", "flat line"), Muscle("GM", "", "doubtful")]
     assert quality_sentence(muscles) == "1 of 3 channels are good. Look at: SO bad (flat line); GM doubtful."
+    muscles = [
+        Muscle("TA", "", "good", "hum, 1 of 9 windows not good", troubled=1 / 9),
+        Muscle("SO", "", "good", "x", troubled=0.01),
+    ]
+    assert quality_sentence(muscles) == "All 2 channels are good. At times not good: TA (hum, 1 of 9 windows not good)."
     assert "Not judged" in quality_sentence([Muscle("TA")])
 
 

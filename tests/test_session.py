@@ -15,12 +15,12 @@ import parts
 import pytest
 
 from stream.chunk import Chunk, empty
+from stream.engine.pipeline import Pipeline
+from stream.engine.session import Outcome, Session
 from stream.errors import DeviceError, RunError
 from stream.graph import Graph
-from stream.load import load_text
-from stream.pipeline import Pipeline
+from stream.graph.load import load_text
 from stream.recording import Recording
-from stream.session import Outcome, Session
 
 HERE = Path(__file__).parent
 

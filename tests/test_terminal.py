@@ -64,7 +64,7 @@ def test_a_session_without_any_sample_yet() -> None:
 SCRIPT = """
 import sys, time, structlog
 from devices.terminal import LiveView
-from stream import logs
+from stream.commands import logs
 from stream.graph import Graph
 logs.set_up()
 log = structlog.get_logger("test")

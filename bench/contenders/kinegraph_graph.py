@@ -15,12 +15,12 @@ import structlog
 from bench.parts import TRIAL, feed_all
 from bench.work import CUTOFF_HZ, EVERY, ORDER, RATE_HZ, WINDOW, Feed, Sink, Step
 from bench.worker import SESSION, serve
+from stream.engine.pipeline import Pipeline
+from stream.engine.session import Session
+from stream.engine.stalls import calm
 from stream.graph import RecordingOptions
-from stream.load import load_text
-from stream.pipeline import Pipeline
+from stream.graph.load import load_text
 from stream.recording import Recorder
-from stream.session import Session
-from stream.stalls import calm
 
 CHAIN = f"""
   rectify: {{use: operators.rectify.Rectify, from: device}}

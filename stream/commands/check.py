@@ -10,11 +10,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from stream import overrides
-from stream.drawing import shown
-from stream.graph import Edge, Graph, Node
-from stream.load import load
-from stream.plan import Plan, plan, refuse_late
+from stream.graph import Edge, Graph, Node, overrides
+from stream.graph.drawing import shown
+from stream.graph.load import load
+from stream.graph.plan import Plan, plan, refuse_late
 
 
 def check(

@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from stream import drawing, overrides
-from stream.load import load
+from stream.graph import drawing, overrides
+from stream.graph.load import load
 
 
 class Format(StrEnum):

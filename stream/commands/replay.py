@@ -12,8 +12,8 @@ import typer
 from stream.errors import KinegraphError, nearest
 
 if TYPE_CHECKING:
+    from stream.engine.replay import Replayed
     from stream.graph import Graph
-    from stream.replay import Replayed
 
 
 def replay(
@@ -40,11 +40,11 @@ def replay(
 
     The graph gives what it gave live, bit for bit. Outlets (files, networks) stay silent unless asked with --speak.
     """
-    from stream import logs
-    from stream.load import load
-    from stream.overrides import read
+    from stream.commands import logs
+    from stream.engine.replay import Replay
+    from stream.graph.load import load
+    from stream.graph.overrides import read
     from stream.recording import Recording
-    from stream.replay import Replay
 
     logs.set_up()
     source = Recording.open(recording)  # closed when the program ends
@@ -78,7 +78,7 @@ def _with_progress(run: object, total_s: float, quiet: bool) -> Replayed:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from stream.replay import Replay
+    from stream.engine.replay import Replay
 
     assert isinstance(run, Replay)
     columns = (

@@ -18,8 +18,8 @@ from stream.errors import KinegraphError, RecordingError
 from stream.source import Source
 
 if TYPE_CHECKING:
+    from stream.engine.session import Outcome, Session
     from stream.graph import Graph
-    from stream.session import Outcome, Session
 
 
 def run(
@@ -54,10 +54,10 @@ def run(
     Exit codes: 0 well; 2 the graph or an argument is wrong; 3 a device was missing; 4 an operator stopped the graph; 5 an outlet or the
     recording lost something.
     """
-    from stream import logs
-    from stream.load import load
-    from stream.overrides import read
-    from stream.plan import plan
+    from stream.commands import logs
+    from stream.graph.load import load
+    from stream.graph.overrides import read
+    from stream.graph.plan import plan
 
     logs.set_up(json=json_log, verbose=verbose)
     graph = load(config, overrides=read(settings or []))
@@ -76,8 +76,8 @@ def conduct(
     simulate: bool = False,
 ) -> NoReturn:
     """Run a session from start to end, with its view and its console, and exit with its code."""
-    from stream.console import Console
-    from stream.session import Session
+    from stream.commands.console import Console
+    from stream.engine.session import Session
 
     began = time.monotonic()
     with _simulated(graph) if simulate else nullcontext():

@@ -10,8 +10,8 @@ from typing import Annotated
 import typer
 
 from stream.errors import KinegraphError
-from stream.parts import PACKAGES, catalogue, import_from
-from stream.schema import graph_schema
+from stream.graph.parts import PACKAGES, catalogue, import_from
+from stream.graph.schema import graph_schema
 
 
 def schema(

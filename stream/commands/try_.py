@@ -12,8 +12,8 @@ from rich.markup import escape
 from rich.progress import Progress
 
 from stream.errors import KinegraphError
+from stream.graph.parts import find, import_from
 from stream.operator import Operator
-from stream.parts import find, import_from
 from stream.trial import Broken, Choices, Trial, smallest, trials
 
 

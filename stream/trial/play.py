@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from stream.chunk import NEVER, Array, Chunk, Specs, StreamSpec, add_lost, utc
+from stream.engine.merge import Merge
 from stream.errors import KinegraphError
-from stream.merge import Merge
 from stream.operator import Case, Emitted, Operator
 from stream.trial.broken import Broken
 from stream.trial.cut import Delivery

@@ -11,12 +11,12 @@ from time import perf_counter_ns
 from typing import Any
 
 from stream.chunk import FOREVER, NS, Chunk, empty
-from stream.drops import recorded_drops
+from stream.engine.drops import recorded_drops
+from stream.engine.pipeline import Pipeline, Push, Stage
+from stream.engine.warmup import Compilations, warm_up
 from stream.graph import Edge, Graph
-from stream.pipeline import Pipeline, Push, Stage
 from stream.recording import Recorder, Recording, versions
 from stream.recording.joined import joinable, joined
-from stream.warmup import Compilations, warm_up
 
 FOLD_EVERY = 1000
 """Chunks between two foldings of the durations."""

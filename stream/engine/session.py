@@ -15,24 +15,24 @@ from typing import Protocol
 
 import structlog
 
-from stream.channel import Channel, Doorbell
 from stream.chunk import FOREVER, NEVER, NS, Chunk, empty, utc
-from stream.clock import SessionClock
-from stream.drops import KIND as DROPPED
-from stream.drops import recorded_drops
+from stream.engine.channel import Channel, Doorbell
+from stream.engine.clock import SessionClock
+from stream.engine.drops import KIND as DROPPED
+from stream.engine.drops import recorded_drops
+from stream.engine.intake import CommonStart, Intake, promises
+from stream.engine.journal import Former, Journal
+from stream.engine.lanes import Lanes
+from stream.engine.pipeline import Pipeline
+from stream.engine.stalls import calm
+from stream.engine.status import Table, table_of
+from stream.engine.supervisor import Runner
+from stream.engine.warmup import Compilations, warm_up
 from stream.errors import KinegraphError
 from stream.graph import Graph
-from stream.intake import CommonStart, Intake, promises
-from stream.journal import Former, Journal
-from stream.lanes import Lanes
 from stream.manual import Value
 from stream.operator import Outlet
-from stream.pipeline import Pipeline
 from stream.source import Source
-from stream.stalls import calm
-from stream.status import Table, table_of
-from stream.supervisor import Runner
-from stream.warmup import Compilations, warm_up
 
 TICK_S = 0.05
 METRICS_S = 1.0

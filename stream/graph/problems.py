@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from stream.errors import GraphError
-from stream.yaml_lines import Located
+from stream.graph.yaml_lines import Located
 
 
 class GraphErrors(GraphError):

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 
 from stream.errors import nearest
 from stream.graph import Edge
+from stream.graph.parts import Part, kind_of
+from stream.graph.problems import Problems
+from stream.graph.yaml_lines import Located
 from stream.operator import Operator
-from stream.parts import Part, kind_of
-from stream.problems import Problems
-from stream.yaml_lines import Located
 
 Wires = dict[str, tuple[Edge, Located]]
 """By input port: what feeds it, and where the graph says so."""

@@ -6,12 +6,12 @@ import time
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from stream.metrics import rounded
+from stream.engine.metrics import rounded
 
 if TYPE_CHECKING:
-    from stream.intake import Intake
-    from stream.lanes import Lanes
-    from stream.pipeline import Pipeline, Stage
+    from stream.engine.intake import Intake
+    from stream.engine.lanes import Lanes
+    from stream.engine.pipeline import Pipeline, Stage
     from stream.recording import RecorderStatus
 
 Table: TypeAlias = dict[str, dict[str, Any]]

@@ -14,10 +14,10 @@ import numpy as np
 import structlog
 
 from stream.chunk import FOREVER, Array, Chunk, StreamSpec, add_lost, empty, utc
+from stream.engine.merge import Merge
+from stream.engine.metrics import FOLD_AT, Timing
 from stream.errors import KinegraphError, RunError
 from stream.graph import Edge, Graph, Node
-from stream.merge import Merge
-from stream.metrics import FOLD_AT, Timing
 from stream.operator import Emitted, Operator, Outlet
 
 log = structlog.get_logger(__name__)

@@ -11,11 +11,11 @@ from collections.abc import Callable
 from queue import SimpleQueue
 from time import perf_counter_ns
 
-from stream.channel import Channel, Doorbell
 from stream.chunk import Chunk
-from stream.drops import Drops
+from stream.engine.channel import Channel, Doorbell
+from stream.engine.drops import Drops
+from stream.engine.pipeline import Push, Stage
 from stream.graph import Edge, Policy
-from stream.pipeline import Push, Stage
 
 UNLIMITED = 1 << 62
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from stream.draft import NODE_NAME, OPERATOR_OPTIONS, SOURCE_OPTIONS, parameters_of
 from stream.graph import NodeOptions, RecordingOptions
-from stream.load import Settings
+from stream.graph.draft import NODE_NAME, OPERATOR_OPTIONS, SOURCE_OPTIONS, parameters_of
+from stream.graph.load import Settings
+from stream.graph.parts import Part, kind_of
 from stream.operator import Operator
 from stream.params import schema as parameters
-from stream.parts import Part, kind_of
 from stream.source import Source
 
 Json = dict[str, Any]

@@ -15,7 +15,7 @@ import structlog
 from stream.errors import KinegraphError
 
 if TYPE_CHECKING:
-    from stream.session import Session
+    from stream.engine.session import Session
 
 AT_ONCE = set("0123456789 ")
 HELP = "a word and Enter annotates; a digit or the space bar marks at once; name=number sets a value; Ctrl-C ends"

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from stream.chunk import FOREVER, NEVER, Chunk, add_lost, utc
+from stream.engine.pipeline import Wire
+from stream.engine.supervisor import Runner
 from stream.errors import DeviceError
-from stream.pipeline import Wire
-from stream.supervisor import Runner
 
 
 @dataclass(slots=True)

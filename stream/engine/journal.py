@@ -8,12 +8,12 @@ from typing import Any
 
 import structlog
 
-from stream.checkpoint import Checkpoint, Keeper, fingerprint
 from stream.chunk import FOREVER, NEVER, Chunk, StreamSpec, utc
-from stream.clock import SessionClock
+from stream.engine.checkpoint import Checkpoint, Keeper, fingerprint
+from stream.engine.clock import SessionClock
+from stream.engine.pipeline import Pipeline
 from stream.errors import KinegraphError, RunError
 from stream.graph import Graph
-from stream.pipeline import Pipeline
 from stream.recording import Recorder, RecorderStatus, Recording, versions
 
 QUIET = {"source ended", "session resumed", "source reopened"}

@@ -12,9 +12,9 @@ from typing import Any, Literal
 import numpy as np
 import structlog
 
-from stream.channel import Channel, Doorbell
 from stream.chunk import FOREVER, Chunk, empty, utc
-from stream.clock import SessionClock
+from stream.engine.channel import Channel, Doorbell
+from stream.engine.clock import SessionClock
 from stream.errors import DeviceError, KinegraphError, RunError
 from stream.graph import Edge, Node
 from stream.source import Source

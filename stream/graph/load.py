@@ -12,18 +12,18 @@ from pathlib import Path
 from typing import Any
 
 from stream.chunk import StreamSpec
-from stream.draft import Draft, build_from, read_node
 from stream.errors import GraphError, nearest
 from stream.graph import Edge, Graph, RecordingOptions
+from stream.graph.draft import Draft, build_from, read_node
+from stream.graph.opening import open_nodes
+from stream.graph.overrides import override, rewrite
+from stream.graph.parts import import_from
+from stream.graph.problems import Problems
+from stream.graph.wiring import Wiring
+from stream.graph.yaml_lines import Located, parse
 from stream.manual import Annotations
-from stream.opening import open_nodes
 from stream.operator import Operator
-from stream.overrides import override, rewrite
 from stream.params import param
-from stream.parts import import_from
-from stream.problems import Problems
-from stream.wiring import Wiring
-from stream.yaml_lines import Located, parse
 
 IMPLICIT = {"annotations": Annotations}
 """Sources that every graph has, unless it defines a node of that name."""

@@ -9,8 +9,8 @@ from typing import Any
 from ruamel.yaml import YAML
 
 from stream.errors import GraphError, KinegraphError, nearest
-from stream.problems import Problems
-from stream.yaml_lines import Located, locate, parse
+from stream.graph.problems import Problems
+from stream.graph.yaml_lines import Located, locate, parse
 
 SECTIONS = ("session", "recording")
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from stream.chunk import Specs, StreamSpec
-from stream.draft import Draft
 from stream.errors import InputError, KinegraphError, ParameterError
 from stream.graph import Edge, Node, NodeOptions
+from stream.graph.draft import Draft
+from stream.graph.parts import explain
+from stream.graph.problems import Problems
+from stream.graph.wiring import Wires, order
 from stream.operator import Operator
-from stream.parts import explain
-from stream.problems import Problems
 from stream.source import Source
-from stream.wiring import Wires, order
 
 
 def open_nodes(

@@ -9,13 +9,13 @@ from typing import Any, TypeVar
 
 from stream.errors import ParameterError, nearest
 from stream.graph import NodeOptions
+from stream.graph.parts import Part, UseError, find
+from stream.graph.problems import Problems
+from stream.graph.wiring import Wires
+from stream.graph.yaml_lines import Located
 from stream.operator import Operator, Outlet
 from stream.params import build
-from stream.parts import Part, UseError, find
-from stream.problems import Problems
 from stream.source import Source
-from stream.wiring import Wires
-from stream.yaml_lines import Located
 
 T = TypeVar("T")
 
