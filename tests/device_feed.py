@@ -1,0 +1,115 @@
+"""A feed that keeps all that a source hands over, and sources read in threads as the engine does it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+
+import numpy as np
+
+from stream.chunk import Array, Chunk, Times
+from stream.source import Source
+
+
+class Kept:
+    """A feed; `error` is what the source raised in the end."""
+
+    def __init__(self) -> None:
+        self.chunks: dict[str, list[Chunk]] = {}
+        self.problems: Counter[str] = Counter()
+        self.error: Exception | None = None
+        self._stop = threading.Event()
+        self._offset = time.time_ns() - time.monotonic_ns()
+
+    def emit(self, chunk: Chunk, output: str = "out") -> None:
+        self.chunks.setdefault(output, []).append(chunk)
+
+    def now(self) -> int:
+        return time.monotonic_ns() + self._offset
+
+    def wait(self, seconds: float) -> bool:
+        return self._stop.wait(seconds)
+
+    @property
+    def stopped(self) -> bool:
+        return self._stop.is_set()
+
+    def stop(self) -> None:
+        self._stop.set()
+
+    def ready(self) -> None: ...
+
+    def hear(self, timeout_s: float) -> str | None:
+        return None
+
+    def problem(self, kind: str, count: int = 1) -> None:
+        self.problems[kind] += count
+
+    def count(self, output: str) -> int:
+        return sum(len(c) for c in self.chunks.get(output, ()))
+
+    def time(self, output: str) -> Times:
+        return np.concatenate([c.time for c in self.chunks[output]])
+
+    def data(self, output: str) -> Array:
+        return np.concatenate([c.data for c in self.chunks[output]])
+
+    def lost(self, output: str) -> dict[int, int]:
+        """By sample index: how many are missing before it."""
+        at, found = 0, {}
+        for chunk in self.chunks.get(output, ()):
+            if chunk.lost:
+                found[at] = chunk.lost
+            at += len(chunk)
+        return found
+
+
+@contextmanager
+def reading(source: Source) -> Iterator[Kept]:
+    """Within: the source is being read; at the end it is stopped, and must stop."""
+    source.specs()
+    feed = Kept()
+
+    def work() -> None:
+        try:
+            source.read(feed)
+        except Exception as error:  # noqa: BLE001 - looked at by the test
+            feed.error = error
+
+    thread = threading.Thread(target=work, name="source under test", daemon=True)
+    thread.start()
+    try:
+        yield feed
+    finally:
+        feed.stop()
+        thread.join(5)
+        assert not thread.is_alive(), "the source does not stop"
+
+
+def wait_for(true: Callable[[], bool], within_s: float = 20.0) -> None:
+    """Wait until it is so."""
+    deadline = time.monotonic() + within_s
+    while not true():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.005)
+
+
+def check(source: Source, feed: Kept) -> None:
+    """Every chunk is as the source's specs promise, and stamps never run backwards."""
+    specs = source.specs()
+    for output, chunks in feed.chunks.items():
+        spec = specs[output]
+        for chunk in chunks:
+            assert chunk.data.shape == (len(chunk), *spec.shape) and chunk.data.dtype == spec.dtype
+            assert not len(chunk) or chunk.until >= chunk.time[-1]
+        assert (np.diff(feed.time(output)) >= 0).all(), output
+
+
+def cut(data: bytes, places: list[int]) -> list[bytes]:
+    """The bytes in pieces."""
+    edges = [0, *sorted(p % (len(data) + 1) for p in places), len(data)]
+    return [data[a:b] for a, b in pairwise(edges)]
