@@ -10,8 +10,8 @@ from operators.cycles import Cycles
 from operators.emg import Envelope
 from operators.signal_quality import SignalQuality
 from stream.chunk import FOREVER, NS, Array, Chunk, Samples, StreamSpec, Times, empty
+from stream.engine.merge import Merge
 from stream.errors import KinegraphError
-from stream.merge import Merge
 from stream.operator import Emitted
 from stream.recording import Recording
 
@@ -68,7 +68,7 @@ def mean_cycle(
         pieces += [("signal", piece) for piece in _pieces(enveloping.process("in", chunk))]
     for port, chunk in [*pieces, ("signal", empty(specs["signal"], FOREVER))]:
         for name, piece in merge.push(port, chunk):
-            curves += [out.data for output, out in cutting.process(name, piece) if output == "cycles"]
+            curves += [out.data for output, out in cutting.process(name, piece) or () if output == "cycles"]
     cycles = np.concatenate(curves)
     if len(cycles) < LEAST_CYCLES:
         raise KinegraphError(

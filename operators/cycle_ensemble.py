@@ -8,7 +8,8 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from operators.cycle import POINTS, REASONS, Expected, check_cycles, some_cycles
-from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec
+from operators.deviation_kernel import deviations
+from stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
 from stream.operator import Case, Operator
 from stream.params import param
@@ -49,6 +50,7 @@ SESSION = np.dtype(
         *((reason.replace(" ", "_"), "<i8") for reason in REASONS),
     ]
 )
+SCALES = ("none", "session", "cycle")
 RATIO_FROM = 10
 """The variance ratio is given from so many cycles on (Hershler and Milner 1978)."""
 
@@ -60,6 +62,7 @@ class EnsembleState:
     kept (remember, 100, m)   the latest cycles, a ring; `seen` in all
     strides, stances (over,)  durations in s and stance in % of the latest accepted cycles, rings
     accepted, reasons (7,)    counts
+    told, never, blanks       the newest `until` that has gone out; stamps and samples of nothing, by output
     shared, pairs (p,)        sum of the co-contraction over cycles, and their number, per pair
     """
 
@@ -77,6 +80,9 @@ class EnsembleState:
     pairs: Samples
     muscles: list[int]
     names: list[str]
+    told: int
+    never: Times
+    blanks: list[Array]
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +124,7 @@ class CycleEnsemble(Operator[EnsembleState]):
                 Expected.none(), np.zeros(n), np.zeros((POINTS, n)), np.zeros((POINTS, n)), np.full((self.remember, POINTS, n), np.nan), 0,
                 np.full(self.over, np.nan), np.full(self.over, np.nan), 0, np.zeros(len(REASONS), np.int64),
                 np.zeros(len(self.pairs)), np.zeros(len(self.pairs)), flat, list(spec.channels),
+                NEVER, np.empty(0, np.int64), [self._blank(name, (POINTS, n)) for name in self.outputs],
             )
         )  # fmt: skip
         unit = spec.units[0] if len(spec.units) == 1 else ""
@@ -131,8 +138,16 @@ class CycleEnsemble(Operator[EnsembleState]):
             "session": StreamSpec((), SESSION, units=(*when, "strides/min", "%", *(9 * [""])), meta=meta),
         }
 
-    def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
+    def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]] | None:
         s = self.state
+        if not len(chunk.time) and not chunk.lost:
+            if chunk.until <= s.told:
+                return None
+            s.told = int(chunk.until)
+            return [
+                (name, Chunk(s.never, blank, chunk.until)) for name, blank in zip(self.outputs, s.blanks, strict=True)
+            ]
+        s.told = max(s.told, int(chunk.until))
         made: dict[str, list[tuple[int, Array]]] = {name: [] for name in self.outputs}
         if port == "closed":
             s.expected.note(chunk)
@@ -174,13 +189,19 @@ class CycleEnsemble(Operator[EnsembleState]):
             )
         return [spec.channels.index(name) for name in names]
 
-    def _chunk(self, name: str, parts: list[tuple[int, Array]], until: int, lost: int) -> Chunk:
+    @staticmethod
+    def _blank(name: str, curve: tuple[int, int]) -> Array:
         shape, kind = {"muscles": ((), MUSCLE), "pairs": ((), PAIR), "session": ((), SESSION)}.get(
-            name, (self.state.mean.shape, np.dtype(np.float64))
+            name, (curve, np.dtype(np.float64))
         )
-        data = np.concatenate([part for _, part in parts]) if parts else np.empty((0, *shape), kind)
-        counts = [len(part) for _, part in parts]
-        return Chunk(np.array([stamp for stamp, _ in parts], np.int64).repeat(counts), data, until, lost)
+        return np.empty((0, *shape), kind)
+
+    def _chunk(self, name: str, parts: list[tuple[int, Array]], until: int, lost: int) -> Chunk:
+        s = self.state
+        if not parts:
+            return Chunk(s.never, s.blanks[self.outputs.index(name)], until, lost)
+        stamps = np.array([stamp for stamp, _ in parts], np.int64).repeat([len(part) for _, part in parts])
+        return Chunk(stamps, np.concatenate([part for _, part in parts]), until, lost)
 
     def _take(self, curve: Samples) -> None:
         s = self.state
@@ -222,22 +243,14 @@ class CycleEnsemble(Operator[EnsembleState]):
         ratio = (within / (POINTS * (s.count - 1))) / ((within + between) / (POINTS * s.count - 1))
         return np.where(s.count >= RATIO_FROM, ratio, np.nan)
 
-    def _deviations(self) -> tuple[Samples, Samples]:
-        """Mean distance to the mean curve, and the mean absolute deviation of the distances, of the cycles kept; NaN below two."""
+    def _deviations(self) -> Samples:
+        """Mean distance to the mean curve, and the mean absolute deviation of the distances, of the cycles kept (2, m); NaN below two."""
         s = self.state
-        kept = s.kept[: s.seen]
-        there = ~np.isnan(kept[:, 0])
-        count = there.sum(axis=0)
-        some = np.where(there[:, None], kept, 0.0)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            if self.scale == "cycle":
-                some = np.where(there[:, None], some / some.max(axis=1, keepdims=True), 0.0)
-            elif self.scale == "session":
-                some = some / np.where(there[:, None], kept, -np.inf).max(axis=(0, 1))
-            away = np.where(there, np.sqrt(((some - some.sum(axis=0) / count) ** 2).sum(axis=1)), 0.0)
-            mean = away.sum(axis=0) / count
-            mad = np.where(there, np.abs(away - mean), 0.0).sum(axis=0) / count
-        return np.where(count > 1, mean, np.nan), np.where(count > 1, mad, np.nan)
+        kept = s.kept[: min(s.seen, self.remember)]
+        points, n = s.mean.shape
+        out = np.empty((2, n))
+        deviations(kept, SCALES.index(self.scale), np.empty((points, n)), np.empty((len(kept), n)), out)
+        return out
 
     def _co_contraction(self, closed: Array, curve: Samples) -> Array:
         s = self.state

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from operators.cycle import Expected, check_cycles, some_cycles
-from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec
+from stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.operator import Case, Operator
 from stream.params import param
 
@@ -37,6 +37,7 @@ class StatisticsState:
     """
     mean   (100, muscles) mean curve of the cycles so far, in the space in which deviations are taken; count (muscles,) how many
     top    (muscles,) highest value so far
+    told   the newest `until` that has gone out; never, blank: stamps and samples of nothing
     """
 
     expected: Expected
@@ -44,6 +45,9 @@ class StatisticsState:
     count: Samples
     top: Samples
     names: list[str]
+    told: int
+    never: Times
+    blank: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +77,10 @@ class CycleStatistics(Operator[StatisticsState]):
     def open(self, specs: Specs) -> Specs:
         spec = check_cycles(specs)
         n = spec.shape[1]
+        nothing = (NEVER, np.empty(0, np.int64), np.empty(0, STATISTICS))
         self.hold(
             StatisticsState(
-                Expected.none(), np.zeros((spec.shape[0], n)), np.zeros(n), np.zeros(n), list(spec.channels)
+                Expected.none(), np.zeros((spec.shape[0], n)), np.zeros(n), np.zeros(n), list(spec.channels), *nothing
             )
         )
         unit = spec.units[0] if len(spec.units) == 1 else ""
@@ -83,18 +88,25 @@ class CycleStatistics(Operator[StatisticsState]):
         units = ("ns", "ns", "", "", "", unit, "%", unit, area, unit, unit, area, area, ratio)
         return {"out": StreamSpec((), STATISTICS, units=units, meta={**spec.meta, "deviation_scale": self.scale})}
 
-    def process(self, port: str, chunk: Chunk) -> Chunk:
+    def process(self, port: str, chunk: Chunk) -> Chunk | None:
+        s = self.state
+        if not len(chunk.time) and not chunk.lost:
+            if chunk.until <= s.told:
+                return None
+            s.told = int(chunk.until)
+            return Chunk(s.never, s.blank, chunk.until)
+        s.told = max(s.told, int(chunk.until))
         rows, stamps = [], []
         if port == "closed":
-            self.state.expected.note(chunk)
+            s.expected.note(chunk)
         else:
             for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
-                closed = self.state.expected.match(stamp)
+                closed = s.expected.match(stamp)
                 if closed is not None:
                     rows.append(self._rows(closed[0], curve))
                     stamps.append(stamp)
-        n = self.state.mean.shape[1]
-        data = np.concatenate(rows) if rows else np.empty(0, STATISTICS)
+        n = s.mean.shape[1]
+        data = np.concatenate(rows) if rows else s.blank
         return Chunk(np.array(stamps, np.int64).repeat(n), data, chunk.until, -1 if chunk.lost else 0)
 
     @classmethod

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from stream.operator import Case, Operator, grid
 from stream.params import param
 
 WAITING, LIFTS, RECENT = 16, 16, 11
-FLOAT = np.dtype(np.float64)
 
 
 @dataclass(slots=True)
@@ -28,6 +27,7 @@ class CyclesState:
     durations      (11,) the latest plausible cycles' durations in ns, a ring; `measured` in all
     start          the open cycle's touch-down; `broken`: contacts may have been missed since
     last, before   (100, c) the latest cycle, if `whole` > 0, and the one before it, if `whole` > 1
+    told           the newest `until` that has gone out; never, blanks: stamps and samples of nothing, by output
     """
 
     time: Times
@@ -50,6 +50,9 @@ class CyclesState:
     before: Samples
     whole: int
     names: list[str]
+    told: int
+    never: Times
+    blanks: list[Array]
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +127,9 @@ class Cycles(Operator[CyclesState]):
             before=np.zeros((POINTS, n)),
             whole=0,
             names=names,
+            told=NEVER,
+            never=np.empty(0, np.int64),
+            blanks=[np.empty((0, POINTS, n)), np.empty(0, CLOSED), np.empty(0, MAXIMUM), np.empty((0, 2 * POINTS, n))],
         )
         self.hold(state)
         meta = {**spec.meta, "side": touch.meta.get("side", spec.meta.get("side", ""))}
@@ -138,7 +144,7 @@ class Cycles(Operator[CyclesState]):
             "panorama": curves.derive(shape=(2 * POINTS, n), meta={**meta, "from_pct": -50}),
         }
 
-    def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
+    def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]] | None:
         s = self.state
         closings: list[Closing] = []
         if port == "signal":
@@ -158,7 +164,10 @@ class Cycles(Operator[CyclesState]):
             for onset in chunk.data["onset"].tolist():
                 s.lifts[s.lifted % LIFTS] = onset
                 s.lifted += 1
-        return self._emitted(closings, chunk.until, -1 if chunk.lost else 0)
+        if closings or chunk.lost or chunk.until > s.told:
+            s.told = max(s.told, int(chunk.until))
+            return self._emitted(closings, chunk.until, -1 if chunk.lost else 0)
+        return None
 
     @classmethod
     def cases(cls) -> list[Case]:
@@ -264,8 +273,7 @@ class Cycles(Operator[CyclesState]):
         s = self.state
         if not closings:
             return [
-                (name, Chunk(np.empty(0, np.int64), np.empty((0, *shape), kind), until, lost))
-                for name, shape, kind in self._shapes()
+                (name, Chunk(s.never, blank, until, lost)) for name, blank in zip(self.outputs, s.blanks, strict=True)
             ]
         accepted = [c for c in closings if not c.rejected]
         curves = np.array([c.curve[1:-1] for c in accepted]).reshape(-1, *s.last.shape)
@@ -280,15 +288,6 @@ class Cycles(Operator[CyclesState]):
             ("cycles", Chunk(when, curves, until, lost)),
             ("maxima", Chunk(when.repeat([len(p) for p in peaks]), tops, until, lost)),
             ("panorama", Chunk(_stamps([stamp for stamp, _ in views]), panoramas, until, lost)),
-        ]
-
-    def _shapes(self) -> list[tuple[str, tuple[int, ...], np.dtype[Any]]]:
-        points, n = self.state.last.shape
-        return [
-            ("closed", (), CLOSED),
-            ("cycles", (points, n), FLOAT),
-            ("maxima", (), MAXIMUM),
-            ("panorama", (2 * points, n), FLOAT),
         ]
 
     def _maxima(self, closing: Closing) -> Array:

@@ -20,16 +20,33 @@ def gap(time: Times, before: int, limit: int, start: int) -> int:
 
 
 @kernel
-def run(sos: Samples, z: Samples, rows: Samples, i: int) -> None:
-    """Row i of `rows` (n, c) through the sections (s, 6), in place: transposed direct form II, memory z (s, 2, c), scipy's order."""
+def run(sos: Samples, z: Samples, source: Samples, i: int, rows: Samples, j: int) -> None:
+    """Row i of `source` (n, c) through the sections (s, 6) into row j of `rows`, memory z (s, 2, c).
+
+    Transposed direct form II, operations in scipy's order.
+    """
+    for c in range(rows.shape[1]):
+        rows[j, c] = source[i, c]
     for s in range(sos.shape[0]):
         b0, b1, b2, a1, a2 = sos[s, 0], sos[s, 1], sos[s, 2], sos[s, 4], sos[s, 5]
         for c in range(rows.shape[1]):
-            v = rows[i, c]
+            v = rows[j, c]
             y = b0 * v + z[s, 0, c]
             z[s, 0, c] = b1 * v - a1 * y + z[s, 1, c]
             z[s, 1, c] = b2 * v - a2 * y
-            rows[i, c] = y
+            rows[j, c] = y
+
+
+@kernel
+def sound(x: Samples, held: Samples) -> bool:
+    """Whether every value is finite, and every channel has had one before."""
+    bad = 0
+    for c in range(held.shape[0]):
+        bad += math.isnan(held[c])
+    for i in range(x.shape[0]):
+        for c in range(x.shape[1]):
+            bad += not math.isfinite(x[i, c])
+    return bad == 0
 
 
 @kernel
@@ -42,7 +59,6 @@ def hold(
     """
     for c in range(x.shape[1]):
         v = x[i, c]
-        bad[slot, c] = 0
         if not math.isfinite(v):
             bad[slot, c] = 1
             v = 0.0 if math.isnan(held[c]) else held[c]
@@ -65,13 +81,10 @@ def backward(sos: Samples, z: Samples, ahead: Samples, block: int, work: Samples
     for s in range(z.shape[0]):
         for c in range(z.shape[2]):
             z[s, 0, c] = z[s, 1, c] = 0.0
-    for i in range(ahead.shape[0] - 1, -1, -1):
-        if i >= block:
-            for c in range(ahead.shape[1]):
-                work[0, c] = ahead[i, c]
-            run(sos, z, work, 0)
-        else:
-            run(sos, z, ahead, i)
+    for i in range(ahead.shape[0] - 1, block - 1, -1):
+        run(sos, z, ahead, i, work, 0)
+    for i in range(block - 1, -1, -1):
+        run(sos, z, ahead, i, ahead, i)
 
 
 @kernel
@@ -115,13 +128,22 @@ def envelope(
     """
     block = step[2]
     work = out[out.shape[0] - 1 :]
+    plain = sound(x, held)
+    if plain and x.shape[0]:
+        for c in range(x.shape[1]):
+            held[c] = x[x.shape[0] - 1, c]
     rows = 0
     for i in range(x.shape[0]):
         slot = count[0] % stamps.shape[0]
         stamps[slot, 0] = time[i]
         stamps[slot, 1] = lost if i == 0 else 0
-        hold(x, i, held, bad, slot, ahead, count[3], hp_start, hp_z)
-        run(hp_sos, hp_z, ahead, count[3])
+        for c in range(x.shape[1]):
+            bad[slot, c] = 0
+        if plain:
+            run(hp_sos, hp_z, x, i, ahead, count[3])
+        else:
+            hold(x, i, held, bad, slot, ahead, count[3], hp_start, hp_z)
+            run(hp_sos, hp_z, ahead, count[3], ahead, count[3])
         count[0] += 1
         count[3] += 1
         if count[3] < ahead.shape[0]:
@@ -172,7 +194,7 @@ def low(
             weight = taps[phase, k]
             for c in range(out.shape[1]):
                 out[rows, c] += weight * rectified[first + k, c]
-        run(lp_sos, lp_z, out, rows)
+        run(lp_sos, lp_z, out, rows, out, rows)
         sample = newest - long // 2
         lost = 0
         for k in range(min(sample, ((m - 1) * down) // up + 1) if m > 0 else 0, sample + 1):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from stream.chunk import Samples
+from stream.chunk import Array, Samples
 from stream.kernel import kernel
 
 LEVELS = 32
@@ -61,3 +61,15 @@ def runs(window: Samples, held: Samples, rails: Samples, full_scale: float, flat
                 counts[0, c] += lows
             if highs >= 3 and rails[1, c] - high <= near:
                 counts[0, c] += highs
+
+
+@kernel
+def powers(spectrum: Array, weights: Samples, out: Samples) -> None:
+    """The power of `spectrum` (c, f) complex, weighted and added up over its lines: out[k, c] = sum of weights[k, i] |spectrum[c, i]|^2."""
+    for c in range(spectrum.shape[0]):
+        for k in range(weights.shape[0]):
+            out[k, c] = 0.0
+        for i in range(spectrum.shape[1]):
+            power = spectrum[c, i].real ** 2 + spectrum[c, i].imag ** 2
+            for k in range(weights.shape[0]):
+                out[k, c] += weights[k, i] * power

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from operators.amplitude_reference import AmplitudeReference
-from operators.quality_kernel import runs
+from operators.quality_kernel import powers, runs
 from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
@@ -35,7 +35,7 @@ QUALITY = np.dtype(
     ]
 )
 SHARES = ("clipped", "flat", "missing", "hum", "artefact")
-LIMITS = {
+LIMITS: dict[str, tuple[str, float, float]] = {
     "missing": ("missing samples", 0.01, 0.2),
     "flat": ("flat line", 0.02, 0.2),
     "clipped": ("clipping", 0.001, 0.01),
@@ -52,7 +52,7 @@ class QualityState:
     """
     window (n, c), time (n,)   the samples of the open window; `fill` of them; held (c,) the last finite values
     taper (n,)                 Hann window of the spectrum
-    bands (3, f), hum (2, f)   weights of the spectrum's lines: 1-20 Hz, from 1 Hz on, from 20 Hz on; hum at 50 and at 60 Hz
+    bands (5, f)               weights of the spectrum's lines: 1-20 Hz, from 1 Hz on, from 20 Hz on; hum at 50 and at 60 Hz
     sums (7, c)                over all windows: power in the three bands, hum's two, quietest and loudest block's rms
     counts (3, c)              over all windows: samples clipped, flat, missing; `windows` in all
     rails (2, c)               lowest and highest value so far
@@ -65,7 +65,6 @@ class QualityState:
     held: Samples
     taper: Samples
     bands: Samples
-    hum: Samples
     sums: Samples
     counts: Samples
     windows: int
@@ -119,10 +118,10 @@ class SignalQuality(Operator[QualityState]):
             raise InputError("in", spec.describe(), "raw EMG at 200 Hz or more")
         n, c = round(self.window_s * spec.rate_hz), spec.shape[0]
         names = list(spec.channels or [f"channel {i + 1}" for i in range(c)])
-        bands, hum = _weights(np.arange(n // 2 + 1, dtype=np.float64) * (spec.rate_hz / n), self.mains_hz)
+        bands = _weights(np.arange(n // 2 + 1, dtype=np.float64) * (spec.rate_hz / n), self.mains_hz)
         self.hold(
             QualityState(
-                np.zeros((n, c)), np.zeros(n, np.int64), 0, np.zeros(c), np.hanning(n), bands, hum, np.zeros((7, c)), np.zeros((3, c)), 0,
+                np.zeros((n, c)), np.zeros(n, np.int64), 0, np.zeros(c), np.hanning(n), bands, np.zeros((7, c)), np.zeros((3, c)), 0,
                 np.outer([np.inf, -np.inf], np.ones(c)), self._rest(names), NEVER, spec.period_ns + round(self.reset_gap_s * NS), names,
             )
         )  # fmt: skip
@@ -173,10 +172,8 @@ class SignalQuality(Operator[QualityState]):
         n, c = s.window.shape
         counts = np.zeros((3, c))
         runs(s.window, s.held, s.rails, self.full_scale, max(3, n * 50 // round(self.window_s * 1000)), counts)
-        power = np.abs(np.fft.rfft((s.window - s.window.mean(axis=0)) * s.taper[:, None], axis=0)) ** 2
         sums = np.empty((7, c))
-        for k, weights in enumerate([*s.bands, *s.hum]):
-            sums[k] = (power * weights[:, None]).sum(axis=0)
+        powers(np.fft.rfft(np.ascontiguousarray((s.window - s.window.mean(axis=0)).T) * s.taper, axis=1), s.bands, sums)
         block = max(2, n // round(self.window_s * 10))
         level = s.window[: n // block * block].reshape(-1, block, c).std(axis=1)
         sums[5], sums[6] = level.min(axis=0), level.max(axis=0)
@@ -186,29 +183,21 @@ class SignalQuality(Operator[QualityState]):
         rows = np.empty(c, QUALITY)
         rows["onset"], rows["end"], rows["channel"], rows["name"] = s.time[0], s.time[-1], np.arange(c), s.names
         measures = _measures(sums, counts / n, 1)
-        session = _measures(s.sums, s.counts / (n * s.windows), s.windows)
         for name, values in measures.items():
             rows[name] = values
-        for k in range(c):
-            rows["flag"][k], rows["reason"][k] = _verdict({name: values[k] for name, values in measures.items()})
-            rows["session_flag"][k], rows["session_reason"][k] = self._session(
-                k, {name: values[k] for name, values in session.items()}
-            )
+        rows["flag"], rows["reason"] = _verdicts(measures)
+        session = _measures(s.sums, s.counts / (n * s.windows), s.windows)
+        flag, reason = _verdicts(session)
+        if s.windows >= ENOUGH:
+            loud = (session["noise"] > (self.most_noise or np.inf)) | (session["noise"] > 3 * s.rest)
+            noisy = (flag == "good") & (loud | (session["contrast"] < self.least_contrast))
+            flag, reason = np.where(noisy, "doubtful", flag), np.where(noisy, "baseline noise", reason)
+        rows["session_flag"], rows["session_reason"] = flag, reason
         return rows
 
-    def _session(self, channel: int, measured: dict[str, float]) -> tuple[str, str]:
-        s = self.state
-        flag, reason = _verdict(measured)
-        if flag == "good" and s.windows >= ENOUGH:
-            noise = measured["noise"]
-            loud = (0 < self.most_noise < noise) or noise > 3 * s.rest[channel]
-            if loud or measured["contrast"] < self.least_contrast:
-                return "doubtful", "baseline noise"
-        return flag, reason
 
-
-def _weights(frequency: Samples, mains_hz: int) -> tuple[Samples, Samples]:
-    """Weights (3, f) of the bands and (2, f) of hum at 50 and 60 Hz, for lines at `frequency` (f,)."""
+def _weights(frequency: Samples, mains_hz: int) -> Samples:
+    """Weights (5, f): of the three bands, then of hum at 50 and 60 Hz, for lines at `frequency` (f,)."""
     top = min(450.0, 0.95 * float(frequency[-1]))
     bands = np.array(
         [
@@ -225,7 +214,7 @@ def _weights(frequency: Samples, mains_hz: int) -> tuple[Samples, Samples]:
                 hit, beside = away < 2.5, (away >= 2.5) & (away < 7.5)
                 hum[k, hit] = 1.0
                 hum[k, beside] = -hit.sum() / beside.sum()
-    return bands.astype(np.float64), hum
+    return np.concatenate([bands, hum])
 
 
 def _measures(sums: Samples, shares: Samples, windows: int) -> dict[str, Samples]:
@@ -242,11 +231,11 @@ def _measures(sums: Samples, shares: Samples, windows: int) -> dict[str, Samples
         }
 
 
-def _verdict(measured: dict[str, float]) -> tuple[str, str]:
-    """Flag and reason: the first that is bad, else the first that is doubtful."""
-    for flag, place in (("bad", 2), ("doubtful", 1)):
-        for name, limits in LIMITS.items():
-            limit = limits[place]
-            if measured[name] > float(limit):
-                return flag, limits[0]
-    return "good", ""
+def _verdicts(measured: dict[str, Samples]) -> tuple[Array, Array]:
+    """Flag and reason per channel: the first measure that is bad, else the first that is doubtful."""
+    bad = [(measured[name] > bad, reason, "bad") for name, (reason, _, bad) in LIMITS.items()]
+    doubtful = [(measured[name] > doubtful, reason, "doubtful") for name, (reason, doubtful, _) in LIMITS.items()]
+    over = bad + doubtful
+    conditions = [condition for condition, _, _ in over]
+    flags = np.select(conditions, [flag for _, _, flag in over], "good")
+    return flags, np.select(conditions, [reason for _, reason, _ in over], "")
