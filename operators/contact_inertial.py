@@ -172,8 +172,8 @@ class InertialContacts(Contacts[InertialState]):
 
     Decided: touch-down mostly 20 to 60 ms after its onset, at most about 0.5 s (steps without pitch), which is the declared
     delay. Lift-off 0.1 to 0.2 s after its onset, but only with the touch-down where it was not clear before that this is
-    a swing (the first step). `site: shank` uses the shank's turning points, whose distance from the contacts follows the
-    literature (Aminian 2002, Salarian 2004) and was not measured by us.
+    a swing (the first step). `site: shank` uses the shank's turning points; their distance from the contacts is an
+    assumption that was never measured.
     """
 
     site: Literal["foot", "shank"] = param("foot", help="where the sensor is worn")

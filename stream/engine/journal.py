@@ -62,6 +62,7 @@ class Journal:
     def __init__(self, folder: Path | None, graph: Graph, clock: SessionClock, former: Former | None) -> None:
         self.folder, self._graph, self._clock, self._former = folder, graph, clock, former
         self.sequence = -1
+        self._arrival = 0
         self._recorder: Recorder | None = None
         self._keeper: Keeper | None = None
         if folder is not None:
@@ -108,13 +109,14 @@ class Journal:
                 if skip or n == len(chunk.time):
                     return
                 chunk = chunk.part(n, len(chunk.time))
-            recorder.write(number, chunk, 0, self.sequence)
+            recorder.write(number, chunk, self._arrival, self.sequence)
 
         return tap
 
     def enter(self, number: int, chunk: Chunk, arrival: int) -> None:
         """A chunk enters the graph: its place in the input log."""
         self.sequence += 1
+        self._arrival = arrival
         if self._recorder:
             self._recorder.write(number, chunk, arrival, self.sequence)
 

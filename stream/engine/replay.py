@@ -91,7 +91,7 @@ class Replay:
         self.graph, self.recording, self._speed = graph, recording, speed
         self._drops = recorded_drops(recording.log)
         self.pipeline = Pipeline(graph, speaking=speaking, bridge=self._bridge)
-        self.sequence = -1
+        self.sequence, self._arrival = -1, 0
         self._output = output
         self._joins = speed is None and output is None and not self._drops
         self._stopping = False
@@ -158,7 +158,7 @@ class Replay:
                 if stream in recorded:
                     recorded[stream].add(chunk)
                 continue
-            self.sequence = sequence
+            self.sequence, self._arrival = sequence, arrival
             first = arrival if first is None else first
             if self._speed:
                 self._keep_pace((arrival - first) / NS, began)
@@ -213,5 +213,5 @@ class Replay:
             wire = self.pipeline.wires[str(edge)]
             if wire not in self.pipeline.entries.values():
                 number = recorder.add_stream(str(edge), wire.spec, "edge")
-                wire.taps.append(lambda chunk, number=number: recorder.write(number, chunk, 0, self.sequence))  # type: ignore[misc]
+                wire.taps.append(lambda chunk, number=number: recorder.write(number, chunk, self._arrival, self.sequence))  # type: ignore[misc]
         return recorder

@@ -15,13 +15,12 @@ import numpy as np
 import structlog
 
 from stream.chunk import NS, Chunk, StreamSpec, empty
+from stream.engine.merge import Merge
 from stream.errors import GraphError, KinegraphError
 from stream.graph import Graph, Node
 from stream.operator import Emitted, Operator, grid
 
 SAMPLES = 64
-CASE_SAMPLES = 4096
-"""At most so many samples of a case are run."""
 
 log = structlog.get_logger(__name__)
 
@@ -41,11 +40,14 @@ def warm_up(graph: Graph) -> None:
 def _run_cases(part: Operator[Any]) -> None:
     for case in part.cases():
         operator = case.operator.fresh()
-        operator.open({port: spec for port, (spec, _, _) in case.inputs.items()})
+        specs = {port: spec for port, (spec, _, _) in case.inputs.items()}
+        operator.open(specs)
+        merge = Merge(specs, in_turn=operator.in_turn)
         for port, (spec, times, data) in case.inputs.items():
-            for piece in _pieces(spec, times[:CASE_SAMPLES], data[:CASE_SAMPLES]):
-                with suppress(KinegraphError):
-                    operator.process(port, piece)
+            for piece in _pieces(spec, times, data):
+                for name, merged in merge.push(port, piece):
+                    with suppress(KinegraphError):
+                        operator.process(name, merged)
         operator.close()
 
 

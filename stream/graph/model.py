@@ -34,9 +34,9 @@ class NodeOptions:
     policy      what a full queue does: `block` its writer, `drop_oldest` chunk (counted, recorded), or `fail` the run; left
                 open, an outlet drops where the graph cannot wait (its sources are live), everything else blocks
     required    the run starts only when this source is ready, and fails if it is not so within `deadline_s`
-    patience_s  after how long without a chunk the engine declares that nothing happened (advances `until`)
+    patience_s  after how long without a chunk the engine declares that nothing happened (advances `until`); 0: never
     silence_s   after how long without a chunk a source is closed and opened again; 0: never
-    stale_s     after how long without a chunk an alarm is raised
+    stale_s     after how long without a chunk an alarm is raised; 0: never
     """
 
     lane: str = ""
@@ -44,9 +44,9 @@ class NodeOptions:
     policy: Policy | None = None
     required: bool = True
     deadline_s: float = param(10.0, above=0.0)
-    patience_s: float = param(1.0, above=0.0)
+    patience_s: float = param(1.0, least=0.0)
     silence_s: float = param(0.0, least=0.0)
-    stale_s: float = param(2.0, above=0.0)
+    stale_s: float = param(2.0, least=0.0)
 
 
 @dataclass(slots=True)

@@ -64,6 +64,8 @@ def _delete(place: Path) -> bool:
         for part in parts_of(place):
             part.unlink()
         lock_path(place).unlink(missing_ok=True)
+        for checkpoint in place.glob("checkpoint.npz*"):
+            checkpoint.unlink()
         if place.is_dir() and not any(place.iterdir()):
             place.rmdir()
     except OSError:
