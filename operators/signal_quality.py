@@ -43,6 +43,9 @@ LIMITS: dict[str, tuple[str, float, float]] = {
     "artefact": ("artefact", 0.6, 0.9),
 }
 """Per measure: the reason's name, the share above which a channel is doubtful, and that above which it is bad."""
+DOUBTFUL, BAD = (np.array([[limits[k]] for limits in LIMITS.values()]) for k in (1, 2))
+FLAGS = np.array([*(["bad"] * len(LIMITS)), *(["doubtful"] * len(LIMITS)), "good"])
+REASONS = np.array([*(2 * [limits[0] for limits in LIMITS.values()]), ""])
 ENOUGH = 3
 """Windows after which the session's contrast and noise are judged."""
 
@@ -233,9 +236,7 @@ def _measures(sums: Samples, shares: Samples, windows: int) -> dict[str, Samples
 
 def _verdicts(measured: dict[str, Samples]) -> tuple[Array, Array]:
     """Flag and reason per channel: the first measure that is bad, else the first that is doubtful."""
-    bad = [(measured[name] > bad, reason, "bad") for name, (reason, _, bad) in LIMITS.items()]
-    doubtful = [(measured[name] > doubtful, reason, "doubtful") for name, (reason, doubtful, _) in LIMITS.items()]
-    over = bad + doubtful
-    conditions = [condition for condition, _, _ in over]
-    flags = np.select(conditions, [flag for _, _, flag in over], "good")
-    return flags, np.select(conditions, [reason for _, reason, _ in over], "")
+    values = np.array([measured[name] for name in LIMITS])
+    good = np.ones((1, values.shape[1]), np.bool_)
+    first = np.concatenate([values > BAD, values > DOUBTFUL, good]).argmax(axis=0)
+    return FLAGS[first], REASONS[first]
