@@ -41,8 +41,8 @@ class Cyton(Source):
     timing   an event per packet: counter, device time by the counter, arrival, stamp
 
     The board is reset, asked who it is, set to its defaults and to `settings`, and told to begin. Lost packets are known from the counter.
-    With a Daisy, odd packets bring channels 1-8 and even ones 9-16; a sample is two that follow each other and has the second one's
-    stamp, and is lost if either is.
+    With a Daisy, even packets bring channels 9-16 and odd ones 1-8; a sample is an even one and the odd one after it (as BrainFlow pairs
+    them), has the second one's stamp, and is lost if either is.
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("emg", "accel", "timing")
@@ -155,7 +155,7 @@ class Cyton(Source):
                 )
             if now - logged > CLOCK_LOGGED_S:
                 logged = now
-                log.info("clock", port=self.port, state=stream.engine.clock.state)
+                log.info("clock", port=self.port, state=stream.clock.state)
 
 
 class _Stream:
@@ -167,7 +167,7 @@ class _Stream:
         gains = {setting.channel: setting.gain for setting in of.settings}
         self._uv = np.array([protocol.uv_per_count(gains.get(i + 1, 24)) for i in range(16 if of.daisy else 8)])
         self._half: tuple[int, Samples] | None = None
-        """A Daisy's odd packet that waits for its even one: number, counts (1, 8)."""
+        """A Daisy's even packet that waits for its odd one: number, counts (1, 8)."""
         self._sample: int | None = None
         self._accelerated = 0
         self._unknown = False
@@ -212,14 +212,14 @@ class _Stream:
             feed.emit(Chunk(times, counts[start:stop] * self._uv, int(times[-1]), int(lost[start])), "emg")
 
     def _pairs(self, packets: Packets, counts: Samples) -> tuple[Times, Times, Samples]:
-        """The samples (number, stamp, counts (k, 16)) of odd packets directly followed by even ones."""
+        """The samples (number, stamp, counts (k, 16)) of even packets directly followed by odd ones."""
         number, stamp = packets.number, packets.stamp
         if self._half:
             number, stamp = np.insert(number, 0, self._half[0]), np.insert(stamp, 0, 0)
             counts = np.concatenate([self._half[1], counts])
-        odd = np.flatnonzero((number[:-1] % 2 == 1) & (np.diff(number) == 1))
-        self._half = (int(number[-1]), counts[-1:]) if number[-1] % 2 else None
-        return number[odd + 1] // 2, stamp[odd + 1], np.hstack([counts[odd], counts[odd + 1]])
+        even = np.flatnonzero((number[:-1] % 2 == 0) & (np.diff(number) == 1))
+        self._half = (int(number[-1]), counts[-1:]) if number[-1] % 2 == 0 else None
+        return number[even] // 2, stamp[even + 1], np.hstack([counts[even + 1], counts[even]])
 
     def _accel(self, frames: Frames, packets: Packets, feed: Feed) -> None:
         index, values = protocol.acceleration(frames)

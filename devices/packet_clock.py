@@ -20,7 +20,7 @@ EARLY_NS = 50_000_000
 class Packets:
     """The packets of one read. Repeated ones are left out: `kept` (n,) says of all which stand here, the rest has (m,) entries.
 
-    number    running number of each packet; the first one ever has its own counter's
+    number    running number of each packet; the first one ever has its own counter's, and odd ones stay odd
     lost      how many are missing just before each; -1: the counter has begun anew, and nobody knows
     device    the device's time by that number (ns)
     stamp     session time (ns), increasing
@@ -63,6 +63,7 @@ class PacketClock:
         if len(number):
             excess = self._excess(int(number[-1]), arrival_ns)
             if excess:
+                excess += (int(number[-1]) - excess - int(counters[-1])) % 2
                 number -= excess
                 lost[0] = -1
             self._number, self._counter, self._arrival = int(number[-1]), int(counters[-1]), arrival_ns

@@ -185,7 +185,7 @@ def test_a_daisy_brings_sixteen_channels_at_half_the_rate() -> None:
             wait_for(lambda: feed.count("emg") >= 100)
     check(source, feed)
     emg = feed.data("emg")
-    board, daisy = expected(brain, 1, 2 * len(emg))[0::2], expected(brain, 1, 2 * len(emg))[1::2]
+    daisy, board = expected(brain, 0, 2 * len(emg))[0::2], expected(brain, 0, 2 * len(emg))[1::2]
     assert emg.shape[1] == 16 and np.array_equal(emg, np.hstack([board, daisy]))
     assert feed.lost("emg") == {} and not feed.problems
 
@@ -234,10 +234,10 @@ def test_a_daisys_sample_is_lost_if_either_packet_is() -> None:
         wait_for(lambda: feed.count("emg") >= 200)
     number = feed.data("timing")["counter"].tolist()
     there = set(number)
-    whole = [n // 2 for n in number if n % 2 == 0 and n - 1 in there]
-    emg, counts = feed.data("emg"), expected(brain, 0, max(number) + 1)
+    whole = [n // 2 for n in number if n % 2 == 0 and n + 1 in there]
+    emg, counts = feed.data("emg"), expected(brain, 0, max(number) + 2)
     whole = whole[: len(emg)]
-    assert np.array_equal(emg, np.hstack([counts[[2 * k - 1 for k in whole]], counts[[2 * k for k in whole]]]))
+    assert np.array_equal(emg, np.hstack([counts[[2 * k + 1 for k in whole]], counts[[2 * k for k in whole]]]))
     assert sum(feed.lost("emg").values()) == whole[-1] - whole[0] + 1 - len(whole)
 
 

@@ -73,9 +73,9 @@ def test_a_counter_that_begins_anew_is_not_taken_for_loss() -> None:
     for i in range(1100, 1400):
         after = clock.take(np.array([(i - 1100) % 256], np.uint8), int(at(i)) + 3_000_000)
         assert after.lost[0] == (-1 if i == 1100 else 0)
-        assert after.stamp[0] > before.stamp[0]
+        assert after.stamp[0] > before.stamp[0] and (after.number[0] - i + 1100) % 2 == 0
         before = after
-    assert abs(int(after.stamp[0]) - int(at(1399)) - 3_000_000) < 5_000_000
+    assert abs(int(after.stamp[0]) - int(at(1399)) - 3_000_000) < 8_000_000
 
 
 def test_jitter_of_twenty_milliseconds_and_a_drift_of_fifty_ppm() -> None:
