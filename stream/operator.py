@@ -16,6 +16,7 @@ from stream.chunk import Array, Chunk, Specs, StreamSpec
 from stream.state import pack, size_of, unpack
 
 if TYPE_CHECKING:
+    from stream.engine.clock import SessionClock
     from stream.graph import Graph
 
 S = TypeVar("S")
@@ -118,6 +119,9 @@ class Outlet(Operator[S]):
 
     def meet(self, graph: Graph) -> None:
         """Told once, before `begin`, which graph this is: its text, its nodes with their parameters and delays, the session's facts."""
+
+    def keep_time(self, clock: SessionClock) -> None:
+        """Told once, before `begin`, the clock of a live session; in replay there is none. For outlets whose stamps others read."""
 
     def begin(self) -> None:
         """Touch the world: create the file, connect. Called once, after `open` (and `restore`), before any device starts.

@@ -14,6 +14,7 @@ import numpy as np
 import structlog
 
 from stream.chunk import FOREVER, Array, Chunk, StreamSpec, add_lost, empty, utc
+from stream.engine.clock import SessionClock
 from stream.engine.merge import Merge
 from stream.engine.metrics import FOLD_AT, Timing
 from stream.errors import KinegraphError, RunError
@@ -237,11 +238,13 @@ class Pipeline:
             stage.close()
             settle()
 
-    def begin(self) -> None:
-        """Let the outlets touch the world."""
+    def begin(self, clock: SessionClock | None = None) -> None:
+        """Let the outlets touch the world; `clock` is a live session's."""
         for stage in self.outlets:
             assert isinstance(stage.operator, Outlet)
             stage.operator.meet(self.graph)
+            if clock:
+                stage.operator.keep_time(clock)
             stage.operator.begin()
 
     @property

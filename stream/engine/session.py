@@ -160,7 +160,7 @@ class Session:
         if self._former:
             self._catch_up(self._former)
         else:
-            self.pipeline.begin()
+            self.pipeline.begin(self.clock)
         for runner in self._runners:
             runner.start(again=self._former is not None)
 
@@ -171,7 +171,7 @@ class Session:
         for stage in self.pipeline.outlets:
             assert isinstance(stage.operator, Outlet)
             stage.muted = not stage.operator.durable
-        self.pipeline.begin()
+        self.pipeline.begin(self.clock)
         self._lanes.repeat(recorded_drops(recording.log), checkpoint.indices if checkpoint else {})
         intakes = {intake.stream: intake for intake in self._intakes}
         for sequence, stream, chunk, _arrival in recording.inputs(after=self.journal.sequence):
