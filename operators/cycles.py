@@ -9,6 +9,7 @@ import numpy as np
 
 from operators.cycle import CLOSED, CLOSED_UNITS, MAXIMUM, POINTS, Closing
 from operators.cycle_kernel import maxima, normalise_time
+from operators.panorama import Panorama
 from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
@@ -26,7 +27,6 @@ class CyclesState:
     lifts          (16,) the latest lift-offs' onsets, a ring; `lifted` in all
     durations      (11,) the latest plausible cycles' durations in ns, a ring; `measured` in all
     start          the open cycle's touch-down; `broken`: contacts may have been missed since
-    last, before   (100, c) the latest cycle, if `whole` > 0, and the one before it, if `whole` > 1
     told           the newest `until` that has gone out; never, blanks: stamps and samples of nothing, by output
     """
 
@@ -46,9 +46,7 @@ class CyclesState:
     start: int
     broken: bool
     number: int
-    last: Samples
-    before: Samples
-    whole: int
+    panorama: Panorama
     names: list[str]
     told: int
     never: Times
@@ -123,9 +121,7 @@ class Cycles(Operator[CyclesState]):
             start=NEVER,
             broken=False,
             number=0,
-            last=np.zeros((POINTS, n)),
-            before=np.zeros((POINTS, n)),
-            whole=0,
+            panorama=Panorama.none(POINTS, n),
             names=names,
             told=NEVER,
             never=np.empty(0, np.int64),
@@ -276,11 +272,15 @@ class Cycles(Operator[CyclesState]):
                 (name, Chunk(s.never, blank, until, lost)) for name, blank in zip(self.outputs, s.blanks, strict=True)
             ]
         accepted = [c for c in closings if not c.rejected]
-        curves = np.array([c.curve[1:-1] for c in accepted]).reshape(-1, *s.last.shape)
+        curves = np.array([c.curve[1:-1] for c in accepted]).reshape(-1, POINTS, s.data.shape[1])
         closed = np.array([c.row() for c in closings], CLOSED)
         peaks = [self._maxima(c) for c in accepted]
-        views = [(c.stamp, view) for c in closings if (view := self._panorama(c)) is not None]
-        panoramas = np.array([view for _, view in views]).reshape(-1, 2 * POINTS, s.last.shape[1])
+        views = [
+            (c.stamp, view)
+            for c in closings
+            if (view := s.panorama.follow(None if c.rejected else c.curve[1:-1])) is not None
+        ]
+        panoramas = np.array([view for _, view in views]).reshape(-1, 2 * POINTS, s.data.shape[1])
         when = _stamps([c.stamp for c in accepted])
         tops = np.concatenate([np.empty(0, MAXIMUM), *peaks])
         return [
@@ -305,25 +305,6 @@ class Cycles(Operator[CyclesState]):
         )
         rows["name"] = np.array(self.state.names)[muscle]
         return rows
-
-    def _panorama(self, closing: Closing) -> Samples | None:
-        """The view of the cycle before this one, which this one completes, if there was one; then move on by one cycle."""
-        s = self.state
-        view = None
-        if s.whole:
-            view = np.full((2 * POINTS, s.last.shape[1]), np.nan)
-            view[50:150] = s.last
-            if s.whole > 1:
-                view[:50] = s.before[50:]
-            if not closing.rejected:
-                view[150:] = closing.curve[1:51]
-        if closing.rejected:
-            s.whole = 0
-        else:
-            s.before[...] = s.last
-            s.last[...] = closing.curve[1:-1]
-            s.whole = min(s.whole + 1, 2)
-        return view
 
 
 def _stamps(values: list[int]) -> Times:
