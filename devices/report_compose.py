@@ -97,6 +97,11 @@ def _remark(tally: Tally, i: int) -> str:
     )
 
 
+def _troubled(tally: Tally, i: int) -> float:
+    judged, troubled = (int(n) for n in tally.windows[:, i])
+    return troubled / judged if judged else 0.0
+
+
 def _fill_table(report: Report, tally: Tally, specs: Specs, sites: Mapping[str, str]) -> None:
     """The table's columns, and a row per muscle."""
     table: list[tuple[Samples, Samples]] = []
@@ -110,4 +115,6 @@ def _fill_table(report: Report, tally: Tally, specs: Specs, sites: Mapping[str, 
             table.append((values, np.full(len(values), np.nan)))
     for i, name in enumerate(specs["cycles"].channels):
         values = [(float(centre[i]), float(spread[i])) for centre, spread in table]
-        report.muscles.append(Muscle(name, sites.get(name, ""), tally.flags[i], _remark(tally, i), values))
+        report.muscles.append(
+            Muscle(name, sites.get(name, ""), tally.flags[i], _remark(tally, i), values, _troubled(tally, i))
+        )

@@ -15,9 +15,8 @@ from matplotlib.figure import Figure
 from devices.report_data import Curves
 from stream.chunk import Samples
 
-WIDTH_IN = 2.36
-HEIGHT_IN, LOW_IN = 1.42, 1.18
-"""Of a panel; low ones where there are more than twelve, so that they fill one A4 page and no more."""
+SIZES_IN = {4: (3.55, 1.9), 12: (2.36, 1.42), 10_000: (2.36, 1.18)}
+"""Width and height of a panel where there are at most so many, so that more than twelve still fit on one A4 page."""
 SINGLE = 40
 """At most so many single cycles are drawn."""
 INK, BAND, THIN, STANCE = "#12395b", "#8fb3d3", "#9a9a9a", "#f1efe9"
@@ -40,17 +39,20 @@ _STYLE: dict[Any, Any] = {
 def draw(curves: Curves, stance_percent: float, unit: str, titles: list[str]) -> list[str]:
     """One SVG element per muscle: mean curve, band of one standard deviation, thin single cycles, stance shaded."""
     chosen = curves.single[np.linspace(0, len(curves.single) - 1, min(len(curves.single), SINGLE)).round().astype(int)]
-    height = LOW_IN if len(titles) > 12 else HEIGHT_IN
+    size = next(size for most, size in SIZES_IN.items() if len(titles) <= most)
     with rc_context(_STYLE):
         return [
-            _muscle(curves.mean[:, i], curves.sd[:, i], chosen[:, :, i], stance_percent, unit, title, height)
+            _muscle(curves.mean[:, i], curves.sd[:, i], chosen[:, :, i], stance_percent, unit, title, size)
             for i, title in enumerate(titles)
         ]
 
 
-def _muscle(mean: Samples, sd: Samples, single: Samples, stance: float, unit: str, title: str, height: float) -> str:
-    figure = Figure(figsize=(WIDTH_IN, height))
-    axes = figure.add_axes((0.12, 0.16 / height, 0.83, 1 - 0.29 / height))
+def _muscle(
+    mean: Samples, sd: Samples, single: Samples, stance: float, unit: str, title: str, size: tuple[float, float]
+) -> str:
+    width, height = size
+    figure = Figure(figsize=size)
+    axes = figure.add_axes((0.28 / width, 0.16 / height, 1 - 0.4 / width, 1 - 0.29 / height))
     percent = np.arange(len(mean)) * (100 / len(mean))
     if np.isfinite(stance):
         axes.axvspan(0, stance, color=STANCE, linewidth=0)

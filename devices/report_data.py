@@ -38,6 +38,7 @@ class Column:
 class Muscle:
     """One muscle: its row of the table (a value and a standard deviation per column) and what is to be said of its signal.
 
+    troubled  share of the time in which the signal was not good
     verdict   "good", "doubtful" or "bad"; "" where quality was not measured
     """
 
@@ -46,6 +47,7 @@ class Muscle:
     verdict: str = ""
     remark: str = ""
     values: list[tuple[float, float]] = field(default_factory=list)
+    troubled: float = 0.0
 
 
 @dataclass(slots=True)

@@ -16,6 +16,8 @@ import numpy as np
 from devices.report_data import Curves, Muscle, Report, Stream, Value, load
 from stream.chunk import NS
 
+AT_TIMES = 0.1
+"""From this share of bad windows on, a channel that is good on the whole is named."""
 MARKS = {"good": "✓ good", "doubtful": "! doubtful", "bad": "✗ bad"}
 
 
@@ -48,12 +50,13 @@ def render(report: Report, curves: Curves) -> str:
         pretty=pretty,
         pretty_text=lambda text: text.replace(" uV", " µV"),
         lost=_lost,
+        columns=3 if len(report.muscles) > 4 else 2,
         judged=any(m.verdict for m in report.muscles),
         svgs=report_curves.draw(curves, stance, pretty(report.unit), [m.name for m in report.muscles]),
         figures=_figures(report),
         marks=MARKS,
         quality=quality_sentence(report.muscles),
-        all_good=all(m.verdict == "good" for m in report.muscles),
+        all_good=all(m.verdict == "good" and m.troubled < AT_TIMES for m in report.muscles),
         normalisation=normalisation_text(report.normalisation),
         side=_side(report),
         stance=f"{stance:.1f}" if np.isfinite(stance) else "",
@@ -68,17 +71,27 @@ def render(report: Report, curves: Curves) -> str:
 
 
 def quality_sentence(muscles: list[Muscle]) -> str:
-    """Which channels can be used, in a sentence."""
+    """Which channels can be used, in a sentence or two."""
     judged = [m for m in muscles if m.verdict]
     if not judged:
         return "Not judged in this session: look at the single cycles before using a curve."
-    good = sum(m.verdict == "good" for m in judged)
-    if good == len(judged):
-        return f"All {good} channels are good."
-    rest = "; ".join(
-        f"{m.name} {m.verdict}{f' ({m.remark})' if m.remark else ''}" for m in judged if m.verdict != "good"
+    bad = [f"{m.name} {m.verdict}{_because(m)}" for m in judged if m.verdict != "good"]
+    at_times = [f"{m.name}{_because(m)}" for m in judged if m.verdict == "good" and m.troubled >= AT_TIMES]
+    good = (
+        f"All {len(judged)} channels are good"
+        if not bad
+        else f"{len(judged) - len(bad)} of {len(judged)} channels are good"
     )
-    return f"{good} of {len(judged)} channels are good. Look at: {rest}."
+    told = [
+        f"{good}.",
+        f"Look at: {'; '.join(bad)}." if bad else "",
+        f"At times not good: {'; '.join(at_times)}." if at_times else "",
+    ]
+    return " ".join(part for part in told if part)
+
+
+def _because(muscle: Muscle) -> str:
+    return f" ({muscle.remark})" if muscle.remark else ""
 
 
 def normalisation_text(normalisation: str) -> str:
