@@ -157,6 +157,7 @@ class Session:
 
     def _begin(self) -> None:
         self._start = CommonStart(self._runners)
+        self._unended = {i.stream for i in self._intakes if not i.runner.source.background} or {"until stopped"}
         if self._former:
             self._catch_up(self._former)
         else:
@@ -207,10 +208,6 @@ class Session:
                 self._checkpoint()
             if 0 < self._duration_s <= now - began:
                 return
-
-    def _ended(self) -> bool:
-        lasting = [i for i in self._intakes if not i.runner.source.background]
-        return bool(lasting) and all(i.ended for i in lasting)
 
     # what comes in ---------------------------------------------------------------------------------------------------
 
