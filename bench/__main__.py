@@ -1,0 +1,98 @@
+"""`python -m bench`, or `make bench`: all figures in one run, interleaved; the table goes into the README where it is asked for."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from bench import paced, recorder, replay, start, throughput
+from bench.engines import Field
+from bench.report import Section, into_readme, whole
+
+README = Path(__file__).resolve().parent.parent / "README.md"
+BUSY = 0.5
+"""Beyond this load average at the start, the report says that the machine was busy."""
+MEASURES = ("overhead", "chain", "sizes", "paced", "recorder", "start", "replay")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
+    parser.add_argument(
+        "--only", nargs="+", choices=MEASURES, default=MEASURES, metavar="MEASURE", help=", ".join(MEASURES)
+    )
+    parser.add_argument("--no-peers", action="store_true", help="kinegraph and the bare loops alone")
+    parser.add_argument("--quick", action="store_true", help="tiny sizes: to see that it works, not for figures")
+    parser.add_argument("--hours", type=float, default=10.0, help="of the replayed recording")
+    parser.add_argument("--readme", action="store_true", help="write the report into the README")
+    given = parser.parse_args()
+    began, load = time.monotonic(), os.getloadavg()[0]
+    sections = []
+    with Field.gather(with_peers=not given.no_peers) as field:
+        for name, measure in measures(field, quick=given.quick, hours=given.hours).items():
+            if name in given.only:
+                print(f"{name} ...", file=sys.stderr, flush=True)
+                sections.append(measure())
+        text = whole(sections, about(field, load, time.monotonic() - began))
+    print(text)
+    if given.readme:
+        into_readme(README, text)
+
+
+def measures(field: Field, *, quick: bool, hours: float) -> dict[str, Callable[[], Section]]:
+    """Every measure, ready to be taken."""
+    if quick:
+        return {
+            "overhead": lambda: throughput.overhead(field, 1, 0.01),
+            "chain": lambda: throughput.chain(field, 1, 0.01),
+            "sizes": lambda: throughput.every_chunk_size(field, [1, 7, 97], 1000),
+            "paced": lambda: paced.paced(field, 1, 0.3),
+            "recorder": lambda: recorder.recorder(500),
+            "start": lambda: start.start(1),
+            "replay": lambda: replay.replay(0.02, 36.0),
+        }
+    return {
+        "overhead": lambda: throughput.overhead(field, 9, 0.1),
+        "chain": lambda: throughput.chain(field, 7, 0.1),
+        "sizes": lambda: throughput.every_chunk_size(field, list(range(1, 1001)), 6000),
+        "paced": lambda: paced.paced(field, 4, 4.5),
+        "recorder": lambda: recorder.recorder(20_000),
+        "start": lambda: start.start(5),
+        "replay": lambda: replay.replay(hours),
+    }
+
+
+def about(field: Field, load: float, took_s: float) -> str:
+    """What was measured, where, and what has to be known about it."""
+    versions = {name: v for engine in field.engines.values() for name, v in engine.versions.items()}
+    lines = [
+        f"Measured by `make bench` on {_processor()} ({os.cpu_count()} cores), {platform.system()}, Python {platform.python_version()}, "
+        f"in {took_s / 60:.0f} minutes; rounds of all contenders interleaved, medians if nothing else is said. "
+        + ", ".join(f"{name} {v}" for name, v in versions.items())
+        + "."
+    ]
+    if field.absent:
+        lines.append("Left out: " + "; ".join(field.absent) + ".")
+    if busy:
+        lines.append(
+            f"**The machine was busy with other work before it began: {', '.join(busy)}. Take the figures as upper bounds.**"
+        )
+    return "\n\n".join(lines)
+
+
+def _processor() -> str:
+    try:
+        text = subprocess.run(["lscpu"], capture_output=True, text=True, check=True).stdout
+    except (OSError, subprocess.CalledProcessError):
+        return platform.processor() or "an unknown processor"
+    names = [line.partition(":")[2].strip() for line in text.splitlines() if line.startswith("Model name")]
+    return names[0] if names else platform.machine()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,49 @@
+"""Every script of the bench runs, with tiny sizes and without peers; what it measures is not judged here."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+from bench.report import BEGIN, END, Goal, Section, into_readme, short, whole
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def run(*arguments: str) -> str:
+    done = subprocess.run([sys.executable, "-m", *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_all_measures_run() -> None:
+    text = run("bench", "--quick", "--no-peers")
+    for words in ("Cost of a message", "Five operators", "Paced", "Recording", "Start", "Replay of 0.02 hours"):
+        assert words in text
+    assert "the bare loop gives the same" in text  # the chain's bits, whatever the chunks
+    assert "| different answers over 3 chunk sizes | 1 " in text
+
+
+def test_stalls_run() -> None:
+    order = {"freeze": False, "switch_ms": 5, "nogil": True, "beside": "busy", "seconds": 0.2}
+    due = json.loads(run("bench.stalls", "--one", json.dumps(order)).splitlines()[-1])
+    assert len(due) == 20
+    assert min(due) > 0
+
+
+def test_a_report_replaces_the_one_before(tmp_path: Path) -> None:
+    readme = tmp_path / "README.md"
+    readme.write_text("# kinegraph\n\nText.\n", encoding="utf-8")
+    for reached in (3.0, 2.0):
+        into_readme(readme, whole([Section("Title", goals=[Goal("speed", reached, 2.5, "us")])], "About."))
+    text = readme.read_text(encoding="utf-8")
+    assert text.startswith("# kinegraph\n\nText.\n")
+    assert (text.count(BEGIN), text.count(END)) == (1, 1)
+    assert "| speed | 2 us | at most 2.5 us | yes |" in text
+    assert "3 us" not in text
+
+
+def test_short_numbers() -> None:
+    assert [short(v) for v in (0.1234, 12.34, 123.4, 12345.0)] == ["0.123", "12.3", "123", "12345"]
