@@ -78,10 +78,8 @@ def about(field: Field, load: float, took_s: float) -> str:
     ]
     if field.absent:
         lines.append("Left out: " + "; ".join(field.absent) + ".")
-    if busy:
-        lines.append(
-            f"**The machine was busy with other work before it began: {', '.join(busy)}. Take the figures as upper bounds.**"
-        )
+    if load > BUSY:
+        lines.append(f"**The machine was busy with other work (load average {load:.1f} at the start).**")
     return "\n\n".join(lines)
 
 
