@@ -23,7 +23,7 @@ HINT = "a word and Enter annotates · a digit or the space bar marks · Ctrl-C e
 WAITING = "getting ready (the first run after an installation compiles for up to a minute)"
 
 Metrics = Mapping[str, Mapping[str, Any]]
-"""Per source stream, node, and "recording": what `stream.status.table_of` measures."""
+"""Per source stream, node, and "recording": what `stream.engine.status.table_of` measures."""
 
 
 class View:
