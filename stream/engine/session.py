@@ -86,7 +86,7 @@ class Session:
         self.clock = SessionClock(after=self._former.last_time if self._former else NEVER)
         self._bell: Doorbell = SimpleQueue()
         self._put_aside: list[Channel] = []
-        self._stopping = self._over = False
+        self._stopping = False
         self._error: Exception | None = None
         self._down = False
         self.table: Table = {}
@@ -157,7 +157,6 @@ class Session:
 
     def _begin(self) -> None:
         self._start = CommonStart(self._runners)
-        self._unended = {i.stream for i in self._intakes if not i.runner.source.background} or {"until stopped"}
         if self._former:
             self._catch_up(self._former)
         else:
@@ -193,7 +192,7 @@ class Session:
     def _loop(self) -> None:
         began = time.monotonic()
         now, tick, metrics, checkpoint = began, began + TICK_S, began + METRICS_S, began + self.graph.checkpoint_s
-        while not self._stopping and self._error is None and not self._over:
+        while not self._stopping and self._error is None and self._unended:
             self._serve(tick - now)
             now = time.monotonic()
             if now < tick:
@@ -208,6 +207,10 @@ class Session:
                 self._checkpoint()
             if 0 < self._duration_s <= now - began:
                 return
+
+    def _ended(self) -> bool:
+        lasting = [i for i in self._intakes if not i.runner.source.background]
+        return bool(lasting) and all(i.ended for i in lasting)
 
     # what comes in ---------------------------------------------------------------------------------------------------
 
@@ -240,7 +243,7 @@ class Session:
             self.journal.enter(intake.number, admitted, arrival)
             intake.wire.send(admitted, perf_counter_ns())
             if admitted.until == FOREVER:
-                self._over = self._ended()
+                self._unended.discard(intake.stream)
 
     def _pump(self) -> None:
         """Take what lanes send home; chunks of sources are put aside until the lanes are at rest."""
