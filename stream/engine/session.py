@@ -86,7 +86,7 @@ class Session:
         self.clock = SessionClock(after=self._former.last_time if self._former else NEVER)
         self._bell: Doorbell = SimpleQueue()
         self._put_aside: list[Channel] = []
-        self._stopping = False
+        self._stopping = self._over = False
         self._error: Exception | None = None
         self._down = False
         self.table: Table = {}
@@ -192,7 +192,7 @@ class Session:
     def _loop(self) -> None:
         began = time.monotonic()
         now, tick, metrics, checkpoint = began, began + TICK_S, began + METRICS_S, began + self.graph.checkpoint_s
-        while not self._stopping and self._error is None and self._unended:
+        while not self._stopping and self._error is None and not self._over:
             self._serve(tick - now)
             now = time.monotonic()
             if now < tick:
@@ -243,7 +243,7 @@ class Session:
             self.journal.enter(intake.number, admitted, arrival)
             intake.wire.send(admitted, perf_counter_ns())
             if admitted.until == FOREVER:
-                self._unended.discard(intake.stream)
+                self._over = self._ended()
 
     def _pump(self) -> None:
         """Take what lanes send home; chunks of sources are put aside until the lanes are at rest."""
