@@ -15,6 +15,9 @@ from stream.errors import InputError, ParameterError
 from stream.operator import Case, Emitted, Operator, grid
 from stream.params import param
 
+BLOCK_S = 0.02
+"""How much is filtered backwards at a time: twice as much costs 20 ms of look-ahead and saves a third of the work."""
+
 
 @dataclass(slots=True)
 class Filters:
@@ -64,7 +67,7 @@ class Envelope(Operator[EnvelopeState]):
     - Offset and motion artefact are removed before rectifying, by a high-pass of `highpass_hz` (SENIAM: 10-20 Hz), since rectifying
       would turn them into activity for good. 0 leaves it out.
     - `phase: zero` (default) filters forwards and backwards: the high-pass on short overlapping blocks, the low-pass as a symmetric FIR
-      filter of the squared response (`operators.zero_phase`). Peaks stay where they are; the look-ahead is 0.22 s with the defaults.
+      filter of the squared response (`operators.zero_phase`). Peaks stay where they are; the look-ahead is 0.23 s with the defaults.
       The low-pass is its own anti-alias filter: 76 dB down at 60 Hz.
     - `phase: causal` uses the Butterworth filters as they are, about 0.05 s behind; stamps are set back by the anti-alias filter's delay
       and by the low-pass's mean group delay below half its cut-off. One peak in ten then lies more than 1 % of a cycle off.
@@ -169,7 +172,7 @@ class Envelope(Operator[EnvelopeState]):
     def _zero(self, rate_in: float, up: int, down: int, rate_out: float) -> Filters:
         hp, start = self._highpass(rate_in)
         ahead = highpass_reach(self.highpass_hz, self.highpass_order, rate_in) if len(hp) else 0
-        block = down // up + 1 if len(hp) else 1
+        block = max(1, round(BLOCK_S * rate_in)) if len(hp) else 1
         taps = lowpass_phases(self.cutoff_hz, self.order, rate_in, up)
         delay = (ahead + block - 1 + taps.shape[1] // 2) / rate_in
         return Filters(

@@ -11,7 +11,7 @@ from scipy.signal import butter, sosfilt, sosfilt_zi
 
 def zero_phase_envelope(x, fs, cutoff=20.0, order=4, highpass=20.0, highpass_order=2, up=3, down=25):
     """(n, c) raw EMG to (m, c): high-pass there and back in blocks, rectify, weigh with the low-pass's autocorrelation."""
-    clean = np.abs(_there_and_back(x, fs, highpass, highpass_order, down // up + 1))
+    clean = np.abs(_there_and_back(x, fs, highpass, highpass_order, round(0.02 * fs)))
     h = _impulse(butter(order, cutoff, fs=fs * up, output="sos"), int(4 * order / cutoff * fs * up) + 2)
     g = np.array([h[: len(h) - lag] @ h[lag:] for lag in range(len(h))])
     half = g[: np.nonzero(np.abs(g) >= 1e-3 * g.max())[0][-1] + 2]
