@@ -1,0 +1,220 @@
+"""Lines of numbers over a serial port or TCP: an Arduino with MyoWare sensors, or anything that prints comma-separated values."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal
+
+import numpy as np
+import structlog
+
+from devices.handshake import all_there, shown
+from devices.packet_clock import Packets
+from devices.protocols.ascii_lines import Decoder
+from devices.stamps import Stamps, runs
+from devices.timing import timing_chunk, timing_spec
+from devices.transport import Transport, connect
+from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
+from stream.errors import DeviceError, ParameterError
+from stream.params import param
+from stream.source import Feed, Source
+
+NS_PER = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": NS}
+HEADER_S = 5.0
+FIRST_LINE_S = 5.0
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class AsciiLines(Source):
+    """Numbers in lines of text, one sample a line.
+
+    out      (channels,) float64: every column that is neither the device's time nor its counter, times `scale`, plus `offset`, in `units`
+    timing   an event per line: counter, device time, arrival, stamp
+
+    Stamps follow the column named by `time` if there is one, else `counter` (with `rate_hz`), else the lines' arrival, spread evenly at
+    `rate_hz` over what comes in one read. Missing lines are known from the counter, or, with `rate_hz`, from steps of the device's time.
+    Lines with another number of columns, or with something that is no number, are rejected and counted ("bad line").
+    """
+
+    outputs: ClassVar[tuple[str, ...]] = ("out", "timing")
+
+    port: str = param(help="/dev/ttyACM0, COM3 or tcp://host:port; `kinegraph devices` lists serial ports")
+    columns: tuple[str, ...] = param(help="names of the columns in a line; with `header`, the wanted ones in any order")
+    baud: int = param(115200, least=50, help="bits per second of the serial port")
+    delimiter: str = param(",", help="between two numbers; a blank stands for any number of blanks")
+    header: bool = param(False, help="the device prints a line with its columns' names, which tells where each stands")
+    units: tuple[str, ...] = param(("",), help="unit of every channel, or one for all, after scale and offset")
+    scale: tuple[float, ...] = param(
+        (1.0,), help="factor for every channel, or one for all, e.g. 5000 / 1023 mV per count"
+    )
+    offset: tuple[float, ...] = param((0.0,), help="added to every channel after scale, or one for all")
+    time: str = param("", help="the column that holds the device's time")
+    time_unit: Literal["ns", "us", "ms", "s"] = param("us", help="unit of that column")
+    time_bits: int = param(
+        32, least=0, most=64, help="after how many bits the time begins anew (micros() and millis(): 32); 0: never"
+    )
+    counter: str = param("", help="the column that counts lines")
+    counter_bits: int = param(16, least=1, most=32, help="after how many bits the counter begins anew")
+    rate_hz: float | None = param(None, above=0, help="lines per second; left out: irregular")
+    start: str = param("", help='sent when the port has been opened, e.g. "b\\n"')
+    stop: str = param("", help="sent before it is closed")
+    latency_s: float = param(
+        0.0, least=0, most=1, help="the constant delay from the measurement to the port, if you know it"
+    )
+
+    @property
+    def chunk_s(self) -> float:
+        return 1 / self.rate_hz if self.rate_hz else 0.0
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The columns that are data."""
+        return tuple(name for name in self.columns if name not in (self.time, self.counter))
+
+    def specs(self) -> Specs:
+        self._check()
+        spec = StreamSpec((len(self.channels),), rate_hz=self.rate_hz, channels=self.channels, units=self.units)
+        return {"out": spec, "timing": timing_spec()}
+
+    def _check(self) -> None:
+        n = len(self.channels)
+        if not n or len(set(self.columns)) != len(self.columns):
+            raise ParameterError("columns", list(self.columns), "different names, at least one of which is data")
+        for name in ("time", "counter"):
+            column = getattr(self, name)
+            if column and column not in self.columns:
+                raise ParameterError(name, column, f"one of the columns: {', '.join(self.columns)}")
+        for name in ("units", "scale", "offset"):
+            if len(getattr(self, name)) not in (1, n):
+                raise ParameterError(
+                    name, list(getattr(self, name)), f"one, or {n}: one for each of {', '.join(self.channels)}"
+                )
+        if self.counter and not self.rate_hz:
+            raise ParameterError(
+                "rate_hz", self.rate_hz, "given with `counter`: it tells how often the counter has begun anew"
+            )
+        if not self.delimiter or self.delimiter in "\r\n.+-#" or self.delimiter.isalnum():
+            raise ParameterError("delimiter", self.delimiter, "what stands between numbers, as ',' ';' ' ' or a tab")
+
+    @contextmanager
+    def simulated(self) -> Iterator[Source]:
+        from devices.simulators.ascii_lines import AsciiLines as Simulated
+
+        device = Simulated(
+            columns=self.columns,
+            delimiter=self.delimiter,
+            header=self.header,
+            rate_hz=self.rate_hz or 100.0,
+            time=self.time,
+            time_unit=self.time_unit,
+            counter=self.counter,
+            counter_bits=self.counter_bits,
+        )
+        with device.serving() as address:
+            yield replace(self, port=address)
+
+    def read(self, feed: Feed) -> None:
+        with connect(self.port, self.baud) as link:
+            if self.start:
+                link.write(self.start.encode())
+            try:
+                self._stream(link, feed)
+            finally:
+                if self.stop:
+                    with suppress(DeviceError):
+                        link.write(self.stop.encode())
+
+    def _stream(self, link: Transport, feed: Feed) -> None:
+        decoder = Decoder(self.columns, self.delimiter, self.header)
+        stream = _Stream(self)
+        opened = time.monotonic()
+        seen, came = False, b""
+        while not feed.stopped:
+            data = link.read(0.1)
+            if len(data) > 1000:
+                data = all_there(link, data)
+            lines = decoder.feed(data)
+            if lines.rejected:
+                feed.problem("bad line", lines.rejected)
+                log.debug("bad line", port=self.port, line=lines.example.decode("ascii", "replace"))
+            if len(lines.rows):
+                seen = True
+                stream.pass_on(lines.rows, feed)
+            elif not seen:
+                came = (came + data)[-64:]
+                self._check_beginning(time.monotonic() - opened, bool(decoder.names), came)
+
+    def _check_beginning(self, waited_s: float, has_header: bool, came: bytes) -> None:
+        """Raise DeviceError where what was expected has not come in time."""
+        names = self.delimiter.join(self.columns)
+        if not has_header and waited_s > HEADER_S:
+            raise DeviceError(
+                f"no header from {self.port} within {HEADER_S:g} s: expected a line that names {names}; came {shown(came)}"
+                " (an Arduino prints it when it is reset; or leave `header` out)"
+            )
+        if has_header and came and waited_s > FIRST_LINE_S + (self.chunk_s and 2 * self.chunk_s):
+            raise DeviceError(
+                f"no good line from {self.port} within {waited_s:.0f} s: expected {len(self.columns)} numbers, {names};"
+                f" came {shown(came)} (is baud {self.baud} right?)"
+            )
+
+
+class _Stream:
+    """Rows to samples: what is remembered between two reads."""
+
+    def __init__(self, of: AsciiLines) -> None:
+        columns = of.columns
+        self._time = columns.index(of.time) if of.time else None
+        self._counter = columns.index(of.counter) if of.counter else None
+        self._data = [columns.index(name) for name in of.channels]
+        self._ns = NS_PER[of.time_unit]
+        self._scale, self._offset = np.array(of.scale), np.array(of.offset)
+        self._bits = of.counter_bits
+        wraps = (1 << of.time_bits) * self._ns if of.time_bits else 0
+        self._stamps = Stamps(
+            of.rate_hz,
+            counter_bits=of.counter_bits if of.counter else 0,
+            has_time=bool(of.time),
+            wraps_ns=wraps,
+            latency_s=of.latency_s,
+        )
+
+    def pass_on(self, rows: Samples, feed: Feed) -> None:
+        """Emit what a read has brought."""
+        rows = self._sound(rows, feed)
+        if not len(rows):
+            return
+        arrival = feed.now()
+        device = None if self._time is None else np.round(rows[:, self._time] * self._ns).astype(np.int64)
+        counter = None if self._counter is None else rows[:, self._counter].astype(np.int64) % (1 << self._bits)
+        packets = self._stamps.take(len(rows), arrival, device, counter)
+        self._count(rows, packets, feed)
+        if not len(packets.stamp):
+            return
+        data = rows[packets.kept][:, self._data] * self._scale + self._offset
+        for start, stop in runs(packets.lost):
+            times = packets.stamp[start:stop]
+            feed.emit(Chunk(times, data[start:stop], int(times[-1]), int(packets.lost[start])))
+        feed.emit(timing_chunk(packets.number, packets.device, arrival, packets.stamp), "timing")
+
+    def _sound(self, rows: Samples, feed: Feed) -> Samples:
+        """The rows whose time and counter are numbers."""
+        keys = [c for c in (self._time, self._counter) if c is not None]
+        good = (np.abs(rows[:, keys]) < 2**62 / self._ns).all(axis=1) if keys else np.ones(len(rows), bool)
+        if not good.all():
+            feed.problem("bad line", int((~good).sum()))
+        return rows[good]
+
+    def _count(self, rows: Samples, packets: Packets, feed: Feed) -> None:
+        missing = int(packets.lost.clip(0).sum())
+        if missing:
+            feed.problem("lost line", missing)
+        if (packets.lost < 0).any():
+            feed.problem("device restarted")
+        if len(packets.stamp) < len(rows):
+            feed.problem("repeated line or wrong time", len(rows) - len(packets.stamp))

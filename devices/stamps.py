@@ -1,0 +1,113 @@
+"""Stamps and losses of what a device sends, by the best that it tells: its own time, else a counter, else only when it arrived."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from devices.device_clock import ClockState, Counter, DeviceClock
+from devices.device_time import DeviceTime
+from devices.packet_clock import PacketClock, Packets
+from stream.chunk import NS, Array, Times
+
+GAP_PERIODS = 1.75
+"""Without a counter, a longer step of the device's time means that something is missing."""
+
+
+class Stamps:
+    """For records that come some at a time.
+
+    rate_hz        how many a second, where that is known; needed where a counter is the only clock
+    counter_bits   of the counter in each record; 0: there is none
+    has_time       whether each record brings the device's time
+    wraps_ns       where that begins anew; 0: never
+    """
+
+    def __init__(
+        self,
+        rate_hz: float | None,
+        *,
+        counter_bits: int = 0,
+        has_time: bool = False,
+        wraps_ns: int = 0,
+        latency_s: float = 0.0,
+    ) -> None:
+        self._rate, self._has_time = rate_hz, has_time
+        self._latency = round(latency_s * NS)
+        self._clock = DeviceClock(latency_s)
+        self._time = DeviceTime(wraps_ns)
+        self._counter = Counter(counter_bits, rate_hz or 0.0) if counter_bits and has_time else None
+        self._packets = PacketClock(counter_bits, rate_hz or 1.0, latency_s) if counter_bits and not has_time else None
+        self._device: int | None = None
+        self._last: int | None = None
+
+    @property
+    def state(self) -> ClockState | None:
+        """What is known of the device's clock; None where it has none."""
+        if self._packets:
+            return self._packets.state
+        return self._clock.state if self._has_time else None
+
+    def take(self, n: int, arrival_ns: int, device_ns: Times | None = None, counter: Array | None = None) -> Packets:
+        """`n` > 0 records have arrived now; with them the device's time (n,) and counters (n,), where there are such."""
+        if device_ns is not None:
+            return self._by_time(device_ns, counter, arrival_ns)
+        if self._packets and counter is not None:
+            return self._packets.take(counter, arrival_ns)
+        return self._by_arrival(n, arrival_ns)
+
+    def _by_time(self, raw_ns: Times, counter: Array | None, arrival_ns: int) -> Packets:
+        kept = np.zeros(len(raw_ns), bool)
+        number, lost, device = (np.full(len(raw_ns), -1, np.int64) for _ in range(3))
+        for i in range(len(raw_ns)):
+            value = self._time.read(int(raw_ns[i]), arrival_ns)
+            if value is None:
+                continue
+            missing = self._missing(value, None if counter is None else int(counter[i]), arrival_ns)
+            if missing < -1:
+                continue
+            kept[i], lost[i], device[i] = True, missing, value
+            if self._counter:
+                number[i] = self._counter.value
+        device = device[kept]
+        if len(device):
+            self._clock.see(int(device[-1]), arrival_ns)
+        return Packets(kept, number[kept], lost[kept], device, self._clock.stamps(device))
+
+    def _missing(self, device_ns: int, counter: int | None, arrival_ns: int) -> int:
+        """How many are missing before this one; -1: nobody knows; -2: it was there already."""
+        before, self._device = self._device, device_ns
+        if self._time.restarted:
+            self._clock.restart()
+            if self._counter and counter is not None:
+                self._counter.lost_before(counter, arrival_ns)
+            return -1
+        if self._counter and counter is not None:
+            missing = self._counter.lost_before(counter, arrival_ns)
+            return -2 if missing < 0 else missing
+        if before is None or not self._rate:
+            return 0
+        periods = (device_ns - before) / NS * self._rate
+        return round(periods) - 1 if periods > GAP_PERIODS else 0
+
+    def _by_arrival(self, n: int, arrival_ns: int) -> Packets:
+        """Evenly back from the arrival, at the nominal rate, but not before what came last."""
+        period = NS / self._rate if self._rate else 0.0
+        span = period * (n - 1)
+        if self._last is not None:
+            span = max(0.0, min(span, (arrival_ns - self._latency - self._last) * (n - 1) / n))
+        back = np.round(span * np.arange(n - 1, -1, -1) / max(1, n - 1)).astype(np.int64)
+        stamp = arrival_ns - self._latency - back
+        if self._last is not None:
+            stamp = np.maximum(stamp, self._last)
+        self._last = int(stamp[-1])
+        none = np.full(n, -1, np.int64)
+        return Packets(np.ones(n, bool), none, np.zeros(n, np.int64), none, stamp)
+
+
+def runs(lost: Times) -> list[tuple[int, int]]:
+    """The (start, stop) of records that follow each other without a gap; empty for none."""
+    cuts = np.flatnonzero(lost)
+    edges = [0, *(int(c) for c in cuts if c > 0), len(lost)]
+    return [(a, b) for a, b in pairwise(edges) if b > a]
