@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable
 from time import perf_counter_ns
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import structlog
@@ -29,35 +29,50 @@ Tap: TypeAlias = Callable[[Chunk], None]
 
 
 class Wire:
-    """One output of a node while a graph runs: carries `lost` to the next samples, keeps arrays normal, calls taps and readers."""
+    """One output of a node while a graph runs: carries `lost` to the next samples, keeps arrays normal, calls taps and readers.
 
-    __slots__ = ("edge", "gaps", "lost", "owed", "readers", "samples", "spec", "taps")
+    single   the only reader, where that is an operator with one input on the same thread
+    """
+
+    __slots__ = ("edge", "gaps", "lost", "owed", "readers", "samples", "single", "spec", "taps")
 
     def __init__(self, edge: Edge, spec: StreamSpec) -> None:
         self.edge, self.spec = edge, spec
         self.taps: list[Tap] = []
         self.readers: list[Push] = []
+        self.single: Single | None = None
         self.owed = 0
         self.gaps = 0
         self.lost = 0
         self.samples = 0
 
     def send(self, chunk: Chunk, start: int) -> int:
-        if chunk.lost or self.owed:
-            chunk = self._carry(chunk)
-        self.samples += len(chunk.time)
-        if not chunk.data.flags.carray:
-            chunk = Chunk(
-                np.ascontiguousarray(chunk.time),
-                np.require(chunk.data, requirements=["C", "A", "W"]),
-                chunk.until,
-                chunk.lost,
-            )
-        for tap in self.taps:
-            tap(chunk)
-        for push in self.readers:
-            start = push(chunk, start)
-        return start
+        """Carry a chunk to all who read it. Along a chain this is a loop: a deep one would otherwise cost twice as much per operator."""
+        wire = self
+        while True:
+            if chunk.lost or wire.owed:
+                chunk = wire._carry(chunk)
+            n = len(chunk.time)
+            wire.samples += n
+            if not chunk.data.flags.carray:
+                chunk = _normal(chunk)
+            for tap in wire.taps:
+                tap(chunk)
+            if wire.single is None:
+                for push in wire.readers:
+                    start = push(chunk, start)
+                return start
+            name, port, process, note, timing, out, emit = wire.single
+            try:
+                emitted = process(port, chunk)
+            except Exception as error:
+                raise _failure(name, error, port, chunk) from error
+            end = perf_counter_ns()
+            note(end - start)
+            timing.samples += n
+            if emitted.__class__ is not Chunk:
+                return end if emitted is None else emit(emitted, end)
+            wire, chunk, start = out, emitted, end
 
     def _carry(self, chunk: Chunk) -> Chunk:
         """Move a `lost` without samples to the next chunk that has some."""
@@ -69,6 +84,24 @@ class Wire:
         self.gaps += 1
         self.lost = add_lost(self.lost, lost)
         return Chunk(chunk.time, chunk.data, chunk.until, lost)
+
+
+def _normal(chunk: Chunk) -> Chunk:
+    """The chunk with arrays that are contiguous, aligned and writable."""
+    data = np.require(chunk.data, requirements=["C", "A", "W"])
+    return Chunk(np.ascontiguousarray(chunk.time), data, chunk.until, chunk.lost)
+
+
+class Single(NamedTuple):
+    """An operator with one input that is a wire's only reader: what `Wire.send` needs to run it."""
+
+    name: str
+    port: str
+    process: Callable[[str, Chunk], Emitted]
+    note: Callable[[int], None]
+    timing: Timing
+    out: Wire
+    emit: Callable[[Emitted, int], int]
 
 
 class Stage:
@@ -104,6 +137,13 @@ class Stage:
             return start
 
         return push
+
+    def single(self, port: str) -> Single | None:
+        """How a wire may run this stage itself; None for an outlet, and where several inputs are merged."""
+        if self.node.is_outlet or self.merge is not None:
+            return None
+        timing, out = self.timing, next(iter(self.wires.values()))
+        return Single(self.node.name, port, self.operator.process, timing.durations.append, timing, out, self.emit)
 
     def _runner(self) -> Callable[[str, Chunk, int], int]:
         process, timing, note = self.operator.process, self.timing, self.timing.durations.append
@@ -208,17 +248,21 @@ class Pipeline:
         }
         self.wires = {str(w.edge): w for w in self._wires()}
         for wire in self.wires.values():
-            for node, port in graph.readers(wire.edge):
-                if (stage := self.stages.get(node.name)) is not None:
-                    wire.readers.append(self._connect(wire, stage, port, bridge))
+            readers = [(self.stages[n.name], port) for n, port in graph.readers(wire.edge) if n.name in self.stages]
+            for stage, port in readers:
+                push = stage.push(port)
+                bridged = self._bridged(wire, stage, port, push, bridge)
+                wire.readers.append(bridged)
+                if len(readers) == 1 and bridged is push:
+                    wire.single = stage.single(port)
 
     def _wires(self) -> Iterable[Wire]:
         yield from self.entries.values()
         for stage in self.stages.values():
             yield from stage.wires.values()
 
-    def _connect(self, wire: Wire, stage: Stage, port: str, bridge: Bridge | None) -> Push:
-        push = stage.push(port)
+    def _bridged(self, wire: Wire, stage: Stage, port: str, push: Push, bridge: Bridge | None) -> Push:
+        """The push, behind a queue where the stage runs on another lane than what feeds it."""
         origin = self.stages.get(wire.edge.node)
         if bridge is None or stage.lane == (origin.lane if origin else ""):
             return push
