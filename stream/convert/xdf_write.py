@@ -80,7 +80,7 @@ class _Stream:
     def __init__(self, name: str, spec: StreamSpec) -> None:
         self.name, self.spec = name, spec
         self.names = column_names(spec)
-        self.dtype = _type_of(spec)
+        self.dtype = type_of(spec)
         self.first: float | None = None
         self.last = 0.0
         self.count = 0
@@ -124,7 +124,7 @@ class _Stream:
         return table.tobytes()
 
 
-def _type_of(spec: StreamSpec) -> np.dtype[np.generic] | None:
+def type_of(spec: StreamSpec) -> np.dtype[np.generic] | None:
     """The one type that holds every number of a sample exactly; None: written as text (events that mix texts, long integers, fractions)."""
     kinds = [spec.dtype[name].base for name in spec.dtype.names] if spec.dtype.names else [spec.dtype]
     if any(kind.kind not in "fiub" for kind in kinds):

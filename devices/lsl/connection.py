@@ -1,0 +1,116 @@
+"""An open inlet: samples, the sender's clock, and whether LSL had to connect anew meanwhile."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import structlog
+
+from devices.lsl.find import Wanted
+from devices.lsl.metadata import TEXT, Described, describe
+from stream.chunk import Array, Samples
+from stream.errors import DeviceError
+from stream.source import Feed
+
+OPEN_S = 5.0
+"""How long an outlet may take to answer."""
+SLICE_S = 0.2
+"""How long one call into the library may last: a source must stop within two seconds."""
+BUFFER_S = 60
+"""What is kept for us while we are late; then the oldest is lost."""
+MOST = 4096
+"""Samples of one read."""
+SAME_CLOCK_S = 1e-3
+"""Two clocks on hosts of one name that are so close are one clock, and what was measured is the measurement's error."""
+
+log = structlog.get_logger(__name__)
+
+
+class Connection:
+    """A stream that has been opened. `described`: what it says of itself."""
+
+    def __init__(self, lsl: Any, inlet: Any, described: Described) -> None:
+        self.lsl, self._inlet, self.described = lsl, inlet, described
+        texts = described.format == TEXT
+        self._room = None if texts else np.empty((MOST, described.count), inlet.np_dtype)
+        self._at_home = described.host == socket.gethostname()
+
+    def pull(self) -> tuple[Array, Samples]:
+        """What has come: samples (n, channels), which are overwritten by the next call, and stamps (n,) on the sender's clock.
+
+        Waits for the first, but not for long: n may be 0. Raises DeviceError when the stream is gone for good.
+        """
+        try:
+            data, stamps = self._inlet.pull_chunk(SLICE_S, MOST, dest_obj=self._room, min_samples=1, as_numpy=True)
+        except self.lsl.util.LostError:
+            raise DeviceError("the stream is gone, and has no source_id by which LSL could find it again") from None
+        return data, stamps
+
+    def correction(self) -> float | None:
+        """What to add to the sender's stamps to have local ones (s), as measured last; None: it is being measured."""
+        try:
+            measured = float(self._inlet.time_correction(0.0))
+        except RuntimeError:
+            return 0.0 if self._at_home else None
+        return 0.0 if self._at_home and abs(measured) < SAME_CLOCK_S else measured
+
+    def connected_anew(self) -> bool:
+        """Whether LSL lost the outlet and found it again since this was asked last."""
+        return bool(self._inlet.was_clock_reset())
+
+    @property
+    def wanted(self) -> Wanted:
+        """By what the outlet can be asked whether it is still there."""
+        d = self.described
+        return Wanted(d.name, d.type, d.source_id, d.host)
+
+
+@contextmanager
+def opened(lsl: Any, info: Any, feed: Feed) -> Iterator[Connection | None]:
+    """The stream, open, for as long as the context lasts; None if told to stop first. Raises DeviceError."""
+    inlet = lsl.StreamInlet(info, max_buflen=BUFFER_S, recover=True)
+    try:
+        full = _in_slices(lsl, inlet.info, feed)
+        if full is None or _in_slices(lsl, lambda s: inlet.open_stream(s) or True, feed) is None:
+            yield None
+            return
+        described = describe(full.as_xml())
+        log.info("LSL stream", **_facts(described, full.uid()))
+        yield Connection(lsl, inlet, described)
+    finally:
+        inlet.close_stream()
+
+
+def _in_slices(lsl: Any, call: Any, feed: Feed) -> Any:
+    """What the call gives, tried in short slices of time; None if told to stop. Raises DeviceError after `OPEN_S`."""
+    deadline = time.monotonic() + OPEN_S
+    while not feed.stopped:
+        try:
+            return call(SLICE_S)
+        except lsl.util.TimeoutError:
+            if time.monotonic() > deadline:
+                raise DeviceError(
+                    f"the LSL stream is announced, but does not answer within {OPEN_S:g} s; a firewall?"
+                ) from None
+        except lsl.util.LostError:
+            raise DeviceError("the LSL stream was lost while it was being opened") from None
+    return None
+
+
+def _facts(described: Described, uid: str) -> dict[str, Any]:
+    return {
+        "name": described.name,
+        "type": described.type,
+        "source_id": described.source_id,
+        "host": described.host,
+        "uid": uid,
+        "format": described.format,
+        "channels": described.count,
+        "rate_hz": described.rate_hz,
+        **dict(described.device),
+    }

@@ -1,0 +1,150 @@
+"""Reading an open LSL stream: samples to chunks, until told to stop or the stream is lost."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import structlog
+
+from devices.lsl.clock import zero_ns
+from devices.lsl.connection import Connection
+from devices.lsl.find import is_there
+from devices.lsl.stamps import Mapped, Stamps
+from devices.timing import timing_chunk
+from stream.chunk import NS, Array, Chunk, Samples, StreamSpec
+from stream.errors import DeviceError
+from stream.source import Feed
+
+CORRECT_S = 1.0
+"""How often the clocks' offset is asked for; LSL measures it every five seconds."""
+MEASURE_S = 5.0
+"""How long the first measurement may take."""
+THERE_S = 2.0
+"""How long a silent outlet may take to answer."""
+TIMING_S = 0.1
+"""How long events of `timing` are gathered."""
+LOGGED_S = 60.0
+
+log = structlog.get_logger(__name__)
+
+
+class Pull:
+    """One opening of an inlet."""
+
+    def __init__(
+        self, connection: Connection, spec: StreamSpec, feed: Feed, gap_s: float, latency_s: float, lost_after_s: float
+    ) -> None:
+        self._connection, self._spec, self._feed, self._lost_after = connection, spec, feed, lost_after_s
+        self._stamps = Stamps(spec.rate_hz, zero_ns(connection.lsl, feed.now), gap_s, latency_s)
+        self._count = 0
+        self._timing: list[tuple[int, int, int, int]] = []
+        self._timing_lost = 0
+        self._told = self._asked = self._logged = time.monotonic()
+
+    def run(self) -> None:
+        """Emit what comes. Returns when told to stop; raises DeviceError when the stream is lost."""
+        connection, feed = self._connection, self._feed
+        self._measure()
+        feed.ready()
+        heard, anew = time.monotonic(), False
+        while not feed.stopped:
+            data, stamps = connection.pull()
+            anew = connection.connected_anew() or anew
+            now = time.monotonic()
+            if len(stamps):
+                if anew:
+                    self._reconnected()
+                self._emit(data, stamps, anew)
+                heard, anew = now, False
+            elif now - heard > self._lost_after:
+                self._silent(now - heard)
+                heard = now
+            self._look_after(now)
+
+    def _measure(self) -> None:
+        """Wait until it is known how the sender's clock stands."""
+        deadline = time.monotonic() + MEASURE_S
+        while (correction := self._connection.correction()) is None:
+            if time.monotonic() > deadline:
+                raise DeviceError(
+                    f"how the clock of {self._connection.described.host!r} stands could not be measured within {MEASURE_S:g} s;"
+                    " does a firewall keep back UDP?"
+                )
+            if self._feed.wait(0.01):
+                return
+        self._stamps.correct(correction, at_once=True)
+
+    def _reconnected(self) -> None:
+        self._feed.problem("connected anew")
+        log.warning("LSL stream is back", name=self._connection.described.name, host=self._connection.described.host)
+        self._measure()
+
+    def _emit(self, data: Array, stamps: Samples, anew: bool) -> None:
+        arrival = self._feed.now()
+        mapped = self._stamps.map(stamps, arrival, after_pause=anew)
+        self._count_problems(mapped)
+        samples = self._events(mapped, data) if self._spec.is_event else data.astype(np.float64)
+        times, start = mapped.time, 0
+        lost = 0
+        for at, missing in [*mapped.gaps, (len(times), 0)]:
+            if at > start:
+                self._feed.emit(Chunk(times[start:at], samples[start:at], int(times[at - 1]), lost))
+            start, lost = at, missing
+        self._count += len(stamps)
+        self._timing.append((self._count - 1, _ns(stamps[-1]), arrival, int(times[-1])))
+        if mapped.gaps:
+            self._timing_lost = -1
+
+    def _count_problems(self, mapped: Mapped) -> None:
+        for _, missing in mapped.gaps:
+            self._feed.problem("gap" if missing < 0 else "lost sample", max(missing, 1))
+        if mapped.backwards:
+            self._feed.problem("stamp ran backwards", mapped.backwards)
+        if mapped.impossible:
+            self._feed.problem("impossible stamp", mapped.impossible)
+
+    def _events(self, mapped: Mapped, texts: Array) -> Array:
+        """Markers (n, channels) as events; what is too long is cut, and counted."""
+        dtype = self._spec.dtype
+        assert dtype.names
+        events = np.empty(len(texts), dtype)
+        events["onset"] = mapped.time
+        for i, field in enumerate(dtype.names[1:]):
+            decoded = [text.decode("utf-8", "replace") for text in texts[:, i]]
+            width = dtype[field].itemsize // 4
+            if cut := sum(len(text) > width for text in decoded):
+                self._feed.problem("marker cut short", cut)
+            events[field] = decoded
+        return events
+
+    def _silent(self, seconds: float) -> None:
+        """Nothing has come for long. Of a regular stream that means that it is lost; of markers, if the outlet does not answer."""
+        if self._spec.rate_hz is None and is_there(
+            self._connection.lsl, self._connection.wanted, THERE_S, self._feed.wait
+        ):
+            return
+        if not self._feed.stopped:
+            raise DeviceError(
+                f"{self._connection.wanted} has brought nothing for {seconds:.1f} s; it is looked for anew"
+            )
+
+    def _look_after(self, now: float) -> None:
+        """What is due now and then: the timing, the sender's clock."""
+        if self._timing and now - self._told > TIMING_S:
+            rows = np.array(self._timing, np.int64)
+            self._feed.emit(timing_chunk(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3], self._timing_lost), "timing")
+            self._timing, self._timing_lost, self._told = [], 0, now
+        if now - self._asked > CORRECT_S:
+            self._asked = now
+            correction = self._connection.correction()
+            if correction is not None:
+                self._stamps.correct(correction)
+                if now - self._logged > LOGGED_S:
+                    self._logged = now
+                    log.info("clock", name=self._connection.described.name, correction_s=correction)
+
+
+def _ns(seconds: float) -> int:
+    """Nanoseconds, if they can be written in 64 bits; else -1."""
+    return round(float(seconds) * NS) if abs(seconds) < 2**62 / NS else -1
