@@ -161,6 +161,7 @@ class Session:
             self._catch_up(self._former)
         else:
             self.pipeline.begin(self.clock)
+            self._checkpoint()
         for runner in self._runners:
             runner.start(again=self._former is not None)
 
@@ -299,7 +300,7 @@ class Session:
 
     def _checkpoint(self) -> None:
         """Take the state between two chunks, with the lanes at rest."""
-        if self.journal.wants_checkpoint and self._start.done:
+        if self.journal.wants_checkpoint:
             self._lanes.settle(self._pump)
             self.journal.checkpoint(promises(self._intakes), self._lanes.indices, self.pipeline)
 

@@ -64,7 +64,7 @@ def _source_row(intake: Intake, now: float) -> dict[str, Any]:
         "gaps": wire.gaps,
         "lost": wire.lost,
         "openings": runner.openings,
-        "problems": dict(runner.problems),
+        "problems": dict(runner.problems) if channel is next(iter(runner.channels.values())) else {},
         "error": runner.error if runner.state == "failed" else "",
     }
 

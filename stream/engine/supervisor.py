@@ -149,6 +149,7 @@ class Runner:
     def watch(self) -> None:
         """Called several times a second: reopen what failed, give up what fell silent."""
         now = time.monotonic()
+        dead = self._thread is not None and not self._thread.is_alive()  # asked first: a thread sets its state before it ends
         if self.state == "failed" and now >= self._retry_at:
             if self._thread and self._thread.is_alive():
                 if now < self._retry_at + GRACE_S:
@@ -160,6 +161,8 @@ class Runner:
             assert self._feed
             self._feed.stop()
             self._failed(f"silent for {now - self.last_alive:.1f} s")
+        elif dead and self.state in ("starting", "running"):
+            self._failed("its thread has ended without a word")
 
     def came_alive(self) -> None:
         """Something came from the device."""
