@@ -35,6 +35,13 @@ class Draft:
     options: NodeOptions = field(default_factory=NodeOptions)
     wires: Wires | None = None
 
+    @property
+    def outputs(self) -> tuple[str, ...] | None:
+        """The names of its outputs; None where they hang on parameters (`devices.binary.Binary`) and one of these is wrong."""
+        if self.part is not None:
+            return self.part.outputs
+        return self.kind.outputs or (None if issubclass(self.kind, Source) else ())
+
     def at(self, key: str) -> Located:
         """Where a key of this node stands; the node itself if it was not given."""
         return self.entry.items().get(key.partition("[")[0].partition(".")[0], self.entry)

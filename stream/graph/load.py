@@ -94,7 +94,7 @@ class _Loading:
         recording = build_from(RecordingOptions, folder, self._problems, "recording: ") or RecordingOptions()
         session = self._facts(top)
         drafts = self._drafts(top)
-        wiring = Wiring({name: draft.kind if draft else None for name, draft in drafts.items()}, self._problems)
+        wiring = Wiring({name: draft.outputs if draft else None for name, draft in drafts.items()}, self._problems)
         for draft in drafts.values():
             if draft:
                 draft.wires = wiring.wires(draft.name, draft.kind, draft.entry.items().get("from"), draft.entry)

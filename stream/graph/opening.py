@@ -113,7 +113,7 @@ class _Opening:
 def _recorded(draft: Draft, recorded: Mapping[str, StreamSpec]) -> Specs:
     """The recorded specs of a source; an output that was not recorded has none."""
     specs: Specs = {}
-    for output in draft.kind.outputs:
+    for output in draft.outputs or ():
         for name in (str(Edge(draft.name, output)), f"{draft.name}.{output}"):
             if name in recorded:
                 specs[output] = recorded[name]

@@ -19,9 +19,9 @@ Wires = dict[str, tuple[Edge, Located]]
 class Wiring:
     """Resolves the edges of one graph; what is wrong goes to `problems`."""
 
-    def __init__(self, parts: Mapping[str, Part | None], problems: Problems) -> None:
-        """`parts` holds every node of the graph; None stands for one whose class was not found (its outputs are not checked)."""
-        self._parts, self._problems = parts, problems
+    def __init__(self, outputs: Mapping[str, tuple[str, ...] | None], problems: Problems) -> None:
+        """`outputs` holds those of every node of the graph; None stands for what is not known, because the node itself is wrong."""
+        self._outputs, self._problems = outputs, problems
 
     def edge(self, written: Located, node: str = "") -> Edge | None:
         """The output that a text names: "board" for the first output of a node, "board.accel" for another."""
@@ -32,19 +32,19 @@ class Wiring:
             )
             return None
         name, dot, output = text.partition(".")
-        if name not in self._parts:
-            self._problems.add(f"there is no node {name!r}; {nearest(name, self._parts)}", written, node)
+        if name not in self._outputs:
+            self._problems.add(f"there is no node {name!r}; {nearest(name, self._outputs)}", written, node)
             return None
-        part = self._parts[name]
-        if part is None:
+        outputs = self._outputs[name]
+        if outputs is None:
             return None
-        if not part.outputs:
+        if not outputs:
             self._problems.add(f"{name!r} is an outlet; nothing comes out of it", written, node)
             return None
-        if dot and output not in part.outputs:
-            self._problems.add(f"{name!r} has no output {output!r}; {nearest(output, part.outputs)}", written, node)
+        if dot and output not in outputs:
+            self._problems.add(f"{name!r} has no output {output!r}; {nearest(output, outputs)}", written, node)
             return None
-        return Edge(name, output if dot else part.outputs[0])
+        return Edge(name, output if dot else outputs[0])
 
     def wires(self, node: str, part: Part, written: Located | None, entry: Located) -> Wires | None:
         """What feeds each input of `node`, in port order; None if something is wrong with it. `entry` is the whole node."""
