@@ -1,11 +1,12 @@
 """What is always measured: how long every node takes, how much passes, what is lost; at well below a microsecond a message.
 
-A node appends each call's duration to a list; the list is folded into a histogram of 16 bins per octave now and then, off the hot path.
+A node appends each call's duration to an array; it is folded into a histogram of 16 bins per octave now and then, off the hot path.
 So a quantile is exact to 4.4 %.
 """
 
 from __future__ import annotations
 
+from array import array
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from stream.chunk import Array
 
 BINS_PER_OCTAVE = 16
 BINS = 40 * BINS_PER_OCTAVE
-FOLD_AT = 4096
+FOLD_AT = 1024
 """Durations are folded at the latest after so many chunks."""
 
 
@@ -27,7 +28,7 @@ class Timing:
     __slots__ = ("_recent", "_total", "calls", "durations", "longest_ns", "samples")
 
     def __init__(self) -> None:
-        self.durations: list[int] = []
+        self.durations: array[int] = array("q")
         self.samples = 0
         self.calls = 0
         self.longest_ns = 0
@@ -40,7 +41,7 @@ class Timing:
             return
         taken = self.durations[:]
         del self.durations[: len(taken)]
-        ns = np.asarray(taken)
+        ns = np.frombuffer(taken, np.int64)
         self.calls += len(ns)
         self.longest_ns = max(self.longest_ns, int(ns.max()))
         bins = np.minimum((np.log2(np.maximum(ns, 1)) * BINS_PER_OCTAVE).astype(np.int64), BINS - 1)
