@@ -10,7 +10,9 @@ import numpy as np
 
 from bench.work import CHANNELS, RATE_HZ, Feed, Sink, cycled
 from stream import source
-from stream.chunk import FOREVER, NS, Chunk, Specs, StreamSpec, Times
+from stream.chunk import NS, Chunk, Specs, StreamSpec, Times
+from stream.engine.pipeline import Pipeline
+from stream.engine.replay import FOLD_EVERY
 from stream.operator import Operator
 from stream.params import param
 
@@ -104,13 +106,14 @@ def stamps(feed: Feed) -> list[Times]:
     return [times[i * feed.chunk : i * feed.chunk + len(x)] for i, x in enumerate(cycled(feed))]
 
 
-def feed_all(send: object, feed: Feed) -> None:
-    """Push a whole feed into a pipeline's entry, chunk by chunk, as replay does."""
-    push = send
-    assert callable(push)
+def feed_all(pipeline: Pipeline, feed: Feed) -> None:
+    """Push a whole feed into a pipeline, chunk by chunk, as replay does."""
+    push = pipeline.entries["device"].send
     times = stamps(feed)
     feed.begin()
-    for t, x in zip(times, cycled(feed), strict=True):
+    for i, (t, x) in enumerate(zip(times, cycled(feed), strict=True)):
         push(Chunk(t, x, int(t[-1])), time.perf_counter_ns())
-    push(Chunk(np.empty(0, np.int64), np.empty((0, CHANNELS)), FOREVER), time.perf_counter_ns())
+        if not i % FOLD_EVERY:
+            pipeline.fold()
+    pipeline.end("device")
     feed.end()

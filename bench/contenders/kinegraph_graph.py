@@ -74,8 +74,7 @@ class Kinegraph:
                     number = recorder.add_stream(str(wire.edge), wire.spec, role)  # type: ignore[arg-type]
                     wire.taps.append(lambda chunk, n=number: recorder.write(n, chunk, 0, 0))  # type: ignore[misc]
             with calm():
-                feed_all(pipeline.entries["device"].send, feed)
-            pipeline.fold()
+                feed_all(pipeline, feed)
         finally:
             if recorder:
                 recorder.close()
