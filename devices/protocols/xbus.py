@@ -1,0 +1,268 @@
+"""Xbus, which Xsens/Movella MTi sensors speak: bytes to messages and measurements, and commands as bytes. No port, no clock.
+
+A message is FA FF, what it is (MID), the length of its data, the data, and a sum that makes all bytes after FA add up to 0 mod 256. A
+length of FF stands for two more bytes with the length (255 to 2048). Measurements (MTData2) are items, each an identifier of 16 bits, the
+length of its data and the data, big-endian; an identifier's last 4 bits say the numbers' format and the frame of reference. Messages of
+the same layout that follow each other are taken at once.
+
+Source: Xsens document MT0101P, "MT Low Level Communication Protocol Documentation" (public).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stream.chunk import Array, Samples
+
+HEAD = b"\xfa\xff"
+EXTENDED = 0xFF
+LONGEST = 2048
+"""Bytes of data that a message has at most."""
+MOST = 512
+"""Messages that are taken at once at most."""
+
+REQUEST_DEVICE_ID, DEVICE_ID = 0x00, 0x01
+GO_TO_MEASUREMENT, GO_TO_CONFIG = 0x10, 0x30
+REQUEST_FIRMWARE, REQUEST_PRODUCT = 0x12, 0x1C
+WAKE_UP, WAKE_UP_ACK = 0x3E, 0x3F
+RESET = 0x40
+ERROR = 0x42
+OUTPUT_CONFIGURATION = 0xC0
+MEASUREMENT = 0x36
+
+PACKET_COUNTER, SAMPLE_TIME_FINE = 0x1020, 0x1060
+QUATERNION = 0x2010
+ACCELERATION, FREE_ACCELERATION, ACCELERATION_HR = 0x4020, 0x4030, 0x4040
+RATE_OF_TURN, RATE_OF_TURN_HR = 0x8020, 0x8040
+MAGNETIC_FIELD = 0xC020
+STATUS_WORD, TEMPERATURE, PRESSURE = 0xE020, 0x0810, 0x3010
+
+KIND = 0xFFF0
+"""What of an identifier says which quantity it is; the rest is format and frame of reference."""
+EVERY_PACKET = 0xFFFF
+"""The rate of what comes with every packet: counters and times."""
+TICKS_HZ = 10_000
+"""SampleTimeFine counts tenths of a millisecond."""
+
+ERRORS = {
+    0x03: "a period it cannot do",
+    0x04: "an invalid message, or one that it cannot obey in its present state",
+    0x1E: "its timer has run over: its outputs are more than it can compute or the line can carry",
+    0x20: "a baud rate it cannot do",
+    0x21: "a parameter out of range",
+    0x28: "an error of the device itself",
+}
+
+_FLOATS = {0: (">f4", 4), 1: (">i4", 4), 2: (">u2", 6), 3: (">f8", 8)}
+_SIZES = {PACKET_COUNTER: 2, SAMPLE_TIME_FINE: 4, STATUS_WORD: 4}
+_VECTORS = {
+    QUATERNION: 4, ACCELERATION: 3, FREE_ACCELERATION: 3, ACCELERATION_HR: 3,
+    RATE_OF_TURN: 3, RATE_OF_TURN_HR: 3, MAGNETIC_FIELD: 3, TEMPERATURE: 1,
+}  # fmt: skip
+
+Table = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """How messages of one kind are laid out.
+
+    mid     what they are
+    size    bytes of a whole message
+    start   where the data begin
+    items   (identifier, first byte, bytes) of a measurement's items
+    fixed   the bytes that are the same in all messages of this layout
+    """
+
+    mid: int
+    size: int
+    start: int
+    items: tuple[tuple[int, int, int], ...]
+    fixed: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Messages (n, size) of one layout that followed each other."""
+
+    layout: Layout
+    table: Table
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    @property
+    def mid(self) -> int:
+        return self.layout.mid
+
+    @property
+    def data(self) -> bytes:
+        """The data of the last message."""
+        return self.table[-1, self.layout.start : -1].tobytes()
+
+    def has(self, kind: int) -> bool:
+        """Whether these measurements hold this quantity."""
+        return any(identifier & KIND == kind for identifier, _, _ in self.layout.items)
+
+    def integers(self, kind: int) -> NDArray[np.int64]:
+        """A counter or time (n,) int64."""
+        _, at, size = self._item(kind)
+        raw = np.ascontiguousarray(self.table[:, at : at + size])
+        return raw.view(f">u{size}")[:, 0].astype(np.int64)
+
+    def vectors(self, kind: int) -> Samples:
+        """A quantity (n, components) float64, whichever of the four formats it comes in."""
+        identifier, at, size = self._item(kind)
+        return _numbers(np.ascontiguousarray(self.table[:, at : at + size]), identifier & 3)
+
+    def _item(self, kind: int) -> tuple[int, int, int]:
+        for item in self.layout.items:
+            if item[0] & KIND == kind:
+                return item
+        raise KeyError(f"these measurements have no {kind:04X}")
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What a feed brought: runs of messages in order, bytes that belonged to none, and how often a beginning had to be looked for."""
+
+    runs: list[Run]
+    dropped: int
+    resyncs: int
+
+
+class Decoder:
+    """Feed it bytes as they come, cut anywhere; it never waits and never raises.
+
+    What cannot become a message any more is given up with the byte that shows it: a measurement's items must fill its length exactly, and
+    known ones have known sizes. So after a false or damaged beginning the next message is found as soon as it has come, in nearly all cases.
+    """
+
+    def __init__(self) -> None:
+        self._buffer = b""
+        self._following = False
+
+    def feed(self, data: bytes) -> Found:
+        buffer = self._buffer + data if self._buffer else data
+        runs: list[Run] = []
+        at = dropped = resyncs = 0
+        while True:
+            layout = _layout(buffer, at)
+            if layout is None:
+                break
+            n = _sound(buffer, at, layout) if layout.size else 0
+            if n:
+                stop = at + n * layout.size
+                runs.append(Run(layout, np.frombuffer(buffer, np.uint8, stop - at, at).reshape(n, layout.size)))
+                at, self._following = stop, True
+                continue
+            resyncs += self._following
+            self._following = False
+            start = buffer.find(HEAD[:1], at + 1)
+            start = start if start >= 0 else len(buffer)
+            dropped += start - at
+            at = start
+        self._buffer = buffer[at:]
+        return Found(runs, dropped, resyncs)
+
+
+@lru_cache(maxsize=256)
+def _known(mid: int, size: int, start: int, items: tuple[tuple[int, int, int], ...]) -> Layout:
+    fixed = [*range(start), *(at - 3 + i for _, at, _ in items for i in range(3))]
+    return Layout(mid, size, start, items, np.array(fixed))
+
+
+_NONE = Layout(0, 0, 0, (), np.zeros(0))
+"""The layout of what is no message."""
+
+
+def _layout(buffer: bytes, at: int) -> Layout | None:
+    """How the message at `at` is laid out; `_NONE` if none can be there, None if that is not yet known."""
+    if not HEAD.startswith(buffer[at : at + 2]):
+        return _NONE
+    if len(buffer) < at + 4:
+        return None
+    mid, length, start = buffer[at + 2], buffer[at + 3], 4
+    if length == EXTENDED:
+        if len(buffer) < at + 6:
+            return None
+        length, start = int.from_bytes(buffer[at + 4 : at + 6], "big"), 6
+        if not EXTENDED <= length <= LONGEST:
+            return _NONE
+    items: list[tuple[int, int, int]] = []
+    if mid == MEASUREMENT:
+        place, end = at + start, at + start + length
+        while place < end:
+            if len(buffer) < min(place + 3, end + 1):
+                return None
+            identifier, size = int.from_bytes(buffer[place : place + 2], "big"), buffer[place + 2]
+            if place + 3 + size > end or not _possible(identifier, size):
+                return _NONE
+            items.append((identifier, place + 3 - at, size))
+            place += 3 + size
+    if len(buffer) < at + start + length + 1:
+        return None
+    return _known(mid, start + length + 1, start, tuple(items))
+
+
+def _possible(identifier: int, size: int) -> bool:
+    """Whether an item of this kind can have this size."""
+    kind = identifier & KIND
+    if kind in _VECTORS:
+        return size == _VECTORS[kind] * _FLOATS[identifier & 3][1]
+    return size == _SIZES.get(kind, size)
+
+
+def _sound(buffer: bytes, at: int, layout: Layout) -> int:
+    """How many messages of this layout follow each other from `at` with a right sum; 0 if the first one's is wrong."""
+    n = min((len(buffer) - at) // layout.size, MOST)
+    table = np.frombuffer(buffer, np.uint8, n * layout.size, at).reshape(n, layout.size)
+    good = table[:, 1:].sum(axis=1, dtype=np.uint8) == 0
+    if n > 1:
+        good &= (table[:, layout.fixed] == table[0, layout.fixed]).all(axis=1)
+    return n if good.all() else int(good.argmin())
+
+
+def _numbers(raw: Table, form: int) -> Samples:
+    """Values (n, components) of bytes (n, bytes) in one of the formats: 32 bits, 12.20, 16.32, 64 bits."""
+    values = raw.view(_FLOATS[form][0])
+    if form == 1:
+        return values.astype(np.float64) / 2**20
+    if form == 2:  # 32 bits of fraction, then 16 signed bits of whole numbers
+        parts = values.reshape(len(raw), -1, 3).astype(np.int64)
+        whole = (parts[:, :, 2] ^ 0x8000) - 0x8000
+        return np.asarray(whole + (parts[:, :, 0] * 65536 + parts[:, :, 1]) / 2**32, np.float64)
+    return values.astype(np.float64)
+
+
+def message(mid: int, data: bytes = b"") -> bytes:
+    """A message, of the host or the device."""
+    length = bytes([len(data)]) if len(data) < EXTENDED else bytes([EXTENDED]) + len(data).to_bytes(2, "big")
+    body = HEAD[1:] + bytes([mid]) + length + data
+    return HEAD[:1] + body + bytes([-sum(body) % 256])
+
+
+def item(identifier: int, data: bytes) -> bytes:
+    """An item of a measurement; for simulators and tests."""
+    return struct.pack(">HB", identifier, len(data)) + data
+
+
+def configuration(outputs: Sequence[tuple[int, int]]) -> bytes:
+    """The data of SetOutputConfiguration: (identifier, rate in Hz) of every output, in this order."""
+    return b"".join(struct.pack(">HH", identifier, rate) for identifier, rate in outputs)
+
+
+def outputs_of(data: bytes) -> list[tuple[int, int]]:
+    """The (identifier, rate in Hz) that a device says are set."""
+    return list(struct.iter_unpack(">HH", data[: len(data) // 4 * 4]))
+
+
+def firmware(data: bytes) -> str:
+    """The firmware's version from the answer to its request: "1.8.2"."""
+    return ".".join(str(part) for part in data[:3]) if len(data) >= 3 else "unknown"
