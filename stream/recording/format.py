@@ -52,14 +52,20 @@ def encode(spec: StreamSpec, entries: Sequence[Entry], first: int) -> bytes:
     Depth frames are messages of their own, before this one, and are left out here.
     """
     rows = [(len(e.chunk.time), e.chunk.until, e.chunk.lost, e.arrival, e.sequence) for e in entries]
-    parts = [HEAD.pack(len(rows), sum(row[0] for row in rows), first), np.array(rows, "<i8").tobytes()]
-    parts += [e.chunk.time.astype("<i8", copy=False).tobytes() for e in entries]
-    frames = is_frames(spec)
+    head = HEAD.pack(len(rows), sum(row[0] for row in rows), first)
+    parts: list[Any] = [head, np.array(rows, "<i8")]
+    parts += [np.ascontiguousarray(e.chunk.time, "<i8") for e in entries]
+    frames, dtype, shape = is_frames(spec), spec.dtype, spec.shape
     for e in entries:
-        if e.chunk.data.shape != (len(e.chunk.time), *spec.shape):
-            raise ValueError(f"samples of shape {e.chunk.data.shape[1:]} in a stream of shape {spec.shape}")
-        if not frames:
-            parts.append(e.chunk.data.astype(spec.dtype, copy=False).tobytes())
+        data = e.chunk.data
+        if len(data) != len(e.chunk.time) or data.shape[1:] != shape:
+            raise ValueError(f"samples of shape {data.shape[1:]} in a stream of shape {shape}")
+        if frames:
+            continue
+        if dtype.names:
+            parts.append(data.astype(dtype, copy=False).tobytes())
+        else:
+            parts.append(np.ascontiguousarray(data, dtype))
     return b"".join(parts)
 
 
