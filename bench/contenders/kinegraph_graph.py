@@ -72,7 +72,7 @@ class Kinegraph:
             if recorder:
                 for role, wire in (("input", pipeline.wires["device"]), ("edge", pipeline.wires[last_edge(pipeline)])):
                     number = recorder.add_stream(str(wire.edge), wire.spec, role)  # type: ignore[arg-type]
-                    wire.taps.append(lambda chunk, n=number: recorder.write(n, chunk, 0, 0))  # type: ignore[misc]
+                    wire.taps.append(lambda chunk, n=number: recorder.write(n, chunk, chunk.until, 0))  # type: ignore[misc]
             with calm():
                 feed_all(pipeline, feed)
         finally:
