@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from devices.report_tally import numbers
+from devices.report.tally import numbers
 from stream.chunk import NS, Array, Samples, Specs, StreamSpec
 
 CYCLE = ("duration_s", "stance_pct", "cadence")

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from devices.treadmill_signal import Indices, Signal, Walker
+from devices.treadmill.signal import Indices, Signal, Walker
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
 from stream.params import param
 from stream.source import Feed, Source

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices import report as report_module
 from devices.cycle_table import CycleTable
 from devices.report import SessionReport
-from devices.report_data import load
+from devices.report import session as report_module
+from devices.report.data import load
 from stream.chunk import NS, Array, Chunk, Specs, StreamSpec
 from stream.errors import DeviceError, InputError, ParameterError
 from stream.graph import Edge, Graph, Node

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.report_data import Column, Curves, Muscle, Rejected, Report, Setting, Stream, Value, load, save
-from devices.report_page import quality_sentence, render, write
+from devices.report.data import Column, Curves, Muscle, Rejected, Report, Setting, Stream, Value, load, save
+from devices.report.page import quality_sentence, render, write
 
 NAN = float("nan")
 VOID = {"meta", "br", "link", "img", "input", "hr"}
@@ -149,7 +149,7 @@ def test_what_is_saved_is_what_is_drawn(tmp_path: Path) -> None:
     assert repr(again) == repr(report)
     assert np.array_equal(same.mean, curves.mean) and np.allclose(same.single, curves.single, rtol=1e-6)
     subprocess.run(
-        [sys.executable, "-m", "devices.report_page", tmp_path / "data.npz", tmp_path / "page.html"], check=True
+        [sys.executable, "-m", "devices.report.page", tmp_path / "data.npz", tmp_path / "page.html"], check=True
     )
     assert sorted(p.name for p in tmp_path.iterdir()) == ["data.npz", "page.html"]
     Page((tmp_path / "page.html").read_text())

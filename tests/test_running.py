@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from devices.running import Choice, Running
+from devices.report.running import Choice, Running
 
 
 def test_mean_and_deviation_leave_nan_out_element_by_element() -> None:

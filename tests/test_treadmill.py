@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from devices.treadmill import Treadmill, truth
-from devices.treadmill_faults import Fault
-from devices.treadmill_signal import BURSTS, Signal, Walker
+from devices.treadmill.faults import Fault
+from devices.treadmill.signal import BURSTS, Signal, Walker
 from stream.chunk import NS, Chunk
 from stream.errors import ParameterError
 from stream.params import build

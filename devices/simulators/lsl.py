@@ -15,7 +15,7 @@ from devices.lsl.network import ANY, Network, library
 from devices.lsl.outgoing import write_channels
 from devices.simulators.misbehaviour import GOOD, Misbehaviour, Mishaps
 from devices.simulators.serve import TICK_S, Simulator
-from devices.treadmill_signal import BURSTS, Signal, Walker
+from devices.treadmill.signal import BURSTS, Signal, Walker
 from stream.errors import DeviceError
 from stream.params import param
 

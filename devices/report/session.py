@@ -16,9 +16,9 @@ from filelock import FileLock
 from devices.append_file import AppendFile
 from devices.claim import check_path, claim, let_go
 from devices.cycle_rows import Held, header, nothing_held, release, take_closed, take_statistics
-from devices.report_compose import compose
-from devices.report_data import Curves, Report, save
-from devices.report_tally import GAIT, Tally, hear, nothing_yet, numbers
+from devices.report.compose import compose
+from devices.report.data import Curves, Report, save
+from devices.report.tally import GAIT, Tally, hear, nothing_yet, numbers
 from stream.chunk import Array, Chunk, Specs
 from stream.errors import DeviceError, InputError, ParameterError
 from stream.graph import Graph
@@ -199,7 +199,7 @@ class SessionReport(_Reporter):
     def _start_drawing(self, *, interim: bool) -> subprocess.Popen[bytes]:
         save(self._data, *self.report(interim=interim))
         page = f"{self.state.stem}.html"
-        command = [sys.executable, "-m", "devices.report_page", str(self._data), page]
+        command = [sys.executable, "-m", "devices.report.page", str(self._data), page]
         to = subprocess.DEVNULL if interim else subprocess.PIPE
         nice = 10 if interim and hasattr(os, "nice") else 0
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=to, start_new_session=True)

@@ -143,7 +143,7 @@ class Signal:
         self._centre, self._width, self._size = np.array([row[1:] for row in table]).T
         self._shape = _shape(walker.rate_hz)
         self.spoil: Callable[[int, Samples], None] = lambda start, emg: None
-        """Called with every block of EMG and its first sample's index; may change it in place (see `devices.treadmill_faults`)."""
+        """Called with every block of EMG and its first sample's index; may change it in place (see `devices.treadmill.faults`)."""
         self._block = lru_cache(maxsize=4)(self._make_block)
         self._bursts = lru_cache(maxsize=8)(self._make_bursts)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from devices.running import Choice, Running
+from devices.report.running import Choice, Running
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times, add_lost
 
 REJECTION = np.dtype([("onset", "<i8"), ("duration_s", "<f8"), ("reason", "<U32")])

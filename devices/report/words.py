@@ -8,7 +8,7 @@ from dataclasses import fields, is_dataclass
 from importlib.metadata import version
 from typing import Any
 
-from devices.report_data import Column, Setting
+from devices.report.data import Column, Setting
 from stream.chunk import StreamSpec
 from stream.graph import Graph
 from stream.operator import Operator, Outlet

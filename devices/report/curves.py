@@ -12,7 +12,7 @@ from matplotlib import rc_context
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from devices.report_data import Curves
+from devices.report.data import Curves
 from stream.chunk import Samples
 
 SIZES_IN = {4: (3.55, 1.9), 12: (2.36, 1.42), 10_000: (2.36, 1.18)}

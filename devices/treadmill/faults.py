@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.treadmill_signal import Indices, Signal, random
+from devices.treadmill.signal import Indices, Signal, random
 from stream.chunk import Samples
 from stream.params import param
 

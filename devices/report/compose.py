@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from devices import report_words as words
-from devices.report_data import Curves, Muscle, Rejected, Report, Stream, Value
-from devices.report_tally import Tally, most_common, numbers
+from devices.report import words
+from devices.report.data import Curves, Muscle, Rejected, Report, Stream, Value
+from devices.report.tally import Tally, most_common, numbers
 from stream.chunk import NS, Samples, Specs
 from stream.graph import Graph
 

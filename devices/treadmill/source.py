@@ -9,8 +9,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from devices.treadmill_faults import Fault, Faults
-from devices.treadmill_signal import BURSTS, NAMES, Indices, Signal, Walker
+from devices.treadmill.faults import Fault, Faults
+from devices.treadmill.signal import BURSTS, NAMES, Indices, Signal, Walker
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError, nearest
 from stream.params import param

@@ -1,6 +1,6 @@
 """The page of a report: one HTML file that needs nothing else, readable on a screen and on A4 paper.
 
-`python -m devices.report_page DATA PAGE` draws it in a process of its own, so that no graph waits for matplotlib.
+`python -m devices.report.page DATA PAGE` draws it in a process of its own, so that no graph waits for matplotlib.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from devices.report_data import Curves, Muscle, Report, Stream, Value, load
+from devices.report.data import Curves, Muscle, Report, Stream, Value, load
 from stream.chunk import NS
 
 AT_TIMES = 0.1
@@ -38,13 +38,13 @@ def render(report: Report, curves: Curves) -> str:
     """The page's HTML."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-    from devices import report_curves
+    from devices.report import curves as report_curves
 
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=False
     )
     stance = report.stance_percent
-    return environment.get_template("report_page.html.j2").render(
+    return environment.get_template("page.html.j2").render(
         r=report,
         unit=pretty(report.unit),
         pretty=pretty,
