@@ -141,7 +141,7 @@ class Decoder:
     """Feed it bytes as they come, cut anywhere; it never waits and never raises.
 
     What cannot become a message any more is given up with the byte that shows it: a measurement's items must fill its length exactly, and
-    known ones have known sizes. So after a false or damaged beginning the next message is found as soon as it has come, in nearly all cases.
+    known ones have known sizes. So after a damaged beginning the next one is found as soon as it has come, in nearly all cases.
     """
 
     def __init__(self) -> None:
