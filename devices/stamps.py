@@ -11,6 +11,7 @@ from devices.device_time import DeviceTime
 from devices.packet_clock import PacketClock, Packets
 from stream.chunk import NS, Array, Times
 
+REPEATED = -2
 GAP_PERIODS = 1.75
 """Without a counter, a longer step of the device's time means that something is missing."""
 
@@ -37,9 +38,8 @@ class Stamps:
         self._latency = round(latency_s * NS)
         self._clock = DeviceClock(latency_s)
         self._time = DeviceTime(wraps_ns)
-        self._counter = Counter(counter_bits, rate_hz or 0.0) if counter_bits and has_time else None
+        self._losses = Losses(rate_hz, counter_bits)
         self._packets = PacketClock(counter_bits, rate_hz or 1.0, latency_s) if counter_bits and not has_time else None
-        self._device: int | None = None
         self._last: int | None = None
 
     @property
@@ -64,32 +64,16 @@ class Stamps:
             value = self._time.read(int(raw_ns[i]), arrival_ns)
             if value is None:
                 continue
-            missing = self._missing(value, None if counter is None else int(counter[i]), arrival_ns)
-            if missing < -1:
-                continue
-            kept[i], lost[i], device[i] = True, missing, value
-            if self._counter:
-                number[i] = self._counter.value
+            if self._time.restarted:
+                kept[:i] = False  # by the old clock; nobody can say when that was
+                self._clock.restart()
+            here = None if counter is None else int(counter[i])
+            lost[i] = self._losses.before(value, here, arrival_ns, self._time.restarted)
+            kept[i], number[i], device[i] = lost[i] > REPEATED, self._losses.number, value
         device = device[kept]
         if len(device):
             self._clock.see(int(device[-1]), arrival_ns)
         return Packets(kept, number[kept], lost[kept], device, self._clock.stamps(device))
-
-    def _missing(self, device_ns: int, counter: int | None, arrival_ns: int) -> int:
-        """How many are missing before this one; -1: nobody knows; -2: it was there already."""
-        before, self._device = self._device, device_ns
-        if self._time.restarted:
-            self._clock.restart()
-            if self._counter and counter is not None:
-                self._counter.lost_before(counter, arrival_ns)
-            return -1
-        if self._counter and counter is not None:
-            missing = self._counter.lost_before(counter, arrival_ns)
-            return -2 if missing < 0 else missing
-        if before is None or not self._rate:
-            return 0
-        periods = (device_ns - before) / NS * self._rate
-        return round(periods) - 1 if periods > GAP_PERIODS else 0
 
     def _by_arrival(self, n: int, arrival_ns: int) -> Packets:
         """Evenly back from the arrival, at the nominal rate, but not before what came last."""
@@ -104,6 +88,33 @@ class Stamps:
         self._last = int(stamp[-1])
         none = np.full(n, -1, np.int64)
         return Packets(np.ones(n, bool), none, np.zeros(n, np.int64), none, stamp)
+
+
+class Losses:
+    """What is missing between records that bring the device's time, by their counter, else by the steps of that time."""
+
+    def __init__(self, rate_hz: float | None, counter_bits: int = 0) -> None:
+        self._rate = rate_hz
+        self._counter = Counter(counter_bits, rate_hz or 0.0) if counter_bits else None
+        self._device: int | None = None
+
+    @property
+    def number(self) -> int:
+        """The running number of the last record; -1 where there is no counter."""
+        return self._counter.value if self._counter else -1
+
+    def before(self, device_ns: int, counter: int | None, arrival_ns: int, restarted: bool = False) -> int:
+        """How many are missing just before this one; -1: nobody knows; REPEATED: it was there already."""
+        last, self._device = self._device, device_ns
+        missing = self._counter.lost_before(counter, arrival_ns) if self._counter and counter is not None else None
+        if restarted:
+            return -1
+        if missing is not None:
+            return REPEATED if missing < 0 else missing
+        if last is None or not self._rate:
+            return 0
+        periods = (device_ns - last) / NS * self._rate
+        return round(periods) - 1 if periods > GAP_PERIODS else 0
 
 
 def runs(lost: Times) -> list[tuple[int, int]]:

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from devices.simulators.serve import Simulator
-from devices.treadmill_signal import BURSTS, Signal, Walker
+from devices.treadmill.signal import BURSTS, Signal, Walker
 from stream.chunk import Samples
 from stream.params import param
 
@@ -39,7 +39,7 @@ class AsciiLines(Simulator):
 
 
 class LinesBrain:
-    """The Arduino without its cable. It speaks from the moment it is switched on, names its columns every second, and listens to nothing."""
+    """The Arduino without its cable. It speaks from when it is switched on, names its columns every second, and listens to nothing."""
 
     def __init__(self, of: AsciiLines) -> None:
         self._of = of

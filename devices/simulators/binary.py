@@ -1,0 +1,122 @@
+"""A simulated device for any frames that a graph declares: a swinging shank where the units are an inertial sensor's, else slow waves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from devices.binary import Binary as Source
+from devices.protocols.declared import NS_PER, Field, Frame
+from devices.simulators.lines import line_at
+from devices.simulators.misbehaviour import GOOD, Misbehaviour
+from devices.simulators.serve import Server, Simulator
+from stream.chunk import NS
+from stream.errors import KinegraphError
+from stream.params import param
+
+SWING = {"g": 0.6, "m/s2": 6.0, "deg/s": 180.0, "rad/s": 3.0, "deg": 25.0, "rad": 0.45}
+"""How far a walking shank's signals go, by their unit."""
+STRIDES_HZ = 0.95
+OTHERWISE_HZ = 50.0
+MOST_BEHIND = 5000
+
+
+@dataclass(frozen=True, slots=True)
+class Binary(Simulator):
+    """What a graph declares with `use: devices.binary.Binary`: config=FILE, and node=NAME if there are several."""
+
+    port_name: ClassVar[str] = "ttyBINARY"
+
+    config: str = param(help="the graph, a YAML file")
+    node: str = param("", help="its node; left out: the first")
+
+    def brain(self) -> BinaryBrain:
+        from stream.graph.load import load
+
+        nodes = {n.name: n.part for n in load(Path(self.config)).sources if isinstance(n.part, Source)}
+        if not nodes or (self.node and self.node not in nodes):
+            raise KinegraphError(
+                f"{self.config} has the devices.binary nodes {list(nodes)}; {self.node or 'one'} is wanted"
+            )
+        return BinaryBrain(nodes[self.node] if self.node else next(iter(nodes.values())))
+
+
+@contextmanager
+def serving(brain: BinaryBrain, misbehaviour: Misbehaviour = GOOD) -> Iterator[str]:
+    """The address of a device with these frames."""
+    with Server(brain, line_at(name=Binary.port_name), misbehaviour) as server:
+        yield server.address
+
+
+class BinaryBrain:
+    """The device without its cable: every kind of frame once in a turn, in the order of their declaration.
+
+    `number` tells what field `place` of a frame holds in turn `i`, so that what a reader makes of it can be checked.
+    """
+
+    def __init__(self, of: Source) -> None:
+        self._layouts = of.layouts()
+        self._rate = max((f.rate_hz for f in of.frames if f.rate_hz), default=OTHERWISE_HZ)
+        self._wraps = of.wraps_ns
+        self._said = self._zero = 0
+        self.heard = b""
+
+    def hear(self, data: bytes) -> bytes:
+        self.heard += data
+        return b""
+
+    def say(self, seconds: float) -> list[bytes]:
+        due = int(seconds * self._rate)
+        first = max(self._said, due - MOST_BEHIND)
+        said = [self.frame(kind, i) for i in range(first, due) for kind in range(len(self._layouts))]
+        self._said = max(self._said, due)
+        return said
+
+    def restart(self) -> None:
+        self._zero = self._said
+
+    def frame(self, kind: int, turn: int) -> bytes:
+        """One frame as it is sent."""
+        layout = self._layouts[kind]
+        return layout.build(
+            {place: self.number(layout.frame, place, turn) for place in range(len(layout.frame.fields))}
+        )
+
+    def number(self, frame: Frame, place: int, turn: int) -> float:
+        """What stands in a field: a whole number, unless it is of type f."""
+        f = frame.fields[place]
+        if f.role == "counter":
+            return (turn - self._zero) % (1 << f.bits)
+        if f.role == "time":
+            return self._clock(frame, f, turn - self._zero)
+        if not f.name:
+            return 0
+        wave = np.sin(2 * np.pi * STRIDES_HZ * turn / self._rate + 0.9 * place)
+        high = 2.0 ** (f.bits - 1) - 1
+        low = 0.0 if f.type[0] == "u" else -high
+        if f.unit in SWING:
+            value = (
+                SWING[f.unit] * wave + (1.0 if f.unit == "g" and f.name.endswith("z") else 0.0) - f.offset
+            ) / f.scale
+        else:
+            value = wave / f.scale if f.type[0] == "f" else (0.25 * high * wave + (high if f.type[0] == "u" else 0))
+        return (
+            float(value)
+            if f.type[0] == "f"
+            else float(np.clip(round(value), low, 2 * high if f.type[0] == "u" else high))
+        )
+
+    def _clock(self, frame: Frame, f: Field, turn: int) -> float:
+        """This field's part of the device's time: the largest unit holds what is left, each other one its remainder."""
+        ns = round(turn * NS / self._rate)
+        if self._wraps:
+            ns %= self._wraps
+        if f.type[0] == "f":
+            return ns / NS_PER[f.unit]
+        larger = [NS_PER[g.unit] for g in frame.with_role("time") if NS_PER[g.unit] > NS_PER[f.unit]]
+        return float((ns % min(larger) if larger else ns) // NS_PER[f.unit] % (1 << f.bits))
