@@ -12,7 +12,7 @@ from mcap.records import Channel, Schema
 
 from stream.errors import RecordingError
 from stream.recording.format import ENCODING, HEADER, LOG, METRICS, PROFILE, SUMMARY, check_format, spec_of, table
-from stream.recording.records import Record, RecordFile, declared, messages
+from stream.recording.records import DAMAGE, Record, RecordFile, declared, messages
 from stream.recording.tally import RecordedStream
 
 
@@ -34,43 +34,75 @@ class RecordedPart:
             raise
 
     def _open(self) -> None:
-        path = str(self.file.path)
-        head = self.file.header()
-        if head is not None and head.profile != PROFILE:
-            whose = f"profile {head.profile!r}" if head.profile else f"written by {head.library!r}"
-            raise RecordingError(f"{path}: an MCAP file, but not a kinegraph recording ({whose})")
-        facts = self.file.metadata(HEADER)
-        if facts is None:
-            raise RecordingError(f"{path}: truncated before anything was recorded; nothing can be recovered from it")
-        version = facts.get("format", "")
-        check_format(int(version) if version.isdigit() else version, path)
-        self.header: dict[str, Any] = json.loads(facts["header"])
+        self.header = self._read_header()
         self.chunks = self.file.chunks
         self.topics: dict[int, str] = {}
         self.images: dict[int, str] = {}
         self.streams: dict[str, RecordedStream] = {}
         self._schemas: dict[int, Schema] = {}
-        if self.finished:
-            self._declare_from_end()
-        summary = self.file.metadata(SUMMARY) if self.finished and not self._forgiving else None
-        if summary is None:
+        if not self._read_end():
             self._scan()
-        else:
-            for name, counts in json.loads(summary["streams"]).items():
-                self.streams[name].fill(counts)
+
+    def _read_header(self) -> dict[str, Any]:
+        """The session's facts; none where they are damaged, and damage is forgiven."""
+        path = str(self.file.path)
+        try:
+            head = self.file.header()
+            facts = self.file.metadata(HEADER)
+        except RecordingError:
+            if not self._forgiving:
+                raise
+            self.damaged += 1
+            return {}
+        if head is not None and head.profile != PROFILE:
+            whose = f"profile {head.profile!r}" if head.profile else f"written by {head.library!r}"
+            raise RecordingError(f"{path}: an MCAP file, but not a kinegraph recording ({whose})")
+        if facts is None:
+            raise RecordingError(f"{path}: truncated before anything was recorded; nothing can be recovered from it")
+        version = facts.get("format", "")
+        check_format(int(version) if version.isdigit() else version, path)
+        try:
+            header: dict[str, Any] = json.loads(facts["header"])
+        except (ValueError, KeyError):
+            if not self._forgiving:
+                raise RecordingError(
+                    f"{path}: its header is damaged; `kinegraph recover` rewrites what can be read"
+                ) from None
+            self.damaged += 1
+            return {}
+        return header
 
     @property
     def finished(self) -> bool:
         return self.file.finished
 
+    def _read_end(self) -> bool:
+        """What a finished file says of itself at its end; False where it says nothing, or is damaged there: then all is read."""
+        if not self.finished:
+            return False
+        try:
+            self._declare_from_end()
+            summary = self.file.metadata(SUMMARY, at_end=True)
+            if summary is None or self._forgiving:
+                return False
+            for name, counts in json.loads(summary["streams"]).items():
+                self.streams[name].fill(counts)
+        except (RecordingError, *DAMAGE):
+            self.file.finished = False
+            self.damaged += 1
+            for found in (self.topics, self.images, self.streams, self._schemas):
+                found.clear()
+            return False
+        return True
+
     def _declare_from_end(self) -> None:
         """A finished file repeats all schemas and channels after its data."""
         for record in self.file.records[-_tail(self.file.records) :]:
             if record.opcode == Opcode.SCHEMA:
-                schema = Schema.read(self.file.stream(record))
+                schema = self.file.read(Schema, record)
                 self._schemas[schema.id] = schema
             elif record.opcode == Opcode.CHANNEL:
-                self._declare(Channel.read(self.file.stream(record)))
+                self._declare(self.file.read(Channel, record))
 
     def _scan(self) -> None:
         """Count what an unfinished file holds; a damaged chunk at its very end is left out."""
@@ -144,5 +176,5 @@ class RecordedPart:
 
 
 def _tail(records: list[Record]) -> int:
-    """How many records follow the data's end."""
-    return next(n for n, record in enumerate(reversed(records)) if record.opcode == Opcode.DATA_END)
+    """How many records follow the data's end; all where it is not marked."""
+    return next((n for n, r in enumerate(reversed(records)) if r.opcode == Opcode.DATA_END), len(records))

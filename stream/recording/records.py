@@ -12,19 +12,35 @@ import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, Self, TypeVar
 
 import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, Metadata, Schema
 
 from stream.errors import RecordingError
 
 MAGIC = b"\x89MCAP0\r\n"
+DAMAGE = (
+    *(ValueError, KeyError, TypeError, OverflowError, MemoryError, RuntimeError, EOFError),
+    *(struct.error, zstandard.ZstdError, McapError),
+)
+"""What reading a damaged record may raise."""
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
+
+
+class _Readable(Protocol):
+    """A kind of record that the library reads."""
+
+    @classmethod
+    def read(cls, stream: ReadDataStream) -> Self: ...
+
+
+R = TypeVar("R", bound=_Readable)
 
 
 class Record(NamedTuple):
@@ -81,7 +97,10 @@ class RecordFile:
         at = len(MAGIC)
         while at + _RECORD.size <= self.size:
             self._file.seek(at)
-            opcode, length = _RECORD.unpack(self._file.read(_RECORD.size))
+            head = self._file.read(_RECORD.size)
+            if len(head) < _RECORD.size:
+                return  # it became shorter since it was opened
+            opcode, length = _RECORD.unpack(head)
             offset = at + _RECORD.size
             if opcode == 0 or offset + length > self.size:
                 return
@@ -107,18 +126,33 @@ class RecordFile:
         """A record's content, as the library reads it."""
         return ReadDataStream(BytesIO(self.content(record)))
 
+    def read(self, kind: type[R], record: Record) -> R:
+        """A record of a kind. Raises RecordingError where it is damaged."""
+        try:
+            return kind.read(self.stream(record))
+        except DAMAGE as error:
+            raise self.damage(record, error) from None
+
+    def damage(self, record: Record, error: Exception) -> RecordingError:
+        """The error that says where the file is damaged."""
+        what = str(error) or type(error).__name__
+        return RecordingError(
+            f"{self.path}: damaged at byte {record.offset} ({what}); `kinegraph recover` rewrites what can be read"
+        )
+
     def header(self) -> Header | None:
         first = self.records[0] if self.records else None
-        return Header.read(self.stream(first)) if first is not None and first.opcode == Opcode.HEADER else None
+        return self.read(Header, first) if first is not None and first.opcode == Opcode.HEADER else None
 
-    def metadata(self, name: str) -> dict[str, str] | None:
-        """The metadata record of this name; the last one if there are several."""
-        found = None
-        for record in self.records:
+    def metadata(self, name: str, *, at_end: bool = False) -> dict[str, str] | None:
+        """The metadata record of this name, looked for from the beginning or from the end."""
+        for record in reversed(self.records) if at_end else self.records:
             if record.opcode == Opcode.METADATA:
-                metadata = Metadata.read(self.stream(record))
-                found = metadata.metadata if metadata.name == name else found
-        return found
+                metadata = self.read(Metadata, record)
+                if metadata.name == name:
+                    found: dict[str, str] = metadata.metadata
+                    return found
+        return None
 
     @property
     def chunks(self) -> list[Record]:
@@ -135,10 +169,8 @@ class RecordFile:
                 data = lz4.frame.decompress(chunk.data)
             if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
                 raise ValueError("its checksum is wrong")
-        except (ValueError, RuntimeError, EOFError, struct.error, zstandard.ZstdError) as error:
-            raise RecordingError(
-                f"{self.path}: damaged at byte {record.offset} ({error}); `kinegraph recover` rewrites what can be read"
-            ) from None
+        except DAMAGE as error:
+            raise self.damage(record, error) from None
         return data
 
 
