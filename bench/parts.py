@@ -93,11 +93,11 @@ class Device(source.Source):
         trial = TRIAL.feed
         assert trial
         start = feed.now()
-        within = np.arange(trial.chunk) * (NS // RATE_HZ)
+        step = NS // RATE_HZ
         feed.ready()
         for i, x in enumerate(trial):
-            stamps = within + (start + i * trial.period_ns)
-            feed.emit(Chunk(stamps, x, int(stamps[-1])))
+            first = start + i * trial.period_ns
+            feed.emit(Chunk(np.arange(first, first + trial.period_ns, step), x, first + trial.period_ns - step))
 
 
 def stamps(feed: Feed) -> list[Times]:
