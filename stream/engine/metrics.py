@@ -1,4 +1,4 @@
-"""What is always measured: how long every node takes, how much passes, what is lost; at well below a microsecond a message.
+"""What is always measured: how long every node takes, what is lost; at well below a microsecond a message.
 
 A node appends each call's duration to an array; it is folded into a histogram of 16 bins per octave now and then, off the hot path.
 So a quantile is exact to 4.4 %.
@@ -20,16 +20,15 @@ FOLD_AT = 1024
 
 
 class Timing:
-    """How long a node's calls took, as a histogram of ns, and how many samples they brought.
+    """How long a node's calls took, as a histogram of ns.
 
     durations   ns of calls that are not folded yet; the pipeline appends to it
     """
 
-    __slots__ = ("_recent", "_total", "calls", "durations", "longest_ns", "samples")
+    __slots__ = ("_recent", "_total", "calls", "durations", "longest_ns")
 
     def __init__(self) -> None:
         self.durations: array[int] = array("q")
-        self.samples = 0
         self.calls = 0
         self.longest_ns = 0
         self._total = np.zeros(BINS, np.int64)
@@ -53,7 +52,6 @@ class Timing:
         self._total += self._recent
         row = {
             "calls": self.calls,
-            "samples": self.samples,
             "p50_us": _quantile(self._recent, 0.5),
             "p99_us": _quantile(self._recent, 0.99),
             "all_p50_us": _quantile(self._total, 0.5),

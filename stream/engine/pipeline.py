@@ -52,8 +52,7 @@ class Wire:
         while True:
             if chunk.lost or wire.owed:
                 chunk = wire._carry(chunk)
-            n = len(chunk.time)
-            wire.samples += n
+            wire.samples += len(chunk.time)
             if not chunk.data.flags.carray:
                 chunk = _normal(chunk)
             for tap in wire.taps:
@@ -62,14 +61,13 @@ class Wire:
                 for push in wire.readers:
                     start = push(chunk, start)
                 return start
-            name, port, process, note, timing, out, emit = wire.single
+            name, port, process, note, out, emit = wire.single
             try:
                 emitted = process(port, chunk)
             except Exception as error:
                 raise _failure(name, error, port, chunk) from error
             end = perf_counter_ns()
             note(end - start)
-            timing.samples += n
             if emitted.__class__ is not Chunk:
                 return end if emitted is None else emit(emitted, end)
             wire, chunk, start = out, emitted, end
@@ -99,7 +97,6 @@ class Single(NamedTuple):
     port: str
     process: Callable[[str, Chunk], Emitted]
     note: Callable[[int], None]
-    timing: Timing
     out: Wire
     emit: Callable[[Emitted, int], int]
 
@@ -107,11 +104,12 @@ class Single(NamedTuple):
 class Stage:
     """An operator or outlet while a graph runs.
 
+    feeds    the wires it reads
     muted    an outlet that hears nothing for now
     failed   why an outlet was switched off
     """
 
-    __slots__ = ("failed", "lane", "merge", "muted", "node", "operator", "timing", "wires")
+    __slots__ = ("failed", "feeds", "lane", "merge", "muted", "node", "operator", "timing", "wires")
 
     def __init__(self, graph: Graph, node: Node, lane: str) -> None:
         assert isinstance(node.part, Operator)
@@ -121,6 +119,7 @@ class Stage:
         self.wires = {name: Wire(Edge(node.name, name), spec) for name, spec in self.operator.open(specs).items()}
         self.merge = Merge(specs, in_turn=self.operator.in_turn) if len(specs) > 1 else None
         self.timing = Timing()
+        self.feeds: list[Wire] = []
         self.muted = False
         self.failed = ""
 
@@ -142,11 +141,11 @@ class Stage:
         """How a wire may run this stage itself; None for an outlet, and where several inputs are merged."""
         if self.node.is_outlet or self.merge is not None:
             return None
-        timing, out = self.timing, next(iter(self.wires.values()))
-        return Single(self.node.name, port, self.operator.process, timing.durations.append, timing, out, self.emit)
+        out = next(iter(self.wires.values()))
+        return Single(self.node.name, port, self.operator.process, self.timing.durations.append, out, self.emit)
 
     def _runner(self) -> Callable[[str, Chunk, int], int]:
-        process, timing, note = self.operator.process, self.timing, self.timing.durations.append
+        process, note = self.operator.process, self.timing.durations.append
         send = next(iter(self.wires.values())).send
         name = self.node.name
 
@@ -157,7 +156,6 @@ class Stage:
                 raise _failure(name, error, port, chunk) from error
             end = perf_counter_ns()
             note(end - start)
-            timing.samples += len(chunk.time)
             if emitted.__class__ is Chunk:
                 return send(emitted, end)
             return end if emitted is None else self.emit(emitted, end)
@@ -176,7 +174,6 @@ class Stage:
                 self._switch_off(error)
             end = perf_counter_ns()
             self.timing.durations.append(end - start)
-            self.timing.samples += len(chunk.time)
             return end
 
         return run
@@ -253,6 +250,7 @@ class Pipeline:
                 push = stage.push(port)
                 bridged = self._bridged(wire, stage, port, push, bridge)
                 wire.readers.append(bridged)
+                stage.feeds.append(wire)
                 if len(readers) == 1 and bridged is push:
                     wire.single = stage.single(port)
 

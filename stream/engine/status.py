@@ -76,6 +76,7 @@ def _stage_row(stage: Stage, lanes: Lanes) -> dict[str, Any]:
     return {
         "kind": "outlet" if stage.node.is_outlet else "operator",
         "lane": stage.lane,
+        "samples": sum(wire.samples for wire in stage.feeds),
         **rounded(stage.timing.read()),
         "queue": sum(c.depth for c in queues),
         "dropped": sum(c.dropped for c in queues),
