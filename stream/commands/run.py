@@ -62,7 +62,7 @@ def run(
     logs.set_up(json=json_log, verbose=verbose)
     graph = load(config, overrides=read(settings or []))
     plan(graph)
-    folder = _folder(graph.name, Path(graph.recording.folder), out, resume) if record or resume else None
+    folder = session_folder(graph, out, resume) if record or resume else None
     conduct(graph, folder, resume=resume, duration_s=duration_s, view=view, simulate=simulate)
 
 
@@ -102,9 +102,11 @@ def _simulated(graph: Graph) -> Iterator[None]:
         yield
 
 
-def _folder(name: str, recordings: Path, out: Path | None, resume: bool) -> Path:
+def session_folder(graph: Graph, out: Path | None, resume: bool = False) -> Path:
+    """Where the session's recording goes: `out`, else a new folder in the graph's own, or the newest one there to resume."""
     if out:
         return out
+    name, recordings = graph.name, Path(graph.recording.folder)
     if not resume:
         return recordings / f"{name}-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
     sessions = sorted(recordings.glob(f"{name}-*Z"))

@@ -1,0 +1,55 @@
+"""`kinegraph devices`: what is connected, with the YAML to use it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from stream.errors import KinegraphError, nearest
+
+if TYPE_CHECKING:
+    from devices.discovery.found import Found
+
+
+def devices(
+    kinds: Annotated[
+        list[str] | None, typer.Argument(help="look only for these kinds; left out: all", metavar="[KIND]...")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print JSON")] = False,
+) -> None:
+    """List what is connected, with the YAML to use it."""
+    from devices.discovery.found import finders, look
+
+    known = finders()
+    for kind in kinds or ():
+        if kind not in known:
+            raise KinegraphError(f"there is no kind of device {kind!r}; {nearest(kind, known)}")
+    chosen = {kind: known[kind] for kind in (kinds or known)}
+    found: list[Found] = []
+    for kind, finder in chosen.items():
+        here, failed = look(finder)
+        found += here
+        if failed:
+            print(f"{kind}: could not be asked: {failed}", file=sys.stderr)
+    if as_json:
+        print(json.dumps([asdict(one) for one in found], indent=2))
+        return
+    for one in found:
+        print(_shown(one))
+    if not found:
+        print(f"nothing is connected (looked for: {', '.join(chosen) or 'nothing'})")
+    print(
+        "without a device: kinegraph simulate lists the simulated ones; kinegraph run CONFIG --simulate",
+        file=sys.stderr,
+    )
+
+
+def _shown(found: Found) -> str:
+    lines = [f"{found.kind}: {found.address}", f"  {found.what}"]
+    lines += [f"  {found.note}"] if found.note else []
+    lines += [f"      {line}" for line in found.yaml.splitlines()]
+    return "\n".join(lines) + "\n"

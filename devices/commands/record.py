@@ -1,0 +1,92 @@
+"""`kinegraph record`: any sources into a recording, with no graph."""
+
+from __future__ import annotations
+
+import io
+import re
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from stream.errors import KinegraphError
+
+EXAMPLE = "kinegraph record devices.cyton.Cyton port=/dev/ttyUSB0"
+
+
+def record(
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            help="each source's dotted path, followed by its parameters and engine options; NAME:PATH names it",
+            metavar="SOURCE [PARAMETER=VALUE]...",
+        ),
+    ],
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="the recording's folder (default: a new one in recordings/)")
+    ] = None,
+    duration_s: Annotated[
+        float, typer.Option("--for", metavar="SECONDS", help="end after so many seconds; 0: when stopped")
+    ] = 0.0,
+    simulate: Annotated[bool, typer.Option("--simulate", help="simulated devices in the place of real ones")] = False,
+    view: Annotated[str, typer.Option(help="how the session is shown: auto, live, lines or none")] = "auto",
+    json_log: Annotated[bool, typer.Option("--log-json", help="log lines as JSON")] = False,
+    verbose: Annotated[bool, typer.Option("-v", "--verbose", help="log more")] = False,
+) -> None:
+    """Record devices with no graph: kinegraph record devices.cyton.Cyton port=/dev/ttyUSB0 -o folder
+
+    Values are read as YAML. The recording holds a graph of these sources alone, so it can be replayed; exit codes are those of `run`.
+    """
+    from stream.commands import logs
+    from stream.commands.run import conduct, session_folder
+    from stream.graph.load import load_text
+
+    logs.set_up(json=json_log, verbose=verbose)
+    text, name = written(sources)
+    graph = load_text(text, name)
+    conduct(graph, session_folder(graph, out), duration_s=duration_s, view=view, simulate=simulate)
+
+
+def written(arguments: list[str]) -> tuple[str, str]:
+    """The graph of these sources, as YAML, and its name."""
+    from ruamel.yaml import YAML
+
+    nodes: dict[str, dict[str, Any]] = {}
+    node: dict[str, Any] = {}
+    for argument in arguments:
+        key, equals, value = argument.partition("=")
+        if equals and nodes:
+            node[key] = _value(argument, value)
+        elif equals:
+            raise KinegraphError(f"{argument!r} stands before any source; write it as in '{EXAMPLE}'")
+        else:
+            name, colon, path = argument.rpartition(":")
+            node = {"use": path}
+            nodes[_name(name if colon else "", path, nodes)] = node
+    out = io.StringIO()
+    YAML(typ="safe", pure=True).dump({"nodes": nodes}, out)
+    return out.getvalue(), "-".join(nodes)
+
+
+def _name(given: str, path: str, taken: dict[str, Any]) -> str:
+    """What the node is called: as given, else after its class, with a number if there are several."""
+    if given:
+        if given in taken:
+            raise KinegraphError(f"two sources are called {given!r}")
+        return given
+    name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", path.rpartition(".")[2]).lower() or "source"
+    number = 2
+    found = name
+    while found in taken:
+        found, number = f"{name}{number}", number + 1
+    return found
+
+
+def _value(argument: str, value: str) -> Any:
+    from stream.errors import GraphError
+    from stream.graph.yaml_lines import parse
+
+    try:
+        return parse(value, "").plain()
+    except GraphError as error:
+        raise KinegraphError(f"{argument}: {error}") from None

@@ -1,0 +1,66 @@
+"""Serial ports: what hangs on each, as far as its USB ids tell, and the node that reads it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from devices.discovery.found import Found
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What an adapter's ids mean. Many devices share an adapter's chip, so it says what it may be."""
+
+    what: str
+    yaml: str
+
+
+CYTON = "use: devices.cyton.Cyton\nport: {port}"
+LINES = "use: devices.ascii_lines.AsciiLines\nport: {port}\ncolumns: [micros, emg]\ntime: micros"
+DECLARED = "use: devices.binary.Binary\nport: {port}\nframes: ...   # as in configs/witmotion.yaml"
+
+KNOWN: dict[tuple[int, int | None], Known] = {
+    (0x0403, 0x6015): Known("FTDI FT231X: the dongle of an OpenBCI Cyton has this chip", CYTON),
+    (0x0403, 0x6001): Known("FTDI FT232R adapter", DECLARED),
+    (0x2341, None): Known("Arduino", LINES),
+    (0x2A03, None): Known("Arduino", LINES),
+    (0x239A, None): Known("Adafruit board", LINES),
+    (0x16C0, 0x0483): Known("Teensy", LINES),
+    (0x303A, None): Known("Espressif ESP32", LINES),
+    (0x1A86, 0x7523): Known("CH340 adapter: WitMotion sensors and many Arduino clones have this chip", DECLARED),
+    (0x10C4, 0xEA60): Known("CP210x adapter: many sensors and ESP32 boards have this chip", DECLARED),
+    (0x2639, None): Known("Xsens/Movella MTi", ""),
+}
+"""By USB vendor and product; None stands for any product."""
+
+
+def find() -> Iterator[Found]:
+    """Every serial port that is a real one or says what it is."""
+    from serial.tools.list_ports import comports
+
+    for port in sorted(comports()):
+        if port.vid is None and port.description in (None, "", "n/a", port.name):
+            continue
+        known = KNOWN.get((port.vid or 0, port.pid)) or KNOWN.get((port.vid or 0, None))
+        yield Found(
+            "serial",
+            port.device,
+            _what(port.description, port.manufacturer, port.serial_number, known),
+            (known.yaml if known else LINES).format(port=port.device),
+            _note(port.device),
+        )
+
+
+def _what(description: str | None, manufacturer: str | None, number: str | None, known: Known | None) -> str:
+    said = ", ".join(
+        part for part in (description, manufacturer, number and f"serial number {number}") if part and part != "n/a"
+    )
+    return f"{known.what} ({said})" if known else said
+
+
+def _note(device: str) -> str:
+    if device.startswith("/dev/") and not os.access(device, os.R_OK | os.W_OK):
+        return "no permission: sudo usermod -aG dialout $USER, then log in again"
+    return ""
