@@ -133,7 +133,7 @@ def test_a_required_source_that_never_starts_ends_the_run_with_its_name() -> Non
 
 def test_a_source_that_is_not_required_may_be_missing() -> None:
     nodes = "  bed: {use: parts.Silent, required: false}\n" + CHAIN % ""
-    outcome = run(nodes, duration_s=0.5)
+    outcome = run(nodes, duration_s=2.0)
     assert parts.numbers() == list(range(5000))
     assert outcome.error is None
 
