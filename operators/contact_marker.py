@@ -11,7 +11,7 @@ import numpy as np
 from operators.contact_legs import LEGS
 from operators.contact_path import MEMORY_S, WALK, follow
 from operators.contacts import Contacts, Followed
-from operators.iir import butterworth, group_delay, settling
+from operators.iir import butterworth, group_delay, settling, steady_memory
 from operators.marker_columns import marker_columns
 from stream.chunk import NEVER, NS, Array, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
@@ -65,8 +65,6 @@ class MarkerContacts(Contacts[MarkerState]):
     side: Literal["left", "right", ""] = param("", help="whose foot: left, right, or empty where it is not known")
 
     def open(self, specs: Specs) -> Specs:
-        from scipy.signal import sosfilt_zi
-
         spec = specs["in"]
         foot = marker_columns(spec, self.marker, "marker")
         body = marker_columns(spec, self.reference, "reference") if self.reference else foot
@@ -101,7 +99,7 @@ class MarkerContacts(Contacts[MarkerState]):
             delay_ns=round(delay_s * NS),
             alone=not self.reference,
             sos=sos,
-            steady=np.ascontiguousarray(sosfilt_zi(sos)),
+            steady=steady_memory(sos),
             z=np.zeros((6, len(sos), 2)),
             limits=np.array([SWING_M, STANCE_M, REVERSE_M, STILL_NS, 0.0]),
             memory=np.zeros(1, LEGS),

@@ -9,6 +9,8 @@ from typing import Literal
 import numpy as np
 
 from operators.emg_kernel import envelope, gap
+from operators.iir import butterworth, steady_memory
+from operators.remembered import remembered
 from operators.zero_phase import antialias_phases, highpass_reach, lowpass_phases
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
@@ -180,17 +182,12 @@ class Envelope(Operator[EnvelopeState]):
         )
 
     def _causal(self, rate_in: float, up: int, down: int, rate_out: float) -> Filters:
-        from scipy.signal import butter, freqz_sos
-
         hp, start = self._highpass(rate_in)
         settling = 1.2 * self.highpass_order / self.highpass_hz if len(hp) else 0.0
-        low = np.ascontiguousarray(butter(self.order, self.cutoff_hz, fs=rate_out, output="sos"))
         taps = np.ones((1, 1))
         if up != down:
             taps = antialias_phases(self.cutoff_hz, max(rate_out - self.cutoff_hz, 0.6 * rate_out), rate_in, up)
-        frequencies = np.linspace(0.0, self.cutoff_hz / 2, 101)
-        phase = np.unwrap(np.angle(freqz_sos(low, frequencies, fs=rate_out)[1]))
-        group = float(-np.mean(np.diff(phase)) / (2 * np.pi * frequencies[1]))
+        low, group = causal_lowpass(self.order, self.cutoff_hz, rate_out)
         look = taps.shape[1] // 2 / rate_in
         step = self._step(rate_in, up, down, 1, group)
         return Filters(
@@ -205,12 +202,10 @@ class Envelope(Operator[EnvelopeState]):
         )
 
     def _highpass(self, rate_hz: float) -> tuple[Samples, Samples]:
-        from scipy.signal import butter, sosfilt_zi
-
         if not self.highpass_hz:
             return np.zeros((0, 6)), np.zeros((0, 2))
-        sos = np.ascontiguousarray(butter(self.highpass_order, self.highpass_hz, "highpass", fs=rate_hz, output="sos"))
-        return sos, np.ascontiguousarray(sosfilt_zi(sos))
+        sos = butterworth(self.highpass_order, self.highpass_hz, "highpass", rate_hz)
+        return sos, steady_memory(sos)
 
     @staticmethod
     def _step(rate_in: float, up: int, down: int, block: int, shift_s: float) -> Times:
@@ -263,6 +258,17 @@ class Envelope(Operator[EnvelopeState]):
         if s.last == NEVER or sample >= s.count[0] or until >= s.last + s.limit:
             return earliest
         return min(earliest, int(s.stamps[sample % len(s.stamps), 0] + step[3 + phase]) - 1)
+
+
+@remembered
+def causal_lowpass(order: int, cutoff_hz: float, rate_hz: float) -> tuple[Samples, float]:
+    """A Butterworth low-pass as sections (s, 6), and its mean group delay in seconds over the lower half of what it passes."""
+    from scipy.signal import freqz_sos
+
+    low = butterworth(order, cutoff_hz, "lowpass", rate_hz)
+    frequencies = np.linspace(0.0, cutoff_hz / 2, 101)
+    phase = np.unwrap(np.angle(freqz_sos(low, frequencies, fs=rate_hz)[1]))
+    return low, float(-np.mean(np.diff(phase)) / (2 * np.pi * frequencies[1]))
 
 
 def _cut(whole: Chunk, lost: Times) -> list[tuple[str, Chunk]]:

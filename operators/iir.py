@@ -19,6 +19,7 @@ from typing import Literal
 import numpy as np
 
 from operators.continuity import Continuity, Filter, nothing, numeric, regular, rows, watch
+from operators.remembered import remembered
 from stream.chunk import FOREVER, NEVER, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
 from stream.kernel import kernel
@@ -100,8 +101,6 @@ class Sections(Filter[SectionsState]):
         raise NotImplementedError
 
     def open(self, specs: Specs) -> Specs:
-        from scipy.signal import sosfilt_zi
-
         spec = numeric(specs["in"])
         rate_hz = regular(spec)
         sos, centre_hz = self.design(rate_hz)
@@ -114,7 +113,7 @@ class Sections(Filter[SectionsState]):
         width = seen["width"]
         steady = np.zeros((len(sos), 2))
         if self.start == "first":
-            steady[:] = sosfilt_zi(sos)
+            steady[:] = steady_memory(sos)
         state = SectionsState(
             **seen,
             sos=sos,
@@ -240,8 +239,6 @@ class Notch(Sections):
     reset_gap_s: float = param(0.1, least=0.0, help="a longer gap resets the filter")
 
     def design(self, rate_hz: float) -> tuple[Samples, float]:
-        from scipy.signal import iirnotch, tf2sos
-
         below_nyquist("notch_hz", self.notch_hz, rate_hz)
         below_nyquist("width_hz", self.width_hz, rate_hz)
         if self.harmonics * self.notch_hz >= rate_hz / 2:
@@ -249,17 +246,14 @@ class Notch(Sections):
             raise ParameterError(
                 "harmonics", self.harmonics, f"at most {most} (notches below half of the input's {rate_hz:g} Hz)"
             )
-        made = []
-        for k in range(1, self.harmonics + 1):
-            b, a = iirnotch(k * self.notch_hz, k * self.notch_hz / self.width_hz, fs=rate_hz)
-            made.append(tf2sos(b, a))
-        return np.ascontiguousarray(np.concatenate(made)), math.nan
+        return notches(self.notch_hz, self.width_hz, self.harmonics, rate_hz), math.nan
 
     @classmethod
     def cases(cls) -> Sequence[Case]:
         return [_case(cls(notch_hz=30.0, harmonics=3))]
 
 
+@remembered
 def butterworth(
     order: int, cutoff_hz: float | Sequence[float], kind: Literal["lowpass", "highpass", "bandpass"], rate_hz: float
 ) -> Samples:
@@ -267,6 +261,23 @@ def butterworth(
     from scipy.signal import butter
 
     return butter(order, cutoff_hz, kind, fs=rate_hz, output="sos")
+
+
+@remembered
+def notches(notch_hz: float, width_hz: float, harmonics: int, rate_hz: float) -> Samples:
+    """scipy's notches at a frequency and its multiples, all `width_hz` wide, as sections (s, 6)."""
+    from scipy.signal import iirnotch, tf2sos
+
+    made = [tf2sos(*iirnotch(k * notch_hz, k * notch_hz / width_hz, fs=rate_hz)) for k in range(1, harmonics + 1)]
+    return np.ascontiguousarray(np.concatenate(made))
+
+
+@remembered
+def steady_memory(sos: Samples) -> Samples:
+    """The memory (s, 2) that sections have after a constant 1 for ever."""
+    from scipy.signal import sosfilt_zi
+
+    return np.ascontiguousarray(sosfilt_zi(sos))
 
 
 def below_nyquist(parameter: str, given: float, rate_hz: float) -> None:

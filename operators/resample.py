@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.continuity import Continuity, Filter, back, numeric, regular, rows, watch
+from operators.remembered import remembered
 from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
 from stream.kernel import kernel
@@ -208,6 +209,7 @@ def ratio(wanted_hz: float, rate_hz: float) -> tuple[int, int]:
     return near.numerator, near.denominator
 
 
+@remembered
 def low_pass(up: int, down: int, half_length: int) -> tuple[Samples, int]:
     """The filter of scipy's `resample_poly` (a Kaiser window, beta 5) at `up` times the rate, and the place of its middle tap."""
     if up == down:

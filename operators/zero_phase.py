@@ -11,12 +11,14 @@ from typing import Literal
 
 import numpy as np
 
+from operators.remembered import remembered
 from stream.chunk import Samples
 
 TAIL = 1e-3
 """The response is cut off where all that follows stays below this part of its largest tap."""
 
 
+@remembered
 def lowpass_phases(cutoff_hz: float, order: int, rate_hz: float, up: int) -> Samples:
     """Taps of the squared Butterworth low-pass, for samples at `rate_hz` read at `up` positions between two of them.
 
@@ -34,11 +36,13 @@ def lowpass_phases(cutoff_hz: float, order: int, rate_hz: float, up: int) -> Sam
     return np.asarray(taps / taps.sum(axis=1, keepdims=True), np.float64)
 
 
+@remembered
 def highpass_reach(cutoff_hz: float, order: int, rate_hz: float) -> int:
     """How many samples ahead a backward pass of the Butterworth high-pass must begin for its start from rest to have died away."""
     return len(_response(cutoff_hz, order, rate_hz, "highpass"))
 
 
+@remembered
 def antialias_phases(pass_hz: float, stop_hz: float, rate_hz: float, up: int) -> Samples:
     """Taps like `lowpass_phases`, of a Kaiser-windowed low-pass, 60 dB down at `stop_hz`: the plain reduction before a causal filter."""
     from scipy.signal import firwin, kaiserord
