@@ -21,7 +21,7 @@ from stream.graph import NodeOptions, RecordingOptions
 from stream.graph.load import SECTIONS, Settings, load_text
 
 HOUSE = Path(__file__).resolve().parent.parent
-PAGES = sorted([HOUSE / "README.md", *(HOUSE / "docs").glob("*.md")])
+PAGES = sorted([HOUSE / "README.md", *(HOUSE / "docs").rglob("*.md")])
 BLOCK = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 EXPECT = re.compile(r"#\s*expect:\s*(\d+)")
 MAKE = re.compile(r"^make (demo|test|bench)\b")
