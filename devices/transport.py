@@ -1,4 +1,4 @@
-"""How bytes come and go: a serial port (pyserial) or a TCP connection (a plain socket), behind one small interface.
+"""How bytes come and go: a serial port (pyserial), a TCP connection (a plain socket) or USB (pyusb), behind one small interface.
 
 Reading waits until something is there and then takes all of it: 0.08 ms from the wire to the caller over a pseudo-terminal, where a
 fixed-size read with a time-out takes 10 ms.
@@ -35,9 +35,13 @@ class Transport(Protocol):
 
 
 def connect(address: str, baud: int = 115200) -> Transport:
-    """Open "/dev/ttyUSB0", "COM3" or "tcp://host:port"; raises DeviceError saying what to look at."""
+    """Open "/dev/ttyUSB0", "COM3", "tcp://host:port" or "usb://VENDOR:PRODUCT"; raises DeviceError saying what to look at."""
     if address.startswith("tcp://"):
         return TcpTransport(address)
+    if address.startswith("usb://"):
+        from devices.usb.pipe import Pipe
+
+        return Pipe(address)
     return SerialTransport(address, baud)
 
 

@@ -1,0 +1,309 @@
+"""Xsens/Movella MTi inertial sensors, on a serial port, over TCP or directly on USB."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal
+
+import numpy as np
+import structlog
+
+from devices.handshake import all_there, shown
+from devices.packet_clock import Packets
+from devices.protocols import xbus
+from devices.protocols.xbus import Decoder, Run
+from devices.stamps import runs
+from devices.tick_clock import TickClock
+from devices.timing import timing_chunk, timing_spec
+from devices.transport import Transport, connect
+from stream.chunk import NS, Chunk, Specs, StreamSpec
+from stream.errors import DeviceError, ParameterError
+from stream.params import param
+from stream.source import Feed, Source
+
+Measure = Literal["acceleration", "angular_velocity", "magnetic_field", "orientation"]
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """What can be measured: its identifier, that of its high-rate sibling (0: it has none), its channels and their unit."""
+
+    identifier: int
+    fast: int
+    channels: tuple[str, ...]
+    unit: str = ""
+
+
+QUANTITIES: dict[Measure, Quantity] = {
+    "acceleration": Quantity(xbus.ACCELERATION, xbus.ACCELERATION_HR, ("ax", "ay", "az"), "m/s2"),
+    "angular_velocity": Quantity(xbus.RATE_OF_TURN, xbus.RATE_OF_TURN_HR, ("gx", "gy", "gz"), "rad/s"),
+    "magnetic_field": Quantity(xbus.MAGNETIC_FIELD, 0, ("mx", "my", "mz")),
+    "orientation": Quantity(xbus.QUATERNION, 0, ("qw", "qx", "qy", "qz")),
+}
+
+ANSWER_S, TRIES = 1.0, 3
+SILENCE_S = 2.0
+"""A sensor that was measuring and says nothing for so long is asked anew."""
+FEW_HZ = 500.0
+"""Above so many packets a second they are taken some at a time, and `timing` has an event per read instead of per packet."""
+GATHER_S = 0.005
+CLOCK_LOGGED_S = 60.0
+BITS_PER_BYTE = 10
+"""On a serial line, with start and stop bit."""
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Mti(Source):
+    """An MTi of the 1, 10, 100 or 600 series, which is set to send what `measure` asks for at `rate_hz`.
+
+    imu      (channels,) float64, in this order: ax ay az m/s2 (gravity included), gx gy gz rad/s, mx my mz (1: the field where it was
+             calibrated), qw qx qy qz (unit quaternion from the sensor's frame to the earth's), as far as asked for
+    timing   an event per packet (above 500 Hz: per read): counter, device time, arrival, stamp
+
+    A sample is a measurement with everything that was asked for; others (GNSS fixes) are passed over. Stamps follow the sensor's own clock
+    (SampleTimeFine, 0.1 ms); lost packets are known from its packet counter. The settings are written to the sensor only where they differ
+    from what it has, as it keeps them for good.
+    """
+
+    outputs: ClassVar[tuple[str, ...]] = ("imu", "timing")
+
+    port: str = param(
+        help="/dev/ttyUSB0, COM3, tcp://host:port, or usb://2639 for direct USB; `kinegraph devices` lists them"
+    )
+    measure: tuple[Measure, ...] = param(
+        ("acceleration", "angular_velocity"),
+        help="which of acceleration, angular_velocity, magnetic_field, orientation",
+    )
+    rate_hz: int = param(100, least=1, most=2000, help="measurements per second; most sensors do up to 400")
+    high_rate: bool = param(
+        False,
+        help="the outputs AccelerationHR and RateOfTurnHR, up to 2000 Hz, not compensated for coning and sculling",
+    )
+    baud: int = param(115200, least=4800, most=4_000_000, help="as set in the sensor; not used on USB and TCP")
+    gather_s: float | None = param(
+        None,
+        least=0,
+        most=0.1,
+        help="packets of so much time are taken at once; left out: as they come, above 500 Hz 5 ms",
+    )
+    latency_s: float = param(
+        0.0, least=0, most=1, help="the constant delay from the measurement to the port, if you know it"
+    )
+
+    @property
+    def chunk_s(self) -> float:
+        return max(1 / self.rate_hz, self.gathered_s)
+
+    @property
+    def gathered_s(self) -> float:
+        """How long packets are left to gather."""
+        if self.gather_s is not None:
+            return self.gather_s
+        return GATHER_S if self.rate_hz > FEW_HZ else 0.0
+
+    @property
+    def wanted(self) -> list[tuple[int, int]]:
+        """The outputs (identifier, rate) that the sensor is set to."""
+        outputs = [(xbus.PACKET_COUNTER, xbus.EVERY_PACKET), (xbus.SAMPLE_TIME_FINE, xbus.EVERY_PACKET)]
+        parts = [QUANTITIES[name] for name in self.ordered]
+        return outputs + [(part.fast if self.high_rate else part.identifier, self.rate_hz) for part in parts]
+
+    @property
+    def ordered(self) -> list[Measure]:
+        return [name for name in QUANTITIES if name in self.measure]
+
+    def specs(self) -> Specs:
+        self._check()
+        parts = [QUANTITIES[name] for name in self.ordered]
+        channels = tuple(channel for part in parts for channel in part.channels)
+        units = tuple(part.unit for part in parts for _ in part.channels)
+        device = {"device": "Xsens MTi"}
+        imu = StreamSpec((len(channels),), rate_hz=float(self.rate_hz), channels=channels, units=units, meta=device)
+        return {"imu": imu, "timing": timing_spec()}
+
+    def _check(self) -> None:
+        if not self.measure or len(set(self.measure)) != len(self.measure):
+            raise ParameterError("measure", list(self.measure), f"some of {', '.join(QUANTITIES)}, each once")
+        slow = [name for name in self.ordered if not QUANTITIES[name].fast]
+        if self.high_rate and slow:
+            raise ParameterError(
+                "high_rate",
+                True,
+                f"false, or {' and '.join(slow)} left out: only acceleration and angular_velocity have it",
+            )
+        bits = (
+            BITS_PER_BYTE
+            * self.rate_hz
+            * (5 + 5 + 7 + sum(3 + 4 * len(QUANTITIES[name].channels) for name in self.ordered))
+        )
+        if "://" not in self.port and bits > self.baud:
+            raise ParameterError(
+                "baud",
+                self.baud,
+                f"at least {bits}, which {self.rate_hz} measurements a second take (set it in the sensor first)",
+            )
+
+    @contextmanager
+    def simulated(self) -> Iterator[Source]:
+        from devices.simulators.mti import Mti as Simulated
+
+        device = Simulated()
+        with device.on_usb() if self.port.startswith("usb://") else device.serving() as address:
+            yield replace(self, port=address)
+
+    def read(self, feed: Feed) -> None:
+        with connect(self.port, self.baud) as link:
+            talk = _Talk(link, feed, self.port)
+            self._greet(talk)
+            try:
+                self._stream(link, talk.decoder, feed)
+            finally:
+                with suppress(DeviceError):
+                    link.write(xbus.message(xbus.GO_TO_CONFIG))
+
+    def _greet(self, talk: _Talk) -> None:
+        """Bring the sensor to measure what is wanted; raises DeviceError if it is not there, or cannot."""
+        talk.ask(xbus.GO_TO_CONFIG)
+        number = talk.ask(xbus.REQUEST_DEVICE_ID).hex().upper()
+        product = talk.ask(xbus.REQUEST_PRODUCT).decode("ascii", "replace").strip(" \0")
+        firmware = xbus.firmware(talk.ask(xbus.REQUEST_FIRMWARE))
+        log.info("MTi", port=self.port, device=number, product=product, firmware=firmware)
+        if xbus.outputs_of(talk.ask(xbus.OUTPUT_CONFIGURATION)) != self.wanted:
+            answer = talk.ask(xbus.OUTPUT_CONFIGURATION, xbus.configuration(self.wanted))
+            self._check_outputs(dict(xbus.outputs_of(answer)), product)
+        talk.ask(xbus.GO_TO_MEASUREMENT)
+
+    def _check_outputs(self, there: dict[int, int], product: str) -> None:
+        """Raise DeviceError for what the sensor does not do."""
+        for identifier, rate in self.wanted:
+            got = there.get(identifier, 0)
+            if got != rate and rate != xbus.EVERY_PACKET:
+                name = next(name for name, part in QUANTITIES.items() if identifier in (part.identifier, part.fast))
+                offers = f"{got} Hz" if got else "nothing"
+                raise DeviceError(f"{product} on {self.port} was asked for {name} at {rate} Hz and offers {offers}")
+
+    def _stream(self, link: Transport, decoder: Decoder, feed: Feed) -> None:
+        stream = _Stream(self)
+        heard = logged = time.monotonic()
+        strange = b""
+        while not feed.stopped:
+            data = link.read(0.1)
+            now = time.monotonic()
+            if data and now - heard > 0.1:
+                data = all_there(link, data)
+            found = decoder.feed(data)
+            if found.dropped:
+                feed.problem("bytes that are no packet", found.dropped)
+            if found.resyncs:
+                feed.problem("resync", found.resyncs)
+            if found.runs and stream.pass_on(found.runs, feed):
+                heard, strange = now, b""
+                if self.gathered_s:
+                    feed.wait(self.gathered_s)
+            else:
+                strange = (strange + data)[:64]
+            if now - heard > SILENCE_S:
+                raise DeviceError(
+                    f"no measurement from {self.port} for {SILENCE_S:g} s: expected {', '.join(self.measure)} in FA FF 36 ...; "
+                    f"came {shown(strange)}"
+                )
+            if now - logged > CLOCK_LOGGED_S:
+                logged = now
+                log.info("clock", port=self.port, state=stream.clock.state)
+
+
+class _Talk:
+    """Commands and their answers, while measurements may still be coming."""
+
+    def __init__(self, link: Transport, feed: Feed, port: str) -> None:
+        self.decoder = Decoder()
+        self._link, self._feed, self._port = link, feed, port
+
+    def ask(self, mid: int, data: bytes = b"") -> bytes:
+        """Send a message; returns the data of its answer (the next higher identifier). Raises DeviceError."""
+        came = b""
+        for _ in range(TRIES):
+            self._link.write(xbus.message(mid, data))
+            deadline = time.monotonic() + ANSWER_S
+            while (rest := deadline - time.monotonic()) > 0:
+                if self._feed.stopped:
+                    raise DeviceError("stopped while waiting for an answer")
+                piece = self._link.read(min(rest, 0.1))
+                came = (came + piece)[:64]
+                for run in self.decoder.feed(piece).runs:
+                    if run.mid == mid + 1:
+                        return run.data
+                    if run.mid == xbus.ERROR and mid != xbus.GO_TO_CONFIG:
+                        raise DeviceError(f"{self._port} refused message {mid:02X}: it tells of {_reason(run)}")
+        raise DeviceError(
+            f"no answer from {self._port} within {TRIES * ANSWER_S:g} s: expected FA FF {mid + 1:02X} after message {mid:02X} "
+            f"(is it an MTi, in Xbus mode, and `baud` as set in it?); came {shown(came)}"
+        )
+
+
+class _Stream:
+    """Measurements to samples: what is remembered between two reads."""
+
+    def __init__(self, of: Mti) -> None:
+        self.clock = TickClock(
+            counter_bits=16,
+            tick_bits=32,
+            tick_ns=NS / xbus.TICKS_HZ,
+            rate_hz=of.rate_hz,
+            latency_s=of.latency_s,
+        )
+        self._kinds = [identifier for identifier, _ in of.wanted[2:]]
+        self._needed = [identifier for identifier, _ in of.wanted]
+        self._burst = of.rate_hz > FEW_HZ
+
+    def pass_on(self, found: list[Run], feed: Feed) -> int:
+        """Emit what a read has brought; returns how many samples that was."""
+        arrival, n = feed.now(), 0
+        for run in found:
+            if run.mid == xbus.MEASUREMENT and all(run.has(kind) for kind in self._needed):
+                packets = self.clock.take(
+                    run.integers(xbus.PACKET_COUNTER), run.integers(xbus.SAMPLE_TIME_FINE), arrival
+                )
+                self._emit(run, packets, arrival, feed)
+                n += len(packets.stamp)
+            elif run.mid == xbus.MEASUREMENT and run.has(xbus.PACKET_COUNTER):
+                self.clock.pass_by(run.integers(xbus.PACKET_COUNTER))
+            elif run.mid == xbus.ERROR:
+                feed.problem("device error", len(run))
+                log.warning("MTi", says=_reason(run))
+            elif run.mid == xbus.WAKE_UP:
+                raise DeviceError("the sensor was switched on anew, and measures what it did when it left the factory")
+        return n
+
+    def _emit(self, run: Run, packets: Packets, arrival: int, feed: Feed) -> None:
+        _count(len(run), packets, feed)
+        if not len(packets.stamp):
+            return
+        data = np.hstack([run.vectors(kind) for kind in self._kinds])
+        if len(packets.stamp) < len(run):
+            data = data[packets.kept]
+        for start, stop in runs(packets.lost):
+            times = packets.stamp[start:stop]
+            feed.emit(Chunk(times, data[start:stop], int(times[-1]), int(packets.lost[start])), "imu")
+        told = slice(-1, None) if self._burst else slice(None)
+        feed.emit(timing_chunk(packets.number[told], packets.device[told], arrival, packets.stamp[told]), "timing")
+
+
+def _count(n: int, packets: Packets, feed: Feed) -> None:
+    if len(packets.stamp) < n:
+        feed.problem("repeated packet", n - len(packets.stamp))
+    if packets.lost.any():
+        if (missing := int(packets.lost.clip(0).sum())) > 0:
+            feed.problem("lost packet", missing)
+        if (packets.lost < 0).any():
+            feed.problem("counter reset")
+
+
+def _reason(run: Run) -> str:
+    code = run.data[0] if run.data else -1
+    return xbus.ERRORS.get(code, f"error {code:#x}")

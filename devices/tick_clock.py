@@ -1,0 +1,92 @@
+"""Packets with a counter and a device time in ticks, both of few bits: many at once, which are missing, and when each was made."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from devices.device_clock import ClockState, DeviceClock
+from devices.packet_clock import Packets
+from stream.chunk import NS, Times
+
+SLACK_NS = 10_000_000_000
+"""A device's time may advance by so much more than what has passed here: what was made during a stall comes all at once."""
+
+
+class TickClock:
+    """Unwraps both and maps the device's time onto session time.
+
+    A time that goes back, or that advances by more than has passed, means that the device has begun anew: what is known of its clock is
+    forgotten, and how many packets are missing nobody knows. A packet with the same counter and time as the one before is a repetition.
+    """
+
+    def __init__(
+        self, *, counter_bits: int, tick_bits: int, tick_ns: float, rate_hz: float, latency_s: float = 0.0
+    ) -> None:
+        """`rate_hz`: packets a second, by which the number of whole turns of the counter in an outage is chosen."""
+        self._counters, self._ticks, self._tick_ns = 1 << counter_bits, 1 << tick_bits, tick_ns
+        self._packet_ticks = NS / rate_hz / tick_ns
+        self._clock = DeviceClock(latency_s)
+        self._counter = self._tick = -1
+        self._number = self._device = self._arrival = self._passed = 0
+
+    @property
+    def state(self) -> ClockState:
+        """What is known of the device's clock."""
+        return self._clock.state
+
+    def pass_by(self, counters: Times) -> None:
+        """Packets without a time that matters have come: only their counters (n,) count."""
+        if self._counter < 0 or not len(counters):
+            return
+        steps: Times = np.diff(counters, prepend=self._counter) % self._counters
+        self._number += int(steps.sum())
+        self._passed += int((steps - 1).clip(0).sum())
+        self._counter = int(counters[-1])
+
+    def take(self, counters: Times, ticks: Times, arrival_ns: int) -> Packets:
+        """Packets with these counters and times (n,), n > 0, have arrived now."""
+        if self._counter < 0:
+            self._counter, self._number = int(counters[0]) - 1, int(counters[0]) - 1
+            self._tick, self._device = int(ticks[0]) - 1, int(ticks[0]) - 1
+            self._arrival = arrival_ns
+        steps: Times = np.diff(ticks, prepend=self._tick) % self._ticks
+        anew = steps * self._tick_ns > arrival_ns - self._arrival + SLACK_NS
+        if anew.any():
+            return self._begin_anew(int(anew.argmax()), counters, ticks, arrival_ns)
+        lost = self._missing(counters, steps)
+        kept = lost >= 0
+        lost[0] += self._passed
+        number = self._number + np.cumsum(lost + 1) - self._passed
+        device = self._device + np.cumsum(steps)
+        self._number, self._device, self._arrival, self._passed = int(number[-1]), int(device[-1]), arrival_ns, 0
+        self._counter, self._tick = int(counters[-1]), int(ticks[-1])
+        device_ns = np.round(device * self._tick_ns).astype(np.int64)
+        if not kept.all():
+            lost, number, device_ns = lost[kept], number[kept], device_ns[kept]
+        if len(device_ns):
+            self._clock.see(int(device_ns[-1]), arrival_ns)
+        return Packets(kept, number, lost, device_ns, self._clock.stamps(device_ns))
+
+    def _missing(self, counters: Times, steps: Times) -> Times:
+        """How many are missing before each; -1: it is the one before again."""
+        lost: Times = np.diff(counters, prepend=self._counter) % self._counters - 1
+        if steps.max() > self._counters // 2 * self._packet_ticks:
+            turns = np.round((steps / self._packet_ticks - lost - 1) / self._counters).astype(np.int64)
+            lost += turns.clip(0) * self._counters
+        return np.asarray(np.where((lost < 0) & (steps > 0), 0, lost))
+
+    def _begin_anew(self, at: int, counters: Times, ticks: Times, arrival_ns: int) -> Packets:
+        """The device began anew with packet `at`."""
+        before = self.take(counters[:at], ticks[:at], arrival_ns) if at else None
+        self._clock.restart()
+        number = self._number
+        self._counter = -1
+        after = self.take(counters[at:], ticks[at:], arrival_ns)
+        after.lost[0] = -1
+        shift = number + 1 - int(after.number[0])
+        after.number[:] += shift
+        self._number += shift
+        if before is None:
+            return after
+        names = ("kept", "number", "lost", "device", "stamp")
+        return Packets(*(np.concatenate([getattr(before, name), getattr(after, name)]) for name in names))

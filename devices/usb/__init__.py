@@ -1,0 +1,1 @@
+"""Devices on USB that have no serial port: found by their ids, read through pyusb."""
