@@ -17,7 +17,7 @@ CONFIG = ROOT / "configs" / "treadmill_emg.yaml"
 FIRST = """
   first_sample:
     use: bench.parts.FirstSample
-    from: envelope
+    from: treadmill.emg
     path: {path}
 """
 SLOW = ("numba", "scipy", "numpy", "matplotlib", "pandas", "pydantic", "ruamel", "typer", "rich", "mcap", "llvmlite")
@@ -27,9 +27,7 @@ def start(rounds: int) -> Section:
     """`rounds` starts after one that fills the cache."""
     with tempfile.TemporaryDirectory() as folder:
         seconds = [_start(Path(folder), i) for i in range(rounds + 1)][1:]
-    section = Section(
-        f"Start: `kinegraph run {CONFIG.name}` until its first sample has passed the envelope, warm cache"
-    )
+    section = Section(f"Start: `kinegraph run {CONFIG.name}` until its first sample is in an operator, warm cache")
     section.notes = [
         f"median {short(median(seconds))} s, slowest of {rounds} {short(max(seconds))} s.",
         "Modules imported by then, slowest first (own time with what only they import): " + _imports(),
