@@ -1,4 +1,4 @@
-"""Settings of all tests: random ones draw the same examples every time; `KINEGRAPH_EXAMPLES` asks for more of them."""
+"""Settings of all tests: random ones draw the same examples every time; `KINEGRAPH_EXAMPLES` asks for more of them; LSL stays here."""
 
 from __future__ import annotations
 
@@ -17,6 +17,9 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 settings.load_profile("kinegraph")
+
+os.environ["KINEGRAPH_LSL"] = f"machine:tests-{os.getpid()}"
+"""No test looks for LSL streams, or shows any, beyond this computer and its own process (and those that it starts)."""
 
 
 def pytest_report_header() -> str:

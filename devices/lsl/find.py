@@ -10,9 +10,9 @@ from typing import Any
 from stream.errors import DeviceError
 
 STEP_S = 0.02
-SETTLE_S = 0.3
-"""How long a second stream that also fits may take to answer."""
-LISTED_S = 0.5
+SETTLE_S = 0.75
+"""How long a second stream that also fits may take to answer: LSL asks one address after the other from half a second on."""
+LISTED_S = 1.0
 """How long streams may take to answer when all there are get listed."""
 
 Wait = Callable[[float], bool]

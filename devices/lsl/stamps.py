@@ -14,7 +14,7 @@ STEP_S = 0.05
 """A difference above this is no better estimate but another clock: it is taken over at once."""
 EVEN = 0.25
 """A step between samples is even if it is within this share of a period."""
-STEADY_S = 2.0
+STEADY_S = 1.0
 """After so long with even steps alone, a leap by whole periods is that many samples lost."""
 OLDEST_S, NEWEST_S = 3600.0, 10.0
 """A stamp further before its arrival, or further after, is not of LSL's clock."""
