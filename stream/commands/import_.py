@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from math import isfinite
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -68,6 +69,7 @@ def import_(
 
     kinegraph import emg.csv -o emg.mcap --stream board.emg=TA,GM --time time --unit uV
     """
+    from stream.commands import logs
     from stream.convert.progress import bar
     from stream.convert.series import write_recording
     from stream.convert.shelf import Wishes
@@ -75,6 +77,7 @@ def import_(
 
     if output.suffix != ".mcap":
         raise RecordingError(f"--output {output}: the recording's name must end in .mcap")
+    logs.set_up()
     begin = _moment(start)
     wishes = Wishes(
         streams={name: _list(value) for name, value in _pairs("stream", stream, named=True).items()},
@@ -199,12 +202,13 @@ def _meta(given: Many) -> dict[str, dict[str, Any]]:
 
 
 def _value(text: str) -> str | int | float:
-    """A number where it is one, else the text."""
+    """A finite number where it is one, else the text."""
     for kind in (int, float):
         try:
-            return kind(text)
+            number: int | float = kind(text)
         except ValueError:
             continue
+        return number if isfinite(number) else text
     return text
 
 
@@ -217,5 +221,7 @@ def _moment(text: str) -> int | None:
     except ValueError:
         raise RecordingError(f"--start {text}: must be a time like 2024-05-01T09:30:00+02:00") from None
     moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+    if not 1900 <= moment.year <= 2100:
+        raise RecordingError(f"--start {text}: must lie between 1900 and 2100")
     whole = moment.replace(microsecond=0)
     return round(whole.timestamp()) * 1_000_000_000 + moment.microsecond * 1000

@@ -14,6 +14,7 @@ from stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec, Times
 from stream.errors import RecordingError
 from stream.graph import RecordingOptions
 from stream.recording import Recorder
+from stream.recording.place import claim, discard, draft_of, give_back, publish
 
 
 @dataclass(slots=True)
@@ -43,11 +44,31 @@ def write_recording(
     """Write `series` as the input log of a session in which samples came in windows of `chunk_s`, all streams side by side.
 
     Each window gives every stream a chunk, empty where it has no sample, with `until` at the window's last nanosecond; the last ones
-    say that the streams have ended. Windows in which nothing at all happens are left out. Raises RecordingError.
+    say that the streams have ended. Windows in which nothing at all happens are left out. The recording appears under its name when it
+    is complete, and not at all if something fails. Raises RecordingError.
     """
     if not series or not any(len(s.time) for s in series):
         raise RecordingError("there are no samples to record")
-    windows = _Windows(series, round(chunk_s * NS))
+    held, _ = claim(path, resume=False)
+    draft = draft_of(path)
+    try:
+        discard(draft)  # of an import that was killed
+        _write(draft, series, header, _Windows(series, round(chunk_s * NS)), progress)
+        publish(draft, path)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written ({error.strerror or error})") from None
+    finally:
+        discard(draft)
+        give_back(path, held)
+
+
+def _write(
+    path: Path,
+    series: Sequence[Series],
+    header: dict[str, Any],
+    windows: _Windows,
+    progress: Callable[[int, int], None] | None,
+) -> None:
     recorder = Recorder(path, header, RecordingOptions(), wait=True)
     try:
         numbers = [recorder.add_stream(s.name, s.spec, "input") for s in series]
@@ -61,8 +82,7 @@ def write_recording(
                 progress(k, len(windows.ends))
     finally:
         recorder.close()
-    if recorder.status.error:
-        raise RecordingError(f"{path}: {recorder.status.error}; the recording is not complete")
+    recorder.check()
 
 
 class _Windows:

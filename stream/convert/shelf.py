@@ -4,14 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from stream.chunk import Array, StreamSpec, Times
+from stream.chunk import NS, Array, StreamSpec, Times
 from stream.convert.series import Series
-from stream.convert.timing import UNITS, check_order, grid_of, lost_by_counter, regular, to_ns, unit_in
+from stream.convert.timing import (
+    MOST_HZ,
+    MOST_NS,
+    UNITS,
+    check_order,
+    grid_of,
+    lost_by_counter,
+    regular,
+    to_ns,
+    unit_in,
+)
 from stream.errors import RecordingError, nearest
 
 
@@ -37,6 +48,9 @@ class Shelf:
         self._twice: set[str] = set()
 
     def put(self, file: Path, columns: dict[str, Column]) -> None:
+        """Take the columns of a file; raises RecordingError where another file has the same name."""
+        if other := next((c.file for c in self.columns.values() if c.file.stem == file.stem), None):
+            raise RecordingError(f"{file}: {other} has the same name; rename one, for columns are told apart by it")
         for name, column in columns.items():
             if name in self.columns:
                 self._twice.add(name)
@@ -101,6 +115,10 @@ def make(shelf: Shelf, wishes: Wishes) -> list[Series]:
 
 
 def _signal(shelf: Shelf, wishes: Wishes, name: str, parts: Sequence[str]) -> Series:
+    if not parts:
+        raise RecordingError(
+            f"stream {name!r}: there is no column for it beside the time; name some with --stream {name}=COLUMNS"
+        )
     columns = [shelf.part(part, f"--stream {name}") for part in parts]
     first = columns[0]
     data = _joined(name, parts, columns)
@@ -130,6 +148,8 @@ def _joined(name: str, parts: Sequence[str], columns: list[Column]) -> Array:
     data = [column.data for column in columns]
     if any(d.dtype.kind not in "fiub" for d in data):
         raise RecordingError(f"--stream {name}: {', '.join(parts)} holds no numbers")
+    if any(0 in d.shape[1:] for d in data):
+        raise RecordingError(f"--stream {name}: {', '.join(parts)} of shape {data[0].shape} has no channels")
     if len(data) == 1 and data[0].ndim > 1:
         return data[0]
     if any(d.ndim != 1 for d in data) or len({len(d) for d in data}) != 1:
@@ -204,6 +224,11 @@ def _times(wishes: Wishes, name: str, named: str, column: Column, rate: float | 
     if unit == "samples":
         if rate is None:
             raise RecordingError(f"--time-unit {name}=samples: give the rate of these samples, --rate {name}=HZ")
+        if (
+            column.data.dtype.kind not in "iuf"
+            or not (np.abs(column.data.astype(np.float64)) <= rate * (MOST_NS / NS)).all()
+        ):
+            raise RecordingError(f"--time-unit {name}=samples: {named!r} does not hold numbers of samples")
         return grid_of(rate, column.data, 0)
     if unit not in UNITS:
         raise RecordingError(f"--time-unit {name}: {unit!r} is no unit of time; valid are samples, {', '.join(UNITS)}")
@@ -221,16 +246,19 @@ def _rate(shelf: Shelf, wishes: Wishes, name: str) -> float | None:
     if given in shelf.columns and shelf.columns[given].data.size == 1:
         given = str(shelf.columns[given].data.ravel()[0])
     rate = _number(given, f"--rate {name}")
-    if not (np.isfinite(rate) and rate > 0):
-        raise RecordingError(f"--rate {name}: {given} must be a positive number of Hz")
+    if not 1e-6 <= rate <= MOST_HZ:
+        raise RecordingError(f"--rate {name}: {given} must be a positive number of Hz, from 1e-6 to 1e9")
     return rate
 
 
 def _number(text: str, option: str) -> float:
     try:
-        return float(text)
+        number = float(text)
     except ValueError:
         raise RecordingError(f"{option}: {text!r} is no number") from None
+    if not isfinite(number):
+        raise RecordingError(f"{option}: {text} must be a finite number")
+    return number
 
 
 def _same_length(data: Array, n: int, option: str) -> None:

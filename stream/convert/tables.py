@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 import zipfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,11 +20,27 @@ DELIMITERS = ",;\t|"
 
 def read_npz(path: Path) -> dict[str, Column]:
     """The arrays of an NPZ file. Raises RecordingError; nothing that would run code (pickles) is loaded."""
+    if path.is_file() and not zipfile.is_zipfile(path):
+        raise RecordingError(f"{path}: cannot be read as an NPZ file (it is none, or was cut off)")
+    name = ""
+    columns: dict[str, Column] = {}
     try:
         with np.load(path, allow_pickle=False) as archive:
-            return {name: Column(archive[name], path) for name in archive.files}
-    except (OSError, ValueError, zipfile.BadZipFile, AttributeError) as error:
-        raise RecordingError(f"{path}: cannot be read as an NPZ file ({error})") from None
+            for name in archive.files:
+                columns[name] = Column(archive[name], path)
+    except (
+        OSError,
+        ValueError,
+        EOFError,
+        KeyError,
+        zipfile.BadZipFile,
+        zlib.error,
+        NotImplementedError,
+        MemoryError,
+    ) as error:
+        where = f"its array {name!r} " if name else ""
+        raise RecordingError(f"{path}: {where}cannot be read ({error})") from None
+    return columns
 
 
 def read_csv(path: Path) -> dict[str, Column]:
@@ -33,7 +50,9 @@ def read_csv(path: Path) -> dict[str, Column]:
     Empty cells are NaN; lines before the header that begin with # are skipped. Raises RecordingError with file and line.
     """
     text = _text(path)
-    lines = text.splitlines()
+    if "\0" in text:
+        raise RecordingError(f"{path}: holds zero bytes; it is no text, or was damaged")
+    lines = text.split("\n")
     at = next((i for i, line in enumerate(lines) if line.strip() and not line.startswith("#")), None)
     if at is None:
         raise RecordingError(f"{path}: the file is empty")

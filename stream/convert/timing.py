@@ -12,6 +12,10 @@ from stream.errors import RecordingError
 UNITS = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": NS, "min": 60 * NS}
 TOLERANCE = 0.3
 """How far a stamp may be from the regular grid, in periods, for the grid's own stamps to be put in its place."""
+MOST_NS = 1 << 62
+"""Times farther from 1970 than this (146 years) are refused: nobody measured then, and further on int64 overflows."""
+MOST_HZ = 1e9
+"""No stamp is finer than a nanosecond."""
 SNAP = 1e-4
 """A measured rate within this share of a whole number (or of a tenth) is that number."""
 
@@ -25,11 +29,14 @@ def unit_in(name: str, unit: str = "") -> str:
 
 
 def to_ns(values: Array, unit: str) -> Times:
-    """Times in `unit` as int64 ns, exactly where the values are whole numbers. Raises ValueError for NaN or infinity."""
+    """Times in `unit` as int64 ns, exactly where the values are whole numbers. Raises ValueError for NaN, infinity, and other centuries."""
+    if values.dtype.kind not in "iuf":
+        raise ValueError("row 0 holds no time")
+    wrong = ~(np.abs(values.astype(np.float64)) <= MOST_NS / UNITS[unit])
+    if wrong.any():
+        raise ValueError(f"row {int(np.flatnonzero(wrong)[0])} holds no time")
     if values.dtype.kind in "iu":
         return values.astype(np.int64) * UNITS[unit]
-    if not np.isfinite(values).all():
-        raise ValueError(f"row {int(np.flatnonzero(~np.isfinite(values))[0])} holds no time")
     return np.round(values.astype(np.float64) * UNITS[unit]).astype(np.int64)
 
 
@@ -98,6 +105,8 @@ def lost_by_counter(counter: Array, what: str) -> Array:
 
     Raises RecordingError where it does not grow.
     """
+    if counter.dtype.kind not in "iuf" or not (np.abs(counter.astype(np.float64)) < MOST_NS).all():
+        raise RecordingError(f"{what} 0: the counter holds something else than whole numbers")
     values = counter.astype(np.int64)
     steps = np.diff(values)
     if (steps < 0).any():

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import json
 import logging
-import struct
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import structlog
 
 from stream.chunk import NS, Array, StreamSpec, Times
 from stream.convert.columns import assemble
 from stream.convert.series import Series
+from stream.convert.timing import MOST_NS
 from stream.errors import RecordingError, nearest
 
 UNITS = {
@@ -30,6 +31,8 @@ UNITS = {
     "degrees": "deg",
 }
 """Units as LSL's metadata conventions spell them, and as we do."""
+log = structlog.get_logger(__name__)
+
 TEXT_WIDTH = 64
 """Characters that a string marker may have; a longer one is refused unless a greater width is asked for."""
 
@@ -50,6 +53,20 @@ def read_xdf(
     Raises RecordingError.
     """
     found, head = _load(path, dejitter=dejitter, synchronize=synchronize)
+    try:
+        return _chosen(path, found, head, streams, text_width, start_ns)
+    except (ValueError, KeyError, IndexError, TypeError, OverflowError) as error:
+        raise RecordingError(f"{path}: damaged, or no XDF file as the format wants it ({error})") from None
+
+
+def _chosen(
+    path: Path,
+    found: list[dict[str, Any]],
+    head: dict[str, Any] | None,
+    streams: dict[str, str],
+    text_width: int,
+    start_ns: int | None,
+) -> list[Series]:
     found = [s for s in found if int(s["info"]["channel_count"][0]) > 0]
     named = _named(found)
     chosen = streams or {name: name for name in named}
@@ -61,7 +78,7 @@ def read_xdf(
     return [_series(path, name, stream, anchor, text_width) for name, stream in picked.items()]
 
 
-def _load(path: Path, *, dejitter: bool, synchronize: bool) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+def _load(path: Path, *, dejitter: bool, synchronize: bool) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
     import pyxdf
 
     if not path.is_file():
@@ -70,11 +87,30 @@ def _load(path: Path, *, dejitter: bool, synchronize: bool) -> tuple[list[dict[s
         magic = file.read(4)
     if magic != b"XDF:" and magic[:2] != b"\x1f\x8b":
         raise RecordingError(f"{path}: cannot be read as an XDF file (it does not begin with XDF:)")
-    logging.getLogger("pyxdf").setLevel(logging.ERROR)
+    logger, complaints = logging.getLogger("pyxdf"), _Complaints(logging.ERROR)
+    logger.setLevel(logging.ERROR)
+    logger.propagate = False
+    logger.addHandler(complaints)
     try:
-        return pyxdf.load_xdf(str(path), synchronize_clocks=synchronize, dejitter_timestamps=dejitter)  # type: ignore[no-any-return]
-    except (OSError, ValueError, KeyError, IndexError, EOFError, struct.error, SyntaxError) as error:
-        raise RecordingError(f"{path}: cannot be read as an XDF file ({error})") from None
+        streams, head = pyxdf.load_xdf(str(path), synchronize_clocks=synchronize, dejitter_timestamps=dejitter)
+    except Exception as error:  # noqa: BLE001 - of a damaged file pyxdf raises whatever comes up
+        raise RecordingError(f"{path}: cannot be read as an XDF file ({type(error).__name__}: {error})") from None
+    finally:
+        logger.removeHandler(complaints)
+    if complaints.texts or any("footer" not in stream for stream in streams):
+        log.warning("the XDF file was cut off, or is damaged: what could be read is imported", file=str(path))
+    return streams, head
+
+
+class _Complaints(logging.Handler):
+    """Keeps what pyxdf says about a damaged file, instead of printing it with tracebacks."""
+
+    def __init__(self, level: int) -> None:
+        super().__init__(level)
+        self.texts: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.texts.append(record.getMessage())
 
 
 def _named(streams: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -93,7 +129,7 @@ def _text(element: Any, *path: str) -> str:
     return element.strip() if isinstance(element, str) else ""
 
 
-def _anchor(path: Path, streams: Sequence[dict[str, Any]], head: dict[str, Any], start_ns: int | None) -> int:
+def _anchor(path: Path, streams: Sequence[dict[str, Any]], head: dict[str, Any] | None, start_ns: int | None) -> int:
     """What to add to the file's times (ns)."""
     first = min((round(float(s["time_stamps"][0]) * NS) for s in streams if len(s["time_stamps"])), default=0)
     if start_ns is not None:
@@ -101,7 +137,7 @@ def _anchor(path: Path, streams: Sequence[dict[str, Any]], head: dict[str, Any],
     ours = [_text(s["info"], "desc", "kinegraph", "time_zero_ns") for s in streams]
     if ours and all(ours):
         return int(ours[0])
-    date = _text(head["info"], "datetime")
+    date = _text((head or {}).get("info"), "datetime")
     try:
         moment = datetime.fromisoformat(date)
     except ValueError:
@@ -111,7 +147,10 @@ def _anchor(path: Path, streams: Sequence[dict[str, Any]], head: dict[str, Any],
 
 def _series(path: Path, name: str, stream: dict[str, Any], anchor: int, text_width: int) -> Series:
     info = stream["info"]
-    time = np.round(np.asarray(stream["time_stamps"], np.float64) * NS).astype(np.int64) + anchor
+    seconds = np.asarray(stream["time_stamps"], np.float64)
+    if not (np.abs(seconds) <= MOST_NS / NS).all():
+        raise RecordingError(f"{path}: stream {name!r} holds times that are none; the file is damaged")
+    time = np.round(seconds * NS).astype(np.int64) + anchor
     order = np.argsort(time, kind="stable")
     time = time[order]
     if (ours := _text(info, "desc", "kinegraph", "spec")) and (made := _ours(name, ours, stream, time, order)):
