@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Annotated
@@ -38,6 +40,7 @@ def export(
     time: Annotated[
         Clock, typer.Option(help="CSV: seconds since the recording's first sample, ISO 8601 in UTC, or ns since 1970")
     ] = Clock.seconds,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace files that are there already")] = False,
 ) -> None:
     """Write streams as CSV or XDF. Frames are left out: they do not fit into a table."""
     from stream.recording import Recording
@@ -46,8 +49,13 @@ def export(
         names = _chosen(opened, stream or [])
         total = sum(opened.streams[name].samples for name in names)
         to_xdf = format is Format.xdf
-        place = output or recording.with_name(recording.stem + (".xdf" if to_xdf else "_csv"))
-        written = _xdf(opened, names, place, total) if to_xdf else _csv(opened, names, place, total, time)
+        whole = recording.absolute()
+        place = output or whole.with_name(whole.stem + (".xdf" if to_xdf else "_csv"))
+        written = (
+            _xdf(opened, names, place, total, overwrite)
+            if to_xdf
+            else _csv(opened, names, place, total, time, overwrite)
+        )
     for name, path, rows in written:
         typer.echo(f"{name}: {rows} samples to {path}")
 
@@ -70,13 +78,16 @@ def _chosen(recording: Recording, wanted: list[str]) -> list[str]:
     return fit
 
 
-def _csv(recording: Recording, names: list[str], folder: File, total: int, clock: Clock) -> list[tuple[str, File, int]]:
+def _csv(
+    recording: Recording, names: list[str], folder: File, total: int, clock: Clock, overwrite: bool
+) -> list[tuple[str, File, int]]:
     from stream.convert.csv_write import write_csv
     from stream.convert.progress import bar
 
     done = 0
     written = []
     origin = _origin(recording)
+    paths = _tables(names, folder, overwrite)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with bar(f"exporting {recording.path.name}") as progress:
@@ -86,26 +97,63 @@ def _csv(recording: Recording, names: list[str], folder: File, total: int, clock
                 done += rows
                 progress(done, total)
 
-            for name in names:
-                path = folder / f"{re.sub(r'[^A-Za-z0-9._-]', '_', name)}.csv"
-                spec = recording.streams[name].spec
-                rows = write_csv(path, spec, recording.chunks(name), clock=clock.value, origin=origin, progress=more)
+            for name, path in paths.items():
+                spec, chunks = recording.streams[name].spec, recording.chunks(name)
+                with _draft(path) as draft:
+                    rows = write_csv(draft, spec, chunks, clock=clock.value, origin=origin, progress=more)
                 written.append((name, path, rows))
     except OSError as error:
         raise RecordingError(f"{folder}: cannot be written ({error.strerror or error})") from None
     return written
 
 
-def _xdf(recording: Recording, names: list[str], path: File, total: int) -> list[tuple[str, File, int]]:
+def _tables(names: list[str], folder: File, overwrite: bool) -> dict[str, File]:
+    """The file of each stream. Raises RecordingError where one would be lost: two of a name, or one that is there already."""
+    if folder.exists() and not folder.is_dir():
+        raise RecordingError(f"--output {folder}: is a file; name a folder for the tables")
+    paths: dict[str, File] = {}
+    for name in names:
+        path = folder / f"{re.sub(r'[^A-Za-z0-9._-]', '_', name)}.csv"
+        if other := next((n for n, p in paths.items() if p == path), None):
+            raise RecordingError(
+                f"streams {other!r} and {name!r} would both become {path}; export one of them with --stream"
+            )
+        _refuse_existing(path, overwrite)
+        paths[name] = path
+    return paths
+
+
+def _refuse_existing(path: File, overwrite: bool) -> None:
+    if path.is_dir():
+        raise RecordingError(f"{path}: is a folder; choose another --output")
+    if path.exists() and not overwrite:
+        raise RecordingError(f"{path}: is there already; choose another --output, or replace it with --overwrite")
+
+
+@contextmanager
+def _draft(path: File) -> Iterator[File]:
+    """Within: a file beside `path` is written; it gets its name when it is complete, and is removed if something fails."""
+    draft = path.with_name(f".{path.name}.draft")
+    try:
+        yield draft
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def _xdf(
+    recording: Recording, names: list[str], path: File, total: int, overwrite: bool
+) -> list[tuple[str, File, int]]:
     from stream.convert.progress import bar
     from stream.convert.xdf_write import XdfWriter
 
     if path.is_dir():
         raise RecordingError(f"--output {path}: is a folder; name the XDF file")
+    _refuse_existing(path, overwrite)
     done = 0
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("wb") as file, bar(f"exporting {recording.path.name}") as progress:
+        with _draft(path) as draft, draft.open("wb") as file, bar(f"exporting {recording.path.name}") as progress:
             writer = XdfWriter(file, _origin(recording))
             numbers = {name: writer.add_stream(name, recording.streams[name].spec) for name in names}
             for name, number in numbers.items():
