@@ -46,6 +46,8 @@ def lock(path: Path) -> FileLock:
     try:
         held.acquire(blocking=False)
     except Timeout:
+        if not lock_path(path).exists():  # what filelock says as well where no file can be made
+            raise RecordingError(f"{path}: cannot write there; choose a folder that can be written") from None
         raise RecordingError(
             f"{path}: another kinegraph is recording there; choose another folder, or stop that one first"
         ) from None
@@ -67,6 +69,10 @@ def claim(path: Path, *, resume: bool) -> tuple[FileLock, int]:
     """Lock the place, and prove that it can be written. Returns the lock and the number of the part to begin with."""
     folder = path.parent if path.suffix == SUFFIX else path
     try:
+        if folder.exists() and not folder.is_dir():
+            raise RecordingError(f"{folder}: is a file; choose a folder, or another name")
+        if path.suffix == SUFFIX and path.is_dir():
+            raise RecordingError(f"{path}: is a folder; choose another name")
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecordingError(
@@ -80,14 +86,32 @@ def claim(path: Path, *, resume: bool) -> tuple[FileLock, int]:
         number = 0 if not parts else 1 if parts[-1] == path else _number(parts[-1]) + 1
         _probe(part_path(path, number))
     except RecordingError:
-        held.release()
+        give_back(path, held)
         raise
     except OSError as error:
-        held.release()
+        give_back(path, held)
         raise RecordingError(
             f"{path}: cannot write there ({error.strerror or error}); free some space or choose another folder"
         ) from None
     return held, number
+
+
+def draft_of(path: Path) -> Path:
+    """Where the recording that will be the file at `path` is written until it is complete."""
+    return path.with_name(f".{path.stem}.draft{SUFFIX}")
+
+
+def publish(draft: Path, path: Path) -> None:
+    """Give a complete draft its name. Raises OSError."""
+    for number, part in enumerate(parts_of(draft)):
+        part.replace(part_path(path, number))
+
+
+def discard(path: Path) -> None:
+    """Remove a draft, as far as there is one."""
+    for part in parts_of(path):
+        with suppress(OSError):
+            part.unlink()
 
 
 def _probe(path: Path) -> None:

@@ -124,7 +124,13 @@ class Recorder:
         return sum(lane.put - lane.got for lane in self._lanes) > self._limit
 
     def _wait_for_room(self) -> bool:
+        """Offline, the writer waits; raises RecordingError where the disk refuses for some seconds."""
+        well = time.monotonic()
         while self._wait and self._thread.is_alive() and self._is_full():
+            now = time.monotonic()
+            well = well if self._error else now
+            if now - well > GRACE_S:
+                raise self._incomplete()
             time.sleep(0.002)
         return self._wait and self._thread.is_alive()
 
@@ -148,6 +154,17 @@ class Recorder:
         self._stop.set()
         self._thread.join()
         give_back(self._path, self._lock)
+
+    def check(self) -> None:
+        """Raises RecordingError where something that was handed over is not on the disk; for offline work, after `close`."""
+        if self._error or self.status.dropped:
+            raise self._incomplete()
+
+    def _incomplete(self) -> RecordingError:
+        why = self._error or "the disk was too slow"
+        return RecordingError(
+            f"{self._path}: not everything could be written ({why}); free some space or choose another folder"
+        )
 
     # -- the recorder's thread
 
