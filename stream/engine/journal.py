@@ -12,7 +12,7 @@ from stream.chunk import FOREVER, NEVER, Chunk, StreamSpec, utc
 from stream.engine.checkpoint import Checkpoint, Keeper, fingerprint
 from stream.engine.clock import SessionClock
 from stream.engine.pipeline import Pipeline
-from stream.errors import KinegraphError, RunError
+from stream.errors import KinegraphError, RecordingError
 from stream.graph import Graph
 from stream.recording import Recorder, RecorderStatus, Recording, versions
 
@@ -26,7 +26,7 @@ class Former:
     """A session that was broken off: its recording and its last checkpoint, if it came to one."""
 
     def __init__(self, folder: Path, graph: Graph) -> None:
-        """Raises RecordingError or RunError where it cannot be resumed with this graph."""
+        """Raises RecordingError where it cannot be resumed with this graph."""
         self.recording = Recording.open(folder)
         try:
             self.checkpoint = Checkpoint.load(folder)
@@ -37,10 +37,14 @@ class Former:
 
     def _check(self, folder: Path, graph: Graph) -> None:
         if self.recording.finished and self.checkpoint is None:
-            raise RunError(f"{folder} holds a session that was ended properly; start a new one instead of resuming it")
-        graph_then = self.checkpoint.graph if self.checkpoint else fingerprint(self.recording.header["graph"])
+            raise RecordingError(
+                f"{folder} holds a session that was ended properly; start a new one instead of resuming it"
+            )
+        graph_then = self.checkpoint.graph if self.checkpoint else fingerprint(str(self.recording.header.get("graph")))
         if graph_then != fingerprint(graph.text):
-            raise RunError(f"{folder} was recorded with another graph; resume with that one, or start a new session")
+            raise RecordingError(
+                f"{folder} was recorded with another graph; resume with that one, or start a new session"
+            )
 
     @property
     def last_time(self) -> int:
