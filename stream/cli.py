@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
+from contextlib import suppress
 from importlib.metadata import entry_points, version
 from typing import Any
 
@@ -48,8 +50,17 @@ def main() -> None:
         print("kinegraph: stopped", file=sys.stderr)
         sys.exit(130)
     except BrokenPipeError:
-        sys.stderr.close()
+        _forget_output()
         sys.exit(141)
+    except OSError as error:
+        print(f"kinegraph: {f'{error.filename}: ' if error.filename else ''}{error.strerror or error}", file=sys.stderr)
+        sys.exit(2)
+
+
+def _forget_output() -> None:
+    """Nobody reads standard output any more: what waits for it is dropped, so that the end of the program does not complain."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def call(name: str, arguments: list[str]) -> None:

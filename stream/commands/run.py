@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from importlib.metadata import entry_points
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -37,7 +38,9 @@ def run(
     record: Annotated[bool, typer.Option("--record/--no-record", help="keep a recording of the session")] = True,
     duration_s: Annotated[
         float,
-        typer.Option("--for", metavar="SECONDS", help="end after so many seconds; 0: when stopped or all sources end"),
+        typer.Option(
+            "--for", metavar="SECONDS", min=0.0, help="end after so many seconds; 0: when stopped or all sources end"
+        ),
     ] = 0.0,
     simulate: Annotated[
         bool, typer.Option("--simulate", help="simulated devices in the place of real ones, through the real protocols")
@@ -58,8 +61,13 @@ def run(
     from stream.graph.load import load
     from stream.graph.overrides import read
     from stream.graph.plan import plan
+    from stream.recording.place import SUFFIX
 
     logs.set_up(json=json_log, verbose=verbose)
+    if not isfinite(duration_s):
+        raise KinegraphError(f"--for {duration_s}: it must be a number of seconds")
+    if out and out.suffix == SUFFIX:
+        raise RecordingError(f"--out {out}: a session's recording is a folder; name it without {SUFFIX}")
     graph = load(config, overrides=read(settings or []))
     plan(graph)
     folder = session_folder(graph, out, resume) if record or resume else None

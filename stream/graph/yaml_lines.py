@@ -23,6 +23,8 @@ _TAG = "tag:yaml.org,2002:"
 _SCALARS = {_TAG + kind for kind in ("str", "int", "float", "bool", "null")}
 _MOST_VALUES = 100_000
 """Anchors can make a short text grow without end; no graph needs more values than this."""
+_DEEPEST = 50
+NESTED = "lists and mappings stand too deep in each other; no graph needs more than a few levels"
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +86,8 @@ def parse(text: str, path: str) -> Located:
         raise GraphError(f"the character {error.character!r} may not stand in YAML", path=path, line=line) from None
     except YAMLError as error:
         raise GraphError(f"this is not YAML: {error}", path=path) from None
+    except RecursionError:
+        raise GraphError(NESTED, path=path) from None
     if root is None:
         return Located(None, 1)
     return _Reading(yaml, path).value(root, root.start_mark.line + 1)
@@ -101,6 +105,8 @@ class _Reading:
         self._count += 1
         if id(node) in self._open or self._count > _MOST_VALUES:
             raise self._wrong(node, "anchors (&name, *name) that contain themselves or grow without end")
+        if len(self._open) > _DEEPEST:
+            raise self._wrong(node, NESTED)
         if isinstance(node, ScalarNode):
             return Located(self._scalar(node), line)
         if str(node.tag) not in (_TAG + "map", _TAG + "seq"):
@@ -145,11 +151,16 @@ class _Reading:
         try:
             value: Scalar = self._constructor.construct_object(node)
         except (YAMLError, ValueError):
-            raise self._wrong(node, f"{node.value!r} is not what its tag {tag!r} says") from None
+            raise self._wrong(node, f"{shortened(node.value)!r} is not what its tag {tag!r} says") from None
         return value
 
     def _wrong(self, node: Any, text: str) -> GraphError:
         return GraphError(text, path=self._path, line=node.start_mark.line + 1)
+
+
+def shortened(text: str, most: int = 60) -> str:
+    """A text as it can stand in a message."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 def _sentence(error: MarkedYAMLError) -> str:
