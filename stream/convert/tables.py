@@ -38,8 +38,8 @@ def read_npz(path: Path) -> dict[str, Column]:
         NotImplementedError,
         MemoryError,
     ) as error:
-        where = f"its array {name!r} " if name else ""
-        raise RecordingError(f"{path}: {where}cannot be read ({error})") from None
+        where = f" (array {name!r})" if name else ""
+        raise RecordingError(f"{path}: cannot be read as an NPZ file{where}: {error}") from None
     return columns
 
 
