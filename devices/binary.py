@@ -120,7 +120,9 @@ class Binary(Source):
         if len(times) != 1:
             return 0
         (fields,) = times
-        return (1 << fields[0].bits) * NS_PER[fields[0].unit] if len(fields) == 1 and fields[0].type[0] == "u" else 0
+        if len(fields) != 1 or fields[0].type[0] != "u":
+            return 0
+        return round((1 << fields[0].bits) * NS_PER[fields[0].unit] * fields[0].scale)
 
     @contextmanager
     def simulated(self) -> Iterator[Source]:
@@ -131,13 +133,24 @@ class Binary(Source):
 
     def read(self, feed: Feed) -> None:
         start, stop = self._commands()
-        with connect(self.port, self.baud) as link:
+        with self._connect() as link:
             self._send(link, feed, start)
             try:
                 self._stream(link, feed)
             finally:
                 with suppress(DeviceError):
                     self._send(link, feed, stop)
+
+    def _connect(self) -> Transport:
+        return connect(self.port, self.baud)
+
+    def _decoder(self, layouts: list[Layout]) -> Decoder:
+        return Decoder(layouts)
+
+    def _taken(self, link: Transport, timeout_s: float) -> bytes:
+        """What is there; after a stall, all of it."""
+        data = link.read(timeout_s)
+        return all_there(link, data) if len(data) > 1000 else data
 
     def _send(self, link: Transport, feed: Feed, commands: list[bytes]) -> None:
         for command in commands:
@@ -146,12 +159,10 @@ class Binary(Source):
 
     def _stream(self, link: Transport, feed: Feed) -> None:
         layouts = self.layouts()
-        decoder, stream = Decoder(layouts), _Stream(self, layouts)
+        decoder, stream = self._decoder(layouts), _Stream(self, layouts)
         opened, seen, came = time.monotonic(), False, b""
         while not feed.stopped:
-            data = link.read(0.1)
-            if len(data) > 1000:
-                data = all_there(link, data)
+            data = self._taken(link, 0.1)
             found = decoder.feed(data)
             stream.pass_on(found, feed)
             for kind, count in (
@@ -165,7 +176,7 @@ class Binary(Source):
                 syncs = " or ".join(layout.sync.hex(" ") for layout in layouts)
                 raise DeviceError(
                     f"no frame from {self.port} within {FIRST_FRAME_S:g} s: expected {syncs} and a right checksum; came {shown(came)}"
-                    f" (is baud {self.baud} right?)"
+                    + (f" (is baud {self.baud} right?)" if "://" not in self.port else "")
                 )
 
 

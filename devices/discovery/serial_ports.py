@@ -19,6 +19,7 @@ class Known:
 
 CYTON = "use: devices.cyton.Cyton\nport: {port}"
 LINES = "use: devices.ascii_lines.AsciiLines\nport: {port}\ncolumns: [micros, emg]\ntime: micros"
+MTI = "use: devices.mti.Mti\nport: {port}"
 DECLARED = "use: devices.binary.Binary\nport: {port}\nframes: ...   # as in configs/witmotion.yaml"
 
 KNOWN: dict[tuple[int, int | None], Known] = {
@@ -31,7 +32,7 @@ KNOWN: dict[tuple[int, int | None], Known] = {
     (0x303A, None): Known("Espressif ESP32", LINES),
     (0x1A86, 0x7523): Known("CH340 adapter: WitMotion sensors and many Arduino clones have this chip", DECLARED),
     (0x10C4, 0xEA60): Known("CP210x adapter: many sensors and ESP32 boards have this chip", DECLARED),
-    (0x2639, None): Known("Xsens/Movella MTi", ""),
+    (0x2639, None): Known("Xsens/Movella MTi", MTI),
 }
 """By USB vendor and product; None stands for any product."""
 

@@ -35,8 +35,8 @@ Kind = Literal[
 class Field:
     """One number in a frame.
 
-    A field of data becomes a channel: its number times `scale`, plus `offset`, in `unit`. Of a field of time, `unit` is ns, us, ms, s,
-    min or h; several of them add up (a clock of hours, minutes, seconds).
+    A field of data becomes a channel: its number times `scale`, plus `offset`, in `unit`. A field of time is its number times `scale` in
+    `unit`: ns, us, ms, s, min or h; several of them add up (a clock of hours, minutes, seconds).
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -162,9 +162,9 @@ class Layout:
             if f.role == "time":
                 numbers = self._numbers(table, i)
                 ns = (
-                    numbers.astype(np.float64) * NS_PER[f.unit]
+                    numbers.astype(np.float64) * NS_PER[f.unit] * f.scale
                     if f.type[0] == "f"
-                    else numbers.astype(np.int64) * NS_PER[f.unit]
+                    else numbers.astype(np.int64) * (NS_PER[f.unit] if f.scale == 1.0 else NS_PER[f.unit] * f.scale)
                 )
                 total = np.round(ns).astype(np.int64) + (0 if total is None else total)
         return total

@@ -117,6 +117,8 @@ class BinaryBrain:
         if self._wraps:
             ns %= self._wraps
         if f.type[0] == "f":
-            return ns / NS_PER[f.unit]
+            return ns / (NS_PER[f.unit] * f.scale)
+        if f.scale != 1.0:
+            return float(round(ns / (NS_PER[f.unit] * f.scale)) % (1 << f.bits))
         larger = [NS_PER[g.unit] for g in frame.with_role("time") if NS_PER[g.unit] > NS_PER[f.unit]]
         return float((ns % min(larger) if larger else ns) // NS_PER[f.unit] % (1 << f.bits))

@@ -20,7 +20,6 @@ from devices.usb.pipe import BULK, INTERRUPT
 
 __all__ = ["BULK", "INTERRUPT", "SimulatedBus", "UsbLine", "Wiring"]
 
-IN, OUT = 0x81, 0x01
 MOST_WAITING = 4096
 """Packets that wait for the host at most; what comes on top is lost."""
 _ENGLISH = b"\x04\x03\x09\x04"
@@ -33,6 +32,7 @@ class Wiring:
 
     transfer    BULK (with an endpoint to write to) or INTERRUPT
     packet      bytes of a packet at most
+    endpoint    its endpoints' number
     driver      the system's driver that has it until it is detached; "": none
     permitted   whether the user may open it
     """
@@ -45,6 +45,7 @@ class Wiring:
     transfer: int = BULK
     packet: int = 64
     interface: int = 0
+    endpoint: int = 1
     driver: str = ""
     permitted: bool = True
 
@@ -135,7 +136,7 @@ class SimulatedBus(IBackend):  # type: ignore[misc]
 
     def get_endpoint_descriptor(self, dev: _Plugged, ep: int, intf: int, alt: int, config: int) -> SimpleNamespace:
         return SimpleNamespace(
-            bLength=7, bDescriptorType=5, bEndpointAddress=(IN, OUT)[ep], bmAttributes=dev.wiring.transfer,
+            bLength=7, bDescriptorType=5, bEndpointAddress=(0x80, 0)[ep] | dev.wiring.endpoint, bmAttributes=dev.wiring.transfer,
             wMaxPacketSize=dev.wiring.packet, bInterval=4, bRefresh=0, bSynchAddress=0, extra_descriptors=[],
         )  # fmt: skip
 
