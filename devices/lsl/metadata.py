@@ -123,7 +123,7 @@ def differences(found: Described, declared: StreamSpec) -> list[str]:
 
 
 def _rate(rate_hz: float) -> str:
-    return f"{rate_hz:g} Hz" if rate_hz else "irregular (0 Hz)"
+    return f"{rate_hz:.12g} Hz" if rate_hz else "irregular (0 Hz)"
 
 
 def _units(units: tuple[str, ...]) -> tuple[str, ...]:

@@ -51,9 +51,9 @@ class Numbers:
             return np.stack([_number(self.spec, chunk, field) for field in self.fields], axis=1)
         return np.asarray(chunk.data.reshape(len(chunk), -1), self.dtype)
 
-    def describe(self, desc: Any) -> None:
+    def describe(self, desc: Any, kind: str) -> None:
         """Write labels, units, and where it comes from, into LSL's description."""
-        _describe(desc, self.labels, self.type, None if self.fields else self.spec)
+        _describe(desc, self.labels, kind, None if self.fields else self.spec)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +77,9 @@ class Texts:
         names = self.spec.channels
         return [json.dumps({name: _plain(event[name]) for name in names}, allow_nan=False) for event in chunk.data]
 
-    def describe(self, desc: Any) -> None:
+    def describe(self, desc: Any, kind: str) -> None:
         """Write labels, and where it comes from, into LSL's description."""
-        _describe(desc, self.labels, self.type, None)
+        _describe(desc, self.labels, kind, None)
 
 
 Form: TypeAlias = Numbers | Texts

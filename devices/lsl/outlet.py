@@ -89,7 +89,7 @@ class LslOutlet(_Sender):
         source_id = self.source_id or f"kinegraph.{socket.gethostname()}.{self.name}"
         kind = self.type or form.type
         info = lsl.StreamInfo(self.name, kind, len(form.labels), form.rate_hz, form.format, source_id)
-        form.describe(info.desc())
+        form.describe(info.desc(), kind)
         try:
             desk.outlet = lsl.StreamOutlet(info, max_buffered=BUFFER_S)
         except RuntimeError as error:
