@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import zstandard
 from mcap.reader import make_reader
 from test_recording import START, same
 
 from stream import cli
 from stream.chunk import FOREVER, Chunk, StreamSpec, empty
+from stream.errors import RecordingError
 from stream.graph import RecordingOptions
 from stream.operator import grid
 from stream.recording import Recorder, Recording
+from stream.recording.packed import Packer, unpack
 
 DEPTH = StreamSpec((48, 64), np.dtype(np.uint16), 30.0, units=("mm",))
 EMG = StreamSpec((2,), rate_hz=1000.0)
@@ -36,9 +40,10 @@ def session(frames: int = 60) -> list[tuple[str, Chunk, int]]:
     return [*made, ("cam", empty(DEPTH, FOREVER), int(times[-1]))]
 
 
-def record(path: Path, made: list[tuple[str, Chunk, int]], **more: Any) -> None:
-    with Recorder(path, {}, RecordingOptions(), wait=True, **more) as recorder:
-        numbers = {"cam": recorder.add_stream("cam", DEPTH, "input"), "emg": recorder.add_stream("emg", EMG, "input")}
+def record(path: Path, made: list[tuple[str, Chunk, int]], frames: Any = "packed", outline: bool = False) -> None:
+    with Recorder(path, {}, RecordingOptions(frames=frames), wait=True) as recorder:
+        cam = recorder.add_stream("cam", DEPTH, "input", outline=outline)
+        numbers = {"cam": cam, "emg": recorder.add_stream("emg", EMG, "input")}
         for sequence, (name, chunk, arrival) in enumerate(made):
             recorder.write(numbers[name], chunk, arrival, sequence)
 
@@ -50,9 +55,10 @@ def assert_recorded(path: Path, made: list[tuple[str, Chunk, int]], after: int =
         assert all(f[1] == m[0] and same(f[2], m[1]) for f, m in zip(found, made[after + 1 :], strict=True))
 
 
-def test_frames_come_back_bit_for_bit(tmp_path: Path) -> None:
+@pytest.mark.parametrize("frames", ["packed", "image"])
+def test_frames_come_back_bit_for_bit(tmp_path: Path, frames: str) -> None:
     made = session(400)
-    record(tmp_path / "s", made)
+    record(tmp_path / "s", made, frames)
     for after in (-1, 0, 100, 200, 301, len(made) - 2):
         assert_recorded(tmp_path / "s", made, after)
     with Recording.open(tmp_path / "s") as recording:
@@ -67,7 +73,7 @@ def test_an_image_is_what_protocol_buffers_and_foxglove_say(tmp_path: Path) -> N
 
     assert protobuf
     made = session()
-    record(tmp_path / "one.mcap", made)
+    record(tmp_path / "one.mcap", made, "image")
     frames = np.concatenate([c.data for name, c, _ in made if name == "cam"])
     with (tmp_path / "one.mcap").open("rb") as file:
         read = list(make_reader(file, validate_crcs=True).iter_messages(topics=["cam"], log_time_order=False))
@@ -87,9 +93,10 @@ def test_an_image_is_what_protocol_buffers_and_foxglove_say(tmp_path: Path) -> N
         )
 
 
-def test_frames_of_a_cut_or_damaged_file(tmp_path: Path) -> None:
+@pytest.mark.parametrize("frames", ["packed", "image"])
+def test_frames_of_a_cut_or_damaged_file(tmp_path: Path, frames: str) -> None:
     made = session(400)
-    record(tmp_path / "one.mcap", made)
+    record(tmp_path / "one.mcap", made, frames)
     whole = (tmp_path / "one.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
     with Recording.open(tmp_path / "cut.mcap") as recording:
@@ -105,3 +112,57 @@ def test_frames_of_a_cut_or_damaged_file(tmp_path: Path) -> None:
         kept = {sequence: chunk for sequence, _, chunk, _ in recording.inputs()}
     assert all(np.array_equal(chunk.data, made[sequence][1].data) for sequence, chunk in kept.items())
     assert len(kept) > len(made) // 3
+
+
+FRAMES = {
+    "noise": np.random.default_rng(1).integers(0, 65536, (48, 64), np.uint16),
+    "extremes": np.tile(np.array([0, 65535, 32767, 32768, 1, 65534], np.uint16), (5, 4)),
+    "nothing": np.zeros((3, 7), np.uint16),
+    "one pixel": np.array([[40_000]], np.uint16),
+    "ramp": np.arange(48 * 64, dtype=np.uint16).reshape(48, 64),
+}
+
+
+@pytest.mark.parametrize("name", FRAMES)
+def test_a_packed_frame_is_what_the_documentation_says(name: str) -> None:
+    """Read by the recipe of docs/recordings.md, in numpy alone; and by our own reader."""
+    frame = FRAMES[name]
+    body = Packer().pack(7, START, frame)
+    index, stamp, height, width = struct.unpack_from("<qqII", body)
+    assert (index, stamp, height, width) == (7, START, *frame.shape)
+    low, high = np.frombuffer(zstandard.decompress(body[24:]), np.uint8).reshape(2, height, width).astype(np.uint16)
+    coded = low | high << 8
+    step = (coded >> 1) ^ (0 - (coded & 1)).astype(np.uint16)
+    assert np.array_equal(np.cumsum(step, axis=1, dtype=np.uint16), frame)
+    index, back = unpack(memoryview(body))
+    assert index == 7 and np.array_equal(back, frame) and back.flags.writeable
+
+
+def test_a_damaged_packed_frame_is_told() -> None:
+    body = Packer().pack(0, START, FRAMES["ramp"])
+    for bad in (body[:10], body[:-5], body[:24], body[:20] + b"\xff\xff\xff\xff" + body[24:], body[:30] + b"\0" * 40):
+        with pytest.raises(RecordingError, match="damaged"):
+            unpack(memoryview(bad))
+
+
+def test_of_an_outline_only_the_times_are_kept(tmp_path: Path) -> None:
+    """No pixel is in the file; how many frames came, when, and what was lost between them is."""
+    made = session(400)
+    marked = [(n, Chunk(c.time, np.full_like(c.data, 0xABCD), c.until, c.lost), a) for n, c, a in made if n == "cam"]
+    record(tmp_path / "s", marked, outline=True)
+    assert (tmp_path / "s" / "session.0000.mcap").stat().st_size < 40_000
+    with Recording.open(tmp_path / "s") as recording:
+        stream = recording.streams["cam"]
+        assert stream.kept == "outline" and stream.samples == 400 and stream.spec == DEPTH
+        assert (stream.first, stream.last) == (START, int(grid(30.0, 400, START)[-1]))
+        found = list(recording.inputs())
+        assert [f[0] for f in found] == list(range(len(marked)))
+        for (_, _, chunk, arrival), (_, was, came) in zip(found, marked, strict=True):
+            assert len(chunk) == len(chunk.data) == 0 and chunk.until == was.until and arrival == came
+            assert chunk.lost == (was.lost + len(was) if was.lost >= 0 else -1)
+        with pytest.raises(RecordingError, match="names it under `record`"):
+            recording.read("cam")
+    with pytest.raises(SystemExit):
+        cli.call("recover", [str(tmp_path / "s"), "-o", str(tmp_path / "again")])
+    with Recording.open(tmp_path / "again") as recording:
+        assert recording.streams["cam"].kept == "outline" and recording.streams["cam"].samples == 400

@@ -15,6 +15,7 @@ from stream.engine.pipeline import Pipeline
 from stream.errors import KinegraphError, RecordingError
 from stream.graph import Graph
 from stream.recording import Recorder, RecorderStatus, Recording, versions
+from stream.recording.image import is_picture
 
 QUIET = {"source ended", "session resumed", "source reopened"}
 """Reports that are news, not warnings."""
@@ -86,8 +87,13 @@ class Journal:
         }
 
     def add_input(self, stream: str, spec: StreamSpec, first: int) -> int:
-        """Declare a stream of the input log; returns its number."""
-        return self._recorder.add_stream(stream, spec, "input", first) if self._recorder else -1
+        """Declare a stream of the input log; returns its number. Images are kept only if the graph names them under `record`."""
+        if self._recorder is None:
+            return -1
+        outline = is_picture(spec) and stream not in map(str, self._graph.record)
+        if outline:
+            log.info("images are not recorded; name the stream under `record` to keep them", stream=stream)
+        return self._recorder.add_stream(stream, spec, "input", first, outline=outline)
 
     def tap_edges(self, pipeline: Pipeline) -> None:
         """Record the edges that the graph asks for; what the input log holds anyway is not doubled."""

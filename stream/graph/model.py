@@ -84,7 +84,7 @@ class Graph:
     latency_budget_ms: float | None = None
     checkpoint_s: float = 10.0
     record: tuple[Edge, ...] = ()
-    """Edges that are recorded beside the input log."""
+    """Edges that are recorded beside the input log; a source's images are only in it if they are named here."""
     recording: RecordingOptions = field(default_factory=lambda: RecordingOptions())
     session: dict[str, Any] = field(default_factory=dict)
     """Free facts about the session that stand in its recording: subject code, speed, side, electrode sites."""
@@ -123,6 +123,8 @@ class RecordingOptions:
     quota_mb    the oldest recordings of this folder are deleted beyond so many megabytes; 0: no quota
     gather_s    how long small chunks are gathered into one message
     flush_s     at most this much is lost when the process is killed
+    frames      how depth frames are kept, where `record` asks for them: `packed` (a quarter to a half of their size, or less), or as
+                `image`s that Foxglove shows
     """
 
     folder: str = "recordings"
@@ -130,3 +132,4 @@ class RecordingOptions:
     quota_mb: float = param(0.0, least=0.0)
     gather_s: float = param(0.1, least=0.0)
     flush_s: float = param(0.5, above=0.0)
+    frames: Literal["packed", "image"] = "packed"

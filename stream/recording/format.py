@@ -31,6 +31,8 @@ METRICS = "kinegraph/metrics"
 """Topics of the session's log and of the nodes' metrics."""
 
 Role: TypeAlias = Literal["input", "edge"]
+Kept: TypeAlias = Literal["whole", "image", "packed", "outline"]
+"""How a stream's samples are kept: in its messages; as frames beside them, images or packed; or not at all, only when they came."""
 
 HEAD = struct.Struct("<IIq")
 """Chunks, samples, cumulative index of the first sample."""
@@ -46,21 +48,23 @@ class Entry(NamedTuple):
     sequence: int
 
 
-def encode(spec: StreamSpec, entries: Sequence[Entry], first: int) -> bytes:
+def encode(spec: StreamSpec, entries: Sequence[Entry], first: int, kept: Kept = "whole") -> bytes:
     """One message: HEAD, the table (chunks, 5), the stamps (n,), the samples (n, *shape) as the spec's dtype lays them out.
 
-    Depth frames are messages of their own, before this one, and are left out here.
+    Depth frames are messages of their own, before this one, and are left out here; so is what is not kept.
     """
     rows = [(len(e.chunk.time), e.chunk.until, e.chunk.lost, e.arrival, e.sequence) for e in entries]
     head = HEAD.pack(len(rows), sum(row[0] for row in rows), first)
     parts: list[Any] = [head, np.array(rows, "<i8")]
     parts += [np.ascontiguousarray(e.chunk.time, "<i8") for e in entries]
-    frames, dtype, shape = is_frames(spec), spec.dtype, spec.shape
+    if kept == "outline":
+        return b"".join(parts)
+    dtype, shape = spec.dtype, spec.shape
     for e in entries:
         data = e.chunk.data
         if len(data) != len(e.chunk.time) or data.shape[1:] != shape:
             raise ValueError(f"samples of shape {data.shape[1:]} in a stream of shape {shape}")
-        if frames:
+        if kept != "whole":
             continue
         if dtype.names:
             parts.append(data.astype(dtype, copy=False).tobytes())
@@ -88,16 +92,25 @@ def table(body: bytes | memoryview) -> Table:
 
 
 def decode(
-    spec: StreamSpec, body: bytes | memoryview, missed: int = 0, images: Sequence[memoryview] = ()
+    spec: StreamSpec,
+    body: bytes | memoryview,
+    missed: int = 0,
+    images: Sequence[memoryview] = (),
+    kept: Kept = "whole",
 ) -> list[Entry]:
     """The chunks of a message, in fresh, writable memory; `missed` (what a full disk cost) adds to the first's `lost`.
 
-    `images` are the frames that came before it, for a stream of frames.
+    `images` are the frames that came before it, for a stream of frames. Samples that were not kept are lost.
     """
     rows, stamps, first, start = table(body)
+    if kept == "outline":
+        rows = rows.copy()
+        rows[:, 2] = np.where(rows[:, 2] < 0, -1, rows[:, 2] + rows[:, 0])
+        rows[:, 0] = 0
+        stamps = stamps[:0]
     time = stamps.astype(np.int64)
-    if is_frames(spec):
-        data = frames_of(spec, first, len(time), images)
+    if kept in ("image", "packed"):
+        data = frames_of(spec, first, len(time), images, packed=kept == "packed")
     else:
         data = (
             np.frombuffer(body, spec.dtype, len(time) * prod(spec.shape), start).copy().reshape(len(time), *spec.shape)
@@ -117,15 +130,16 @@ def decode(
     return entries
 
 
-def schema_of(spec: StreamSpec, role: Role) -> bytes:
+def schema_of(spec: StreamSpec, role: Role, kept: Kept) -> bytes:
     """A stream's schema record: its spec as JSON, with how messages are encoded."""
-    return json.dumps({**spec.to_json(), "role": role, "encoding": ENCODING, "format": FORMAT}).encode()
+    return json.dumps({**spec.to_json(), "role": role, "kept": kept, "encoding": ENCODING, "format": FORMAT}).encode()
 
 
-def spec_of(schema: bytes) -> tuple[StreamSpec, Role]:
-    """The spec and role that `schema_of` wrote down."""
+def spec_of(schema: bytes) -> tuple[StreamSpec, Role, Kept]:
+    """The spec, the role, and how samples are kept, as `schema_of` wrote it down."""
     record = json.loads(schema)
-    return StreamSpec.from_json(record), record["role"]
+    spec = StreamSpec.from_json(record)
+    return spec, record["role"], record.get("kept", "image" if is_frames(spec) else "whole")
 
 
 def dump(value: Any) -> bytes:

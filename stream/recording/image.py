@@ -1,7 +1,8 @@
 """Depth frames as Foxglove shows them: messages of the schema foxglove.RawImage in Protocol Buffers, encoding 16UC1.
 
-A stream of frames has two topics: its own name, with one image per frame, and "NAME/chunks", with the tables of its chunks in our own
-encoding, without the samples. The few bytes of Protocol Buffers that this takes are written here by hand: a dependency would be larger.
+The other way to keep them is smaller (`stream/recording/packed.py`). Either way a stream of frames has two topics: its own name, with one
+message per frame, and "NAME/chunks", with the tables of its chunks in our own encoding, without the samples. The few bytes of Protocol
+Buffers that this takes are written here by hand: a dependency would be larger.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 
 from stream.chunk import NS, Array, StreamSpec
 from stream.errors import RecordingError
+from stream.recording.packed import unpack
 
 SCHEMA = "foxglove.RawImage"
 CHUNKS = "/chunks"
@@ -29,6 +31,11 @@ _INT64, _INT32, _FIXED32_TYPE, _STRING, _MESSAGE, _BYTES_TYPE = 3, 5, 7, 9, 11, 
 def is_frames(spec: StreamSpec) -> bool:
     """Whether samples are (height, width) uint16."""
     return len(spec.shape) == 2 and spec.dtype == np.dtype("<u2")
+
+
+def is_picture(spec: StreamSpec) -> bool:
+    """Whether samples are images of any kind: of a source, they are recorded only where the graph says so."""
+    return len(spec.shape) >= 2 and spec.dtype.kind == "u"
 
 
 def encode_image(stamp: int, index: int, frame: Array) -> bytes:
@@ -61,20 +68,25 @@ def decode_image(body: memoryview) -> tuple[int, memoryview]:
     return index, data
 
 
-def frames_of(spec: StreamSpec, first: int, n: int, images: Sequence[memoryview]) -> Array:
+def frames_of(spec: StreamSpec, first: int, n: int, images: Sequence[memoryview], *, packed: bool) -> Array:
     """Frames number `first` ... `first` + n - 1, (n, height, width) in fresh memory. Raises RecordingError if one is missing."""
     data = np.empty((n, *spec.shape), spec.dtype)
     missing = set(range(n))
     for body in images:
-        index, samples = decode_image(body)
+        index, frame = unpack(body) if packed else _image(spec, body)
         if index - first in missing:
-            data[index - first] = np.frombuffer(samples, spec.dtype).reshape(spec.shape)
+            data[index - first] = frame
             missing.remove(index - first)
     if missing:
         raise RecordingError(
             f"frame {first + min(missing)} is missing; `kinegraph recover` leaves out what cannot be read"
         )
     return data
+
+
+def _image(spec: StreamSpec, body: memoryview) -> tuple[int, Array]:
+    index, samples = decode_image(body)
+    return index, np.frombuffer(samples, spec.dtype).reshape(spec.shape)
 
 
 def _varint(value: int) -> bytes:

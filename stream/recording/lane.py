@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from stream.chunk import StreamSpec
-from stream.recording.format import Entry
+from stream.recording.format import Entry, Kept
 
 OVERHEAD = 400
 """Bytes that a waiting chunk takes beside its samples."""
@@ -34,7 +34,8 @@ class Lane:
     put, dropped, missed   of the stream's thread: bytes handed over; chunks dropped; samples dropped since the last chunk accepted
     got, index             of the recorder's thread: bytes taken; cumulative index of the next sample
     pending, first         of the recorder's thread: the chunks of the next message, and the index of their first sample
-    track, images          where on the tape its chunks go, and its frames if it has any
+    kept                   how its samples are kept
+    track, frames          where on the tape its chunks go, and its frames if it has any
     """
 
     name: str
@@ -46,5 +47,6 @@ class Lane:
     index: int = 0
     pending: list[Entry] = field(default_factory=list)
     first: int = 0
+    kept: Kept = "whole"
     track: int = 0
-    images: int = 0
+    frames: int = 0

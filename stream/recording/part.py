@@ -9,6 +9,7 @@ from typing import IO, Any, cast
 from mcap.writer import CompressionType, Writer
 
 from stream.chunk import StreamSpec
+from stream.recording import packed
 from stream.recording.format import (
     ENCODING,
     FORMAT,
@@ -19,11 +20,12 @@ from stream.recording.format import (
     METRICS_SCHEMA,
     PROFILE,
     SUMMARY,
+    Kept,
     Role,
     dump,
     schema_of,
 )
-from stream.recording.image import CHUNKS, SCHEMA, descriptor, is_frames
+from stream.recording.image import CHUNKS, SCHEMA, descriptor
 
 PIECE = 1 << 20
 """Bytes per write call."""
@@ -53,14 +55,17 @@ class Part:
     def _declare_json(self, topic: str, name: str, schema: bytes) -> int:
         return self._writer.register_channel(topic, "json", self._writer.register_schema(name, "jsonschema", schema))
 
-    def declare(self, name: str, spec: StreamSpec, role: Role) -> int:
+    def declare(self, name: str, spec: StreamSpec, role: Role, kept: Kept = "whole") -> int:
         """The channel of a stream's chunks; a stream of frames gives its own name to the images."""
-        schema = self._writer.register_schema(f"kinegraph.{name}", ENCODING, schema_of(spec, role))
-        topic = name + CHUNKS if is_frames(spec) else name
+        schema = self._writer.register_schema(f"kinegraph.{name}", ENCODING, schema_of(spec, role, kept))
+        topic = name if kept == "whole" else name + CHUNKS
         return self._writer.register_channel(topic, ENCODING, schema, {"role": role, "stream": name})
 
-    def declare_images(self, name: str) -> int:
-        """The channel of a stream's frames."""
+    def declare_frames(self, name: str, kept: Kept) -> int:
+        """The channel of a stream's frames, kept as images or packed."""
+        if kept == "packed":
+            schema = self._writer.register_schema(packed.ENCODING, packed.ENCODING, packed.SCHEMA)
+            return self._writer.register_channel(name, packed.ENCODING, schema)
         schema = self._writer.register_schema(SCHEMA, "protobuf", descriptor())
         return self._writer.register_channel(name, "protobuf", schema)
 

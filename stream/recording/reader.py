@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, Self
@@ -42,7 +42,7 @@ class Recording:
         self.streams: dict[str, RecordedStream] = {}
         for part in parts:
             for name, stream in part.streams.items():
-                whole = self.streams.setdefault(name, RecordedStream(stream.spec, stream.role))
+                whole = self.streams.setdefault(name, RecordedStream(stream.spec, stream.role, stream.kept))
                 if whole.spec != stream.spec:
                     raise RecordingError(
                         f"{part.file.path}: stream {name!r} changes from {whole.spec.describe()} to {stream.spec.describe()}; "
@@ -86,14 +86,15 @@ class Recording:
             raise RecordingError(f"{self.path}: no stream {name!r} was recorded; {nearest(name, self.streams)}")
         return self.streams[name]
 
-    def inputs(self, after: int = -1) -> Iterator[tuple[int, str, Chunk, int]]:
+    def inputs(self, after: int = -1, also: Container[str] = ()) -> Iterator[tuple[int, str, Chunk, int]]:
         """The input log: (sequence, stream, chunk, arrival) in the order of `sequence`, from the one after `after` on.
 
+        Chunks of recorded edges named in `also` come after the input that led to them. Samples that were not kept are `lost`.
         Chunks are gathered into messages stream by stream, so the messages of one batch are sorted before they are given out.
         """
         ends: dict[str, int] = {}
         for part in self.parts:
-            topics = {name for name, s in part.streams.items() if s.role == "input"}
+            topics = {name for name, s in part.streams.items() if s.role == "input" or name in also}
             last = max((part.streams[name].last_sequence for name in topics), default=-1)
             if last <= after:
                 continue
@@ -114,8 +115,11 @@ class Recording:
             yield from _in_order(held, after)
 
     def entries(self, name: str) -> Iterator[Entry]:
-        """The chunks of one stream with their arrival and sequence, in order."""
-        self.stream(name)
+        """The chunks of one stream with their arrival and sequence, in order. Raises RecordingError where its samples were not kept."""
+        if self.stream(name).kept == "outline":
+            raise RecordingError(
+                f"{self.path}: the frames of {name!r} were not recorded; a graph that is to keep them names it under `record`"
+            )
         ends: dict[str, int] = {}
         for part in self.parts:
             for _, _, body, frames in part.messages({name} & part.streams.keys()):
@@ -130,7 +134,8 @@ class Recording:
         missed = max(first - ends.get(name, first), 0)
         ends[name] = first + samples
         try:
-            return decode(part.streams[name].spec, body, missed, frames)
+            stream = part.streams[name]
+            return decode(stream.spec, body, missed, frames, stream.kept)
         except RecordingError as error:
             raise RecordingError(f"{part.file.path}: stream {name!r}: {error}") from None
 

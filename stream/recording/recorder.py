@@ -8,14 +8,16 @@ from queue import Empty, SimpleQueue
 from threading import Event, Thread
 from typing import Any, Self
 
+import numpy as np
 import structlog
 
 from stream.chunk import NS, Chunk, StreamSpec
 from stream.errors import RecordingError
 from stream.graph import RecordingOptions
-from stream.recording.format import LOG, METRICS, Entry, Role, dump, encode, encode_log
+from stream.recording.format import LOG, METRICS, Entry, Kept, Role, dump, encode, encode_log
 from stream.recording.image import encode_image, is_frames
 from stream.recording.lane import OVERHEAD, Lane, RecorderStatus
+from stream.recording.packed import Packer
 from stream.recording.place import claim, give_back
 from stream.recording.tape import Tape
 
@@ -27,6 +29,8 @@ ROUND_BYTES = 1 << 20
 """Beyond this many bytes of samples the gathering ends early."""
 SYNC_S = 2.0
 """How often the file is forced to the disk itself, for the case of a power cut."""
+NOTHING = np.empty(0)
+"""Stands for samples that are not kept; a view of them would hold them in memory."""
 FLUSH = -1
 """Stands for a stream's number where everything must be written now."""
 GRACE_S = 5.0
@@ -62,6 +66,7 @@ class Recorder:
         self._latest = self._done = 0
         self._batch = self._opened = self._newest = self._gathered = 0
         self._error = ""
+        self._packer: Packer | None = None
         self._dropping: dict[str, int] | None = None
         self._reported: dict[str, int] = {}
         self._lock, number = claim(path, resume=resume)
@@ -79,13 +84,19 @@ class Recorder:
 
     # -- called by the session
 
-    def add_stream(self, name: str, spec: StreamSpec, role: Role, first: int = 0) -> int:
-        """Declare a stream; returns its number for `write`. `first` is the cumulative index of the sample it starts with."""
+    def add_stream(self, name: str, spec: StreamSpec, role: Role, first: int = 0, *, outline: bool = False) -> int:
+        """Declare a stream; returns its number for `write`. `first` is the cumulative index of the sample it starts with.
+
+        Of an `outline`, only when samples came and how many is kept, not the samples.
+        """
         if any(lane.name == name for lane in self._lanes):
             raise RecordingError(f"stream {name!r} is recorded already")
-        lane = Lane(name, spec, index=first, track=self._tape.declare(name, spec, role))
-        if is_frames(spec):
-            lane.images = self._tape.declare_images(name)
+        kept: Kept = "outline" if outline else self._options.frames if is_frames(spec) else "whole"
+        lane = Lane(name, spec, index=first, kept=kept, track=self._tape.declare(name, spec, role, kept))
+        if kept in ("image", "packed"):
+            lane.frames = self._tape.declare_frames(name, kept)
+        if kept == "packed" and self._packer is None:
+            self._packer = Packer()
         self._lanes.append(lane)
         self._share = self._limit // (len(self._lanes) - 2)
         return len(self._lanes) - 1
@@ -93,6 +104,8 @@ class Recorder:
     def write(self, stream: int, chunk: Chunk, arrival: int, sequence: int) -> None:
         """Hand over a chunk: its arrival (ns of session time) and its place in the input log. Its arrays are never written again."""
         lane = self._lanes[stream]
+        if lane.kept == "outline":
+            chunk = Chunk(chunk.time, NOTHING, chunk.until, chunk.lost)
         if lane.put - lane.got > self._share and self._is_full() and not self._wait_for_room():
             lane.dropped += 1
             lane.missed += len(chunk.time)
@@ -245,24 +258,24 @@ class Recorder:
             return
         entries, lane.pending = lane.pending, []
         try:
-            body = encode(lane.spec, entries, lane.first)
+            body = encode(lane.spec, entries, lane.first, lane.kept)
         except (ValueError, TypeError) as error:
             log.error("a chunk could not be recorded", stream=lane.name, error=str(error))
             self._note("not recorded", level="error", stream=lane.name, error=str(error))
             return
         stamp = int(entries[0].chunk.time[0]) if len(entries[0].chunk.time) else entries[0].arrival
-        if lane.images:
-            self._images(lane, entries)
+        if lane.frames:
+            self._frames(lane, entries)
         self._tape.add(lane.track, entries[-1].arrival or self._newest, stamp, self._batch, body)
 
-    def _images(self, lane: Lane, entries: list[Entry]) -> None:
+    def _frames(self, lane: Lane, entries: list[Entry]) -> None:
         """Frames go before the table of their chunks."""
         index = lane.first
         for chunk, arrival, _ in entries:
             for stamp, frame in zip(chunk.time.tolist(), chunk.data, strict=True):
-                self._tape.add(
-                    lane.images, arrival or self._newest, stamp, self._batch, encode_image(stamp, index, frame)
-                )
+                packer = self._packer if lane.kept == "packed" else None
+                body = packer.pack(index, stamp, frame) if packer else encode_image(stamp, index, frame)
+                self._tape.add(lane.frames, arrival or self._newest, stamp, self._batch, body)
                 index += 1
 
     def _save(self) -> None:

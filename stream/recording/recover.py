@@ -76,10 +76,10 @@ def _rewrite(old: RecordedPart, path: Path, number: int, progress: Callable[[int
     """Copy every message that can be read to a new file at `path`, and end it."""
     part = Part(path, number, old.header, CompressionType.LZ4 if old.images else CompressionType.ZSTD)
     try:
-        tallies = {name: RecordedStream(s.spec, s.role) for name, s in old.streams.items()}
-        channels = {name: part.declare(name, s.spec, s.role) for name, s in old.streams.items()}
+        tallies = {name: RecordedStream(s.spec, s.role, s.kept) for name, s in old.streams.items()}
+        channels = {name: part.declare(name, s.spec, s.role, s.kept) for name, s in old.streams.items()}
         channels |= {topic: part.channel_of(topic) for topic in (LOG, METRICS)}
-        images = {name: part.declare_images(name) for name in old.images.values()}
+        images = {name: part.declare_frames(name, old.streams[name].kept) for name in old.images.values()}
         frames: Counter[tuple[str, int]] = Counter()
         count = 0
         for i, record in enumerate(old.chunks):

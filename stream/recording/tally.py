@@ -6,14 +6,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from stream.chunk import NS, StreamSpec
-from stream.recording.format import Role, Table
+from stream.recording.format import Kept, Role, Table
 
 
 @dataclass(slots=True)
 class RecordedStream:
     """A stream as far as it was recorded.
 
-    samples, chunks   how many stand in the recording
+    kept              how its samples are kept; "outline": only when they came, and how many, not the samples themselves
+    samples, chunks   how many came (and stand in the recording, unless only their outline does)
     first, last       stamps of the first and the last sample (ns); None without samples
     gaps              places where samples are missing (`lost` != 0, or dropped by the recorder)
     lost              how many samples are known to be missing there; gaps of unknown size count nothing
@@ -26,6 +27,7 @@ class RecordedStream:
 
     spec: StreamSpec
     role: Role
+    kept: Kept = "whole"
     samples: int = 0
     chunks: int = 0
     first: int | None = None

@@ -12,7 +12,7 @@ from mcap.writer import CompressionType
 
 from stream.chunk import StreamSpec
 from stream.graph import RecordingOptions
-from stream.recording.format import LOG, METRICS, Role, table
+from stream.recording.format import LOG, METRICS, Kept, Role, table
 from stream.recording.part import Part
 from stream.recording.place import part_path
 from stream.recording.quota import keep_quota
@@ -28,14 +28,15 @@ FULL = (errno.ENOSPC, errno.EDQUOT)
 
 @dataclass(slots=True)
 class Track:
-    """A topic: a stream's chunks, its frames (`images`), or (without a spec) the log or the metrics."""
+    """A topic: a stream's chunks, its frames (`frames`), or (without a spec) the log or the metrics."""
 
     name: str
     spec: StreamSpec | None = None
     role: Role = "edge"
+    kept: Kept = "whole"
     channel: int = 0
     tally: RecordedStream | None = None
-    images: bool = False
+    frames: bool = False
 
 
 class Tape:
@@ -50,14 +51,14 @@ class Tape:
         self._closed_bytes = 0
         self._unsaved: list[tuple[int, int, int, int, bytes]] = []
 
-    def declare(self, name: str, spec: StreamSpec, role: Role) -> int:
+    def declare(self, name: str, spec: StreamSpec, role: Role, kept: Kept = "whole") -> int:
         """A further stream; returns its number (0 and 1 are the log and the metrics)."""
-        self._tracks.append(Track(name, spec, role, tally=RecordedStream(spec, role)))
+        self._tracks.append(Track(name, spec, role, kept, tally=RecordedStream(spec, role, kept)))
         return len(self._tracks) - 1
 
-    def declare_images(self, name: str) -> int:
+    def declare_frames(self, name: str, kept: Kept) -> int:
         """Where a stream's frames go; returns the number."""
-        self._tracks.append(Track(name, images=True))
+        self._tracks.append(Track(name, kept=kept, frames=True))
         return len(self._tracks) - 1
 
     @property
@@ -110,7 +111,7 @@ class Tape:
 
     def _begin(self) -> None:
         """A new file, which holds first what could not be saved in the last one. Frames are compressed fast, the rest well."""
-        frames = any(track.images for track in self._tracks)
+        frames = any(track.frames for track in self._tracks)
         for gone in keep_quota(self._path, self._options.quota_mb):
             log.info("an old recording was deleted to keep the quota", path=str(gone), quota_mb=self._options.quota_mb)
         part = Part(
@@ -121,7 +122,7 @@ class Tape:
         )
         self._part, self._declared, self._saves = part, 0, 0
         for track in self._tracks:
-            track.tally = RecordedStream(track.spec, track.role) if track.spec else None
+            track.tally = RecordedStream(track.spec, track.role, track.kept) if track.spec else None
         self._declare(part)
         for message in self._unsaved:
             self._write(part, *message)
@@ -140,12 +141,12 @@ class Tape:
     def _declare(self, part: Part) -> None:
         while self._declared < len(self._tracks):
             track = self._tracks[self._declared]
-            if track.images:
-                track.channel = part.declare_images(track.name)
+            if track.frames:
+                track.channel = part.declare_frames(track.name, track.kept)
             elif track.spec is None:
                 track.channel = part.channel_of(track.name)
             else:
-                track.channel = part.declare(track.name, track.spec, track.role)
+                track.channel = part.declare(track.name, track.spec, track.role, track.kept)
             self._declared += 1
 
     def _write(self, part: Part, number: int, log_time: int, publish_time: int, batch: int, body: bytes) -> None:
