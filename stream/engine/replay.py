@@ -122,6 +122,8 @@ class Replay:
             compilations.stop()
             if recorder:
                 recorder.close()
+        if recorder:
+            recorder.check()
         result.took_s = time.monotonic() - began
         result.compiled = compilations.names
         result.samples = {name: wire.samples for name, wire in self.pipeline.wires.items()}
@@ -213,5 +215,7 @@ class Replay:
             wire = self.pipeline.wires[str(edge)]
             if wire not in self.pipeline.entries.values():
                 number = recorder.add_stream(str(edge), wire.spec, "edge")
-                wire.taps.append(lambda chunk, number=number: recorder.write(number, chunk, self._arrival, self.sequence))  # type: ignore[misc]
+                wire.taps.append(
+                    lambda chunk, number=number: recorder.write(number, chunk, self._arrival, self.sequence)
+                )  # type: ignore[misc]
         return recorder

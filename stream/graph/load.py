@@ -93,6 +93,10 @@ class _Loading:
         folder = self._section(top, "recording")
         recording = build_from(RecordingOptions, folder, self._problems, "recording: ") or RecordingOptions()
         session = self._facts(top)
+        if any(sign in settings.name for sign in "/\\:\0\n") or len(settings.name) > 100:
+            self._problems.add(
+                "name: a session's folder is called so; it must be short, without '/', '\\' or ':'", own["name"]
+            )
         drafts = self._drafts(top)
         wiring = Wiring({name: draft.outputs if draft else None for name, draft in drafts.items()}, self._problems)
         for draft in drafts.values():
