@@ -129,7 +129,7 @@ def _measure(
         for key in keys:
             for e in [e for e in entries if e.engine in field.engines]:
                 order = {"operators": key, "chunk": 10} if operators else {"chunk": key}
-                count = 200 if turn < 0 else counts[id(e), key]
+                count = (200 if operators else 200 + 1600 // key) if turn < 0 else counts[id(e), key]
                 try:
                     answer = field.engines[e.engine].ask(style=e.style, count=count, **order)
                 except EngineError as error:
@@ -137,7 +137,7 @@ def _measure(
                     continue
                 us = answer["seconds"] / count * 1e6
                 if turn < 0:
-                    counts[id(e), key] = int(min(max(block_s * 1e6 / us, 200), 20_000))
+                    counts[id(e), key] = int(min(max(block_s * 1e6 / us, 200 if operators else 1000 // key), 20_000))
                 else:
                     e.rounds.setdefault(key, []).append(us)
     return [e for e in entries if e.engine in field.engines]
