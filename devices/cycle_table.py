@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -128,6 +129,7 @@ def _number(field: str, value: float) -> str:
 
 def _show(notice: Any, line: str) -> None:
     if View.current is None:
-        print(line, flush=True)
+        with suppress(BrokenPipeError):  # nobody reads on
+            print(line, flush=True)
     else:
         View.current.hang_out("cycle", notice, line)

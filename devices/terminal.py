@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import Any, ClassVar, Self, TextIO
 
 import structlog
@@ -21,6 +22,8 @@ REFRESH_HZ = 2.0
 LINE_S = 10.0
 HINT = "a word and Enter annotates · a digit or the space bar marks · Ctrl-C ends"
 WAITING = "getting ready (the first run after an installation compiles for up to a minute)"
+
+log = structlog.get_logger(__name__)
 
 Metrics = Mapping[str, Mapping[str, Any]]
 """Per source stream, node, and "recording": what `stream.engine.status.table_of` measures."""
@@ -121,7 +124,20 @@ class LineView(View):
         return super().__enter__()
 
     def _say(self, line: str) -> None:
-        print(line, file=self._file, flush=True)
+        """Print a line; where nobody reads any more (`| head`, a full disk), the session goes on without being shown."""
+        try:
+            print(line, file=self._file, flush=True)
+        except OSError as error:
+            self._file = _nowhere(error)
+
+
+def _nowhere(error: OSError) -> TextIO:
+    """What takes the place of a standard output that takes nothing any more; nor does the end of the program complain of it."""
+    log.warning("the session is not shown any more, and goes on", error=error.strerror or str(error))
+    nowhere = open(os.devnull, "w")  # noqa: SIM115, PTH123 - for as long as the program runs
+    with suppress(OSError, ValueError):
+        os.dup2(nowhere.fileno(), sys.stdout.fileno())
+    return nowhere
 
 
 def metrics_table(metrics: Metrics) -> Table:

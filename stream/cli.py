@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import importlib
 import os
+import signal
 import sys
-from contextlib import suppress
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import wraps
 from importlib.metadata import entry_points, version
+from io import TextIOWrapper
 from typing import Any
 
 from stream.errors import KinegraphError, nearest
@@ -35,6 +40,12 @@ A real-time engine for motion and biosignal devices: graphs in YAML, live or rep
 def main() -> None:
     """The entry point: errors that a user can act on are printed without a traceback; the exit code tells what kind they were."""
     arguments = sys.argv[1:]
+    _make_sure_of_outputs()
+    with _terminable():
+        _main(arguments)
+
+
+def _main(arguments: list[str]) -> None:
     try:
         if not arguments or arguments[0] in ("-h", "--help", "help"):
             print(overview(), file=sys.stdout if arguments else sys.stderr)
@@ -46,15 +57,39 @@ def main() -> None:
     except KinegraphError as error:
         print(f"kinegraph: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        print("kinegraph: stopped", file=sys.stderr)
-        sys.exit(130)
     except BrokenPipeError:
         _forget_output()
         sys.exit(141)
     except OSError as error:
         print(f"kinegraph: {f'{error.filename}: ' if error.filename else ''}{error.strerror or error}", file=sys.stderr)
         sys.exit(2)
+
+
+def _make_sure_of_outputs() -> None:
+    """A closed output becomes one that nobody reads, and signs that a terminal lacks become question marks, instead of errors."""
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115, PTH123 - for as long as the program runs
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115, PTH123
+    for output in (sys.stdout, sys.stderr):
+        if isinstance(output, TextIOWrapper) and output.encoding.lower().replace("-", "") != "utf8":
+            output.reconfigure(errors="replace")
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Within: SIGTERM ends the program in order, so that drafts are removed and locks given back. (A session has its own, cleaner end.)"""
+
+    def end(_number: int, _frame: object) -> None:
+        print("kinegraph: stopped", file=sys.stderr)
+        sys.exit(143)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _forget_output() -> None:
@@ -68,8 +103,24 @@ def call(name: str, arguments: list[str]) -> None:
     import typer
 
     app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-    app.command(name, context_settings={"help_option_names": ["-h", "--help"]})(_function(name))
+    app.command(name, context_settings={"help_option_names": ["-h", "--help"]})(_interruptible(_function(name)))
     app(arguments, prog_name=f"kinegraph {name}")
+
+
+def _interruptible(function: Any) -> Any:
+    """The command, which Ctrl-C ends with exit code 130; click would hide that, and any EOFError, behind "Aborted!"."""
+
+    @wraps(function)
+    def command(*args: Any, **options: Any) -> Any:
+        try:
+            return function(*args, **options)
+        except KeyboardInterrupt:
+            print("kinegraph: stopped", file=sys.stderr)
+            sys.exit(130)
+        except EOFError as error:
+            raise RuntimeError("a file ended too early") from error
+
+    return command
 
 
 def overview() -> str:

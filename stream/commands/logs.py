@@ -12,7 +12,11 @@ import structlog
 def set_up(*, json: bool = False, verbose: bool = False) -> None:
     """Choose how log lines look: `json`, one object a line; else aligned text, in colours on a terminal."""
     renderer: Any = (
-        structlog.processors.JSONRenderer() if json else structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty())
+        structlog.processors.JSONRenderer()
+        if json
+        else structlog.dev.ConsoleRenderer(
+            colors=sys.stderr.isatty(), exception_formatter=structlog.dev.plain_traceback
+        )
     )
     structlog.configure(
         processors=[
