@@ -199,7 +199,9 @@ def _layout(buffer: bytes, at: int) -> Layout | None:
     if mid == MEASUREMENT:
         place, end = at + start, at + start + length
         while place < end:
-            if len(buffer) < min(place + 3, end + 1):
+            if place + 3 > end:
+                return _NONE
+            if len(buffer) < place + 3:
                 return None
             identifier, size = int.from_bytes(buffer[place : place + 2], "big"), buffer[place + 2]
             if place + 3 + size > end or not _possible(identifier, size):
