@@ -15,6 +15,7 @@ from devices.handshake import all_there, answer, quiet, shown
 from devices.packet_clock import PacketClock, Packets
 from devices.protocols import cyton as protocol
 from devices.protocols.cyton import ChannelSetting, Decoder, Frames
+from devices.stamps import runs
 from devices.timing import timing_chunk, timing_spec
 from devices.transport import Transport, connect
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec, Times
@@ -181,35 +182,44 @@ class _Stream:
             feed.problem("repeated packet", repeated)
         if not len(packets.number):
             return
+        gaps = bool(packets.lost.any())
+        if gaps:
+            self._tell_gaps(packets, feed)
+        self._emg(packets, frames.counts[packets.kept] if repeated else frames.counts, gaps, feed)
+        self._accel(frames, packets, feed)
+        missing = _all_lost(packets.lost) if gaps else 0
+        feed.emit(timing_chunk(packets.number, packets.device, arrival, packets.stamp, missing), "timing")
+
+    def _tell_gaps(self, packets: Packets, feed: Feed) -> None:
         missing = int(packets.lost.clip(0).sum())
         if missing:
             feed.problem("lost packet", missing)
         if (packets.lost < 0).any():
             feed.problem("counter reset")
-        counts = frames.counts[packets.kept]
-        self._emg(packets, counts, feed)
-        self._accel(frames, packets, feed)
-        feed.emit(
-            timing_chunk(packets.number, packets.device, arrival, packets.stamp, _all_lost(packets.lost)), "timing"
-        )
 
-    def _emg(self, packets: Packets, counts: Samples, feed: Feed) -> None:
-        self._unknown |= bool((packets.lost < 0).any())
+    def _emg(self, packets: Packets, counts: Samples, gaps: bool, feed: Feed) -> None:
+        stamp, lost = packets.stamp, packets.lost
         if self._daisy:
-            number, stamp, counts = self._pairs(packets, counts)
-        else:
-            number, stamp = packets.number, packets.stamp
-        if not len(number):
+            stamp, lost, counts = self._samples(packets, counts)
+        if not self._daisy and not gaps:
+            feed.emit(Chunk(stamp, counts * self._uv, int(stamp[-1])), "emg")
             return
+        for start, stop in runs(lost):
+            times = stamp[start:stop]
+            feed.emit(Chunk(times, counts[start:stop] * self._uv, int(times[-1]), int(lost[start])), "emg")
+
+    def _samples(self, packets: Packets, counts: Samples) -> tuple[Times, Times, Samples]:
+        """A Daisy's samples (stamp, lost, counts (k, 16)); a counter that began anew makes the next one's loss unknown."""
+        self._unknown |= bool((packets.lost < 0).any())
+        number, stamp, counts = self._pairs(packets, counts)
+        if not len(number):
+            return stamp, number, counts
         before = number[0] - 1 if self._sample is None else self._sample
         lost = np.diff(number, prepend=before) - 1
         self._sample = int(number[-1])
         if self._unknown:
             lost[0], self._unknown = -1, False
-        cuts = np.flatnonzero(lost)
-        for start, stop in zip([0, *cuts[cuts > 0]], [*cuts[cuts > 0], len(number)], strict=True):
-            times = stamp[start:stop]
-            feed.emit(Chunk(times, counts[start:stop] * self._uv, int(times[-1]), int(lost[start])), "emg")
+        return stamp, lost, counts
 
     def _pairs(self, packets: Packets, counts: Samples) -> tuple[Times, Times, Samples]:
         """The samples (number, stamp, counts (k, 16)) of even packets directly followed by odd ones."""
@@ -223,6 +233,8 @@ class _Stream:
 
     def _accel(self, frames: Frames, packets: Packets, feed: Feed) -> None:
         index, values = protocol.acceleration(frames)
+        if not len(index):
+            return
         new = packets.kept[index]
         place = (np.cumsum(packets.kept) - 1)[index[new]]
         values, stamp = values[new], packets.stamp[place]

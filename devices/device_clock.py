@@ -93,6 +93,15 @@ class DeviceClock:
         self._last = int(device_ns[-1]), int(mapped[-1])
         return mapped
 
+    def stamp(self, device_ns: int) -> int:
+        """The session time of one device time: bit for bit what `stamps` gives, in a tenth of its time."""
+        mapped = device_ns + round(self._height + self._slope * (device_ns - self._at)) - self._latency
+        if self._last is not None:
+            device, stamp = self._last
+            mapped = max(mapped, stamp + max(int(SLEW * (device_ns - device)), 1))
+        self._last = device_ns, mapped
+        return mapped
+
     def restart(self) -> None:
         """The device's own time began anew (a reset): everything known of it is forgotten, but stamps still never run backwards."""
         self._forget()

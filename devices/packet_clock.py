@@ -53,6 +53,8 @@ class PacketClock:
 
     def take(self, counters: Array, arrival_ns: int) -> Packets:
         """Packets with these counters (n,), n > 0, have arrived now."""
+        if len(counters) == 1:
+            return self._take_one(int(counters[0]), arrival_ns)
         counters = counters.astype(np.int64)
         steps = np.empty(len(counters), np.int64)
         steps[1:] = (counters[1:] - counters[:-1]) % self._range
@@ -70,6 +72,23 @@ class PacketClock:
             self._clock.see(round(self._number * self._period), arrival_ns)
         device = np.round(number * self._period).astype(np.int64)
         return Packets(kept, number, lost, device, self._clock.stamps(device))
+
+    def _take_one(self, counter: int, arrival_ns: int) -> Packets:
+        """The same for one packet, as most reads bring it, without arrays on the way."""
+        step = self._first_step(counter, arrival_ns, 0)
+        if not step:
+            none = np.empty(0, np.int64)
+            return Packets(np.zeros(1, bool), none, none, none, none)
+        number, lost = (self._number if self._counter >= 0 else counter - 1) + step, step - 1
+        excess = self._excess(number, arrival_ns)
+        if excess:
+            number -= excess + (number - excess - counter) % 2
+            lost = -1
+        self._number, self._counter, self._arrival = number, counter, arrival_ns
+        device = round(number * self._period)
+        self._clock.see(device, arrival_ns)
+        row = np.array([number, lost, device, self._clock.stamp(device)])
+        return Packets(np.ones(1, bool), row[0:1], row[1:2], row[2:3], row[3:4])
 
     def _first_step(self, counter: int, arrival_ns: int, following: int) -> int:
         """How far a read's first packet is from the last one before it; 0: it is that one again."""

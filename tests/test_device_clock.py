@@ -81,6 +81,15 @@ def test_a_counter_finds_what_is_missing() -> None:
     assert counter.value == 8
 
 
+def test_one_stamp_at_a_time_is_the_same_bit_for_bit() -> None:
+    _, device, arrival = link(40, 50, 50.0, seed=6)
+    one, many = DeviceClock(0.003), DeviceClock(0.003)
+    for i in range(len(device)):
+        one.see(int(device[i]), int(arrival[i]))
+        many.see(int(device[i]), int(arrival[i]))
+        assert one.stamp(int(device[i])) == many.stamps(device[i : i + 1])[0]
+
+
 @pytest.mark.parametrize("outage", [1, 255, 256, 257, 1000, 5000])
 def test_an_outage_longer_than_the_counters_range_is_counted_by_elapsed_time(outage: int) -> None:
     counter = Counter(8, 250.0)

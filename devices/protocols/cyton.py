@@ -165,6 +165,8 @@ def _frames(data: bytes, dropped: int, resyncs: int) -> Frames:
 
 def acceleration(frames: Frames) -> tuple[Array, Samples]:
     """Which packets (indices, (k,)) brought a new acceleration, and these (k, 3) in g: about each tenth, zeros stand in the others."""
+    if not frames.aux.any():
+        return np.empty(0, np.int64), np.empty((0, 3))
     new = np.flatnonzero((frames.kind == ACCELEROMETER) & frames.aux.any(axis=1))
     counts = np.ascontiguousarray(frames.aux[new]).view(">i2")
     return new, counts.astype(np.float64) * G_PER_COUNT
