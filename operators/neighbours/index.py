@@ -1,0 +1,213 @@
+"""The index as a Python object: insert frames, ask for their neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from operators.neighbours.follow import follow, take_marked, take_nearest
+from operators.neighbours.layout import (
+    AT_QUERY,
+    AT_TILES,
+    AT_WEIGHTS,
+    LANES,
+    MOST,
+    NEAR,
+    NEXT,
+    SINCE,
+    WEIGHTED,
+    WIDTH,
+    WINDOW,
+    Floats,
+    IndexState,
+    allocate,
+    clear,
+)
+from operators.neighbours.search import radius_squared, search
+from operators.neighbours.window import insert, oldest, prepare, slot_of
+from stream.chunk import Array, Samples, Times
+from stream.errors import KinegraphError
+from stream.state import pack, unpack
+
+Nearest: TypeAlias = tuple[Times, Floats]
+"""Numbers of frames (m,) int64, and their distances (m,) float32."""
+
+LIMITS = {"width": (1, 4096), "window": (1, 10_000_000), "most": (0, 65_536)}
+
+
+class NeighbourError(KinegraphError):
+    """Something that an index cannot do: a frame of another width, a frame that has left."""
+
+
+class Index:
+    """The newest `window` frames of `width` features, and their exact nearest neighbours (Euclidean, float32).
+
+        index = Index(width=24, window=10_000, most=32)
+        for x in frames:                                   # (24,)
+            index.insert(x)                                # the oldest leaves by itself
+            frames, distances = index.nearest(32, band=30)
+
+    Frames are numbered from 0 as they are inserted. A frame is rounded to float32 when it comes in; one with a value that is not finite, or
+    beyond 1e18, takes its number and its turn but is never a neighbour, and has none. The distance is the root of the sum over w (x - q)^2,
+    summed in float32 in the order of the features (`distance.py` states the rule to the bit). Nearest first; of two equally near frames
+    the older one comes first, and is the one that is kept. Within a radius are those whose reported distance is at most the radius
+    rounded to float32. So the answer is one, on every path, and that of a plain loop over all frames.
+
+    `vector=False` takes plain loops instead of vector code: slower, the same bits. Memory does not change after the first line; no call
+    allocates but for what it returns, and none rebuilds anything. An index belongs to one thread. Raises NeighbourError.
+    """
+
+    def __init__(self, width: int, window: int, most: int = 32, *, vector: bool = True) -> None:
+        for name, value in {"width": width, "window": window, "most": most}.items():
+            least, largest = LIMITS[name]
+            if not least <= value <= largest:
+                raise NeighbourError(f"{name} is {value}; it must be from {least} to {largest}")
+        self.state: IndexState = allocate(width, window, most, vector=vector)
+
+    def __len__(self) -> int:
+        """How many frames the window holds, bad ones included."""
+        return int(self.state.books[NEXT]) - self.first
+
+    @property
+    def width(self) -> int:
+        return int(self.state.books[WIDTH])
+
+    @property
+    def window(self) -> int:
+        return int(self.state.books[WINDOW])
+
+    @property
+    def first(self) -> int:
+        """The number of the oldest frame in the window."""
+        return int(max(self.state.books[SINCE], self.state.books[NEXT] - self.state.books[WINDOW]))
+
+    @property
+    def newest(self) -> int:
+        """The number of the newest frame; -1 before the first."""
+        return int(self.state.books[NEXT]) - 1
+
+    @property
+    def memory_bytes(self) -> int:
+        return self.state.floats.nbytes + self.state.books.nbytes
+
+    def insert(self, x: ArrayLike, *, radius: float = np.nan) -> int:
+        """Insert a frame (width,); returns its number. `radius` is its own, for `within(..., both=True)` of later frames."""
+        s = self.state
+        good = prepare(s.floats, s.books, self._row(x))
+        insert(s.floats, s.books, good, radius_squared(radius))
+        return self.newest
+
+    def follow(self, x: ArrayLike, k: int, *, band: int = 0, radius: float = np.nan) -> tuple[NDArray[np.int64], Floats]:
+        """Insert many frames (n, width), and find the k nearest of each at its time, in one call.
+
+        Returns frames (n, k) and distances (n, k); -1 and NaN where there are fewer than k.
+        """
+        rows = np.ascontiguousarray(x, np.float64)
+        if rows.ndim != 2 or rows.shape[1] != self.width:
+            raise NeighbourError(f"x has shape {rows.shape}; it must be (n, {self.width})")
+        frames = np.empty((len(rows), self._few(k)), np.int64)
+        distances = np.empty(frames.shape, np.float32)
+        follow(self.state.floats, self.state.books, rows, band, radius, frames, distances)
+        return frames, distances
+
+    def nearest(self, k: int, x: ArrayLike | None = None, *, at: int | None = None, band: int = 0) -> Nearest:
+        """The k nearest of `x` (width,), or of the newest frame; fewer if there are fewer.
+
+        Frames whose number is at most `band` from `at` (left out: the newest frame's number) are passed over: 0 leaves out the
+        frame itself, -1 nothing.
+        """
+        s, k = self.state, self._few(k)
+        at, good = self._ask(x, at)
+        if not good or k == 0:
+            return np.empty(0, np.int64), np.empty(0, np.float32)
+        search(s.floats, s.books, at, band, k, np.float32(-1.0), False)
+        count = int(s.books[NEAR])
+        frames, distances = np.empty(count, np.int64), np.empty(count, np.float32)
+        take_nearest(s.floats, s.books, frames, distances)
+        return frames, distances
+
+    def within(
+        self, radius: float, x: ArrayLike | None = None, *, at: int | None = None, band: int = 0, both: bool = False
+    ) -> Nearest:
+        """All within `radius` of `x`, or of the newest frame, oldest first; `at` and `band` as in `nearest`.
+
+        With `both`, also the frames in whose own radius (see `insert`) it lies; `within_ways` tells which is the case.
+        """
+        frames, distances, _ = self.within_ways(radius, x, at=at, band=band, both=both)
+        return frames, distances
+
+    def within_ways(
+        self, radius: float, x: ArrayLike | None = None, *, at: int | None = None, band: int = 0, both: bool = True
+    ) -> tuple[Times, Floats, Array]:
+        """As `within`, and (m, 2) bool: whether the frame is within `radius`, and whether `x` is within the frame's own radius."""
+        s, within = self.state, radius_squared(radius)
+        at, good = self._ask(x, at)
+        marked = search(s.floats, s.books, at, band, 0, within, both) if good else 0
+        frames, distances = np.empty(marked, np.int64), np.empty(marked, np.float32)
+        ways = np.empty((marked, 2), np.bool_)
+        take_marked(s.floats, s.books, within, 0, frames, distances, ways)
+        return frames, distances, ways
+
+    def frame(self, number: int) -> Floats:
+        """A frame of the window (width,), as it was rounded; NaN in all features if it was bad."""
+        s = self.state
+        if not self.first <= number <= self.newest:
+            raise NeighbourError(f"frame {number} is not in the window, which holds {self.first} to {self.newest}")
+        slot = slot_of(s.books, number)
+        rows = 1 + self.width
+        tile = int(s.books[AT_TILES]) + slot // LANES * rows * LANES
+        lanes: Floats = s.floats[tile : tile + rows * LANES].reshape(rows, LANES)[:, slot % LANES]
+        return lanes[1:].copy() if lanes[0] == 0.0 else np.full(self.width, np.nan, np.float32)
+
+    def weigh(self, weights: ArrayLike) -> None:
+        """Weights (width,) of the features from now on, finite and not negative; they take effect on all frames at once."""
+        set_weights(self.state, self._row(weights))
+
+    def clear(self) -> None:
+        """Forget all frames; numbers and weights go on."""
+        clear(self.state)
+
+    def snapshot(self) -> dict[str, Array]:
+        """Everything, as plain arrays (copies)."""
+        return pack(self.state)
+
+    def restore(self, arrays: dict[str, Array]) -> None:
+        """Go on from a snapshot of an index of the same width, window and most."""
+        unpack(self.state, arrays)
+
+    def _row(self, x: ArrayLike) -> Samples:
+        row: Samples = np.ascontiguousarray(x, np.float64)
+        if row.shape != (self.width,):
+            raise NeighbourError(f"shape is {row.shape}; it must be ({self.width},)")
+        return row
+
+    def _few(self, k: int) -> int:
+        most = int(self.state.books[MOST])
+        if not 0 <= k <= most:
+            raise NeighbourError(f"k is {k}; it must be from 0 to {most} (the index was made for `most` of them)")
+        return k
+
+    def _ask(self, x: ArrayLike | None, at: int | None) -> tuple[int, bool]:
+        """The number to ask at; and whether the frame in question, which is prepared, can have neighbours."""
+        s = self.state
+        if x is None:
+            if not len(self):
+                return 0, False
+            x = self.frame(self.newest)
+        good = prepare(s.floats, s.books, self._row(x))
+        return self.newest if at is None else at, bool(good)
+
+
+def set_weights(state: IndexState, weights: Samples | Sequence[float]) -> None:
+    """Set the weights of the features; raises NeighbourError where one is negative or not finite."""
+    row = np.asarray(weights, np.float32)
+    if not (np.isfinite(row).all() and (row >= 0).all()):
+        raise NeighbourError(f"weights are {row}; they must be finite and not negative")
+    start = int(state.books[AT_WEIGHTS])
+    state.floats[start : start + len(row)] = row
+    state.books[WEIGHTED] = bool((row != 1.0).any())
+
+

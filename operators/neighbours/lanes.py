@@ -1,0 +1,144 @@
+"""Sixteen float32 numbers side by side, as one value inside kernels.
+
+LLVM splits such a value into whatever registers the processor has (one of AVX-512, two of AVX2, four of SSE or NEON), so that the same code
+runs on every processor that numba supports. No operation is contracted or reordered: every lane holds the bits that a plain float32 loop
+would give.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic, models, register_model
+
+LANES = 16
+
+_f32: Any = ir.FloatType()
+_i64: Any = ir.IntType(64)
+_vector: Any = ir.VectorType(_f32, LANES)
+
+
+class Lanes(types.Type):  # type: ignore[misc]
+    """Numba's type of sixteen float32."""
+
+    def __init__(self) -> None:
+        super().__init__(name="Lanes16")
+
+
+lanes_type = Lanes()
+
+
+@register_model(Lanes)  # type: ignore[untyped-decorator]
+class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
+    def __init__(self, dmm: Any, fe_type: Any) -> None:
+        super().__init__(dmm, fe_type, _vector)
+
+
+def _place(context: Any, builder: Any, array_type: Any, array: Any, at: Any) -> Any:
+    """Pointer to sixteen numbers of a flat array."""
+    data = context.make_array(array_type)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [at]), _vector.as_pointer())
+
+
+def _splat(builder: Any, scalar: Any) -> Any:
+    one = builder.insert_element(ir.Constant(_vector, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(
+        one, ir.Constant(_vector, ir.Undefined), ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+    )
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def load(typing: Any, array: Any, at: Any) -> Any:
+    """Sixteen numbers of a flat float32 array, from place `at` on."""
+
+    def make(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.load(_place(context, builder, signature.args[0], args[0], args[1]), align=4)
+
+    return lanes_type(array, types.int64), make
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def one(typing: Any, array: Any, at: Any) -> Any:
+    """One number of a flat float32 array, at a place that is not negative (a plain index has to be asked for that)."""
+
+    def make(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, args[0]).data
+        return builder.load(builder.gep(data, [args[1]]))
+
+    return types.float32(array, types.int64), make
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def store(typing: Any, array: Any, at: Any, value: Any) -> Any:
+    """Put sixteen numbers into a flat float32 array, from place `at` on."""
+
+    def make(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        builder.store(args[2], _place(context, builder, signature.args[0], args[0], args[1]), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, lanes_type), make
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def add_square(typing: Any, total: Any, x: Any, q: Any) -> Any:
+    """`total` + (x - q)^2 in every lane; q is one number."""
+
+    def make(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        off = builder.fsub(args[1], _splat(builder, args[2]))
+        return builder.fadd(args[0], builder.fmul(off, off))
+
+    return lanes_type(lanes_type, lanes_type, types.float32), make
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def add_weighted(typing: Any, total: Any, x: Any, q: Any, w: Any) -> Any:
+    """`total` + (w (x - q)) (x - q) in every lane; q and w are one number each."""
+
+    def make(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        off = builder.fsub(args[1], _splat(builder, args[2]))
+        return builder.fadd(args[0], builder.fmul(builder.fmul(_splat(builder, args[3]), off), off))
+
+    return lanes_type(lanes_type, lanes_type, types.float32, types.float32), make
+
+
+def _larger(builder: Any, a: Any, b: Any) -> Any:
+    return builder.select(builder.fcmp_ordered(">", a, b), a, b)
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def outside(typing: Any, low: Any, high: Any, q: Any) -> Any:
+    """How far the number q lies outside of `low` .. `high`, in every lane; 0 inside."""
+
+    def make(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        at = _splat(builder, args[2])
+        off = _larger(builder, builder.fsub(args[0], at), builder.fsub(at, args[1]))
+        return _larger(builder, off, ir.Constant(_vector, [0.0] * LANES))
+
+    return lanes_type(lanes_type, lanes_type, types.float32), make
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def at_most(typing: Any, total: Any, limit: Any) -> Any:
+    """The lanes that hold at most `limit` (one number), as the bits of a whole number."""
+
+    def make(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        within = builder.fcmp_ordered("<=", args[0], _splat(builder, args[1]))
+        return builder.zext(builder.bitcast(within, ir.IntType(LANES)), _i64)
+
+    return types.int64(lanes_type, types.float32), make
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def lowest(typing: Any, bits: Any) -> Any:
+    """The place of the lowest bit that is set, of a number that is not 0."""
+
+    def make(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        count = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(_i64, [_i64, ir.IntType(1)]), "llvm.cttz.i64"
+        )
+        return builder.call(count, [args[0], ir.Constant(ir.IntType(1), 1)])
+
+    return types.int64(types.int64), make
