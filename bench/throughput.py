@@ -7,10 +7,12 @@ from statistics import median
 
 from bench.engines import EngineError, Field
 from bench.report import Goal, Section, short
-from bench.worker import FED, KERNELS, OWN, SCIPY, SESSION
+from bench.worker import FED, KERNELS, OWN, PROFILED, SCIPY, SESSION
 
 CHUNKS = (1, 10, 40, 200)
 FEW, MANY = 5, 50
+MOST = 10_000
+"""At most so many chunks make a block."""
 
 
 @dataclass(slots=True)
@@ -34,6 +36,7 @@ def chain_entries() -> list[Entry]:
         Entry("kinegraph", FED, "**kinegraph**, fed as in a replay"),
         Entry("kinegraph", SESSION, "**kinegraph**, whole session, recorded"),
         Entry("csp", KERNELS, "csp, same kernels"),
+        Entry("csp", PROFILED, "csp, same kernels, its profiler on"),
         Entry("csp", SCIPY, "csp, scipy in nodes"),
         Entry("streamz", KERNELS, "streamz, same kernels"),
         Entry("streamz", SCIPY, "streamz, scipy in maps"),
@@ -48,7 +51,7 @@ def overhead_entries() -> list[Entry]:
     return [
         Entry("kinegraph", FED, "**kinegraph**, fed as in a replay (metrics and recorder on)"),
         Entry("kinegraph", SESSION, "**kinegraph**, whole session (metrics and recorder on)"),
-        Entry("csp", KERNELS, "csp (profiler on)"),
+        Entry("csp", PROFILED, "csp (its profiler on)"),
         Entry("streamz", KERNELS, "streamz (has no metrics)"),
         Entry("timeflux", KERNELS, "timeflux (has no metrics)"),
         Entry("ezmsg", KERNELS, "ezmsg (its counters on)"),
@@ -137,7 +140,7 @@ def _measure(
                     continue
                 us = answer["seconds"] / count * 1e6
                 if turn < 0:
-                    counts[id(e), key] = int(min(max(block_s * 1e6 / us, 200 if operators else 1000 // key), 20_000))
+                    counts[id(e), key] = int(min(max(block_s * 1e6 / us, 200 if operators else 1000 // key), MOST))
                 else:
                     e.rounds.setdefault(key, []).append(us)
     return [e for e in entries if e.engine in field.engines]

@@ -17,8 +17,8 @@ from typing import Any, Protocol
 
 from bench.work import POOL, Feed, Sink, Step, kernel_steps, outcome, samples, scipy_steps
 
-KERNELS, SCIPY, OWN, FED, SESSION = "kernels", "scipy", "own", "fed", "session"
-"""What a contender's operators run: kinegraph's kernels, scipy, the engine's own operators; and kinegraph's two ways in."""
+KERNELS, PROFILED, SCIPY, OWN, FED, SESSION = "kernels", "profiled", "scipy", "own", "fed", "session"
+"""What a contender's operators run: kinegraph's kernels (also with a profiler), scipy, its own operators; and kinegraph's two ways in."""
 
 
 class Driver(Protocol):

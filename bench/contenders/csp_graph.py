@@ -1,5 +1,5 @@
 # ruff: noqa: RET503  (a node that returns nothing does not tick; one that returns None does)
-"""csp: nodes written by a user. For the cost of a message its profiler is on, which is its way of keeping metrics."""
+"""csp: nodes written by a user, also with its profiler on, which is its way of keeping metrics."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from csp.impl.wiring import py_push_adapter_def
 from csp.profiler import Profiler
 
 from bench.work import EVERY, Feed, Sink, Step
-from bench.worker import serve
+from bench.worker import PROFILED, serve
 
 
 @csp.node
@@ -92,7 +92,7 @@ class Csp:
         return {"csp": version("csp")}
 
     def drive(self, style: str, steps: Sequence[Step | None], feed: Feed, sink: Sink) -> tuple[int, int]:
-        with nullcontext() if any(steps) else Profiler():
+        with Profiler() if style == PROFILED else nullcontext():
             if feed.paced:
                 seconds = feed.count * feed.period_ns / 1e9 + 0.5
                 csp.run(paced, list(steps), feed, sink, realtime=True, endtime=timedelta(seconds=seconds))
