@@ -1,0 +1,66 @@
+"""Webster's rescoring: short sleep after long wake is wake (Webster 1982).
+
+The rules look at the scores as they were, not at what other rules made of them:
+after at least 4 (10, 15) min of wake the first 1 (3, 4) min of sleep are wake; sleep of at most 6 (10) min between two stretches of at
+least 10 (20) min of wake is wake. Unknown epochs end a stretch: nothing is concluded across them.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stream.chunk import FOREVER
+
+States = NDArray[np.int8]
+
+UNKNOWN, WAKE, SLEEP = 0, 1, 2
+NAMES = np.array(["unknown", "wake", "sleep"], "U7")
+
+AFTER = ((4.0, 1.0), (10.0, 3.0), (15.0, 4.0))
+BETWEEN = ((10.0, 6.0), (20.0, 10.0))
+REACH_MIN = 30.0
+"""How far back and ahead of an epoch anything can matter to it."""
+
+
+def runs(states: States) -> list[tuple[int, int, int]]:
+    """(state, first, one past the last) of every stretch of equal states."""
+    edges = [0, *(np.flatnonzero(np.diff(states)) + 1).tolist(), len(states)] if len(states) else []
+    return [(int(states[a]), a, b) for a, b in pairwise(edges)]
+
+
+def rescored(states: States, epoch_min: float, *, ahead: int = UNKNOWN) -> States:
+    """The states (n,) after Webster's rules. `ahead`: what is taken to go on for ever after the last one."""
+    made = states.copy()
+    found = [(state, first, stop, (stop - first) * epoch_min) for state, first, stop in runs(states)]
+    if found and ahead:
+        state, first, stop, _ = found[-1]
+        if state == ahead:
+            found[-1] = (state, first, stop, float(FOREVER))
+        else:
+            found.append((ahead, stop, stop, float(FOREVER)))
+    for k, (state, first, stop, length) in enumerate(found):
+        if state != SLEEP or k == 0 or found[k - 1][0] != WAKE:
+            continue
+        before = found[k - 1][3]
+        for wake, sleep in AFTER:
+            if before >= wake:
+                made[first : min(stop, first + round(sleep / epoch_min))] = WAKE
+        if k + 1 < len(found) and found[k + 1][0] == WAKE:
+            around = min(before, found[k + 1][3])
+            if any(around >= wake and length <= sleep for wake, sleep in BETWEEN):
+                made[first:stop] = WAKE
+    return made
+
+
+def settled(states: States, place: int, epoch_min: float) -> bool:
+    """Whether nothing that may follow can change what the rules make of the epoch at `place`.
+
+    Endless wake to come turns the most sleep into wake, endless sleep the least; where both agree, so does all between.
+    """
+    if states[place] != SLEEP:
+        return True
+    most, least = (rescored(states, epoch_min, ahead=ahead)[place] for ahead in (WAKE, SLEEP))
+    return bool(most == least)

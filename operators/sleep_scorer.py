@@ -1,0 +1,320 @@
+"""Sleep or wake, epoch by epoch: at once as provisional, and once more, when all that it hangs on is known, as final."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from operators.channels import find_channel, names_of
+from operators.continuity import numeric, regular
+from operators.sleep_calibration import Calibration
+from operators.sleep_methods import METHODS, MethodName, Rule, rule
+from operators.sleep_rescoring import NAMES, REACH_MIN, SLEEP, UNKNOWN, WAKE, States, rescored, settled
+from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times
+from stream.errors import InputError, ParameterError
+from stream.operator import Case, Operator, grid
+from stream.params import param
+
+EPOCH = np.dtype(
+    [
+        ("onset", "<i8"),
+        ("end", "<i8"),
+        ("state", "U7"),
+        ("score", "<f8"),
+        ("activity", "<f8"),
+        ("final", "?"),
+        ("rescored", "?"),
+    ]
+)
+"""One epoch's score; `activity` is what was scored (counts, or motion), NaN where nothing was seen."""
+
+
+Rows: TypeAlias = list[tuple[Any, ...]]
+MINUTE = 60 * NS
+
+
+@dataclass(slots=True)
+class ScorerState:
+    """The newest `n` epochs, oldest first; a place that no epoch has taken yet has onset NEVER.
+
+    activity (n,) counts or motion; NaN: not seen. raw (n,) the state by the score alone, score (n,) that score
+    scored   how many of the newest have no final score yet; waiting: how many of those scored wait for Webster's rules
+    silent   how many epochs went by without a sample
+    calibrated, gain, offset  whether and how motion becomes counts
+    """
+
+    rule: Rule
+    channel: int
+    epoch_ns: int
+    most_silent: int
+    onset: Times
+    activity: Samples
+    raw: States
+    score: Samples
+    open: int
+    waiting: int
+    silent: int
+    lost: int
+    calibrated: bool
+    gain: float
+    offset: float
+
+
+@dataclass(frozen=True, slots=True)
+class SleepScorer(Operator[ScorerState]):
+    """Epochs of activity in (one channel, stamped with their start), two events per epoch out: provisional, then final.
+
+    onset, end  of the epoch (ns). state: sleep, wake, or unknown where the epoch, or too much around it, was not seen
+    score       of the method (thesis, Cole-Kripke, Scripps, Oakley: more is wake; Sadeh: more is sleep); NaN where unknown
+    final       false: at once, as if no movement were to follow. True: nothing can change it any more
+    rescored    Webster's rules made wake of it
+
+    Events are stamped with the epoch at which they were decided; a missing epoch is noticed three quarters of an epoch after it should
+    have begun.
+    The final score comes `future` epochs later (thesis 3, 90 s; Cole-Kripke 2; Scripps 2; Sadeh 5; Oakley 1 to 8); with `rescore`, up to
+    30 min after that. Finals come in the order of the epochs.
+
+    It estimates sleep and wake from movement: it is not validated against polysomnography, and quiet wakefulness is commonly scored as
+    sleep. Not a medical device.
+
+    The methods of counts take the wrist counts of their own device: unit "counts", and in the stream's meta `site: wrist` and `device:
+    ami, actigraph or actiwatch`. Anything else, depth motion above all, they refuse, unless `calibration` names a file that says how it
+    becomes such counts. `thesis` takes any movement: an epoch counts as active above `active_above`; its weights are a Gaussian about the
+    epoch (sigma 2 epochs), summing to 1, wake from 0.3 on. The thesis gives neither number, and prints the comparison the wrong way round.
+
+    Where a neighbour was not seen, its weight is left out of the sum and of the threshold, down to `least_seen` of all weight. What stands
+    before the first epoch: zero counts for ActiLife's methods; what was seen otherwise; under Oakley the epoch is unknown (Actiware). After
+    the last one no movement is assumed. A silence gives unknown epochs up to `reset_gap_s`; beyond, scoring begins anew.
+    """
+
+    method: MethodName = param("thesis", help="the scorer; all but thesis take counts of their own device")
+    threshold: float | None = param(None, help="in place of the method's own (Oakley: 20, 40, 80; thesis: 0.3)")
+    active_above: float = param(0.0, least=0.0, help="thesis: an epoch with more than this has movement")
+    sigma_epochs: float = param(2.0, above=0.0, help="thesis: the Gaussian's width, in epochs of 30 s")
+    rescore: bool = param(False, help="Webster's rules: short sleep after long wake is wake")
+    calibration: str = param("", help="a file that turns the input's motion into the method's counts")
+    channel: str | int | None = param(None, help="name, or number from 0; may be left out if there is only one")
+    least_seen: float = param(0.5, above=0.0, most=1.0, help="share of the method's weight that must have been seen")
+    reset_gap_s: float = param(43_200.0, least=0.0, help="a longer silence is not filled with unknown epochs")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = specs["in"]
+        numeric(spec)
+        epoch_s = 1 / regular(spec)
+        if not spec.is_signal:
+            raise InputError("in", spec.describe(), "a signal of activity per epoch")
+        epoch_s = self._epoch_s(epoch_s)
+        channel = self._find(spec)
+        used = self._calibrated(
+            spec, spec.unit_of(names_of(spec)[channel]) if spec.channels else spec.units[0], epoch_s
+        )
+        if self.method == "thesis" and self.threshold is not None and not 0 < self.threshold <= 1:
+            raise ParameterError("threshold", self.threshold, "above 0 and at most 1 (the share of weight in movement)")
+        made = rule(
+            self.method,
+            epoch_s,
+            threshold=self.threshold,
+            active_above=self.active_above,
+            sigma_epochs=self.sigma_epochs,
+            whole=self.method == "oakley",
+        )
+        reach = int(np.ceil(REACH_MIN * 60 / epoch_s)) + 2 if self.rescore else 0
+        n = made.past + 1 + made.future + 2 * reach
+        self.hold(
+            ScorerState(
+                made, channel, spec.period_ns, int(self.reset_gap_s * NS) // spec.period_ns, np.full(n, NEVER),
+                np.full(n, np.nan), np.zeros(n, np.int8), np.full(n, np.nan), 0, 0, 0, 0,
+                used is not None, used.gain if used else 1.0, used.offset if used else 0.0,
+            )
+        )  # fmt: skip
+        meta = {
+            **spec.meta,
+            "method": self.method,
+            "rescored": self.rescore,
+            "threshold": made.limit,
+            "calibration": used.name if used else "",
+            "epoch_s": epoch_s,
+        }
+        unit = spec.units[channel % len(spec.units)]
+        units = ("ns", "ns", "", "", unit, "", "")
+        return {"out": StreamSpec((), EPOCH, units=units, settling_s=spec.settling_s, meta=meta)}
+
+    def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
+        s = self.state
+        made: Rows = []
+        stamps: list[int] = []
+        emitted: list[tuple[str, Chunk]] = []
+        x = np.asarray(chunk.data[:, s.channel], np.float64) if len(chunk.time) else np.empty(0)
+        for k, t in enumerate(chunk.time.tolist()):
+            self._missing(t - 1, made, stamps)
+            if chunk.lost and k == 0:
+                emitted.append(("out", self._chunk(made, stamps, t - 1)))
+                made, stamps, s.lost = [], [], -1
+            s.silent = 0
+            self._epoch(t, value if abs(value := float(x[k])) < np.inf else np.nan, t, made, stamps)
+        if chunk.until == FOREVER:
+            self._finish(made, stamps)
+        else:
+            self._missing(chunk.until, made, stamps)
+        return [*emitted, ("out", self._chunk(made, stamps, chunk.until))]
+
+    def close(self) -> Chunk:
+        made: Rows = []
+        stamps: list[int] = []
+        self._finish(made, stamps)
+        return self._chunk(made, stamps, FOREVER)
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        rng = np.random.default_rng(22)
+        night = np.repeat(rng.random(12) < 0.4, 15)[:, None] * rng.gamma(1.0, 150.0, size=(180, 1)).round()
+        inputs = {}
+        for device, epoch_s in (("", 30.0), ("actigraph", 60.0), ("actiwatch", 30.0), ("ami", 60.0)):
+            meta = {"device": device, "site": "wrist"} if device else {}
+            spec = StreamSpec(
+                (1,), rate_hz=1 / epoch_s, channels=("a",), units=("counts" if device else "mm",), meta=meta
+            )
+            inputs[device] = {"in": (spec, grid(1 / epoch_s, 180), night)}
+        gap = 3600.0
+        return [
+            Case(cls(reset_gap_s=gap), inputs[""], least=360),
+            Case(cls("cole_kripke_actilife", rescore=True, reset_gap_s=gap), inputs["actigraph"], least=360),
+            Case(cls("oakley", rescore=True, reset_gap_s=gap), inputs["actiwatch"], least=360),
+            Case(cls("sadeh", reset_gap_s=gap), inputs["ami"], least=360),
+        ]
+
+    def _epoch_s(self, given: float) -> float:
+        """The epoch length as the method knows it."""
+        known = METHODS[self.method].epochs_s
+        for length in known:
+            if abs(given - length) < 1e-6 * length:
+                return length
+        wanted = " or ".join(f"{length:g}" for length in known)
+        raise InputError(
+            "in",
+            f"in epochs of {given:g} s",
+            f"in epochs of {wanted} s for {self.method}; operators.sleep_epochs.Epochs makes them",
+        )
+
+    def _find(self, spec: StreamSpec) -> int:
+        if self.channel is not None:
+            return find_channel(spec, self.channel, "channel")
+        if spec.shape[0] != 1:
+            raise ParameterError("channel", None, f"one of {', '.join(map(repr, names_of(spec)))}")
+        return 0
+
+    def _calibrated(self, spec: StreamSpec, unit: str, epoch_s: float) -> Calibration | None:
+        """The calibration that is used. Raises where a scorer of counts would be given something else."""
+        known = METHODS[self.method]
+        if not known.device:
+            if self.calibration:
+                raise ParameterError("calibration", self.calibration, "left out: thesis takes movement as it is")
+            return None
+        if self.calibration:
+            found = Calibration.read(Path(self.calibration))
+            if (found.device, found.unit, found.epoch_s) != (known.device, unit, epoch_s):
+                raise ParameterError(
+                    "calibration", self.calibration,
+                    f"one from {unit or 'no unit'} to counts of {known.device} at {epoch_s:g} s; "
+                    f"{found.name!r} is from {found.unit} to {found.device} at {found.epoch_s:g} s",
+                )  # fmt: skip
+            return found
+        meta = spec.meta
+        given = f"{spec.describe()}, device {meta.get('device') or 'not named'}, site {meta.get('site') or 'not named'}"
+        if unit != "counts" or meta.get("device") != known.device or meta.get("site") != "wrist":
+            raise InputError(
+                "in", given,
+                f"wrist counts of {known.device} for {self.method}: unit counts, meta device={known.device} and site=wrist; "
+                "for other motion name a calibration, or take method thesis",
+            )  # fmt: skip
+        if known.measure and meta.get("measure") != known.measure:
+            raise InputError("in", f"{given}, measure {meta.get('measure')!r}", f"the {known.measure} in each minute")
+        return None
+
+    def _missing(self, until: int, made: Rows, stamps: list[int]) -> None:
+        """Epochs that should have begun long enough before `until` and did not come: unknown; after too many, scoring ends."""
+        s = self.state
+        while s.onset[-1] != NEVER and until >= (due := int(s.onset[-1]) + s.epoch_ns * 7 // 4):
+            s.silent += 1
+            if s.silent > s.most_silent:
+                self._finish(made, stamps)
+            else:
+                self._epoch(int(s.onset[-1]) + s.epoch_ns, np.nan, due, made, stamps)
+
+    def _epoch(self, onset: int, value: float, stamp: int, made: Rows, stamps: list[int]) -> None:
+        """One more epoch: its provisional score, and the final ones of those that it settles."""
+        s = self.state
+        for array in (s.onset, s.activity, s.raw, s.score):
+            array[:-1] = array[1:]
+        s.onset[-1] = onset
+        s.activity[-1] = max(0.0, (value - s.offset) * s.gain) if s.calibrated and value == value else value
+        last = len(s.onset) - 1
+        self._score(last)
+        state = int(rescored(s.raw, s.epoch_ns / MINUTE)[-1]) if self.rescore else int(s.raw[-1])
+        made.append(self._row(last, state, final=False))
+        s.open += 1
+        if s.open > s.rule.future:
+            self._score(last - s.rule.future)
+            s.open -= 1
+            s.waiting += 1
+        while s.waiting and self._emit(made, ended=False):
+            pass
+        stamps += [stamp] * (len(made) - len(stamps))
+
+    def _emit(self, made: Rows, *, ended: bool) -> bool:
+        """The final score of the oldest epoch that waits for it; False if that must wait on."""
+        s = self.state
+        known = len(s.onset) - s.open
+        place = known - s.waiting
+        state = int(s.raw[place])
+        if self.rescore:
+            minutes = s.epoch_ns / MINUTE
+            if not ended and not settled(s.raw[:known], place, minutes):
+                return False
+            state = int(rescored(s.raw[:known], minutes, ahead=UNKNOWN if ended else WAKE)[place])
+        made.append(self._row(place, state, final=True))
+        s.waiting -= 1
+        return True
+
+    def _finish(self, made: Rows, stamps: list[int]) -> None:
+        """Nothing follows: all that waits gets its final score, and everything is forgotten."""
+        s = self.state
+        if s.onset[-1] == NEVER:
+            return
+        for place in range(len(s.onset) - s.open, len(s.onset)):
+            self._score(place)
+        s.waiting, s.open = s.waiting + s.open, 0
+        while s.waiting:
+            self._emit(made, ended=True)
+        stamps += [int(s.onset[-1]) + s.epoch_ns * 7 // 4] * (len(made) - len(stamps))
+        s.onset[:], s.activity[:], s.score[:], s.raw[:], s.silent = NEVER, np.nan, np.nan, UNKNOWN, 0
+
+    def _score(self, place: int) -> None:
+        """Score the epoch at `place` by itself and its neighbours, those to come taken as still."""
+        s = self.state
+        first, stop = place - s.rule.past, place + s.rule.future + 1
+        around = np.zeros(len(s.rule.weights))
+        around[: len(s.onset) - first] = s.activity[first:stop]
+        absent = s.onset[first : place + 1] == NEVER
+        if s.rule.before == "zero":
+            around[: len(absent)][absent] = 0.0
+        score, asleep = s.rule.score(around, self.least_seen)
+        if score != score or (s.rule.before == "unknown" and absent.any()):
+            s.score[place], s.raw[place] = np.nan, UNKNOWN
+        else:
+            s.score[place], s.raw[place] = score, SLEEP if asleep else WAKE
+
+    def _row(self, place: int, state: int, *, final: bool) -> tuple[Any, ...]:
+        s = self.state
+        onset = int(s.onset[place])
+        changed = state != int(s.raw[place])
+        return (onset, onset + s.epoch_ns, NAMES[state], s.score[place], s.activity[place], final, changed)
+
+    def _chunk(self, made: Rows, stamps: list[int], until: int) -> Chunk:
+        s = self.state
+        lost, s.lost = s.lost, 0
+        return Chunk(np.array(stamps, np.int64), np.array(made, EPOCH), until, lost)

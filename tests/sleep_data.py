@@ -1,0 +1,46 @@
+"""The actigraphy recordings with their makers' labels, and an operator run over whole arrays."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
+from stream.operator import Operator
+
+DATA = os.environ.get("KINEGRAPH_DATA", "")
+needs_data = pytest.mark.skipif(not DATA, reason="KINEGRAPH_DATA does not name the folder of real recordings")
+
+
+def sleep_file(name: str) -> Path:
+    return Path(DATA) / "sleep" / name
+
+
+def epochs_of(values: Array, t0: str, epoch_s: float, device: str) -> tuple[StreamSpec, Chunk]:
+    """Counts as a stream of wrist actigraphy."""
+    begin = int(np.datetime64(t0.rstrip("Z"), "ns").astype(np.int64))
+    time = begin + np.arange(len(values)) * round(epoch_s * NS)
+    spec = StreamSpec(
+        (1,), rate_hz=1 / epoch_s, channels=("activity",), units=("counts",), meta={"device": device, "site": "wrist"}
+    )
+    return spec, Chunk(time, np.asarray(values, np.float64).reshape(-1, 1), int(time[-1]))
+
+
+def run(operator: Operator[Any], spec: StreamSpec, chunk: Chunk, port: str = "in") -> tuple[StreamSpec, Array]:
+    """All that comes out of an operator with one input that matters."""
+    out = operator.open({port: spec})["out"]
+    parts = []
+    for piece in (chunk, Chunk(chunk.time[:0], chunk.data[:0], FOREVER)):
+        emitted = operator.process(port, piece)
+        parts += [emitted] if isinstance(emitted, Chunk) else [c for _, c in emitted or ()]
+    last = operator.close()
+    parts += [last] if isinstance(last, Chunk) else [c for _, c in last or ()]
+    return out, np.concatenate([p.data for p in parts])
+
+
+def final(events: Array) -> Array:
+    return events[events["final"]]
