@@ -13,6 +13,7 @@ from stream.errors import KinegraphError, nearest
 
 if TYPE_CHECKING:
     from stream.engine.replay import Replayed
+    from stream.engine.stand_in import StandIns
     from stream.graph import Graph
 
 
@@ -50,6 +51,7 @@ def replay(
     source = Recording.open(recording)  # closed when the program ends
     graph = load(config, recorded={n: s.spec for n, s in source.streams.items()}, overrides=read(settings or []))
     run = Replay(graph, source, speaking=_speaking(graph, speak or []), speed=speed or None, output=out)
+    _tell_missing(run.stand_ins)
     before = signal.signal(signal.SIGINT, lambda *_: run.stop())
     try:
         result = _with_progress(run, source.duration_ns / 1e9, quiet)
@@ -72,6 +74,18 @@ def _speaking(graph: Graph, asked: list[str]) -> set[str]:
         if name != "all" and name not in outlets:
             raise KinegraphError(f"--speak: there is no outlet {name!r}; {nearest(name, outlets)}")
     return outlets if "all" in asked else set(asked)
+
+
+def _tell_missing(of: StandIns) -> None:
+    """What cannot be computed, for want of images, and what is taken from the recording instead."""
+    if of.missing:
+        print(
+            f"the images of {', '.join(of.missing)} were not recorded (a graph that keeps them names them under `record`)"
+        )
+    if of.taken:
+        print(f"  taken from the recording: {', '.join(of.taken)}")
+    if of.silent:
+        print(f"  not computed: {', '.join(of.silent)}")
 
 
 def _with_progress(run: object, total_s: float, quiet: bool) -> Replayed:

@@ -23,6 +23,7 @@ class Intake:
     promised   the stream is complete up to this time; what comes later and is older is dropped
     last       when its last chunk came (monotonic s)
     late       samples dropped because they came too late
+    owed       what is missing before the next sample, beyond what its chunk says
     """
 
     stream: str
@@ -33,6 +34,7 @@ class Intake:
     promised: int = NEVER
     last: float = field(default_factory=time.monotonic)
     late: int = 0
+    owed: int = 0
     silent: bool = False
     stale: bool = False
 
@@ -46,6 +48,8 @@ class Intake:
         self.silent = self.stale = False
         if len(chunk.time) and chunk.time.item(0) <= self.promised:
             chunk = self._without_late(chunk, report)
+        if self.owed and len(chunk.time):
+            chunk.lost, self.owed = add_lost(self.owed, chunk.lost), 0
         if chunk.until <= self.promised:
             if not len(chunk.time) and not chunk.lost:
                 return None

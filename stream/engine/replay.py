@@ -12,10 +12,12 @@ from typing import Any
 
 from stream.chunk import FOREVER, NS, Chunk, empty
 from stream.engine.drops import recorded_drops
-from stream.engine.pipeline import Pipeline, Push, Stage
+from stream.engine.pipeline import Pipeline, Push, Stage, Tap
+from stream.engine.stand_in import StandIns
 from stream.engine.warmup import Compilations, warm_up
 from stream.graph import Edge, Graph
 from stream.recording import Recorder, Recording, versions
+from stream.recording.image import is_picture
 from stream.recording.joined import joinable, joined
 
 FOLD_EVERY = 1000
@@ -88,9 +90,10 @@ class Replay:
         speed: float | None = None,
         output: Path | None = None,
     ) -> None:
-        self.graph, self.recording, self._speed = graph, recording, speed
+        self.stand_ins = StandIns.of(graph, recording.streams)
+        self.graph, self.recording, self._speed = self.stand_ins.reduced(graph), recording, speed
         self._drops = recorded_drops(recording.log)
-        self.pipeline = Pipeline(graph, speaking=speaking, bridge=self._bridge)
+        self.pipeline = Pipeline(self.graph, speaking=speaking, bridge=self._bridge)
         self.sequence, self._arrival = -1, 0
         self._output = output
         self._joins = speed is None and output is None and not self._drops
@@ -132,13 +135,15 @@ class Replay:
 
     def _chunks(self, recorded: dict[str, Digest]) -> Iterable[tuple[int, str, Chunk, int]]:
         """What is fed, and beside it the recorded edges; in long chunks where nothing needs them as they came."""
-        names = {*self.recording.inputs_recorded, *recorded}
-        if self._joins and all(joinable(self.recording.streams[name].spec) for name in names):
+        streams = self.recording.streams
+        inputs = {name for name, s in self.recording.inputs_recorded.items() if s.kept != "outline"}
+        names = {*inputs, *self.stand_ins.taken, *recorded}
+        if self._joins and all(joinable(streams[name].spec) for name in names):
             return joined(self.recording, names)
         for name, digest in recorded.items():
             for chunk in self.recording.chunks(name):
                 digest.add(chunk)
-        return self.recording.inputs()
+        return self.recording.inputs(also=self.stand_ins.taken)
 
     def _feed_all(
         self,
@@ -191,10 +196,15 @@ class Replay:
         """Digests of the edges that the recording also holds."""
         digests: dict[str, Digest] = {}
         for name, stream in self.recording.streams.items():
-            if stream.role == "edge" and name in self.pipeline.wires:
+            computed = name in self.pipeline.wires and name not in self.stand_ins.taken
+            if stream.role == "edge" and computed:
                 digests[name] = Digest(stream.samples)
                 self.pipeline.wires[name].taps.append(digests[name].add)
         return digests
+
+    def _outlined(self, entry: str) -> bool:
+        """Whether a source's images are left out when its chunks are recorded again."""
+        return is_picture(self.pipeline.entries[entry].spec) and entry not in map(str, self.graph.record)
 
     def _open_output(self) -> Recorder | None:
         if self._output is None:
@@ -206,16 +216,23 @@ class Replay:
             "versions": versions(),
         }
         recorder = Recorder(self._output, header, self.graph.recording, wait=True)
+        taken = self.stand_ins.taken
         self._numbers = {
-            name: recorder.add_stream(name, wire.spec, "input") for name, wire in self.pipeline.entries.items()
+            name: recorder.add_stream(
+                name, wire.spec, "edge" if name in taken else "input", outline=self._outlined(name)
+            )
+            for name, wire in self.pipeline.entries.items()
         }
+        for name in self.stand_ins.missing:
+            recorder.add_stream(name, self.recording.streams[name].spec, "input", outline=True)
         for entry in self.recording.log:  # its drops belong to this replay as well
             recorder.log(entry["kind"], entry["time"], **{k: v for k, v in entry.items() if k not in ("kind", "time")})
         for edge in self.graph.record:
             wire = self.pipeline.wires[str(edge)]
             if wire not in self.pipeline.entries.values():
                 number = recorder.add_stream(str(edge), wire.spec, "edge")
-                wire.taps.append(
-                    lambda chunk, number=number: recorder.write(number, chunk, self._arrival, self.sequence)
-                )  # type: ignore[misc]
+                wire.taps.append(self._tap(recorder, number))
         return recorder
+
+    def _tap(self, recorder: Recorder, number: int) -> Tap:
+        return lambda chunk: recorder.write(number, chunk, self._arrival, self.sequence)

@@ -25,6 +25,7 @@ from stream.engine.journal import Former, Journal
 from stream.engine.lanes import Lanes
 from stream.engine.pipeline import Pipeline
 from stream.engine.stalls import calm
+from stream.engine.stand_in import StandIns
 from stream.engine.status import Table, table_of
 from stream.engine.supervisor import Runner
 from stream.engine.warmup import Compilations, warm_up
@@ -166,7 +167,10 @@ class Session:
             runner.start(again=self._former is not None)
 
     def _catch_up(self, former: Former) -> None:
-        """Work through what was logged after the checkpoint; durable outlets write again what they had written since."""
+        """Work through what was logged after the checkpoint; durable outlets write again what they had written since.
+
+        Images that were not kept are lost to the nodes that read them; what these gave, where it was recorded, takes its way again.
+        """
         checkpoint, recording = former.checkpoint, former.recording
         log.info("going on with a broken-off session", folder=str(self.folder))
         for stage in self.pipeline.outlets:
@@ -175,15 +179,21 @@ class Session:
         self.pipeline.begin(self.clock)
         self._lanes.repeat(recorded_drops(recording.log), checkpoint.indices if checkpoint else {})
         intakes = {intake.stream: intake for intake in self._intakes}
-        for sequence, stream, chunk, _arrival in recording.inputs(after=self.journal.sequence):
-            self.journal.sequence = sequence
-            if stream in intakes:
-                intakes[stream].promised = max(intakes[stream].promised, chunk.until)
-                self.pipeline.feed(stream, chunk)
+        stand_ins = StandIns.of(self.graph, recording.streams)
+        with stand_ins.at_work(self.pipeline) as taken:
+            after = self.journal.sequence
+            for sequence, stream, chunk, _arrival in recording.inputs(after, also=stand_ins.taken):
+                self.journal.sequence = sequence
+                if stream in taken:
+                    taken[stream].send(chunk, perf_counter_ns())
+                elif stream in intakes:
+                    intakes[stream].promised = max(intakes[stream].promised, chunk.until)
+                    self.pipeline.feed(stream, chunk)
                 self._lanes.settle(self._pump)
         for intake in self._intakes:
             if intake.ended:
                 intake.promised = self.clock.utc_ns - 1  # it had ended then; now it begins again
+            intake.owed = -1  # also where the first chunks, which say so, come before the common start
         for stage in self.pipeline.outlets:
             stage.muted = False
         self._lanes.repeat({}, {})

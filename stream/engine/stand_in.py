@@ -1,0 +1,101 @@
+"""What a recording lacks, because its images were not kept, and what stands in for it: edges that were recorded live.
+
+A source's images are stored only where the graph says so (DESIGN). Replay of a session without them cannot compute the nodes that read
+them; but where such a node's output was recorded, it is taken from there, and everything after it is computed as ever.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from stream.chunk import Specs
+from stream.engine.pipeline import Pipeline, Wire
+from stream.graph import Edge, Graph, Node
+from stream.recording.tally import RecordedStream
+from stream.source import Source
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded(Source):
+    """Takes the place of a node that cannot be computed; it is never read."""
+
+
+@dataclass(slots=True)
+class StandIns:
+    """What is missing in a recording, for one graph.
+
+    missing   source outputs whose images were not kept, and which are read
+    taken     edges that are taken from the recording instead of being computed
+    idle      nodes that are not computed: per node, the outputs of theirs that exist (taken from the recording)
+    """
+
+    missing: list[str] = field(default_factory=list)
+    taken: list[str] = field(default_factory=list)
+    idle: dict[str, Specs] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, graph: Graph, streams: Mapping[str, RecordedStream]) -> StandIns:
+        """For a graph and the streams that were recorded of it."""
+        found = cls()
+        gone = {str(edge) for edge in _outputs(graph.sources) if _is_outline(streams, edge)}
+        for node in graph.nodes.values():
+            lacks = [str(edge) for edge in node.inputs.values() if str(edge) in gone]
+            if not lacks:
+                continue
+            found.missing += [name for name in lacks if name in streams and name not in found.missing]
+            there = {output: str(Edge(node.name, output)) for output in node.specs}
+            found.idle[node.name] = {o: streams[name].spec for o, name in there.items() if name in streams}
+            found.taken += [name for name in there.values() if name in streams]
+            gone |= {name for name in there.values() if name not in streams}
+        return found
+
+    def reduced(self, graph: Graph) -> Graph:
+        """The graph as it can be computed: idle nodes are sources of what is taken from the recording, or left out."""
+        if not self.missing:
+            return graph
+        nodes: dict[str, Node] = {}
+        for name, node in graph.nodes.items():
+            if name not in self.idle:
+                kept = {o: s for o, s in node.specs.items() if str(Edge(name, o)) not in self.missing}
+                nodes[name] = replace(node, specs=kept)
+            elif self.idle[name]:
+                nodes[name] = replace(node, part=Recorded(), inputs={}, specs=self.idle[name])
+        record = tuple(e for e in graph.record if e.node in nodes and e.output in nodes[e.node].specs)
+        return replace(graph, nodes=nodes, record=record)
+
+    @property
+    def silent(self) -> list[str]:
+        """Nodes that give nothing at all, for no output of theirs was recorded."""
+        return [name for name, specs in self.idle.items() if not specs]
+
+    @contextmanager
+    def at_work(self, pipeline: Pipeline) -> Iterator[dict[str, Wire]]:
+        """Within: the wires that take chunks from the recording, by edge. What their own nodes emit meanwhile is heard by nobody."""
+        twins: dict[str, Wire] = {}
+        for name in self.taken:
+            wire = pipeline.wires[name]
+            twins[name] = twin = Wire(wire.edge, wire.spec)
+            _move(wire, twin)
+            wire.taps, wire.readers, wire.single = [], [], None
+        try:
+            yield twins
+        finally:
+            for name, twin in twins.items():
+                _move(twin, pipeline.wires[name])
+
+
+def _move(of: Wire, to: Wire) -> None:
+    for slot in ("taps", "readers", "single", "owed", "gaps", "lost", "samples"):
+        setattr(to, slot, getattr(of, slot))
+
+
+def _outputs(nodes: list[Node]) -> list[Edge]:
+    return [Edge(node.name, output) for node in nodes for output in node.specs]
+
+
+def _is_outline(streams: Mapping[str, Any], edge: Edge) -> bool:
+    stream = streams.get(str(edge))
+    return stream is not None and stream.kept == "outline"
