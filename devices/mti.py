@@ -8,13 +8,12 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
-import numpy as np
 import structlog
 
 from devices.handshake import all_there, shown
 from devices.packet_clock import Packets
 from devices.protocols import xbus
-from devices.protocols.xbus import Decoder, Run
+from devices.protocols.xbus import Decoder, Layout, Run
 from devices.stamps import runs
 from devices.tick_clock import TickClock
 from devices.timing import timing_chunk, timing_spec
@@ -258,14 +257,18 @@ class _Stream:
             latency_s=of.latency_s,
         )
         self._kinds = [identifier for identifier, _ in of.wanted[2:]]
+        self._width = sum(len(QUANTITIES[name].channels) for name in of.ordered)
         self._needed = [identifier for identifier, _ in of.wanted]
+        self._layout: Layout | None = None
+        """How the last sample was laid out."""
         self._burst = of.rate_hz > FEW_HZ
 
     def pass_on(self, found: list[Run], feed: Feed) -> int:
         """Emit what a read has brought; returns how many samples that was."""
         arrival, n = feed.now(), 0
         for run in found:
-            if run.mid == xbus.MEASUREMENT and all(run.has(kind) for kind in self._needed):
+            if run.layout is self._layout or (run.mid == xbus.MEASUREMENT and all(map(run.has, self._needed))):
+                self._layout = run.layout
                 packets = self.clock.take(
                     run.integers(xbus.PACKET_COUNTER), run.integers(xbus.SAMPLE_TIME_FINE), arrival
                 )
@@ -284,7 +287,7 @@ class _Stream:
         _count(len(run), packets, feed)
         if not len(packets.stamp):
             return
-        data = np.hstack([run.vectors(kind) for kind in self._kinds])
+        data = run.columns(self._kinds, self._width)
         if len(packets.stamp) < len(run):
             data = data[packets.kept]
         for start, stop in runs(packets.lost):

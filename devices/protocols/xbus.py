@@ -118,6 +118,18 @@ class Run:
 
     def vectors(self, kind: int) -> Samples:
         """A quantity (n, components) float64, whichever of the four formats it comes in."""
+        return np.asarray(self._numbers(kind), np.float64)
+
+    def columns(self, kinds: Sequence[int], width: int) -> Samples:
+        """Several quantities side by side (n, width) float64."""
+        out, at = np.empty((len(self.table), width)), 0
+        for kind in kinds:
+            values = self._numbers(kind)
+            out[:, at : at + values.shape[1]] = values
+            at += values.shape[1]
+        return out
+
+    def _numbers(self, kind: int) -> Array:
         identifier, at, size = self._item(kind)
         return _numbers(np.ascontiguousarray(self.table[:, at : at + size]), identifier & 3)
 
@@ -231,8 +243,8 @@ def _sound(buffer: bytes, at: int, layout: Layout) -> int:
     return n if good.all() else int(good.argmin())
 
 
-def _numbers(raw: Table, form: int) -> Samples:
-    """Values (n, components) of bytes (n, bytes) in one of the formats: 32 bits, 12.20, 16.32, 64 bits."""
+def _numbers(raw: Table, form: int) -> Array:
+    """Values (n, components), of any floating type, of bytes (n, bytes) in one of the formats: 32 bits, 12.20, 16.32, 64 bits."""
     values = raw.view(_FLOATS[form][0])
     if form == 1:
         return values.astype(np.float64) / 2**20
@@ -240,7 +252,7 @@ def _numbers(raw: Table, form: int) -> Samples:
         parts = values.reshape(len(raw), -1, 3).astype(np.int64)
         whole = (parts[:, :, 2] ^ 0x8000) - 0x8000
         return np.asarray(whole + (parts[:, :, 0] * 65536 + parts[:, :, 1]) / 2**32, np.float64)
-    return values.astype(np.float64)
+    return values
 
 
 def message(mid: int, data: bytes = b"") -> bytes:
