@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from stream.commands import logs
 from stream.engine.checkpoint import Checkpoint
 from stream.engine.session import Session
 from stream.graph.load import load
@@ -39,6 +40,7 @@ def slow_checkpoints() -> None:
 
 def main() -> None:
     config, folder, *options = sys.argv[1:]
+    logs.set_up()  # to standard error: what is printed is for the test
     if "--slow-checkpoints" in options:
         slow_checkpoints()
     session = Session(load(Path(config)), Path(folder), resume="--resume" in options)
