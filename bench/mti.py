@@ -97,9 +97,9 @@ def whole_source(seconds: float) -> Section:
         "MTi at 2000 Hz, the whole source: share of a core", ["", "percent", "samples lost or bad", "samples a read"]
     )
     for name, served, gather_s in (
-        ("pseudo-terminal, 5 ms gathered (default)", _in_a_process, None),
+        ("pseudo-terminal, 10 ms gathered (default)", _in_a_process, None),
         ("pseudo-terminal, as they come", _in_a_process, 0.0),
-        ("simulated USB, 5 ms gathered (default)", Simulated().on_usb, None),
+        ("simulated USB, 10 ms gathered (default)", Simulated().on_usb, None),
     ):
         with served() as address:
             percent, problems, together = _watch(

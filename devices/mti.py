@@ -48,7 +48,7 @@ SILENCE_S = 2.0
 """A sensor that was measuring and says nothing for so long is asked anew."""
 FEW_HZ = 500.0
 """Above so many packets a second they are taken some at a time, and `timing` has an event per read instead of per packet."""
-GATHER_S = 0.005
+GATHER_S = 0.01
 CLOCK_LOGGED_S = 60.0
 BITS_PER_BYTE = 10
 """On a serial line, with start and stop bit."""
@@ -88,7 +88,7 @@ class Mti(Source):
         None,
         least=0,
         most=0.1,
-        help="packets of so much time are taken at once; left out: as they come, above 500 Hz 5 ms",
+        help="packets of so much time are taken at once; left out: as they come, above 500 Hz 10 ms",
     )
     latency_s: float = param(
         0.0, least=0, most=1, help="the constant delay from the measurement to the port, if you know it"
