@@ -33,6 +33,7 @@ ONLY_BOARD, WITH_DAISY = b"c", b"C"
 ENDING = b"$$$"
 """What every answer ends with."""
 
+_NONE = np.empty((0, SIZE), np.uint8)
 _NAMES = "12345678QWERTYUI"
 _OFF, _ON = "12345678qwertyui", "!@#$%^&*QWERTYUI"
 _FRAME = rb"\xA0.{31}[\xC0-\xC6]"
@@ -156,11 +157,15 @@ def _tail(buffer: bytes, at: int) -> int:
 
 
 def _frames(data: bytes, dropped: int, resyncs: int) -> Frames:
-    table = np.frombuffer(data, np.uint8).reshape(-1, SIZE)
-    wide = np.zeros((len(table), CHANNELS, 4), np.uint8)
-    wide[:, :, :3] = table[:, 2:26].reshape(-1, CHANNELS, 3)
-    counts = (wide.view(">i4")[:, :, 0] >> 8).astype(np.float64)
-    return Frames(table[:, 1], counts, table[:, 26:32], table[:, 32], dropped, resyncs)
+    """Views of the packets' bytes. A 24-bit count is read as the upper three of four bytes, whatever the fourth one is."""
+    n = len(data) // SIZE
+    if not n:
+        return Frames(_NONE[:, 0], np.empty((0, CHANNELS)), _NONE[:, :6], _NONE[:, 0], dropped, resyncs)
+    wide: NDArray[np.int32] = np.ndarray((n, CHANNELS), ">i4", data, 2, (SIZE, 3))
+    counter: NDArray[np.uint8] = np.ndarray((n,), np.uint8, data, 1, (SIZE,))
+    aux: NDArray[np.uint8] = np.ndarray((n, 6), np.uint8, data, 26, (SIZE, 1))
+    kind: NDArray[np.uint8] = np.ndarray((n,), np.uint8, data, SIZE - 1, (SIZE,))
+    return Frames(counter, (wide >> 8).astype(np.float64), aux, kind, dropped, resyncs)
 
 
 def acceleration(frames: Frames) -> tuple[Array, Samples]:
