@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from stream.chunk import Samples, StreamSpec
+from stream.complete import write_complete
 from stream.errors import KinegraphError, nearest
 from stream.params import adapter
 
@@ -54,7 +55,7 @@ class AmplitudeReference:
         """Raises CalibrationError where the file cannot be written."""
         text = json.dumps({"format": FORMAT, **asdict(self)}, indent=2, allow_nan=False)
         try:
-            path.write_text(text + "\n", encoding="utf-8")
+            write_complete(path, text + "\n")
         except OSError as error:
             raise CalibrationError(f"{path}: cannot be written: {error.strerror}") from None
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from stream.complete import complete
 from stream.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -99,7 +98,7 @@ def _csv(
 
             for name, path in paths.items():
                 spec, chunks = recording.streams[name].spec, recording.chunks(name)
-                with _draft(path) as draft:
+                with complete(path) as draft:
                     rows = write_csv(draft, spec, chunks, clock=clock.value, origin=origin, progress=more)
                 written.append((name, path, rows))
     except OSError as error:
@@ -130,17 +129,6 @@ def _refuse_existing(path: File, overwrite: bool) -> None:
         raise RecordingError(f"{path}: is there already; choose another --output, or replace it with --overwrite")
 
 
-@contextmanager
-def _draft(path: File) -> Iterator[File]:
-    """Within: a file beside `path` is written; it gets its name when it is complete, and is removed if something fails."""
-    draft = path.with_name(f".{path.name}.draft")
-    try:
-        yield draft
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
-
-
 def _xdf(
     recording: Recording, names: list[str], path: File, total: int, overwrite: bool
 ) -> list[tuple[str, File, int]]:
@@ -153,7 +141,7 @@ def _xdf(
     done = 0
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with _draft(path) as draft, draft.open("wb") as file, bar(f"exporting {recording.path.name}") as progress:
+        with complete(path) as draft, draft.open("wb") as file, bar(f"exporting {recording.path.name}") as progress:
             writer = XdfWriter(file, _origin(recording))
             numbers = {name: writer.add_stream(name, recording.streams[name].spec) for name in names}
             for name, number in numbers.items():

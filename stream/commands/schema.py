@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from stream.complete import write_complete
 from stream.errors import KinegraphError
 from stream.graph.parts import PACKAGES, catalogue, import_from
 from stream.graph.schema import graph_schema
@@ -35,7 +36,7 @@ def schema(
         print(text, end="")
         return
     try:
-        output.write_text(text, encoding="utf-8")
+        write_complete(output, text)
     except OSError as error:
         raise KinegraphError(f"{output} cannot be written: {error.strerror}") from None
     print(f"{output}: {len(parts)} sources, operators and outlets")

@@ -15,6 +15,7 @@ from stream.engine.pipeline import Pipeline
 from stream.errors import KinegraphError, RecordingError
 from stream.graph import Graph
 from stream.recording import Recorder, RecorderStatus, Recording, versions
+from stream.recording.place import is_running
 from stream.recording.image import is_picture
 
 QUIET = {"source ended", "session resumed", "source reopened"}
@@ -28,6 +29,10 @@ class Former:
 
     def __init__(self, folder: Path, graph: Graph) -> None:
         """Raises RecordingError where it cannot be resumed with this graph."""
+        if is_running(folder):
+            raise RecordingError(
+                f"{folder}: another kinegraph is recording there; stop that one before its session is resumed"
+            )
         self.recording = Recording.open(folder)
         try:
             self.checkpoint = Checkpoint.load(folder)
