@@ -107,9 +107,7 @@ def bytes_to_samples(seconds: float, rounds: int) -> Section:
             ]
         )
         if name == "Cyton":
-            section.goals.append(
-                Goal("Cyton: bytes to samples, a packet at a time", least, 200, "times its rate", least=True)
-            )
+            section.goals.append(Goal("Cyton: bytes to samples", most, 200, "times its rate", least=True))
     return section
 
 

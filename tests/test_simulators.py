@@ -210,6 +210,34 @@ def test_the_command_lists_what_there_is() -> None:
     assert "cyton" in kinegraph("simulate").stdout
 
 
+def test_a_whole_session_outlives_a_pulled_cable(tmp_path: Path) -> None:
+    """The graph goes on, the source is opened again, and what is missing is marked in the recording and counted."""
+    out, brain = tmp_path / "session", CytonBrain()
+    with Server(brain, line_at(name="ttyCYTON")) as server:
+        command = [
+            sys.executable,
+            "-m",
+            "stream",
+            "run",
+            str(CONFIGS / "cyton_emg.yaml"),
+            "--set",
+            f"board.port={server.address}",
+        ]
+        command += ["--for", "9", "-o", str(out), "--view", "none"]
+        with subprocess.Popen(command, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True) as process:
+            wait_for(lambda: brain._number > 500, 120.0)
+            server.unplug()
+            wait_for(lambda: not Path(server.address).exists())
+            server.plug()
+            _, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    assert "source failed" in errors and "is gone" in errors and "source reopened" in errors
+    rows = {
+        line.split()[0]: line.split() for line in kinegraph("info", str(out)).stdout.splitlines() if " input " in line
+    }
+    assert int(rows["board.emg"][2]) > 700 and int(rows["board.emg"][6]) == 1, "one gap"
+
+
 SIMULATED = [p for p in sorted(CONFIGS.glob("*.yaml")) if "--simulate" in p.read_text(encoding="utf-8")]
 
 
