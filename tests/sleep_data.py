@@ -10,7 +10,10 @@ import numpy as np
 import pytest
 
 from stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
-from stream.operator import Operator
+from stream.operator import Case, Operator
+from stream.trial.cut import whole
+from stream.trial.play import Player
+from stream.trial.tape import tapes_of
 
 DATA = os.environ.get("KINEGRAPH_DATA", "")
 needs_data = pytest.mark.skipif(not DATA, reason="KINEGRAPH_DATA does not name the folder of real recordings")
@@ -30,17 +33,29 @@ def epochs_of(values: Array, t0: str, epoch_s: float, device: str) -> tuple[Stre
     return spec, Chunk(time, np.asarray(values, np.float64).reshape(-1, 1), int(time[-1]))
 
 
-def run(operator: Operator[Any], spec: StreamSpec, chunk: Chunk, port: str = "in") -> tuple[StreamSpec, Array]:
-    """All that comes out of an operator with one input that matters."""
-    out = operator.open({port: spec})["out"]
+def run(operator: Operator[Any], spec: StreamSpec, chunk: Chunk) -> tuple[StreamSpec, Array]:
+    """All that comes out of an operator with one input: its spec and the samples."""
+    out, _, data = stamped(operator, spec, chunk)
+    return out, data
+
+
+def stamped(operator: Operator[Any], spec: StreamSpec, chunk: Chunk) -> tuple[StreamSpec, Array, Array]:
+    """The same with the samples' stamps between them."""
+    out = operator.open({"in": spec})["out"]
     parts = []
     for piece in (chunk, Chunk(chunk.time[:0], chunk.data[:0], FOREVER)):
-        emitted = operator.process(port, piece)
+        emitted = operator.process("in", piece)
         parts += [emitted] if isinstance(emitted, Chunk) else [c for _, c in emitted or ()]
     last = operator.close()
     parts += [last] if isinstance(last, Chunk) else [c for _, c in last or ()]
-    return out, np.concatenate([p.data for p in parts])
+    return out, np.concatenate([p.time for p in parts]), np.concatenate([p.data for p in parts])
 
 
 def final(events: Array) -> Array:
     return events[events["final"]]
+
+
+def play(operator: Operator[Any], **inputs: tuple[StreamSpec, Array, Array]) -> Array:
+    """All that comes out of an operator fed as the engine feeds it: per port its spec, stamps and samples."""
+    case = Case(operator, inputs)
+    return Player(case).play(whole(tapes_of(case))).outputs["out"].data

@@ -1,0 +1,289 @@
+"""The numbers of every night, as soon as its last epoch is final."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Any, ClassVar
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+
+import numpy as np
+
+from operators.sleep_night import Convention, night
+from operators.sleep_periods import PERIOD, scored, some_epochs
+from operators.sleep_rescoring import NAMES, SLEEP, UNKNOWN, States
+from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
+from stream.errors import InputError, ParameterError
+from stream.operator import Case, Operator
+from stream.params import param
+
+MINUTES = (
+    "unknown",
+    "tib",
+    "tst",
+    "tst_low",
+    "tst_high",
+    "sol",
+    "sol_low",
+    "sol_high",
+    "waso",
+    "waso_low",
+    "waso_high",
+)
+PERCENT = ("se", "se_low", "se_high", "movement", "fragmentation", "total_fragmentation")
+NIGHT = np.dtype(
+    [
+        ("onset", "<i8"),
+        ("end", "<i8"),
+        ("sleep_onset", "<i8"),
+        ("sleep_end", "<i8"),
+        ("convention", "U8"),
+        ("bed", "U9"),
+        ("estimated", "?"),
+        ("epochs", "<i8"),
+        ("awakenings", "<i8"),
+        *((name, "<f8") for name in (*MINUTES, "mean_awakening", "longest_bout", *PERCENT, "counts")),
+    ]
+)
+UNITS = ("ns", "ns", "ns", "ns", "", "", "", "", "", *("min",) * (len(MINUTES) + 2), *("%",) * len(PERCENT), "")
+BEDS = ("lights", "schedule", "detected", "recording")
+MOST_ASKED = 16
+
+
+@dataclass(slots=True)
+class StatisticsState:
+    """
+    onset, states, activity (capacity,)  the newest `count` final epochs, at the front
+    asked   (MOST_ASKED, 3)  times in bed whose last epoch is not final yet: begin, end, place in BEDS; the first `asks` hold
+    dark    when the lights went off; NEVER: they are on. window (2,): the schedule's present night; NEVER: not known yet
+    last    the newest stamp of any input. bed: what the time in bed is by
+    """
+
+    epoch_ns: int
+    onset: Times
+    states: States
+    activity: Samples
+    count: int
+    asked: Times
+    asks: int
+    dark: int
+    window: Times
+    last: int
+    bed: str
+
+
+@dataclass(frozen=True, slots=True)
+class SleepStatistics(Operator[StatisticsState]):
+    """Scored epochs in (only final ones count), one row of numbers per night out, as soon as the night's last epoch is final.
+
+    What the time in bed is, by what is connected or given:
+    lights     the port: 0 (or field `on` false) lights off, anything else lights on; a button, MQTT, `stream.manual.Value`
+    schedule   the parameter, e.g. 22:30-07:00 in `timezone`
+    periods    the port: of SleepPeriods
+    (nothing)  all that was recorded, at most `longest_h` a row
+
+    `estimated` is true for the last two (and for lights that never came on again): then `tib` is only a "time in bed", `sol` an
+    estimate.
+    Every row names its `convention`; what each number is by which stands with operators.sleep_night.night and in docs/sleep.md. Minutes;
+    `se`, `movement`, `fragmentation`, `total_fragmentation` in %. Unknown epochs enter no numerator; `_low` and `_high` bound what they
+    leave open. sleep_onset, sleep_end: 0 where there was no sleep. Epochs that were never told are unknown.
+
+    Memory: `longest_h` of epochs; of longer times in bed the beginning is unknown.
+    """
+
+    inputs: ClassVar[tuple[str, ...]] = ("epochs", "lights", "periods")
+    optional: ClassVar[tuple[str, ...]] = ("lights", "periods")
+    departures: ClassVar[dict[str, str]] = {
+        "time": "a recording's end is its last night's end; until it comes nothing is promised beyond the last epoch"
+    }
+
+    convention: Convention = param("AASM", help="by whose definitions")
+    schedule: str = param("", help="lights off and on every day, HH:MM-HH:MM")
+    timezone: str = param("UTC", help="in which the schedule is meant, e.g. Europe/Berlin")
+    longest_h: float = param(24.0, least=0.1, most=48.0, help="the longest time in bed")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = scored(specs["epochs"], "epochs")
+        if "lights" in specs and not (specs["lights"].is_signal or "on" in (specs["lights"].dtype.names or ())):
+            raise InputError(
+                "lights", specs["lights"].describe(), "a signal of one channel, or events with a field `on`"
+            )
+        if "periods" in specs and specs["periods"].dtype != PERIOD:
+            raise InputError(
+                "periods", specs["periods"].describe(), "the periods of operators.sleep_periods.SleepPeriods"
+            )
+        given = [name for name in ("lights", "periods") if name in specs]
+        if self.schedule and given:
+            raise ParameterError(
+                "schedule", self.schedule, f"left out where {given[0]} are connected: both say when someone is in bed"
+            )
+        if len(given) > 1:
+            raise InputError("periods", "connected beside lights", "left out: both say when someone is in bed")
+        bed = (
+            "schedule"
+            if self.schedule
+            else {"lights": "lights", "periods": "detected", "": "recording"}["".join(given)]
+        )
+        self._times()
+        epoch_s = float(spec.meta.get("epoch_s", 0.0))
+        if not epoch_s > 0:
+            raise InputError("epochs", "without epoch_s in its meta", "scored epochs of a known length")
+        n = int(np.ceil(self.longest_h * 3600 / epoch_s))
+        self.hold(
+            StatisticsState(
+                round(epoch_s * NS), np.zeros(n, np.int64), np.zeros(n, np.int8), np.zeros(n), 0,
+                np.zeros((MOST_ASKED, 3), np.int64), 0, NEVER, np.array([NEVER, NEVER]), NEVER, bed,
+            )
+        )  # fmt: skip
+        meta = {**spec.meta, "convention": self.convention, "bed": bed}
+        return {"out": StreamSpec((), NIGHT, units=UNITS, settling_s=spec.settling_s, meta=meta)}
+
+    def process(self, port: str, chunk: Chunk) -> Chunk:
+        s = self.state
+        made: list[tuple[Any, ...]] = []
+        stamps: list[int] = []
+        for k, stamp in enumerate(chunk.time.tolist()):
+            s.last = max(s.last, stamp)
+            if port == "epochs":
+                if chunk.data[k]["final"]:
+                    self._epoch(chunk.data[k])
+            elif port == "lights":
+                self._lights(stamp, bool(chunk.data[k]["on"]) if chunk.data.dtype.names else chunk.data[k].item(0) != 0)
+            else:
+                self._ask(int(chunk.data[k]["onset"]), int(chunk.data[k]["end"]), "detected")
+            self._answer(made, ended=False)
+            stamps += [stamp] * (len(made) - len(stamps))
+        until = chunk.until if s.last == NEVER and chunk.until != FOREVER else max(s.last - 1, NEVER)
+        return Chunk(np.array(stamps, np.int64), np.array(made, NIGHT), until, -1 if chunk.lost else 0)
+
+    def close(self) -> Chunk:
+        s = self.state
+        made: list[tuple[Any, ...]] = []
+        if s.count:
+            end = int(s.onset[s.count - 1]) + s.epoch_ns
+            if s.bed == "recording":
+                self._ask(int(s.onset[0]), end, "recording")
+            elif s.dark != NEVER and s.dark < end:
+                self._ask(s.dark, end, "lights", estimated=True)
+            elif s.bed == "schedule" and s.window[0] < end < s.window[1]:
+                self._ask(int(s.window[0]), end, "schedule", estimated=True)
+            self._answer(made, ended=True)
+        return Chunk(np.full(len(made), s.last), np.array(made, NIGHT), FOREVER)
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        epochs = some_epochs(400, 24)
+        begin = int(epochs[1][0])
+        times = begin + np.array([20, 100, 130, 180, 200]) * 60 * NS
+        on = np.array([0.0, 1.0, 0.0, 0.0, 1.0])[:, None]
+        lights = (StreamSpec((1,), channels=("value",)), times, on)
+        found = np.zeros(2, PERIOD)
+        found["onset"], found["end"] = begin + np.array([10, 200]) * 60 * NS, begin + np.array([90, 300]) * 60 * NS
+        periods = (StreamSpec((), PERIOD, units=("ns", "ns", "min", "")), found["end"] + 600 * NS, found)
+        return [
+            Case(cls(longest_h=2.0), {"epochs": epochs}, least=3),
+            Case(cls("AASM", longest_h=3.0), {"epochs": epochs, "lights": lights}, least=2),
+            Case(cls("Actiware", schedule="00:30-02:10", timezone="Europe/London"), {"epochs": epochs}, least=1),
+            Case(cls("ActiLife"), {"epochs": epochs, "periods": periods}, least=2),
+        ]
+
+    def _times(self) -> tuple[timedelta, timedelta]:
+        """The schedule's evening and morning, as times since midnight. Raises ParameterError."""
+        try:
+            ZoneInfo(self.timezone)
+        except (ZoneInfoNotFoundError, ValueError):
+            raise ParameterError("timezone", self.timezone, "a time zone's name, like Europe/Berlin") from None
+        if not self.schedule:
+            return timedelta(), timedelta()
+        try:
+            evening, morning = (datetime.strptime(text.strip(), "%H:%M") for text in self.schedule.split("-"))
+        except ValueError:
+            raise ParameterError("schedule", self.schedule, "two times of day, like 22:30-07:00") from None
+        if evening == morning:
+            raise ParameterError("schedule", self.schedule, "two different times of day")
+        midnight = datetime(1900, 1, 1)
+        return evening - midnight, morning - midnight
+
+    def _night_of(self, onset: int) -> tuple[int, int]:
+        """The schedule's first night that ends after `onset`."""
+        zone = ZoneInfo(self.timezone)
+        evening, morning = self._times()
+        day = datetime.fromtimestamp(onset // NS, UTC).astimezone(zone).replace(hour=0, minute=0, second=0, tzinfo=None)
+        for days in (-2, -1, 0, 1):
+            begin = day + timedelta(days=days) + evening
+            end = day + timedelta(days=days + (morning <= evening)) + morning
+            first, stop = (int(t.replace(tzinfo=zone).timestamp()) * NS for t in (begin, end))
+            if stop > onset:
+                return first, stop
+        return onset, onset + 1
+
+    def _epoch(self, event: Array) -> None:
+        """Keep one final epoch, and ask for what it completes."""
+        s = self.state
+        onset = int(event["onset"])
+        if s.count == len(s.onset):
+            for array in (s.onset, s.states, s.activity):
+                array[:-1] = array[1:]
+            s.count -= 1
+        s.onset[s.count] = onset
+        s.states[s.count] = int(np.flatnonzero(event["state"] == NAMES)[0])
+        s.activity[s.count] = event["activity"]
+        s.count += 1
+        if s.bed == "recording" and s.count == len(s.onset):
+            self._ask(int(s.onset[0]), onset + s.epoch_ns, "recording")
+        elif s.bed == "schedule":
+            if s.window[1] != NEVER and onset + s.epoch_ns >= s.window[1]:
+                self._ask(int(s.window[0]), int(s.window[1]), "schedule")
+                s.window[:] = NEVER
+            if s.window[1] == NEVER:
+                s.window[:] = self._night_of(onset + s.epoch_ns)
+
+    def _lights(self, stamp: int, on: bool) -> None:
+        s = self.state
+        if not on and s.dark == NEVER:
+            s.dark = stamp
+        elif on and s.dark != NEVER:
+            self._ask(s.dark, stamp, "lights")
+            s.dark = NEVER
+
+    def _ask(self, begin: int, end: int, bed: str, *, estimated: bool = False) -> None:
+        """From `begin` to `end` someone was in bed; more than MOST_ASKED that wait for their epochs are passed over."""
+        s = self.state
+        if end - begin >= s.epoch_ns and s.asks < MOST_ASKED:
+            s.asked[s.asks] = begin, end, BEDS.index(bed) + len(BEDS) * (estimated or bed in ("detected", "recording"))
+            s.asks += 1
+
+    def _answer(self, made: list[tuple[Any, ...]], *, ended: bool) -> None:
+        """Give out the nights whose last epoch is final."""
+        s = self.state
+        while s.asks and s.count and (ended or s.onset[s.count - 1] + s.epoch_ns >= s.asked[0, 1]):
+            begin, end, code = s.asked[0].tolist()
+            made.append(self._row(begin, end, BEDS[code % len(BEDS)], code >= len(BEDS)))
+            s.asked[:-1] = s.asked[1:]
+            s.asks -= 1
+            if s.bed == "recording":
+                s.count = 0
+
+    def _row(self, begin: int, end: int, bed: str, estimated: bool) -> tuple[Any, ...]:
+        s = self.state
+        n = round((end - begin) / s.epoch_ns)
+        place = (s.onset[: s.count] + s.epoch_ns // 2 - begin) // s.epoch_ns
+        here = (place >= 0) & (place < n)
+        states, activity = np.full(n, UNKNOWN, np.int8), np.full(n, np.nan)
+        states[place[here]], activity[place[here]] = s.states[: s.count][here], s.activity[: s.count][here]
+        found = asdict(night(states, activity, s.epoch_ns / (60 * NS), self.convention))
+        asleep = np.flatnonzero(states == SLEEP)
+        slept = len(asleep) > 0 and found["first"] < n
+        stop = found["stop"] if self.convention == "Actiware" else int(asleep[-1]) + 1 if slept else 0
+        facts = {
+            **found,
+            "onset": begin,
+            "end": end,
+            "sleep_onset": begin + found["first"] * s.epoch_ns if slept else 0,
+            "sleep_end": begin + stop * s.epoch_ns if slept else 0,
+            "convention": self.convention,
+            "bed": bed,
+            "estimated": estimated,
+        }
+        return tuple(facts[name] for name in NIGHT.names or ())
