@@ -30,9 +30,11 @@ from devices.usb.bus import Address
 from devices.usb.endpoint import Endpoint
 from devices.usb.pipe import Pipe
 from stream.chunk import NS
+from stream.engine.session import Session
 from stream.errors import DeviceError, ParameterError
-from stream.graph.load import load
+from stream.graph.load import load, load_text
 from stream.params import build
+from stream.recording import Recording
 from tests.device_feed import Kept, check, reading, wait_for
 
 CONFIG = Path(__file__).resolve().parent.parent / "configs" / "dualsense.yaml"
@@ -216,6 +218,22 @@ def test_pulled_out_a_hundred_times_in_mid_packet_nothing_leaks(own_bus: Simulat
         tracemalloc.stop()
     assert after[:2] == before[:2] and not own_bus.handles
     assert after[2] - before[2] < 200_000, "bytes kept after 79 more times"
+
+
+def test_a_session_goes_on_when_the_cable_is_put_in_again(tmp_path: Path) -> None:
+    graph = load_text(
+        "nodes: {mti: {use: devices.mti.Mti, port: usb://2639}, smooth: {use: operators.iir.Lowpass, from: mti, cutoff_hz: 5}}\n"
+        "record: [smooth]",
+    )
+    with SimulatedMti().on_usb(Misbehaviour(unplug_every_s=3.0, unplug_s=0.6)):
+        Session(graph, tmp_path / "session", duration_s=8.0).run()
+    with Recording.open(tmp_path / "session") as recording:
+        lost = [chunk.lost for chunk in recording.chunks("mti.imu") if chunk.lost]
+        stamp, data = recording.read("mti.imu")
+        seen, _ = recording.read("smooth")
+    assert len(lost) >= 1 and set(lost) == {-1}
+    assert (np.diff(stamp) > 0).all() and (np.diff(stamp) > 0.5 * NS).sum() == len(lost)
+    assert np.array_equal(stamp, seen) and len(data) > 300
 
 
 # the MTi on USB ------------------------------------------------------------------------------------------------------
