@@ -25,6 +25,8 @@ THERE_S = 2.0
 TIMING_S = 0.1
 """How long events of `timing` are gathered."""
 LOGGED_S = 60.0
+QUICKEST_S = 0.05
+"""LSL does not find an outlet again within less."""
 
 log = structlog.get_logger(__name__)
 
@@ -50,12 +52,16 @@ class Pull:
         heard, anew = time.monotonic(), False
         while not feed.stopped:
             data, stamps = connection.pull()
-            anew = connection.connected_anew() or anew
             now = time.monotonic()
+            if now - heard > QUICKEST_S:
+                anew = connection.connected_anew() or anew
             if len(stamps):
                 if anew:
                     self._reconnected()
                 self._emit(data, stamps, anew)
+                time.sleep(
+                    0
+                )  # the graph's thread is awake by now, and cannot go on before we let go of the interpreter
                 heard, anew = now, False
             elif now - heard > self._lost_after:
                 self._silent(now - heard)
@@ -81,22 +87,27 @@ class Pull:
         self._measure()
 
     def _emit(self, data: Array, stamps: Samples, anew: bool) -> None:
+        """Hand over what a read brought; last of all, so that the graph's thread need not wait for what we still do."""
         arrival = self._feed.now()
         mapped = self._stamps.map(stamps, arrival, after_pause=anew)
-        self._count_problems(mapped)
+        times, gaps = mapped.time, mapped.gaps
         samples = self._events(mapped, data) if self._spec.is_event else data.astype(np.float64)
-        times, start = mapped.time, 0
-        lost = 0
-        for at, missing in [*mapped.gaps, (len(times), 0)]:
+        self._count += len(times)
+        self._timing.append((self._count - 1, _ns(stamps.item(-1)), arrival, times.item(-1)))
+        if gaps or mapped.backwards or mapped.impossible:
+            self._count_problems(mapped)
+        if not gaps:
+            self._feed.emit(Chunk(times, samples, times.item(-1)))
+            return
+        start = lost = 0
+        for at, missing in [*gaps, (len(times), 0)]:
             if at > start:
                 self._feed.emit(Chunk(times[start:at], samples[start:at], int(times[at - 1]), lost))
             start, lost = at, missing
-        self._count += len(stamps)
-        self._timing.append((self._count - 1, _ns(stamps[-1]), arrival, int(times[-1])))
-        if mapped.gaps:
-            self._timing_lost = -1
 
     def _count_problems(self, mapped: Mapped) -> None:
+        if mapped.gaps:
+            self._timing_lost = -1
         for _, missing in mapped.gaps:
             self._feed.problem("gap" if missing < 0 else "lost sample", max(missing, 1))
         if mapped.backwards:

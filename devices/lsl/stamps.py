@@ -18,6 +18,8 @@ STEADY_S = 1.0
 """After so long with even steps alone, a leap by whole periods is that many samples lost."""
 OLDEST_S, NEWEST_S = 3600.0, 10.0
 """A stamp further before its arrival, or further after, is not of LSL's clock."""
+NOTICED_NS = 1000
+"""A stamp that runs back by less is a rounding error."""
 
 
 @dataclass(slots=True)
@@ -37,14 +39,17 @@ class Mapped:
 
 
 class Stamps:
-    """Maps one stream's stamps (s, on its sender's clock) to session time."""
+    """Maps one stream's stamps (s, on its sender's clock) to session time.
+
+    Sample by sample, in plain Python: a read brings a few samples after a pause, when numpy's many small calls take ten times as long.
+    """
 
     def __init__(self, rate_hz: float | None, zero_ns: int, gap_s: float = 0.5, latency_s: float = 0.0) -> None:
         """`zero_ns` is the session time of LSL's local clock at 0; `rate_hz` None: no leap is a loss."""
-        self._zero, self._latency = zero_ns, round(latency_s * NS)
+        self._zero, self._base = zero_ns, zero_ns - round(latency_s * NS)
         self._leaps = Leaps(rate_hz, gap_s) if rate_hz else None
         self._target = self._correction = 0.0
-        self._raw = -np.inf
+        self._raw: float | None = None
         self._last: int | None = None
 
     def correct(self, correction_s: float, *, at_once: bool = False) -> None:
@@ -55,34 +60,70 @@ class Stamps:
 
     def map(self, stamps: Samples, arrival_ns: int, *, after_pause: bool = False) -> Mapped:
         """Session times of samples with these stamps (n,), n > 0, read at `arrival_ns`. `after_pause`: the connection was lost before."""
-        stamps, impossible = self._possible(stamps, (arrival_ns - self._zero) / NS)
-        gaps = self._leaps.before(stamps, after_pause=after_pause) if self._leaps else [(0, -1)] * after_pause
-        times = np.round(stamps * NS).astype(np.int64) + np.round(self._corrections(stamps) * NS).astype(np.int64)
-        times += self._zero - self._latency
-        self._raw = float(stamps[-1])
-        floors = np.maximum.accumulate(times)
-        if self._last is not None:
-            floors = np.maximum(floors, self._last + 1)
-        self._last = int(floors[-1])
-        return Mapped(floors, gaps, int((floors - times > 1000).sum()), impossible)
+        raws: list[float] = stamps.tolist()
+        arrival = (arrival_ns - self._zero) / NS - self._correction
+        if not after_pause and self._is_even(raws, arrival):
+            shift = self._shift
+            times = [round(raw * NS) + shift for raw in raws]
+            self._raw, self._last = raws[-1], times[-1]
+            return Mapped(np.array(times, np.int64), [], 0, 0)
+        return self._one_by_one(raws, arrival, self._pause(raws) if after_pause else -1)
 
-    def _possible(self, stamps: Samples, arrival_s: float) -> tuple[Samples, int]:
-        """The stamps, the arrival in place of those that cannot be, and how many these are."""
-        ages = arrival_s - stamps - self._correction
-        wrong = ~((ages > -NEWEST_S) & (ages < OLDEST_S))
-        if not wrong.any():
-            return stamps, 0
-        return np.where(wrong, arrival_s - self._correction, stamps), int(wrong.sum())
+    def _is_even(self, raws: list[float], arrival: float) -> bool:
+        """Whether nothing has to be decided: possible stamps, no leap, no new estimate. As it nearly always is, this is the quick way."""
+        leaps = self._leaps
+        return (
+            leaps is not None
+            and self._last is not None
+            and self._correction == self._target
+            and arrival - OLDEST_S < raws[0]
+            and raws[-1] < arrival + NEWEST_S
+            and round(raws[0] * NS) + self._shift > self._last
+            and leaps.none(raws)
+        )
 
-    def _corrections(self, stamps: Samples) -> Samples:
-        """What to add to each stamp (s); towards the newest estimate, slowly."""
+    def _one_by_one(self, raws: list[float], arrival: float, pause: int) -> Mapped:
+        """Every stamp looked at; `pause`: before which one the connection was lost, or -1."""
+        oldest, newest = arrival - OLDEST_S, arrival + NEWEST_S
+        leaps, shift = self._leaps, self._shift
+        times: list[int] = []
+        gaps: list[tuple[int, int]] = []
+        backwards = impossible = 0
+        floor = self._last + 1 if self._last is not None else None
+        for i, raw in enumerate(raws):
+            if not oldest < raw < newest:
+                raw, impossible = arrival, impossible + 1
+            if self._correction != self._target:
+                shift = self._slew(raw)
+            lost = leaps.before(raw, pause=i == pause) if leaps else -(i == pause)
+            if lost:
+                gaps.append((i, lost))
+            time = round(raw * NS) + shift
+            if floor is not None and time < floor:
+                backwards += floor - time > NOTICED_NS
+                time = floor
+            self._raw, floor = raw, time
+            times.append(time)
+        self._last = times[-1]
+        return Mapped(np.array(times, np.int64), gaps, backwards, impossible)
+
+    @property
+    def _shift(self) -> int:
+        """What makes session time of a stamp in ns."""
+        return self._base + round(self._correction * NS)
+
+    def _slew(self, raw: float) -> int:
+        """The shift at a stamp, a little nearer to the newest estimate."""
         rest = self._target - self._correction
-        if not rest:
-            return np.full(len(stamps), self._target)
-        since = np.maximum(stamps - (self._raw if np.isfinite(self._raw) else stamps[0]), 0.0)
-        made = self._correction + np.sign(rest) * np.minimum(abs(rest), SLEW * np.maximum.accumulate(since))
-        self._correction = float(made[-1])
-        return np.asarray(made)
+        most = SLEW * max(0.0, raw - self._raw) if self._raw is not None else 0.0
+        self._correction = self._target if abs(rest) <= most else self._correction + (most if rest > 0 else -most)
+        return self._shift
+
+    def _pause(self, raws: list[float]) -> int:
+        """Before which sample the pause was: what had come before it may be in the same read."""
+        if self._leaps is None or self._raw is None:
+            return 0
+        return int(np.argmax(np.diff(np.clip(np.nan_to_num(raws), -1e12, 1e12), prepend=self._raw)))
 
 
 class Leaps:
@@ -94,28 +135,36 @@ class Leaps:
 
     def __init__(self, rate_hz: float, gap_s: float) -> None:
         self._period, self._gap = 1.0 / rate_hz, max(gap_s, 1.5 / rate_hz)
+        self._least, self._most = (1 - EVEN) / rate_hz, (1 + EVEN) / rate_hz
         self._last: float | None = None
-        self._even_since = np.inf
+        self._even_since = 0.0
 
-    def before(self, stamps: Samples, *, after_pause: bool = False) -> list[tuple[int, int]]:
-        """(index, lost) of the leaps before these samples (n,), n > 0."""
-        if self._last is None:
-            self._even_since = float(stamps[0])
-        first = stamps[0] - self._period if self._last is None else self._last
-        self._last = float(stamps[-1])
-        steps = np.diff(stamps, prepend=first)
-        periods = steps / self._period
-        uneven = np.abs(periods - 1.0) > EVEN
-        if after_pause:
-            at = int(np.argmax(steps)) if uneven.any() else 0
-            self._even_since = float(stamps[at])
-            return [(at, -1)]
-        return [gap for i in np.flatnonzero(uneven) if (gap := self._leap(int(i), stamps, steps, periods))]
+    def none(self, stamps: list[float]) -> bool:
+        """Whether all of these follow each other evenly; if so, they have been seen."""
+        least, most, last = self._least, self._most, self._last
+        if last is None:
+            return False
+        for stamp in stamps:
+            if not least <= stamp - last <= most:
+                return False
+            last = stamp
+        self._last = last
+        return True
 
-    def _leap(self, i: int, stamps: Samples, steps: Samples, periods: Samples) -> tuple[int, int] | None:
-        whole = round(float(periods[i]))
-        before = float(stamps[i] - steps[i])
-        if whole > 1 and abs(periods[i] - whole) <= EVEN and before - self._even_since >= STEADY_S:
-            return i, whole - 1
-        self._even_since = float(stamps[i])
-        return (i, -1) if steps[i] > self._gap else None
+    def before(self, stamp: float, *, pause: bool = False) -> int:
+        """How many samples are missing before the one with this stamp; -1: nobody knows how many."""
+        last, self._last = self._last, stamp
+        if last is None or pause:
+            self._even_since = stamp
+            return -pause
+        if self._least <= stamp - last <= self._most:
+            return 0
+        return self._uneven(last, stamp)
+
+    def _uneven(self, last: float, stamp: float) -> int:
+        periods = (stamp - last) / self._period
+        whole = round(periods)
+        if whole > 1 and abs(periods - whole) <= EVEN and last - self._even_since >= STEADY_S:
+            return whole - 1
+        self._even_since = stamp
+        return -1 if stamp - last > self._gap else 0
