@@ -233,7 +233,7 @@ def test_a_session_goes_on_when_the_cable_is_put_in_again(tmp_path: Path) -> Non
         seen, _ = recording.read("smooth")
     assert len(lost) >= 1 and set(lost) == {-1}
     assert (np.diff(stamp) > 0).all() and (np.diff(stamp) > 0.5 * NS).sum() == len(lost)
-    assert np.array_equal(stamp, seen) and len(data) > 300
+    assert len(seen) == len(stamp) == len(data) > 300
 
 
 # the MTi on USB ------------------------------------------------------------------------------------------------------
