@@ -130,6 +130,10 @@ class Decoder:
             at = start
             if not found:
                 break
+        if not self._following:
+            start = _tail(buffer, at)
+            dropped += start - at
+            at = start
         self._buffer = buffer[at:]
         return _frames(b"".join(pieces), dropped, resyncs)
 
@@ -151,8 +155,8 @@ class Decoder:
 
 
 def _tail(buffer: bytes, at: int) -> int:
-    """The first place at which a packet may have begun that has not come as a whole."""
-    found = buffer.find(b"\xa0", max(at, len(buffer) - SIZE + 1))
+    """The first place at which a packet may have begun that has not come as a whole, or is not believed yet."""
+    found = buffer.find(b"\xa0", max(at, len(buffer) - SIZE))
     return found if found >= 0 else len(buffer)
 
 
