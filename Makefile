@@ -19,7 +19,7 @@ test: .venv/installed-for-tests
 		$(BIN)/python -m tests.compile_kernels && $(BIN)/pytest -n 2 --dist loadgroup
 
 bench: .venv/installed-for-tests
-	$(BIN)/python -m bench
+	$(BIN)/python -m bench --readme
 
 .venv/bin/python:
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed; name it: make PYTHON=/path/to/python3" >&2; exit 1; }
