@@ -58,7 +58,7 @@ def encode_image(stamp: int, index: int, frame: Array) -> bytes:
 def decode_image(body: memoryview) -> tuple[int, memoryview]:
     """A frame's cumulative index, and its samples. Raises RecordingError where it is none of ours."""
     index, data = -1, None
-    for number, value in _fields(body):
+    for number, value in wire_fields(body):
         if number == INDEX and isinstance(value, int):
             index = value
         elif number == 6 and isinstance(value, memoryview):
@@ -110,8 +110,8 @@ def _field(number: int, value: bytes) -> bytes:
     return _varint(number << 3 | _BYTES) + _varint(len(value)) + value
 
 
-def _fields(body: memoryview) -> Iterator[tuple[int, int | memoryview]]:
-    """(number, value) of the fields of a message."""
+def wire_fields(body: memoryview) -> Iterator[tuple[int, int | memoryview]]:
+    """(number, value) of the fields of a message in Protocol Buffers; fixed-width numbers are passed over. Raises IndexError at a cut."""
     at = 0
     while at < len(body):
         tag, at = _read_varint(body, at)

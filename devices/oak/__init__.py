@@ -1,0 +1,5 @@
+"""Depth cameras of Luxonis (OAK), through their library depthai, version 3 (the extra `oak`)."""
+
+from devices.oak.source import Oak
+
+__all__ = ["Oak"]

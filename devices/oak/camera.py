@@ -1,0 +1,121 @@
+"""An open camera: the pipeline on it, its queues, who it is, and how its connection fares."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from devices.oak.library import not_opened
+
+if TYPE_CHECKING:
+    from devices.oak.source import Oak
+
+QUEUE = 8
+"""Messages that wait for us at most; then the oldest is dropped, which shows as a leap of the frames' numbers."""
+BATCH = 10
+"""Inertial packets at most in a message."""
+
+
+class Link:
+    """The state of the connection, told by depthai from a thread of its own: RUNNING, DISCONNECTED, RECONNECTING or FAILED."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._state = "RUNNING"
+        self._news: list[str] = []
+
+    def tell(self, _device: Any, state: Any) -> None:
+        """depthai's callback; returns at once."""
+        with self._lock:
+            if state.name != self._state:
+                self._state = state.name
+                self._news.append(state.name)
+
+    @property
+    def state(self) -> str:
+        return self._state
+
+    def news(self) -> list[str]:
+        """The changes since the last call."""
+        if not self._news:
+            return []
+        with self._lock:
+            news, self._news = self._news, []
+        return news
+
+
+@dataclass(slots=True)
+class Camera:
+    """A camera whose pipeline runs.
+
+    depth      queue of depth frames
+    imu        queue of inertial packets, where they are wanted
+    identity   serial number, model, sensors, USB speed
+    """
+
+    depth: Any
+    imu: Any = None
+    identity: dict[str, Any] = field(default_factory=dict)
+
+
+@contextmanager
+def opened(dai: Any, of: Oak, link: Link) -> Iterator[Camera]:
+    """The camera that the source names, at work while the context lasts. Raises DeviceError."""
+    try:
+        device = dai.Device(dai.DeviceInfo(of.device)) if of.device else dai.Device()
+    except RuntimeError as error:
+        raise not_opened(dai, of.device, error) from None
+    with device, dai.Pipeline(device) as pipeline:
+        try:
+            depth = _depth(dai, pipeline, of).createOutputQueue(maxSize=QUEUE, blocking=False)
+            imu = _imu(dai, pipeline, of) if of.imu_hz else None
+            pipeline.setDeviceStateCallback(link.tell)
+            pipeline.start()
+        except RuntimeError as error:
+            raise not_opened(dai, of.device, error) from None
+        yield Camera(depth, imu, identity_of(device))
+
+
+def _depth(dai: Any, pipeline: Any, of: Oak) -> Any:
+    """The pipeline's output of depth frames."""
+    if of.depth == "tof":
+        preset = {"profile": dai.ToFConfig.Profile.__members__[of.preset.upper()]} if of.preset else {}
+        return pipeline.create(dai.node.ToF).build(fps=of.fps, **preset).depth
+    presets = dai.node.StereoDepth.PresetMode.__members__
+    node = pipeline.create(dai.node.StereoDepth).build(
+        autoCreateCameras=True,
+        presetMode=presets[(of.preset or "default").upper()],
+        size=(of.width, of.height),
+        fps=of.fps,
+    )
+    return node.depth
+
+
+def _imu(dai: Any, pipeline: Any, of: Oak) -> Any:
+    node = pipeline.create(dai.node.IMU)
+    sensors = [dai.IMUSensor.ACCELEROMETER_RAW, dai.IMUSensor.GYROSCOPE_RAW]
+    node.enableIMUSensor(sensors, round(of.imu_hz))
+    node.setBatchReportThreshold(1)
+    node.setMaxBatchReports(BATCH)
+    return node.out.createOutputQueue(maxSize=16 * QUEUE, blocking=False)
+
+
+def identity_of(device: Any) -> dict[str, Any]:
+    """Who a camera is, as far as it says."""
+    asked: dict[str, Callable[[], Any]] = {
+        "id": lambda: device.getDeviceId(),
+        "model": lambda: device.getProductName() or device.getDeviceName(),
+        "sensors": lambda: ", ".join(str(name) for name in device.getCameraSensorNames().values()),
+        "imu": lambda: device.getConnectedIMU(),
+        "bootloader": lambda: str(device.getBootloaderVersion() or ""),
+        "usb": lambda: device.getUsbSpeed().name,
+    }
+    known: dict[str, Any] = {}
+    for name, ask in asked.items():
+        with suppress(RuntimeError, AttributeError):
+            if answer := ask():
+                known[name] = answer
+    return known

@@ -1,0 +1,181 @@
+"""An OAK depth camera as a source."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
+from datetime import timedelta
+from typing import Any, Literal
+
+import numpy as np
+import structlog
+
+from devices.oak.adapter import Frames, Motion, message_of
+from devices.oak.camera import Camera, Link, opened
+from devices.oak.library import library, zero_ns
+from devices.timing import timing_chunk, timing_spec
+from stream.chunk import NS, Specs, StreamSpec
+from stream.errors import DeviceError, ParameterError
+from stream.params import param
+from stream.source import Feed, Source
+
+FIRST_FRAME_S = 20.0
+"""How long a camera may take from being opened to its first frame: its program is sent to it first."""
+PRESETS = {
+    "stereo": ("default", "face", "high_detail", "robotics", "fast_accuracy", "fast_density", "accuracy", "density"),
+    "tof": ("low_range", "mid_range", "high_range"),
+}
+"""depthai's own settings for a purpose."""
+MOTION = ("ax", "ay", "az", "gx", "gy", "gz")
+
+log = structlog.get_logger(__name__)
+
+
+class _Outputs:
+    """The outputs of a class whose instances have an inertial one only where it is wanted."""
+
+    def __get__(self, instance: Oak | None, owner: type) -> tuple[str, ...]:
+        return ("depth", "imu", "timing") if instance is not None and instance.imu_hz else ("depth", "timing")
+
+
+@dataclass(frozen=True, slots=True)
+class Oak(Source):
+    """A depth camera of Luxonis, by USB or network: stereo (OAK-D and its kin) or time of flight (OAK-D ToF).
+
+    depth    (height, width) uint16: distance from the camera's plane in mm; 0: no measurement there. Regular, at `fps`
+    imu      (6,) float64, with `imu_hz`: acceleration (m/s2) and angular velocity (rad/s) of the camera itself
+    timing   an event per frame: its number, the camera's time, arrival, stamp
+
+    A frame's stamp is the middle of its exposure, on the host clock that depthai keeps in step with the camera's. Frames that are missing
+    are known from their numbers. depthai itself connects again to a camera that comes back; one that stays away for `reconnect_s`, or
+    brings no frame for `lost_after_s` though it is connected, is closed and looked for anew.
+    """
+
+    outputs = _Outputs()
+
+    device: str = param("", help="which camera: its id, IP address or USB port; left out: the first that is found")
+    depth: Literal["stereo", "tof"] = param(
+        "stereo", help="how it measures: by two cameras, or by the time of flight of light"
+    )
+    width: int = param(640, least=16, most=4096, help="pixels in a row of a frame")
+    height: int = param(400, least=16, most=4096, help="rows of a frame; 480 for time of flight")
+    fps: float = param(30.0, above=0, most=240, help="frames per second")
+    preset: str = param(
+        "",
+        help="depthai's preset: for stereo default, accuracy, density, ...; for tof low_range, mid_range, high_range",
+    )
+    imu_hz: float = param(0.0, least=0, most=1000, help="rate of the inertial output; 0: there is none")
+    lost_after_s: float = param(5.0, above=0, help="after how long without a frame it is opened anew")
+    reconnect_s: float = param(30.0, above=0, help="how long depthai may try to reach a camera that was unplugged")
+    latency_s: float = param(0.0, least=0, most=1, help="how long before its stamp a frame really was taken")
+
+    @property
+    def chunk_s(self) -> float:
+        return 1 / self.fps
+
+    def specs(self) -> Specs:
+        if self.preset and self.preset not in PRESETS[self.depth]:
+            raise ParameterError("preset", self.preset, f"one of {', '.join(PRESETS[self.depth])}, or left out")
+        meta = {"device": "OAK", "depth": self.depth, "invalid": 0}
+        specs = {
+            "depth": StreamSpec(
+                (self.height, self.width), np.dtype(np.uint16), rate_hz=self.fps, units=("mm",), meta=meta
+            ),
+            "timing": timing_spec(),
+        }
+        if self.imu_hz:
+            units = ("m/s2",) * 3 + ("rad/s",) * 3
+            specs["imu"] = StreamSpec((6,), rate_hz=self.imu_hz, channels=MOTION, units=units, meta={"device": "OAK"})
+        return specs
+
+    @contextmanager
+    def simulated(self) -> Iterator[Source]:
+        from devices.simulators.oak import Oak as Simulated
+        from devices.simulators.oak import SimulatedOak
+
+        device = Simulated(width=self.width, height=self.height, fps=self.fps, imu_hz=self.imu_hz)
+        with device.plugged_in() as camera:
+            made: SimulatedOak = SimulatedOak.of(replace(self, device=""), camera)
+            yield made
+
+    def open(self, dai: Any, link: Link) -> AbstractContextManager[Camera]:
+        """The camera; a simulated one gives its own."""
+        return opened(dai, self, link)
+
+    def read(self, feed: Feed) -> None:
+        dai, link = library(), Link()
+        with self.open(dai, link) as camera:
+            log.info("OAK", device=self.device, identity=camera.identity)
+            _Reading(dai, self, camera, link, feed).run()
+
+
+class _Reading:
+    """One opening of a camera: frames and inertial packets are passed on as they come."""
+
+    def __init__(self, dai: Any, of: Oak, camera: Camera, link: Link, feed: Feed) -> None:
+        self._dai, self._of, self._camera, self._link, self._feed = dai, of, camera, link, feed
+        latency, zero = round(of.latency_s * NS), zero_ns(dai, feed.now)
+        self._frames = Frames(of.specs()["depth"], zero, latency)
+        self._motion = Motion(of.imu_hz, zero, latency) if of.imu_hz else None
+        self._patience_s = FIRST_FRAME_S
+        self._heard = time.monotonic()
+
+    def run(self) -> None:
+        """Until told to stop; raises DeviceError when the camera is lost."""
+        wait = timedelta(milliseconds=10 if self._motion else 100)
+        while not self._feed.stopped:
+            try:
+                message = self._camera.depth.get(wait)
+                motion = self._camera.imu.tryGetAll() if self._motion else ()
+            except self._dai.MessageQueue.QueueException:
+                raise DeviceError(f"the OAK camera's pipeline has ended ({self._link.state})") from None
+            self._look_at_link()
+            if message is not None:
+                self._frame(message)
+            for packets in motion:
+                self._packets(packets)
+            self._check_silence()
+
+    def _frame(self, message: Any) -> None:
+        arrival = self._feed.now()
+        taken = self._frames.take(message_of(self._dai, message), arrival)
+        for problem in taken.problems:
+            self._feed.problem(problem)
+        if taken.chunk is None:
+            return
+        self._heard, self._patience_s = time.monotonic(), self._of.lost_after_s
+        chunk = taken.chunk
+        if chunk.lost > 0:
+            self._feed.problem("lost frame", chunk.lost)
+        self._feed.emit(chunk, "depth")
+        self._feed.emit(timing_chunk(taken.number, taken.device, arrival, chunk.time, chunk.lost), "timing")
+
+    def _packets(self, message: Any) -> None:
+        assert self._motion
+        for chunk in self._motion.take(message.packets, self._feed.now()):
+            if chunk.lost > 0:
+                self._feed.problem("lost inertial packet", chunk.lost)
+            self._feed.emit(chunk, "imu")
+
+    def _look_at_link(self) -> None:
+        for state in self._link.news():
+            log.warning("OAK connection", device=self._of.device, state=state)
+            if state == "FAILED":
+                raise DeviceError("the OAK camera is gone, and depthai has given up connecting to it again")
+            if state == "DISCONNECTED":
+                self._feed.problem("connection lost")
+            self._frames.interrupted()
+            if self._motion:
+                self._motion.interrupted()
+
+    def _check_silence(self) -> None:
+        silent = time.monotonic() - self._heard
+        if self._link.state != "RUNNING":
+            if silent > self._of.reconnect_s:
+                raise DeviceError(
+                    f"the OAK camera was unplugged and has not come back within {self._of.reconnect_s:g} s"
+                )
+        elif silent > self._patience_s:
+            raise DeviceError(f"no frame from the OAK camera for {self._patience_s:g} s, though it is connected")
