@@ -11,6 +11,8 @@ from typing import ClassVar, Literal
 import numpy as np
 import structlog
 
+from devices.clock_log import ClockLog
+from devices.device_clock import ClockState
 from devices.handshake import all_there, shown
 from devices.packet_clock import Packets
 from devices.protocols.ascii_lines import Decoder
@@ -132,7 +134,7 @@ class AsciiLines(Source):
     def _stream(self, link: Transport, feed: Feed) -> None:
         decoder = Decoder(self.columns, self.delimiter, self.header)
         stream = _Stream(self)
-        opened = time.monotonic()
+        opened, clock_log = time.monotonic(), ClockLog(self.port)
         seen, came = False, b""
         while not feed.stopped:
             data = link.read(0.1)
@@ -145,6 +147,7 @@ class AsciiLines(Source):
             if len(lines.rows):
                 seen = True
                 stream.pass_on(lines.rows, feed)
+                clock_log.tell(stream.clock)
             elif not seen:
                 came = (came + data)[-64:]
                 self._check_beginning(time.monotonic() - opened, bool(decoder.names), came)
@@ -183,6 +186,11 @@ class _Stream:
             wraps_ns=wraps,
             latency_s=of.latency_s,
         )
+
+    @property
+    def clock(self) -> ClockState | None:
+        """What is known of the device's clock; None if it has none."""
+        return self._stamps.state
 
     def pass_on(self, rows: Samples, feed: Feed) -> None:
         """Emit what a read has brought."""

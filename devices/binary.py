@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import structlog
 
-from devices.device_clock import DeviceClock
+from devices.clock_log import ClockLog
+from devices.device_clock import ClockState, DeviceClock
 from devices.device_time import DeviceTime
 from devices.handshake import all_there, shown
 from devices.packet_clock import Packets
@@ -161,10 +162,12 @@ class Binary(Source):
         layouts = self.layouts()
         decoder, stream = self._decoder(layouts), _Stream(self, layouts)
         opened, seen, came = time.monotonic(), False, b""
+        clock_log = ClockLog(self.port)
         while not feed.stopped:
             data = self._taken(link, 0.1)
             found = decoder.feed(data)
             stream.pass_on(found, feed)
+            clock_log.tell(stream.clock)
             for kind, count in (
                 ("bad checksum", found.bad), ("bytes that are no frame", found.dropped), ("resync", found.resyncs)
             ):  # fmt: skip
@@ -196,6 +199,11 @@ class _Stream:
             Stamps(f.rate_hz, counter_bits=b, latency_s=of.latency_s) for f, b in zip(of.frames, bits, strict=True)
         ]
         self._last = 0
+
+    @property
+    def clock(self) -> ClockState | None:
+        """What is known of the device's clock; None if frames bring no time."""
+        return self._clock.state if self._timed else None
 
     def pass_on(self, found: Found, feed: Feed) -> None:
         """Emit what a read has brought."""

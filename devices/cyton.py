@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 import structlog
 
+from devices.clock_log import ClockLog
 from devices.handshake import all_there, answer, quiet, shown
 from devices.packet_clock import PacketClock, Packets
 from devices.protocols import cyton as protocol
@@ -28,7 +29,6 @@ ACCEL_HZ = 25.0
 SILENCE_S = 2.0
 """A board that was streaming and says nothing for so long is asked anew."""
 ANSWER_S = 5.0
-CLOCK_LOGGED_S = 60.0
 
 log = structlog.get_logger(__name__)
 
@@ -136,7 +136,7 @@ class Cyton(Source):
     def _stream(self, link: Transport, feed: Feed) -> None:
         decoder, stream = Decoder(), _Stream(self)
         link.write(protocol.START)
-        heard = logged = time.monotonic()
+        heard, clock_log = time.monotonic(), ClockLog(self.port)
         strange = b""
         while not feed.stopped:
             data = link.read(0.1)
@@ -154,9 +154,7 @@ class Cyton(Source):
                 raise DeviceError(
                     f"no packet from {self.port} for {SILENCE_S:g} s: expected 33 bytes from A0 to C0; came {shown(strange)}"
                 )
-            if now - logged > CLOCK_LOGGED_S:
-                logged = now
-                log.info("clock", port=self.port, state=stream.clock.state)
+            clock_log.tell(stream.clock.state)
 
 
 class _Stream:

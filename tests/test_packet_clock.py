@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from devices.clock_log import ClockLog
+from devices.device_clock import ClockState
 from devices.packet_clock import PacketClock
 from stream.chunk import NS, Times
 
@@ -89,3 +91,14 @@ def test_jitter_of_twenty_milliseconds_and_a_drift_of_fifty_ppm() -> None:
     number, lost, stamp = reads(there, np.maximum.accumulate(true + delay)[~lost_here])
     assert np.array_equal(number, there) and np.array_equal(lost, np.diff(there, prepend=-1) - 1)
     assert np.abs(stamp - true[there] - 3_000_000)[20 * 250 :].max() < 2_000_000
+
+
+def test_the_clocks_state_is_logged_once_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, told = [0.0], []
+    monkeypatch.setattr("devices.clock_log.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("devices.clock_log.log.info", lambda *_, **facts: told.append(facts), raising=False)
+    clock_log, state = ClockLog("board"), ClockState(1.5, 20.0, 0.001, 60)
+    for now[0] in (10.0, 61.0, 62.0, 122.0):
+        clock_log.tell(state)
+        clock_log.tell(None)
+    assert [facts["drift_ppm"] for facts in told] == [20.0, 20.0]
