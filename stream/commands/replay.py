@@ -48,18 +48,29 @@ def replay(
     from stream.recording import Recording
 
     logs.set_up()
-    source = Recording.open(recording)  # closed when the program ends
-    graph = load(config, recorded={n: s.spec for n, s in source.streams.items()}, overrides=read(settings or []))
-    run = Replay(graph, source, speaking=_speaking(graph, speak or []), speed=speed or None, output=out)
-    _tell_missing(run.stand_ins)
-    before = signal.signal(signal.SIGINT, lambda *_: run.stop())
-    try:
-        result = _with_progress(run, source.duration_ns / 1e9, quiet)
-    finally:
-        signal.signal(signal.SIGINT, before)
+    with Recording.open(recording) as source:
+        graph = load(config, recorded={n: s.spec for n, s in source.streams.items()}, overrides=read(settings or []))
+        run = Replay(graph, source, speaking=_speaking(graph, speak or []), speed=speed or None, output=out)
+        _tell_missing(run.stand_ins)
+        before = signal.signal(signal.SIGINT, lambda *_: run.stop())
+        try:
+            result = _with_progress(run, source.duration_ns / 1e9, quiet)
+        finally:
+            signal.signal(signal.SIGINT, before)
     _tell(result)
     if verify and (result.differing or result.stopped):
         sys.exit(1)
+    if failed := [stage for stage in run.pipeline.outlets if stage.failed]:
+        raise OutletFailed(", ".join(f"{stage.node.name!r}: {stage.failed}" for stage in failed))
+
+
+class OutletFailed(KinegraphError):
+    """An outlet that was asked to speak was switched off: something was not written."""
+
+    exit_code = 5
+
+    def __init__(self, failures: str) -> None:
+        super().__init__(f"not everything was written: {failures}")
 
 
 def _facts(written: dict[str, Any], recorded: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
