@@ -99,11 +99,17 @@ def _forget_output() -> None:
 
 
 def call(name: str, arguments: list[str]) -> None:
-    """Run one command; wrong arguments end the program with exit code 2 and the command's usage."""
+    """Run one command (or a group of them, a Typer app); wrong arguments end the program with exit code 2 and the command's usage."""
     import typer
 
-    app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-    app.command(name, context_settings={"help_option_names": ["-h", "--help"]})(_interruptible(_function(name)))
+    found = _function(name)
+    if isinstance(found, typer.Typer):
+        app = found
+        for command in app.registered_commands:
+            command.callback = _interruptible(command.callback)
+    else:
+        app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+        app.command(name, context_settings={"help_option_names": ["-h", "--help"]})(_interruptible(found))
     app(arguments, prog_name=f"kinegraph {name}")
 
 
@@ -146,4 +152,5 @@ def _added() -> list[Any]:
 
 
 def _first_line(function: Any) -> str:
-    return (function.__doc__ or "").strip().partition("\n")[0]
+    callback = getattr(getattr(function, "registered_callback", None), "callback", function)
+    return (callback.__doc__ or "").strip().partition("\n")[0]

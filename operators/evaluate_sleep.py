@@ -1,0 +1,102 @@
+"""`kinegraph evaluate sleep`: estimated sleep against reference hypnograms."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path as File
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from stream.errors import KinegraphError
+
+if TYPE_CHECKING:
+    from operators.sleep_evaluation import Pair
+
+
+def sleep(
+    estimate: Annotated[File | None, typer.Argument(help="a recording with scored epochs, or a CSV of them")] = None,
+    reference: Annotated[File | None, typer.Argument(help="the hypnogram: EDF+ or CSV")] = None,
+    nights: Annotated[
+        File | None,
+        typer.Option(
+            metavar="CSV",
+            help="many nights: columns estimate, reference, person, offset_s (the last two may be missing)",
+        ),
+    ] = None,
+    offset: Annotated[
+        float, typer.Option(metavar="SECONDS", help="added to the reference's times (its clock was late)")
+    ] = 0.0,
+    stream: Annotated[str, typer.Option(help="the scored epochs in a recording [default: the only ones]")] = "",
+    epoch_s: Annotated[
+        float, typer.Option(min=1.0, max=300.0, help="epoch length of CSV tables that do not say")
+    ] = 30.0,
+    output: Annotated[
+        File | None, typer.Option("-o", "--output", help="folder for agreement.png and nights.csv")
+    ] = None,
+    force: Annotated[bool, typer.Option(help="replace files that exist")] = False,
+) -> None:
+    """Sensitivity, specificity, kappa, and Bland-Altman limits of TST, SOL and WASO, against a reference hypnogram.
+
+    kinegraph evaluate sleep night.mcap psg.edf --offset -12 -o agreement
+    """
+    from rich.console import Console
+
+    from operators.sleep_evaluation import NOTE, tables
+
+    if (nights is None) == (estimate is None) or (estimate is None) != (reference is None):
+        raise KinegraphError("give ESTIMATE and REFERENCE, or --nights TABLE.csv")
+    rows = _rows(nights) if nights else [(estimate, reference, "", offset)]
+    pairs = [_pair(File(str(e)), File(str(r)), person, late, stream, epoch_s) for e, r, person, late in rows]
+    console = Console(highlight=False)
+    for table in tables(pairs):
+        console.print(table)
+        console.print()
+    console.print(NOTE)
+    if output:
+        _write(pairs, output, force)
+
+
+def _pair(estimate: File, reference: File, person: str, offset_s: float, stream: str, epoch_s: float) -> Pair:
+    from operators.sleep_evaluation import pair
+    from operators.sleep_reference import read_hypnogram
+
+    found = read_hypnogram(estimate, stream=stream, epoch_s=epoch_s)
+    truth = read_hypnogram(reference, epoch_s=epoch_s)
+    return pair(estimate.stem, person or estimate.stem, found, truth, offset_s)
+
+
+def _rows(table: File) -> list[tuple[File, File, str, float]]:
+    """The nights that a table names; files are looked for beside it."""
+    try:
+        with table.open(newline="", encoding="utf-8-sig") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise KinegraphError(f"{table}: cannot be read: {error}") from None
+    made = []
+    for line, row in enumerate(rows, 2):
+        try:
+            offset_s = float(row.get("offset_s") or 0.0)
+            made.append(
+                (table.parent / row["estimate"], table.parent / row["reference"], row.get("person") or "", offset_s)
+            )
+        except (KeyError, TypeError, ValueError):
+            raise KinegraphError(
+                f"{table}, line {line}: must name estimate and reference, and if needed person and offset_s (a number)"
+            ) from None
+    if not made:
+        raise KinegraphError(f"{table}: names no nights")
+    return made
+
+
+def _write(pairs: list[Pair], folder: File, force: bool) -> None:
+    from operators.sleep_evaluation import draw, write_table
+
+    picture, sheet = folder / "agreement.png", folder / "nights.csv"
+    for path in (picture, sheet):
+        if path.exists() and not force:
+            raise KinegraphError(f"{path} exists; --force replaces it, --output names another folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    draw(pairs).savefig(picture, dpi=130)
+    write_table(pairs, sheet)
+    typer.echo(f"{picture}\n{sheet}")
