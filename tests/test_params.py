@@ -31,8 +31,8 @@ class Part:
     channels: tuple[str, ...] = param(())
     widths_s: tuple[float, ...] = param((), above=0.0)
     pairs: tuple[tuple[str, str], ...] = param(())
-    gains: dict[str, float] | None = param(None, most=10.0)  # noqa: RUF009
-    band: Band | None = param(None)  # noqa: RUF009
+    gains: dict[str, float] | None = param(None, most=10.0)
+    band: Band | None = param(None)
 
 
 def made(**values: Any) -> Part:
