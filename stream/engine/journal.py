@@ -15,8 +15,8 @@ from stream.engine.pipeline import Pipeline
 from stream.errors import KinegraphError, RecordingError
 from stream.graph import Graph
 from stream.recording import Recorder, RecorderStatus, Recording, versions
-from stream.recording.place import is_running
 from stream.recording.image import is_picture
+from stream.recording.place import is_running
 
 QUIET = {"source ended", "session resumed", "source reopened"}
 """Reports that are news, not warnings."""
