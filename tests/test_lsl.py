@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -28,7 +29,7 @@ from stream.errors import DeviceError, GraphError
 from stream.graph.load import load_text
 from stream.recording import Recording
 from tests.device_feed import Kept, check, reading, wait_for
-from tests.lsl_sender import process
+from tests.lsl_sender import can_be_elsewhere, process
 
 MUSCLES = ("TA", "GM", "SO", "RF")
 EMG = LslInlet(channels=MUSCLES, rate_hz=1000.0, unit="uV", type="EMG")
@@ -74,6 +75,21 @@ def test_samples_of_another_process_arrive_as_they_are(name: str) -> None:
     assert timing["counter"][-1] < len(number) and (timing["arrival"] >= timing["stamp"]).all()
     assert np.array_equal(timing["stamp"], feed.time("out")[timing["counter"]])
     assert np.abs(timing["device"] + feed._offset - timing["stamp"]).max() < 100_000
+
+
+@pytest.mark.skipif(not can_be_elsewhere(), reason="unshare cannot give a process another clock here (it takes root)")
+@pytest.mark.parametrize("host", ["elsewhere", socket.gethostname()])
+def test_the_clock_of_another_computer_is_corrected(name: str, host: str) -> None:
+    """Its clock is 5000 s ahead, truly so; that it may bear this computer's name deceives nobody."""
+    settings = {"source_id": name, "channels": list(MUSCLES)}
+    with process(host, **settings), reading(replace(EMG, source_id=name)) as feed:
+        wait_for(lambda: feed.count("out") > 2500 or feed.error is not None)
+    assert feed.error is None and not feed.problems and not feed.lost("out")
+    check(replace(EMG, source_id=name), feed)
+    timing = feed.data("timing")
+    ahead = (timing["device"] + feed._offset - timing["stamp"]) / NS
+    assert np.abs(ahead - 5000).max() < 1e-3
+    assert np.abs(np.diff(feed.time("out")) - 1_000_000).max() <= 1001, "no estimate of the clock makes a stamp leap"
 
 
 def test_a_sender_that_is_killed_and_started_again_is_found_and_the_loss_marked(name: str) -> None:

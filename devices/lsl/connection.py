@@ -27,6 +27,8 @@ MOST = 4096
 """Samples of one read."""
 SAME_CLOCK_S = 1e-3
 """Two clocks on hosts of one name that are so close are one clock, and what was measured is the measurement's error."""
+FRESH_S = 2.0
+"""Two computers of one name were hardly switched on so close together."""
 
 log = structlog.get_logger(__name__)
 
@@ -52,12 +54,16 @@ class Connection:
         return data, stamps
 
     def correction(self) -> float | None:
-        """What to add to the sender's stamps to have local ones (s), as measured last; None: it is being measured."""
+        """What to add to the sender's stamps to have local ones (s), as measured last; None: it is being measured from now on."""
         try:
             measured = float(self._inlet.time_correction(0.0))
         except RuntimeError:
-            return 0.0 if self._at_home else None
+            return None
         return 0.0 if self._at_home and abs(measured) < SAME_CLOCK_S else measured
+
+    def has_our_clock(self, stamp: float) -> bool:
+        """Whether the sender's clock is surely this computer's: a host of our name, and a sample that is of just now."""
+        return self._at_home and abs(self.lsl.local_clock() - stamp) < FRESH_S
 
     def connected_anew(self) -> bool:
         """Whether LSL lost the outlet and found it again since this was asked last."""

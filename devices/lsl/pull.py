@@ -47,9 +47,9 @@ class Pull:
     def run(self) -> None:
         """Emit what comes. Returns when told to stop; raises DeviceError when the stream is lost."""
         connection, feed = self._connection, self._feed
-        self._measure()
+        connection.correction()
         feed.ready()
-        heard, anew = time.monotonic(), False
+        heard, anew, known = time.monotonic(), False, False
         while not feed.stopped:
             data, stamps = connection.pull()
             now = time.monotonic()
@@ -57,34 +57,34 @@ class Pull:
                 anew = connection.connected_anew() or anew
             if len(stamps):
                 if anew:
-                    self._reconnected()
+                    feed.problem("connected anew")
+                    log.warning("LSL stream is back", name=connection.described.name, host=connection.described.host)
+                if anew or not known:
+                    known = self._learn_clock(float(stamps[-1]))
                 self._emit(data, stamps, anew)
-                time.sleep(
-                    0
-                )  # the graph's thread is awake by now, and cannot go on before we let go of the interpreter
+                time.sleep(0)  # lets go of the interpreter, for which the graph's thread is waiting
                 heard, anew = now, False
             elif now - heard > self._lost_after:
                 self._silent(now - heard)
                 heard = now
             self._look_after(now)
 
-    def _measure(self) -> None:
-        """Wait until it is known how the sender's clock stands."""
+    def _learn_clock(self, stamp: float) -> bool:
+        """Wait until it is known how the sender's clock stands, by which a sample has this stamp; returns whether it is."""
         deadline = time.monotonic() + MEASURE_S
         while (correction := self._connection.correction()) is None:
+            if self._connection.has_our_clock(stamp):
+                correction = 0.0
+                break
             if time.monotonic() > deadline:
                 raise DeviceError(
                     f"how the clock of {self._connection.described.host!r} stands could not be measured within {MEASURE_S:g} s;"
                     " does a firewall keep back UDP?"
                 )
             if self._feed.wait(0.01):
-                return
+                return False
         self._stamps.correct(correction, at_once=True)
-
-    def _reconnected(self) -> None:
-        self._feed.problem("connected anew")
-        log.warning("LSL stream is back", name=self._connection.described.name, host=self._connection.described.host)
-        self._measure()
+        return True
 
     def _emit(self, data: Array, stamps: Samples, anew: bool) -> None:
         """Hand over what a read brought; last of all, so that the graph's thread need not wait for what we still do."""
