@@ -70,10 +70,9 @@ def boxes_by_vectors(floats: Floats, books: Times, boxes: int, limit: np.float32
         stop = min(done + AT_ONCE, width)
         for i in range(done, stop):
             off = outside(load(floats, row), load(floats, row + LANES), one(floats, query + i))
-            if weighted:
-                total = add_weighted(total, off, zero, one(floats, weights + i))
-            else:
-                total = add_square(total, off, zero)
+            total = (
+                add_weighted(total, off, zero, one(floats, weights + i)) if weighted else add_square(total, off, zero)
+            )
             row += 2 * LANES
         if at_most(total, limit) == 0:
             return 0
@@ -121,8 +120,17 @@ def boxes_by_loops(floats: Floats, books: Times, boxes: int, limit: np.float32, 
 
 
 @kernel
+def lanes_at_most(floats: Floats, books: Times, limit: np.float32, at: int) -> int:
+    """The lanes of the 16 sums at place `at` that hold at most `limit`, as bits."""
+    if books[VECTOR]:
+        found: int = at_most(load(floats, at), limit)
+        return found
+    return bits_at_most(floats, limit, at)
+
+
+@kernel
 def bits_at_most(floats: Floats, limit: np.float32, at: int) -> int:
-    """The lanes of the 16 sums at place `at` that hold at most `limit`."""
+    """`lanes_at_most` by a plain loop."""
     found = 0
     for lane in range(LANES):
         if floats[at + lane] <= limit:

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from operators.neighbours.lanes import lowest
 from operators.neighbours.layout import (
     AT_NEAR,
     AT_REACH,
@@ -19,7 +20,6 @@ from operators.neighbours.layout import (
     WINDOW,
     Floats,
 )
-from operators.neighbours.lanes import lowest
 from operators.neighbours.search import radius_squared, search
 from operators.neighbours.window import insert, oldest, prepare, slot_of
 from stream.chunk import Array, Samples, Times
@@ -68,9 +68,7 @@ def take_marked(
 
 
 @kernel
-def follow(
-    floats: Floats, books: Times, x: Samples, band: int, radius: float, frames: Times, distances: Array
-) -> None:
+def follow(floats: Floats, books: Times, x: Samples, band: int, radius: float, frames: Times, distances: Array) -> None:
     """Insert each of `x` (n, width) with its `radius` (NaN: none), and write its nearest into `frames` and `distances` (n, k)."""
     reach = radius_squared(radius)
     for i in range(x.shape[0]):

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from operators.neighbours.follow import follow, take_marked, take_nearest
 from operators.neighbours.layout import (
-    AT_QUERY,
     AT_TILES,
     AT_WEIGHTS,
     LANES,
@@ -27,7 +26,7 @@ from operators.neighbours.layout import (
     clear,
 )
 from operators.neighbours.search import radius_squared, search
-from operators.neighbours.window import insert, oldest, prepare, slot_of
+from operators.neighbours.window import insert, prepare, slot_of
 from stream.chunk import Array, Samples, Times
 from stream.errors import KinegraphError
 from stream.state import pack, unpack
@@ -97,10 +96,12 @@ class Index:
         """Insert a frame (width,); returns its number. `radius` is its own, for `within(..., both=True)` of later frames."""
         s = self.state
         good = prepare(s.floats, s.books, self._row(x))
-        insert(s.floats, s.books, good, radius_squared(radius))
+        insert(s.floats, s.books, good, np.float32(radius_squared(float(radius))))
         return self.newest
 
-    def follow(self, x: ArrayLike, k: int, *, band: int = 0, radius: float = np.nan) -> tuple[NDArray[np.int64], Floats]:
+    def follow(
+        self, x: ArrayLike, k: int, *, band: int = 0, radius: float = np.nan
+    ) -> tuple[NDArray[np.int64], Floats]:
         """Insert many frames (n, width), and find the k nearest of each at its time, in one call.
 
         Returns frames (n, k) and distances (n, k); -1 and NaN where there are fewer than k.
@@ -110,7 +111,7 @@ class Index:
             raise NeighbourError(f"x has shape {rows.shape}; it must be (n, {self.width})")
         frames = np.empty((len(rows), self._few(k)), np.int64)
         distances = np.empty(frames.shape, np.float32)
-        follow(self.state.floats, self.state.books, rows, band, radius, frames, distances)
+        follow(self.state.floats, self.state.books, rows, band, float(radius), frames, distances)
         return frames, distances
 
     def nearest(self, k: int, x: ArrayLike | None = None, *, at: int | None = None, band: int = 0) -> Nearest:
@@ -143,7 +144,7 @@ class Index:
         self, radius: float, x: ArrayLike | None = None, *, at: int | None = None, band: int = 0, both: bool = True
     ) -> tuple[Times, Floats, Array]:
         """As `within`, and (m, 2) bool: whether the frame is within `radius`, and whether `x` is within the frame's own radius."""
-        s, within = self.state, radius_squared(radius)
+        s, within = self.state, np.float32(radius_squared(float(radius)))
         at, good = self._ask(x, at)
         marked = search(s.floats, s.books, at, band, 0, within, both) if good else 0
         frames, distances = np.empty(marked, np.int64), np.empty(marked, np.float32)
@@ -209,5 +210,3 @@ def set_weights(state: IndexState, weights: Samples | Sequence[float]) -> None:
     start = int(state.books[AT_WEIGHTS])
     state.floats[start : start + len(row)] = row
     state.books[WEIGHTED] = bool((row != 1.0).any())
-
-

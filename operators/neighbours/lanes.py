@@ -7,9 +7,10 @@ would give.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, cast
 
-from llvmlite import ir
+from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, models, register_model
@@ -21,20 +22,25 @@ _i64: Any = ir.IntType(64)
 _vector: Any = ir.VectorType(_f32, LANES)
 
 
-class Lanes(types.Type):  # type: ignore[misc]
+class Lanes(types.Type):
     """Numba's type of sixteen float32."""
 
     def __init__(self) -> None:
-        super().__init__(name="Lanes16")
+        cast(Any, super()).__init__(name="Lanes16")
 
 
-lanes_type = Lanes()
+lanes_type: Any = cast(Any, Lanes)()
 
 
-@register_model(Lanes)  # type: ignore[untyped-decorator]
-class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
+@register_model(Lanes)
+class _LanesModel(models.PrimitiveModel):
     def __init__(self, dmm: Any, fe_type: Any) -> None:
-        super().__init__(dmm, fe_type, _vector)
+        cast(Any, super()).__init__(dmm, fe_type, _vector)
+
+
+def primitive(define: Callable[..., Any]) -> Any:
+    """Something that kernels can call, made of LLVM instructions; `define` gives its type and what writes them."""
+    return intrinsic(define)
 
 
 def _place(context: Any, builder: Any, array_type: Any, array: Any, at: Any) -> Any:
@@ -50,7 +56,7 @@ def _splat(builder: Any, scalar: Any) -> Any:
     )
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@primitive
 def load(typing: Any, array: Any, at: Any) -> Any:
     """Sixteen numbers of a flat float32 array, from place `at` on."""
 
@@ -60,7 +66,7 @@ def load(typing: Any, array: Any, at: Any) -> Any:
     return lanes_type(array, types.int64), make
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@primitive
 def one(typing: Any, array: Any, at: Any) -> Any:
     """One number of a flat float32 array, at a place that is not negative (a plain index has to be asked for that)."""
 
@@ -71,7 +77,7 @@ def one(typing: Any, array: Any, at: Any) -> Any:
     return types.float32(array, types.int64), make
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@primitive
 def store(typing: Any, array: Any, at: Any, value: Any) -> Any:
     """Put sixteen numbers into a flat float32 array, from place `at` on."""
 
@@ -82,7 +88,7 @@ def store(typing: Any, array: Any, at: Any, value: Any) -> Any:
     return types.void(array, types.int64, lanes_type), make
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@primitive
 def add_square(typing: Any, total: Any, x: Any, q: Any) -> Any:
     """`total` + (x - q)^2 in every lane; q is one number."""
 
@@ -93,7 +99,7 @@ def add_square(typing: Any, total: Any, x: Any, q: Any) -> Any:
     return lanes_type(lanes_type, lanes_type, types.float32), make
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@primitive
 def add_weighted(typing: Any, total: Any, x: Any, q: Any, w: Any) -> Any:
     """`total` + (w (x - q)) (x - q) in every lane; q and w are one number each."""
 
@@ -108,7 +114,7 @@ def _larger(builder: Any, a: Any, b: Any) -> Any:
     return builder.select(builder.fcmp_ordered(">", a, b), a, b)
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@primitive
 def outside(typing: Any, low: Any, high: Any, q: Any) -> Any:
     """How far the number q lies outside of `low` .. `high`, in every lane; 0 inside."""
 
@@ -120,7 +126,7 @@ def outside(typing: Any, low: Any, high: Any, q: Any) -> Any:
     return lanes_type(lanes_type, lanes_type, types.float32), make
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@primitive
 def at_most(typing: Any, total: Any, limit: Any) -> Any:
     """The lanes that hold at most `limit` (one number), as the bits of a whole number."""
 
@@ -131,14 +137,34 @@ def at_most(typing: Any, total: Any, limit: Any) -> Any:
     return types.int64(lanes_type, types.float32), make
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@primitive
 def lowest(typing: Any, bits: Any) -> Any:
     """The place of the lowest bit that is set, of a number that is not 0."""
 
     def make(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        count = cgutils.get_or_insert_function(
+        count = cast(Any, cgutils).get_or_insert_function(
             builder.module, ir.FunctionType(_i64, [_i64, ir.IntType(1)]), "llvm.cttz.i64"
         )
         return builder.call(count, [args[0], ir.Constant(ir.IntType(1), 1)])
 
     return types.int64(types.int64), make
+
+
+@primitive
+def bits_of(typing: Any, value: Any) -> Any:
+    """The bits of a float32 as a whole number: of two numbers that are not negative, the larger has the larger."""
+
+    def make(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.zext(builder.bitcast(args[0], ir.IntType(32)), _i64)
+
+    return types.int64(types.float32), make
+
+
+@primitive
+def number_of(typing: Any, bits: Any) -> Any:
+    """The float32 that has these bits."""
+
+    def make(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.bitcast(builder.trunc(args[0], ir.IntType(32)), _f32)
+
+    return types.float32(types.int64), make

@@ -32,17 +32,20 @@ LARGEST = 1e18
 
 NO_REACH = -1.0
 
-NAMES = (
-    "WIDTH WINDOW MOST BLOCK BLOCKS SLOTS GROUPS TOPS VECTOR WEIGHTED "
-    "AT_WEIGHTS AT_QUERY AT_SCRATCH AT_KEYS AT_NEAR AT_SQUARED AT_REACH AT_GROUP_REACH AT_TILES AT_GROUPS AT_TOPS "
-    "IN_FRAMES IN_PLACES IN_ALIVE IN_GROUP_ALIVE IN_TABLE IN_ORDER IN_SORTED IN_NEAR IN_WARM IN_SEEN IN_MARKS "
-    "NEXT SINCE NEAR WARM WARM_AT QUERIES PLAIN SPARE SEAL STAGE SIZE FROM PART AXIS PACE"
-).split()
+NAMES = [
+    "WIDTH", "WINDOW", "MOST", "BLOCK", "BLOCKS", "SLOTS", "GROUPS", "TOPS", "VECTOR", "WEIGHTED",
+    "AT_WEIGHTS", "AT_QUERY", "AT_SCRATCH", "AT_KEYS", "AT_NEAR", "AT_WARM", "AT_SQUARED", "AT_REACH",
+    "AT_GROUP_REACH", "AT_TILES", "AT_GROUPS", "AT_TOPS",
+    "IN_FRAMES", "IN_PLACES", "IN_ALIVE", "IN_GROUP_ALIVE", "IN_TABLE", "IN_ORDER", "IN_SORTED", "IN_NEAR",
+    "IN_KEYS", "IN_WARM", "IN_SUMS", "IN_SEEN", "IN_MARKS",
+    "NEXT", "SINCE", "NEAR", "FOUND", "WARM", "WARM_AT", "QUERIES", "PLAIN", "SPARE", "SEAL", "STAGE",
+    "SIZE", "FROM", "PART", "AXIS", "PACE",
+]  # fmt: skip
 (
     WIDTH, WINDOW, MOST, BLOCK, BLOCKS, SLOTS, GROUPS, TOPS, VECTOR, WEIGHTED,
-    AT_WEIGHTS, AT_QUERY, AT_SCRATCH, AT_KEYS, AT_NEAR, AT_SQUARED, AT_REACH, AT_GROUP_REACH, AT_TILES, AT_GROUPS, AT_TOPS,
-    IN_FRAMES, IN_PLACES, IN_ALIVE, IN_GROUP_ALIVE, IN_TABLE, IN_ORDER, IN_SORTED, IN_NEAR, IN_WARM, IN_SEEN, IN_MARKS,
-    NEXT, SINCE, NEAR, WARM, WARM_AT, QUERIES, PLAIN, SPARE, SEAL, STAGE, SIZE, FROM, PART, AXIS, PACE,
+    AT_WEIGHTS, AT_QUERY, AT_SCRATCH, AT_KEYS, AT_NEAR, AT_WARM, AT_SQUARED, AT_REACH, AT_GROUP_REACH, AT_TILES, AT_GROUPS, AT_TOPS,
+    IN_FRAMES, IN_PLACES, IN_ALIVE, IN_GROUP_ALIVE, IN_TABLE, IN_ORDER, IN_SORTED, IN_NEAR, IN_KEYS, IN_WARM, IN_SUMS, IN_SEEN, IN_MARKS,
+    NEXT, SINCE, NEAR, FOUND, WARM, WARM_AT, QUERIES, PLAIN, SPARE, SEAL, STAGE, SIZE, FROM, PART, AXIS, PACE,
 ) = range(len(NAMES))  # fmt: skip
 """
 WIDTH, WINDOW, MOST      features, frames in the window, the largest k
@@ -52,7 +55,9 @@ VECTOR, WEIGHTED         whether the vector path is used; whether any weight dif
 AT_WEIGHTS, AT_QUERY     (width,)         the weights; the frame that is inserted or asked about
 AT_SCRATCH               (3, 16)          sums of a top, a group, a tile
 AT_KEYS                  (block,)         the feature by which a part of a block is being sorted
-AT_NEAR, IN_NEAR         (most,)          squared distances and frames of the nearest: a heap, then in order
+AT_NEAR, IN_NEAR         (most,)          squared distances and frames of the nearest, in order
+IN_KEYS                  (room_for(most),)  candidates, FOUND of them: the bits of d2, then the number counted from the oldest
+AT_WARM, IN_SUMS         (most, 16), (tiles,)  the sums of the tiles that were looked into first; where there those of each tile stand
 AT_SQUARED               (blocks * block,)   squared distance of a frame that was marked, by its number modulo that length
 AT_REACH, AT_GROUP_REACH (slots,), (groups,) square of every frame's own radius, -1: none; the largest of each group
 AT_TILES                 (tiles, 1 + width, 16)
@@ -69,6 +74,11 @@ NEAR                     how many of the nearest are known
 PLAIN                    for how many more queries the boxes are left aside
 SPARE, SEAL, ..., PACE   the spare block, the block being sealed (-1: none), how far that is, and the steps done with every frame
 """
+
+
+def room_for(most: int) -> int:
+    """Room for candidates: enough for several times those that are wanted, so that they seldom have to be sifted."""
+    return 3 * most + 64
 
 
 @dataclass(slots=True)
@@ -93,13 +103,14 @@ def allocate(width: int, window: int, most: int, *, vector: bool = True) -> Inde
         "PACE": _pace(width) if sealed else 0,
     }  # fmt: skip
     floats = {
-        "AT_WEIGHTS": width, "AT_QUERY": width, "AT_SCRATCH": 3 * LANES, "AT_KEYS": block, "AT_NEAR": most,
+        "AT_WEIGHTS": width, "AT_QUERY": width, "AT_SCRATCH": 3 * LANES, "AT_KEYS": block, "AT_NEAR": most, "AT_WARM": most * LANES,
         "AT_SQUARED": ring, "AT_REACH": slots, "AT_GROUP_REACH": groups,
         "AT_TILES": tiles * (1 + width) * LANES, "AT_GROUPS": groups * rows * LANES, "AT_TOPS": tops * rows * LANES,
     }  # fmt: skip
     books = {
         "IN_FRAMES": slots, "IN_PLACES": slots, "IN_ALIVE": tiles, "IN_GROUP_ALIVE": groups, "IN_TABLE": blocks,
-        "IN_ORDER": block, "IN_SORTED": block, "IN_NEAR": most, "IN_WARM": most, "IN_SEEN": tiles, "IN_MARKS": ring // 64,
+        "IN_ORDER": block, "IN_SORTED": block, "IN_NEAR": most, "IN_KEYS": room_for(most), "IN_WARM": most,
+        "IN_SUMS": tiles, "IN_SEEN": tiles, "IN_MARKS": ring // 64,
     }  # fmt: skip
     places, float_count = _lay_out(floats, 0)
     more, book_count = _lay_out(books, -(-len(NAMES) // LANES) * LANES)

@@ -90,7 +90,7 @@ def seal_step(floats: Floats, books: Times) -> None:
 def member(books: Times, i: int) -> int:
     """The place of the lane's first number of the i-th frame, in the order reached so far, of the block that is being sealed."""
     slot = books[SEAL] * books[BLOCK] + books[books[IN_ORDER] + i]
-    return books[AT_TILES] + slot // LANES * (1 + books[WIDTH]) * LANES + slot % LANES
+    return int(books[AT_TILES] + slot // LANES * (1 + books[WIDTH]) * LANES + slot % LANES)
 
 
 @kernel

@@ -13,8 +13,8 @@ import math
 
 import numpy as np
 
-from operators.neighbours.distance import box_distances, tile_distances
-from operators.neighbours.lanes import lowest
+from operators.neighbours.distance import box_distances, lanes_at_most, tile_distances
+from operators.neighbours.lanes import bits_of, lowest, number_of
 from operators.neighbours.layout import (
     AT_GROUP_REACH,
     AT_GROUPS,
@@ -23,15 +23,20 @@ from operators.neighbours.layout import (
     AT_SCRATCH,
     AT_SQUARED,
     AT_TOPS,
+    AT_WARM,
     BLOCK,
     BLOCKS,
+    FOUND,
     GROUPS,
     IN_FRAMES,
+    IN_KEYS,
     IN_MARKS,
     IN_NEAR,
     IN_SEEN,
+    IN_SUMS,
     IN_WARM,
     LANES,
+    MOST,
     NEAR,
     NEXT,
     PLAIN,
@@ -47,6 +52,9 @@ from operators.neighbours.layout import (
 from operators.neighbours.window import oldest, slot_of, tile_at
 from stream.chunk import Times
 from stream.kernel import kernel
+
+NOTHING = np.float32(-1.0)
+"""A limit that no distance keeps."""
 
 FARTHEST = np.float32(np.finfo(np.float32).max)
 """No limit: everything but infinity, which is what lanes without a living frame hold."""
@@ -66,57 +74,82 @@ def search(floats: Floats, books: Times, at: int, band: int, k: int, within: np.
 
     As the frame asked about is usually the newest, `at` is its number; else any.
     """
-    books[NEAR] = 0
+    books[FOUND] = 0
     books[QUERIES] += 1
-    marked = 0
+    marked, looked = 0, 0
+    limit = FARTHEST if k > 0 else NOTHING
     if k > 0:
-        marked = visit_successors(floats, books, at, band, k, within, both)
-    looked = 0
+        limit, marked = visit_successors(floats, books, at, band, k, within, both)
     if books[PLAIN] > 0:
         books[PLAIN] -= 1
-        marked += visit_all(floats, books, at, band, k, within, both)
+        marked += visit_all(floats, books, limit, at, band, k, within, both)
     else:
-        found, looked = visit_boxes(floats, books, at, band, k, within, both)
+        found, looked = visit_boxes(floats, books, limit, at, band, k, within, both)
         marked += found
         if looked * LANES > MOST_SURVIVE * min(books[WINDOW], books[NEXT] - books[SINCE]):
             books[PLAIN] = PLAIN_FOR
-    if k > 0:
-        put_in_order(floats, books)
+    put_in_order(floats, books, k)
+    if books[NEAR]:
         for i in range(books[NEAR]):
             books[books[IN_WARM] + i] = books[books[IN_NEAR] + i]
-        if books[NEAR]:
-            books[WARM], books[WARM_AT] = books[NEAR], at
+        books[WARM], books[WARM_AT] = books[NEAR], at
     return marked
-
-
-@kernel
-def nearest_limit(floats: Floats, books: Times, k: int) -> np.float32:
-    """Only what is at most so far can be among the k nearest."""
-    if books[NEAR] < k:
-        return FARTHEST
-    return floats[books[AT_NEAR]] if k > 0 else np.float32(-1.0)
 
 
 @kernel
 def visit_successors(
     floats: Floats, books: Times, at: int, band: int, k: int, within: np.float32, both: bool
-) -> int:
-    """Look into the tiles of the frames that came after the nearest of the query before."""
-    first, last = oldest(books), books[NEXT]
-    later = at - books[WARM_AT]
-    marked = 0
+) -> tuple[np.float32, int]:
+    """Look into the tiles of the frames that came after the nearest of the query before; returns a limit for d2, and how many were marked.
+
+    Where k such frames live, none of the k nearest is farther than the farthest of them.
+    """
+    first, last, later = oldest(books), books[NEXT], at - books[WARM_AT]
+    tiles, successors = 0, 0
+    limit = np.float32(0.0)
     for i in range(books[WARM]):
         frame = books[books[IN_WARM] + i] + later
-        if first <= frame < last:
-            tile = slot_of(books, frame) // LANES
-            if books[books[IN_SEEN] + tile] != books[QUERIES]:
-                marked += visit_tile(floats, books, tile, at, band, k, within, both)
-    return marked
+        if not first <= frame < last:
+            continue
+        slot = slot_of(books, frame)
+        tile = slot // LANES
+        if books[books[IN_SEEN] + tile] != books[QUERIES]:
+            sums = books[AT_WARM] + tiles * LANES
+            books[books[IN_SEEN] + tile] = books[QUERIES]
+            books[books[IN_SUMS] + tile] = sums
+            books[books[IN_KEYS] + tiles] = tile
+            if tile_distances(floats, books, tile_at(books, tile), FARTHEST, sums) == 0:
+                blank(floats, sums)
+            tiles += 1
+        squared = floats[books[books[IN_SUMS] + tile] + slot % LANES]
+        if squared <= FARTHEST and abs(frame - at) > band:
+            limit = max(limit, squared)
+            successors += 1
+    if successors < k:
+        limit = FARTHEST
+    marked = 0
+    for i in range(tiles):
+        books[books[IN_NEAR] + i] = books[books[IN_KEYS] + i]
+    for i in range(tiles):
+        tile = books[books[IN_NEAR] + i]
+        sums = books[AT_WARM] + i * LANES
+        radius = max(within, floats[books[AT_GROUP_REACH] + tile // LANES]) if both else within
+        lanes = lanes_at_most(floats, books, max(limit, radius), sums)
+        limit, found = gather(floats, books, limit, tile, lanes, sums, at, band, k, within, both)
+        marked += found
+    return limit, marked
+
+
+@kernel
+def blank(floats: Floats, sums: int) -> None:
+    """16 sums of which none is near."""
+    for lane in range(LANES):
+        floats[sums + lane] = math.inf
 
 
 @kernel
 def visit_boxes(
-    floats: Floats, books: Times, at: int, band: int, k: int, within: np.float32, both: bool
+    floats: Floats, books: Times, limit: np.float32, at: int, band: int, k: int, within: np.float32, both: bool
 ) -> tuple[int, int]:
     """Look into all tiles whose box, and whose group's box, is near enough; returns how many frames were marked, tiles seen."""
     top_sums, group_sums = books[AT_SCRATCH], books[AT_SCRATCH] + LANES
@@ -124,31 +157,32 @@ def visit_boxes(
     marked, looked = 0, 0
     radius = farthest_reach(floats, books, within) if both else within
     for top in range(books[TOPS]):
-        limit = max(nearest_limit(floats, books, k), radius)
-        groups = box_distances(floats, books, books[AT_TOPS] + top * stride, limit, top_sums)
+        groups = box_distances(floats, books, books[AT_TOPS] + top * stride, max(limit, radius), top_sums)
         while groups:
             lane = lowest(groups)
             groups &= groups - 1
             group = top * LANES + lane
             own = max(within, floats[books[AT_GROUP_REACH] + group]) if both else within
-            limit = max(nearest_limit(floats, books, k), own)
-            if floats[top_sums + lane] > limit:
+            if floats[top_sums + lane] > max(limit, own):
                 continue
-            tiles = box_distances(floats, books, books[AT_GROUPS] + group * stride, limit, group_sums)
+            tiles = box_distances(floats, books, books[AT_GROUPS] + group * stride, max(limit, own), group_sums)
             while tiles:
                 lane = lowest(tiles)
                 tiles &= tiles - 1
                 tile = group * LANES + lane
-                if floats[group_sums + lane] > max(nearest_limit(floats, books, k), own):
+                if floats[group_sums + lane] > max(limit, own):
                     continue
                 looked += 1
                 if books[books[IN_SEEN] + tile] != books[QUERIES]:
-                    marked += visit_tile(floats, books, tile, at, band, k, within, both)
+                    limit, found = visit_tile(floats, books, limit, tile, at, band, k, within, both)
+                    marked += found
     return marked, looked
 
 
 @kernel
-def visit_all(floats: Floats, books: Times, at: int, band: int, k: int, within: np.float32, both: bool) -> int:
+def visit_all(
+    floats: Floats, books: Times, limit: np.float32, at: int, band: int, k: int, within: np.float32, both: bool
+) -> int:
     """Look into every tile that holds a living frame, whatever its box."""
     stride = (1 + 2 * books[WIDTH]) * LANES
     marked = 0
@@ -158,7 +192,8 @@ def visit_all(floats: Floats, books: Times, at: int, band: int, k: int, within: 
         for tile in range(group * LANES, (group + 1) * LANES):
             alive = floats[books[AT_GROUPS] + group * stride + tile % LANES] == 0.0
             if alive and books[books[IN_SEEN] + tile] != books[QUERIES]:
-                marked += visit_tile(floats, books, tile, at, band, k, within, both)
+                limit, found = visit_tile(floats, books, limit, tile, at, band, k, within, both)
+                marked += found
     return marked
 
 
@@ -172,16 +207,44 @@ def farthest_reach(floats: Floats, books: Times, within: np.float32) -> np.float
 
 @kernel
 def visit_tile(
-    floats: Floats, books: Times, tile: int, at: int, band: int, k: int, within: np.float32, both: bool
-) -> int:
-    """Offer the frames of a tile; returns how many were marked."""
-    books[books[IN_SEEN] + tile] = books[QUERIES]
+    floats: Floats,
+    books: Times,
+    limit: np.float32,
+    tile: int,
+    at: int,
+    band: int,
+    k: int,
+    within: np.float32,
+    both: bool,
+) -> tuple[np.float32, int]:
+    """Gather the frames of a tile that are near enough; returns the limit that holds from now on, and how many were marked."""
     sums = books[AT_SCRATCH] + 2 * LANES
     radius = max(within, floats[books[AT_GROUP_REACH] + tile // LANES]) if both else within
-    limit = max(nearest_limit(floats, books, k), radius)
-    lanes = tile_distances(floats, books, tile_at(books, tile), limit, sums)
+    lanes = tile_distances(floats, books, tile_at(books, tile), max(limit, radius), sums)
+    if lanes == 0:
+        return limit, 0
+    return gather(floats, books, limit, tile, lanes, sums, at, band, k, within, both)
+
+
+@kernel
+def gather(
+    floats: Floats,
+    books: Times,
+    limit: np.float32,
+    tile: int,
+    lanes: int,
+    sums: int,
+    at: int,
+    band: int,
+    k: int,
+    within: np.float32,
+    both: bool,
+) -> tuple[np.float32, int]:
+    """Keep the frames in some lanes of a tile as candidates for the nearest (d2 <= `limit`), and mark those within a radius."""
     marked = 0
-    while lanes:
+    for _ in range(LANES):
+        if lanes == 0:
+            break
         lane = lowest(lanes)
         lanes &= lanes - 1
         slot = tile * LANES + lane
@@ -189,68 +252,72 @@ def visit_tile(
         if abs(frame - at) <= band:
             continue
         squared = floats[sums + lane]
-        if k > 0:
-            offer(floats, books, k, squared, frame)
+        if squared <= limit:
+            books[books[IN_KEYS] + books[FOUND]] = bits_of(squared) << 32 | (frame - oldest(books))
+            books[FOUND] += 1
+            if books[FOUND] == 3 * books[MOST] + 64:
+                sift(books, k)
+                limit = number_of(books[books[IN_KEYS] + k - 1] >> 32)
         if squared <= within or (both and squared <= floats[books[AT_REACH] + slot]):
             place = frame % (books[BLOCKS] * books[BLOCK])
             floats[books[AT_SQUARED] + place] = squared
             books[books[IN_MARKS] + place // 64] |= 1 << (place % 64)
             marked += 1
-    return marked
+    return limit, marked
 
 
 @kernel
-def offer(floats: Floats, books: Times, k: int, squared: np.float32, frame: int) -> None:
-    """Take a frame into the heap of the nearest, the farthest of which is at its top, if it is near enough."""
-    near, frames, count = books[AT_NEAR], books[IN_NEAR], books[NEAR]
-    if count == k:
-        if before(floats[near], books[frames], squared, frame):
-            return
-        sink(floats, books, k, squared, frame)
-        return
-    i = count
-    while i > 0:
-        parent = (i - 1) // 2
-        if not before(floats[near + parent], books[frames + parent], squared, frame):
+def sift(books: Times, k: int) -> None:
+    """Keep the k smallest of all candidates' keys, of which there are more, the largest of these at place k - 1 (Hoare's quickselect)."""
+    keys = books[IN_KEYS]
+    low, high = keys, keys + books[FOUND] - 1
+    wanted = keys + k - 1
+    while low < high:
+        pivot = books[(low + high) // 2]
+        i, j = low, high
+        while i <= j:
+            while books[i] < pivot:
+                i += 1
+            while books[j] > pivot:
+                j -= 1
+            if i <= j:
+                books[i], books[j] = books[j], books[i]
+                i += 1
+                j -= 1
+        if wanted <= j:
+            high = j
+        elif wanted >= i:
+            low = i
+        else:
             break
-        floats[near + i], books[frames + i] = floats[near + parent], books[frames + parent]
-        i = parent
-    floats[near + i], books[frames + i] = squared, frame
-    books[NEAR] = count + 1
+    books[FOUND] = k
+
+
+COUNTED = 96
+"""Up to so many keys are put in order by counting, for each, those that are smaller: no branches, so faster than a sort."""
 
 
 @kernel
-def before(squared: np.float32, frame: int, other_squared: np.float32, other_frame: int) -> bool:
-    """Whether a frame comes before another: it is nearer, or as near and older."""
-    return squared < other_squared or (squared == other_squared and frame < other_frame)
-
-
-@kernel
-def sink(floats: Floats, books: Times, count: int, squared: np.float32, frame: int) -> None:
-    """Put an entry in place of the top of a heap of `count`, and let it sink to where it belongs."""
-    near, frames = books[AT_NEAR], books[IN_NEAR]
-    i = 0
-    while 2 * i + 1 < count:
-        child = 2 * i + 1
-        if child + 1 < count and before(
-            floats[near + child], books[frames + child], floats[near + child + 1], books[frames + child + 1]
-        ):
-            child += 1
-        if not before(squared, frame, floats[near + child], books[frames + child]):
-            break
-        floats[near + i], books[frames + i] = floats[near + child], books[frames + child]
-        i = child
-    floats[near + i], books[frames + i] = squared, frame
-
-
-@kernel
-def put_in_order(floats: Floats, books: Times) -> None:
-    """Turn the heap into a list, the nearest first."""
-    near, frames = books[AT_NEAR], books[IN_NEAR]
-    for last in range(books[NEAR] - 1, 0, -1):
-        squared, frame = floats[near + last], books[frames + last]
-        floats[near + last], books[frames + last] = floats[near], books[frames]
-        sink(floats, books, last, squared, frame)
+def put_in_order(floats: Floats, books: Times, k: int) -> None:
+    """The k smallest keys become the list of the nearest."""
+    if books[FOUND] > COUNTED and books[FOUND] > k:
+        sift(books, k)
+    count = books[FOUND]
+    first = oldest(books)
+    keys = books[books[IN_KEYS] : books[IN_KEYS] + count]
+    books[NEAR] = min(count, k)
+    if count > COUNTED:
+        keys.sort()
+    for i in range(count):
+        key = keys[i]
+        rank = i
+        if count <= COUNTED:
+            rank = 0
+            for j in range(count):
+                rank += keys[j] < key
+        if rank < k:
+            floats[books[AT_NEAR] + rank] = number_of(key >> 32)
+            books[books[IN_NEAR] + rank] = first + (key & 0xFFFFFFFF)
 
 
 @kernel

@@ -38,7 +38,7 @@ from stream.kernel import kernel
 @kernel
 def oldest(books: Times) -> int:
     """The number of the oldest frame in the window (of the next one, if it is empty)."""
-    return max(books[SINCE], books[NEXT] - books[WINDOW])
+    return int(max(books[SINCE], books[NEXT] - books[WINDOW]))
 
 
 @kernel
@@ -46,13 +46,13 @@ def slot_of(books: Times, frame: int) -> int:
     """Where a frame of the window is kept."""
     block = books[BLOCK]
     stands = books[books[IN_TABLE] + frame // block % books[BLOCKS]]
-    return books[books[IN_PLACES] + stands * block + frame % block]
+    return int(books[books[IN_PLACES] + stands * block + frame % block])
 
 
 @kernel
 def tile_at(books: Times, tile: int) -> int:
     """The place of a tile in `floats`."""
-    return books[AT_TILES] + tile * (1 + books[WIDTH]) * LANES
+    return int(books[AT_TILES] + tile * (1 + books[WIDTH]) * LANES)
 
 
 @kernel
