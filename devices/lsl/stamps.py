@@ -16,8 +16,8 @@ EVEN = 0.25
 """A step between samples is even if it is within this share of a period."""
 STEADY_S = 1.0
 """After so long with even steps alone, a leap by whole periods is that many samples lost."""
-OLDEST_S, NEWEST_S = 3600.0, 10.0
-"""A stamp further before its arrival, or further after, is not of LSL's clock."""
+OLDEST_S, NEWEST_S = 3600.0, 1.0
+"""A stamp further before its arrival, or further after, is not of LSL's clock. One from the future holds up all that follow it."""
 NOTICED_NS = 1000
 """A stamp that runs back by less is a rounding error."""
 

@@ -90,7 +90,9 @@ class Walk:
         self._scale = UNITS.get(of.unit, 1.0)
 
     def say(self, start: int, stop: int) -> list[bytes]:
-        """The packets of samples start..stop-1."""
+        """The packets of samples start..stop-1; none is empty."""
+        if stop <= start:
+            return []
         if self._of.markers:
             return self._markers(start, stop)
         if not self._of.rate_hz:
