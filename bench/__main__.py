@@ -11,14 +11,14 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from bench import paced, recorder, replay, start, throughput
+from bench import depth, paced, recorder, replay, start, throughput
 from bench.engines import Field
 from bench.report import Section, into_readme, whole
 
 README = Path(__file__).resolve().parent.parent / "README.md"
 BUSY = 0.5
 """Beyond this load average at the start, the report says that the machine was busy."""
-MEASURES = ("overhead", "chain", "sizes", "paced", "recorder", "start", "replay")
+MEASURES = ("overhead", "chain", "sizes", "paced", "recorder", "depth", "start", "replay")
 
 
 def main() -> None:
@@ -53,6 +53,7 @@ def measures(field: Field, *, quick: bool, hours: float) -> dict[str, Callable[[
             "sizes": lambda: throughput.every_chunk_size(field, [1, 7, 97], 1000),
             "paced": lambda: paced.paced(field, 1, 0.3),
             "recorder": lambda: recorder.recorder(500),
+            "depth": lambda: depth.depth(2),
             "start": lambda: start.start(1),
             "replay": lambda: replay.replay(0.02, 36.0),
         }
@@ -62,6 +63,7 @@ def measures(field: Field, *, quick: bool, hours: float) -> dict[str, Callable[[
         "sizes": lambda: throughput.every_chunk_size(field, list(range(1, 1001)), 6000),
         "paced": lambda: paced.paced(field, 4, 4.5),
         "recorder": lambda: recorder.recorder(20_000),
+        "depth": lambda: depth.depth(100),
         "start": lambda: start.start(5),
         "replay": lambda: replay.replay(hours),
     }

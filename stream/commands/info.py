@@ -61,6 +61,7 @@ def facts(recording: Recording) -> dict[str, Any]:
 def _stream_facts(stream: RecordedStream) -> dict[str, Any]:
     return {
         "role": stream.role,
+        "kept": stream.kept,
         **stream.spec.to_json(),
         **{
             name: getattr(stream, name)
@@ -134,7 +135,7 @@ def _streams(recording: Recording) -> Table:
                 str(s.gaps),
                 str(s.lost),
                 str(s.dropped),
-                s.spec.describe(),
+                s.spec.describe() + (" (not recorded, only when they came)" if s.kept == "outline" else ""),
             )
         )
     return table

@@ -19,6 +19,7 @@ from stream.graph import Edge, Graph
 from stream.recording import Recorder, Recording, versions
 from stream.recording.image import is_picture
 from stream.recording.joined import joinable, joined
+from stream.recording.packed import Packer
 
 FOLD_EVERY = 1000
 """Chunks between two foldings of the durations."""
@@ -111,6 +112,8 @@ class Replay:
     def run(self, progress: Callable[[float], None] = lambda done_s: None) -> Replayed:
         """Feed the whole recording; `progress` is told the seconds of session time that are done."""
         warm_up(self.graph)
+        if any(stream.kept == "packed" for stream in self.recording.streams.values()):
+            Packer()
         recorder = self._open_output()
         result = Replayed()
         computed = self._listen()

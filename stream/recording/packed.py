@@ -25,7 +25,7 @@ LEVEL = 1
 
 
 class Packer:
-    """Packs frames, one after the other, on one thread. Making one compiles (or loads) the kernel."""
+    """Packs frames, one after the other, on one thread. Making one compiles (or loads) both kernels, so that nothing compiles later."""
 
     def __init__(self) -> None:
         from stream.recording.planes import split
@@ -33,7 +33,7 @@ class Packer:
         self._split = split
         self._zstd = zstandard.ZstdCompressor(level=LEVEL)
         self._planes = np.empty((2, 0), np.uint8)
-        self.pack(0, 0, np.zeros((1, 2), np.uint16))
+        unpack(memoryview(self.pack(0, 0, np.zeros((1, 2), np.uint16))))
 
     def pack(self, index: int, stamp: int, frame: Array) -> bytes:
         """The message of a frame (height, width) uint16 at `stamp` ns."""
