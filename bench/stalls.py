@@ -14,7 +14,7 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from bench.report import table
+from stream.engine.stalls import FIRST_GENERATION, SWITCH_INTERVAL_S
 
 ROOT = Path(__file__).resolve().parent.parent
 BESIDE = ("nothing", "busy", "garbage")
@@ -32,23 +33,30 @@ BESIDE = ("nothing", "busy", "garbage")
 class Variant:
     """One setting of the rules.
 
-    freeze     what is alive at the start is frozen, and the first generation made larger
+    freeze     what is alive at the start is frozen
+    first      how many new objects set off a collection
     switch_ms  the switch interval
     nogil      the chain's kernels give up the interpreter's lock
     """
 
     name: str
     freeze: bool = True
-    switch_ms: float = 0.5
+    first: int = FIRST_GENERATION
+    switch_ms: float = SWITCH_INTERVAL_S * 1000
     nogil: bool = False
     due: dict[str, list[int]] = field(default_factory=dict)
 
 
 VARIANTS = [
-    Variant("as kinegraph sets it (0.5 ms, frozen, kernels hold the lock)"),
-    Variant("Python's own settings (5 ms, nothing frozen)", freeze=False, switch_ms=5.0),
-    Variant("garbage collection as it is", freeze=False),
+    Variant("as kinegraph sets it"),
+    Variant("Python's own settings", freeze=False, first=700, switch_ms=5.0),
+    Variant("nothing frozen", freeze=False),
+    Variant("a collection every 700 new objects", first=700),
+    Variant("a collection every 5 000 new objects", first=5_000),
+    Variant("a collection every 50 000 new objects", first=50_000),
     Variant("switch interval 5 ms", switch_ms=5.0),
+    Variant("switch interval 0.5 ms", switch_ms=0.5),
+    Variant("switch interval 0.2 ms", switch_ms=0.2),
     Variant("switch interval 0.1 ms", switch_ms=0.1),
     Variant("switch interval 0.02 ms", switch_ms=0.02),
     Variant("kernels release the lock", nogil=True),
@@ -59,29 +67,33 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=4.0, help="of every run")
     parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--only", default="", help="variants whose name holds this text")
+    parser.add_argument("--beside", nargs="+", choices=BESIDE, default=BESIDE)
     parser.add_argument("--one", help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.one:
         print(json.dumps(_one(**json.loads(given.one))))
     else:
-        print(measure(given.seconds, given.rounds))
+        print(measure(given.seconds, given.rounds, given.only, given.beside))
 
 
-def measure(seconds: float, rounds: int) -> str:
+def measure(seconds: float, rounds: int, only: str, neighbours: Sequence[str]) -> str:
     """The table: median, 99th percentile and maximum in ms, per setting and neighbour."""
+    variants = [v for v in VARIANTS if only in v.name]
     for _ in range(rounds):
-        for beside in BESIDE:
-            for v in VARIANTS:
+        for beside in neighbours:
+            for v in variants:
                 order = {
                     "freeze": v.freeze,
+                    "first": v.first,
                     "switch_ms": v.switch_ms,
                     "nogil": v.nogil,
                     "beside": beside,
                     "seconds": seconds,
                 }
                 v.due.setdefault(beside, []).extend(_ask(order))
-    header = ["", *(f"{name}: p50 / p99 / max ms" for name in BESIDE)]
-    rows = [[v.name, *(_cell(v.due[beside]) for beside in BESIDE)] for v in VARIANTS]
+    header = ["", *(f"{name}: p50 / p99 / max ms" for name in neighbours)]
+    rows = [[v.name, *(_cell(v.due[beside]) for beside in neighbours)] for v in variants]
     return table(header, rows)
 
 
@@ -97,7 +109,7 @@ def _ask(order: dict[str, Any]) -> list[int]:
     return due
 
 
-def _one(*, freeze: bool, switch_ms: float, nogil: bool, beside: str, seconds: float) -> list[int]:
+def _one(*, freeze: bool, first: int, switch_ms: float, nogil: bool, beside: str, seconds: float) -> list[int]:
     """One run in this process."""
     import structlog
 
@@ -108,9 +120,9 @@ def _one(*, freeze: bool, switch_ms: float, nogil: bool, beside: str, seconds: f
 
     structlog.configure(logger_factory=structlog.ReturnLoggerFactory())
     stalls.SWITCH_INTERVAL_S = switch_ms / 1000  # type: ignore[misc]
+    stalls.FIRST_GENERATION = first  # type: ignore[misc]
     if not freeze:
         gc.freeze = lambda: None
-        stalls.FIRST_GENERATION = gc.get_threshold()[0]  # type: ignore[misc]
     if nogil:
         _release_the_lock()
     order = {"style": SESSION, "chunk": 10, "paced": True}
