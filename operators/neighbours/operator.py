@@ -60,7 +60,8 @@ class Neighbours(Operator[NeighboursState]):
     ties: `docs/neighbours.md`. A frame with a bad value is nobody's neighbour. Weights or a radius that are not finite, or negative, are
     passed over.
 
-    No delay. Memory: some (4 width + 70) bytes per frame of the window, all of it from the start; nothing is ever rebuilt as a whole.
+    No delay. Memory: some (4.6 width + 50) bytes per frame of the window and some 1000 frames more, all of it from the start; nothing is
+    ever rebuilt as a whole.
     Source: thesis 2.3.1, which builds one kd-tree of a whole recording; here only what came before is searched, so that a pair is told
     once, when its later frame comes.
     """

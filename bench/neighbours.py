@@ -1,0 +1,258 @@
+"""`python -m bench.neighbours`: one frame in, its 32 nearest out, beside brute force, scipy's cKDTree and hnswlib; a table in Markdown.
+
+Every contender gets the same frames. Times are of one insertion and one query together, microseconds a frame, called from Python one frame
+at a time as a live graph would; median and 99th percentile. The longest insertion is in the thread's own time, without what other processes
+take. `--quick` leaves out the largest window.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bench.report import short, table
+from operators.neighbours import Index
+from operators.neighbours.follow import follow
+from stream.chunk import Array
+from stream.kernel import kernel
+
+K, BAND = 32, 30
+
+
+@kernel
+def row_major(window: Array, q: Array, at: int, filled: int, frames: Array, distances: Array) -> None:
+    """Brute force as one would write it: every row's distance, and the nearest kept in order."""
+    size = window.shape[0]
+    found = 0
+    for slot in range(min(size, filled)):
+        if (at - slot) % size <= BAND:
+            continue
+        total = np.float32(0.0)
+        for i in range(q.shape[0]):
+            off = window[slot, i] - q[i]
+            total += off * off
+        if found < K or total < distances[found - 1]:
+            j = min(found, K - 1)
+            while j > 0 and distances[j - 1] > total:
+                distances[j] = distances[j - 1]
+                frames[j] = frames[j - 1]
+                j -= 1
+            distances[j] = total
+            frames[j] = slot
+            found = min(found + 1, K)
+
+
+class Ours:
+    """The index, by the kernel that the operator calls."""
+
+    name = "kinegraph"
+
+    def __init__(self, first: Array) -> None:
+        self.index = Index(first.shape[1], len(first), K)
+        self.index.follow(first, K, band=BAND)
+        self.frames, self.distances = np.empty((1, K), np.int64), np.empty((1, K), np.float32)
+
+    def step(self, x: Array) -> None:
+        s = self.index.state
+        follow(s.floats, s.books, x[None], BAND, np.nan, self.frames, self.distances)
+
+    def insert(self, x: Array) -> None:
+        self.index.insert(x)
+
+
+class Brute:
+    """All rows, each time."""
+
+    name = "brute force (numba, row-major)"
+
+    def __init__(self, first: Array) -> None:
+        self.window = first.astype(np.float32)
+        self.at, self.filled = len(first) - 1, len(first)
+        self.frames, self.distances = np.empty(K, np.int64), np.empty(K, np.float32)
+
+    def step(self, x: Array) -> None:
+        self.at = (self.at + 1) % len(self.window)
+        self.window[self.at] = x
+        row_major(self.window, self.window[self.at], self.at, self.filled, self.frames, self.distances)
+
+
+class Rebuilt:
+    """A tree of the whole window, each time."""
+
+    name = "cKDTree rebuilt"
+
+    def __init__(self, first: Array) -> None:
+        self.window, self.at = first.copy(), len(first) - 1
+
+    def step(self, x: Array) -> None:
+        from scipy.spatial import cKDTree
+
+        self.at = (self.at + 1) % len(self.window)
+        self.window[self.at] = x
+        cKDTree(self.window).query(x, K + BAND + 1)
+
+
+class Tail:
+    """A tree rebuilt every 16th of the window; what came since is searched by numpy."""
+
+    name = "cKDTree every N/16 + tail"
+
+    def __init__(self, first: Array) -> None:
+        self.frames = list(first)
+        self.size, self.every = len(first), len(first) // 16
+        self.build()
+
+    def build(self) -> None:
+        from scipy.spatial import cKDTree
+
+        self.frames = self.frames[-self.size :]
+        self.tree, self.tail = cKDTree(np.array(self.frames)), np.empty((self.every, len(self.frames[0])))
+        self.filled = 0
+
+    def step(self, x: Array) -> None:
+        self.frames.append(x)
+        self.tail[self.filled] = x
+        self.filled += 1
+        near, _ = self.tree.query(x, K + BAND + 1)
+        off = self.tail[: self.filled] - x
+        np.sort(np.concatenate([near, np.sqrt((off * off).sum(1))]))[:K]
+        if self.filled == self.every:
+            self.build()
+
+
+class Hnsw:
+    """Approximate: a navigable graph, whose oldest frame gives its place to the newest."""
+
+    name = "hnswlib (approximate)"
+
+    def __init__(self, first: Array) -> None:
+        import hnswlib
+
+        self.graph: Any = hnswlib.Index("l2", first.shape[1])
+        self.graph.init_index(len(first) + 1, ef_construction=100, M=16, allow_replace_deleted=True)
+        self.graph.set_num_threads(1)
+        self.graph.set_ef(64)
+        self.graph.add_items(first, np.arange(len(first)))
+        self.next, self.size = len(first), len(first)
+
+    def step(self, x: Array) -> None:
+        self.graph.mark_deleted(self.next - self.size)
+        self.graph.add_items(x[None], np.array([self.next]), replace_deleted=True)
+        self.next += 1
+        self.graph.knn_query(x[None], K)
+
+
+def motion(n: int, width: int, seed: int = 0) -> Array:
+    """Six cyclic actions of three harmonics in random turn, with drifting speed and centre: an intrinsic dimension of about 5."""
+    rng = np.random.default_rng(seed)
+    actions = [(rng.normal(size=(6, width)), 0.5 * rng.normal(size=width), rng.uniform(0.6, 1.6)) for _ in range(6)]
+    harmonic = np.array([1.0, 2.0, 3.0])
+    x, at, phase = np.empty((n, width)), 0, 0.0
+    while at < n:
+        size = min(n - at, int(rng.uniform(300, 900)))
+        curve, centre, speed = actions[rng.integers(6)]
+        turn = phase + 2 * np.pi / 60 * np.cumsum(speed * (1 + 0.005 * np.cumsum(rng.normal(size=size))))
+        waves = np.concatenate([np.sin(np.outer(turn, harmonic)), np.cos(np.outer(turn, harmonic))], 1)
+        x[at : at + size] = centre + waves / np.tile(harmonic, 2) @ curve
+        at, phase = at + size, turn[-1]
+    drift = 0.01 * np.cumsum(rng.normal(size=(n, 4)), 0)
+    drift -= np.linspace(0, 1, n)[:, None] * drift[-1]
+    return x + 0.3 * drift @ rng.normal(size=(4, width)) + 0.02 * rng.normal(size=x.shape)
+
+
+def uniform(n: int, width: int, seed: int = 0) -> Array:
+    return np.random.default_rng(seed).random((n, width))
+
+
+@dataclass(slots=True)
+class Figure:
+    """Microseconds: median, 99th percentile, the longest."""
+
+    median: float
+    p99: float
+    longest: float
+
+    @staticmethod
+    def of(
+        step: Callable[[Array], None], frames: Array, budget_s: float, clock: Callable[[], float] = time.perf_counter
+    ) -> Figure:
+        """As many of `frames` as the budget lasts for; a few before do not count."""
+        took = []
+        end = time.perf_counter() + budget_s
+        for x in frames:
+            began = clock()
+            step(x)
+            took.append(clock() - began)
+            if time.perf_counter() > end and len(took) > 8:
+                break
+        us = np.array(took[min(5, len(took) // 3) :]) * 1e6
+        return Figure(float(np.median(us)), float(np.percentile(us, 99)), float(us.max()))
+
+    def __str__(self) -> str:
+        return f"{short(self.median)} / {short(self.p99)}"
+
+
+def contenders() -> list[type[Any]]:
+    found: list[type[Any]] = [Ours, Brute, Rebuilt, Tail]
+    try:
+        import hnswlib  # noqa: F401
+    except ImportError:
+        print("hnswlib is not installed, and left out")
+        return found
+    return [*found, Hnsw]
+
+
+def measure(windows: list[int], budget_s: float) -> str:
+    """The table; a contender that would take minutes to set up is left out of that row."""
+    parts = contenders()
+    head = ["stream, N, D", *(p.name for p in parts), "times brute force", "longest insertion / median"]
+    lines = []
+    for stream in (motion, uniform):
+        for n in windows if stream is motion else [10_000]:
+            for width in (6, 24, 60):
+                lines.append(row(stream, n, width, parts, budget_s))
+    return table(head, lines)
+
+
+def row(stream: Callable[[int, int], Array], n: int, width: int, parts: list[type[Any]], budget_s: float) -> list[str]:
+    x = stream(n + 6000, width)
+    figures: dict[str, Figure] = {}
+    longest = 0.0
+    for part in parts:
+        if part is Hnsw and n > 10_000:
+            continue
+        contender = part(x[:n])
+        figures[part.name] = Figure.of(contender.step, x[n : n + 4000], budget_s)
+        if part is Ours:
+            longest = Figure.of(contender.insert, x[n + 4000 :], budget_s, time.thread_time).longest
+    ours = figures[Ours.name].median
+    return [
+        f"{stream.__name__}, {n}, {width}",
+        *(str(figures.get(part.name, "")) for part in parts),
+        f"{short(figures[Brute.name].median / ours)}",
+        f"{short(longest / ours)}",
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m bench.neighbours", description=__doc__)
+    parser.add_argument(
+        "--quick", action="store_true", help="windows of 1000 and 10 000 frames, and little time for each"
+    )
+    given = parser.parse_args()
+    load = os.getloadavg()[0]
+    print(measure([1000, 10_000] if given.quick else [1000, 10_000, 100_000], 0.5 if given.quick else 4.0))
+    print(
+        f"\nMicroseconds, median / p99; {platform.machine()}, Python {platform.python_version()}; load at the start {load:.1f}."
+    )
+
+
+if __name__ == "__main__":
+    main()
