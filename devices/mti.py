@@ -160,7 +160,7 @@ class Mti(Source):
             talk = _Talk(link, feed, self.port)
             self._greet(talk)
             try:
-                self._stream(link, talk.decoder, feed)
+                self._stream(link, talk, feed)
             finally:
                 with suppress(DeviceError):
                     link.write(xbus.message(xbus.GO_TO_CONFIG))
@@ -186,8 +186,9 @@ class Mti(Source):
                 offers = f"{got} Hz" if got else "nothing"
                 raise DeviceError(f"{product} on {self.port} was asked for {name} at {rate} Hz and offers {offers}")
 
-    def _stream(self, link: Transport, decoder: Decoder, feed: Feed) -> None:
+    def _stream(self, link: Transport, talk: _Talk, feed: Feed) -> None:
         stream = _Stream(self)
+        stream.pass_on(talk.behind, feed)
         heard = logged = time.monotonic()
         strange = b""
         while not feed.stopped:
@@ -195,7 +196,9 @@ class Mti(Source):
             now = time.monotonic()
             if data and now - heard > 0.1:
                 data = all_there(link, data)
-            found = decoder.feed(data)
+            elif data and self.gathered_s:
+                data = _waiting(link, data, self.gathered_s)
+            found = talk.decoder.feed(data)
             if found.dropped:
                 feed.problem("bytes that are no packet", found.dropped)
             if found.resyncs:
@@ -216,11 +219,21 @@ class Mti(Source):
                 log.info("clock", port=self.port, state=stream.clock.state)
 
 
+def _waiting(link: Transport, first: bytes, within_s: float) -> bytes:
+    """`first` and what else waits: a read of a USB endpoint is one transfer, of which many have come while packets gathered."""
+    pieces, deadline = [first], time.monotonic() + within_s
+    while time.monotonic() < deadline and (more := link.read(0.0)):
+        pieces.append(more)
+    return b"".join(pieces)
+
+
 class _Talk:
     """Commands and their answers, while measurements may still be coming."""
 
     def __init__(self, link: Transport, feed: Feed, port: str) -> None:
         self.decoder = Decoder()
+        self.behind: list[Run] = []
+        """What came in one read with the last answer, behind it."""
         self._link, self._feed, self._port = link, feed, port
 
     def ask(self, mid: int, data: bytes = b"") -> bytes:
@@ -234,8 +247,10 @@ class _Talk:
                     raise DeviceError("stopped while waiting for an answer")
                 piece = self._link.read(min(rest, 0.1))
                 came = (came + piece)[:64]
-                for run in self.decoder.feed(piece).runs:
+                came_runs = self.decoder.feed(piece).runs
+                for i, run in enumerate(came_runs):
                     if run.mid == mid + 1:
+                        self.behind = came_runs[i + 1 :]
                         return run.data
                     if run.mid == xbus.ERROR and mid != xbus.GO_TO_CONFIG:
                         raise DeviceError(f"{self._port} refused message {mid:02X}: it tells of {_reason(run)}")

@@ -68,7 +68,7 @@ def truth(brain: MtiBrain, source: Mti, number: np.ndarray) -> np.ndarray:
 def test_what_the_sensor_measures_arrives(address: str, given: dict[str, object]) -> None:
     brain = MtiBrain(seed=3)
     with served(brain, address=address) as server:
-        source, feed = read(server, 150, **given)
+        source, feed = read(server, 400, **given)
     assert feed.error is None and not feed.problems
     number = feed.data("timing")["counter"]
     assert np.array_equal(number, np.arange(len(number)))
@@ -161,6 +161,25 @@ def test_other_measurements_between_are_passed_over_and_not_lost() -> None:
     np.testing.assert_allclose(
         feed.data("imu"), truth(brain, source, np.arange(feed.count("imu"))), rtol=1e-6, atol=1e-6
     )
+
+
+def test_measurements_in_one_read_with_the_last_answer_are_samples() -> None:
+    class AtOnce(MtiBrain):
+        """The first ten follow the answer without a pause."""
+
+        def _obey(self, mid: int, data: bytes) -> bytes:
+            answer = super()._obey(mid, data)
+            if mid == xbus.GO_TO_MEASUREMENT:
+                self._said = 10
+                answer += b"".join(self.packets(0, 10))
+            return answer
+
+    brain = AtOnce()
+    with served(brain) as server:
+        source, feed = read(server, 100)
+    number = feed.data("timing")["counter"]
+    assert np.array_equal(number, np.arange(len(number))) and not feed.problems
+    np.testing.assert_allclose(feed.data("imu"), truth(brain, source, number), rtol=1e-6, atol=1e-6)
 
 
 # what goes wrong -----------------------------------------------------------------------------------------------------

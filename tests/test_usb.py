@@ -236,6 +236,17 @@ def test_a_session_goes_on_when_the_cable_is_put_in_again(tmp_path: Path) -> Non
     assert len(seen) == len(stamp) == len(data) > 100
 
 
+def test_transfers_that_pile_up_while_packets_gather_are_all_taken(own_bus: SimulatedBus) -> None:
+    """The sensor sends faster than reads begin: nothing may be left behind."""
+    wiring = Wiring(0x2639, 0x0003, "Xsens", "MTi", "S1", BULK)
+    source = Mti("usb://2639", rate_hz=2000, high_rate=True, gather_s=0.05)
+    with Server(MtiBrain(), UsbLine(own_bus, wiring)), reading(source) as feed:
+        wait_for(lambda: feed.error is not None or feed.count("imu") >= 8000, 60)
+    assert feed.error is None and feed.lost("imu") == {}
+    behind = feed.data("timing")["arrival"] - feed.time("timing")
+    assert np.median(behind[len(behind) // 2 :]) < 0.5e9
+
+
 # the MTi on USB ------------------------------------------------------------------------------------------------------
 
 
