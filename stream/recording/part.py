@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 from typing import IO, Any, cast
@@ -94,6 +95,8 @@ class Part:
         self.saved = self._written
         if sync:
             os.fsync(self._file)
+            if os.fstat(self._file).st_nlink == 0 and not self.path.exists():
+                raise FileNotFoundError(errno.ENOENT, "the file was deleted", str(self.path))
 
     def finish(self, summary: dict[str, Any]) -> None:
         """Write the end: counts per stream, the index, the footer. Raises OSError; it can be tried again."""

@@ -114,8 +114,10 @@ class Tape:
         frames = any(track.frames for track in self._tracks)
         for gone in keep_quota(self._path, self._options.quota_mb):
             log.info("an old recording was deleted to keep the quota", path=str(gone), quota_mb=self._options.quota_mb)
+        path = part_path(self._path, self._number)
+        path.parent.mkdir(parents=True, exist_ok=True)  # it may have been deleted since
         part = Part(
-            part_path(self._path, self._number),
+            path,
             self._number,
             self._header,
             CompressionType.LZ4 if frames else CompressionType.ZSTD,
