@@ -22,10 +22,9 @@ import pytest
 from mcap.writer import Writer
 
 import stream.cli
-from stream.chunk import NS, Chunk, StreamSpec
+from stream.chunk import NS
 from stream.engine.clock import SessionClock
-from stream.graph import RecordingOptions
-from stream.recording import Recorder, Recording
+from stream.recording import Recording
 from stream.recording import part as part_module
 
 KINEGRAPH = Path(sys.executable).parent / "kinegraph"
@@ -589,29 +588,6 @@ def test_a_disk_that_fills_up_while_files_are_made(
 def test_a_disk_that_fills_up_during_a_session(kinegraph: Command, made: Path) -> None:
     told = kinegraph("run", made / "graph.yaml", *QUIET, "-o", "s")
     refused(told, "the recording cannot be written; the session goes on", "No space left on device", code=5)
-
-
-def test_a_recording_that_is_deleted_while_it_is_written_goes_on(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("stream.recording.recorder.SYNC_S", 0.0)
-    spec = StreamSpec((1,), rate_hz=100.0)
-    with Recorder(tmp_path / "s", {}, RecordingOptions(gather_s=0.01, flush_s=0.01)) as recorder:
-        number = recorder.add_stream("board", spec, "input")
-
-        def write(k: int) -> None:
-            recorder.write(number, Chunk(np.array([k * NS]), np.array([[float(k)]]), k * NS), k * NS, k)
-            assert recorder.flush()
-
-        write(0)
-        for part in (tmp_path / "s").iterdir():
-            part.unlink()
-        (tmp_path / "s").rmdir()
-        wait_for(lambda: any((tmp_path / "s").glob("*.mcap")), 20)
-        write(1)
-    assert "the file was deleted" in "".join(capsys.readouterr())
-    with Recording.open(tmp_path / "s") as recording:
-        assert recording.finished and recording.read("board")[1].ravel().tolist()[-1] == 1.0
 
 
 @pytest.fixture
