@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import structlog
 from mcap.writer import Writer
 
 import stream.cli
@@ -37,7 +38,7 @@ Command = Callable[..., Told]
 
 
 @pytest.fixture
-def kinegraph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+def kinegraph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Command]:
     """Call a command in an empty folder: (exit code, what it printed, what it complained of)."""
     monkeypatch.chdir(tmp_path)
 
@@ -53,7 +54,8 @@ def kinegraph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
         assert "Traceback" not in told.out + told.err
         return code, told.out, told.err
 
-    return call
+    yield call
+    structlog.reset_defaults()
 
 
 def refused(told: Told, *words: str, code: int = 2) -> None:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+import structlog
 
 from stream import cli
 from stream.chunk import NS
@@ -67,6 +68,7 @@ def walks(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Walk]]:
         call("replay", CONFIG, walk, "-o", walk.with_suffix(""), "-q")
         with np.load(file) as arrays:
             opened.append(Walk(name, Recording.open(walk.with_suffix("")), arrays[f"{trial}_kin"]))
+    structlog.reset_defaults()
     yield opened
     for walk in opened:
         walk.recording.close()
