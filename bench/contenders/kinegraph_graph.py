@@ -74,6 +74,7 @@ class Kinegraph:
                     number = recorder.add_stream(str(wire.edge), wire.spec, role)  # type: ignore[arg-type]
                     wire.taps.append(lambda chunk, n=number: recorder.write(n, chunk, chunk.until, 0))  # type: ignore[misc]
             with calm():
+                pipeline.begin()
                 feed_all(pipeline, feed)
         finally:
             if recorder:

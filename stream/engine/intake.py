@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from stream.chunk import FOREVER, NEVER, Chunk, add_lost, utc
-from stream.engine.pipeline import Wire
 from stream.engine.supervisor import Runner
+from stream.engine.wire import Wire
 from stream.errors import DeviceError
 
 

@@ -18,7 +18,7 @@ from stream.recording import Recorder, RecorderStatus, Recording, versions
 from stream.recording.image import is_picture
 from stream.recording.place import is_running
 
-QUIET = {"source ended", "session resumed", "source reopened"}
+QUIET = {"device", "source ended", "session resumed", "source reopened"}
 """Reports that are news, not warnings."""
 
 log = structlog.get_logger(__name__)

@@ -14,7 +14,8 @@ from time import perf_counter_ns
 from stream.chunk import Chunk
 from stream.engine.channel import Channel, Doorbell
 from stream.engine.drops import Drops
-from stream.engine.pipeline import Push, Stage
+from stream.engine.link import Push
+from stream.engine.pipeline import Stage
 from stream.graph import Edge, Policy
 
 UNLIMITED = 1 << 62

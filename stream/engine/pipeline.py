@@ -1,104 +1,30 @@
 """A graph made ready to run: operators wired to each other by plain calls, on the thread that feeds them.
 
 A chunk that enters is pushed from operator to operator, depth first, without queues and without copies. Timing costs one reading of the
-clock per call: every push is given the time at which its caller ended, and returns the time at which its own last reader did.
+clock per call: every push is given the time at which its caller ended, and returns the time at which its own last reader did. How
+wires, links and chains of them do that is in `stream.engine.wire` and `stream.engine.chain`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable
 from time import perf_counter_ns
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import structlog
 
-from stream.chunk import FOREVER, Array, Chunk, StreamSpec, add_lost, empty, utc
+from stream.chunk import FOREVER, Array, Chunk, empty
 from stream.engine.clock import SessionClock
+from stream.engine.link import Link, Push, failure
 from stream.engine.merge import Merge
 from stream.engine.metrics import FOLD_AT, Timing
-from stream.errors import KinegraphError, RunError
+from stream.engine.wire import Wire
+from stream.errors import KinegraphError
 from stream.graph import Edge, Graph, Node
 from stream.operator import Emitted, Operator, Outlet
 
 log = structlog.get_logger(__name__)
-
-Push: TypeAlias = Callable[[Chunk, int], int]
-"""Take a chunk and the time (ns, perf_counter) at which the caller ended; return the time at which the work ended."""
-Tap: TypeAlias = Callable[[Chunk], None]
-
-
-class Wire:
-    """One output of a node while a graph runs: carries `lost` to the next samples, keeps arrays normal, calls taps and readers.
-
-    single   the only reader, where that is an operator with one input on the same thread
-    """
-
-    __slots__ = ("edge", "gaps", "lost", "owed", "readers", "samples", "single", "spec", "taps")
-
-    def __init__(self, edge: Edge, spec: StreamSpec) -> None:
-        self.edge, self.spec = edge, spec
-        self.taps: list[Tap] = []
-        self.readers: list[Push] = []
-        self.single: Single | None = None
-        self.owed = 0
-        self.gaps = 0
-        self.lost = 0
-        self.samples = 0
-
-    def send(self, chunk: Chunk, start: int) -> int:
-        """Carry a chunk to all who read it. Along a chain this is a loop: a deep one would otherwise cost twice as much per operator."""
-        wire = self
-        while True:
-            if chunk.lost or wire.owed:
-                chunk = wire._carry(chunk)
-            wire.samples += len(chunk.time)
-            if not chunk.data.flags.carray:
-                chunk = _normal(chunk)
-            for tap in wire.taps:
-                tap(chunk)
-            if wire.single is None:
-                for push in wire.readers:
-                    start = push(chunk, start)
-                return start
-            name, port, process, note, out, emit = wire.single
-            try:
-                emitted = process(port, chunk)
-            except Exception as error:
-                raise _failure(name, error, port, chunk) from error
-            end = perf_counter_ns()
-            note(end - start)
-            if emitted.__class__ is not Chunk:
-                return end if emitted is None else emit(emitted, end)
-            wire, chunk, start = out, emitted, end
-
-    def _carry(self, chunk: Chunk) -> Chunk:
-        """Move a `lost` without samples to the next chunk that has some."""
-        lost = add_lost(self.owed, chunk.lost)
-        if not len(chunk.time):
-            self.owed = lost
-            return Chunk(chunk.time, chunk.data, chunk.until, 0)
-        self.owed = 0
-        self.gaps += 1
-        self.lost = add_lost(self.lost, lost)
-        return Chunk(chunk.time, chunk.data, chunk.until, lost)
-
-
-def _normal(chunk: Chunk) -> Chunk:
-    """The chunk with arrays that are contiguous, aligned and writable."""
-    data = np.require(chunk.data, requirements=["C", "A", "W"])
-    return Chunk(np.ascontiguousarray(chunk.time), data, chunk.until, chunk.lost)
-
-
-class Single(NamedTuple):
-    """An operator with one input that is a wire's only reader: what `Wire.send` needs to run it."""
-
-    name: str
-    port: str
-    process: Callable[[str, Chunk], Emitted]
-    note: Callable[[int], None]
-    out: Wire
-    emit: Callable[[Emitted, int], int]
 
 
 class Stage:
@@ -125,47 +51,28 @@ class Stage:
 
     def push(self, port: str) -> Push:
         """What brings a chunk to this operator's input `port`."""
-        run = self._outlet_runner() if self.node.is_outlet else self._runner()
         if self.merge is None:
-            return lambda chunk, start: run(port, chunk, start)
+            return self._input(port)
         merge = self.merge
+        inputs = {name: self._input(name) for name in self.node.inputs}
 
         def push(chunk: Chunk, start: int) -> int:
             for name, piece in merge.push(port, chunk):
-                start = run(name, piece, start)
+                start = inputs[name](piece, start)
             return start
 
         return push
 
-    def single(self, port: str) -> Single | None:
-        """How a wire may run this stage itself; None for an outlet, and where several inputs are merged."""
-        if self.node.is_outlet or self.merge is not None:
-            return None
-        out = next(iter(self.wires.values()))
-        return Single(self.node.name, port, self.operator.process, self.timing.durations.append, out, self.emit)
+    def _input(self, port: str) -> Push:
+        if self.node.is_outlet:
+            return self._outlet_input(port)
+        out = next(iter(self.wires.values()), None)
+        return Link(self.node.name, port, self.operator.process, self.timing, out, self.emit)
 
-    def _runner(self) -> Callable[[str, Chunk, int], int]:
-        process, note = self.operator.process, self.timing.durations.append
-        send = next(iter(self.wires.values())).send
-        name = self.node.name
-
-        def run(port: str, chunk: Chunk, start: int) -> int:
-            try:
-                emitted = process(port, chunk)
-            except Exception as error:
-                raise _failure(name, error, port, chunk) from error
-            end = perf_counter_ns()
-            note(end - start)
-            if emitted.__class__ is Chunk:
-                return send(emitted, end)
-            return end if emitted is None else self.emit(emitted, end)
-
-        return run
-
-    def _outlet_runner(self) -> Callable[[str, Chunk, int], int]:
+    def _outlet_input(self, port: str) -> Push:
         """An outlet's failure ends the outlet, not the graph."""
 
-        def run(port: str, chunk: Chunk, start: int) -> int:
+        def run(chunk: Chunk, start: int) -> int:
             if self.muted or self.failed:
                 return start
             try:
@@ -205,20 +112,10 @@ class Stage:
             emitted = self.operator.close()
         except Exception as error:
             if not self.node.is_outlet:
-                raise _failure(self.node.name, error) from error
+                raise failure(self.node.name, error) from error
             self._switch_off(error)
         else:
             self.emit(emitted, perf_counter_ns())
-
-
-def _failure(node: str, error: Exception, port: str = "", chunk: Chunk | None = None) -> RunError:
-    """What an operator's exception means to the person at the screen: which node, at which sample's time."""
-    where = ""
-    if chunk is not None:
-        stamp = int(chunk.time[0]) if len(chunk.time) else chunk.until
-        where = f" at sample time {utc(stamp)} (input {port!r}, {len(chunk.time)} samples)"
-    text = str(error) if isinstance(error, KinegraphError) else f"{type(error).__name__}: {error}"
-    return RunError(f"node {node!r}: {text}{where}")
 
 
 Bridge: TypeAlias = Callable[[Stage, str, Edge, Push], Push]
@@ -247,12 +144,8 @@ class Pipeline:
         for wire in self.wires.values():
             readers = [(self.stages[n.name], port) for n, port in graph.readers(wire.edge) if n.name in self.stages]
             for stage, port in readers:
-                push = stage.push(port)
-                bridged = self._bridged(wire, stage, port, push, bridge)
-                wire.readers.append(bridged)
+                wire.readers.append(self._bridged(wire, stage, port, stage.push(port), bridge))
                 stage.feeds.append(wire)
-                if len(readers) == 1 and bridged is push:
-                    wire.single = stage.single(port)
 
     def _wires(self) -> Iterable[Wire]:
         yield from self.entries.values()
@@ -281,7 +174,11 @@ class Pipeline:
             settle()
 
     def begin(self, clock: SessionClock | None = None) -> None:
-        """Let the outlets touch the world; `clock` is a live session's."""
+        """Let the outlets touch the world; `clock` is a live session's. What taps a wire has been added before."""
+        self.loosen()
+        for wire in self.wires.values():
+            if not any(wire in w.chain.wires for w in self.wires.values() if w.chain):
+                wire.fasten()
         for stage in self.outlets:
             assert isinstance(stage.operator, Outlet)
             stage.operator.meet(self.graph)
@@ -293,10 +190,18 @@ class Pipeline:
     def outlets(self) -> list[Stage]:
         return [s for s in self.stages.values() if s.node.is_outlet]
 
-    def fold(self) -> None:
-        """Keep the lists of durations short."""
+    def loosen(self) -> None:
+        """Taps or readers were changed: chains of operators are written anew."""
+        for wire in self.wires.values():
+            wire.loosen()
+
+    def fold(self, least: int = FOLD_AT) -> None:
+        """Keep the lists of durations short: work up those that hold at least so many."""
+        for wire in self.wires.values():
+            if wire.chain:
+                wire.chain.fold(least)
         for stage in self.stages.values():
-            if len(stage.timing.durations) >= FOLD_AT:
+            if len(stage.timing.durations) >= least:
                 stage.timing.fold()
 
     def snapshot(self) -> dict[str, Array]:

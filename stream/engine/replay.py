@@ -12,9 +12,11 @@ from typing import Any
 
 from stream.chunk import FOREVER, NS, Chunk, empty
 from stream.engine.drops import recorded_drops
-from stream.engine.pipeline import Pipeline, Push, Stage, Tap
+from stream.engine.link import Push
+from stream.engine.pipeline import Pipeline, Stage
 from stream.engine.stand_in import StandIns
 from stream.engine.warmup import Compilations, warm_up
+from stream.engine.wire import Tap
 from stream.graph import Edge, Graph
 from stream.recording import Recorder, Recording, versions
 from stream.recording.image import is_picture

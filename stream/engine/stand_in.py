@@ -12,7 +12,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from stream.chunk import Specs
-from stream.engine.pipeline import Pipeline, Wire
+from stream.engine.pipeline import Pipeline
+from stream.engine.wire import Wire
 from stream.graph import Edge, Graph, Node
 from stream.recording.tally import RecordedStream
 from stream.source import Source
@@ -79,16 +80,18 @@ class StandIns:
             wire = pipeline.wires[name]
             twins[name] = twin = Wire(wire.edge, wire.spec)
             _move(wire, twin)
-            wire.taps, wire.readers, wire.single = [], [], None
+            wire.taps, wire.readers = [], []
+        pipeline.loosen()
         try:
             yield twins
         finally:
             for name, twin in twins.items():
                 _move(twin, pipeline.wires[name])
+            pipeline.loosen()
 
 
 def _move(of: Wire, to: Wire) -> None:
-    for slot in ("taps", "readers", "single", "owed", "gaps", "lost", "samples"):
+    for slot in ("taps", "readers", "owed", "gaps", "lost", "samples"):
         setattr(to, slot, getattr(of, slot))
 
 

@@ -27,6 +27,7 @@ def table_of(
 ) -> Table:
     """The table now; `before` is the one read last, for rates. Reading it starts a new interval of the timings."""
     now = time.monotonic()
+    pipeline.fold(least=1)
     table: Table = {}
     for intake in intakes:
         table[intake.stream] = _source_row(intake, now)

@@ -80,6 +80,9 @@ class _Feed:
         except Empty:
             return None
 
+    def identify(self, device: str, **facts: str | float) -> None:
+        self._runner.report("device", node=self._runner.node.name, device=device, **facts)
+
     def problem(self, kind: str, count: int = 1) -> None:
         self._runner.problems[kind] += count
 
@@ -158,7 +161,9 @@ class Runner:
     def watch(self) -> None:
         """Called several times a second: reopen what failed, give up what fell silent."""
         now = time.monotonic()
-        dead = self._thread is not None and not self._thread.is_alive()  # asked first: a thread sets its state before it ends
+        dead = (
+            self._thread is not None and not self._thread.is_alive()
+        )  # asked first: a thread sets its state before it ends
         if self.state == "failed" and now >= self._retry_at:
             if self._thread and self._thread.is_alive():
                 if now < self._retry_at + GRACE_S:

@@ -1,0 +1,59 @@
+"""A link: an operator's one input, fed on the thread of what it reads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter_ns
+from typing import TYPE_CHECKING, TypeAlias
+
+from stream.chunk import Chunk, utc
+from stream.engine.metrics import Timing
+from stream.errors import KinegraphError, RunError
+from stream.operator import Emitted
+
+if TYPE_CHECKING:
+    from stream.engine.wire import Wire
+
+Push: TypeAlias = Callable[[Chunk, int], int]
+"""Take a chunk and the time (ns, perf_counter) at which the caller ended; return the time at which the work ended."""
+
+
+class Link:
+    """Brings chunks to an operator's input, and sends on what it gives back.
+
+    out     the wire of the operator's first output, if it has any
+    emit    sends whatever the operator gives back
+    """
+
+    __slots__ = ("emit", "name", "out", "port", "process", "timing")
+
+    def __init__(
+        self,
+        name: str,
+        port: str,
+        process: Callable[[str, Chunk], Emitted],
+        timing: Timing,
+        out: Wire | None,
+        emit: Callable[[Emitted, int], int],
+    ) -> None:
+        self.name, self.port, self.process = name, port, process
+        self.timing, self.out, self.emit = timing, out, emit
+
+    def __call__(self, chunk: Chunk, start: int) -> int:
+        try:
+            emitted = self.process(self.port, chunk)
+        except Exception as error:
+            raise failure(self.name, error, self.port, chunk) from error
+        end = perf_counter_ns()
+        self.timing.durations.append(end - start)
+        return end if emitted is None else self.emit(emitted, end)
+
+
+def failure(node: str, error: Exception, port: str = "", chunk: Chunk | None = None) -> RunError:
+    """What an operator's exception means to the person at the screen: which node, at which sample's time."""
+    where = ""
+    if chunk is not None:
+        stamp = int(chunk.time[0]) if len(chunk.time) else chunk.until
+        where = f" at sample time {utc(stamp)} (input {port!r}, {len(chunk.time)} samples)"
+    text = str(error) if isinstance(error, KinegraphError) else f"{type(error).__name__}: {error}"
+    return RunError(f"node {node!r}: {text}{where}")
