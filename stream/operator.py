@@ -111,11 +111,14 @@ class Outlet(Operator[S]):
     durable    whether the outlet can take its words back: after a crash it is restored to its last snapshot (a file is cut back to the
                length it had) and given again what followed, so that nothing is doubled or missing. One that is not durable, a network,
                hears nothing of what is worked through a second time.
+    in_order   whether samples of several inputs are brought in global time order. Off, for an outlet that passes on at once what any of
+               them says: each input's own order, and no waiting for the others
     """
 
     __slots__ = ()
     outputs: ClassVar[tuple[str, ...]] = ()
     durable: ClassVar[bool] = False
+    in_order: ClassVar[bool] = True
 
     def meet(self, graph: Graph) -> None:
         """Told once, before `begin`, which graph this is: its text, its nodes with their parameters and delays, the session's facts."""

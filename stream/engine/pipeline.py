@@ -43,7 +43,8 @@ class Stage:
         self.operator: Operator[Any] = node.part.fresh()
         specs = graph.input_specs(node)
         self.wires = {name: Wire(Edge(node.name, name), spec) for name, spec in self.operator.open(specs).items()}
-        self.merge = Merge(specs, in_turn=self.operator.in_turn) if len(specs) > 1 else None
+        merged = len(specs) > 1 and getattr(self.operator, "in_order", True)
+        self.merge = Merge(specs, in_turn=self.operator.in_turn) if merged else None
         self.timing = Timing()
         self.feeds: list[Wire] = []
         self.muted = False

@@ -1,0 +1,199 @@
+"""The connection to an MQTT broker: made in the background, made again whenever it is lost, never waited for by anyone."""
+
+from __future__ import annotations
+
+import contextlib
+import ssl
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+import structlog
+from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.enums import CallbackAPIVersion
+
+from stream.errors import ParameterError
+from stream.params import param
+
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
+KEEPALIVE_S = 30
+FAREWELL_S = 2.0
+"""How long the last messages are given to reach the broker."""
+ONLINE, OFFLINE = "online", "offline"
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Broker:
+    """Where the broker is and how it is spoken to.
+
+    password_file   a file whose first line is the password, so that none stands in a graph (which every recording holds a copy of)
+    tls             encrypted, the broker's certificate checked by the system's authorities, or by `ca_file`
+    """
+
+    host: str = "localhost"
+    port: int = param(1883, least=1, most=65535)
+    username: str = ""
+    password_file: str = ""
+    tls: bool = False
+    ca_file: str = ""
+
+    def check(self) -> None:
+        """Raises ParameterError for what cannot be."""
+        if not self.host:
+            raise ParameterError("broker", self.host, "a host's name or address")
+        if not 1 <= self.port <= 65535:
+            raise ParameterError("broker", self.port, "a port from 1 to 65535")
+        for name in (self.password_file, self.ca_file):
+            if name and not Path(name).is_file():
+                raise ParameterError("broker", name, "a file that exists")
+        if self.password_file and not self.username:
+            raise ParameterError("broker", self.password_file, "given together with a username")
+
+    @property
+    def password(self) -> str | None:
+        if not self.password_file:
+            return None
+        return next(iter(Path(self.password_file).read_text(encoding="utf-8").splitlines()), "")
+
+
+class Link:
+    """A thread that keeps a connection to the broker. Everything it is told while there is none is the caller's to say again.
+
+    greeting       topic that says `online` (retained) while we are there; the broker itself says `offline` when we vanish
+    subscriptions  topics that are heard
+    joined         called when the connection stands and the subscriptions are in force
+    heard          called with (topic, text, retained) of every message
+    delivered      called with the number of a message that the broker has confirmed
+    left           called when the connection is lost
+
+    All four are called in the link's own thread, never in that of the MQTT library, which holds locks of its own while it calls.
+    """
+
+    def __init__(
+        self,
+        broker: Broker,
+        client_id: str,
+        greeting: str,
+        subscriptions: Sequence[str],
+        *,
+        joined: Callable[[], None],
+        heard: Callable[[str, str, bool], None] = lambda topic, text, retained: None,
+        delivered: Callable[[int], None] = lambda number: None,
+        left: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._broker, self._id, self._greeting, self._subscriptions = broker, client_id, greeting, list(subscriptions)
+        self._joined, self._heard, self._delivered, self._left = joined, heard, delivered, left
+        self._client: Client | None = None
+        self._there = False
+        self._stopping = threading.Event()
+        self._news: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
+        """What the library has called us for; None: the connection is over."""
+        self._trouble = ""
+        self._thread = threading.Thread(target=self._work, name=f"mqtt {client_id}", daemon=True)
+
+    @property
+    def there(self) -> bool:
+        """Whether the connection stands."""
+        return self._there
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def say(self, topic: str, text: str, *, retain: bool = False, qos: int = 1) -> int | None:
+        """Hand a message to the connection; its number, or None if there is no connection. Never waits for the network."""
+        client = self._client
+        if client is None or not self._there:
+            return None
+        said = client.publish(topic, text, qos=qos, retain=retain)
+        return said.mid if said.rc == 0 else None
+
+    def stop(self) -> None:
+        """Say good-bye, give the last messages a moment, and end the thread."""
+        client = self._client
+        self._stopping.set()
+        if client is not None and self._there:
+            with contextlib.suppress(RuntimeError, ValueError):
+                client.publish(self._greeting, OFFLINE, qos=1, retain=True).wait_for_publish(FAREWELL_S)
+            client.disconnect()
+        self._news.put(None)
+        if self._thread.is_alive():
+            self._thread.join(FAREWELL_S)
+
+    def _work(self) -> None:
+        pause = FIRST_PAUSE_S
+        while not self._stopping.is_set():
+            self._news = SimpleQueue()
+            client = self._client = self._made()
+            try:
+                client.connect(self._broker.host, self._broker.port, KEEPALIVE_S)
+                client.loop_start()
+                while (news := self._news.get()) is not None and not self._stopping.is_set():
+                    news()
+                    pause = FIRST_PAUSE_S
+            except (OSError, ValueError) as error:
+                self._complain(str(error))
+            finally:
+                self._gone()
+                client.loop_stop()
+            self._stopping.wait(pause)
+            pause = min(2 * pause, LONGEST_PAUSE_S)
+
+    def _made(self) -> Client:
+        client = Client(CallbackAPIVersion.VERSION2, self._id, reconnect_on_failure=False)
+        broker, tell = self._broker, self._news.put
+        if broker.username:
+            client.username_pw_set(broker.username, broker.password)
+        if broker.tls or broker.ca_file:
+            client.tls_set(ca_certs=broker.ca_file or None, cert_reqs=ssl.CERT_REQUIRED)
+        client.will_set(self._greeting, OFFLINE, qos=1, retain=True)
+        client.on_connect = lambda c, d, flags, reason, p: tell(lambda: self._connected(client, reason))
+        client.on_subscribe = lambda c, d, number, reasons, p: tell(lambda: self._subscribed(client, reasons))
+        client.on_message = lambda c, d, message: tell(lambda: self._message(message))
+        client.on_publish = lambda c, d, number, reason, p: tell(lambda: self._delivered(number))
+        client.on_disconnect = lambda c, d, flags, reason, p: tell(lambda: self._disconnected(reason)) or tell(None)
+        return client
+
+    def _connected(self, client: Client, reason: Any) -> None:
+        if reason.is_failure:
+            self._complain(str(reason))
+            self._news.put(None)
+        elif self._subscriptions:
+            client.subscribe([(topic, 1) for topic in self._subscriptions])
+        else:
+            self._welcome(client)
+
+    def _subscribed(self, client: Client, reasons: Any) -> None:
+        refused = [topic for topic, reason in zip(self._subscriptions, reasons, strict=False) if reason.is_failure]
+        if refused:
+            log.warning("MQTT broker refuses a subscription", topics=refused)
+        self._welcome(client)
+
+    def _welcome(self, client: Client) -> None:
+        if self._trouble:
+            log.info("MQTT broker is there", host=self._broker.host, port=self._broker.port)
+            self._trouble = ""
+        self._there = True
+        client.publish(self._greeting, ONLINE, qos=1, retain=True)
+        self._joined()
+
+    def _message(self, message: MQTTMessage) -> None:
+        self._heard(message.topic, message.payload.decode("utf-8", "replace"), bool(message.retain))
+
+    def _disconnected(self, reason: Any) -> None:
+        if not self._stopping.is_set():
+            self._complain(str(reason))
+
+    def _gone(self) -> None:
+        if self._there:
+            self._there = False
+            self._left()
+
+    def _complain(self, why: str) -> None:
+        if why != self._trouble:
+            self._trouble = why
+            log.warning("no MQTT broker; tried again for as long as it takes", host=self._broker.host, why=why)

@@ -1,0 +1,195 @@
+"""What waits for the broker: the newest state of every topic, and letters, each of which arrives once and in order.
+
+Nothing here knows a network. `flush` hands out what may be said now; `delivered` and `remembered` say what has arrived.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import structlog
+
+MOST_LETTERS = 6000
+"""Two nights of epochs. Beyond, the oldest are dropped and counted."""
+IN_FLIGHT = 16
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(slots=True)
+class Letter:
+    """One message that must arrive once. `number`: how the connection calls it; None: not handed out."""
+
+    topic: str
+    key: int
+    text: str
+    number: int | None = None
+
+
+@dataclass(slots=True)
+class OutboxState:
+    """What survives a killed process.
+
+    arrived   per topic the newest key that has arrived, as JSON
+    letters   those that wait, a line each
+    """
+
+    session: str
+    arrived: str = "{}"
+    letters: str = ""
+
+
+class Outbox:
+    """Filled by one thread, emptied by another.
+
+    say      hands a message to the connection: (topic, text, retain) -> its number, or None if there is no connection
+    ledger   a file that remembers, over a power cut, what has arrived; None: the checkpoint and the broker's memory do
+    """
+
+    def __init__(
+        self, state: OutboxState, say: Callable[[str, str, bool], int | None], ledger: Path | None = None
+    ) -> None:
+        self._session, self._say, self._ledger = state.session, say, ledger
+        self._lock = threading.RLock()
+        self._states: dict[str, str] = {}
+        self._unsaid: dict[str, None] = {}
+        """Topics whose newest state was not handed out yet, in order."""
+        self._letters: deque[Letter] = deque()
+        self._arrived: dict[str, int] = json.loads(state.arrived)
+        self._ready = self._unwritten = False
+        self.dropped = 0
+        self._read_ledger()
+        for line in state.letters.splitlines():
+            topic, key, text = json.loads(line)
+            self.post(topic, key, text)
+
+    def state(self, topic: str, text: str) -> None:
+        """The newest state of a topic."""
+        with self._lock:
+            self._states[topic] = text
+            self._unsaid[topic] = None
+
+    def post(self, topic: str, key: int, text: str) -> None:
+        """A letter. One whose key is not newer than what has arrived, or waits, on its topic was sent before: it is left out."""
+        with self._lock:
+            newest = max((x.key for x in self._letters if x.topic == topic), default=self._arrived.get(topic, -1))
+            if key <= newest:
+                return
+            if len(self._letters) >= MOST_LETTERS:
+                self._letters.popleft()
+                self.dropped += 1
+                if self.dropped == 1:
+                    log.error("no MQTT broker for too long: the oldest epochs are dropped (the night's log has them)")
+            self._letters.append(Letter(topic, key, text))
+
+    def open(self) -> None:
+        """The connection stands, and what the broker remembers has been told: everything may be said."""
+        with self._lock:
+            self._ready = True
+            self._unsaid = dict.fromkeys(self._states)
+            self.flush()
+
+    def shut(self) -> None:
+        """The connection is lost: what was on its way is said again, unless the broker turns out to have it."""
+        with self._lock:
+            self._ready = False
+            for letter in self._letters:
+                letter.number = None
+
+    def repeat(self) -> None:
+        """Say every state again."""
+        with self._lock:
+            self._unsaid = dict.fromkeys(self._states)
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand out what may be said now."""
+        with self._lock:
+            if not self._ready:
+                return
+            for topic in list(self._unsaid):
+                if self._say(topic, self._states[topic], True) is None:
+                    return
+                del self._unsaid[topic]
+            for letter in islice(self._letters, IN_FLIGHT):
+                if letter.number is None:
+                    letter.number = self._say(letter.topic, letter.text, True)
+                    if letter.number is None:
+                        return
+
+    def delivered(self, number: int) -> None:
+        """The broker has confirmed a message."""
+        with self._lock:
+            for letter in self._letters:
+                if letter.number == number:
+                    self._has_arrived(letter.topic, letter.key)
+                    break
+            else:
+                return
+            self.flush()
+        self._write_ledger()
+
+    def remembered(self, topic: str, text: str) -> None:
+        """What the broker kept as a topic's last letter; another session's says nothing about this one."""
+        try:
+            told = json.loads(text)
+            if told["session"] != self._session:
+                return
+            key = int(told["key"])
+        except (ValueError, KeyError, TypeError):
+            return
+        with self._lock:
+            self._has_arrived(topic, key)
+        self._write_ledger()
+
+    @property
+    def empty(self) -> bool:
+        with self._lock:
+            return not self._letters and not self._unsaid
+
+    def keep(self) -> OutboxState:
+        """What a checkpoint needs."""
+        with self._lock:
+            letters = "\n".join(json.dumps([x.topic, x.key, x.text]) for x in self._letters)
+            return OutboxState(self._session, json.dumps(self._arrived), letters)
+
+    def _has_arrived(self, topic: str, key: int) -> None:
+        if key <= self._arrived.get(topic, -1):
+            return
+        self._arrived[topic] = key
+        self._letters = deque(x for x in self._letters if x.topic != topic or x.key > key)
+        self._unwritten = True
+
+    def _read_ledger(self) -> None:
+        try:
+            told = json.loads(self._ledger.read_text(encoding="utf-8")) if self._ledger else {}
+            if told.get("session") == self._session:
+                for topic, key in told["arrived"].items():
+                    self._arrived[topic] = max(int(key), self._arrived.get(topic, -1))
+        except FileNotFoundError:
+            return
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            log.warning("what was sent before cannot be read", path=str(self._ledger), error=str(error))
+
+    def _write_ledger(self) -> None:
+        """Outside the lock: a disk may be slow."""
+        if self._ledger is None or not self._unwritten:
+            return
+        self._unwritten = False
+        told = {"session": self._session, "arrived": dict(self._arrived)}
+        draft = self._ledger.with_name(f".{self._ledger.name}.draft")
+        try:
+            with draft.open("w", encoding="utf-8") as file:
+                json.dump(told, file)
+                file.flush()
+                os.fsync(file.fileno())
+            draft.replace(self._ledger)
+        except OSError as error:
+            log.warning("what was sent cannot be written down", path=str(self._ledger), error=error.strerror)

@@ -1,0 +1,115 @@
+"""A switch of the home that comes into the graph: the light's button, a pause."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+from dataclasses import dataclass
+from queue import Empty, SimpleQueue
+from typing import ClassVar
+
+import numpy as np
+
+from devices.mqtt.discovery import OFF, ON, Device, Topics, switch
+from devices.mqtt.link import Broker, Link
+from stream.chunk import Chunk, Specs, StreamSpec, empty
+from stream.params import param
+from stream.source import Feed, Source
+
+SWITCHED = np.dtype([("on", "?")])
+HEARTBEAT_S = 0.05
+"""How often it says that it was not switched: so long does an operator that reads it wait for it."""
+
+
+@dataclass(frozen=True, slots=True)
+class MqttSwitch(Source):
+    """A switch in Home Assistant, or anything that publishes ON or OFF to base/device/name/set, as a recorded stream.
+
+    One event (`on`) whenever it is switched, stamped with its arrival. What it was when kinegraph last ran is taken up at the start, from
+    the broker's retained state; without that it is `initial`, and no event is given. Without a broker nothing is switched and the graph
+    goes on.
+    """
+
+    background: ClassVar[bool] = True
+
+    name: str = param(help="what it is called in topics: letters, digits, - and _")
+    title: str = param("", help="its name in Home Assistant; left out: `name`")
+    initial: bool = param(False, help="what it is while nobody has ever switched it")
+    broker: Broker = param(Broker(), help="where the broker is")
+    device: Device = param(Device(), help="the device in Home Assistant that it belongs to")
+    base: str = param("kinegraph", help="what all topics begin with")
+    discovery: str = param("homeassistant", help="the prefix of discovery messages; left empty: none are sent")
+    icon: str = param("", help="such as mdi:lightbulb")
+
+    def specs(self) -> Specs:
+        self.broker.check()
+        self.device.check()
+        Device(self.name).check()
+        return {"out": StreamSpec((), SWITCHED, meta={"switch": self.name})}
+
+    def read(self, feed: Feed) -> None:
+        spec, hand = self.specs()["out"], _Hand(self)
+        feed.ready()
+        hand.link.start()
+        try:
+            while not feed.stopped:
+                on = hand.switched(HEARTBEAT_S)
+                now = feed.now()
+                feed.emit(empty(spec, now) if on is None else Chunk(np.array([now]), np.array([(on,)], SWITCHED), now))
+        finally:
+            hand.link.stop()
+
+
+class _Hand:
+    """One opening of the switch. `on`: what it is; `settled`: whether somebody has said so."""
+
+    def __init__(self, of: MqttSwitch) -> None:
+        self._of, self._topics = of, Topics(of.base, of.device.id, of.discovery)
+        self._on, self._settled = of.initial, False
+        self._switched: SimpleQueue[bool] = SimpleQueue()
+        state, command = self._topics.state(of.name), self._topics.command(of.name)
+        self.link = Link(
+            of.broker, f"kinegraph-{of.device.id}-{of.name}-{socket.gethostname()}-{os.getpid()}", self._topics.availability(of.name),
+            [state, command, *([self._topics.birth] if of.discovery else [])], joined=self._joined, heard=self._heard,
+        )  # fmt: skip
+
+    def switched(self, timeout_s: float) -> bool | None:
+        """Wait for the switch; None if nobody touches it."""
+        try:
+            return self._switched.get(timeout=timeout_s)
+        except Empty:
+            return None
+
+    def _joined(self) -> None:
+        self._announce()
+        if self._settled:
+            self._say_state()
+
+    def _heard(self, topic: str, text: str, retained: bool) -> None:
+        if topic == self._topics.birth:
+            if text == "online" and not retained:
+                self._announce()
+                self._say_state()
+        elif text.strip().upper() in (ON, OFF):
+            self._turn(text.strip().upper() == ON, topic, retained)
+
+    def _turn(self, on: bool, topic: str, retained: bool) -> None:
+        """A command, or at the start what the broker remembers; a command that the broker kept from long ago is none."""
+        commanded = topic == self._topics.command(self._of.name)
+        if commanded == retained or (not commanded and self._settled):
+            return
+        changed, self._on, self._settled = on != self._on or not self._settled, on, True
+        if changed and (commanded or on != self._of.initial):
+            self._switched.put(on)
+        if commanded:
+            self._say_state()
+
+    def _say_state(self) -> None:
+        self.link.say(self._topics.state(self._of.name), ON if self._on else OFF, retain=True)
+
+    def _announce(self) -> None:
+        of = self._of
+        if of.discovery:
+            told = switch(of.name, of.title or of.name, of.icon, of.device, self._topics)
+            self.link.say(self._topics.config("switch", of.name), json.dumps(told), retain=True)
