@@ -1,0 +1,123 @@
+"""The features of the mirrored pose: left for right, and what points sideways the other way round (thesis 2.4)."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from operators.channels import names_of
+from operators.continuity import numeric, rows
+from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
+from stream.errors import InputError, ParameterError, nearest
+from stream.kernel import kernel
+from stream.operator import Case, Operator, grid
+from stream.params import param
+
+STACKED = re.compile(r"\[[+-]\d+\]$")
+
+
+@kernel
+def mirrored(x: Samples, source: Times, sign: Samples, out: Samples) -> None:
+    """Column k of `out` (n, c) is column `source[k]` of `x` (n, c) times `sign[k]`; what is not finite is NaN."""
+    for i in range(x.shape[0]):
+        for k in range(x.shape[1]):
+            v = x[i, source[k]]
+            out[i, k] = sign[k] * v if abs(v) < math.inf else math.nan
+
+
+@dataclass(slots=True)
+class MirrorState:
+    source: Times
+    sign: Samples
+
+
+@dataclass(frozen=True, slots=True)
+class Mirror(Operator[MirrorState]):
+    """Features in, the features of the same movement seen in a mirror out: reflected at the body's sagittal plane. No delay, any rate.
+
+    swap    pairs of channels that change places; a name also stands for its channels: `[ankle_l, ankle_r]` for ankle_l.x, .y and .z
+    negate  channels that change their sign: what points sideways, and turns about axes in the plane. "*.x" stands for all that end so
+    sides   whether the first of each pair is the left one. If not, or where nothing is said, results say A and B, not left and right
+
+    Without `swap` and `negate` a pose's own pairs are used (operators.pose.Pose). A channel may stand in one pair. Stacked features keep
+    their offsets: ankle_l.x[-10] and ankle_r.x[-10]. The output's `meta["sides"]` is "LR", or "AB" where sides are not known.
+    """
+
+    swap: tuple[tuple[str, str], ...] = param((), help="[channel, channel]: they change places")
+    negate: tuple[str, ...] = param((), help="channels that change their sign; *.x: all that end so")
+    sides: bool = param(False, help="the first of each pair is the left one")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = specs["in"]
+        out = numeric(spec)
+        if not spec.is_signal:
+            raise InputError("in", spec.describe(), "a signal of features")
+        names = names_of(spec)
+        bare = [STACKED.sub("", name) for name in names]
+        sided = self.sides
+        if self.swap or self.negate:
+            couples = self._couples(bare)
+            turned = {name for given in self.negate for name in self._turned(given, bare)}
+        else:
+            own = spec.meta.get("mirror")
+            if not own:
+                raise ParameterError("swap", [], "a list of pairs, as the input says nothing about its sides")
+            couples, turned = {}, set(own["negate"])
+            for left, right in own["swap"]:
+                couples[left], couples[right] = right, left
+            sided = True
+        place = {name: i for i, name in enumerate(names)}
+        source = [
+            place[couples.get(plain, plain) + name[len(plain) :]] for name, plain in zip(names, bare, strict=True)
+        ]
+        sign = np.array([-1.0 if plain in turned else 1.0 for plain in bare])
+        self.hold(MirrorState(np.array(source, np.int64), sign))
+        return {"out": out.derive(meta={**spec.meta, "mirrored": True, "sides": "LR" if sided else "AB"})}
+
+    def _couples(self, names: list[str]) -> dict[str, str]:
+        """Who takes whose place, both ways."""
+        found: dict[str, str] = {}
+        for i, (first, second) in enumerate(self.swap):
+            for a in self._named(f"swap[{i}]", first, names):
+                b = second + a[len(first) :]
+                if b not in names:
+                    raise ParameterError(f"swap[{i}]", second, f"channels like those of {first!r}; there is no {b!r}")
+                if a in found or b in found or a == b:
+                    raise ParameterError(f"swap[{i}]", [first, second], "channels that stand in no other pair")
+                found[a], found[b] = b, a
+        return found
+
+    def _turned(self, given: str, names: list[str]) -> list[str]:
+        if given.startswith("*"):
+            made = [name for name in names if name.endswith(given[1:])]
+            if not made:
+                raise ParameterError("negate", given, "the end of a channel's name")
+            return made
+        return self._named("negate", given, names)
+
+    def _named(self, parameter: str, given: str, names: list[str]) -> list[str]:
+        """The channel of this name, or those whose name goes on with a dot."""
+        made = [name for name in dict.fromkeys(names) if name == given or name.startswith(f"{given}.")]
+        if not made:
+            raise ParameterError(parameter, given, f"a channel of the input; {nearest(given, names)}")
+        return made
+
+    def process(self, port: str, chunk: Chunk) -> Chunk:
+        s = self.state
+        out = np.empty((len(chunk.time), len(s.source)))
+        mirrored(rows(chunk.data, len(s.source)), s.source, s.sign, out)
+        return Chunk(chunk.time, out, chunk.until, chunk.lost)
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        data = np.random.default_rng(31).normal(size=(80, 4))
+        angles = StreamSpec((4,), rate_hz=30.0, channels=("arm_l", "arm_r", "trunk.x", "trunk.z"), units=("deg",))
+        pose = angles.derive(meta={"mirror": {"swap": [["arm_l", "arm_r"]], "negate": ["trunk.z"]}})
+        return [
+            Case(cls(swap=(("arm_l", "arm_r"),), negate=("*.x",)), {"in": (angles, grid(30.0, 80), data)}, least=80),
+            Case(cls(), {"in": (pose, grid(30.0, 80), data)}, least=80),
+        ]

@@ -1,0 +1,136 @@
+"""Robust standardisation as samples come: the running median taken away, and what is left over the running spread."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from operators.continuity import numeric, regular, rows, samples_in
+from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
+from stream.kernel import kernel
+from stream.operator import Case, Operator, grid
+from stream.params import param
+
+QUARTILES = 1.3489795003921634
+"""The distance between a normal distribution's quartiles, in standard deviations."""
+
+
+@kernel
+def enter(v: float, ring: Samples, ranked: Samples, places: Times) -> None:
+    """Take `v` into a window: `ring` (w,) holds it as it came, `ranked` (w,) in order; `places` (2,): the next place, how many."""
+    w = ring.shape[0]
+    at, filled = places[0], places[1]
+    hole = filled
+    if filled == w:
+        hole = np.searchsorted(ranked, ring[at])
+    else:
+        places[1] = filled + 1
+    while hole > 0 and ranked[hole - 1] > v:
+        ranked[hole] = ranked[hole - 1]
+        hole -= 1
+    while hole < places[1] - 1 and ranked[hole + 1] < v:
+        ranked[hole] = ranked[hole + 1]
+        hole += 1
+    ranked[hole] = v
+    ring[at] = v
+    places[0] = 0 if at == w - 1 else at + 1
+
+
+@kernel
+def quantile(ranked: Samples, count: int, share: float) -> float:
+    """A quantile of the first `count` values of `ranked`, between neighbours on a straight line."""
+    at = share * (count - 1)
+    below = int(at)
+    above = min(below + 1, count - 1)
+    return float(ranked[below] + (at - below) * (ranked[above] - ranked[below]))
+
+
+@kernel
+def standardise(
+    x: Samples,
+    most: int,
+    least_share: float,
+    ring: Samples,
+    ranked: Samples,
+    places: Times,
+    line: Samples,
+    out: Samples,
+) -> None:
+    """Each value of `x` (n, c) less its window's median, over its spread, into `out` (n, c).
+
+    most    after so many values a channel's median and spread stay as they are; 0: never
+    ring, ranked (c, w), places (3, c): see `enter`; places[2] counts values
+    line    (2, c)  each channel's median and spread
+    """
+    for i in range(x.shape[0]):
+        largest = 0.0
+        for c in range(x.shape[1]):
+            if abs(x[i, c]) < math.inf and (most == 0 or places[2, c] < most):
+                enter(x[i, c], ring[c], ranked[c], places[:2, c])
+                places[2, c] += 1
+                count = places[1, c]
+                line[0, c] = quantile(ranked[c], count, 0.5)
+                line[1, c] = (quantile(ranked[c], count, 0.75) - quantile(ranked[c], count, 0.25)) / QUARTILES
+            largest = max(largest, line[1, c])
+        for c in range(x.shape[1]):
+            v = x[i, c]
+            spread = max(line[1, c], least_share * largest)
+            out[i, c] = ((v - line[0, c]) / spread if spread > 0.0 else 0.0) if abs(v) < math.inf else math.nan
+
+
+@dataclass(slots=True)
+class StandardiseState:
+    most: int
+    ring: Samples
+    ranked: Samples
+    places: Times
+    line: Samples
+
+
+@dataclass(frozen=True, slots=True)
+class Standardise(Operator[StandardiseState]):
+    """A signal in; out comes every channel less its running median, over its running spread (quartiles' distance / 1.349). No delay.
+
+    Median and quartiles are those of the newest `window_s` of good values, so single outliers do not count. Statistics that go on running
+    let features drift, and two poses that were alike are no longer: with `freeze_s` they stay what they were then.
+
+    least_share  no channel's spread counts as less than this share of the largest: one that is silent is not blown up to noise
+    """
+
+    window_s: float = param(30.0, above=0.0, help="what median and spread are taken from")
+    freeze_s: float = param(0.0, least=0.0, help="after this long they stay as they are; 0: never")
+    least_share: float = param(0.05, least=0.0, most=1.0, help="a channel's least spread, as a share of the largest")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = specs["in"]
+        out = numeric(spec)
+        rate_hz = regular(spec)
+        width = int(np.prod(spec.shape, dtype=np.int64))
+        w = samples_in("window_s", self.window_s, rate_hz)
+        most = samples_in("freeze_s", self.freeze_s, rate_hz) if self.freeze_s else 0
+        w = min(w, most) if most else w
+        blank = np.zeros((width, w))
+        self.hold(StandardiseState(most, blank, blank.copy(), np.zeros((3, width), np.int64), np.zeros((2, width))))
+        settling_s = spec.settling_s + (self.freeze_s or self.window_s)
+        return {"out": out.derive(units=("",), settling_s=settling_s)}
+
+    def process(self, port: str, chunk: Chunk) -> Chunk:
+        s = self.state
+        out = np.empty(chunk.data.shape)
+        width = len(s.ring)
+        x, flat = rows(chunk.data, width), out.reshape(len(out), width)
+        standardise(x, s.most, self.least_share, s.ring, s.ranked, s.places, s.line, flat)
+        return Chunk(chunk.time, out, chunk.until, chunk.lost)
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        rng = np.random.default_rng(32)
+        data = rng.normal(size=(300, 3)) * (1.0, 10.0, 0.0)
+        spec = StreamSpec((3,), rate_hz=30.0, units=("uV",))
+        return [
+            Case(cls(window_s=2.0), {"in": (spec, grid(30.0, 300), data)}, least=300),
+            Case(cls(freeze_s=3.0), {"in": (spec, grid(30.0, 300), data.round(1))}, least=300),
+        ]
