@@ -62,6 +62,7 @@ class Outbox:
         self._unsaid: dict[str, None] = {}
         """Topics whose newest state was not handed out yet, in order."""
         self._letters: deque[Letter] = deque()
+        self._posted: dict[str, int] = {}
         self._arrived: dict[str, int] = json.loads(state.arrived)
         self._ready = self._unwritten = False
         self.dropped = 0
@@ -79,9 +80,9 @@ class Outbox:
     def post(self, topic: str, key: int, text: str) -> None:
         """A letter. One whose key is not newer than what has arrived, or waits, on its topic was sent before: it is left out."""
         with self._lock:
-            newest = max((x.key for x in self._letters if x.topic == topic), default=self._arrived.get(topic, -1))
-            if key <= newest:
+            if key <= max(self._posted.get(topic, -1), self._arrived.get(topic, -1)):
                 return
+            self._posted[topic] = key
             if len(self._letters) >= MOST_LETTERS:
                 self._letters.popleft()
                 self.dropped += 1

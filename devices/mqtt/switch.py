@@ -99,8 +99,8 @@ class _Hand:
         commanded = topic == self._topics.command(self._of.name)
         if commanded == retained or (not commanded and self._settled):
             return
-        changed, self._on, self._settled = on != self._on or not self._settled, on, True
-        if changed and (commanded or on != self._of.initial):
+        changed, self._on, self._settled = on != self._on, on, True
+        if changed:
             self._switched.put(on)
         if commanded:
             self._say_state()
