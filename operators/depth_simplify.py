@@ -60,10 +60,10 @@ class Simplify(Operator[SimplifyState]):
     scene   an event at the first frame under another basis: a leap of all pixels that is no movement
 
     The thesis computes the components of every frame anew. Here they are learned from the blocks of the first `learn_s` and then fixed:
-    a fixed basis costs a tenth, and does not tremble with the frame. Until then a block is its mean. Afterwards every further stretch of
-    `learn_s` (64 frames at least) is compared: where its own components would leave `1 / worse` of the variance or less, the scene has changed, and they are
-    taken. Components are sought by orthogonal iteration, one step a frame, from sums over some blocks of every frame (no frame is kept,
-    nor a place: a snapshot holds none either). No delay.
+    a fixed basis costs a tenth, and does not tremble with the frame. Until then a block is its mean. Every further stretch of `learn_s`
+    (64 frames at least) is compared: where its own components would leave `1 / worse` of the variance or less, the scene has changed,
+    and they are taken. Components are sought by orthogonal iteration, one step a frame, from sums over some blocks of every frame: no
+    frame is kept, nor a place, and a snapshot holds none either. No delay.
 
     It removes detail that is finer than a block, the more the fewer `components`; with one or two hardly more than a level and a slope
     are left. Outlines and habits remain: that is not anonymous.
