@@ -39,6 +39,8 @@ class Idle:
     def emit(self, chunk: Chunk, output: str = "out") -> None:
         self.samples += len(chunk) if output == "imu" else 0
 
+    def identify(self, device: str, **facts: str | float) -> None: ...
+
     def problem(self, kind: str, count: int = 1) -> None:
         self.problems += count
 

@@ -8,9 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from bench.work import CHANNELS, RATE_HZ, Feed, Sink, cycled
+from bench.work import CHANNELS, RATE_HZ, Feed, Sink, cycled, stamps
 from stream import source
-from stream.chunk import NS, Chunk, Specs, StreamSpec, Times
+from stream.chunk import NS, Chunk, Specs, StreamSpec
 from stream.engine.pipeline import Pipeline
 from stream.engine.replay import FOLD_EVERY
 from stream.operator import Operator
@@ -100,19 +100,13 @@ class Device(source.Source):
             feed.emit(Chunk(np.arange(first, first + trial.period_ns, step), x, first + trial.period_ns - step))
 
 
-def stamps(feed: Feed) -> list[Times]:
-    """The stamps of every chunk of a feed, as a recording gives them."""
-    times = 10**18 + np.arange(feed.count * feed.chunk) * (NS // RATE_HZ)
-    return [times[i * feed.chunk : i * feed.chunk + len(x)] for i, x in enumerate(cycled(feed))]
-
-
 def feed_all(pipeline: Pipeline, feed: Feed) -> None:
-    """Push a whole feed into a pipeline, chunk by chunk, as replay does."""
+    """Push a whole feed into a pipeline, chunk by chunk, as replay does; like a peer's list of values, the chunks are there before."""
     push = pipeline.entries["device"].send
-    times = stamps(feed)
+    chunks = [Chunk(t, x, int(t[-1])) for t, x in zip(stamps(feed), cycled(feed), strict=True)]
     feed.begin()
-    for i, (t, x) in enumerate(zip(times, cycled(feed), strict=True)):
-        push(Chunk(t, x, int(t[-1])), time.perf_counter_ns())
+    for i, chunk in enumerate(chunks):
+        push(chunk, time.perf_counter_ns())
         if not i % FOLD_EVERY:
             pipeline.fold()
     pipeline.end("device")

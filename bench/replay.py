@@ -60,6 +60,8 @@ class Writing:
     def hear(self, timeout_s: float) -> str | None:
         return None
 
+    def identify(self, device: str, **facts: str | float) -> None: ...
+
     def problem(self, kind: str, count: int = 1) -> None: ...
 
 

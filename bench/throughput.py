@@ -7,7 +7,7 @@ from statistics import median
 
 from bench.engines import EngineError, Field
 from bench.report import Goal, Section, short
-from bench.worker import FED, KERNELS, OWN, PROFILED, SCIPY, SESSION
+from bench.worker import FED, KERNELS, OWN, PROFILED, SCIPY, SESSION, STAMPED
 
 CHUNKS = (1, 10, 40, 200)
 FEW, MANY = 5, 50
@@ -35,8 +35,9 @@ def chain_entries() -> list[Entry]:
         Entry("bare", SCIPY, "bare loop over scipy"),
         Entry("kinegraph", FED, "**kinegraph**, fed as in a replay"),
         Entry("kinegraph", SESSION, "**kinegraph**, whole session, recorded"),
-        Entry("csp", KERNELS, "csp, same kernels"),
-        Entry("csp", PROFILED, "csp, same kernels, its profiler on"),
+        Entry("csp", PROFILED, "csp, same kernels and stamps, its profiler on"),
+        Entry("csp", STAMPED, "csp, same kernels and stamps, no metrics"),
+        Entry("csp", KERNELS, "csp, same kernels on bare arrays, no stamps, no metrics"),
         Entry("csp", SCIPY, "csp, scipy in nodes"),
         Entry("streamz", KERNELS, "streamz, same kernels"),
         Entry("streamz", SCIPY, "streamz, scipy in maps"),

@@ -18,10 +18,10 @@ import numpy as np
 from scipy.signal import butter, lfilter, sosfilt
 
 from operators.decimate import thin_out
-from operators.iir import sections
+from operators.iir import late_sections, sections
 from operators.moving import moving_mean
 from operators.rectify import magnitudes
-from stream.chunk import Samples
+from stream.chunk import Samples, Times
 
 CHANNELS = 16
 RATE_HZ = 2000
@@ -33,6 +33,8 @@ POOL = 64
 """So many different chunks are handed out again and again where only the time counts."""
 
 Step: TypeAlias = Callable[[Samples], Samples]
+Stamped: TypeAlias = tuple[Times, Samples]
+"""Samples and when each of them was, in ns: what kinegraph's chunks carry."""
 
 
 def samples(n: int, seed: int = 7) -> Samples:
@@ -76,6 +78,45 @@ def kernel_steps() -> list[Step]:
         out = np.empty(x.shape)
         moving_mean(x, ring, sums, places, stamps[: len(x)], 0, out, stamps[: len(x)])
         return out
+
+    return [rectify, lowpass, thin, mean]
+
+
+def stamped_steps() -> list[Callable[[Stamped], Stamped]]:
+    """The chain's four steps on kinegraph's own kernels, every sample with its stamp, earlier by the filters' delays: all of what we do."""
+    coefficients = sos()
+    z = np.zeros((len(coefficients), 2, CHANNELS))
+    ring, sums, places = np.zeros((WINDOW, CHANNELS)), np.zeros((4, CHANNELS)), np.zeros((2, CHANNELS), np.int64)
+    lowpass_ns, mean_ns = 20_800_000, 120_000_000
+    skip = 0
+
+    def rectify(s: Stamped) -> Stamped:
+        time, x = s
+        out = np.empty(x.shape)
+        magnitudes(x, out)
+        return time, out
+
+    def lowpass(s: Stamped) -> Stamped:
+        time, x = s
+        out, stamps = np.empty(x.shape), np.empty(len(x), np.int64)
+        late_sections(x, coefficients, z, out, time, lowpass_ns, stamps)
+        return stamps, out
+
+    def thin(s: Stamped) -> Stamped:
+        nonlocal skip
+        time, x = s
+        rows = (len(x) - skip + EVERY - 1) // EVERY
+        out, stamps = np.empty((rows, CHANNELS)), np.empty(rows, np.int64)
+        if rows:
+            thin_out(x, skip, EVERY, time, out, stamps)
+        skip = (skip - len(x)) % EVERY
+        return stamps, out
+
+    def mean(s: Stamped) -> Stamped:
+        time, x = s
+        out, stamps = np.empty(x.shape), np.empty(len(x), np.int64)
+        moving_mean(x, ring, sums, places, time, mean_ns, out, stamps)
+        return stamps, out
 
     return [rectify, lowpass, thin, mean]
 
@@ -159,6 +200,12 @@ class Feed:
 def cycled(feed: Feed) -> Iterator[Samples]:
     """The feed's chunks without its pace."""
     return islice(cycle(feed.arrays), feed.count)
+
+
+def stamps(feed: Feed) -> list[Times]:
+    """The stamps of every chunk of a feed, as a recording gives them."""
+    times = 10**18 + np.arange(feed.count * feed.chunk) * (10**9 // RATE_HZ)
+    return [times[i * feed.chunk : i * feed.chunk + len(x)] for i, x in enumerate(cycled(feed))]
 
 
 class Sink:

@@ -15,10 +15,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from bench.work import POOL, Feed, Sink, Step, kernel_steps, outcome, samples, scipy_steps
+from bench.work import POOL, Feed, Sink, kernel_steps, outcome, samples, scipy_steps, stamped_steps
 
-KERNELS, PROFILED, SCIPY, OWN, FED, SESSION = "kernels", "profiled", "scipy", "own", "fed", "session"
-"""What a contender's operators run: kinegraph's kernels (also with a profiler), scipy, its own operators; and kinegraph's two ways in."""
+KERNELS, STAMPED, PROFILED, SCIPY, OWN, FED, SESSION = (
+    "kernels",
+    "stamped",
+    "profiled",
+    "scipy",
+    "own",
+    "fed",
+    "session",
+)
+"""What a contender's operators run: our kernels on bare arrays, or on all that we carry, stamps too (also with a profiler), scipy, its own
+operators; and kinegraph's two ways in."""
 
 
 class Driver(Protocol):
@@ -27,17 +36,19 @@ class Driver(Protocol):
     def versions(self) -> dict[str, str]:
         """What is being measured."""
 
-    def drive(self, style: str, steps: Sequence[Step | None], feed: Feed, sink: Sink) -> tuple[int, int]:
+    def drive(self, style: str, steps: Sequence[Any], feed: Feed, sink: Sink) -> tuple[int, int]:
         """Send all of `feed` through one operator per step into `sink` (None: an operator that passes on what it gets).
 
         Returns (samples per row, place of the sample that completes a row), where the style does not keep to the chain's.
         """
 
 
-def steps_of(order: dict[str, Any]) -> Sequence[Step | None]:
+def steps_of(order: dict[str, Any]) -> Sequence[Any]:
     """What the operators do: nothing, if a number of them is ordered, or the chain's four steps."""
     if order.get("operators"):
         return [None] * order["operators"]
+    if order["style"] in (STAMPED, PROFILED):
+        return stamped_steps()
     return scipy_steps() if order["style"] == SCIPY else kernel_steps()
 
 

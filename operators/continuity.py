@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, StreamSpec, Times
+from stream.chunk import FOREVER, NEVER, NS, STAMP, Array, Chunk, Samples, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Operator
 
@@ -62,6 +62,7 @@ class Filter(Operator[C]):
     """
 
     __slots__ = ()
+    contiguous = True
 
     def rest(self) -> None:
         """Forget all samples: back to the state at the start."""
@@ -84,10 +85,10 @@ class Filter(Operator[C]):
         made = out
         if not state.plain:
             x, made = rows(x, state.width), out.reshape(x.shape)
-        stamps = np.empty(n, np.int64)
+        stamps = np.empty(n, STAMP)
         self.work(x, time, out, stamps)
         until = chunk.until
-        return Chunk(stamps, made, until - state.delay_ns if NEVER < until < FOREVER else until, chunk.lost)
+        return Chunk(stamps, made, until if until == FOREVER else until - state.delay_ns, chunk.lost)
 
 
 def watch(spec: StreamSpec, *, delay_s: float = 0.0, reset_gap_s: float = 0.0) -> dict[str, Any]:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from operators.continuity import Continuity, numeric, regular, rows, watch
-from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
+from stream.chunk import STAMP, Chunk, Samples, Specs, StreamSpec, Times
 from stream.kernel import kernel
 from stream.operator import Case, Operator, grid
 from stream.params import param
@@ -39,6 +40,8 @@ class Decimate(Operator[DecimateState]):
     gap the lost samples are counted by time, so that what is kept stays on its grid; a gap above the limit begins a new grid. Bad samples
     are kept like others, infinity as NaN. While samples flow, `until` is told with every kept sample only.
     """
+
+    contiguous: ClassVar[bool] = True
 
     every: int = param(least=1, help="one sample in so many is kept")
     reset_gap_s: float = param(0.1, least=0.0, help="the first sample after a longer gap is kept")
@@ -72,7 +75,7 @@ class Decimate(Operator[DecimateState]):
         made = out
         if not state.plain:
             x, made = rows(x, state.width), out.reshape((m, *x.shape[1:]))
-        stamps = np.empty(m, np.int64)
+        stamps = np.empty(m, STAMP)
         thin_out(x, first, self.every, time, out, stamps)
         return Chunk(stamps, made, chunk.until, lost)
 

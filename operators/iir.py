@@ -20,7 +20,7 @@ import numpy as np
 
 from operators.continuity import Continuity, Filter, nothing, numeric, regular, rows, watch
 from operators.remembered import remembered
-from stream.chunk import FOREVER, NEVER, Chunk, Samples, Specs, StreamSpec, Times
+from stream.chunk import FOREVER, STAMP, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
 from stream.kernel import kernel
 from stream.operator import Case, grid
@@ -153,10 +153,10 @@ class Sections(Filter[SectionsState]):
         if not delay_ns:
             sections(x, state.sos, state.z, out)
             return Chunk(time, made, chunk.until, chunk.lost)
-        stamps = np.empty(n, np.int64)
+        stamps = np.empty(n, STAMP)
         late_sections(x, state.sos, state.z, out, time, delay_ns, stamps)
         until = chunk.until
-        return Chunk(stamps, made, until - delay_ns if NEVER < until < FOREVER else until, chunk.lost)
+        return Chunk(stamps, made, until if until == FOREVER else until - delay_ns, chunk.lost)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from operators.continuity import Continuity, Filter, back, numeric, regular, rows, watch
 from operators.remembered import remembered
-from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
+from stream.chunk import NEVER, NS, STAMP, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
 from stream.kernel import kernel
 from stream.operator import Case, grid
@@ -168,7 +168,7 @@ class Resample(Filter[ResampleState]):
         ahead = len(time) * state.up - int(state.places[1])
         m = -(-ahead // state.down) if ahead > 0 else 0
         out: Samples = np.empty((m, *chunk.data.shape[1:]))
-        stamps = np.empty(m, np.int64)
+        stamps = np.empty(m, STAMP)
         flat = out if state.plain else out.reshape(m, state.width)
         s = state
         polyphase(x, s.table, s.phases, s.down, s.held, s.bad, s.ring, s.places, time, flat, stamps)

@@ -39,6 +39,7 @@ class Operator(Generic[S]):
     in_turn    whether samples of several inputs come strictly in global time order, cut wherever another input's is due. Off, for operators
                that wait for `until` in any case (joins): each input's own order, and far fewer pieces. Either way a piece's `until` holds
                for all inputs at once
+    contiguous whether what it emits always is C-contiguous, aligned and writable, so that the engine need not look (the laws do)
     departures rules of the laws (RULES in stream/trial/broken.py) that do not hold here on purpose, each with the reason, for the docs
     """
 
@@ -48,6 +49,7 @@ class Operator(Generic[S]):
     variadic: ClassVar[bool] = False
     outputs: ClassVar[tuple[str, ...]] = ("out",)
     in_turn: ClassVar[bool] = True
+    contiguous: ClassVar[bool] = False
     departures: ClassVar[dict[str, str]] = {}
 
     state: S

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
+from typing import Any
 
 import csp
 from csp import ts
@@ -15,8 +16,8 @@ from csp.impl.pushadapter import PushInputAdapter
 from csp.impl.wiring import py_push_adapter_def
 from csp.profiler import Profiler
 
-from bench.work import EVERY, Feed, Sink, Step
-from bench.worker import PROFILED, serve
+from bench.work import EVERY, Feed, Sink, cycled, stamps
+from bench.worker import PROFILED, STAMPED, serve
 
 
 @csp.node
@@ -34,9 +35,17 @@ def apply(step: object, x: ts[object]) -> ts[object]:
 
 
 @csp.node
+def apply_stamped(step: object, x: ts[object]) -> ts[object]:
+    if csp.ticked(x):
+        y = step(x)
+        if len(y[0]):
+            return y
+
+
+@csp.node
 def count(sink: object, x: ts[object]):
     if csp.ticked(x):
-        sink(x)
+        sink(x[1] if type(x) is tuple else x)
 
 
 @csp.node
@@ -70,41 +79,41 @@ device = py_push_adapter_def("device", Device, ts[object], feed=object)
 
 
 @csp.graph
-def chain(steps: object, source: ts[object], sink: object):
+def chain(steps: object, stamped: bool, source: ts[object], sink: object):
     x = source
     for step in steps:
-        x = same(x) if step is None else apply(step, x)
+        x = same(x) if step is None else apply_stamped(step, x) if stamped else apply(step, x)
     count(sink, x)
 
 
 @csp.graph
 def paced(steps: object, feed: object, sink: object):
-    chain(steps, device(feed), sink)
+    chain(steps, False, device(feed), sink)
 
 
 @csp.graph
-def replayed(steps: object, feed: object, data: object, sink: object):
-    chain(steps, starter(feed, csp.curve(object, data)), sink)
+def replayed(steps: object, stamped: bool, feed: object, data: object, sink: object):
+    chain(steps, stamped, starter(feed, csp.curve(object, data)), sink)
 
 
 class Csp:
     def versions(self) -> dict[str, str]:
         return {"csp": version("csp")}
 
-    def drive(self, style: str, steps: Sequence[Step | None], feed: Feed, sink: Sink) -> tuple[int, int]:
+    def drive(self, style: str, steps: Sequence[Any], feed: Feed, sink: Sink) -> tuple[int, int]:
         with Profiler() if style == PROFILED else nullcontext():
             if feed.paced:
                 seconds = feed.count * feed.period_ns / 1e9 + 0.5
                 csp.run(paced, list(steps), feed, sink, realtime=True, endtime=timedelta(seconds=seconds))
             else:
-                self._replay(list(steps), feed, sink)
+                self._replay(list(steps), feed, sink, stamped=style in (STAMPED, PROFILED))
         return EVERY, 0
 
-    def _replay(self, steps: list[Step | None], feed: Feed, sink: Sink) -> None:
+    def _replay(self, steps: list[Any], feed: Feed, sink: Sink, *, stamped: bool) -> None:
         begin = datetime(2026, 1, 1, tzinfo=UTC).replace(tzinfo=None)
-        pool = feed.arrays
-        data = [(timedelta(microseconds=i), pool[i % len(pool)]) for i in range(feed.count)]
-        csp.run(replayed, steps, feed, data, sink, starttime=begin, endtime=timedelta(days=1))
+        values = zip(stamps(feed), cycled(feed), strict=True) if stamped else cycled(feed)
+        data = [(timedelta(microseconds=i), value) for i, value in enumerate(values)]
+        csp.run(replayed, steps, stamped, feed, data, sink, starttime=begin, endtime=timedelta(days=1))
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ next. Only what comes most is written out: a chunk in normal arrays and without 
 function is left for `Wire.carry` or `Stage.emit`, which do the same step by step.
 
 Timing reads the clock once per operator. Reading it may cost more than an operator that does little, so a chain that runs without a rest,
-as in a replay, times one passage in four or so: after each that was timed, as many follow untimed as fit into three times its length.
+as in a replay, times one passage in eight or so: after each that was timed, as many follow untimed as fit into seven times its length.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from stream.engine.link import Link, Push, failure
 if TYPE_CHECKING:
     from stream.engine.wire import Wire
 
-REST = 3
+REST = 7
 """So many times the length of a passage that was timed pass untimed."""
 
 
@@ -86,11 +86,12 @@ class Chain:
             self._at[len(lines) + 1] = i
             lines.append(f"{indent}c{i + 1} = process{i}(port{i}, c{i})")
             lines += [f"{indent}t{i + 1} = clock()"] if timed else []
+            untidy = "" if self._links[i].contiguous else f" or not c{i + 1}.data.flags.carray"
             body = [
                 f"if c{i + 1}.__class__ is not Chunk:",
                 *(f"    {line}" for line in noted),
                 f"    return {end} if c{i + 1} is None else emit{i}(c{i + 1}, {end})",
-                f"if c{i + 1}.lost or wire{i + 1}.owed or not c{i + 1}.data.flags.carray:",
+                f"if c{i + 1}.lost or wire{i + 1}.owed{untidy}:",
                 *(f"    {line}" for line in noted),
                 f"    return carry{i + 1}(c{i + 1}, {end})",
                 f"n = len(c{i + 1}.time)",

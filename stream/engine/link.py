@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from time import perf_counter_ns
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from stream.chunk import Chunk, utc
 from stream.engine.metrics import Timing
 from stream.errors import KinegraphError, RunError
-from stream.operator import Emitted
+from stream.operator import Emitted, Operator
 
 if TYPE_CHECKING:
     from stream.engine.wire import Wire
@@ -25,18 +25,18 @@ class Link:
     emit    sends whatever the operator gives back
     """
 
-    __slots__ = ("emit", "name", "out", "port", "process", "timing")
+    __slots__ = ("contiguous", "emit", "name", "out", "port", "process", "timing")
 
     def __init__(
         self,
         name: str,
         port: str,
-        process: Callable[[str, Chunk], Emitted],
+        operator: Operator[Any],
         timing: Timing,
         out: Wire | None,
         emit: Callable[[Emitted, int], int],
     ) -> None:
-        self.name, self.port, self.process = name, port, process
+        self.name, self.port, self.process, self.contiguous = name, port, operator.process, operator.contiguous
         self.timing, self.out, self.emit = timing, out, emit
 
     def __call__(self, chunk: Chunk, start: int) -> int:

@@ -68,7 +68,7 @@ class Stage:
         if self.node.is_outlet:
             return self._outlet_input(port)
         out = next(iter(self.wires.values()), None)
-        return Link(self.node.name, port, self.operator.process, self.timing, out, self.emit)
+        return Link(self.node.name, port, self.operator, self.timing, out, self.emit)
 
     def _outlet_input(self, port: str) -> Push:
         """An outlet's failure ends the outlet, not the graph."""
