@@ -1,0 +1,215 @@
+"""Feature bundling, one frame: towards where its neighbours are densest, across its direction of movement (thesis 2.2)."""
+
+from __future__ import annotations
+
+import math
+
+from operators.eigen import symmetric_eigen
+from operators.neighbours.layout import IN_NEAR, LANES, NEAR, NEXT, Floats
+from operators.neighbours.search import NOTHING, search
+from operators.neighbours.window import insert, prepare, slot_of, tile_at
+from stream.chunk import Samples, Times
+from stream.kernel import kernel
+
+CLIMB = 200
+"""The most steps of an ascent; some 20 are usual."""
+STILL = 1e-6
+"""An ascent ends with a step shorter than this, in standard deviations."""
+VALUES, REST, WEIGHTS, ASIDE, HERE, THERE = range(6)
+"""Rows of the room for numbers per neighbour."""
+
+
+@kernel
+def bundle(
+    floats: Floats, books: Times, at: int, k: int, variance: float, pull: Samples, gram: Samples, basis: Samples,
+    room: Samples, ways: Samples, frame: Samples, out: Samples,
+) -> int:  # fmt: skip
+    """Write the bundled `frame` (d,), which is number `at` of the index, into `out` (d,); returns how many steps that took.
+
+    k, variance  how many neighbours, and the share of their variance that is kept
+    ways         (3, d)  ways[0]: the direction of movement, any length, 0 for none; the rest is room
+    pull (d, k), gram (k, k), basis (k, k), room (6, k)  room
+
+    The neighbours less the frame lose what lies along the direction. Of their principal components, found from the k x k matrix of
+    products, as many are kept as hold `variance`; in these, each over its standard deviation, the density is a sum of Gaussians with
+    Scott's bandwidth k^(-1 / (dimensions + 4)), and mean shift climbs from the frame to the next maximum. What lies outside of the
+    kept components becomes the neighbours' mean. So the frame stays where it is along its way, and moves only across.
+    """
+    prepare(floats, books, frame)
+    search(floats, books, at, 0, k, NOTHING, False)
+    count = books[NEAR]
+    d = frame.shape[0]
+    if count < 3:
+        for i in range(d):
+            out[i] = frame[i]
+        return 0
+    gather_across(floats, books, count, frame, ways, pull)
+    products(pull, count, ways[1], gram, room[ASIDE])
+    symmetric_eigen(gram, count, room[VALUES], room[REST], basis)
+    kept = principal(count, variance, room[VALUES], basis)
+    for c in range(kept):
+        total = 0.0
+        for j in range(count):
+            total += basis[c, j] * room[ASIDE, j]
+        room[HERE, c] = -math.sqrt(count - 1.0) * total / room[VALUES, c]
+        for j in range(count):
+            basis[c, j] *= math.sqrt(count - 1.0)
+    steps = climb(count, kept, basis, room)
+    for j in range(count):
+        weight = 0.0
+        for c in range(kept):
+            weight += room[HERE, c] * basis[c, j]
+        room[WEIGHTS, j] = weight / (count - 1.0)
+    for i in range(d):
+        total = ways[1, i]
+        for j in range(count):
+            total += room[WEIGHTS, j] * pull[i, j]
+        out[i] = frame[i] + total
+    return steps
+
+
+@kernel
+def gather_across(floats: Floats, books: Times, count: int, frame: Samples, ways: Samples, pull: Samples) -> None:
+    """The nearest that were found, less the frame, what lies along `ways[0]`, and their mean: columns of `pull`; mean in `ways[1]`."""
+    d = frame.shape[0]
+    for j in range(count):
+        slot = slot_of(books, books[books[IN_NEAR] + j])
+        row = tile_at(books, slot // LANES) + slot % LANES
+        for i in range(d):
+            pull[i, j] = floats[row + (1 + i) * LANES] - frame[i]
+    length = 0.0
+    for i in range(d):
+        length += ways[0, i] * ways[0, i]
+    ways[2, :count] = 0.0
+    if length > 0.0:
+        for i in range(d):
+            for j in range(count):
+                ways[2, j] += ways[0, i] * pull[i, j]
+    for i in range(d):
+        share = ways[0, i] / length if length > 0.0 else 0.0
+        total = 0.0
+        for j in range(count):
+            pull[i, j] -= share * ways[2, j]
+            total += pull[i, j]
+        ways[1, i] = total / count
+        for j in range(count):
+            pull[i, j] -= ways[1, i]
+
+
+@kernel
+def products(pull: Samples, count: int, mean: Samples, gram: Samples, aside: Samples) -> None:
+    """Products of the first `count` columns of `pull` (d, k) with one another, into `gram`, and with the mean, into `aside`."""
+    for a in range(count):
+        aside[a] = 0.0
+        for b in range(count):
+            gram[a, b] = 0.0
+    for i in range(pull.shape[0]):
+        for a in range(count):
+            for b in range(count):
+                gram[a, b] += pull[i, a] * pull[i, b]
+            aside[a] += pull[i, a] * mean[i]
+
+
+@kernel
+def principal(count: int, variance: float, values: Samples, basis: Samples) -> int:
+    """Put the largest components first, until they hold this share of the variance; returns how many. Rows of `basis` follow."""
+    whole = 0.0
+    for c in range(count):
+        values[c] = max(values[c], 0.0)
+        whole += values[c]
+    held, kept = 0.0, 0
+    while kept < count - 1 and held < variance * whole:
+        best = kept
+        for c in range(kept + 1, count):
+            if values[c] > values[best]:
+                best = c
+        values[kept], values[best] = values[best], values[kept]
+        for j in range(count):
+            basis[kept, j], basis[best, j] = basis[best, j], basis[kept, j]
+        held += values[kept]
+        kept += 1
+    return kept
+
+
+@kernel
+def climb(count: int, kept: int, points: Samples, room: Samples) -> int:
+    """Mean shift from `room[HERE]` to a maximum of the density of `points` (kept, count), each dimension of standard deviation 1."""
+    wide = count ** (-2.0 / (kept + 4.0))
+    for step in range(CLIMB):
+        for j in range(count):
+            room[WEIGHTS, j] = 0.0
+        for c in range(kept):
+            for j in range(count):
+                apart = points[c, j] - room[HERE, c]
+                room[WEIGHTS, j] += apart * apart
+        nearest = math.inf
+        for j in range(count):
+            nearest = min(nearest, room[WEIGHTS, j])
+        total = 0.0
+        for j in range(count):
+            room[WEIGHTS, j] = math.exp((nearest - room[WEIGHTS, j]) / (2.0 * wide))
+            total += room[WEIGHTS, j]
+        moved = 0.0
+        for c in range(kept):
+            there = 0.0
+            for j in range(count):
+                there += room[WEIGHTS, j] * points[c, j]
+            there /= total
+            moved += (there - room[HERE, c]) ** 2
+            room[HERE, c] = there
+        if moved < STILL * STILL:
+            return step + 1
+    return CLIMB
+
+
+@kernel
+def bundle_frames(
+    floats: Floats, books: Times, x: Samples, k: int, variance: float, ahead: int, furthest: int, lost: int, time: Times,
+    recent: Samples, past: Times, places: Times,
+    pull: Samples, gram: Samples, basis: Samples, room: Samples, ways: Samples, out: Samples, when: Times,
+) -> int:  # fmt: skip
+    """Insert each of `x` (n, d), and bundle the one that came `ahead` frames before it; returns how many rows of `out` were made.
+
+    furthest, lost  frames further apart in time than `furthest` (ns) do not follow one another; how many are lost before the first
+    recent   (ahead + 3, d)  the newest frames, by their number since the last break modulo that length
+    past     (2, ahead + 1)  stamps of the newest frames, and how many are lost before each
+    places   (2,)            frames since the last break; how many before them do not come out
+    when     (2, n)          stamp of each row made, and how many are lost before it
+    """
+    ring, d = recent.shape[0], recent.shape[1]
+    made = 0
+    for i in range(x.shape[0]):
+        if places[0] and time[i] - past[0, ahead] > furthest:
+            places[0] = 0
+            places[1] = -1
+        for a in range(ahead):
+            past[0, a], past[1, a] = past[0, a + 1], past[1, a + 1]
+        past[0, ahead] = time[i]
+        past[1, ahead] = lost if i == 0 else 0
+        newest = places[0]
+        for c in range(d):
+            recent[newest % ring, c] = x[i, c]
+        good = prepare(floats, books, x[i])
+        insert(floats, books, good, NOTHING)
+        places[0] += 1
+        if newest < ahead:
+            continue
+        number = newest - ahead
+        frame = recent[number % ring]
+        when[0, made] = past[0, 0]
+        when[1, made] = -1 if places[1] < 0 or past[1, 0] < 0 else places[1] + past[1, 0]
+        places[1] = 0
+        fine = number >= 2
+        if fine:
+            before, behind = recent[(number - 1) % ring], recent[(number - 2) % ring]
+            after, beyond = recent[(number + 1) % ring], recent[(number + 2) % ring]
+            for c in range(d):
+                ways[0, c] = 8.0 * (after[c] - before[c]) - (beyond[c] - behind[c])
+                fine = fine and abs(ways[0, c]) < math.inf and abs(frame[c]) < math.inf
+        if fine:
+            bundle(floats, books, books[NEXT] - 1 - ahead, k, variance, pull, gram, basis, room, ways, frame, out[made])
+        else:
+            for c in range(d):
+                out[made, c] = frame[c] if abs(frame[c]) < math.inf else math.nan
+        made += 1
+    return made
