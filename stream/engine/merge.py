@@ -82,7 +82,7 @@ class Merge:
         """The longest run of one port's first pending chunk that precedes what is pending on the others, cut at the frontier."""
         limit = told = frontier
         for j, time in enumerate(self._next):
-            if time <= frontier and j != first:
+            if time <= frontier and j != first and time != FOREVER:
                 if time <= told:
                     told = time - 1
                 if self._in_turn:
