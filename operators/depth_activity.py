@@ -1,0 +1,308 @@
+"""Activity by epochs from the change of depth frames: how long a sleeper moved, above what the frames' own noise does."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from operators.continuity import numeric, regular
+from operators.depth_noise import Noise
+from operators.depth_presence import BED, IN, NAMES, OUT, UNKNOWN
+from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
+from stream.errors import InputError, ParameterError
+from stream.kernel import kernel
+from stream.operator import Case, Operator, grid
+from stream.params import param
+
+EPOCH_SEEN = np.dtype(
+    [
+        ("onset", "<i8"),
+        ("end", "<i8"),
+        ("sleeper", "U16"),
+        ("moved_s", "<f8"),
+        ("seen", "<f8"),
+        ("bed", "U7"),
+        ("crosstalk", "<f8"),
+        ("threshold", "<f8"),
+    ]
+)
+"""What was seen of a sleeper in an epoch; see `Activity`."""
+
+Rows = list[tuple[Any, ...]]
+
+
+@kernel
+def collect(x: Samples, time: Times, begin: int, slot_ns: int, sums: Samples, counts: Samples) -> None:
+    """Add the samples `x` (n, k) to the slots (s, k) of the epoch that began at `begin`; what is not finite was not seen."""
+    for i in range(x.shape[0]):
+        slot = min((time[i] - begin) // slot_ns, sums.shape[0] - 1)
+        for k in range(x.shape[1]):
+            if abs(x[i, k]) < math.inf:
+                sums[slot, k] += x[i, k]
+                counts[slot, k] += 1.0
+
+
+@dataclass(slots=True)
+class ActivityState:
+    """
+    begin           start of the open epoch (ns); NEVER: none. silent: how many epochs without any frame have gone by
+    sums, counts    (slots, k) of the open epoch: change, and frames
+    needed          how many frames an epoch must have; expected: how many it should have
+    bed, out        (k,) where each sleeper is (`unasked`: before anything is known); whether out of bed since the epoch's beginning
+    in_bed, empty   noise while each sleeper is in bed, and while the bed is empty
+    lost            what the next emission says is missing before it
+    """
+
+    sleepers: list[str]
+    epoch_ns: int
+    slot_ns: int
+    begin: int
+    silent: int
+    most_silent: int
+    expected: float
+    sums: Samples
+    counts: Samples
+    bed: Times
+    unasked: int
+    out: Times
+    in_bed: Noise
+    empty: Noise
+    lost: int
+
+
+@dataclass(frozen=True, slots=True)
+class Activity(Operator[ActivityState]):
+    """The change N(t) of every sleeper's region in (`motion`), and where the sleepers are (`bed`); activity per epoch out.
+
+    out     (sleepers,) float64: share of the time seen with movement; 0 below `least_s` of movement; 1 where the sleeper was out of bed
+            throughout (being up is being awake); NaN where less than `least_seen` was seen, noise is not known yet, or, with `bed`
+            connected, nobody knows whether anybody is in bed. Stamped with the epoch's start; goes straight into
+            operators.sleep_scorer.SleepScorer
+    epochs  per epoch and sleeper: onset, end; moved_s: time with movement; seen: share of the frames; bed: in, out or unknown, at its
+            end; crosstalk: share of the movement during which another sleeper's region moved at least `crosstalk_ratio` times more, so
+            that it may have been theirs; threshold (mm)
+
+    Movement is where N, averaged over `smooth_s`, exceeds the threshold: what N is in the stillest quarter of the newest 60 epochs with
+    this sleeper in bed, plus `sigmas` times its own scatter there (breath counts as scatter), and at least `least_rise` of it. So it is
+    calibrated on the frames as they come, simplified and noisy. While there are fewer than 20 such epochs, the lower of this and the same
+    of the empty bed counts; below 4 of either there is none. A lamp that makes frames noisier counts as movement until a
+    quarter of those epochs have it.
+
+    A silence up to `reset_gap_s` gives epochs of NaN; beyond it everything begins anew. Delay: one epoch.
+    """
+
+    inputs: ClassVar[tuple[str, ...]] = ("bed", "motion")
+    optional: ClassVar[tuple[str, ...]] = ("bed",)
+    outputs: ClassVar[tuple[str, ...]] = ("out", "epochs")
+
+    epoch_s: float = param(30.0, above=0.0, help="length of an epoch; epochs begin at whole multiples of it since 1970")
+    smooth_s: float = param(0.5, above=0.0, help="movement is judged on averages over so long")
+    sigmas: float = param(6.0, above=0.0, help="how far above the noise movement begins: lower is more sensitive")
+    least_rise: float = param(0.05, least=0.0, help="and how far at least, as a share of the noise")
+    least_s: float = param(1.0, least=0.0, help="less movement in an epoch is none")
+    least_seen: float = param(0.5, above=0.0, most=1.0, help="share of the frames that must have been seen")
+    crosstalk_ratio: float = param(3.0, above=1.0, help="how much stronger another's movement must be to be suspected")
+    reset_gap_s: float = param(43_200.0, least=0.0, help="a longer silence is not filled with unknown epochs")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = specs["motion"]
+        numeric(spec, "motion")
+        rate_hz = regular(spec, "motion")
+        if not spec.is_signal or not spec.channels:
+            raise InputError(
+                "motion", spec.describe(), "a channel for each sleeper, as operators.depth_motion.Motion gives"
+            )
+        if "bed" in specs and specs["bed"].dtype != BED:
+            raise InputError("bed", specs["bed"].describe(), "the output of operators.depth_presence.Presence")
+        if self.epoch_s * rate_hz < 4:
+            raise ParameterError("epoch_s", self.epoch_s, f"at least {4 / rate_hz:g} (four frames)")
+        k = len(spec.channels)
+        unasked = UNKNOWN if "bed" in specs else IN
+        slot_s = max(self.smooth_s, 1 / rate_hz)
+        slots = max(1, round(self.epoch_s / slot_s))
+        epoch_ns = round(self.epoch_s * NS)
+        self.hold(
+            ActivityState(
+                list(spec.channels), epoch_ns, -(-epoch_ns // slots), NEVER, 0, int(self.reset_gap_s * NS) // epoch_ns,
+                self.epoch_s * rate_hz, np.zeros((slots, k)), np.zeros((slots, k)),
+                np.full(k, unasked), unasked, np.zeros(k, np.int64), Noise.of(k), Noise.of(k), 0,
+            ),
+            delay_s=self.epoch_s,
+        )  # fmt: skip
+        settling = max(s.settling_s for s in specs.values())
+        meta = {**spec.meta, "measure": "share of the time with movement", "epoch_s": self.epoch_s}
+        out = spec.derive(
+            dtype=np.dtype(np.float64), rate_hz=1 / self.epoch_s, units=("",), meta=meta, settling_s=settling
+        )
+        units = ("ns", "ns", "", "s", "", "", "", spec.units[0])
+        return {"out": out, "epochs": StreamSpec((), EPOCH_SEEN, units=units, meta=meta)}
+
+    def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
+        s = self.state
+        emitted: list[tuple[str, Chunk]] = []
+        made: Rows = []
+        if port == "bed":
+            for event, time in zip(chunk.data, chunk.time.tolist(), strict=True):
+                self._pass(time - 1, made)
+                self._moved_to(str(event["sleeper"]), str(event["state"]))
+            chunk = Chunk(chunk.time, chunk.data, chunk.until)
+        elif len(chunk.time):
+            emitted, made = self._motion(chunk)
+        if chunk.until == FOREVER:
+            self._end(made)
+        elif self._pass(chunk.until, made):
+            emitted += self._chunks(made, chunk.until)
+            made, s.lost = [], -1
+        return [*emitted, *self._chunks(made, chunk.until)]
+
+    def close(self) -> list[tuple[str, Chunk]]:
+        made: Rows = []
+        self._end(made)
+        return self._chunks(made, FOREVER)
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        random = np.random.default_rng(16)
+        motion = random.normal(0.6, 0.01, (600, 2))
+        motion[200:230, 0] += 0.5
+        motion[205:215, 1] += 0.1
+        motion[400:410] = np.nan
+        time = grid(10.0, 600)
+        bed = np.zeros(5, BED)
+        bed["onset"] = time[[5, 6, 300, 350, 500]]
+        bed["sleeper"] = ["left", "right", "left", "left", "right"]
+        bed["state"] = ["in", "in", "out", "in", "unknown"]
+        spec = StreamSpec((2,), rate_hz=10.0, channels=("left", "right"), units=("mm",))
+        events = StreamSpec((), BED, meta={"sleepers": ["left", "right"]})
+        inputs = {"bed": (events, bed["onset"], bed), "motion": (spec, time, motion)}
+        return [
+            Case(cls(epoch_s=2.0, reset_gap_s=30.0), inputs, least=29 * 3),
+            Case(cls(epoch_s=3.0, least_s=0.0, reset_gap_s=60.0), {"motion": inputs["motion"]}, least=19 * 3),
+        ]
+
+    def _motion(self, chunk: Chunk) -> tuple[list[tuple[str, Chunk]], Rows]:
+        """Take the samples of a chunk; what is emitted before its gap, and what it leads to."""
+        s = self.state
+        time, x = chunk.time, np.ascontiguousarray(chunk.data, np.float64)
+        emitted: list[tuple[str, Chunk]] = []
+        made: Rows = []
+        start = 0
+        while start < len(time):
+            t = int(time[start])
+            again = self._pass(t - 1, made)
+            if again or (chunk.lost and not start):
+                emitted += self._chunks(made, t - 1)
+                made, s.lost = [], -1
+            if s.begin == NEVER:
+                s.begin = t // s.epoch_ns * s.epoch_ns
+                s.out[:] = s.bed == OUT
+            stop = int(np.searchsorted(time, s.begin + s.epoch_ns))
+            collect(x[start:stop], time[start:stop], s.begin, s.slot_ns, s.sums, s.counts)
+            s.silent = 0
+            start = stop
+        return emitted, made
+
+    def _moved_to(self, sleeper: str, state: str) -> None:
+        s = self.state
+        if sleeper in s.sleepers:
+            k = s.sleepers.index(sleeper)
+            s.bed[k] = int(np.flatnonzero(state == NAMES)[0])
+            s.out[k] = s.out[k] and s.bed[k] == OUT
+
+    def _pass(self, until: int, made: Rows) -> bool:
+        """Close every epoch that is over by `until`; whether the silence has become too long to go on."""
+        s = self.state
+        while s.begin != NEVER and until >= s.begin + s.epoch_ns - 1:
+            if not s.counts.any():
+                s.silent += 1
+            if s.silent > s.most_silent:
+                self._forget()
+                return True
+            self._epoch(made)
+        return False
+
+    def _end(self, made: Rows) -> None:
+        if self.state.begin != NEVER and self.state.counts.any():
+            self._epoch(made)
+        self._forget()
+
+    def _forget(self) -> None:
+        s = self.state
+        s.begin, s.silent = NEVER, 0
+        s.bed[:] = s.unasked
+        s.in_bed.clear()
+        s.empty.clear()
+
+    def _epoch(self, made: Rows) -> None:
+        """Close the open epoch and open the next one."""
+        s = self.state
+        with np.errstate(invalid="ignore"):
+            change = s.sums / s.counts
+        limits = np.array([self._limit(k, change[:, k]) for k in range(len(s.sleepers))])
+        for k in range(len(s.sleepers)):
+            made.append(self._row(k, change, limits))
+        s.sums[:] = 0.0
+        s.counts[:] = 0.0
+        s.begin += s.epoch_ns
+        s.out[:] = s.bed == OUT
+
+    def _limit(self, k: int, change: Samples) -> float:
+        """Learn from the epoch's averages (slots,) of a sleeper, and give the threshold (mm); NaN: not known."""
+        s = self.state
+        finite = change[np.isfinite(change)]
+        if 2 * len(finite) > len(change):
+            if s.bed[k] == IN:
+                s.in_bed.learn(k, finite)
+            elif s.out[k]:
+                s.empty.learn(k, finite)
+        mine, none = int(s.in_bed.count[k]), int(s.empty.count[k])
+        limit = s.in_bed.threshold(k, self.sigmas, self.least_rise) if mine >= 4 else math.inf
+        if mine < 20 and none >= 4:
+            limit = min(limit, s.empty.threshold(k, self.sigmas, self.least_rise))
+        return limit if limit < math.inf else math.nan
+
+    def _row(self, k: int, change: Array, limits: Samples) -> tuple[Any, ...]:
+        """One sleeper's epoch: its activity, and its event."""
+        s = self.state
+        seen = float(s.counts[:, k].sum()) / s.expected
+        slot_s = s.slot_ns / NS
+        there = np.isfinite(change[:, k])
+        moving = change[:, k] > limits[k]
+        moved_s = float(moving.sum()) * slot_s if limits[k] == limits[k] else math.nan
+        excess = change - limits
+        strongest = np.fmax.reduce(np.delete(excess, k, axis=1), axis=1, initial=-math.inf)
+        theirs = moving & (strongest > self.crosstalk_ratio * excess[:, k])
+        crosstalk = float(theirs.sum() / moving.sum()) if moving.any() else 0.0
+        if seen < self.least_seen or s.bed[k] == UNKNOWN:
+            activity = math.nan
+        elif s.out[k]:
+            activity = 1.0
+        else:
+            activity = moved_s / (float(there.sum()) * slot_s) if not moved_s < self.least_s else 0.0
+        event = (
+            s.begin,
+            s.begin + s.epoch_ns,
+            s.sleepers[k],
+            moved_s,
+            min(seen, 1.0),
+            NAMES[s.bed[k]],
+            crosstalk,
+            limits[k],
+        )
+        return activity, event
+
+    def _chunks(self, made: Rows, until: int) -> list[tuple[str, Chunk]]:
+        s = self.state
+        lost, s.lost = s.lost, 0
+        k = len(s.sleepers)
+        events = np.array([event for _, event in made], EPOCH_SEEN)
+        data = np.array([activity for activity, _ in made]).reshape(len(made) // k, k)
+        promise = (until + 1) // s.epoch_ns * s.epoch_ns - 1 if NEVER < until < FOREVER else until
+        return [
+            ("out", Chunk(events["onset"][::k].copy(), data, promise, lost)),
+            ("epochs", Chunk(events["end"] - 1, events, until, lost)),
+        ]

@@ -1,0 +1,50 @@
+"""The noise of a movement signal, learned from its stillest epochs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stream.chunk import Samples, Times
+
+EPOCHS = 60
+DECILE = 1.2816
+"""How many standard deviations the lowest tenth lies below the median."""
+
+
+@dataclass(slots=True)
+class Noise:
+    """
+    level, scatter  (EPOCHS, k)  of the newest epochs: the median, and how far the lowest tenth is below it, as a standard deviation
+    count           (k,)         how many epochs there were
+    """
+
+    level: Samples
+    scatter: Samples
+    count: Times
+
+    @staticmethod
+    def of(k: int) -> Noise:
+        return Noise(np.zeros((EPOCHS, k)), np.zeros((EPOCHS, k)), np.zeros(k, np.int64))
+
+    def learn(self, k: int, values: Samples) -> None:
+        """One more epoch of channel `k`: its finite values."""
+        place = int(self.count[k]) % EPOCHS
+        middle = float(np.median(values))
+        self.level[place, k] = middle
+        self.scatter[place, k] = (middle - float(np.quantile(values, 0.1))) / DECILE
+        self.count[k] += 1
+
+    def threshold(self, k: int, sigmas: float, least_rise: float) -> float:
+        """What channel `k` exceeds only where something moves: of the stillest quarter of the epochs. inf: nothing was learned."""
+        n = min(int(self.count[k]), EPOCHS)
+        if n == 0:
+            return float("inf")
+        order = np.argsort(self.level[:n, k], kind="stable")
+        level = float(self.level[order[n // 4], k])
+        scatter = float(np.median(self.scatter[order[: max(1, n // 2)], k]))
+        return level + max(sigmas * scatter, least_rise * level)
+
+    def clear(self) -> None:
+        self.count[:] = 0
