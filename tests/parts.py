@@ -191,8 +191,9 @@ def lost(name: str = "out") -> list[int]:
     return [chunk.lost for chunk in seen.get(name, []) if chunk.lost]
 
 
-def threads() -> set[str]:
-    return {t.name for t in threading.enumerate() if t.name.startswith(("source", "lane", "recorder", "checkpoint"))}
+def threads() -> set[tuple[str, int | None]]:
+    """Name and number of every thread of a session that is alive."""
+    return {(t.name, t.ident) for t in threading.enumerate() if t.name.startswith(("source", "lane", "recorder", "checkpoint"))}
 
 
 def nothing(spec: StreamSpec, until: int) -> Chunk:

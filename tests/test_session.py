@@ -17,7 +17,7 @@ import pytest
 from stream.chunk import Chunk, empty
 from stream.engine.pipeline import Pipeline
 from stream.engine.session import Outcome, Session
-from stream.errors import DeviceError, RunError
+from stream.errors import DeviceError, RecordingError, RunError
 from stream.graph import Graph
 from stream.graph.load import load_text
 from stream.recording import Recording
@@ -69,8 +69,17 @@ def test_every_sample_arrives_once_and_in_order() -> None:
 
 
 def test_all_threads_end() -> None:
+    before = parts.threads()
     run(CHAIN % "")
-    assert parts.threads() == set()
+    assert parts.threads() <= before
+
+
+def test_a_session_that_is_refused_leaves_no_thread(tmp_path: Path) -> None:
+    before = parts.threads()
+    run(CHAIN % "", tmp_path / "s")
+    with pytest.raises(RecordingError, match="holds a recording already"):
+        run(CHAIN % "", tmp_path / "s")
+    assert parts.threads() <= before
 
 
 def test_a_queue_that_drops_counts_and_marks_every_sample(tmp_path: Path) -> None:

@@ -118,7 +118,11 @@ class Session:
     def run(self) -> Outcome:
         """Run until every source has ended, `stop` is called, or something fails; closes everything in every case."""
         warm_up(self.graph)
-        self._prepare()
+        try:
+            self._prepare()
+        except BaseException:
+            self._lanes.stop()
+            raise
         compilations = Compilations()
         try:
             with calm():

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 import structlog
 
-from stream.chunk import FOREVER, Chunk, Times, empty, utc
+from stream.chunk import FOREVER, STAMP, Chunk, Times, empty, utc
 from stream.engine.channel import Channel, Doorbell
 from stream.engine.clock import SessionClock
 from stream.errors import DeviceError, KinegraphError, RunError
@@ -33,7 +33,6 @@ Report = Callable[..., None]
 log = structlog.get_logger(__name__)
 
 
-STAMP = np.dtype(np.int64)
 FEW = 64
 
 
