@@ -135,6 +135,7 @@ class Binary(Source):
     def read(self, feed: Feed) -> None:
         start, stop = self._commands()
         with self._connect() as link:
+            self._identify(link, feed)
             self._send(link, feed, start)
             try:
                 self._stream(link, feed)
@@ -144,6 +145,9 @@ class Binary(Source):
 
     def _connect(self) -> Transport:
         return connect(self.port, self.baud)
+
+    def _identify(self, link: Transport, feed: Feed) -> None:
+        """Frames that a graph declares say nothing of who sends them."""
 
     def _decoder(self, layouts: list[Layout]) -> Decoder:
         return Decoder(layouts)

@@ -26,6 +26,7 @@ from stream.source import Feed, Source
 ANSWER_S = 3.0
 PAUSE_S = 0.1
 """What the device needs between two commands."""
+STATE_S = 1.0
 SILENCE_S = 2.0
 CLOCK_LOGGED_S = 60.0
 PORTS = ("I1", "I2", "O1", "O2")
@@ -120,11 +121,21 @@ class Bitalino(Source):
         version = text[max(0, text.rfind(b"BITalino")) :].decode("ascii", "replace").strip()
         if not version.startswith("BITalino"):
             raise DeviceError(f"expected {expected} from {self.port}; came {shown(text)}")
-        log.info("BITalino", port=self.port, version=version)
+        feed.wait(PAUSE_S)
+        feed.identify("BITalino", port=self.port, firmware=version, **self._battery(link, feed, version))
         feed.wait(PAUSE_S)
         link.write(protocol.rate_command(self.rate_hz))
         feed.wait(PAUSE_S)
         link.write(protocol.start_command([int(channel.input[1]) for channel in self.ordered]))
+
+    def _battery(self, link: Transport, feed: Feed, version: str) -> dict[str, float]:
+        """The battery's voltage, from a device that tells it; those before (r)evolution do not."""
+        link.write(protocol.STATE)
+        size, came, deadline = protocol.state_size(version), b"", time.monotonic() + STATE_S
+        while len(came) < size and time.monotonic() < deadline and not feed.stopped:
+            came += link.read(STATE_S / 10)
+        volts = protocol.battery_v(came, size)
+        return {} if volts is None else {"battery_v": round(volts, 2)}
 
     def _stream(self, link: Transport, feed: Feed) -> None:
         decoder, stream = Decoder(len(self.channels)), _Stream(self)

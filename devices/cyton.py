@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-import structlog
 
 from devices.clock_log import ClockLog
 from devices.handshake import all_there, answer, quiet, shown
@@ -29,8 +28,6 @@ ACCEL_HZ = 25.0
 SILENCE_S = 2.0
 """A board that was streaming and says nothing for so long is asked anew."""
 ANSWER_S = 5.0
-
-log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +115,7 @@ class Cyton(Source):
         has_daisy = "Daisy" in text
         if self.daisy and not has_daisy:
             raise DeviceError(f"no Daisy is attached to the board on {self.port}; put it on, or set `daisy: false`")
-        log.info("Cyton", port=self.port, daisy=has_daisy, identity=_identity(text))
+        feed.identify("OpenBCI Cyton+Daisy" if has_daisy else "OpenBCI Cyton", port=self.port, **_identity(text))
         if has_daisy:
             self._ask(link, feed, protocol.WITH_DAISY if self.daisy else protocol.ONLY_BOARD)
         self._ask(link, feed, protocol.DEFAULTS)
@@ -254,6 +251,8 @@ def _count(frames: Frames, feed: Feed) -> None:
         feed.problem("resync", frames.resyncs)
 
 
-def _identity(text: str) -> str:
-    """The greeting on one line."""
-    return "; ".join(line.strip() for line in text.removesuffix("$$$").splitlines() if line.strip())
+def _identity(text: str) -> dict[str, str]:
+    """What the greeting tells of the board: its firmware, and the rest on one line. It has no serial number."""
+    lines = [line.strip() for line in text.removesuffix("$$$").splitlines() if line.strip()]
+    firmware = [line.partition(":")[2].strip() for line in lines if line.startswith("Firmware")]
+    return {"firmware": firmware[0] if firmware else "", "greeting": "; ".join(lines)}

@@ -158,20 +158,20 @@ class Mti(Source):
     def read(self, feed: Feed) -> None:
         with connect(self.port, self.baud) as link:
             talk = _Talk(link, feed, self.port)
-            self._greet(talk)
+            self._greet(talk, feed)
             try:
                 self._stream(link, talk, feed)
             finally:
                 with suppress(DeviceError):
                     link.write(xbus.message(xbus.GO_TO_CONFIG))
 
-    def _greet(self, talk: _Talk) -> None:
+    def _greet(self, talk: _Talk, feed: Feed) -> None:
         """Bring the sensor to measure what is wanted; raises DeviceError if it is not there, or cannot."""
         talk.ask(xbus.GO_TO_CONFIG)
         number = talk.ask(xbus.REQUEST_DEVICE_ID).hex().upper()
         product = talk.ask(xbus.REQUEST_PRODUCT).decode("ascii", "replace").strip(" \0")
         firmware = xbus.firmware(talk.ask(xbus.REQUEST_FIRMWARE))
-        log.info("MTi", port=self.port, device=number, product=product, firmware=firmware)
+        feed.identify("Xsens MTi", port=self.port, product=product, serial=number, firmware=firmware)
         if xbus.outputs_of(talk.ask(xbus.OUTPUT_CONFIGURATION)) != self.wanted:
             answer = talk.ask(xbus.OUTPUT_CONFIGURATION, xbus.configuration(self.wanted))
             self._check_outputs(dict(xbus.outputs_of(answer)), product)

@@ -35,6 +35,9 @@ class Feed(Protocol):
     def hear(self, timeout_s: float) -> str | None:
         """Wait for a word that a person types for this source while the graph runs; None if none comes."""
 
+    def identify(self, device: str, **facts: str | float) -> None:
+        """Say what was found at the other end: its kind, serial number, firmware, battery. It goes into the log and the recording."""
+
     def problem(self, kind: str, count: int = 1) -> None:
         """Count something that went wrong without ending the stream: 'bad packet', 'lost packet', 'resync'."""
 

@@ -22,6 +22,7 @@ class Kept:
         self.chunks: dict[str, list[Chunk]] = {}
         self.problems: Counter[str] = Counter()
         self.error: Exception | None = None
+        self.identity: dict[str, str | float] = {}
         self._stop = threading.Event()
         self._offset = time.time_ns() - time.monotonic_ns()
 
@@ -45,6 +46,9 @@ class Kept:
 
     def hear(self, timeout_s: float) -> str | None:
         return None
+
+    def identify(self, device: str, **facts: str | float) -> None:
+        self.identity = {"device": device, **facts}
 
     def problem(self, kind: str, count: int = 1) -> None:
         self.problems[kind] += count

@@ -188,6 +188,7 @@ def test_what_the_device_measures_arrives(address: str, rate_hz: int) -> None:
     np.testing.assert_allclose(feed.data("analog"), truth(brain, feed), rtol=1e-12, atol=1e-9)
     number = feed.data("timing")["counter"]
     assert np.array_equal(feed.data("digital"), [brain.digital(int(i)) for i in number])
+    assert feed.identity["firmware"] == "BITalino_v5.2" and feed.identity["battery_v"] == pytest.approx(3.9, abs=0.01)
     assert np.median(np.diff(feed.time("analog"))) == pytest.approx(NS / rate_hz, rel=0.01)
 
 

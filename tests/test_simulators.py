@@ -242,6 +242,17 @@ def test_a_whole_session_outlives_a_pulled_cable(tmp_path: Path) -> None:
 SIMULATED = [p for p in sorted(CONFIGS.glob("*.yaml")) if "--simulate" in p.read_text(encoding="utf-8")]
 
 
+IDENTIFIED = {
+    "cyton_emg": "device board: OpenBCI Cyton, port ",
+    "bitalino_emg": "firmware BITalino_v5.2, battery_v 3.9",
+    "imu_steps": "serial 03700001, firmware 1.8.2",
+    "lsl_emg": "LSL stream, name ",
+    "depth_view": "device camera: OAK",
+    "dualsense": "device controller: USB device, usb 054c:0ce6",
+}
+"""What `kinegraph info` says of the device, by the configuration that it was recorded with."""
+
+
 @pytest.mark.parametrize("config", SIMULATED, ids=lambda p: p.stem)
 def test_a_config_runs_without_hardware(config: Path, tmp_path: Path) -> None:
     """Through the real transport; every source's first output has brought samples, and nothing was lost."""
@@ -254,3 +265,5 @@ def test_a_config_runs_without_hardware(config: Path, tmp_path: Path) -> None:
     assert "simulated_sources" in info
     rows = {line.split()[0]: line.split() for line in info.splitlines() if " input " in line}
     assert any(int(row[2]) > 0 for name, row in rows.items() if name != "annotations"), info
+    if config.stem in IDENTIFIED:
+        assert IDENTIFIED[config.stem] in info

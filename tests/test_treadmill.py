@@ -55,6 +55,8 @@ class Recorder:
     def hear(self, timeout_s: float) -> str | None:
         return None
 
+    def identify(self, device: str, **facts: str | float) -> None: ...
+
     def problem(self, kind: str, count: int = 1) -> None:
         self.problems[kind] += count
 

@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-import structlog
 
 from devices.lsl.find import Wanted
 from devices.lsl.metadata import TEXT, Described, describe
@@ -29,8 +28,6 @@ SAME_CLOCK_S = 1e-3
 """Two clocks on hosts of one name that are so close are one clock, and what was measured is the measurement's error."""
 FRESH_S = 2.0
 """Two computers of one name were hardly switched on so close together."""
-
-log = structlog.get_logger(__name__)
 
 
 class Connection:
@@ -86,7 +83,7 @@ def opened(lsl: Any, info: Any, feed: Feed) -> Iterator[Connection | None]:
             yield None
             return
         described = describe(full.as_xml())
-        log.info("LSL stream", **_facts(described, full.uid()))
+        feed.identify("LSL stream", **_facts(described, full.uid()))
         yield Connection(lsl, inlet, described)
     finally:
         inlet.close_stream()

@@ -107,7 +107,7 @@ class Oak(Source):
     def read(self, feed: Feed) -> None:
         dai, link = library(), Link()
         with self.open(dai, link) as camera:
-            log.info("OAK", device=self.device, identity=camera.identity)
+            feed.identify("OAK", **camera.identity)
             _Reading(dai, self, camera, link, feed).run()
 
 

@@ -49,6 +49,27 @@ def start_command(inputs: Sequence[int]) -> bytes:
     return bytes([sum(1 << (1 + i) for i in inputs) | 0x01])
 
 
+def state_size(version: str) -> int:
+    """Bytes of the answer to STATE, by what the device says of its version ("BITalino_v5.2")."""
+    number = version.partition("_v")[2].split(".")
+    return 17 if [int(n) for n in number if n.isdigit()] >= [5, 2] else 16
+
+
+def battery_v(answer: bytes, size: int) -> float | None:
+    """The battery's voltage in the answer to STATE; None if it is none. Half of it is measured, with 10 bits."""
+    if len(answer) != size or crc_of(answer) != answer[-1] & 0x0F:
+        return None
+    return int.from_bytes(answer[12:14], "little") / 1024 * 2 * VCC_V
+
+
+def state(counts: Sequence[int], battery_v: float, digital: Sequence[int], version: str) -> bytes:
+    """What the device answers to STATE: six inputs, the battery, its threshold, the digital ports; for simulators and tests."""
+    words = [*counts, round(battery_v / 2 / VCC_V * 1024)]
+    ports = sum(int(d) << 7 - i for i, d in enumerate(digital))
+    body = b"".join(w.to_bytes(2, "little") for w in words) + bytes(state_size(version) - 15) + bytes([ports])
+    return body[:-1] + bytes([ports | crc_of(body)])
+
+
 def widths(channels: int) -> list[int]:
     """Bits of each acquired input."""
     return [10, 10, 10, 10, 6, 6][:channels]

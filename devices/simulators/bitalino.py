@@ -41,6 +41,7 @@ class BitalinoBrain:
         self._sensors, self._version = sensors, version
         self._signal = Signal(Walker(MUSCLES, seed=seed))
         self.rate_hz, self._inputs = 1000, list(range(6))
+        self.battery_v = 3.9
         self._live = False
         self._began: float | None = None
         self._said = self._zero = 0
@@ -89,6 +90,9 @@ class BitalinoBrain:
                 self._live = False
             case 0x07:
                 return f"BITalino_v{self._version}\n".encode()
+            case 0x0B:
+                ports = self.digital(self._said)
+                return protocol.state([512] * 6, self.battery_v, ports, f"BITalino_v{self._version}")
             case _ if command & 0x3F == 0x03:
                 self.rate_hz = RATES_HZ[command >> 6]
             case _ if command & 0x03 == 0x01:

@@ -117,6 +117,16 @@ def text_of(device: Any, index: int) -> str | None:
         usb.util.dispose_resources(device)
 
 
+def who(device: Any) -> dict[str, str]:
+    """What the device says of itself, as far as it does: ids, maker, product, serial number."""
+    texts = {
+        "maker": text_of(device, device.iManufacturer),
+        "product": text_of(device, device.iProduct),
+        "serial": serial_number(device),
+    }
+    return {"usb": f"{device.idVendor:04x}:{device.idProduct:04x}", **{k: v for k, v in texts.items() if v}}
+
+
 def rule(address: Address) -> str:
     """What to do where permission is missing: the exact udev rule."""
     product = "" if address.product is None else f', ATTR{{idProduct}}=="{address.product:04x}"'

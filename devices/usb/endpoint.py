@@ -13,7 +13,7 @@ from devices.usb.bus import Address
 from devices.usb.pipe import Pipe
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
-from stream.source import Source
+from stream.source import Feed, Source
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +54,10 @@ class Endpoint(Binary):
 
     def _connect(self) -> Transport:
         return Pipe(self.port, self.interface, self.endpoint)
+
+    def _identify(self, link: Transport, feed: Feed) -> None:
+        assert isinstance(link, Pipe)
+        feed.identify("USB device", **link.identity)
 
     def _decoder(self, layouts: list[Layout]) -> Decoder:
         return Transfers(layouts)

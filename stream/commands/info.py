@@ -53,6 +53,7 @@ def facts(recording: Recording) -> dict[str, Any]:
         "duration_s": recording.duration_ns / 1e9,
         "header": recording.header,
         "streams": {name: _stream_facts(stream) for name, stream in recording.streams.items()},
+        "devices": devices(recording),
         "annotations": marks(recording),
         "log": recording.log,
     }
@@ -70,6 +71,13 @@ def _stream_facts(stream: RecordedStream) -> dict[str, Any]:
         "duration_s": stream.duration_s,
         "measured_hz": stream.rate_hz,
     }
+
+
+def devices(recording: Recording) -> dict[str, dict[str, Any]]:
+    """By source: what it said last of its device, {"device": kind, "serial": ..., "firmware": ...}."""
+    said = [entry for entry in recording.log if entry["kind"] == "device"]
+    hidden = ("time", "kind", "node", "level")
+    return {str(e.get("node")): {k: v for k, v in e.items() if k not in hidden} for e in said}
 
 
 def marks(recording: Recording) -> list[dict[str, Any]]:
@@ -104,6 +112,10 @@ def _show(console: Console, recording: Recording, most: int | None) -> None:
             console.print(f"{title}: " + escape(", ".join(f"{k} {v}" for k, v in header[title].items())))
     if header.get("graph"):
         console.print(f"graph: {escape(str(header.get('name') or header.get('graph_path') or ''))} (--graph prints it)")
+    for node, known in devices(recording).items():
+        console.print(
+            escape(f"device {node}: " + ", ".join(f"{k} {v}" if k != "device" else str(v) for k, v in known.items()))
+        )
     console.print(_streams(recording))
     _list(console, "annotations", [_line(a) for a in marks(recording)], most)
     log = recording.log

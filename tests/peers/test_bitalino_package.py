@@ -26,10 +26,11 @@ import json, sys
 from bitalino import BITalino
 device = BITalino(sys.argv[1], timeout=5)
 version = device.version()
+state = device.state()
 device.start(int(sys.argv[2]), [int(c) for c in sys.argv[3]])
 rows = device.read(int(sys.argv[4])).tolist()
 device.stop()
-print(json.dumps({"version": version, "rows": rows}))
+print(json.dumps({"version": version, "state": state, "rows": rows}))
 """
 
 
@@ -56,6 +57,7 @@ def test_the_package_gets_the_same_numbers(inputs: str, rate_hz: int, tcp: bool)
     assert theirs["version"] == "BITalino_v5.2" and feed.error is None
     assert np.array_equal(rows[:, 0], np.arange(60) % 16), "sequence"
     assert np.array_equal(rows[:, 1:5], [brain.digital(i) for i in range(60)])
+    assert theirs["state"]["battery"] / 1024 * 6.6 == pytest.approx(feed.identity["battery_v"], abs=0.01)
     full = np.array([1024, 1024, 1024, 1024, 64, 64][: len(inputs)])
     assert np.array_equal(feed.data("analog")[:60], rows[:, 5:] / full * 3.3)
     assert np.array_equal(feed.data("digital")[:60], rows[:, 1:5])
