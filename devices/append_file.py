@@ -53,6 +53,14 @@ class AppendFile:
         self._flush()
         return 0
 
+    def sync(self) -> None:
+        """Bring what is written past every cache, so that a power cut does not lose it."""
+        try:
+            os.fsync(self._handle)
+        except OSError as error:
+            if not self._failing:
+                log.error("file may not be on the disk yet", path=str(self.path), error=error.strerror)
+
     def close(self) -> None:
         """Write what waits, make it durable. Raises DeviceError if lines are lost for good."""
         self._retry_at = 0.0

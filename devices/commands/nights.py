@@ -1,0 +1,81 @@
+"""`kinegraph nights`: what the night's log holds; draw a report again; delete a night."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stream.errors import KinegraphError
+
+
+class Action(StrEnum):
+    """What may be done with nights."""
+
+    list = "list"
+    report = "report"
+    delete = "delete"
+
+
+def nights(
+    action: Annotated[
+        Action, typer.Argument(help="list all; draw a night's report again; delete a night")
+    ] = Action.list,
+    names: Annotated[list[str] | None, typer.Argument(metavar="NIGHT...", help="such as 2026-11-20, or last")] = None,
+    path: Annotated[Path, typer.Option(help="the folder of all nights")] = Path("nights"),
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="delete without asking")] = False,
+) -> None:
+    """The nights on this computer: a table of them; `report NIGHT` draws one again; `delete NIGHT` removes it with all its files.
+
+    kinegraph nights delete 2026-11-20
+    """
+    from devices.night import shelf
+
+    if not path.is_dir():
+        raise KinegraphError(f"there is no folder {path}; name the one of the night's log with --path")
+    if action is Action.list:
+        _list(path)
+        return
+    if not names:
+        raise KinegraphError(f"name the night to {action.value}: a date such as 2026-11-20, or last")
+    folders = [shelf.find(path, name) for name in names]
+    if action is Action.report:
+        from devices.night.page import draw
+
+        for folder in folders:
+            typer.echo(draw(folder))
+        return
+    for folder in folders:
+        if not shelf.Facts.load(folder).closed and not yes:
+            raise KinegraphError(
+                f"the night {folder.name} is still being written; stop kinegraph first, or insist with --yes"
+            )
+        if yes or typer.confirm(f"Delete the night {folder.name} with all its files?"):
+            shelf.remove(folder)
+            typer.echo(f"deleted {folder}")
+
+
+def _list(root: Path) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from devices.night import shelf
+
+    table = Table(
+        "night", "from", "to", "asleep", "efficiency", "epochs", "report", "size", box=None, header_style="bold"
+    )
+    found = shelf.nights(root)
+    for folder, facts in found:
+        zone, n = shelf.zone_of(facts.timezone), facts.numbers
+        begin = shelf.clock(int(n.get("onset", facts.begun)), zone)
+        asleep = "" if not n else f"{n['tst'] // 60:.0f} h {n['tst'] % 60:02.0f}"
+        table.add_row(
+            folder.name, f"{begin:%H:%M}", f"{shelf.clock(int(n['end']), zone):%H:%M}" if n else "goes on" if not facts.closed else "",
+            asleep, f"{n['se']:.0f} %" if n and n["se"] is not None else "", str(len(shelf.read_epochs(folder))),
+            "yes" if (folder / shelf.DRAWN[0]).exists() else "no", f"{shelf.bytes_of(folder) / 1000:.0f} kB",
+        )  # fmt: skip
+    console = Console(highlight=False)
+    console.print(table)
+    console.print(f"{len(found)} nights in {root}")

@@ -1,0 +1,236 @@
+"""A night on paper: hypnogram, activity, breathing, and where in the bed it moved."""
+
+from __future__ import annotations
+
+import io
+import re
+from datetime import timedelta
+from textwrap import wrap
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.dates import AutoDateLocator, DateFormatter
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from devices.night.numbers import CAVEATS, Row, exits, runs, span
+from devices.night.shelf import Epochs, Facts, clock, zone_of
+from stream.chunk import NS, Array, Samples
+
+INK, SLEEP, WAKE, OUT, GONE, DOT = "#12395b", "#2f6690", "#d98a29", "#7a7a7a", "#e3e0d9", "#2f7d4f"
+LEVELS = {"out": 2.0, "wake": 1.0, "sleep": 0.0}
+A4_IN = (8.27, 11.69)
+STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "kinegraph",
+    "font.family": "sans-serif",
+    "font.size": 7.5,
+    "axes.linewidth": 0.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.labelsize": 7.5,
+    "xtick.major.width": 0.5,
+    "ytick.major.width": 0.5,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "hatch.linewidth": 0.4,
+}
+
+
+def night_svg(facts: Facts, epochs: Epochs) -> str:
+    """Hypnogram, activity and breathing over the clock, as one SVG element."""
+    with rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 5.3))
+        _three(figure, facts, epochs, (0.09, 0.06, 0.88, 0.89))
+        return _svg(figure, "Hypnogram, activity and breathing over the night")
+
+
+def map_svg(motion: Samples) -> str:
+    """The night's motion map, as one SVG element."""
+    with rc_context(STYLE):
+        figure = Figure(figsize=(3.4, 2.6))
+        _map(figure, figure.add_axes((0.02, 0.06, 0.78, 0.9)), motion)
+        return _svg(figure, "Where in the picture it moved during the night")
+
+
+def page_png(
+    facts: Facts,
+    epochs: Epochs,
+    motion: Samples | None,
+    rows: list[Row],
+    seen: list[tuple[str, str]],
+    title: str,
+    line: str,
+) -> bytes:
+    """One A4 page: the pictures, the table, and the words that belong to it."""
+    with rc_context(STYLE):
+        figure = Figure(figsize=A4_IN, facecolor="white")
+        figure.text(0.07, 0.962, title, fontsize=15, weight="bold", va="top")
+        figure.text(0.07, 0.938, line, fontsize=8.5, color="#55534e", va="top")
+        _three(figure, facts, epochs, (0.115, 0.53, 0.825, 0.375))
+        _table(figure, rows, 0.475)
+        if motion is not None:
+            figure.text(0.66, 0.475, "Where it moved", fontsize=9, weight="bold", color=INK, va="top")
+            axes = figure.add_axes((0.655, 0.29, 0.24, 0.165))
+            axes.set_anchor("N")
+            _map(figure, axes, motion)
+        _beside(figure, seen, 0.265 if motion is not None else 0.475)
+        figure.text(0.07, 0.045, "\n".join(CAVEATS), fontsize=7.5, color="#44423d", va="bottom", linespacing=1.5)
+        file = io.BytesIO()
+        figure.savefig(file, format="png", dpi=150, metadata={"Software": "kinegraph"})
+        return file.getvalue()
+
+
+def _three(figure: Figure, facts: Facts, epochs: Epochs, place: tuple[float, float, float, float]) -> None:
+    """The three panels that share the clock."""
+    left, bottom, width, height = place
+    breathes = bool(np.isfinite(epochs.numbers["breaths_per_min"]).any())
+    shares = (0.38, 0.27, 0.27) if breathes else (0.5, 0.42)
+    gap, top = 0.04 * height, bottom + height
+    panels: list[Axes] = []
+    for share in shares:
+        top -= share * height
+        panels.append(figure.add_axes((left, top, width, share * height), sharex=panels[0] if panels else None))
+        top -= gap
+    x = _days(epochs.onset, facts), _days(epochs.end, facts)
+    _hypnogram(panels[0], facts, epochs, x)
+    _activity(panels[1], facts, epochs, x)
+    if breathes:
+        _breathing(panels[2], epochs, x)
+    begin, end = _days(np.array(span(facts, epochs)), facts)
+    for panel in panels:
+        panel.set_xlim(begin, end)
+        panel.tick_params(labelbottom=panel is panels[-1])
+        _unseen(panel, epochs, x)
+    panels[-1].xaxis.set_major_locator(AutoDateLocator(minticks=5, maxticks=11))  # type: ignore[no-untyped-call]
+    panels[-1].xaxis.set_major_formatter(DateFormatter("%H:%M"))  # type: ignore[no-untyped-call]
+
+
+def _hypnogram(axes: Axes, facts: Facts, epochs: Epochs, x: tuple[Array, Array]) -> None:
+    state = np.array([LEVELS.get(s, np.nan) for s in epochs.texts["state"]])
+    state[epochs.texts["bed"] == "out"] = LEVELS["out"]
+    begin, end = x
+    for name, colour in (("sleep", SLEEP), ("wake", WAKE), ("out", OUT)):
+        for a, b in runs(state == LEVELS[name]):
+            axes.fill_between([begin[a], end[b - 1]], -0.45, LEVELS[name], color=colour, alpha=0.22, linewidth=0)
+            axes.plot([begin[a], end[b - 1]], [LEVELS[name]] * 2, color=colour, linewidth=2.4, solid_capstyle="butt")
+    for k in np.flatnonzero(np.isfinite(state[1:]) & np.isfinite(state[:-1]) & (state[1:] != state[:-1])):
+        axes.plot([begin[k + 1]] * 2, [state[k], state[k + 1]], color=INK, linewidth=0.5)
+    axes.set_ylim(-0.45, 2.75)
+    axes.set_yticks(list(LEVELS.values()), ["Out of bed", "Wake", "Sleep"])
+    n = facts.numbers
+    if n:
+        names = ("in bed", "out of bed") if n["estimated"] else ("lights off", "lights on")
+        for name, key, side in ((names[0], "onset", "left"), (names[1], "end", "right")):
+            at = _days(np.array([n[key]]), facts)[0]
+            axes.axvline(at, color=INK, linewidth=0.7, linestyle=(0, (4, 2)))
+            text = f"{name} {clock(int(n[key]), zone_of(facts.timezone)):%H:%M}"
+            axes.annotate(
+                text,
+                (at, 2.72),
+                (3 if side == "left" else -3, 0),
+                textcoords="offset points",
+                ha=side,
+                va="top",
+                color=INK,
+            )
+    handles = [Patch(facecolor=GONE, hatch="////", edgecolor="#9a978f", label="not seen")]
+    if (epochs.texts["state"] == "unknown").any():
+        axes.legend(
+            handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False, borderpad=0, handlelength=1.6
+        )
+    for stretch in exits(facts):
+        at = _days(np.array([stretch.begin]), facts)[0]
+        axes.plot([at], [2.0], marker=7, color=INK, markersize=4, linewidth=0)
+
+
+def _activity(axes: Axes, facts: Facts, epochs: Epochs, x: tuple[Array, Array]) -> None:
+    activity = epochs.numbers["activity"]
+    out = epochs.texts["bed"] == "out"
+    height = np.where(out, 0.0, np.nan_to_num(activity))
+    axes.fill_between(np.column_stack(x).ravel(), 0, np.repeat(height, 2), color=INK, linewidth=0)
+    for a, b in runs(out):
+        axes.axvspan(x[0][a], x[1][b - 1], color=OUT, alpha=0.22, linewidth=0)
+    counts = np.nanmax(activity, initial=0.0) > 1.0
+    axes.set_ylabel("Counts\nper epoch" if counts else "Share of the\nepoch in motion")
+    axes.set_ylim(0, None if counts else 1.0)
+
+
+def _breathing(axes: Axes, epochs: Epochs, x: tuple[Array, Array]) -> None:
+    rate, confidence = epochs.numbers["breaths_per_min"], epochs.numbers["confidence"]
+    known = np.isfinite(rate)
+    middle = (x[0] + x[1]) / 2
+    alpha = np.clip(np.nan_to_num(confidence[known], nan=0.5), 0.15, 1.0)
+    axes.scatter(middle[known], rate[known], s=3, c=DOT, alpha=alpha, linewidths=0, rasterized=True)  # type: ignore[arg-type]
+    low, high = np.percentile(rate[known], [1, 99])
+    axes.set_ylim(max(0.0, np.floor(low - 2)), np.ceil(high + 2))
+    axes.set_ylabel("Breaths\nper minute")
+
+
+def _unseen(axes: Axes, epochs: Epochs, x: tuple[Array, Array]) -> None:
+    for a, b in runs(epochs.texts["state"] == "unknown"):
+        axes.axvspan(x[0][a], x[1][b - 1], facecolor=GONE, edgecolor="#9a978f", hatch="////", linewidth=0, zorder=0)
+
+
+def _map(figure: Figure, axes: Axes, motion: Samples) -> None:
+    seen = np.isfinite(motion) & (motion > 0)
+    if not seen.any():
+        axes.set_axis_off()
+        axes.text(0.5, 0.5, "no motion was seen", ha="center", va="center", transform=axes.transAxes)
+        return
+    top = float(np.percentile(motion[seen], 99.8))
+    norm = LogNorm(max(float(np.percentile(motion[seen], 5)), top / 1000), top)
+    shown = np.ma.masked_invalid(np.where(seen, motion, np.nan))
+    axes.set_facecolor(GONE)
+    image = axes.imshow(shown, cmap="magma", norm=norm, interpolation="nearest")
+    axes.set_xticks([])
+    axes.set_yticks([])
+    box = axes.get_position()
+    bar = figure.colorbar(
+        image, cax=figure.add_axes((box.x1 + 0.012, box.y0 + 0.1 * box.height, 0.014, 0.8 * box.height))
+    )
+    bar.set_label("mm per frame", fontsize=6.5)
+    bar.ax.tick_params(labelsize=6)
+    bar.outline.set_linewidth(0.4)
+
+
+def _table(figure: Figure, rows: list[Row], top: float) -> None:
+    figure.text(0.07, top, "The night in numbers" if rows else "The night is not over: no numbers yet", fontsize=9, weight="bold",
+                color=INK, va="top")  # fmt: skip
+    y = top - 0.026
+    for row in rows:
+        figure.text(0.07, y, row.name, fontsize=8, va="top")
+        figure.text(0.405, y, row.value, fontsize=8, va="top", weight="bold", ha="right")
+        figure.text(0.42, y, f"({row.bounds})" if row.bounds else "", fontsize=7, va="top", color="#55534e")
+        figure.text(0.07, y - 0.0125, row.meaning, fontsize=6.5, va="top", color="#6a6862")
+        y -= 0.0305
+
+
+def _beside(figure: Figure, seen: list[tuple[str, str]], top: float) -> None:
+    """What was seen of the night, in the column beside the table."""
+    figure.text(0.66, top, "What was seen", fontsize=9, weight="bold", color=INK, va="top")
+    y = top - 0.024
+    for name, value in seen:
+        lines = wrap(value, 44)[:4]
+        figure.text(0.66, y, name, fontsize=7.5, va="top")
+        figure.text(0.66, y - 0.0115, "\n".join(lines), fontsize=6.5, va="top", color="#6a6862", linespacing=1.25)
+        y -= 0.0175 + 0.0098 * len(lines)
+
+
+def _days(time: Array, facts: Facts) -> Array:
+    """Times as matplotlib counts days, on the wall clock of the night's beginning (so that no hour is drawn twice)."""
+    shift = clock(facts.begun, zone_of(facts.timezone)).utcoffset() or timedelta()
+    return (np.asarray(time, np.int64) + int(shift.total_seconds()) * NS) / (86_400 * NS)
+
+
+def _svg(figure: Figure, label: str) -> str:
+    file = io.StringIO()
+    figure.savefig(file, format="svg", dpi=220, metadata={"Date": None, "Creator": None})
+    text = file.getvalue()
+    text = text[text.index("<svg") :]
+    return re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL).replace(
+        "<svg ", f'<svg role="img" aria-label="{label}" ', 1
+    )

@@ -1,0 +1,128 @@
+"""The morning's report: one HTML file that needs nothing else, one A4 page as PNG, and an EDF+ file.
+
+`python -m devices.night.page FOLDER` draws them in a process of its own, so that no graph waits for matplotlib.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+from devices.night import shelf
+from devices.night.edf import write_edf
+from devices.night.numbers import CAVEATS, Row, quality, span, table
+from devices.night.shelf import Epochs, Facts, clock, zone_of
+from stream.chunk import Samples
+from stream.errors import KinegraphError
+
+
+def draw(folder: Path) -> Path:
+    """Draw everything a night's folder holds; the page's path. Raises NightError, OSError."""
+    facts, epochs = shelf.Facts.load(folder), shelf.read_epochs(folder)
+    epochs = epochs.part(*span(facts, epochs))
+    if not len(epochs):
+        raise shelf.NightError(f"{folder} holds no epochs of the night")
+    motion = shelf.read_map(folder)
+    rows = table(facts, epochs)
+    page, picture, edf = (folder / name for name in shelf.DRAWN)
+    _write(picture, _picture(facts, epochs, motion, rows))
+    write_edf(edf, facts, epochs)
+    _write(page, render(facts, epochs, motion, rows).encode())
+    return page
+
+
+def render(facts: Facts, epochs: Epochs, motion: Samples | None, rows: list[Row]) -> str:
+    """The page's HTML."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    from devices.night import figures
+
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined
+    )
+    return environment.get_template("page.html.j2").render(
+        f=facts,
+        title=title(facts),
+        line=line(facts),
+        rows=rows,
+        figures=[row for row in rows if row.name.startswith(HEADLINE)],
+        quality=quality(facts, epochs),
+        caveats=CAVEATS,
+        method=_method(facts),
+        night=figures.night_svg(facts, epochs),
+        map=figures.map_svg(motion) if motion is not None else "",
+        made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        epochs=shelf.EPOCHS,
+        edf=shelf.DRAWN[2],
+    )
+
+
+HEADLINE = ("Total sleep", "Sleep efficiency", "Sleep onset", "Wake after", "Bed exits")
+
+
+def title(facts: Facts) -> str:
+    """Which night it is."""
+    begin = clock(int(facts.numbers.get("onset", facts.begun)), zone_of(facts.timezone))
+    whose = f", {facts.sleeper}" if facts.sleeper else ""
+    return f"Night of {begin:%A, %-d %B %Y}{whose}"
+
+
+def line(facts: Facts) -> str:
+    """From when to when, by which convention, and whether anyone really slept there."""
+    zone, n = zone_of(facts.timezone), facts.numbers
+    if not n:
+        return f"Since {clock(facts.begun, zone):%H:%M}. The night is not over."
+    begin, end = clock(int(n["onset"]), zone), clock(int(n["end"]), zone)
+    by = {"lights": "lights off and on", "schedule": "the schedule"}.get(
+        n.get("bed", ""), "time in bed, as it was seen"
+    )
+    made_up = "  ·  simulated" if facts.session.get("simulated_sources") or facts.meta.get("simulated") else ""
+    return f"{begin:%H:%M} to {end:%H:%M} {end:%Z}  ·  by {by}  ·  numbers by the definitions of {n['convention']}{made_up}"
+
+
+def _method(facts: Facts) -> str:
+    meta = facts.meta
+    names = {"thesis": "Gaussian-weighted share of epochs with movement (Patterns in Motion, 4.3)"}
+    told = [names.get(str(meta.get("method")), str(meta.get("method", "")).replace("_", " "))]
+    if meta.get("threshold") is not None:
+        told.append(
+            f"wake from {meta['threshold']:g} on"
+            if meta.get("method") == "thesis"
+            else f"threshold {meta['threshold']:g}"
+        )
+    told.append("with Webster's rescoring" if meta.get("rescored") else "no rescoring")
+    if meta.get("calibration"):
+        told.append(f"calibration {meta['calibration']}")
+    return ", ".join(told)
+
+
+def _picture(facts: Facts, epochs: Epochs, motion: Samples | None, rows: list[Row]) -> bytes:
+    from devices.night import figures
+
+    return figures.page_png(facts, epochs, motion, rows, quality(facts, epochs), title(facts), line(facts))
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Whole or not at all."""
+    draft = path.with_name(f".{path.name}.draft")
+    try:
+        with draft.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def main() -> None:
+    try:
+        draw(Path(sys.argv[1]))
+    except (OSError, KinegraphError) as error:
+        sys.exit(str(error))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,209 @@
+"""Where nights lie: a folder for each, named after the evening it began on.
+
+epochs.csv   a row per final epoch, there as soon as it was final
+night.json   everything else: what was switched, gaps, the numbers, settings
+map.npy      the night's motion map, (rows, columns) mm per frame
+report.html, report.png, hypnogram.edf   drawn from the others
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import shutil
+from dataclasses import asdict, dataclass, field, fields
+from datetime import UTC, datetime, timedelta, tzinfo
+from pathlib import Path
+from typing import Any
+from zoneinfo import ZoneInfo
+
+import numpy as np
+
+from stream.chunk import NS, Array, Samples
+from stream.errors import DeviceError, KinegraphError
+
+FACTS, EPOCHS, MAP = "night.json", "epochs.csv", "map.npy"
+DRAWN = ("report.html", "report.png", "hypnogram.edf")
+VERSION = 1
+COLUMNS = (
+    "onset", "end", "state", "provisional", "rescored", "score", "activity", "bed", "moved_s", "seen", "crosstalk", "breaths_per_min",
+    "confidence",
+)  # fmt: skip
+TEXTS = ("state", "provisional", "bed")
+NOON_H = 12
+
+
+class NightError(KinegraphError):
+    """A night that is not there, or cannot be read."""
+
+
+@dataclass(slots=True)
+class Facts:
+    """What is known of a night but its epochs. Times in ns UTC.
+
+    begun      onset of the first epoch that was written
+    breaks     [from, to]: kinegraph did not run, though the night went on
+    switched   [time, what]: "lights off", "lights on"
+    exits      [time, state of the bed]: in, out, unknown
+    numbers    the row of the night's statistics; empty while the night goes on
+    meta       of the scored stream: method, threshold, calibration
+    settings   [node, use, parameters] of the graph
+    """
+
+    name: str
+    begun: int
+    epoch_s: float
+    timezone: str = ""
+    sleeper: str = ""
+    closed: bool = False
+    breaks: list[list[int]] = field(default_factory=list)
+    switched: list[list[Any]] = field(default_factory=list)
+    exits: list[list[Any]] = field(default_factory=list)
+    numbers: dict[str, Any] = field(default_factory=dict)
+    meta: dict[str, Any] = field(default_factory=dict)
+    session: dict[str, Any] = field(default_factory=dict)
+    settings: list[list[str]] = field(default_factory=list)
+    versions: list[list[str]] = field(default_factory=list)
+    version: int = VERSION
+
+    def save(self, folder: Path) -> None:
+        """Write whole or not at all, durably. Raises OSError."""
+        draft = folder / f".{FACTS}.draft"
+        with draft.open("w", encoding="utf-8") as file:
+            json.dump(asdict(self), file, indent=1, default=_plain)
+            file.flush()
+            os.fsync(file.fileno())
+        draft.replace(folder / FACTS)
+
+    @staticmethod
+    def load(folder: Path) -> Facts:
+        """Raises NightError."""
+        try:
+            told = json.loads((folder / FACTS).read_text(encoding="utf-8"))
+            if told["version"] > VERSION:
+                raise NightError(f"{folder}: written by a newer kinegraph (format {told['version']}); update this one")
+            return Facts(**{f.name: told[f.name] for f in fields(Facts) if f.name in told})
+        except FileNotFoundError:
+            raise NightError(f"{folder} holds no night") from None
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise NightError(f"{folder / FACTS} cannot be read: {error}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class Epochs:
+    """A night's epochs in order: (n,) each; NaN and "" where not known. Times in ns UTC."""
+
+    onset: Array
+    end: Array
+    texts: dict[str, Array]
+    numbers: dict[str, Samples]
+
+    def __len__(self) -> int:
+        return len(self.onset)
+
+    def part(self, begin: int, end: int) -> Epochs:
+        """Those whose middle lies between two times."""
+        middle = (self.onset + self.end) // 2
+        here = (middle >= begin) & (middle < end)
+        texts = {name: column[here] for name, column in self.texts.items()}
+        return Epochs(self.onset[here], self.end[here], texts, {n: c[here] for n, c in self.numbers.items()})
+
+
+def read_epochs(folder: Path) -> Epochs:
+    """All whole rows of a night; a last row that a power cut left unfinished is passed over. Raises NightError."""
+    try:
+        text = (folder / EPOCHS).read_text(encoding="utf-8")
+    except OSError as error:
+        raise NightError(f"{folder / EPOCHS} cannot be read: {error.strerror}") from None
+    rows = list(csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1])))
+    try:
+        onset, end = (np.array([nanoseconds(row[name]) for row in rows], np.int64) for name in ("onset", "end"))
+        texts = {name: np.array([row[name] for row in rows], "U12") for name in TEXTS}
+        names = [name for name in COLUMNS[2:] if name not in TEXTS]
+        numbers = {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}
+    except (KeyError, ValueError, TypeError) as error:
+        raise NightError(f"{folder / EPOCHS} is damaged: {error}") from None
+    return Epochs(onset, end, texts, numbers)
+
+
+def read_map(folder: Path) -> Samples | None:
+    """The night's motion map (rows, columns); None where there is none."""
+    try:
+        return np.asarray(np.load(folder / MAP, allow_pickle=False), np.float64)
+    except (OSError, ValueError):
+        return None
+
+
+def nights(root: Path) -> list[tuple[Path, Facts]]:
+    """Every night under a folder, the oldest first; one that cannot be read is passed over."""
+    found = []
+    for folder in root.iterdir() if root.is_dir() else ():
+        if (folder / FACTS).is_file():
+            try:
+                found.append((folder, Facts.load(folder)))
+            except NightError:
+                continue
+    return sorted(found, key=lambda night: (night[1].begun, night[0].name))
+
+
+def new_folder(root: Path, begun: int, zone: tzinfo | None) -> Path:
+    """The folder of a night that begins now: the evening's date (before noon: yesterday's), and a number if there is one already."""
+    evening = (clock(begun, zone) - timedelta(hours=NOON_H)).date().isoformat()
+    number, folder = 1, root / evening
+    while folder.exists():
+        number += 1
+        folder = root / f"{evening}-{number}"
+    return folder
+
+
+def find(root: Path, name: str) -> Path:
+    """A night by its name, or "last". Raises NightError."""
+    known = [folder for folder, _ in nights(root)]
+    if name == "last" and known:
+        return known[-1]
+    for folder in known:
+        if folder.name == name:
+            return folder
+    there = ", ".join(folder.name for folder in known[-5:]) or "none"
+    raise NightError(f"there is no night {name!r} in {root}; the latest are: {there}")
+
+
+def remove(folder: Path) -> None:
+    """Delete a night with everything in it; only a folder that holds one. Raises DeviceError."""
+    if not (folder / FACTS).is_file():
+        raise NightError(f"{folder} holds no night")
+    try:
+        shutil.rmtree(folder)
+    except OSError as error:
+        raise DeviceError(f"{folder} cannot be deleted: {error.strerror}") from None
+
+
+def bytes_of(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
+def zone_of(name: str) -> tzinfo | None:
+    """A time zone by its name; None, the computer's own, where none is named. Raises KeyError or ValueError."""
+    return ZoneInfo(name) if name else None
+
+
+def clock(time: int, zone: tzinfo | None) -> datetime:
+    """A stamp on the wall clock."""
+    return datetime.fromtimestamp(time // NS, UTC).astimezone(zone)
+
+
+def iso(time: int) -> str:
+    """A stamp as text that `nanoseconds` reads back."""
+    return f"{np.datetime_as_string(np.datetime64(time, 'ns'), unit='ns' if time % NS else 's')}Z"
+
+
+def nanoseconds(text: str) -> int:
+    return int(np.datetime64(text.removesuffix("Z"), "ns").astype(np.int64))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{value!r} is no plain value")

@@ -1,0 +1,306 @@
+"""The night's log: epoch by epoch on the disk, over kill -9, a full disk and a restart; and the morning's report of it."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import night_made
+import numpy as np
+import pytest
+from night_made import EVENING, LATE, SPECS, STEP, Night, feed, opened, states
+
+from devices.night import shelf
+from devices.night.numbers import CAVEATS, exits, quality, table
+from devices.night.page import draw
+from stream.chunk import NS
+from stream.engine.clock import SessionClock
+from stream.errors import InputError, KinegraphError, ParameterError
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Night]:
+    """A whole night with its report: (folder of the night, what was told)."""
+    root = tmp_path_factory.mktemp("nights")
+    night = night_made.whole(root)
+    (folder,) = (path for path, _ in shelf.nights(root))
+    return folder, night
+
+
+def logged(folder: Path) -> list[str]:
+    return [str(s) for s in shelf.read_epochs(folder).texts["state"]]
+
+
+def test_what_is_logged_is_what_was_final(drawn: tuple[Path, Night]) -> None:
+    folder, night = drawn
+    epochs, facts = shelf.read_epochs(folder), shelf.Facts.load(folder)
+    assert folder.name == "2025-12-31" and facts.closed and facts.breaks == []
+    assert logged(folder) == states(night, night.inn)  # from the first epoch in bed on
+    assert epochs.onset.tolist() == [night.onset(k) for k in range(night.inn, night.n)]
+    assert epochs.texts["provisional"].tolist() == night.first[night.inn :].tolist()
+    assert epochs.texts["bed"].tolist() == night.bed[night.inn :].tolist()
+    np.testing.assert_allclose(epochs.numbers["breaths_per_min"], night.rate[night.inn :], rtol=1e-3)
+    np.testing.assert_allclose(epochs.numbers["activity"], night.moved[night.inn :], rtol=1e-3)
+
+
+def test_a_night_takes_less_than_a_megabyte(drawn: tuple[Path, Night]) -> None:
+    folder, _ = drawn
+    assert {path.name for path in folder.iterdir()} == {shelf.FACTS, shelf.EPOCHS, shelf.MAP, *shelf.DRAWN}
+    assert shelf.bytes_of(folder) < 1_000_000
+
+
+def test_the_report_says_what_must_be_said(drawn: tuple[Path, Night]) -> None:
+    folder, night = drawn
+    page = (folder / "report.html").read_text()
+    for words in (
+        *CAVEATS,
+        "Night of Wednesday, 31 December 2025",
+        "estimated",
+        "AASM",
+        "not seen",
+        "Gaussian-weighted",
+    ):
+        assert words in page, words
+    assert "src=" not in page and "http://" not in page.replace("http://www.w3.org", "")  # needs nothing else
+    assert (folder / "report.png").read_bytes()[:4] == b"\x89PNG"
+    facts, epochs = shelf.Facts.load(folder), shelf.read_epochs(folder)
+    rows = {row.name: row for row in table(facts, epochs)}
+    tst = (night.state[night.inn : night.out] == "sleep").sum() / 2
+    assert rows["Total sleep time (TST)"].value == f"{int(tst // 60)} h {round(tst) % 60:02d} min"
+    assert rows["Total sleep time (TST)"].bounds and rows["Bed exits"].value == "1"
+    (left,) = exits(facts)
+    assert left.begin == night.onset(night.exit[0]) and left.end == night.onset(night.exit[-1] + 1)
+    told = dict(quality(facts, epochs))
+    assert "20 unknown" in told["Epochs"] and "(10 min)" in told["Not scored"]
+
+
+def test_edf_opens_in_other_programs(drawn: tuple[Path, Night]) -> None:
+    folder, night = drawn
+    pyedflib, mne = pytest.importorskip("pyedflib"), pytest.importorskip("mne")
+    path = str(folder / "hypnogram.edf")
+    with pyedflib.EdfReader(path) as edf:
+        assert edf.getSignalLabels() == ["Activity", "Breathing rate"]
+        assert edf.getSampleFrequency(0) == pytest.approx(1 / 30)
+        activity = edf.readSignal(0)
+        starts, lengths, texts = edf.readAnnotations()
+    begin = night.inn
+    moved = night.moved[begin : begin + len(activity)]
+    np.testing.assert_allclose(activity, np.where(np.isfinite(moved), moved, -1.0), atol=1e-3)
+    stages = [(t, x) for t, x in zip(starts, texts, strict=True) if x.startswith("Sleep stage")]
+    names = {"wake": "Sleep stage W", "sleep": "Sleep stage S", "unknown": "Sleep stage ?"}
+    assert [x for _, x in stages] == [names[s] for s in states(night, begin)[: len(stages)]]
+    assert [t for t, _ in stages[:3]] == [0.0, 30.0, 60.0] and set(lengths[: len(stages)]) <= {30.0, 360.0}
+    assert "Out of bed" in texts
+    raw = mne.io.read_raw_edf(path, verbose="error")
+    assert raw.info["sfreq"] == pytest.approx(1 / 30) and raw.n_times == len(activity)
+    assert sum(text.startswith("Sleep stage") for text in raw.annotations.description) == len(stages)
+    assert raw.info["meas_date"].strftime("%Y-%m-%d %H:%M") == "2025-12-31 23:20"  # EDF's times are the wall clock's
+
+
+def test_our_own_evaluation_reads_the_log_and_the_edf(drawn: tuple[Path, Night]) -> None:
+    from operators.sleep_reference import read_hypnogram
+
+    folder, _ = drawn
+    of_csv, of_edf = read_hypnogram(folder / "epochs.csv"), read_hypnogram(folder / "hypnogram.edf")
+    n = len(of_edf.state)
+    assert of_csv.state[:n].tolist() == of_edf.state.tolist() and of_csv.dated
+
+
+@pytest.mark.parametrize("at", [170, 241, 465])
+def test_nothing_is_lost_or_doubled_by_kill_9(tmp_path: Path, at: int) -> None:
+    """The checkpoint is ten epochs old when the process is killed; a row is torn by the power cut."""
+    night, log = Night(), opened(tmp_path, report=False)
+    log.begin()
+    feed(log, night.told(0, at - 10))
+    checkpoint = log.snapshot()
+    feed(log, night.told(at - 10, at))
+    assert log.desk.night
+    folder = log.desk.night.folder
+    before = logged(folder)
+    with (folder / shelf.EPOCHS).open("a") as file:
+        file.write("2026-01-01T0")
+    os.close(log.desk.night.file._handle)
+    log.desk.claim.release()  # type: ignore[union-attr]
+
+    again = opened(tmp_path, report=False)
+    again.restore(checkpoint)
+    clock = SessionClock()
+    clock.utc_ns = night.onset(at + 2)
+    again.keep_time(clock)
+    again.begin()
+    assert logged(folder) == before
+    feed(again, night.told(at - 10, at))  # what is worked through again
+    assert logged(folder) == before
+    feed(again, chain(night.told(at), night.end()))
+    again.close()
+    assert logged(folder) == states(night, night.inn)
+    facts = shelf.Facts.load(folder)
+    assert facts.closed and facts.breaks == [[night.onset(at - LATE), night.onset(at + 2)]]
+
+
+def test_a_restart_without_resume_goes_on_with_the_night(tmp_path: Path) -> None:
+    night, log = Night(), opened(tmp_path, report=False)
+    log.begin()
+    feed(log, night.told(0, 200))
+    log.close()
+    (folder,) = (path for path, _ in shelf.nights(tmp_path))
+    assert not shelf.Facts.load(folder).closed
+    again = opened(tmp_path, report=False)
+    clock = SessionClock()
+    clock.utc_ns = night.onset(220)
+    again.keep_time(clock)
+    again.begin()
+    feed(again, chain(night.told(220), night.end()))
+    again.close()
+    assert len(shelf.nights(tmp_path)) == 1
+    facts = shelf.Facts.load(folder)
+    assert facts.breaks == [[night.onset(197), night.onset(220)]]
+    assert "kinegraph did not run" in dict(quality(facts, shelf.read_epochs(folder)))
+
+
+def test_what_was_final_is_never_changed(tmp_path: Path) -> None:
+    night, log = Night(), opened(tmp_path, report=False)
+    log.begin()
+    feed(log, night.told(0, 200))
+    before = (tmp_path / "2025-12-31" / shelf.EPOCHS).read_bytes()
+    other = Night(seed=9)
+    feed(log, other.told(0, 200))
+    assert (tmp_path / "2025-12-31" / shelf.EPOCHS).read_bytes() == before
+    log.close()
+
+
+def test_rows_wait_while_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    night, log = Night(), opened(tmp_path, report=False)
+    log.begin()
+    feed(log, night.told(0, 100))
+    write, full = os.pwrite, True
+
+    def pwrite(handle: int, data: bytes, offset: int) -> int:
+        if full:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(handle, data, offset)
+
+    monkeypatch.setattr(os, "pwrite", pwrite)
+    feed(log, night.told(100, 250))
+    folder = tmp_path / "2025-12-31"
+    assert len(logged(folder)) == 100 - LATE - night.inn
+    full = False
+    assert log.desk.night
+    log.desk.night.file._retry_at = 0.0
+    feed(log, chain(night.told(250), night.end()))
+    log.close()
+    assert logged(folder) == states(night, night.inn)
+
+
+def test_nights_are_separated_and_old_ones_deleted(tmp_path: Path) -> None:
+    log = opened(tmp_path, report=False, keep_days=2.0)
+    log.begin()
+    (tmp_path / "mine").mkdir()
+    for day in range(4):
+        night = Night(n=160, out=140)
+        for port, chunk in chain(night.told(), night.end()):
+            shift = day * 86_400 * NS
+            chunk.time = chunk.time + shift
+            if chunk.data.dtype.names:
+                for name in {"onset", "end"} & set(chunk.data.dtype.names):
+                    chunk.data[name] += shift
+            log.process(port, chunk)
+    log.close()
+    assert [path.name for path, _ in shelf.nights(tmp_path)] == ["2026-01-02", "2026-01-03"]
+    assert (tmp_path / "mine").is_dir()
+    (first, _), (second, _) = shelf.nights(tmp_path)
+    assert logged(first) == logged(second)
+
+
+def test_an_empty_bed_is_no_night(tmp_path: Path) -> None:
+    night, log = Night(), opened(tmp_path, report=False)
+    night.bed[:] = "out"
+    log.begin()
+    feed(log, night.told())
+    log.close()
+    assert shelf.nights(tmp_path) == []
+
+
+def test_two_short_times_in_bed_far_apart_are_two_nights(tmp_path: Path) -> None:
+    night, log = Night(n=1400), opened(tmp_path, report=False)
+    night.bed[:] = "out"
+    night.bed[100:110] = night.bed[700:1300] = "in"
+    log.begin()
+    feed(log, night.told())
+    log.close()
+    assert [path.name for path, _ in shelf.nights(tmp_path)] == ["2025-12-31", "2025-12-31-2"]
+
+
+def test_actigraphy_alone_makes_a_night(tmp_path: Path) -> None:
+    log = opened(tmp_path, ("epochs", "nights", "lights"))
+    night = Night(n=200, out=180)
+    log.begin()
+    feed(log, chain(night.told(), night.end()))
+    log.close()
+    (folder,) = (path for path, _ in shelf.nights(tmp_path))
+    assert logged(folder) == states(night) and (folder / "report.html").exists()
+
+
+def test_the_report_of_a_night_that_goes_on(tmp_path: Path) -> None:
+    night, log = Night(), opened(tmp_path, report=False)
+    log.begin()
+    feed(log, night.told(0, 300))
+    log.close()
+    page = draw(tmp_path / "2025-12-31")
+    assert "not over" in page.read_text()
+
+
+def test_the_command_lists_draws_and_deletes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from stream.cli import call
+
+    def run(*words: str, code: int = 0) -> str:
+        with pytest.raises(SystemExit) as ended:
+            call("nights", [*words, "--path", str(tmp_path)])
+        assert ended.value.code == code
+        return capsys.readouterr().out
+
+    night_made.whole(tmp_path, report=False)
+    assert "2025-12-31" in run() and "1 nights" in run("list")
+    assert "report.html" in run("report", "last")
+    with pytest.raises(KinegraphError, match="2025-12-31"):
+        call("nights", ["delete", "2025-12-30", "--path", str(tmp_path)])
+    with pytest.raises(KinegraphError, match="name the night"):
+        call("nights", ["delete", "--path", str(tmp_path)])
+    assert (tmp_path / "2025-12-31").is_dir()
+    run("delete", "last", "--yes")
+    assert not (tmp_path / "2025-12-31").exists()
+
+
+def test_only_a_night_is_deleted(tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    with pytest.raises(KinegraphError, match="no night"):
+        shelf.remove(tmp_path / "photos")
+    assert (tmp_path / "photos").is_dir()
+
+
+@pytest.mark.parametrize(
+    ("ports", "more", "error"),
+    [
+        (tuple(SPECS), {"timezone": "Europe/Bonn"}, ParameterError),
+        (("epochs", "nights"), {"path": "/dev/null/nights"}, ParameterError),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused(
+    tmp_path: Path, ports: tuple[str, ...], more: dict[str, Any], error: type[Exception]
+) -> None:
+    from devices.night import NightLog
+
+    given = {"path": str(tmp_path), **more}
+    with pytest.raises(error):
+        NightLog(**given).open({port: SPECS[port] for port in ports})
+    with pytest.raises(InputError):
+        NightLog(path=str(tmp_path)).open({"epochs": SPECS["bed"], "nights": SPECS["nights"]})
+
+
+def test_the_facts_are_plain_json(drawn: tuple[Path, Night]) -> None:
+    told = json.loads((drawn[0] / shelf.FACTS).read_text())
+    assert told["begun"] == EVENING + 40 * STEP and told["numbers"]["convention"] == "AASM"
