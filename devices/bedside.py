@@ -135,9 +135,8 @@ class _Night:
         for k in range(first, last, size):
             seconds = [i / of.fps for i in range(k, min(k + size, last))]
             stamps = np.array([self._begun + round(s * NS) for s in seconds])
-            if of.live and feed.wait(
-                max(0.0, (stamps[-1] - self._opened) / of.speed - (feed.now() - self._opened)) / NS
-            ):
+            ahead = (seconds[-1] - first / of.fps) / of.speed if of.live else 0.0
+            if ahead and feed.wait(max(0.0, ahead - (feed.now() - self._opened) / NS)):
                 return
             if feed.stopped:
                 return
