@@ -1,4 +1,4 @@
-"""`kinegraph import`: CSV, NPZ and XDF files as a recording that replays as if it had been live."""
+"""`kinegraph import`: CSV, NPZ, XDF and motion capture files as a recording that replays as if it had been live."""
 
 from __future__ import annotations
 
@@ -21,9 +21,17 @@ TIMES = ("time", "t", "timestamp", "time_s", "t_s", "time_ms", "t_ms", "time_us"
 
 Many = list[str] | None
 
+MOTION = (".bvh", ".c3d", ".amc", ".asf")
+TABLES = (".csv", ".tsv", ".txt")
+
 
 def import_(
-    files: Annotated[list[File], typer.Argument(help="CSV (with a header line), NPZ or XDF files", metavar="FILE...")],
+    files: Annotated[
+        list[File],
+        typer.Argument(
+            help="CSV (with a header line), NPZ, XDF, BVH, C3D or AMC (with its ASF) files", metavar="FILE..."
+        ),
+    ],
     output: Annotated[File, typer.Option("-o", "--output", help="the recording to be made, ending in .mcap")],
     stream: Annotated[
         Many,
@@ -63,9 +71,10 @@ def import_(
         int, typer.Option(min=1, max=4096, help="characters that a marker of an XDF file may have")
     ] = 64,
     dejitter: Annotated[bool, typer.Option(help="XDF: remove the jitter of regular streams' times")] = True,
+    kinect: Annotated[bool, typer.Option(help="CSV: x, y and z of a skeleton's joints, as points")] = False,
     clock_sync: Annotated[bool, typer.Option(help="XDF: apply the clock offsets that were measured")] = True,
 ) -> None:
-    """Turn CSV, NPZ or XDF files into one recording.
+    """Turn CSV, NPZ, XDF, BVH, C3D or AMC files into one recording.
 
     kinegraph import emg.csv -o emg.mcap --stream board.emg=TA,GM --time time --unit uV
     """
@@ -94,12 +103,18 @@ def import_(
         start_ns=begin or 0,
     )
     series: list[Series] = []
-    tables = [file for file in files if file.suffix.lower() not in (".xdf", ".xdfz")]
-    for file in files:
+    motion = [file for file in files if file.suffix.lower() in MOTION or (kinect and file.suffix.lower() in TABLES)]
+    others = [file for file in files if file not in motion]
+    tables = [file for file in others if file.suffix.lower() not in (".xdf", ".xdfz")]
+    for file in others:
         if file not in tables:
             series += _from_xdf(
                 file, wishes, text_width, begin, dejitter=dejitter, synchronize=clock_sync, alone=not tables
             )
+    if motion:
+        from stream.convert.motion import read_motion
+
+        series += read_motion(motion, wishes)
     if tables:
         series += _from_tables(tables, wishes)
     _check_names(series)
@@ -138,11 +153,11 @@ def _from_tables(files: Sequence[File], wishes: Wishes) -> list[Series]:
             raise RecordingError(f"{file}: there is no such file")
         if file.suffix.lower() == ".npz":
             shelf.put(file, read_npz(file))
-        elif file.suffix.lower() in (".csv", ".tsv", ".txt"):
+        elif file.suffix.lower() in TABLES:
             shelf.put(file, read_csv(file))
         else:
             raise RecordingError(
-                f"{file}: what kind of file this is cannot be told; its name must end in .csv, .tsv, .txt, .npz or .xdf"
+                f"{file}: what kind of file this is cannot be told; its name must end in .csv, .tsv, .txt, .npz, .xdf, .bvh, .c3d or .amc"
             )
     if not wishes.streams and not wishes.events:
         _by_default(files, shelf, wishes)

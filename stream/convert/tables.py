@@ -49,7 +49,7 @@ def read_csv(path: Path) -> dict[str, Column]:
     The delimiter (comma, semicolon, tab or bar) is found in the header; with another one than a comma, numbers may have decimal commas.
     Empty cells are NaN; lines before the header that begin with # are skipped. Raises RecordingError with file and line.
     """
-    text = _text(path)
+    text = read_text(path, "CSV")
     if "\0" in text:
         raise RecordingError(f"{path}: holds zero bytes; it is no text, or was damaged")
     lines = text.split("\n")
@@ -75,11 +75,39 @@ def read_csv(path: Path) -> dict[str, Column]:
     return {name: Column(np.ascontiguousarray(data[:, i]), path, at + 2, unit) for i, (name, unit) in enumerate(names)}
 
 
-def _text(path: Path) -> str:
+def read_rows(path: Path) -> Array | None:
+    """The numbers (n, columns) of a table that has no header; None for one that begins with something else than numbers.
+
+    The delimiter may also be spaces. Raises RecordingError with file and line.
+    """
+    lines = read_text(path, "CSV").split("\n")
+    while lines and not lines[-1].strip():
+        lines.pop()
+    if not lines:
+        raise RecordingError(f"{path}: the file is empty")
+    cut = next((d for d in DELIMITERS if d in lines[0]), None)
+    width = len(lines[0].split(cut))
+    if not all(_is_number(cell) for cell in lines[0].split(cut)):
+        return None
+    rows = []
+    for number, line in enumerate(lines, 1):
+        cells = line.split(cut)
+        if len(cells) != width:
+            raise RecordingError(f"{path}: line {number}: {len(cells)} numbers, but the first line has {width}")
+        try:
+            rows.append([float(cell) for cell in cells])
+        except ValueError:
+            bad = next(cell for cell in cells if not _is_number(cell))
+            raise RecordingError(f"{path}: line {number}: {bad!r} is no number") from None
+    return np.array(rows)
+
+
+def read_text(path: Path, kind: str) -> str:
+    """The whole of a text file in UTF-8; raises RecordingError where it cannot be one of this kind."""
     try:
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
-        raise RecordingError(f"{path}: not a text file in UTF-8, so no CSV") from None
+        raise RecordingError(f"{path}: not a text file in UTF-8, so no {kind}") from None
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror or error})") from None
 

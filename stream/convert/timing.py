@@ -92,11 +92,15 @@ def _estimate(time: Times) -> float | None:
         return None
     near = steps[np.abs(steps - middle) <= TOLERANCE * middle]
     count = len(near)
-    rate = NS / float(near.mean()) if count else NS / middle
+    return snapped(NS / float(near.mean()) if count else NS / middle)
+
+
+def snapped(rate: float) -> float:
+    """A measured rate, or the whole number (or tenth) that it must have been meant to be."""
     for digits in (0, 1):
-        snapped = round(rate, digits)
-        if snapped > 0 and abs(rate - snapped) <= SNAP * rate:
-            return snapped
+        near = round(rate, digits)
+        if near > 0 and abs(rate - near) <= SNAP * rate:
+            return near
     return rate
 
 
