@@ -1,0 +1,217 @@
+"""Frame by frame: an activity opens, begins, and closes; every decision is told as an event."""
+
+from __future__ import annotations
+
+from operators.segmentation.distances import choose_radius, insert, mark
+from operators.segmentation.events import stamp, tell
+from operators.segmentation.layout import (
+    ACTIVITY,
+    ACTIVITY_EVENT,
+    BAND,
+    BEGUN,
+    BELIEVED_EVENT,
+    BEST_END,
+    BEST_START,
+    CLUSTER,
+    COUNT,
+    CYCLES,
+    DONE,
+    EVENTS,
+    EVERY,
+    FIRM,
+    LAG,
+    LAST,
+    LEARN,
+    LENGTH,
+    MASS,
+    MODE,
+    NEXT,
+    NOW,
+    OPEN,
+    OPENED,
+    PENDING,
+    PIECES_FROM,
+    QUIET,
+    RADIUS,
+    RADIUS_AT,
+    RADIUS_EVENT,
+    ROWS,
+    SEED,
+    SEED_AT,
+    SETTLE,
+    SINCE,
+    START,
+    START_AT,
+    TO,
+    TOLD,
+    TRACK,
+    Memory,
+)
+from operators.segmentation.repetitions import (
+    accept,
+    explore,
+    piece,
+    search_from,
+    settle,
+    slack,
+    stretch,
+    tell_start,
+    under_way,
+)
+from stream.chunk import Samples, Times
+from stream.kernel import kernel
+
+ROOM = 1024
+"""One frame never leads to more events."""
+
+
+@kernel
+def follow(s: Memory, x: Samples, time: Times, first: int, gap: bool) -> int:
+    """Work through frames `x` (n, features) with stamps `time` (n,) from row `first` on, while there is room for events.
+
+    `gap`: what is open ends before row `first`. Returns the row to go on with; EVENTS rows were written.
+    """
+    s.books[EVENTS] = 0
+    i = first
+    while i < x.shape[0] and s.books[EVENTS] + 2 * ROOM <= s.events.shape[0]:
+        s.books[NOW] = time[i]
+        if gap and i == first:
+            end(s)
+        step(s, insert(s, x[i], time[i]))
+        i += 1
+    return i
+
+
+@kernel
+def step(s: Memory, t: int) -> None:
+    b = s.books
+    if t == b[SEED]:
+        b[SEED_AT] = s.times[t % s.times.shape[0]]
+    if not b[OPEN]:
+        if t - b[SINCE] + 1 < b[LEARN]:
+            return
+        if t >= b[RADIUS_AT]:
+            choose_radius(s, t)
+            b[RADIUS_AT] = t + b[EVERY]
+        elif t - b[LAG] >= b[SEED]:
+            b[ROWS] -= s.near[(t - b[LAG]) % s.near.shape[0]] == 1
+        b[ROWS] += mark(s, t, b[SEED])
+        if b[ROWS] >= b[MASS]:
+            open_up(s, t)
+    elif mark(s, t, b[SEED]):
+        b[LAST] = t
+    if b[OPEN]:
+        quiet = t - b[LAST] >= b[QUIET]
+        if not b[BEGUN] and (quiet or t >= b[OPENED] + b[SETTLE]):
+            begin(s)
+        if b[BEGUN]:
+            while b[DONE] < t:
+                b[DONE] += 1
+                explore(s, b[DONE])
+            if not b[TOLD] and t >= b[OPENED] + b[FIRM]:
+                tell_start(s)
+        if t - b[LAST] >= b[QUIET] and not under_way(s, t):
+            finish(s, False)
+
+
+@kernel
+def open_up(s: Memory, t: int) -> None:
+    """There are enough frames with neighbours: an activity is under way, and keeps the radius."""
+    b = s.books
+    b[OPEN], b[OPENED], b[BEGUN] = 1, t, 0
+    i = t
+    while s.near[i % s.near.shape[0]] != 1:
+        i -= 1
+    b[LAST] = i
+    first = max(b[SEED], t - b[LAG])
+    while s.near[first % s.near.shape[0]] != 1:
+        first += 1
+    row, k = s.rows[first % s.rows.shape[0]], b[BAND]
+    while row[k] > s.values[RADIUS]:
+        k += 1
+    tell(s, RADIUS_EVENT, 0, 0, 0, 0, 0, 0)
+    tell(s, BELIEVED_EVENT, stamp(s, first - k), stamp(s, t), b[ACTIVITY] + (first - k > b[SEED]), 0, 0, 0)
+
+
+@kernel
+def begin(s: Memory) -> None:
+    """Grow backward from the newest frame that has a neighbour to the activity's first."""
+    b = s.books
+    first, found = b[LAST], 0
+    i = b[LAST]
+    while i >= oldest(s):
+        near = False
+        if s.near[i % s.near.shape[0]] != 2:
+            for k in range(b[BAND], min(b[LAG], b[LAST] - i) + 1):
+                if s.rows[(i + k) % s.rows.shape[0], k] <= s.values[RADIUS]:
+                    near = True
+                    break
+        if near:
+            first = i
+            found += 1
+        elif first - i >= b[QUIET] and found >= b[MASS]:
+            break
+        i -= 1
+    b[BEGUN], b[TOLD] = 1, 0
+    b[START] = first
+    b[COUNT] = b[PENDING] = b[CYCLES] = 0
+    b[CLUSTER] = -1
+    search_from(s, first)
+    b[DONE] = first - 1
+
+
+@kernel
+def oldest(s: Memory) -> int:
+    """The first frame that the open activity may begin with: what it is decided from must still be there."""
+    b = s.books
+    return int(max(b[SEED], b[OPENED] - 2 * b[LAG]))
+
+
+@kernel
+def finish(s: Memory, forced: bool) -> None:
+    """The activity ends with its last frame that has a neighbour, or with its last repetition."""
+    b = s.books
+    if not b[TOLD]:
+        tell_start(s)
+    if b[BEST_END] >= 0 and b[MODE] == TRACK and b[BEST_START] <= b[LAST]:
+        accept(s)
+    last = b[LAST]
+    if b[PENDING]:
+        settle(s, last if last - b[TO] <= slack(b[LENGTH]) else b[TO])
+    if b[PIECES_FROM] <= last:
+        piece(s, last, forced)
+    tell(
+        s,
+        ACTIVITY_EVENT,
+        b[START_AT],
+        s.times[last % s.times.shape[0]],
+        b[ACTIVITY],
+        b[CYCLES],
+        b[CLUSTER],
+        forced,
+    )
+    b[ACTIVITY] += 1
+    b[OPEN] = b[BEGUN] = b[ROWS] = 0
+    b[SEED] = last + 1
+    b[SEED_AT] = s.times[(last + 1) % s.times.shape[0]]
+    b[RADIUS_AT] = 0
+
+
+@kernel
+def end(s: Memory) -> None:
+    """The stream ends, or a gap follows: what is open closes by force, and all but the exemplars is forgotten."""
+    b = s.books
+    newest = b[NEXT] - 1
+    if b[NEXT] == b[SINCE]:
+        return
+    if b[OPEN]:
+        if not b[BEGUN]:
+            begin(s)
+        while b[DONE] < newest:
+            b[DONE] += 1
+            explore(s, b[DONE])
+        finish(s, True)
+    if b[SEED] <= newest:
+        stretch(s, newest, True)
+    b[SEED] = b[SINCE] = b[NEXT]
+    b[RADIUS_AT] = b[ROWS] = 0

@@ -1,0 +1,84 @@
+"""Exemplars, one per cluster: the first cycle of its kind, kept however long ago it was; which of them are alike."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from operators.segmentation.cycles import GAIN, advance, columns
+from operators.segmentation.layout import CLOCK, NEXT_CLUSTER, RADIUS, TURN, Memory
+from stream.kernel import kernel
+
+NUMBER, SIZE, USED, SEEN = range(4)
+"""Columns of `clusters`."""
+
+
+@kernel
+def fit(s: Memory, slot: int, first: int, last: int, whole: bool) -> float:
+    """Mean distance of the cheapest warping path of an exemplar in frames first..last; `whole`: all along them."""
+    length = s.clusters[slot, SIZE]
+    cost = np.full((2, length), np.inf)
+    begin = np.full((2, length), -1, np.int64)
+    gain = GAIN * s.values[RADIUS]
+    best = np.inf
+    for i in range(first, last + 1):
+        columns(s, i, slot, length)
+        mean = advance(s.scratch, i, length, first, gain, cost, begin)
+        if whole and (i < last or begin[0, length - 1] > first + length // 8):
+            continue
+        best = min(best, mean)
+    return best
+
+
+@kernel
+def recognise(s: Memory, first: int, last: int, length: int) -> int:
+    """The known exemplar that fits best into frames first..last, which hold a cycle of `length` frames; -1: none does."""
+    best, found = s.values[RADIUS], -1
+    for slot in range(s.clusters.shape[0]):
+        size = s.clusters[slot, SIZE]
+        if s.clusters[slot, NUMBER] >= 0 and size * 3 <= length * 4 and length * 3 <= size * 4:
+            mean = fit(s, slot, first, last, False)
+            if mean < best:
+                best, found = mean, slot
+    return found
+
+
+@kernel
+def keep(s: Memory, first: int, length: int) -> int:
+    """Frames first, ... are the exemplar of a new cluster; its slot. The one that was not used for longest makes room if there is none."""
+    slot = 0
+    for k in range(s.clusters.shape[0]):
+        if s.clusters[k, NUMBER] < 0:
+            slot = k
+            break
+        if s.clusters[k, USED] < s.clusters[slot, USED]:
+            slot = k
+    ring = s.times.shape[0]
+    for d in range(s.frames.shape[0]):
+        for c in range(length):
+            s.exemplars[slot, d, c] = s.frames[d, (first + c) % ring]
+    s.clusters[slot, NUMBER] = s.books[NEXT_CLUSTER]
+    s.clusters[slot, SIZE] = length
+    s.clusters[slot, SEEN] = 0
+    s.books[NEXT_CLUSTER] += 1
+    use(s, slot)
+    return slot
+
+
+@kernel
+def use(s: Memory, slot: int) -> None:
+    s.books[CLOCK] += 1
+    s.clusters[slot, USED] = s.books[CLOCK]
+
+
+@kernel
+def alike(s: Memory, slot: int, first: int, last: int) -> int:
+    """Compare frames first..last, of cluster `slot`, with one other exemplar, each in its turn: its slot if both are one; else -1."""
+    count = s.clusters.shape[0]
+    for k in range(count):
+        other = (s.books[TURN] + k) % count
+        size, length = s.clusters[other, SIZE], last - first + 1
+        if other == slot or s.clusters[other, NUMBER] < 0 or size > 2 * length or length > 2 * size:
+            continue
+        s.books[TURN] = other + 1
+        return other if fit(s, other, first, last, True) <= s.values[RADIUS] else -1
+    return -1

@@ -1,0 +1,174 @@
+"""The first cycle of an activity, by the lag at which it comes back to itself; and its later ones, by warping paths along the first."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from operators.segmentation.layout import (
+    BAND,
+    BEST,
+    BEST_END,
+    BEST_START,
+    FREE,
+    LAG,
+    LENGTH,
+    MASS,
+    ORIGIN,
+    RADIUS,
+    SLOT,
+    Memory,
+)
+from stream.chunk import Samples, Times
+from stream.kernel import kernel
+
+DIP = 0.6
+"""A cycle's lag is where the mean distance falls to this share of the largest one at a shorter lag."""
+SEEN = 0.7
+"""So much of the second cycle must have been seen."""
+LEAVES = 0.8
+"""The largest mean distance at a shorter lag must be at least this share of the radius: who hardly moves has no cycle."""
+GAIN = 0.3
+"""What a path's step costs is its distance less this share of the radius; without it paths would shrink to their cheapest part."""
+LONGEST = 2
+"""Paths advance by slopes from 1 / LONGEST to LONGEST, on the whole."""
+
+
+@kernel
+def sum_up(s: Memory, i: int) -> None:
+    """Frame `i`'s distances at each lag, back to ORIGIN, added to those of the frames before it."""
+    b = s.books
+    row, sums, before = s.rows[i % s.rows.shape[0]], s.sums[i % s.sums.shape[0]], s.sums[(i - 1) % s.sums.shape[0]]
+    for k in range(1, b[LAG] + 1):
+        if k > i - b[ORIGIN]:
+            sums[k] = 0.0
+        else:
+            sums[k] = before[k] + row[k]
+
+
+@kernel
+def last_cycle(s: Memory, i: int, k: int) -> float:
+    """Mean distance of the newest frames to those `k` before them: of as many as a cycle has, or opens an activity, back to ORIGIN."""
+    b = s.books
+    n = min(max(k, b[MASS]), i - b[ORIGIN] + 1 - k)
+    total = s.sums[i % s.sums.shape[0], k] - s.sums[(i - n) % s.sums.shape[0], k]
+    return float(total / n)
+
+
+@kernel
+def cycle_length(s: Memory, i: int) -> int:
+    """The shortest lag at which the newest frames come back to themselves (as YIN finds a pitch, on distances); 0: none."""
+    b = s.books
+    largest = 0.0
+    radius = s.values[RADIUS]
+    seen = i - b[ORIGIN] + 1
+    last = 0
+    for k in range(1, b[LAG] + 1):
+        if seen - k < SEEN * max(k, b[MASS]):
+            break
+        last = k
+    for k in range(1, last + 1):
+        mean = last_cycle(s, i, k)
+        if k >= b[BAND] and largest >= LEAVES * radius and mean < DIP * largest and mean <= radius:
+            wide = max(2, k // 5)
+            if k + wide > last:
+                return 0
+            lowest = True
+            for j in range(k - wide, k + wide + 1):
+                lowest = lowest and last_cycle(s, i, j) >= mean
+            if lowest:
+                return k
+        largest = max(largest, mean)
+    return 0
+
+
+@kernel
+def columns(s: Memory, i: int, slot: int, length: int) -> None:
+    """Distances of frame `i` to the exemplar's frames, into `scratch`."""
+    out = s.scratch
+    ring = s.times.shape[0]
+    for c in range(length):
+        out[c] = 0.0
+    for d in range(s.frames.shape[0]):
+        v = s.frames[d, i % ring]
+        line = s.exemplars[slot, d]
+        for c in range(length):
+            apart = v - line[c]
+            out[c] += apart * apart
+    for c in range(length):
+        out[c] = math.sqrt(out[c] / s.frames.shape[0])
+
+
+@kernel
+def advance(apart: Samples, i: int, length: int, free: int, gain: float, cost: Samples, begin: Times) -> float:
+    """One frame of the dynamic programme: the cheapest warping paths that end at frame `i`, at each column of an exemplar.
+
+    Paths start at column 0, at frame `free` or later, and go by steps (1,1), weight 2, (1,0) and (0,1), weight 1. cost, begin (2, columns):
+    row 0 of the frame before, row 1 of this one; both are moved on. Returns the mean distance of the path that has come to the last
+    column, infinity if there is none within the slopes; it began at begin[0, length - 1].
+    """
+    for c in range(length):
+        step = apart[c] - gain
+        best, start = math.inf, -1
+        if c == 0:
+            if i >= free:
+                best, start = 2.0 * step, i
+        else:
+            if cost[0, c - 1] + 2.0 * step < best:
+                best, start = cost[0, c - 1] + 2.0 * step, begin[0, c - 1]
+            if cost[1, c - 1] + step < best:
+                best, start = cost[1, c - 1] + step, begin[1, c - 1]
+            if cost[0, c] + step < best:
+                best, start = cost[0, c] + step, begin[0, c]
+        if start < free or i - start >= LONGEST * length:
+            best, start = math.inf, -1
+        cost[1, c], begin[1, c] = best, start
+    for c in range(length):
+        cost[0, c], begin[0, c] = cost[1, c], begin[1, c]
+    frames = i - begin[0, length - 1] + 1
+    if cost[0, length - 1] == math.inf or frames * LONGEST < length:
+        return math.inf
+    return float(cost[0, length - 1] / (frames + length) + gain)
+
+
+@kernel
+def begin_tracking(s: Memory, free: int) -> None:
+    """Nothing known of the exemplar's paths; they may start at frame `free`."""
+    s.cost[:] = np.inf
+    s.begin[:] = -1
+    s.books[FREE] = free
+    s.books[BEST_START] = s.books[BEST_END] = -1
+    s.values[BEST] = np.inf
+
+
+@kernel
+def patience(length: int) -> int:
+    """For how many frames a complete path waits for a cheaper one before it is accepted."""
+    return max(3, length // 4)
+
+
+@kernel
+def track(s: Memory, i: int) -> bool:
+    """Follow the exemplar's paths to frame `i`; True if the best one (BEST_START to BEST_END) is now accepted."""
+    b = s.books
+    length = b[LENGTH]
+    columns(s, i, b[SLOT], length)
+    radius = s.values[RADIUS]
+    mean = advance(s.scratch, i, length, b[FREE], GAIN * radius, s.cost, s.begin)
+    if mean <= radius and mean < s.values[BEST]:
+        s.values[BEST] = mean
+        b[BEST_START], b[BEST_END] = s.begin[0, length - 1], i
+    return bool(b[BEST_END] >= 0 and i - b[BEST_END] >= patience(length))
+
+
+@kernel
+def release(s: Memory) -> None:
+    """The best path is accepted: the next one starts about where it ended."""
+    b = s.books
+    b[FREE] = b[BEST_END] + 1 - patience(b[LENGTH]) // 2
+    for c in range(b[LENGTH]):
+        if s.begin[0, c] < b[FREE]:
+            s.cost[0, c], s.begin[0, c] = np.inf, -1
+    b[BEST_START] = b[BEST_END] = -1
+    s.values[BEST] = np.inf

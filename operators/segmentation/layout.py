@@ -1,0 +1,153 @@
+"""What a segmentation remembers, and where: one named tuple of flat arrays, so that kernels take one thing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+
+from stream.chunk import Array, Samples, Times
+
+NAMES = [
+    "LAG", "WINDOW", "LEARN", "QUIET", "MASS", "SETTLE", "FIRM", "BAND_LEAST", "BAND_MOST", "EVERY", "FIXED",
+    "NEXT", "SINCE", "SEED", "SEED_AT", "BAND", "RADIUS_AT", "ROWS", "OPEN", "OPENED", "LAST", "BEGUN", "START", "START_AT", "ACTIVITY",
+    "MODE", "ORIGIN", "DONE", "SLOT", "LENGTH", "FREE", "BEST_START", "BEST_END", "COUNT", "PENDING", "FROM", "TO", "CYCLES", "PIECES_FROM", "PIECES_AT", "TOLD_TO",
+    "CLUSTER", "NEXT_CLUSTER", "CLOCK", "TURN", "EVENTS", "TOLD", "NOW",
+]  # fmt: skip
+(
+    LAG, WINDOW, LEARN, QUIET, MASS, SETTLE, FIRM, BAND_LEAST, BAND_MOST, EVERY, FIXED,
+    NEXT, SINCE, SEED, SEED_AT, BAND, RADIUS_AT, ROWS, OPEN, OPENED, LAST, BEGUN, START, START_AT, ACTIVITY,
+    MODE, ORIGIN, DONE, SLOT, LENGTH, FREE, BEST_START, BEST_END, COUNT, PENDING, FROM, TO, CYCLES, PIECES_FROM, PIECES_AT, TOLD_TO,
+    CLUSTER, NEXT_CLUSTER, CLOCK, TURN, EVENTS, TOLD, NOW,
+) = range(len(NAMES))  # fmt: skip
+"""
+LAG                       longest cycle, and how far back neighbours are looked for, in frames; as all down to EVERY
+WINDOW, LEARN             frames that the radius is taken from; how many there must be
+QUIET, MASS               frames without a neighbour that end an activity; frames with one that open it
+SETTLE, FIRM              how long after its opening an activity's start is sought; and is decided at the latest
+BAND_LEAST, BAND_MOST     bounds of the band around the diagonal
+EVERY                     frames between two choices of the radius while nothing is open
+FIXED                     whether the radius is given
+NEXT, SINCE               number of the next frame; of the first since the start or a gap
+SEED, SEED_AT             first frame after the last activity, and its stamp
+BAND                      frames less far away are no neighbours
+RADIUS_AT                 when the radius is chosen next
+ROWS                      of the newest LAG frames, how many have a neighbour
+OPEN, OPENED, LAST        whether an activity is open, since when; the last frame with a neighbour
+BEGUN, TOLD               whether its start has been sought; whether it is decided, and told
+START, START_AT           the start and its stamp
+ACTIVITY                  number of the next activity
+MODE                      SEARCH or TRACK
+ORIGIN, DONE              where the search for a cycle begins; the last frame worked through
+SLOT, LENGTH              which exemplar is tracked, and its length
+FREE                      no path starts before this frame
+BEST_START, BEST_END      the best path not yet accepted; -1: none
+COUNT                     repetitions of the open activity, accepted
+PENDING, FROM, TO         whether a repetition waits for its end; its path
+PIECES_FROM, PIECES_AT    first frame of the activity not yet told as a primitive, and its stamp
+TOLD_TO                   stamp of the frame before that
+CYCLES                    repetitions of the open activity, told
+CLUSTER, NEXT_CLUSTER     cluster of the pending repetition; number of the next new one
+CLOCK, TURN               counts uses of exemplars; whose turn it is to be compared
+EVENTS, NOW               rows written to the table of events; the stamp of what is decided now
+"""
+SEARCH, TRACK = 0, 1
+RADIUS, BEST, FACTOR = 0, 1, 2
+"""Places in `values`: the radius, the best path's mean distance, the radius as a share of the median distance."""
+
+ACTIVITY_EVENT, PRIMITIVE_EVENT, BEGIN_EVENT, COUNT_EVENT, MERGE_EVENT, RADIUS_EVENT, BELIEVED_EVENT = range(7)
+EVENT_WIDTH = 8
+"""A row of the table of events: kind, stamp of the decision, then what the kind has; see operator.py."""
+
+MOST_CLUSTERS = 24
+
+
+class Memory(NamedTuple):
+    """The arrays that kernels work on.
+
+    frames     (features, 2 ring)  frames by number modulo ring, twice, so that any `ring` in a row stand side by side
+    times      (ring,)             their stamps
+    rows       (rows, LAG + 1)     distance of a frame to the one 1, 2, ... LAG before it, by number modulo `rows`
+    near       (rows,)             whether a frame has a neighbour;  2: it was bad, and never has
+    sums       (rows, LAG + 1)     of a frame's distances at each lag and all before it since ORIGIN
+    cost       (2, LAG + 1)        of the best path that ends at each column of the exemplar, of the frame before and of this one
+    begin      (2, LAG + 1)        the frame where that path starts
+    scratch    (LAG + 1,)          distances of a frame to the exemplar's
+    exemplars  (clusters, features, LAG)
+    clusters   (clusters, 4)       number (-1: free), length, last use, repetitions seen
+    books, values                  the numbers named above
+    events     (m, EVENT_WIDTH)    what a call leads to; radii (m,): the radius of that moment. Not part of the state
+    """
+
+    frames: Samples
+    times: Times
+    rows: Samples
+    near: Array
+    sums: Samples
+    cost: Samples
+    begin: Times
+    scratch: Samples
+    exemplars: Samples
+    clusters: Times
+    books: Times
+    values: Samples
+    events: Times
+    radii: Samples
+
+
+@dataclass(slots=True)
+class Remembered:
+    """`Memory` as a state: the same arrays by the same names."""
+
+    frames: Samples
+    times: Times
+    rows: Samples
+    near: Array
+    sums: Samples
+    cost: Samples
+    begin: Times
+    scratch: Samples
+    exemplars: Samples
+    clusters: Times
+    books: Times
+    values: Samples
+
+    def with_room(self, rows: int) -> Memory:
+        """The arrays, and a table for so many events."""
+        kept = [getattr(self, f.name) for f in fields(self)]
+        return Memory(*kept, np.empty((rows, EVENT_WIDTH), np.int64), np.empty(rows))
+
+    def told(self, memory: Memory) -> tuple[Times, Samples]:
+        """The events that the last call wrote, and the radii."""
+        made = int(self.books[EVENTS])
+        return memory.events[:made], memory.radii[:made]
+
+
+def allocate(width: int, frames: dict[str, int], radius: float | None, factor: float) -> Remembered:
+    """Nothing seen yet. `frames`: the numbers LAG to EVERY, by name."""
+    lag = frames["LAG"]
+    ring = max(frames["WINDOW"], 5 * lag + frames["FIRM"] + 64)
+    rows = 3 * lag + frames["FIRM"] + 64
+    books = np.zeros(len(NAMES), np.int64)
+    for name, value in frames.items():
+        books[NAMES.index(name)] = value
+    books[FIXED] = radius is not None
+    books[BAND] = frames["BAND_MOST"]
+    books[[BEST_START, BEST_END]] = -1
+    clusters = np.zeros((MOST_CLUSTERS, 4), np.int64)
+    clusters[:, 0] = -1
+    return Remembered(
+        frames=np.zeros((width, 2 * ring)),
+        times=np.zeros(ring, np.int64),
+        rows=np.full((rows, lag + 1), np.inf),
+        near=np.zeros(rows, np.int8),
+        sums=np.zeros((rows, lag + 1)),
+        cost=np.full((2, lag + 1), np.inf),
+        begin=np.full((2, lag + 1), -1, np.int64),
+        scratch=np.zeros(lag + 1),
+        exemplars=np.zeros((MOST_CLUSTERS, width, lag)),
+        clusters=clusters,
+        books=books,
+        values=np.array([0.0 if radius is None else radius, np.inf, factor]),
+    )

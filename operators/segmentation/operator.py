@@ -1,0 +1,225 @@
+"""The segmentation as an operator: features in, actions, repetitions and clusters out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from operators.continuity import Continuity, numeric, regular, rows, samples_in, watch
+from operators.segmentation.activities import ROOM, end, follow
+from operators.segmentation.layout import (
+    ACTIVITY_EVENT,
+    BEGIN_EVENT,
+    BELIEVED_EVENT,
+    COUNT_EVENT,
+    EVENT_WIDTH,
+    EVENTS,
+    MERGE_EVENT,
+    NOW,
+    PRIMITIVE_EVENT,
+    RADIUS_EVENT,
+    Remembered,
+    allocate,
+)
+from stream.chunk import FOREVER, NEVER, Array, Chunk, Samples, Specs, StreamSpec, Times
+from stream.errors import InputError, ParameterError
+from stream.operator import Case, Operator, grid
+from stream.params import param
+
+SPAN = [("onset", "<i8"), ("end", "<i8"), ("activity", "<i8")]
+ACTIVITY = np.dtype(
+    [*SPAN, ("repeats", "?"), ("cluster", "<i8"), ("repetitions", "<i4"), ("transition", "?"), ("forced", "?")]
+)
+PRIMITIVE = np.dtype([*SPAN, ("repetition", "<i4"), ("cluster", "<i8"), ("forced", "?")])
+BEGIN = np.dtype([("onset", "<i8"), ("activity", "<i8")])
+COUNT = np.dtype([("activity", "<i8"), ("count", "<i4")])
+MERGE = np.dtype([("cluster", "<i8"), ("into", "<i8")])
+BELIEVED = np.dtype([*SPAN, ("repetition", "<i4")])
+RADIUS = np.dtype([("radius", "<f8")])
+OUTPUTS = {
+    "activity": (ACTIVITY, ACTIVITY_EVENT),
+    "primitive": (PRIMITIVE, PRIMITIVE_EVENT),
+    "begin": (BEGIN, BEGIN_EVENT),
+    "count": (COUNT, COUNT_EVENT),
+    "merge": (MERGE, MERGE_EVENT),
+    "provisional": (BELIEVED, BELIEVED_EVENT),
+    "radius": (RADIUS, RADIUS_EVENT),
+}
+"""By the name of an output: its events, and their kind in the kernels' table."""
+
+
+@dataclass(slots=True)
+class SegmentState(Continuity):
+    """memory: see layout.py; longest: ns, of a transition."""
+
+    memory: Remembered
+    longest: int
+
+
+@dataclass(frozen=True, slots=True)
+class Segment(Operator[SegmentState]):
+    """Features in (features,), stacked as a rule; actions, their repetitions, and which of them are alike out, as the motion goes on.
+
+    activity     final, one after another without holes: onset, end (ns; the stamp of the last frame that belongs to it), activity (its
+                 number, from 0), repeats (whether repetitions were found), cluster (of its last repetition; -1: none), repetitions,
+                 transition (a stretch between activities no longer than `transition_s`), forced (ended by a gap or the end of the stream)
+    primitive    final: onset, end, activity, repetition (1, 2, ...; 0: a part that is none, or an activity that does not repeat), cluster
+                 (-1: none), forced
+    begin        final: onset of an activity that goes on, `settle_s` to `firm_s` after it was noticed
+    count        at once: activity, and how many repetitions have come in it so far, this one included
+    merge        two clusters are found to be one: from now on `cluster` is `into`, the older one. Clusters never split
+    provisional  at once: what is believed of an activity (repetition 0) or a repetition that has just been seen, before it is final
+    radius       the radius that an activity is opened with
+
+    A frame's neighbours are the frames up to `cycle_s` before it within the radius, outside of a band around the diagonal; distances are
+    Euclidean, divided by the root of the number of features (the thesis's generalised radius, 2.3.1). An activity opens when, of the newest
+    `cycle_s`, frames worth `mass_s` have neighbours in it; it ends when there are none for `quiet_s` and no path along its cycle is under
+    way; growing backward finds its start. Its cycle is the shortest lag at which it comes back to itself. The first cycle is kept as an
+    exemplar, one per cluster, and repetitions are shortest warping paths along it, so that they are counted however long ago the first one
+    was, and cut at one phase in all activities of a cluster.
+
+    radius_share  of the median distance between frames of the window: the radius, while no activity is open; `radius` fixes it
+
+    A repetition is final at the latest 2.75 cycles after its end. Memory, in numbers, with times in frames: 8 cycle_s^2 +
+    2 features window_s, and 24 exemplars of cycle_s frames. A frame with a bad value has no neighbour. A gap longer than `reset_gap_s`
+    ends what is open; exemplars are kept.
+    Source: thesis, 2.3 and 2.5. Departures: docs/segmentation.md.
+    """
+
+    outputs: ClassVar[tuple[str, ...]] = tuple(OUTPUTS)
+    departures: ClassVar[dict[str, str]] = {
+        "time": "what the end of the stream forces to close is stamped with the newest frame, so time is promised up to there only",
+        "channels": "all features of a frame make one pose: with one of them bad the frame has no neighbours",
+    }
+
+    radius: float | None = param(
+        None, above=0.0, help="radius per feature, in their unit; left out: found from the data"
+    )
+    radius_share: float = param(0.45, above=0.0, most=2.0, help="the radius as a share of the median distance")
+    cycle_s: float = param(10.0, above=0.0, most=60.0, help="longest cycle, and how far back neighbours are looked for")
+    window_s: float = param(60.0, above=0.0, help="the radius is found from so much")
+    learn_s: float = param(5.0, above=0.0, help="nothing is decided before so much has been seen")
+    quiet_s: float = param(0.4, above=0.0, help="so long without a neighbour ends an activity")
+    mass_s: float = param(1.0, above=0.0, help="so many frames with neighbours open one")
+    settle_s: float = param(2.0, above=0.0, help="after its opening, until its start is looked for")
+    firm_s: float = param(8.0, above=0.0, help="after its opening, until its start is final")
+    band_s: tuple[float, float] = param((0.4, 0.7), above=0.0, help="bounds of the band around the diagonal")
+    transition_s: float = param(2.5, least=0.0, help="a longer stretch between two activities is one of its own")
+    reset_gap_s: float = param(1.0, least=0.0, help="a longer gap ends what is open")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = specs["in"]
+        numeric(spec)
+        if not spec.is_signal or not 1 <= spec.shape[0] <= 4096:
+            raise InputError("in", spec.describe(), "a signal of 1 to 4096 features")
+        rate_hz = regular(spec)
+        if rate_hz * self.cycle_s > 2000:
+            raise InputError(
+                "in",
+                spec.describe(),
+                f"at most {2000 / self.cycle_s:g} Hz with cycle_s {self.cycle_s:g}; 30 Hz suffice",
+            )
+        if self.settle_s > self.firm_s:
+            raise ParameterError("settle_s", self.settle_s, f"at most firm_s ({self.firm_s:g})")
+        if len(self.band_s) != 2 or not self.band_s[0] <= self.band_s[1] < self.cycle_s / 2:
+            raise ParameterError("band_s", list(self.band_s), "two numbers, not falling, below half of cycle_s")
+        seconds = {
+            "LAG": ("cycle_s", self.cycle_s), "WINDOW": ("window_s", self.window_s), "LEARN": ("learn_s", self.learn_s),
+            "QUIET": ("quiet_s", self.quiet_s), "MASS": ("mass_s", self.mass_s), "SETTLE": ("settle_s", self.settle_s),
+            "FIRM": ("firm_s", self.firm_s), "BAND_LEAST": ("band_s", self.band_s[0]), "BAND_MOST": ("band_s", self.band_s[1]),
+        }  # fmt: skip
+        frames = {name: samples_in(parameter, value, rate_hz) for name, (parameter, value) in seconds.items()}
+        frames["LEARN"] = max(2, frames["LEARN"])
+        frames["EVERY"] = max(1, round(0.5 * rate_hz))
+        self.hold(
+            SegmentState(
+                **watch(spec, reset_gap_s=self.reset_gap_s),
+                memory=allocate(spec.shape[0], frames, self.radius, self.radius_share),
+                longest=round(self.transition_s * 1e9),
+            )
+        )
+        unit = spec.units[0] if len(set(spec.units)) == 1 else ""
+        units = {"onset": "ns", "end": "ns", "radius": unit}
+        return {
+            name: StreamSpec(
+                (), dtype, units=tuple(units.get(field, "") for field in dtype.names or ()), meta=spec.meta
+            )
+            for name, (dtype, _) in OUTPUTS.items()
+        }
+
+    def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
+        s = self.state
+        if not len(chunk):
+            return self._emitted([], chunk.until if s.last == NEVER else min(chunk.until, s.last - 1), 0)
+        gap = bool(chunk.lost) and s.last != NEVER and s.breaks(chunk)
+        s.last = int(chunk.time[-1])
+        x = rows(chunk.data, s.width)
+        tables: list[tuple[Times, Samples]] = []
+        done = 0
+        while done < len(x):
+            memory = s.memory.with_room(4 * ROOM)
+            done = follow(memory, x, chunk.time, done, gap and not done)
+            tables.append(s.memory.told(memory))
+        return self._emitted(tables, min(chunk.until, s.last - 1), -1 if chunk.lost else 0)
+
+    def close(self) -> list[tuple[str, Chunk]]:
+        s = self.state
+        s.memory.books[EVENTS] = 0
+        s.memory.books[NOW] = s.last
+        memory = s.memory.with_room(ROOM)
+        end(memory)
+        return self._emitted([s.memory.told(memory)], FOREVER, 0)
+
+    def _emitted(self, tables: list[tuple[Times, Samples]], until: int, lost: int) -> list[tuple[str, Chunk]]:
+        table = np.concatenate([t for t, _ in tables]) if tables else np.empty((0, EVENT_WIDTH), np.int64)
+        radii = np.concatenate([r for _, r in tables]) if tables else np.empty(0)
+        emitted = []
+        for name, (dtype, kind) in OUTPUTS.items():
+            mine = table[:, 0] == kind
+            emitted.append(
+                (name, Chunk(table[mine, 1].copy(), self._events(dtype, table[mine, 2:], radii[mine]), until, lost))
+            )
+        return emitted
+
+    def _events(self, dtype: np.dtype[Any], table: Times, radii: Samples) -> Array:
+        """The kernels' six numbers as events."""
+        events: Array = np.zeros(len(table), dtype)
+        if dtype == RADIUS:
+            events["radius"] = radii
+            return events
+        for field, column in zip(COLUMNS[dtype], table.T, strict=False):
+            if field:
+                events[field] = column
+        if dtype == ACTIVITY:
+            events["repeats"] = events["repetitions"] > 1
+            events["transition"] = (table[:, 5] & 2 > 0) & (events["end"] - events["onset"] <= self.state.longest)
+            events["forced"] = table[:, 5] & 1
+        return events
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        rng = np.random.default_rng(5)
+        n = 900
+        time = grid(30.0, n)
+        turn = np.arange(n) * 0.2 + 0.3 * np.sin(np.arange(n) * 0.01)
+        x = np.stack([np.sin(turn + i) + 0.4 * np.cos(2.0 * turn - i) for i in range(4)], 1)
+        x[320:380] = np.linspace(x[320], x[320] + 6.0, 60)
+        x[380:600] = 3.0 + np.stack([np.cos(1.4 * turn[380:600] + 2 * i) for i in range(4)], 1)
+        x += 0.03 * rng.normal(size=x.shape)
+        motion = {"in": (StreamSpec((4,), rate_hz=30.0, units=("rad",)), time, x)}
+        quick = {"cycle_s": 3.0, "learn_s": 3.0, "window_s": 15.0}
+        return [Case(cls(**quick), motion, least=20), Case(cls(radius=0.5, **quick), motion, least=20)]  # type: ignore[arg-type]
+
+
+COLUMNS: dict[np.dtype[Any], tuple[str, ...]] = {
+    ACTIVITY: ("onset", "end", "activity", "repetitions", "cluster"),
+    PRIMITIVE: ("onset", "end", "activity", "repetition", "cluster", "forced"),
+    BEGIN: ("onset", "activity"),
+    COUNT: ("activity", "count"),
+    MERGE: ("cluster", "into"),
+    BELIEVED: ("onset", "end", "activity", "repetition"),
+}
+"""Which field each of the kernels' numbers is."""
