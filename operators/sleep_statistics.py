@@ -80,7 +80,7 @@ class SleepStatistics(Operator[StatisticsState]):
     What the time in bed is, by what is connected or given:
     lights     the port: 0 (or field `on` false) lights off, anything else lights on; a button, MQTT, `stream.manual.Value`
     schedule   the parameter, e.g. 22:30-07:00 in `timezone`
-    periods    the port: of SleepPeriods
+    periods    the port: of SleepPeriods, or of Nights (which knows of the lights where somebody switched them)
     (nothing)  all that was recorded, at most `longest_h` a row
 
     `estimated` is true for the last two (and for lights that never came on again): then `tib` is only a "time in bed", `sol` an
@@ -109,7 +109,7 @@ class SleepStatistics(Operator[StatisticsState]):
             raise InputError(
                 "lights", specs["lights"].describe(), "a signal of one channel, or events with a field `on`"
             )
-        if "periods" in specs and specs["periods"].dtype != PERIOD:
+        if "periods" in specs and not set(PERIOD.names or ()) <= set(specs["periods"].dtype.names or ()):
             raise InputError(
                 "periods", specs["periods"].describe(), "the periods of operators.sleep_periods.SleepPeriods"
             )
@@ -151,7 +151,8 @@ class SleepStatistics(Operator[StatisticsState]):
             elif port == "lights":
                 self._lights(stamp, bool(chunk.data[k]["on"]) if chunk.data.dtype.names else chunk.data[k].item(0) != 0)
             else:
-                self._ask(int(chunk.data[k]["onset"]), int(chunk.data[k]["end"]), "detected")
+                bed = str(chunk.data[k]["bed"]) if "bed" in (chunk.data.dtype.names or ()) else "detected"
+                self._ask(int(chunk.data[k]["onset"]), int(chunk.data[k]["end"]), bed)
             self._answer(made, ended=False)
             stamps += [stamp] * (len(made) - len(stamps))
         until = chunk.until if s.last == NEVER and chunk.until != FOREVER else max(s.last - 1, NEVER)
