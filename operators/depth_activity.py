@@ -32,6 +32,11 @@ EPOCH_SEEN = np.dtype(
 )
 """What was seen of a sleeper in an epoch; see `Activity`."""
 
+LEAST_EPOCHS = 4
+"""Fewer tell nothing of the noise."""
+RESTLESS = 3.0
+"""No noise in bed is so many times that of the empty bed."""
+
 Rows = list[tuple[Any, ...]]
 
 
@@ -88,9 +93,9 @@ class Activity(Operator[ActivityState]):
 
     Movement is where N, averaged over `smooth_s`, exceeds the threshold: what N is in the stillest quarter of the newest 60 epochs with
     this sleeper in bed, plus `sigmas` times its own scatter there (breath counts as scatter), and at least `least_rise` of it. So it is
-    calibrated on the frames as they come, simplified and noisy. While there are fewer than 20 such epochs, the lower of this and the same
-    of the empty bed counts; below 4 of either there is none. A lamp that makes frames noisier counts as movement until a
-    quarter of those epochs have it.
+    calibrated on the frames as they come, simplified and noisy; before there are 4 such epochs it is not known. It is never above
+    3 times what N is over the empty bed, so that an evening without any stillness is not taken for noise. A lamp that makes frames
+    noisier counts as movement until a quarter of those epochs have it.
 
     A silence up to `reset_gap_s` gives epochs of NaN; beyond it everything begins anew. Delay: one epoch.
     """
@@ -259,11 +264,10 @@ class Activity(Operator[ActivityState]):
                 s.in_bed.learn(k, finite)
             elif s.out[k]:
                 s.empty.learn(k, finite)
-        mine, none = int(s.in_bed.count[k]), int(s.empty.count[k])
-        limit = s.in_bed.threshold(k, self.sigmas, self.least_rise) if mine >= 4 else math.inf
-        if mine < 20 and none >= 4:
-            limit = min(limit, s.empty.threshold(k, self.sigmas, self.least_rise))
-        return limit if limit < math.inf else math.nan
+        if s.in_bed.count[k] < LEAST_EPOCHS:
+            return math.nan
+        limit = s.in_bed.threshold(k, self.sigmas, self.least_rise)
+        return min(limit, RESTLESS * s.empty.level_of(k)) if s.empty.count[k] >= LEAST_EPOCHS else limit
 
     def _row(self, k: int, change: Array, limits: Samples) -> tuple[Any, ...]:
         """One sleeper's epoch: its activity, and its event."""

@@ -44,7 +44,7 @@ Rows = list[tuple[Any, ...]]
 class BreathingState:
     """
     regions    (k, 4)  in blocks; no rows: not known
-    across     cells in a row of the frame
+    size       of a cell in blocks; across: cells in a row of the frame
     ticks      (n, cells)  the newest depths (mm) of all cells, tick by tick, a ring; NaN: not measured
     tick       number of the open tick since 1970; NEVER: none. sums, counts (cells,): of it
     epoch      start of the open epoch (ns); NEVER: none
@@ -59,6 +59,7 @@ class BreathingState:
     block: int
     tick_ns: int
     epoch_ns: int
+    size: int
     across: int
     regions: Times
     ticks: Samples
@@ -86,7 +87,7 @@ class Breathing(Operator[BreathingState]):
     confidence  0 to 1: the share of the chest's power, from 6 to 40 breaths per minute, that lies about the rate
     coverage    share of the night's epochs in bed, up to this one, that have a rate; a night ends with 4 h out of bed
 
-    The chest is those 6 cells of `cell_blocks` x `cell_blocks` blocks of the region that vary most from second to second beyond their
+    The chest is those 6 cells of the region that vary most from second to second beyond their
     noise; the rate is where their spectra together are highest (5 Hz at most, no straight line, Hann window over the epoch). An epoch
     in which a cell of the region goes faster than `still_mm_s` has movement, and no rate. It finds no pauses of breath, and raises no
     alarm. No delay: the event comes with the epoch's end.
@@ -96,7 +97,7 @@ class Breathing(Operator[BreathingState]):
     optional: ClassVar[tuple[str, ...]] = ("bed",)
 
     epoch_s: float = param(30.0, least=10.0, most=300.0, help="length of an epoch, at whole multiples since 1970")
-    cell_blocks: int = param(3, least=1, help="side of a cell in blocks")
+    cell_blocks: int = param(0, least=0, help="side of a cell in blocks; 0: about 27 cells in a row of the frame")
     still_mm_s: float = param(20.0, above=0.0, help="faster than this is movement, not breath")
     least_confidence: float = param(0.5, least=0.0, most=1.0, help="below this a rate is not told")
 
@@ -111,7 +112,9 @@ class Breathing(Operator[BreathingState]):
         if 60 * tick_hz * 0.45 < 2 * LOWEST:
             raise InputError("blocks", spec.describe(), "at least 1 Hz: breath is not seen in fewer frames")
         n, k = math.ceil(self.epoch_s * tick_hz), len(sleepers)
-        cells = -(-spec.shape[0] // self.cell_blocks) * -(-spec.shape[1] // self.cell_blocks)
+        size = self.cell_blocks or max(1, round(spec.shape[1] / 27))
+        across = -(-spec.shape[1] // size)
+        cells = -(-spec.shape[0] // size) * across
         rates = np.arange(LOWEST, min(HIGHEST, 60 * tick_hz * 0.45) + STEP / 2, STEP)
         if cells < BEST:
             raise ParameterError("cell_blocks", self.cell_blocks, f"smaller: the frame has only {cells} such cells")
@@ -119,7 +122,7 @@ class Breathing(Operator[BreathingState]):
         self.hold(
             BreathingState(
                 list(sleepers), block, tick_ns, round(self.epoch_s * NS),
-                -(-spec.shape[1] // self.cell_blocks), np.zeros((k, 4), np.int64), np.full((n, cells), np.nan), NEVER,
+                size, across, np.zeros((k, 4), np.int64), np.full((n, cells), np.nan), NEVER,
                 np.zeros(cells), np.zeros(cells), NEVER, np.full(k, int("bed" not in specs)), np.full(k, NEVER),
                 np.zeros(k, np.int64), np.zeros(k, np.int64), np.zeros(k, np.int64), rates, np.cos(angles), np.sin(angles), 0,
             )
@@ -184,7 +187,7 @@ class Breathing(Operator[BreathingState]):
         if tick != s.tick:
             self._close_tick(tick)
             s.tick = tick
-        gather(blocks, self.cell_blocks, s.sums, s.counts)
+        gather(blocks, s.size, s.sums, s.counts)
 
     def _close_tick(self, following: int) -> None:
         """Keep the open tick; those before `following` that had no frame were not measured."""
@@ -234,7 +237,7 @@ class Breathing(Operator[BreathingState]):
     def _rate(self, k: int, varying: Samples, first: int) -> tuple[float, float]:
         """The rate of a sleeper's breath in the ticks from `first` on, and the confidence."""
         s = self.state
-        cells = _cells(s.regions[k], self.cell_blocks, s.ticks.shape[1], s.across)
+        cells = _cells(s.regions[k], s.size, s.ticks.shape[1], s.across)
         cells = cells[np.isfinite(varying[0, cells])]
         if len(cells) < BEST or varying[1, cells].max() * NS / s.tick_ns > self.still_mm_s:
             return math.nan, 0.0
@@ -255,8 +258,8 @@ class Breathing(Operator[BreathingState]):
 
 
 def _tick_ns(rate_hz: float) -> int:
-    """How long a tick is: two frames at least, 0.2 s at least."""
-    return round(NS / min(FASTEST_TICK_HZ, rate_hz / 2))
+    """How long a tick is: a frame, 0.2 s at least."""
+    return round(NS / min(FASTEST_TICK_HZ, rate_hz))
 
 
 def _cells(region: Times, size: int, count: int, across: int) -> Times:

@@ -36,13 +36,15 @@ class Noise:
         self.scatter[place, k] = (middle - float(np.quantile(values, 0.1))) / DECILE
         self.count[k] += 1
 
-    def threshold(self, k: int, sigmas: float, least_rise: float) -> float:
-        """What channel `k` exceeds only where something moves: of the stillest quarter of the epochs. inf: nothing was learned."""
+    def level_of(self, k: int) -> float:
+        """What channel `k` is in the stillest quarter of the epochs."""
         n = min(int(self.count[k]), EPOCHS)
-        if n == 0:
-            return float("inf")
+        return float(np.sort(self.level[:n, k])[n // 4])
+
+    def threshold(self, k: int, sigmas: float, least_rise: float) -> float:
+        """What channel `k` exceeds only where something moves; at least one epoch must have been learned."""
+        n, level = min(int(self.count[k]), EPOCHS), self.level_of(k)
         order = np.argsort(self.level[:n, k], kind="stable")
-        level = float(self.level[order[n // 4], k])
         scatter = float(np.median(self.scatter[order[: max(1, n // 2)], k]))
         return level + max(sigmas * scatter, least_rise * level)
 

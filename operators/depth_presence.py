@@ -18,7 +18,7 @@ BED = np.dtype([("onset", "<i8"), ("sleeper", "U16"), ("state", "U7"), ("height"
 """A sleeper is in bed, out of it, or nobody knows, since `onset`; with the bed's mean height above the empty one, and the share raised."""
 UNKNOWN, IN, OUT = 0, 1, 2
 NAMES = np.array(["unknown", "in", "out"])
-AGAIN = 0.6
+AGAIN = 0.7
 """Out of bed below this share of what makes in bed."""
 BLIND_S = 300.0
 """While the empty bed is not known: without movement for so long is an empty bed."""
@@ -63,7 +63,7 @@ class Presence(Operator[PresenceState]):
             `hold_s` later); `height`, `raised` as at the decision
     height  (sleepers,) float64, mm, once a second: how high the region is above the empty bed, on average; NaN: not known
 
-    In bed: a share of `least_share` of the region is more than `rise_mm` above the empty bed; out: less than 0.6 of that share.
+    In bed: a share of `least_share` of the region is more than `rise_mm` above the empty bed; out: less than 0.7 of that share.
     The empty bed is learned where nothing moves for `learn_s`, breath included, and nobody is known to be in bed; and learned anew
     whenever that is so again (a blanket lies differently, the camera has sunk). Nothing moves: hardly any block of the region varies,
     second by second, by more than `still_mm` and three times what blocks of the frame vary by on average.
@@ -76,7 +76,7 @@ class Presence(Operator[PresenceState]):
     outputs: ClassVar[tuple[str, ...]] = ("out", "height")
 
     rise_mm: float = param(80.0, above=0.0, help="how far above the empty bed a body is")
-    least_share: float = param(0.08, above=0.0, most=1.0, help="how much of the region a body covers at least")
+    least_share: float = param(0.12, above=0.0, most=1.0, help="how much of the region a body covers at least")
     hold_s: float = param(5.0, least=0.0, help="for how long the depth must say so before it is believed")
     learn_s: float = param(60.0, least=4.0, help="without movement for so long: this is the empty bed")
     still_mm: float = param(1.0, above=0.0, help="a block that varies less does not move")
