@@ -26,6 +26,8 @@ class Channel:
     limit     how many chunks may wait
     policy    what a full queue does: `block` its writer, `drop_oldest`, or `fail`
     on_drop   told (first, n) of every drop: the dropped samples' running index in this channel and their number
+    at_once   asked first where nothing waits: whether the reader has worked through the chunk on the writer's own thread
+    queue_until   it is not to be asked before (ns, perf_counter)
     """
 
     __slots__ = (
@@ -34,6 +36,7 @@ class Channel:
         "_lock",
         "_owed",
         "_room",
+        "at_once",
         "bell",
         "chunks",
         "closed",
@@ -43,6 +46,7 @@ class Channel:
         "on_drop",
         "owner",
         "policy",
+        "queue_until",
     )
 
     def __init__(
@@ -50,6 +54,8 @@ class Channel:
     ) -> None:
         self.name, self.bell, self.limit, self.policy, self.on_drop = name, bell, limit, policy, on_drop
         self.owner: Any = None
+        self.at_once: Callable[[Channel, Chunk, int], bool] | None = None
+        self.queue_until = 0
         self.dropped = 0
         self.closed = False
         self.chunks = 0
@@ -61,6 +67,10 @@ class Channel:
 
     def put(self, chunk: Chunk, arrival: int = 0) -> None:
         """Leave a chunk; waits, drops or fails as the policy says where the queue is full."""
+        if self.at_once and not self._items and not self._owed and self.at_once(self, chunk, arrival):
+            self._index += len(chunk.time)
+            self.chunks += 1
+            return
         if len(self._items) >= self.limit:
             self._make_room()
         self._items.append((chunk, arrival, self._index))  # one thread writes, so this needs no lock
