@@ -100,9 +100,9 @@ class Keeper:
     def busy(self) -> bool:
         return self._thread is not None and self._thread.is_alive()
 
-    def keep(self, checkpoint: Checkpoint) -> None:
-        """Write in the background; call only while not `busy`."""
-        self._thread = threading.Thread(target=self._write, args=(checkpoint,), name="checkpoint", daemon=True)
+    def keep(self, checkpoint: Checkpoint, after: Callable[[], None] = lambda: None) -> None:
+        """Write in the background, and call `after` in that thread if it was; call this only while not `busy`."""
+        self._thread = threading.Thread(target=self._write, args=(checkpoint, after), name="checkpoint", daemon=True)
         self._thread.start()
 
     def discard(self) -> None:
@@ -113,11 +113,12 @@ class Keeper:
         if self._thread:
             self._thread.join(timeout_s)
 
-    def _write(self, checkpoint: Checkpoint) -> None:
+    def _write(self, checkpoint: Checkpoint, after: Callable[[], None]) -> None:
         try:
             if not self._before():
                 raise OSError("the recording could not be written up to it")
             checkpoint.save(self._folder)
+            after()
         except OSError as error:
             log.error(
                 "checkpoint not written", error=str(error), effect="a resumed session would start from the one before"

@@ -16,7 +16,7 @@ from stream.errors import KinegraphError, RecordingError
 from stream.graph import Graph
 from stream.recording import Recorder, RecorderStatus, Recording, versions
 from stream.recording.image import is_picture
-from stream.recording.place import is_running
+from stream.recording.place import is_running, part_path, parts_of
 
 QUIET = {"device", "source ended", "session resumed", "source reopened"}
 """Reports that are news, not warnings."""
@@ -154,7 +154,16 @@ class Journal:
         """Keep the state as it is now; it is copied here and written in the background."""
         assert self._keeper
         now, graph = self._clock.now(), fingerprint(self._graph.text)
-        self._keeper.keep(Checkpoint(self.sequence, now, graph, promised, indices, pipeline.snapshot()))
+        kept = Checkpoint(self.sequence, now, graph, promised, indices, pipeline.snapshot())
+        part = self._recorder.part if self._recorder and self._graph.recording.rolling else 0
+        self._keeper.keep(kept, lambda: self._forget(part))
+
+    def _forget(self, part: int) -> None:
+        """Delete the files before a part: a checkpoint on the disk knows what they hold. Raises OSError."""
+        if part and self.folder is not None:
+            for path in parts_of(self.folder):
+                if path != part_path(self.folder, part) and path < part_path(self.folder, part):
+                    path.unlink()
 
     @property
     def status(self) -> RecorderStatus | None:
@@ -168,3 +177,6 @@ class Journal:
             self._recorder.close()
         if self._keeper and well:
             self._keeper.discard()
+            if self._graph.recording.rolling and self.folder is not None:
+                for path in parts_of(self.folder):
+                    path.unlink(missing_ok=True)

@@ -39,7 +39,7 @@ from stream.manual import Value
 from stream.operator import Outlet
 from stream.source import Source
 
-TICK_S = 0.05
+TICK_S = 0.1
 LONG_NS = 1_000_000
 """Work longer than this on a source's thread would keep it from its device: for a second, that source's chunks are queued."""
 METRICS_S = 1.0

@@ -188,20 +188,19 @@ class Runner:
     def normal(self, chunk: Chunk, output: str) -> Chunk:
         """The chunk as operators expect it: declared shape and dtype, contiguous, writable, times not decreasing."""
         spec = self.node.specs[output]
-        times, data, until = chunk.time, chunk.data, chunk.until
+        times, data = chunk.time, chunk.data
         if not (isinstance(times, np.ndarray) and times.dtype is STAMP and times.flags.carray):
             times = np.require(times, STAMP, ["C", "A", "W"])
         if not (isinstance(data, np.ndarray) and data.dtype == spec.dtype and data.flags.carray):
             data = np.require(data, spec.dtype, ["C", "A", "W"])
         n = len(times)
-        if len(data) != n or data.shape[1:] != spec.shape:
+        if data.shape != (n, *spec.shape):
             raise DeviceError(
                 f"source {self.node.name!r} gave samples of shape {data.shape[1:]}; its spec says {spec.shape}"
             )
-        if n:
-            if n > 1 and not _ordered(times):
-                times, data = self._in_order(times, data)
-            until = max(until, times.item(-1))
+        if n > 1 and not _ordered(times):
+            times, data = self._in_order(times, data)
+        until = max(chunk.until, times.item(-1)) if n else chunk.until
         return Chunk(times, data, until, chunk.lost)
 
     def _in_order(self, times: Any, data: Any) -> tuple[Any, Any]:

@@ -148,6 +148,11 @@ class Recorder:
         return self._wait and self._thread.is_alive()
 
     @property
+    def part(self) -> int:
+        """The number of the file that is being written."""
+        return self._tape.number
+
+    @property
     def status(self) -> RecorderStatus:
         return RecorderStatus(
             bytes=self._tape.saved,
@@ -184,7 +189,7 @@ class Recorder:
     def _run(self) -> None:
         ended = False
         try:
-            while not self._stop.wait(0.01 if self._wait else self._options.gather_s):
+            while not self._stop.wait(0.01 if self._wait else self._options.flush_s / 3):
                 self._turn()
             self._turn(last=True)
             self._tape.finish()

@@ -62,6 +62,11 @@ class Tape:
         return len(self._tracks) - 1
 
     @property
+    def number(self) -> int:
+        """Of the part that is being written, or comes next; those before it are closed."""
+        return self._number
+
+    @property
     def saved(self) -> int:
         """Bytes on the disk."""
         part = self._part
