@@ -17,7 +17,7 @@ from stream.errors import DeviceError
 
 @dataclass(slots=True)
 class Intake:
-    """One output of a source, as the graph's thread sees it.
+    """One output of a source, as the graph sees it.
 
     number     its number in the input log
     promised   the stream is complete up to this time; what comes later and is older is dropped
