@@ -41,6 +41,12 @@ TARGETS = {
         "ascii_lines.Decoder(('a', 'b'), header=True)",
         "[repr(r) for f in found for r in f.rows.tolist()], sum(f.rejected for f in found)",
     ),
+    "bitalino": ("bitalino.Decoder(3)", "b''.join(f.counts.tobytes() for f in found), sum(f.dropped for f in found)"),
+    "shimmer": (
+        "shimmer.Decoder((0, 1, 2, 30), 64)",
+        "b''.join(f.table.tobytes() for f in found), sum(f.dropped for f in found), sum(f.repeated for f in found)",
+    ),
+    "xbus": ("xbus.Decoder()", "sum(len(r) for f in found for r in f.runs), sum(f.dropped for f in found)"),
     "declared": (
         "declared.Decoder(FRAMES)",
         "[k for f in found for k in f.kinds], sum(f.dropped for f in found), sum(f.bad for f in found)",

@@ -1,0 +1,113 @@
+"""Counts of a Shimmer3 to physical units: the sensors' calibration, as the device keeps it, and the ExG chips' registers.
+
+A calibrated vector is inv(alignment) @ ((counts - offset) / sensitivity).
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+
+from stream.chunk import Samples
+
+BLOCK = 21
+"""Bytes of a sensor's calibration: offset, sensitivity (3 int16 each, big-endian), alignment (9 int8, hundredths)."""
+ORDER = ("acceleration", "angular_velocity", "magnetic_field", "wide_acceleration")
+ALL = BLOCK * len(ORDER)
+ALIGNED = {
+    "acceleration": (0, -1, 0, -1, 0, 0, 0, 0, -1),
+    "angular_velocity": (0, -1, 0, -1, 0, 0, 0, 0, -1),
+    "wide_acceleration": (-1, 0, 0, 0, 1, 0, 0, 0, -1),
+}
+"""How the chips sit on the board."""
+GYRO_DPS = (250, 500, 1000, 2000)
+WIDE_G = (2, 4, 8, 16)
+COUNTS_PER_DPS = (131.0, 65.5, 32.8, 16.4)
+COUNTS_PER_M_S2 = (1631.0, 815.0, 408.0, 135.0)
+LOW_NOISE = (2047.0, 83.0)
+"""Offset and counts per m/s2 of the low-noise accelerometer."""
+APART = 1.6
+"""A stored sensitivity that is further from the nominal one than this factor belongs to another range."""
+
+VREF_V = 2.42
+GAINS = (6, 1, 2, 3, 4, 8, 12)
+EXG_RATES_HZ = (125, 250, 500, 1000, 2000, 4000, 8000)
+EXG_REGISTERS = {
+    "emg": (bytes([0, 160, 16, 105, 96, 32, 0, 0, 2, 3]), bytes([0, 160, 16, 129, 129, 0, 0, 0, 2, 1])),
+    "ecg": (bytes([0, 160, 16, 64, 64, 45, 0, 0, 2, 3]), bytes([0, 160, 16, 64, 71, 0, 0, 0, 2, 1])),
+}
+"""What the maker's software writes into the two ExG chips for a purpose; the first byte's low bits are the rate."""
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """offset (3,), sensitivity (3,) counts per unit, alignment (3, 3); `own`: the device's, not the nominal one."""
+
+    offset: Samples
+    sensitivity: Samples
+    alignment: Samples
+    own: bool = True
+
+    def apply(self, counts: Samples) -> Samples:
+        """Units (n, 3) of counts (n, 3)."""
+        return np.asarray((counts - self.offset) @ (np.linalg.inv(self.alignment) / self.sensitivity).T)
+
+    def counts(self, values: Samples) -> Samples:
+        """The reverse, for simulators."""
+        return np.asarray(values @ (self.alignment.T * self.sensitivity) + self.offset)
+
+
+def nominal(sensor: str, wide_range: int = 0, gyro_range: int = 1) -> Calibration:
+    """By the chips' data sheets; m/s2 and rad/s."""
+    per_unit = {
+        "acceleration": LOW_NOISE[1],
+        "angular_velocity": COUNTS_PER_DPS[gyro_range] * 180 / math.pi,
+        "wide_acceleration": COUNTS_PER_M_S2[wide_range],
+    }[sensor]
+    offset = LOW_NOISE[0] if sensor == "acceleration" else 0.0
+    alignment = np.array(ALIGNED[sensor], float).reshape(3, 3)
+    return Calibration(np.full(3, offset), np.full(3, per_unit), alignment, own=False)
+
+
+def calibration(data: bytes, sensor: str, wide_range: int = 0, gyro_range: int = 1) -> Calibration:
+    """A sensor's, from the 84 bytes in which the device tells all; the nominal one where it keeps none that belongs to this range."""
+    block = data[ORDER.index(sensor) * BLOCK :][:BLOCK]
+    known = nominal(sensor, wide_range, gyro_range)
+    numbers = struct.unpack(">6h9b", block)
+    sensitivity, alignment = np.array(numbers[3:6], float), np.array(numbers[6:], float).reshape(3, 3) / 100
+    if sensor == "angular_velocity":
+        sensitivity *= 1.8 / math.pi  # stored in hundredths of counts per degree a second
+    ratio = sensitivity / known.sensitivity
+    if (ratio < 1 / APART).any() or (ratio > APART).any() or abs(np.linalg.det(alignment)) < 0.5:
+        return known
+    return Calibration(np.array(numbers[:3], float), sensitivity, alignment)
+
+
+def stored(sensors: dict[str, Calibration]) -> bytes:
+    """The 84 bytes in which a device tells its calibrations; FF where it has none. For simulators and tests."""
+    out = b""
+    for sensor in ORDER:
+        if (known := sensors.get(sensor)) is None:
+            out += b"\xff" * BLOCK
+            continue
+        sensitivity = known.sensitivity * (math.pi / 1.8 if sensor == "angular_velocity" else 1)
+        whole = [*known.offset, *sensitivity, *(known.alignment * 100).ravel()]
+        out += struct.pack(">6h9b", *(round(n) for n in whole))
+    return out
+
+
+def registers(purpose: str, rate_hz: float) -> tuple[bytes, bytes]:
+    """Of both chips, which convert at least as often as the device samples."""
+    fast = next((i for i, hz in enumerate(EXG_RATES_HZ) if hz >= rate_hz), len(EXG_RATES_HZ) - 1)
+    first, second = EXG_REGISTERS[purpose]
+    return bytes([fast]) + first[1:], bytes([fast]) + second[1:]
+
+
+def exg_uv(purpose: str, channels: int) -> Samples:
+    """uV per count of the channels (channels,)."""
+    settings = [chip[i] for chip in EXG_REGISTERS[purpose] for i in (3, 4)]
+    gains = np.array([GAINS[setting >> 4 & 7] for setting in settings[:channels]], float)
+    return VREF_V / gains / (2**23 - 1) * 1e6

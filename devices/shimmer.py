@@ -1,0 +1,307 @@
+"""Shimmer3 with the LogAndStream firmware over Bluetooth's serial port: accelerometers, gyroscope, EMG or ECG."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import structlog
+
+from devices.clock_log import ClockLog
+from devices.handshake import all_there, quiet, shown
+from devices.protocols import shimmer as protocol
+from devices.protocols import shimmer_units as units
+from devices.protocols.shimmer import TICKS_HZ, Decoder, Inquiry
+from devices.stamps import Stamps, runs
+from devices.timing import timing_chunk, timing_spec
+from devices.transport import Transport, connect
+from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
+from stream.errors import DeviceError, ParameterError
+from stream.params import param
+from stream.source import Feed, Source
+
+Sensor = Literal["acceleration", "wide_acceleration", "angular_velocity", "emg", "ecg"]
+MOTION: dict[str, tuple[tuple[str, ...], str]] = {
+    "acceleration": (("ax", "ay", "az"), "m/s2"),
+    "wide_acceleration": (("wx", "wy", "wz"), "m/s2"),
+    "angular_velocity": (("gx", "gy", "gz"), "rad/s"),
+}
+EXG: dict[str, dict[str, str]] = {
+    "emg": {"emg1": "exg1", "emg2": "exg2"},
+    "ecg": {"LL-RA": "exg1", "LA-RA": "exg2", "Vx-RL": "exg4"},
+}
+"""Per purpose: the channels, and which of the chips' they are."""
+
+ANSWER_S, TRIES = 2.0, 3
+SILENCE_S = 2.0
+BATTERY_S = 60.0
+LOW_BATTERY_V = 3.6
+
+log = structlog.get_logger(__name__)
+
+
+class _Outputs:
+    """The outputs of a class whose instances have those that were asked for."""
+
+    def __get__(self, instance: Shimmer | None, owner: type) -> tuple[str, ...]:
+        if instance is None:
+            return ("motion", "exg", "timing")
+        asked = ["motion"] * bool(instance.motion) + ["exg"] * bool(instance.purpose)
+        return (*asked, "timing")
+
+
+@dataclass(frozen=True, slots=True)
+class Shimmer(Source):
+    """A Shimmer3, which is told to send what `sensors` asks for at `rate_hz`.
+
+    motion   (channels,) float64, in this order: ax ay az m/s2 (low noise, +-2 g), wx wy wz m/s2 (wide range), gx gy gz rad/s, by the
+             calibration that the device keeps, as far as asked for
+    exg      (2,) float64 for emg, (3,) for ecg: uV at the electrodes
+    timing   an event per packet: device time, arrival, stamp; there is no counter
+
+    A packet has neither checksum nor counter: lost ones are known by the steps of the device's time (1/32768 s), and a byte that was
+    changed on the way shows only if it is the time's. Rates are 32768 Hz divided by a whole number; the nearest to `rate_hz` is taken.
+    """
+
+    outputs = _Outputs()
+
+    port: str = param(help="/dev/rfcomm0 or COM3; `kinegraph devices` lists serial ports")
+    sensors: tuple[Sensor, ...] = param(
+        ("acceleration", "angular_velocity"),
+        help="which of acceleration, wide_acceleration, angular_velocity, and emg or ecg",
+    )
+    rate_hz: float = param(204.8, least=1, most=1024, help="packets per second")
+    wide_range_g: Literal[2, 4, 8, 16] = param(8, help="the wide-range accelerometer's")
+    gyro_range_dps: Literal[250, 500, 1000, 2000] = param(500, help="the gyroscope's, degrees a second")
+    latency_s: float = param(
+        0.0, least=0, most=1, help="the constant delay from the measurement to the port, if you know it"
+    )
+
+    @property
+    def chunk_s(self) -> float:
+        return 1 / self.true_hz
+
+    @property
+    def true_hz(self) -> float:
+        """The rate that the device can do."""
+        return TICKS_HZ / protocol.divider(self.rate_hz)
+
+    @property
+    def motion(self) -> list[str]:
+        """The sensors of the output `motion`, in its order."""
+        return [name for name in MOTION if name in self.sensors]
+
+    @property
+    def purpose(self) -> str:
+        """What the ExG chips are for; "": nothing."""
+        return next((name for name in EXG if name in self.sensors), "")
+
+    def specs(self) -> Specs:
+        if not self.sensors or len(set(self.sensors)) != len(self.sensors) or {"emg", "ecg"} <= set(self.sensors):
+            raise ParameterError(
+                "sensors", list(self.sensors), f"some of {', '.join(MOTION)}, and one of emg, ecg; each once"
+            )
+        device, specs = {"device": "Shimmer3"}, {"timing": timing_spec()}
+        if self.motion:
+            names = tuple(channel for sensor in self.motion for channel in MOTION[sensor][0])
+            unit = tuple(MOTION[sensor][1] for sensor in self.motion for _ in range(3))
+            specs["motion"] = StreamSpec((len(names),), rate_hz=self.true_hz, channels=names, units=unit, meta=device)
+        if self.purpose:
+            names = tuple(EXG[self.purpose])
+            specs["exg"] = StreamSpec((len(names),), rate_hz=self.true_hz, channels=names, units=("uV",), meta=device)
+        return specs
+
+    @property
+    def bits(self) -> int:
+        """The sensors as the device is told them."""
+        chips = {"emg": ("exg1",), "ecg": ("exg1", "exg2")}.get(self.purpose, ())
+        return sum(protocol.SENSOR_BITS[name] for name in (*self.motion, *chips))
+
+    @property
+    def expected(self) -> set[str]:
+        """The channels that the device must send then."""
+        chips = {"emg": 1, "ecg": 2}.get(self.purpose, 0)
+        exg = {
+            name for chip in range(chips) for name in (f"status{chip + 1}", f"exg{2 * chip + 1}", f"exg{2 * chip + 2}")
+        }
+        return {channel for sensor in self.motion for channel in MOTION[sensor][0]} | exg
+
+    @contextmanager
+    def simulated(self) -> Iterator[Source]:
+        from devices.simulators.shimmer import Shimmer as Simulated
+
+        with Simulated().serving() as address:
+            yield replace(self, port=address)
+
+    def read(self, feed: Feed) -> None:
+        with connect(self.port) as link:
+            inquiry, calibration = self._greet(_Talk(link, feed, self.port), feed)
+            try:
+                self._stream(link, feed, _Stream(self, inquiry, calibration))
+            finally:
+                with suppress(DeviceError):
+                    link.write(bytes([protocol.STOP]))
+
+    def _greet(self, talk: _Talk, feed: Feed) -> tuple[Inquiry, bytes]:
+        """Bring the device to what is wanted; raises DeviceError if it is not there, or is another."""
+        talk.rest()
+        version = talk.ask(bytes([protocol.FIRMWARE]), protocol.VERSION, 6)
+        kind, numbers = int.from_bytes(version[:2], "little"), (int.from_bytes(version[2:4], "little"), *version[4:])
+        if kind != protocol.LOG_AND_STREAM or numbers < (0, 5, 4):
+            text = ".".join(map(str, numbers))
+            raise DeviceError(
+                f"{self.port}: expected the firmware LogAndStream (3), 0.5.4 or later; it has firmware {kind}, {text}"
+            )
+        name = talk.ask(bytes([protocol.NAME]), protocol.NAMED, 0)[1:].decode("ascii", "replace")
+        volts = protocol.battery_v(talk.ask(bytes([protocol.BATTERY]), protocol.CHARGED, 3))
+        firmware = "LogAndStream " + ".".join(map(str, numbers))
+        feed.identify("Shimmer3", port=self.port, name=name, firmware=firmware, battery_v=round(volts, 2))
+        for command in self._settings():
+            talk.ask(command, protocol.ACK, 0)
+        inquiry = protocol.inquiry(talk.ask(bytes([protocol.INQUIRY]), protocol.INQUIRED, -1))
+        offered = {c.name if (c := protocol.CHANNELS.get(n)) else f"{n:#04x}" for n in inquiry.channels}
+        if offered != self.expected or inquiry.divider != protocol.divider(self.rate_hz):
+            raise DeviceError(
+                f"{self.port} was asked for {', '.join(sorted(self.expected))} every {protocol.divider(self.rate_hz)} ticks "
+                f"and offers {', '.join(sorted(offered)) or 'nothing'} every {inquiry.divider}"
+            )
+        return inquiry, talk.ask(bytes([protocol.CALIBRATION]), protocol.CALIBRATED, units.ALL)
+
+    def _settings(self) -> Iterator[bytes]:
+        """The commands that set what is wanted."""
+        yield bytes([protocol.SENSORS]) + self.bits.to_bytes(3, "little")
+        yield bytes([protocol.RATE]) + protocol.divider(self.rate_hz).to_bytes(2, "little")
+        if "wide_acceleration" in self.sensors:
+            yield bytes([protocol.WIDE_RANGE, units.WIDE_G.index(self.wide_range_g)])
+        if "angular_velocity" in self.sensors:
+            yield bytes([protocol.GYRO_RANGE, units.GYRO_DPS.index(self.gyro_range_dps)])
+        if self.purpose:
+            for chip, registers in enumerate(units.registers(self.purpose, self.true_hz)):
+                yield bytes([protocol.EXG, chip, 0, len(registers)]) + registers
+
+    def _stream(self, link: Transport, feed: Feed, stream: _Stream) -> None:
+        link.write(bytes([protocol.START]))
+        heard = asked = time.monotonic()
+        clock_log, strange = ClockLog(self.port), b""
+        patience = SILENCE_S + 2 * protocol.AGREE / self.true_hz
+        while not feed.stopped:
+            data = link.read(0.1)
+            now = time.monotonic()
+            if data and now - heard > 0.1:
+                data = all_there(link, data)
+            if stream.pass_on(data, feed):
+                heard, strange = now, b""
+            else:
+                strange = (strange + data)[:64]
+            if now - heard > patience:
+                raise DeviceError(
+                    f"no packet from {self.port} for {patience:g} s: expected {stream.decoder.size} bytes from 00 on; "
+                    f"came {shown(strange)}"
+                )
+            if now - asked > BATTERY_S:
+                asked = now
+                link.write(bytes([protocol.BATTERY]))
+            clock_log.tell(stream.stamps.state)
+
+
+class _Talk:
+    """Commands and their answers, while the device does not measure."""
+
+    def __init__(self, link: Transport, feed: Feed, port: str) -> None:
+        self._link, self._feed, self._port = link, feed, port
+
+    def rest(self) -> None:
+        """Stop it, if it measures still."""
+        self._link.write(bytes([protocol.STOP]))
+        quiet(self._link, self._feed, 0.2, 2.0)
+
+    def ask(self, command: bytes, code: int, size: int) -> bytes:
+        """Send a command; returns its answer (see `protocol.answer_in`). Raises DeviceError."""
+        came = b""
+        for _ in range(TRIES):
+            self._link.write(command)
+            came, deadline = b"", time.monotonic() + ANSWER_S
+            while (rest := deadline - time.monotonic()) > 0:
+                if self._feed.stopped:
+                    raise DeviceError("stopped while waiting for an answer")
+                came += self._link.read(min(rest, 0.1))
+                if (found := protocol.answer_in(came, code, size)) is not None:
+                    return found
+        raise DeviceError(
+            f"no answer from {self._port} within {TRIES * ANSWER_S:g} s: expected {code:02X} after command {command[0]:02X} "
+            f"(is it a Shimmer3 with LogAndStream, on, and not docked?); came {shown(came)}"
+        )
+
+
+class _Stream:
+    """Packets to samples: what is remembered between two reads."""
+
+    def __init__(self, of: Shimmer, inquiry: Inquiry, calibration: bytes) -> None:
+        self.decoder = Decoder(inquiry.channels, inquiry.divider)
+        wraps = round(protocol.TICKS * NS / TICKS_HZ)
+        self.stamps = Stamps(of.true_hz, has_time=True, wraps_ns=wraps, latency_s=of.latency_s)
+        self._channels, self._port = inquiry.channels, of.port
+        ranges = (inquiry.wide_range, inquiry.gyro_range)
+        self._motion = {name: units.calibration(calibration, name, *ranges) for name in of.motion}
+        if nominal := [name for name, known in self._motion.items() if not known.own]:
+            log.warning(
+                "not calibrated for this range; the data sheet's numbers are used", sensors=nominal, port=of.port
+            )
+        self._exg = list(EXG.get(of.purpose, {}).values())
+        if of.purpose:
+            places = [int(name[-1]) - 1 for name in self._exg]
+            self._uv = units.exg_uv(of.purpose, 4)[places]
+
+    def pass_on(self, data: bytes, feed: Feed) -> int:
+        """Emit what a read has brought; returns how many packets that was."""
+        found = self.decoder.feed(data)
+        for kind, count in (
+            ("bytes that are no packet", found.dropped), ("resync", found.resyncs), ("repeated packet", found.repeated)
+        ):  # fmt: skip
+            if count:
+                feed.problem(kind, count)
+        for told in found.battery:
+            self._tell_battery(protocol.battery_v(told), feed)
+        if not len(found):
+            return 0
+        arrival = feed.now()
+        raw = np.round(found.ticks * (NS / TICKS_HZ)).astype(np.int64)
+        packets = self.stamps.take(len(found), arrival, raw)
+        if not packets.kept.all():
+            feed.problem("wrong time", int((~packets.kept).sum()))
+        if not len(packets.stamp):
+            return len(found)
+        if missing := int(packets.lost.clip(0).sum()):
+            feed.problem("lost packet", missing)
+        if (packets.lost < 0).any():
+            feed.problem("device restarted")
+        for output, values in (("motion", self._moved(found)), ("exg", self._measured(found))):
+            if values is not None:
+                kept = values[packets.kept]
+                for start, stop in runs(packets.lost):
+                    times = packets.stamp[start:stop]
+                    feed.emit(Chunk(times, kept[start:stop], int(times[-1]), int(packets.lost[start])), output)
+        feed.emit(timing_chunk(-1, packets.device, arrival, packets.stamp), "timing")
+        return len(found)
+
+    def _moved(self, found: protocol.Packets) -> Samples | None:
+        if not self._motion:
+            return None
+        parts = [
+            known.apply(protocol.columns(found, self._channels, list(MOTION[name][0])))
+            for name, known in self._motion.items()
+        ]
+        return np.concatenate(parts, axis=1)
+
+    def _measured(self, found: protocol.Packets) -> Samples | None:
+        return protocol.columns(found, self._channels, self._exg) * self._uv if self._exg else None
+
+    def _tell_battery(self, volts: float, feed: Feed) -> None:
+        tell = log.warning if volts < LOW_BATTERY_V else log.info
+        tell("battery", port=self._port, battery_v=round(volts, 2))
+        if volts < LOW_BATTERY_V:
+            feed.problem("low battery")
