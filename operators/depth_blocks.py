@@ -16,7 +16,6 @@ from stream.kernel import kernel
 
 Frame = NDArray[np.uint16]
 Single = NDArray[np.float32]
-Counts = NDArray[np.int32]
 
 
 @kernel(nogil=True)
@@ -26,8 +25,6 @@ def simplify(
     centre: Single,
     shift: Single,
     needed: int,
-    sums: Counts,
-    rows: Single,
     out: Frame,
     means: Samples,
 ) -> None:
@@ -37,9 +34,12 @@ def simplify(
     centre   (b, w)     what is subtracted from a block before it is projected, side by side
     shift    (m, 2)     of every vector: the sum of its numbers; its product with the centre
     needed   pixels that a block must have to count as measured; `means` is NaN elsewhere
-    sums     (2, w), rows (b + 1 + m, w): room to work in
+
+    Room to work in is made here, not kept: nothing of a frame must stand in a snapshot.
     """
     m, b, w = tiles.shape
+    sums = np.empty((2, w), np.int32)
+    rows = np.empty((b + 1 + m, w), np.float32)
     for r in range(frame.shape[0] // b):
         top = r * b
         sums[:] = 0
@@ -84,11 +84,12 @@ def simplify(
 
 
 @kernel(nogil=True)
-def gather(frame: Frame, b: int, needed: int, first: int, step: int, most: int, block: Samples, sums: Samples) -> int:
+def gather(frame: Frame, b: int, needed: int, first: int, step: int, most: int, sums: Samples) -> int:
     """Add up to `most` blocks of `frame` (h, w), `step` apart from number `first` on, to `sums` (b*b + 1, b*b); how many were measured.
 
-    The last row takes the blocks' sum, the others the sum of their products. `block` (b*b,): room to work in.
+    The last row takes the blocks' sum, the others the sum of their products.
     """
+    block = np.empty(b * b)
     across = frame.shape[1] // b
     blocks = across * (frame.shape[0] // b)
     taken = 0

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from operators.depth_basis import Learner, means
-from operators.depth_blocks import Counts, Frame, Single, gather, simplify
+from operators.depth_blocks import Frame, Single, gather, simplify
 from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
@@ -18,7 +18,7 @@ from stream.params import param
 SCENE = np.dtype([("onset", "<i8"), ("what", "U9"), ("residual", "<f8")])
 """From `onset` on frames are under another basis: `learned` or `relearned`; `residual`: what it leaves out, mm of a pixel (rms)."""
 EFFORT = 32 * 8**4
-"""How much work on covariances a frame may cost: 32 blocks of 8 x 8."""
+"""How much work on covariances a frame may cost: 32 blocks of 8 x 8. At least 8 blocks are summed, so that no sum shows one."""
 
 
 @dataclass(slots=True)
@@ -44,9 +44,6 @@ class SimplifyState:
     step: int
     most: int
     needed: int
-    sums: Counts
-    rows: Single
-    block: Samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +68,7 @@ class Simplify(Operator[SimplifyState]):
 
     outputs: ClassVar[tuple[str, ...]] = ("out", "blocks", "scene")
 
-    block: int = param(8, least=2, most=32, help="side of a block in pixels")
+    block: int = param(8, least=2, most=16, help="side of a block in pixels")
     components: int = param(2, least=1, help="how many numbers remain of a block")
     learn_s: float = param(120.0, above=0.0, help="how long blocks are looked at before their components are taken")
     worse: float = param(1.25, least=1.0, help="how much more the basis must leave over than a new one would")
@@ -83,19 +80,18 @@ class Simplify(Operator[SimplifyState]):
         height, width = spec.shape
         b, m = self.block, self.components
         if height % b or width % b:
-            fits = [str(k) for k in range(2, 33) if not height % k and not width % k]
+            fits = [str(k) for k in range(2, 17) if not height % k and not width % k]
             raise ParameterError(
                 "block", b, f"a divisor of both {height} and {width}: {', '.join(fits) or 'there is none'}"
             )
         if m > b * b:
             raise ParameterError("components", m, f"at most {b * b}, the pixels of a block")
         blocks = height * width // b**2
-        most = max(1, min(64, blocks, EFFORT // b**4))
+        most = min(blocks, max(8, min(64, EFFORT // b**4)))
         state = SimplifyState(
             np.zeros((m, b, width), np.float32), np.zeros((b, width), np.float32), np.zeros((m, 2), np.float32),
             means(b, m), False, Learner.of(b, m), NEVER, 0, _apart(blocks, most), most,
-            max(1, int(np.ceil(self.least_valid * b * b))), np.zeros((2, width), np.int32),
-            np.zeros((b + 1 + m, width), np.float32), np.zeros(b * b),
+            max(1, int(np.ceil(self.least_valid * b * b))),
         )  # fmt: skip
         self.hold(state)
         _use(state, state.vectors, np.zeros(b * b))
@@ -113,7 +109,7 @@ class Simplify(Operator[SimplifyState]):
         changes: list[tuple[int, str, float]] = []
         for i in range(n):
             self._learn(chunk.data[i], int(chunk.time[i]), changes)
-            simplify(chunk.data[i], s.tiles, s.centre, s.shift, s.needed, s.sums, s.rows, out[i], blocks[i])
+            simplify(chunk.data[i], s.tiles, s.centre, s.shift, s.needed, out[i], blocks[i])
         scene = np.array(changes, SCENE)
         return [
             ("scene", Chunk(scene["onset"].copy(), scene, chunk.until)),
@@ -151,7 +147,7 @@ class Simplify(Operator[SimplifyState]):
                 changes.append((time, "relearned" if s.learned else "learned", float(np.sqrt(left)) / b))
                 s.learned = True
                 _use(s, learner.vectors, learner.centre)
-        learner.count += gather(frame, b, s.needed, s.turn, s.step, s.most, s.block, learner.sums)
+        learner.count += gather(frame, b, s.needed, s.turn, s.step, s.most, learner.sums)
         s.turn = (s.turn + s.most * s.step) % (frame.size // b**2)
 
 
