@@ -16,7 +16,7 @@ from stream.errors import KinegraphError, RecordingError
 from stream.graph import Graph
 from stream.recording import Recorder, RecorderStatus, Recording, versions
 from stream.recording.image import is_picture
-from stream.recording.place import is_running, part_path, parts_of
+from stream.recording.place import is_running, parts_of
 
 QUIET = {"device", "source ended", "session resumed", "source reopened"}
 """Reports that are news, not warnings."""
@@ -161,9 +161,8 @@ class Journal:
     def _forget(self, part: int) -> None:
         """Delete the files before a part: a checkpoint on the disk knows what they hold. Raises OSError."""
         if part and self.folder is not None:
-            for path in parts_of(self.folder):
-                if path != part_path(self.folder, part) and path < part_path(self.folder, part):
-                    path.unlink()
+            for path in parts_of(self.folder, before=part):
+                path.unlink()
 
     @property
     def status(self) -> RecorderStatus | None:

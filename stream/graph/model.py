@@ -121,6 +121,8 @@ class RecordingOptions:
     folder      where recordings go
     rotate_mb   a new file is begun after so many megabytes; 0: never
     quota_mb    the oldest recordings of this folder are deleted beyond so many megabytes; 0: no quota
+    rolling     keep only what a resumed session needs: files older than the last checkpoint are deleted, and all of them when a session
+                ends well (a device that runs for months; `rotate_mb` says how long a file becomes)
     gather_s    how long small chunks are gathered into one message
     flush_s     at most this much is lost when the process is killed
     frames      how depth frames are kept, where `record` asks for them: `packed` (a quarter to a half of their size, or less), or as
@@ -130,6 +132,7 @@ class RecordingOptions:
     folder: str = "recordings"
     rotate_mb: float = param(0.0, least=0.0)
     quota_mb: float = param(0.0, least=0.0)
+    rolling: bool = False
     gather_s: float = param(0.1, least=0.0)
     flush_s: float = param(0.5, above=0.0)
     frames: Literal["packed", "image"] = "packed"

@@ -20,11 +20,11 @@ def part_path(path: Path, number: int) -> Path:
     return path if number == 0 else path.with_name(f"{path.stem}.{number:04d}{SUFFIX}")
 
 
-def parts_of(path: Path) -> list[Path]:
-    """The parts of the recording at `path` (a folder, or a named file) that exist, in order."""
+def parts_of(path: Path, before: int | None = None) -> list[Path]:
+    """The parts of the recording at `path` (a folder, or a named file) that exist, in order; in a folder, those before a number."""
     if path.is_dir():
         found = [p for p in path.iterdir() if re.fullmatch(r"session\.\d{4,}\.mcap", p.name)]
-        return sorted(found, key=_number)
+        return sorted((p for p in found if before is None or _number(p) < before), key=_number)
     more = re.compile(re.escape(path.stem) + r"\.\d{4,}\.mcap")
     if not path.parent.is_dir():
         return []
