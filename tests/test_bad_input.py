@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import random
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -23,9 +24,10 @@ import structlog
 from mcap.writer import Writer
 
 import stream.cli
-from stream.chunk import NS
+from stream.chunk import NS, Chunk, StreamSpec
 from stream.engine.clock import SessionClock
-from stream.recording import Recording
+from stream.graph import RecordingOptions
+from stream.recording import Recorder, Recording
 from stream.recording import part as part_module
 
 KINEGRAPH = Path(sys.executable).parent / "kinegraph"
@@ -590,6 +592,29 @@ def test_a_disk_that_fills_up_while_files_are_made(
 def test_a_disk_that_fills_up_during_a_session(kinegraph: Command, made: Path) -> None:
     told = kinegraph("run", made / "graph.yaml", *QUIET, "-o", "s")
     refused(told, "the recording cannot be written; the session goes on", "No space left on device", code=5)
+
+
+def test_a_recording_that_is_deleted_while_it_is_written_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("stream.recording.recorder.SYNC_S", 0.0)
+    spec = StreamSpec((1,), rate_hz=100.0)
+    with Recorder(tmp_path / "s", {}, RecordingOptions(gather_s=0.01, flush_s=0.01)) as recorder:
+        number = recorder.add_stream("board", spec, "input")
+
+        def write(k: int) -> None:
+            recorder.write(number, Chunk(np.array([k * NS]), np.array([[float(k)]]), k * NS), k * NS, k)
+            assert recorder.flush(60.0)
+
+        write(0)
+        (tmp_path / "s").rename(tmp_path / "gone")  # at once: nothing new may appear in it meanwhile
+        shutil.rmtree(tmp_path / "gone")
+        for k in range(1, 50):  # the next writing notices; what comes after that is in a new part
+            write(k)
+    with Recording.open(tmp_path / "s") as recording:
+        kept = recording.read("board")[1].ravel().tolist()
+        assert recording.finished and kept[-1] == 49.0 and kept == sorted(kept)
+        assert any(e["kind"] == "disk refused" and "the file was deleted" in e["error"] for e in recording.log)
 
 
 @pytest.fixture

@@ -67,12 +67,15 @@ class Intake:
 
 
 class CommonStart:
-    """No sample passes until every required source is ready. What a live device sends before is left out; files and people wait instead."""
+    """No sample passes until every required source is ready. What a live device sends before is left out; files and people wait instead.
+
+    since   when that was (monotonic s), or when the waiting began
+    """
 
     def __init__(self, runners: list[Runner]) -> None:
         self._required = [r for r in runners if r.node.options.required and not r.source.background]
         self._held: list[tuple[Intake, Chunk, int]] = []
-        self._began = time.monotonic()
+        self._began = self.since = time.monotonic()
         self.done = False
 
     def pass_on(self, intake: Intake, chunk: Chunk, arrival: int) -> list[tuple[Intake, Chunk, int]]:
@@ -89,6 +92,7 @@ class CommonStart:
         if not self.ready:
             return []
         self.done = True
+        self.since = time.monotonic()
         held, self._held = self._held, []
         return held
 

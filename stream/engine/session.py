@@ -315,7 +315,7 @@ class Session:
             runner.watch()
         if self._start.done:
             for intake in self._intakes:
-                self._check_silence(intake, now - intake.last)
+                self._check_silence(intake, now - max(intake.last, self._start.since))
 
     def _check_silence(self, intake: Intake, age: float) -> None:
         """After the stated patience, say that nothing happened, so that nobody waits; after `stale_s`, raise the alarm."""
