@@ -1,0 +1,122 @@
+"""Where a body's joints are found among the points of a stream, whatever they are called there; and which points are mirror images."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+
+from stream.errors import ParameterError, nearest
+
+SIDED: dict[str, tuple[str, ...]] = {
+    "ankle": ("ankle?", "?ankle", "?ank", "?tibia", "?foot"),
+    "knee": ("knee?", "?knee", "?kne", "?femur", "?leg"),
+    "hip": ("hip?", "?hip", "?hipjoint", "?upleg", "?thigh", "?asi+?psi", "?fwt+?bwt"),
+    "wrist": ("wrist?", "?wrist", "?wra+?wrb", "?wri", "?hand"),
+    "elbow": ("elbow?", "?elbow", "?elb", "?humerus", "?forearm"),
+    "shoulder": ("shoulder?", "?arm", "?shoulder", "?sho", "?clavicle"),
+}
+"""By joint: its names, best first; "?" stands for a side, "+" for the middle of two points. Written without capitals, spaces and signs."""
+
+CENTRAL: dict[str, tuple[str, ...]] = {
+    "root": ("hipcenter", "spinebase", "hips", "pelvis", "root", "lfwt+rfwt+lbwt+rbwt", "lasi+rasi+lpsi+rpsi"),
+    "neck": ("shouldercenter", "spineshoulder", "neck", "thorax", "c7", "upperneck"),
+    "head": ("headtop", "headend", "lfhd+rfhd+lbhd+rbhd", "head"),
+}
+"""The same for joints in the middle."""
+
+SIDES = {"_l": ("l", "left"), "_r": ("r", "right")}
+
+SETS: dict[str, tuple[str, ...]] = {
+    "e15": ("ankle_l", "ankle_r", "head", "wrist_l", "wrist_r"),
+    "e30": (
+        "ankle_l", "ankle_r", "head", "wrist_l", "wrist_r",
+        "knee_l", "knee_r", "elbow_l", "elbow_r", "neck",
+    ),
+}  # fmt: skip
+"""Pose sets: five points (15 numbers), and these with knees, elbows and neck (30 numbers)."""
+
+
+def find_joints(
+    points: Iterable[str], wanted: Iterable[str], given: Mapping[str, tuple[str, ...]]
+) -> dict[str, tuple[str, ...]]:
+    """For each joint that is wanted, the points whose middle it is: those that are given, else those that its names point to.
+
+    Joints are called "root", "neck", "head", and "ankle", "knee", "hip", "wrist", "elbow", "shoulder" with "_l" or "_r". Of the root
+    nothing need be found: it is then the middle of both hips. Raises ParameterError for one that is not there.
+    """
+    names = list(points)
+    plain: dict[str, str] = {}
+    for name in names:
+        plain.setdefault(_plain(name), name)
+    found: dict[str, tuple[str, ...]] = {}
+    for joint, parts in given.items():
+        for part in parts:
+            if part not in names:
+                raise ParameterError(f"joints.{joint}", part, f"a point of the input; {nearest(part, names)}")
+        if not parts:
+            raise ParameterError(f"joints.{joint}", list(parts), "a list of at least one point")
+        found[joint] = tuple(parts)
+    for joint in wanted:
+        if joint not in found:
+            made = _first(joint, plain)
+            if made is None and joint == "root":
+                made = tuple(part for hip in ("hip_l", "hip_r") for part in found.get(hip) or _first(hip, plain) or ())
+            if not made:
+                raise ParameterError(
+                    "joints",
+                    dict(given),
+                    f"a mapping that says which points make up {joint!r}: none of the input's is called so "
+                    f"({', '.join(names[:8])}{', ...' if len(names) > 8 else ''})",
+                )
+            found[joint] = made
+    return found
+
+
+def partner(name: str, names: Iterable[str]) -> str | None:
+    """The name of the same thing on the other side of the body, if it is among `names`: "LANK" and "RANK", "hip_l" and "hip_r"."""
+    known = set(names)
+    for pattern, change in _CHANGES:
+        if pattern.search(name):
+            other = pattern.sub(change, name, count=1)
+            if other != name and other in known:
+                return other
+    return None
+
+
+def pairs(names: Iterable[str]) -> list[tuple[str, str]]:
+    """(left, right) for all names that have a partner."""
+    listed = list(names)
+    found = [(name, partner(name, listed)) for name in listed if _is_left(name)]
+    return [(left, right) for left, right in found if right is not None]
+
+
+def _is_left(name: str) -> bool:
+    return any(pattern.search(name) for pattern in _LEFT)
+
+
+_LEFT = [re.compile(p) for p in (r"[Ll]eft", r"LEFT", r"(^|[:_ .])[Ll](?=[A-Za-z_])", r"[_ .][Ll](?=$|[_ .\[])")]
+_WORDS = {"left": "right", "Left": "Right", "LEFT": "RIGHT", "l": "r", "L": "R"}
+_SWAP = {**_WORDS, **{right: left for left, right in _WORDS.items()}}
+_CHANGES = [
+    (re.compile(r"[Ll]eft|[Rr]ight|LEFT|RIGHT"), lambda m: _SWAP[m[0]]),
+    (re.compile(r"(?<=[_ .])[LlRr](?=$|[_ .\[])"), lambda m: _SWAP[m[0]]),
+    (re.compile(r"(?:(?<=^)|(?<=[:_ .]))[LlRr](?=[A-Za-z_])"), lambda m: _SWAP[m[0]]),
+]
+
+
+def _first(joint: str, plain: Mapping[str, str]) -> tuple[str, ...] | None:
+    """The points of the first of a joint's names that is there."""
+    side = joint[-2:]
+    choices = CENTRAL.get(joint, ())
+    if side in SIDES:
+        choices = tuple(c.replace("?", s) for c in SIDED.get(joint[:-2], ()) for s in SIDES[side])
+    for choice in choices:
+        parts = choice.split("+")
+        if all(part in plain for part in parts):
+            return tuple(plain[part] for part in parts)
+    return None
+
+
+def _plain(name: str) -> str:
+    """A name without its subject ("Daniel:LANK"), capitals, spaces and signs."""
+    return re.sub(r"[^a-z0-9]", "", name.rpartition(":")[2].lower())
