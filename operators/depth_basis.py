@@ -19,8 +19,8 @@ class Learner:
 
     sums        (n + 1, n)  over the blocks of this stretch: products, and in the last row the blocks themselves
     count       how many blocks
-    covariance  (n, n)      of the stretch before, while its vectors are sought; centre (n,): its mean block
-    vectors     (m, n)      what is sought
+    covariance  (n, n)      of the stretch before, while its vectors are sought; centre (n,): its mean block, less its level
+    vectors     (m, n)      what is sought; the first one is the level
     step        how many steps were made; STEPS: nothing is sought
     work        (n,)        room
     """
@@ -47,6 +47,7 @@ class Learner:
             self.centre[:] = self.sums[n] / self.count
             np.divide(self.sums[:n], self.count, out=self.covariance)
             self.covariance -= self.centre[:, None] * self.centre[None, :]
+            self.centre -= self.centre.mean()
             self.vectors[:] = _start(*self.vectors.shape)
             self.step = 0
         self.sums[:] = 0.0
@@ -78,7 +79,7 @@ def means(block: int, components: int) -> Samples:
 
 
 def _start(m: int, n: int) -> Samples:
-    """Vectors that no covariance is likely to be orthogonal to; the same every time."""
+    """The level, and vectors that no covariance is likely to be orthogonal to; the same every time."""
     vectors: Samples = np.random.default_rng(0).normal(size=(m, n)) / np.sqrt(n)
-    vectors[0] += 1.0
+    vectors[0] = 1.0 / np.sqrt(n)
     return vectors

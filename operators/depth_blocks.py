@@ -121,9 +121,12 @@ def gather(frame: Frame, b: int, needed: int, first: int, step: int, most: int, 
 
 @kernel
 def iterate(covariance: Samples, vectors: Samples, work: Samples) -> None:
-    """One step of orthogonal iteration: `vectors` (m, n) come nearer to the `covariance`'s (n, n) first ones. `work` (n,) is room."""
+    """One step of orthogonal iteration: `vectors` (m, n) come nearer to the `covariance`'s (n, n) first ones beside the first of them.
+
+    The first one stays; `work` (n,) is room.
+    """
     m, n = vectors.shape
-    for k in range(m):
+    for k in range(1, m):
         for i in range(n):
             v = 0.0
             for j in range(n):
