@@ -1,0 +1,198 @@
+"""The scorer against the figures known of the CMU-86 recordings, against segmentations made up for it, and as a command."""
+
+import csv
+import os
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from operators.segmentation_found import Found, merged, read_found
+from operators.segmentation_picture import distances
+from operators.segmentation_scores import boundary_f1, covering, intervals, score
+from operators.segmentation_truth import Truth, read_truth
+from stream import cli
+from stream.chunk import NS, StreamSpec
+from stream.convert.series import Series, write_recording
+from stream.errors import KinegraphError
+from stream.operator import grid
+
+DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
+needs_data = pytest.mark.skipif(not DATA.exists(), reason="KINEGRAPH_DATA names no folder of recordings")
+NOTHING = np.empty(0)
+
+
+def found(edges, primitives=None, transition=None, repetition=None, cluster=None):
+    activities = np.stack([edges[:-1], edges[1:]], 1).astype(float)
+    cuts = np.array(edges if primitives is None else primitives, float)
+    spans = np.stack([cuts[:-1], cuts[1:]], 1)
+    return Found(
+        activities,
+        np.array(transition or [False] * len(activities)),
+        spans,
+        np.array(cluster or [0] * len(spans)),
+        np.array(repetition or range(1, len(spans) + 1)),
+    )
+
+
+def truth(rows, keys=()):
+    start, end, label, count = zip(*rows, strict=True)
+    return Truth(
+        np.array(start, float), np.array(end, float), list(label), np.array(count, float), np.array(keys, float)
+    )
+
+
+@needs_data
+def test_a_blind_cut_every_second_and_none_at_all_score_what_is_known():
+    often, never = [], []
+    for trial in ("01", "03", "07", "09", "11"):
+        known = read_truth(DATA / "segmentation" / "cmu86_4ch" / f"86_{trial}.npz")
+        with np.load(DATA / "segmentation" / "cmu86_4ch" / f"86_{trial}.npz") as archive:
+            length, cuts = len(archive["label"]) / 120.0, archive["gt_120hz"][:-1, 1] / 120.0
+        np.testing.assert_allclose(known.boundaries(), cuts, atol=1e-9)
+        often.append(score(found(np.append(np.arange(0.0, length, 1.0), length)), known))
+        never.append(score(found([0.0, length]), known))
+    for scores, f1, strict, tolerant, covered in ((often, 0.23, 0.935, 0.961, 0.15), (never, 0.0, 0.375, 0.487, 0.14)):
+        means = intervals(scores)
+        assert means["f1"][0] == pytest.approx(f1, abs=0.005) and means["covering"][0] == pytest.approx(
+            covered, abs=0.005
+        )
+        assert means["strict"][0] == pytest.approx(strict, abs=0.001)
+        assert means["tolerant"][0] == pytest.approx(tolerant, abs=0.001)
+        assert means["covering"][1] < means["covering"][0] < means["covering"][2]
+
+
+def test_boundaries_are_matched_one_to_one():
+    assert boundary_f1(np.array([10.0, 10.2, 30.0]), np.array([10.1, 20.0])) == pytest.approx((0.4, 1 / 3, 0.5))
+    assert (
+        boundary_f1(np.array([9.0]), np.array([10.0]))[0] == 1.0
+        and boundary_f1(np.array([8.9]), np.array([10.0]))[0] == 0.0
+    )
+    assert boundary_f1(NOTHING, NOTHING)[0] == 1.0 and boundary_f1(NOTHING, np.array([1.0]))[0] == 0.0
+    assert covering(np.array([5.0]), np.array([5.0]), 10.0) == 1.0 and covering(NOTHING, np.array([5.0]), 10.0) == 0.5
+
+
+def test_transitions_count_in_their_middle_on_both_sides():
+    known = truth([(0, 10, "walk", 8), (12, 20, "run", 9), (25, 30, "run", np.nan)])
+    assert known.boundaries().tolist() == [11.0, 20.0, 25.0]
+    made = found([0, 1, 10, 12, 20, 30], transition=[True, False, True, False, False])
+    assert made.boundaries().tolist() == [11.0, 20.0]
+
+
+def test_repetitions_overlap_and_key_points():
+    known = truth([(0, 8, "walk", 4), (10, 16, "hop", 5)], keys=[1.1, 2.9, 5.1, 6.9])
+    made = found(
+        [0, 8, 10, 16],
+        [0, 2, 4, 6, 8, 10, 12, 14, 16],
+        repetition=[1, 2, 3, 4, 0, 1, 2, 3],
+        transition=[False, True, False],
+    )
+    scores = score(made, known)
+    assert scores.repetitions == 1.0 and scores.within_1 == 0.5
+    assert scores.distance_s == pytest.approx((2.0 + 0.0 + 0.0 + 2.0) / 4) and scores.overlap == pytest.approx(
+        (2 / 8 + 2 / 6) / 2
+    )
+    assert scores.key_place == pytest.approx(0.5) and scores.key_sd == pytest.approx(0.05, abs=0.002)
+    assert scores.strict == pytest.approx(1.0) and scores.f1 == 1.0
+
+
+def test_clusters_take_the_number_they_were_merged_into():
+    assert merged(np.array([5, 7, -1, 3]), [(7, 5), (5, 3)]).tolist() == [3, 3, -1, 3]
+
+
+def test_distances_are_numpys():
+    x = np.random.default_rng(0).normal(size=(30, 4)).astype(np.float32)
+    np.testing.assert_allclose(distances(x), np.linalg.norm(x[:, None] - x[None], axis=2), atol=2e-3)
+
+
+def recording(path):
+    """A recording with segments of ten seconds at 30 Hz, as a graph leaves them."""
+    times = grid(30.0, 300, start_ns=7 * NS)
+    x = np.stack([np.sin(np.arange(300) * 0.4), np.cos(np.arange(300) * 0.4)], 1)
+    rows = [
+        (times[0], times[149], 0, True, False),
+        (times[150], times[164], 1, False, True),
+        (times[165], times[299], 2, True, False),
+    ]
+    activity = np.array(
+        rows, [("onset", "<i8"), ("end", "<i8"), ("activity", "<i8"), ("repeats", "?"), ("transition", "?")]
+    )
+    cuts = [0, 50, 100, 150, 165, 232, 300]
+    fields = [("onset", "<i8"), ("end", "<i8"), ("activity", "<i8"), ("repetition", "<i4"), ("cluster", "<i8")]
+    parts = [
+        (times[a], times[b - 1], 0, k, c)
+        for (a, b), k, c in zip(pairwise(cuts), (1, 2, 3, 0, 1, 2), (0, 0, 0, -1, 4, 5), strict=True)
+    ]
+    primitive = np.array(parts, fields)
+    merge = np.array([(5, 4)], [("cluster", "<i8"), ("into", "<i8")])
+    radius = np.array([(0.2,)], [("radius", "<f8")])
+    write_recording(
+        path,
+        [Series("stack", StreamSpec((2,), rate_hz=30.0), times, x)]
+        + [
+            Series(f"segment.{name}", StreamSpec((), data.dtype), np.full(len(data), times[-1]), data)
+            for name, data in (("activity", activity), ("primitive", primitive), ("merge", merge), ("radius", radius))
+        ],
+        {},
+    )
+    return path
+
+
+def test_a_recording_is_read_in_seconds_from_its_start(tmp_path):
+    made = read_found(recording(tmp_path / "walk.mcap"), features="stack")
+    np.testing.assert_allclose(made.activities, [[0, 5], [5, 5.5], [5.5, 299 / 30]], atol=1e-8)
+    assert made.boundaries() == pytest.approx([5.25]) and made.cluster.tolist() == [0, 0, 0, -1, 4, 4]
+    assert made.features.shape == (300, 2) and made.radius == pytest.approx(0.2 * np.sqrt(2))
+    with pytest.raises(KinegraphError, match="did you mean 'segment'"):
+        read_found(tmp_path / "walk.mcap", node="segmnt")
+
+
+def test_the_command_writes_table_and_pictures(tmp_path, capsys):
+    recording(tmp_path / "walk.mcap")
+    (tmp_path / "walk.csv").write_text("start_s,end_s,label,repetitions\n0,5,walk,3\n5,5.5,,\n5.5,10,run,2\n6,,,\n")
+    (tmp_path / "other.csv").write_text(
+        "start_s,end_s,activity,cluster,repetition\n0,2.5,0,1,1\n2.5,5,0,1,2\n5,10,1,2,1\n"
+    )
+    (tmp_path / "all.csv").write_text("result,truth,offset_s\nwalk.mcap,walk.csv,0\nother.csv,walk.csv,\n")
+    arguments = ["segmentation", "--table", str(tmp_path / "all.csv"), "-o", str(tmp_path / "out")]
+    with pytest.raises(SystemExit) as ended:
+        cli.call("evaluate", arguments)
+    assert not ended.value.code and "boundary F1" in capsys.readouterr().out
+    with (tmp_path / "out" / "scores.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["recording"] for row in rows] == ["walk", "other"]
+    assert [float(row["f1"]) for row in rows] == [1.0, 1.0]
+    assert [float(row["repetitions"]) for row in rows] == [0.0, 1.0]
+    assert (tmp_path / "out" / "walk.png").stat().st_size > 10_000
+    with pytest.raises(KinegraphError, match="--force replaces it"):
+        cli.call("evaluate", arguments)
+    with pytest.raises(SystemExit):
+        cli.call(
+            "evaluate",
+            [
+                "segmentation",
+                str(tmp_path / "walk.mcap"),
+                str(tmp_path / "walk.csv"),
+                "--features",
+                "stack",
+                "-o",
+                str(tmp_path / "one"),
+            ],
+        )
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("start_s,end_s,label\n0,1,walk\n1,x,run\n", "line 3: start_s, end_s"),
+        ("start_s,end_s,label\n0,1,walk\n3,2,run\n", "line 3: an action from 3 to 2 s cannot be"),
+        ("start_s,end_s,label\n0,2,walk\n1,3,run\n", "actions overlap"),
+        ("begin,end_s,label\n0,2,walk\n", "line 2: start_s, end_s"),
+        ("start_s,end_s,label\n", "holds no annotations"),
+    ],
+)
+def test_broken_annotations_are_named_by_their_line(tmp_path, text, message):
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(KinegraphError, match=r"a\.csv: " + message):
+        read_truth(tmp_path / "a.csv")
