@@ -259,7 +259,8 @@ def test_a_config_runs_without_hardware(config: Path, tmp_path: Path) -> None:
     if "devices.oak" in config.read_text(encoding="utf-8") and find_spec("depthai") is None:
         pytest.skip("depthai is not installed (pip install 'kinegraph[oak]')")
     out = tmp_path / "session"
-    done = kinegraph("run", str(config), "--simulate", "--for", "3", "-o", str(out), "--view", "none")
+    keep = ("--set", "recording.rolling=false")
+    done = kinegraph("run", str(config), "--simulate", "--for", "3", "-o", str(out), "--view", "none", *keep)
     assert done.returncode == 0, done.stderr
     info = kinegraph("info", str(out)).stdout
     assert "simulated_sources" in info

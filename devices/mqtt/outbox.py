@@ -80,7 +80,7 @@ class Outbox:
     def post(self, topic: str, key: int, text: str) -> None:
         """A letter. One whose key is not newer than what has arrived, or waits, on its topic was sent before: it is left out."""
         with self._lock:
-            if key <= max(self._posted.get(topic, -1), self._arrived.get(topic, -1)):
+            if key <= self.newest(topic):
                 return
             self._posted[topic] = key
             if len(self._letters) >= MOST_LETTERS:
@@ -89,6 +89,11 @@ class Outbox:
                 if self.dropped == 1:
                     log.error("no MQTT broker for too long: the oldest epochs are dropped (the night's log has them)")
             self._letters.append(Letter(topic, key, text))
+
+    def newest(self, topic: str) -> int:
+        """The newest key that has arrived or waits; -1 if there is none."""
+        with self._lock:
+            return max(self._posted.get(topic, -1), self._arrived.get(topic, -1))
 
     def open(self) -> None:
         """The connection stands, and what the broker remembers has been told: everything may be said."""

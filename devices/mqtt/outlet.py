@@ -38,11 +38,14 @@ class History:
     of      the stream
     where   only events whose fields have these values ({final: true})
     key     an integer field that grows from event to event; by it what was sent already is known again
+    log     the folder of a `devices.night.NightLog`, where these are final epochs: after a crash, what stands there and was not sent
+            is sent as it stands, so that the two always agree (put the log before this outlet in the graph)
     """
 
     of: str
     where: dict[str, str | float | bool] | None = None
     key: str = "onset"
+    log: str = ""
 
 
 class _Desk:
@@ -124,6 +127,9 @@ class MqttOutlet(_Sender):
         if ledger:
             ledger.parent.mkdir(parents=True, exist_ok=True)
         desk.outbox = Outbox(self.state, self._say, ledger)
+        for history in self.history:
+            if history.log:
+                self._post_logged(history)
         topics, histories = self._topics, [self._topics.history(h.of) for h in self.history]
         heard = [*([topics.birth] if self.discovery else []), *([topics.mark(), *histories] if histories else [])]
         desk.link = Link(
@@ -196,6 +202,27 @@ class MqttOutlet(_Sender):
             told: dict[str, Any] = {"session": self.state.session, "key": int(row[history.key])}
             told |= {field: _plain(row[field], spec.unit_of(field)) for field in spec.channels}
             desk.outbox.post(self._topics.history(history.of), told["key"], json.dumps(told))
+
+    def _post_logged(self, history: History) -> None:
+        """What a night's log has, and this session has not sent: it was killed in between."""
+        from devices.night import shelf
+
+        outbox, topic = self.desk.outbox, self._topics.history(history.of)
+        assert outbox
+        newest = outbox.newest(topic)
+        nights = shelf.nights(Path(history.log)) if newest >= 0 else []
+        for folder, _ in nights[-1:]:
+            epochs = shelf.read_epochs(folder)
+            for k in np.flatnonzero(epochs.onset > newest).tolist():
+                told = {"session": self.state.session, "key": int(epochs.onset[k])}
+                told |= {name: utc(int(column[k])) for name, column in (("onset", epochs.onset), ("end", epochs.end))}
+                told |= {
+                    "state": str(epochs.texts["state"][k]),
+                    "final": True,
+                    "rescored": bool(epochs.numbers["rescored"][k]),
+                }
+                told |= {name: _plain(epochs.numbers[name][k], "") for name in ("score", "activity")}
+                outbox.post(topic, int(epochs.onset[k]), json.dumps(told))
 
     # the link's thread ---------------------------------------------------------------------------------------------------
 
