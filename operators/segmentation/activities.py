@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operators.segmentation.cycles import cycle_length
 from operators.segmentation.distances import choose_radius, insert, mark
 from operators.segmentation.events import stamp, tell
 from operators.segmentation.layout import (
@@ -35,9 +36,11 @@ from operators.segmentation.layout import (
     RADIUS,
     RADIUS_AT,
     RADIUS_EVENT,
+    REPEATED,
+    RETURNED,
     ROWS,
+    SEARCH,
     SEED,
-    SEED_AT,
     SETTLE,
     SINCE,
     START,
@@ -45,6 +48,8 @@ from operators.segmentation.layout import (
     TO,
     TOLD,
     TRACK,
+    UNTOLD,
+    UNTOLD_AT,
     Memory,
 )
 from operators.segmentation.repetitions import (
@@ -55,6 +60,7 @@ from operators.segmentation.repetitions import (
     settle,
     slack,
     stretch,
+    take_up,
     tell_start,
     under_way,
 )
@@ -85,8 +91,8 @@ def follow(s: Memory, x: Samples, time: Times, first: int, gap: bool) -> int:
 @kernel
 def step(s: Memory, t: int) -> None:
     b = s.books
-    if t == b[SEED]:
-        b[SEED_AT] = s.times[t % s.times.shape[0]]
+    if t == b[UNTOLD]:
+        b[UNTOLD_AT] = s.times[t % s.times.shape[0]]
     if not b[OPEN]:
         if t - b[SINCE] + 1 < b[LEARN]:
             return
@@ -108,7 +114,7 @@ def step(s: Memory, t: int) -> None:
             while b[DONE] < t:
                 b[DONE] += 1
                 explore(s, b[DONE])
-            if not b[TOLD] and t >= b[OPENED] + b[FIRM]:
+            if counts(s) and not b[TOLD] and t >= b[OPENED] + b[FIRM]:
                 tell_start(s)
         if t - b[LAST] >= b[QUIET] and not under_way(s, t):
             finish(s, False)
@@ -123,14 +129,14 @@ def open_up(s: Memory, t: int) -> None:
     while s.near[i % s.near.shape[0]] != 1:
         i -= 1
     b[LAST] = i
-    first = max(b[SEED], t - b[LAG])
+    first = max(b[SEED], t - b[LAG] + 1)
     while s.near[first % s.near.shape[0]] != 1:
         first += 1
     row, k = s.rows[first % s.rows.shape[0]], b[BAND]
     while row[k] > s.values[RADIUS]:
         k += 1
     tell(s, RADIUS_EVENT, 0, 0, 0, 0, 0, 0)
-    tell(s, BELIEVED_EVENT, stamp(s, first - k), stamp(s, t), b[ACTIVITY] + (first - k > b[SEED]), 0, 0, 0)
+    tell(s, BELIEVED_EVENT, stamp(s, first - k), stamp(s, t), b[ACTIVITY] + (first - k > b[UNTOLD]), 0, 0, 0)
 
 
 @kernel
@@ -152,12 +158,18 @@ def begin(s: Memory) -> None:
         elif first - i >= b[QUIET] and found >= b[MASS]:
             break
         i -= 1
-    b[BEGUN], b[TOLD] = 1, 0
+    b[BEGUN], b[TOLD], b[RETURNED] = 1, 0, 0
     b[START] = first
     b[COUNT] = b[PENDING] = b[CYCLES] = 0
     b[CLUSTER] = -1
     search_from(s, first)
     b[DONE] = first - 1
+
+
+@kernel
+def counts(s: Memory) -> bool:
+    """Whether the open activity is one: it comes back to itself, or motion has repeated lately. Else it is part of a stretch."""
+    return bool(s.books[RETURNED] or s.books[REPEATED] >= s.books[NEXT])
 
 
 @kernel
@@ -171,6 +183,14 @@ def oldest(s: Memory) -> int:
 def finish(s: Memory, forced: bool) -> None:
     """The activity ends with its last frame that has a neighbour, or with its last repetition."""
     b = s.books
+    if b[MODE] == SEARCH and not b[TOLD]:
+        length = cycle_length(s, b[DONE], True)
+        if length:
+            take_up(s, b[DONE], length)
+    if not b[TOLD] and not counts(s):
+        b[OPEN] = b[BEGUN] = b[ROWS] = b[RADIUS_AT] = 0
+        b[SEED] = b[LAST] + 1
+        return
     if not b[TOLD]:
         tell_start(s)
     if b[BEST_END] >= 0 and b[MODE] == TRACK and b[BEST_START] <= b[LAST]:
@@ -192,8 +212,8 @@ def finish(s: Memory, forced: bool) -> None:
     )
     b[ACTIVITY] += 1
     b[OPEN] = b[BEGUN] = b[ROWS] = 0
-    b[SEED] = last + 1
-    b[SEED_AT] = s.times[(last + 1) % s.times.shape[0]]
+    b[SEED] = b[UNTOLD] = last + 1
+    b[UNTOLD_AT] = s.times[(last + 1) % s.times.shape[0]]
     b[RADIUS_AT] = 0
 
 
@@ -211,7 +231,8 @@ def end(s: Memory) -> None:
             b[DONE] += 1
             explore(s, b[DONE])
         finish(s, True)
-    if b[SEED] <= newest:
+    if b[UNTOLD] <= newest:
         stretch(s, newest, True)
-    b[SEED] = b[SINCE] = b[NEXT]
+    b[SEED] = b[UNTOLD] = b[SINCE] = b[NEXT]
+    b[REPEATED] = 0
     b[RADIUS_AT] = b[ROWS] = 0

@@ -17,6 +17,7 @@ from operators.segmentation.layout import (
     MASS,
     ORIGIN,
     RADIUS,
+    RETURNED,
     SLOT,
     Memory,
 )
@@ -25,6 +26,8 @@ from stream.kernel import kernel
 
 DIP = 0.6
 """A cycle's lag is where the mean distance falls to this share of the largest one at a shorter lag."""
+RETURNS = 0.9
+"""With this share in place of DIP, there is no cycle to count, but motion that comes back: an activity of its own."""
 SEEN = 0.7
 """So much of the second cycle must have been seen."""
 LEAVES = 0.8
@@ -57,8 +60,12 @@ def last_cycle(s: Memory, i: int, k: int) -> float:
 
 
 @kernel
-def cycle_length(s: Memory, i: int) -> int:
-    """The shortest lag at which the newest frames come back to themselves (as YIN finds a pitch, on distances); 0: none."""
+def cycle_length(s: Memory, i: int, last_chance: bool) -> int:
+    """The shortest lag at which the newest frames come back to themselves (as YIN finds a pitch, on distances); 0: none.
+
+    It must be the lowest among lags about as long; at its `last_chance`, among those that there are. Notes in RETURNED whether frames
+    come back at all, if not as closely as for a cycle.
+    """
     b = s.books
     largest = 0.0
     radius = s.values[RADIUS]
@@ -70,12 +77,13 @@ def cycle_length(s: Memory, i: int) -> int:
         last = k
     for k in range(1, last + 1):
         mean = last_cycle(s, i, k)
-        if k >= b[BAND] and largest >= LEAVES * radius and mean < DIP * largest and mean <= radius:
+        if k >= b[BAND] and largest >= LEAVES * radius and mean < RETURNS * largest and mean <= radius:
+            b[RETURNED] = 1
             wide = max(2, k // 5)
-            if k + wide > last:
+            lowest = mean < DIP * largest
+            if lowest and k + wide > last and not last_chance:
                 return 0
-            lowest = True
-            for j in range(k - wide, k + wide + 1):
+            for j in range(k - wide, min(k + wide, last) + 1):
                 lowest = lowest and last_cycle(s, i, j) >= mean
             if lowest:
                 return k

@@ -110,7 +110,7 @@ def choose_radius(s: Memory, t: int) -> None:
         s.values[RADIUS] = s.values[FACTOR] * np.median(apart)
     choose_band(s, t)
     b[ROWS] = 0
-    for i in range(max(b[SEED], t - b[LAG]), t):
+    for i in range(max(b[SEED], t - b[LAG] + 1), t):
         b[ROWS] += mark(s, i, b[SEED])
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from operators.segmentation.layout import EVENTS, NOW, RADIUS, SEED, SEED_AT, START, START_AT, Memory
+from operators.segmentation.layout import EVENTS, NOW, RADIUS, START, START_AT, UNTOLD, UNTOLD_AT, Memory
 from stream.kernel import kernel
 
 
@@ -19,8 +19,8 @@ def tell(s: Memory, kind: int, a: int, c: int, d: int, e: int, f: int, g: int) -
 @kernel
 def stamp(s: Memory, i: int) -> int:
     """When a frame was; the first one after the last activity, and the activity's first, may have left the window."""
-    if i == s.books[SEED]:
-        return int(s.books[SEED_AT])
+    if i == s.books[UNTOLD]:
+        return int(s.books[UNTOLD_AT])
     if i == s.books[START]:
         return int(s.books[START_AT])
     return int(s.times[i % s.times.shape[0]])

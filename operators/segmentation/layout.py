@@ -11,14 +11,18 @@ from stream.chunk import Array, Samples, Times
 
 NAMES = [
     "LAG", "WINDOW", "LEARN", "QUIET", "MASS", "SETTLE", "FIRM", "BAND_LEAST", "BAND_MOST", "EVERY", "FIXED",
-    "NEXT", "SINCE", "SEED", "SEED_AT", "BAND", "RADIUS_AT", "ROWS", "OPEN", "OPENED", "LAST", "BEGUN", "START", "START_AT", "ACTIVITY",
-    "MODE", "ORIGIN", "DONE", "SLOT", "LENGTH", "FREE", "BEST_START", "BEST_END", "COUNT", "PENDING", "FROM", "TO", "CYCLES", "PIECES_FROM", "PIECES_AT", "TOLD_TO",
+    "NEXT", "SINCE", "SEED", "UNTOLD", "UNTOLD_AT", "BAND", "RADIUS_AT", "ROWS", "OPEN", "OPENED", "LAST", "BEGUN",
+    "RETURNED", "REPEATED", "START", "START_AT", "ACTIVITY",
+    "MODE", "ORIGIN", "DONE", "SLOT", "LENGTH", "FREE", "BEST_START", "BEST_END", "COUNT", "PENDING", "FROM", "TO", "CYCLES",
+    "PIECES_FROM", "PIECES_AT", "TOLD_TO",
     "CLUSTER", "NEXT_CLUSTER", "CLOCK", "TURN", "EVENTS", "TOLD", "NOW",
 ]  # fmt: skip
 (
     LAG, WINDOW, LEARN, QUIET, MASS, SETTLE, FIRM, BAND_LEAST, BAND_MOST, EVERY, FIXED,
-    NEXT, SINCE, SEED, SEED_AT, BAND, RADIUS_AT, ROWS, OPEN, OPENED, LAST, BEGUN, START, START_AT, ACTIVITY,
-    MODE, ORIGIN, DONE, SLOT, LENGTH, FREE, BEST_START, BEST_END, COUNT, PENDING, FROM, TO, CYCLES, PIECES_FROM, PIECES_AT, TOLD_TO,
+    NEXT, SINCE, SEED, UNTOLD, UNTOLD_AT, BAND, RADIUS_AT, ROWS, OPEN, OPENED, LAST, BEGUN,
+    RETURNED, REPEATED, START, START_AT, ACTIVITY,
+    MODE, ORIGIN, DONE, SLOT, LENGTH, FREE, BEST_START, BEST_END, COUNT, PENDING, FROM, TO, CYCLES,
+    PIECES_FROM, PIECES_AT, TOLD_TO,
     CLUSTER, NEXT_CLUSTER, CLOCK, TURN, EVENTS, TOLD, NOW,
 ) = range(len(NAMES))  # fmt: skip
 """
@@ -30,12 +34,15 @@ BAND_LEAST, BAND_MOST     bounds of the band around the diagonal
 EVERY                     frames between two choices of the radius while nothing is open
 FIXED                     whether the radius is given
 NEXT, SINCE               number of the next frame; of the first since the start or a gap
-SEED, SEED_AT             first frame after the last activity, and its stamp
+SEED                      first frame after the last activity: neighbours are not looked for before it
+UNTOLD, UNTOLD_AT         first frame that is part of no activity told, and its stamp
 BAND                      frames less far away are no neighbours
 RADIUS_AT                 when the radius is chosen next
 ROWS                      of the newest LAG frames, how many have a neighbour
 OPEN, OPENED, LAST        whether an activity is open, since when; the last frame with a neighbour
 BEGUN, TOLD               whether its start has been sought; whether it is decided, and told
+RETURNED                  whether the activity has been seen to come back to itself after it had left
+REPEATED                  until which frame activities count that do not come back: a window after the last repetition
 START, START_AT           the start and its stamp
 ACTIVITY                  number of the next activity
 MODE                      SEARCH or TRACK
@@ -116,7 +123,7 @@ class Remembered:
     def with_room(self, rows: int) -> Memory:
         """The arrays, and a table for so many events."""
         kept = [getattr(self, f.name) for f in fields(self)]
-        return Memory(*kept, np.empty((rows, EVENT_WIDTH), np.int64), np.empty(rows))
+        return Memory(*kept, *[np.empty((rows, EVENT_WIDTH), np.int64), np.empty(rows)])
 
     def told(self, memory: Memory) -> tuple[Times, Samples]:
         """The events that the last call wrote, and the radii."""

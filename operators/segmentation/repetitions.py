@@ -24,15 +24,16 @@ from operators.segmentation.layout import (
     LENGTH,
     MERGE_EVENT,
     MODE,
+    NEXT,
     ORIGIN,
     PENDING,
     PIECES_AT,
     PIECES_FROM,
     PRIMITIVE_EVENT,
     RADIUS,
+    REPEATED,
     SEARCH,
     SEED,
-    SEED_AT,
     SLOT,
     START,
     START_AT,
@@ -40,6 +41,9 @@ from operators.segmentation.layout import (
     TOLD,
     TOLD_TO,
     TRACK,
+    UNTOLD,
+    UNTOLD_AT,
+    WINDOW,
     Memory,
 )
 from stream.kernel import kernel
@@ -60,9 +64,15 @@ def explore(s: Memory, i: int) -> None:
         pursue(s, i)
         return
     sum_up(s, i)
-    length = cycle_length(s, i)
-    if not length:
-        return
+    length = cycle_length(s, i, False)
+    if length:
+        take_up(s, i, length)
+
+
+@kernel
+def take_up(s: Memory, i: int, length: int) -> None:
+    """A cycle of `length` frames is found at frame `i`: follow a known exemplar that fits, or keep this one."""
+    b = s.books
     origin = max(b[ORIGIN], i + 1 - 2 * length)
     slot = recognise(s, origin, i, length)
     if slot < 0:
@@ -90,7 +100,7 @@ def explore(s: Memory, i: int) -> None:
 def look_back(s: Memory, i: int, start: int) -> int:
     """Where the repetitions up to frame `i` begin, once their cycle is known: those just before `start` belong to them."""
     b = s.books
-    first = max(b[PIECES_FROM] if b[TOLD] else b[SEED], start - b[LAG])
+    first = max(b[PIECES_FROM] if b[TOLD] else b[UNTOLD], start - b[LAG])
     if first >= start:
         return start
     starts, ends, count = np.empty(2 * b[LAG], np.int64), np.empty(2 * b[LAG], np.int64), 0
@@ -112,8 +122,8 @@ def change(s: Memory, origin: int) -> None:
     b = s.books
     tell(s, ACTIVITY_EVENT, b[START_AT], b[TOLD_TO], b[ACTIVITY], b[CYCLES], b[CLUSTER], 0)
     b[ACTIVITY] += 1
-    b[SEED] = b[PIECES_FROM]
-    b[SEED_AT] = b[PIECES_AT]
+    b[SEED] = b[UNTOLD] = b[PIECES_FROM]
+    b[UNTOLD_AT] = b[PIECES_AT]
     b[START], b[TOLD] = max(origin, b[SEED]), 0
     b[COUNT] = b[PENDING] = b[CYCLES] = 0
     b[CLUSTER] = -1
@@ -176,6 +186,8 @@ def settle(s: Memory, last: int) -> None:
     """The pending repetition ends at `last`: it is told, and compared with another cluster's exemplar."""
     b = s.books
     b[CYCLES] += 1
+    if b[CYCLES] > 1:
+        b[REPEATED] = b[NEXT] + b[WINDOW]
     b[PENDING] = 0
     tell(s, PRIMITIVE_EVENT, stamp(s, b[FROM]), stamp(s, last), b[ACTIVITY], b[CYCLES], b[CLUSTER], 0)
     told_to(s, last)
@@ -234,9 +246,9 @@ def tell_start(s: Memory) -> None:
     """The activity's start is decided; what lies before it is a stretch of its own."""
     b = s.books
     first = b[START]
-    b[START_AT] = b[SEED_AT] if first == b[SEED] else s.times[first % s.times.shape[0]]
+    b[START_AT] = b[UNTOLD_AT] if first == b[UNTOLD] else s.times[first % s.times.shape[0]]
     b[TOLD] = 1
-    if first > b[SEED]:
+    if first > b[UNTOLD]:
         stretch(s, first - 1, False)
     b[PIECES_FROM], b[PIECES_AT] = first, b[START_AT]
     tell(s, BEGIN_EVENT, b[START_AT], b[ACTIVITY], 0, 0, 0, 0)
@@ -248,9 +260,9 @@ STRETCH = 2
 
 @kernel
 def stretch(s: Memory, last: int, forced: bool) -> None:
-    """What lies between activities, from SEED to `last`, repeats nothing: one primitive."""
+    """What lies between activities, from UNTOLD to `last`, repeats nothing: one primitive."""
     b = s.books
-    onset, stop = b[SEED_AT], s.times[last % s.times.shape[0]]
+    onset, stop = b[UNTOLD_AT], s.times[last % s.times.shape[0]]
     tell(s, PRIMITIVE_EVENT, onset, stop, b[ACTIVITY], 0, -1, forced)
     tell(s, ACTIVITY_EVENT, onset, stop, b[ACTIVITY], 0, -1, STRETCH + forced)
     b[ACTIVITY] += 1
