@@ -35,10 +35,13 @@ def regions(time: int, **rectangles: tuple[int, int, int, int]) -> tuple[StreamS
 
 
 def play(operator: Operator[Any], **inputs: tuple[StreamSpec, Array, Array]) -> dict[str, Array]:
-    """All samples that come out, by output; inputs in port order."""
+    """All samples that come out, by output. Longer steps of time in regular inputs are told as gaps."""
     order = [name for name in type(operator).inputs if name in inputs]
     case = Case(operator, {name: inputs[name] for name in order})
-    outputs = Player(case).play(whole(tapes_of(case))).outputs
+    tapes = tapes_of(case)
+    for tape in tapes.values():
+        tape.lost[1:][np.diff(tape.time) > 1.5 * tape.spec.period_ns] = -1 if tape.spec.period_ns else 0
+    outputs = Player(case).play(whole(tapes)).outputs
     return {name: output.data for name, output in outputs.items()}
 
 
