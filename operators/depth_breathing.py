@@ -13,7 +13,7 @@ from operators.continuity import regular
 from operators.depth_breath import gather, peak, powers, straighten, vary
 from operators.depth_presence import BED
 from operators.depth_regions import REGION, block_of, region_spec, sleepers_of, take
-from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times, add_lost
+from stream.chunk import NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times, add_lost
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
 from stream.params import param
@@ -149,8 +149,7 @@ class Breathing(Operator[BreathingState]):
                     take(chunk.data, tuple(s.sleepers), s.regions, s.block)
                 else:
                     self._moved_to(str(event["sleeper"]), str(event["state"]), time)
-        if chunk.until < FOREVER:
-            self._pass(chunk.until, made)
+        self._pass(chunk.until, made)
         return [*emitted, ("out", self._chunk(made, chunk.until))]
 
     @classmethod
