@@ -85,13 +85,16 @@ class Server:
             self._kept += packets
         else:
             self.line.plug()
-            self.line.write(b"".join([*self._kept, *packets]))
+            self._send([*self._kept, *packets])
             self._kept = []
+
+    def _send(self, packets: list[bytes]) -> None:
+        self.line.write(b"".join(packets))
 
     def _pull_out(self, packets: list[bytes]) -> None:
         """The last thing to pass is half a packet."""
         if packets:
-            self.line.write(b"".join(packets[:-1]) + packets[-1][: len(packets[-1]) // 2])
+            self._send([*packets[:-1], packets[-1][: len(packets[-1]) // 2]])
         self.line.unplug()
         self._kept = []
 

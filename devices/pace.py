@@ -1,0 +1,76 @@
+"""Samples that come with nothing but their order: when each was made, by counting them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from devices.device_clock import ClockState, DeviceClock
+from stream.chunk import NS, Times
+
+WATCHED_NS = NS
+ASTRAY_NS = 100_000_000
+"""By so much all samples of a second must be late, or one read early, before the count is taken to be wrong."""
+JUDGED_NS = 20 * NS
+WRONG = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class Counted:
+    """n samples: running number, time by it (ns), session time (ns); `astray`: an unknown number is missing before them."""
+
+    number: Times
+    device: Times
+    stamp: Times
+    astray: bool
+
+
+class Pace:
+    """Counts samples of a steady rate that reach us in order (TCP), and maps the count onto session time.
+
+    The count goes wrong where the sender left something out, which nothing tells; but from then on everything comes late by as much, while
+    a stall delays only some. So the least lateness of a second is watched.
+    """
+
+    def __init__(self, rate_hz: float, latency_s: float = 0.0) -> None:
+        self._period = NS / rate_hz
+        self._clock = DeviceClock(latency_s)
+        self._next = self._base = 0
+        self._best = self._least = np.inf
+        self._watched = self._began = 0
+
+    @property
+    def state(self) -> ClockState:
+        """What is known of the sender's clock."""
+        return self._clock.state
+
+    def take(self, n: int, arrival_ns: int) -> Counted:
+        """`n` > 0 samples have arrived now."""
+        late = arrival_ns - (self._next + n - 1 - self._base) * self._period
+        first = not np.isfinite(self._best)
+        if first:
+            self._watched = self._began = arrival_ns
+        self._least = min(self._least, late)
+        astray = not first and late < self._best - ASTRAY_NS
+        if not first and arrival_ns - self._watched > WATCHED_NS:
+            astray = astray or self._least > self._best + ASTRAY_NS
+            self._watched, self._least = arrival_ns, np.inf
+        if astray:
+            self._clock.restart()
+            self._base, self._best, self._least = self._next, np.inf, np.inf
+            late = arrival_ns - (n - 1) * self._period
+        self._best = min(self._best, late)
+        number = np.arange(self._next, self._next + n)
+        self._next += n
+        device = np.round((number - self._base) * self._period).astype(np.int64)
+        self._clock.see(int(device[-1]), arrival_ns)
+        return Counted(number, device, self._clock.stamps(device), astray)
+
+    def measured_hz(self, arrival_ns: int) -> float | None:
+        """The rate that samples really have, if it is not the stated one; None: it is, or it is too early to say."""
+        passed = arrival_ns - self._began
+        if passed < JUDGED_NS:
+            return None
+        share = self._next * self._period / passed
+        return None if abs(share - 1) < WRONG else share * NS / self._period
