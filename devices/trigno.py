@@ -85,7 +85,8 @@ class Trigno(Source):
 
     def specs(self) -> Specs:
         numbers = [one.sensor for one in self.sensors]
-        if not numbers or not all(1 <= n <= SENSORS for n in numbers) or len(set(numbers)) != len(numbers) or len(set(self.names)) != len(numbers):
+        different = len(set(numbers)) == len(set(self.names)) == len(numbers)
+        if not numbers or not different or not all(1 <= n <= SENSORS for n in numbers):
             raise ParameterError("sensors", numbers, "1 to 16 different sensors, with different names")
         if not self.port.startswith("tcp://"):
             raise ParameterError("port", self.port, "tcp://host:port")
