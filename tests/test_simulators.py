@@ -10,6 +10,7 @@ import sys
 import threading
 import tracemalloc
 from importlib.util import find_spec
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +77,22 @@ def test_a_cable_can_be_pulled_out_and_put_in_again(address: str) -> None:
             server.plug()
 
 
+class Steady(CytonBrain):
+    """Its packets are all alike, so that no signal is made, of which the most recent parts would be kept."""
+
+    def counts(self, number: int) -> np.ndarray:
+        return np.zeros(8)
+
+
 def test_pulled_out_a_hundred_times_in_mid_packet_nothing_leaks() -> None:
+    """In a process of its own: threads, handles and memory of other tests come and go as they like."""
+    process = get_context("spawn").Process(target=pull_out_a_hundred_times)
+    process.start()
+    process.join(280)
+    assert process.exitcode == 0
+
+
+def pull_out_a_hundred_times() -> None:
     """The source raises, lets go of everything and can be opened again; threads, handles and memory stay as they were."""
 
     def usage() -> tuple[int, int, int]:
@@ -85,22 +101,25 @@ def test_pulled_out_a_hundred_times_in_mid_packet_nothing_leaks() -> None:
 
     before = (0, 0, 0)
     tracemalloc.start()
-    try:
-        with Server(CytonBrain(), line_at()) as server:
-            for turn in range(100):
-                with reading(Cyton(server.address)) as feed:
-                    wait_for(lambda feed=feed: feed.count("emg") >= 3)
-                    server.unplug()
-                    wait_for(lambda feed=feed: feed.error is not None)
-                assert isinstance(feed.error, DeviceError) and "gone" in str(feed.error)
-                server.plug()
-                if turn == 20:
-                    before = usage()
-            after = usage()
-    finally:
-        tracemalloc.stop()
-    assert after[:2] == before[:2]
-    assert after[2] - before[2] < 200_000, "bytes kept after 79 more times"
+    with Server(Steady(), line_at()) as server:
+        for turn in range(100):
+            pull_out(server)
+            if turn == 20:
+                before = usage()
+        after = usage()
+    assert after[:2] == before[:2], f"{before} then {after}"
+    assert after[2] - before[2] < 100_000, f"{after[2] - before[2]} bytes kept after 79 more times"
+
+
+def pull_out(server: Server) -> None:
+    """Open the source, pull the cable out in mid-packet, put it in again. What was read (more, where the machine is slow) is forgotten."""
+    with reading(Cyton(server.address)) as feed:
+        wait_for(lambda: feed.error is not None or feed.count("emg") >= 3, 60.0)
+        assert feed.error is None, feed.error
+        server.unplug()
+        wait_for(lambda: feed.error is not None, 60.0)
+    assert isinstance(feed.error, DeviceError) and "gone" in str(feed.error)
+    server.plug()
 
 
 def test_misbehaviour_has_the_stated_shares_and_is_the_same_for_a_seed() -> None:
