@@ -25,6 +25,7 @@ class Found:
     activities  (n, 2)   start and end; `transition` (n,): a short stretch between two others
     primitives  (m, 2)   start and end; `cluster` (m,), -1: none; `repetition` (m,), 0: no repetition
     features, time       what was segmented, if it was recorded: (frames, width), (frames,)
+    own                  of stacked features, the first column of offset 0, and the one after its last
     radius               in which neighbours were looked for, in the features' unit; NaN: not known
     """
 
@@ -35,6 +36,7 @@ class Found:
     repetition: Array
     features: Samples = field(default_factory=lambda: np.empty((0, 0)))
     time: Samples = field(default_factory=lambda: np.empty(0))
+    own: tuple[int, int] = (0, 0)
     radius: float = np.nan
 
     def boundaries(self) -> Samples:
@@ -81,7 +83,7 @@ def read_found(path: Path, node: str = "", features: str = "") -> Found:
             primitive["repetition"].astype(np.int64),
         )
         if features:
-            made.time, made.features = _signal(recording, features, zero)
+            made.time, made.features, made.own = _signal(recording, features, zero)
             if len(radii):
                 made.radius = float(radii["radius"][-1]) * np.sqrt(made.features.shape[1])
     return made
@@ -126,14 +128,19 @@ def _spans(events: Array, zero: int) -> Samples:
     return np.stack([start - zero, end - zero], 1) / NS
 
 
-def _signal(recording: Recording, name: str, zero: int) -> tuple[Samples, Samples]:
+def _signal(recording: Recording, name: str, zero: int) -> tuple[Samples, Samples, tuple[int, int]]:
     spec = recording.stream(name).spec
     if spec.is_event or len(spec.shape) > 2:
         raise KinegraphError(f"{recording.path}: --features {name} is {spec.describe()}; it must be a signal")
-    chunks = [entry[0] for entry in recording.entries(name)]
+    chunks = [entry[0] for entry in recording.entries(name) if len(entry[0].time)]
+    if not chunks:
+        raise KinegraphError(f"{recording.path}: --features {name} holds no samples")
     time = np.concatenate([chunk.time for chunk in chunks])
     data = np.concatenate([chunk.data.reshape(len(chunk.time), -1) for chunk in chunks])
-    return (time - zero) / NS, np.ascontiguousarray(data, np.float64)
+    stack = spec.meta.get("stack", {"offsets": [0], "features": data.shape[1]})
+    first = stack["offsets"].index(0) * stack["features"] if 0 in stack["offsets"] else 0
+    own = (first, first + stack["features"])
+    return (time - zero) / NS, np.ascontiguousarray(data, np.float64), own
 
 
 def _table(path: Path) -> Found:

@@ -51,9 +51,10 @@ def draw(name: str, found: Found, truth: Truth | None, radius: float = np.nan) -
     below = outer[-1].subgridspec(len(rows), 1, height_ratios=rows, hspace=0.05)
     axes = [figure.add_subplot(below[i]) for i in range(len(rows))]
     if shown:
-        step = max(1, found.features.shape[1] // MOST_LINES)
+        lines = found.features[:, slice(*found.own)]
+        lines = lines[:, :: -(-lines.shape[1] // MOST_LINES)]
         every = max(1, len(found.features) // (4 * MOST_FRAMES))
-        axes[0].plot(found.time[::every], found.features[::every, ::step], linewidth=0.5)
+        axes[0].plot(found.time[::every], lines[::every], linewidth=0.6)
         axes[0].set(xlim=(0, length), xticks=[], ylabel="features")
     kinds = [
         ("annotated", _truth_bars(truth)),
@@ -84,7 +85,7 @@ def _matrix(axes: Axes, found: Found, radius: float, length: float) -> None:
         radius = float(np.quantile(values, NEAREST)) if len(values) else 1.0
     image = np.where(apart <= radius, 1.0 - 0.85 * apart / radius, np.nan)
     edges = (float(time[0]), float(time[-1]), float(time[-1]), float(time[0]))
-    axes.imshow(image, cmap="Blues", vmin=0.0, vmax=1.0, extent=edges, interpolation="nearest")
+    axes.imshow(image, cmap="Blues", vmin=0.0, vmax=1.0, extent=edges, interpolation="nearest", aspect="auto")
     for start, end in found.activities:
         axes.plot([start, end, end, start, start], [start, start, end, end, start], color="green", linewidth=1.2)
     within = found.repetition > 0
