@@ -3,9 +3,7 @@ goes; and in the end the report says what home automation was told, epoch by epo
 
 from __future__ import annotations
 
-import errno
 import json
-import os
 import subprocess
 import sys
 from datetime import UTC, datetime
@@ -14,17 +12,16 @@ from typing import Any
 
 import home_assistant
 import pytest
-from mosquitto import Listener, broker, eventually, listening
+from mosquitto import Listener, broker, listening
 from ruamel.yaml import YAML
 
 from devices.night import shelf
 from stream.chunk import NS
-from stream.graph.load import load
 
 HERE = Path(__file__).parent
 CONFIG = HERE.parent / "configs" / "bedside_sleep.yaml"
 HISTORY = "kinegraph/bed/history/scorer"
-GONE_S = (2400, 600)
+GONE_S = (3000, 600)
 """When the camera goes, and for how long."""
 
 
@@ -36,7 +33,7 @@ def night(folder: Path, port: int, **camera: Any) -> Path:
         del nodes[name]
     now = datetime.now(UTC)
     nodes["camera"] = {
-        "use": "devices.bedside.Bedside", "bed_h": 1.6, "evening_min": 4, "morning_min": 4, "exits": 1, "seed": 3,
+        "use": "devices.bedside.Bedside", "bed_h": 1.3, "fps": 1, "evening_min": 4, "morning_min": 4, "exits": 1, "seed": 3,
         "evening": f"{now:%H:%M}", "faults": [["gone", *GONE_S]], **camera,
     }  # fmt: skip
     nodes["simplify"] |= {"from": "camera.depth", "learn_s": 60}
@@ -81,13 +78,13 @@ def test_a_night_with_two_power_cuts_ends_in_a_report_that_agrees_with_what_was_
     with broker(tmp_path) as mosquitto, listening(mosquitto.port) as client:
         config, session = night(tmp_path, mosquitto.port), tmp_path / "session"
         process = start(config, session)
-        client.wait(lambda: len(history(client)) >= 55)
+        client.wait(lambda: len(history(client)) >= 40)
         over(process, killed=True)
         first = len(history(client))
         client.wait_for("kinegraph/bed/availability", "offline")  # the last will
         (tmp_path / "set-back").touch()  # daylight saving ends
         process = start(config, session, "--resume")
-        client.wait(lambda: len(history(client)) >= max(140, first + 20))
+        client.wait(lambda: len(history(client)) >= max(80, first + 15))
         over(process, killed=True)
         (tmp_path / "set-back").unlink()
         process = start(config, session, "--resume")
@@ -101,7 +98,7 @@ def test_a_night_with_two_power_cuts_ends_in_a_report_that_agrees_with_what_was_
     ((folder, facts),) = shelf.nights(tmp_path / "nights")
     epochs = shelf.read_epochs(folder)
     logged = list(zip(epochs.onset.tolist(), epochs.texts["state"].tolist(), strict=True))
-    assert len(logged) > 150
+    assert len(logged) > 130
     assert [(onset, state) for onset, state in told if logged[0][0] <= onset <= logged[-1][0]] == logged
     assert said["kinegraph/bed/asleep_final/state"] in ("ON", "OFF", "None")
 
@@ -122,35 +119,3 @@ def test_a_night_with_two_power_cuts_ends_in_a_report_that_agrees_with_what_was_
     assert "kinegraph did not run" in page and "Not scored" in page and "simulated" in page
     assert {path.name for path in folder.iterdir()} >= {*shelf.DRAWN, shelf.MAP}
     assert shelf.bytes_of(folder) < 1_000_000 and not list(session.glob("*.mcap"))
-
-
-def test_a_disk_that_fills_up_costs_neither_the_night_nor_what_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The log's disk is full for a while in the middle of the night; the live states go on, and afterwards every epoch is there."""
-    from stream.engine.session import Session
-
-    with broker(tmp_path) as mosquitto, listening(mosquitto.port) as client:
-        config = night(tmp_path, mosquitto.port, bed_h=1.2, evening="", faults=[])
-        pwrite, full = os.pwrite, [False]
-
-        def refusing(handle: int, data: bytes, offset: int) -> int:
-            n = len(history(client))
-            full[0] = full[0] or 30 <= n < 60
-            if 30 <= n < 60:
-                raise OSError(errno.ENOSPC, "No space left on device")
-            return pwrite(handle, data, offset)
-
-        monkeypatch.setattr(os, "pwrite", refusing)
-        monkeypatch.setattr("devices.append_file.RETRY_S", 0.01)
-        outcome = Session(load(config), None).run()
-        assert outcome.error is None and outcome.exit_code == 0
-        eventually(lambda: len(history(client)) > 100)
-        told = dict(history(client))
-    assert full[0]
-    ((folder, facts),) = shelf.nights(tmp_path / "nights")
-    epochs = shelf.read_epochs(folder)
-    assert facts.closed and len(epochs) > 100
-    assert {onset: told[onset] for onset in epochs.onset.tolist()} == dict(
-        zip(epochs.onset.tolist(), epochs.texts["state"].tolist(), strict=True)
-    )

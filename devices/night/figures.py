@@ -74,11 +74,11 @@ def page_png(
         _table(figure, rows, 0.475)
         if motion is not None:
             figure.text(0.66, 0.475, "Where it moved", fontsize=9, weight="bold", color=INK, va="top")
-            axes = figure.add_axes((0.655, 0.29, 0.24, 0.165))
+            axes = figure.add_axes((0.655, 0.322, 0.235, 0.133))
             axes.set_anchor("N")
             _map(figure, axes, motion)
-        _beside(figure, seen, 0.265 if motion is not None else 0.475)
-        figure.text(0.07, 0.045, "\n".join(CAVEATS), fontsize=7.5, color="#44423d", va="bottom", linespacing=1.5)
+        _beside(figure, seen, 0.298 if motion is not None else 0.475)
+        figure.text(0.07, 0.045, "\n".join(CAVEATS), fontsize=7, color="#44423d", va="bottom", linespacing=1.5)
         file = io.BytesIO()
         figure.savefig(file, format="png", dpi=150, metadata={"Software": "kinegraph"})
         return file.getvalue()
@@ -214,10 +214,10 @@ def _beside(figure: Figure, seen: list[tuple[str, str]], top: float) -> None:
     figure.text(0.66, top, "What was seen", fontsize=9, weight="bold", color=INK, va="top")
     y = top - 0.024
     for name, value in seen:
-        lines = wrap(value, 44)[:4]
+        lines = wrap(value, 46)[:3]
         figure.text(0.66, y, name, fontsize=7.5, va="top")
         figure.text(0.66, y - 0.0115, "\n".join(lines), fontsize=6.5, va="top", color="#6a6862", linespacing=1.25)
-        y -= 0.0175 + 0.0098 * len(lines)
+        y -= 0.0165 + 0.0096 * len(lines)
 
 
 def _days(time: Array, facts: Facts) -> Array:

@@ -153,8 +153,8 @@ def runs(which: np.ndarray) -> list[tuple[int, int]]:
 
 def _when(stretch: Stretch, zone: object) -> str:
     begin, end = clock(stretch.begin, zone), clock(stretch.end, zone)  # type: ignore[arg-type]
-    minutes = (stretch.end - stretch.begin) / (60 * NS)
-    return f"{begin:%H:%M}–{end:%H:%M} ({minutes:.3g} min)"
+    seconds = (stretch.end - stretch.begin) / NS
+    return f"{begin:%H:%M}–{end:%H:%M} ({f'{seconds:.0f} s' if seconds < 90 else f'{seconds / 60:.3g} min'})"
 
 
 def _bounds(numbers: dict[str, object], name: str, write: object) -> str:
