@@ -43,7 +43,7 @@ LEAST_S = 1.0
 """True movement of so long makes an epoch active, as operators.depth_activity.Activity has it."""
 OPERATORS = """
   simplify: {use: operators.depth_simplify.Simplify, from: camera.depth, components: COMPONENTS, learn_s: 60}
-  bed: {use: operators.depth_bed.BedRegion, from: simplify.blocks, sleepers: SLEEPERS}
+  bed: {use: operators.depth_bed.BedRegion, from: simplify.blocks, sleepers: SLEEPERS, regions: REGIONS}
   presence: {use: operators.depth_presence.Presence, from: {regions: bed, blocks: simplify.blocks}}
   motion: {use: operators.depth_motion.Motion, from: {scene: simplify.scene, regions: bed, frames: simplify}}
   activity: {use: operators.depth_activity.Activity, from: {bed: presence, motion: motion}}
@@ -52,9 +52,12 @@ OPERATORS = """
 """
 
 
-def graph(source: str, *, components: int = 2, sleepers: str = "[sleeper]", more: str = "") -> Graph:
+def graph(
+    source: str, *, components: int = 1, sleepers: str = "[sleeper]", regions: str = "[]", more: str = ""
+) -> Graph:
     """The graph; `source` are the parameters of devices.bedside.Bedside as in a YAML mapping."""
     operators = OPERATORS.replace("COMPONENTS", str(components)).replace("SLEEPERS", sleepers)
+    operators = operators.replace("REGIONS", regions)
     operators = operators.replace("FIRST", sleepers.strip("[]").split(",")[0])
     return load_text(f"nodes:\n  camera: {{use: devices.bedside.Bedside, {source}}}\n{operators}{more}")
 
@@ -215,7 +218,7 @@ def hypnograms(folder: Path, count: int) -> Iterator[tuple[str, str]]:
             yield name.removesuffix("_stage"), f"hypnogram: {path}, seed: {seed}"
 
 
-def night(source: str, components: int = 2) -> Agreement:
+def night(source: str, components: int = 1) -> Agreement:
     """One night through the graph, and through it without simplification."""
     return agreement(Run(graph(source, components=components, more=RAW), KEPT).run())
 
@@ -225,7 +228,7 @@ def main() -> None:
     parser.add_argument("--nights", type=int, default=4)
     parser.add_argument("--fps", type=float, default=2.0)
     parser.add_argument("--size", type=int, nargs=2, default=(160, 120), metavar=("WIDTH", "HEIGHT"))
-    parser.add_argument("--components", type=int, default=2)
+    parser.add_argument("--components", type=int, default=1)
     given = parser.parse_args()
     header = [
         "night",

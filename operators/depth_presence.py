@@ -167,10 +167,11 @@ class Presence(Operator[PresenceState]):
     def _forget(self, until: int, events: Rows) -> None:
         """Who has not been seen for too long is nobody knows where."""
         s = self.state
-        for k in np.argsort(s.seen, kind="stable"):
-            if s.state[k] != UNKNOWN and until >= (due := int(s.seen[k]) + round(self.unseen_s * NS)):
-                s.seen_now[k] = np.nan
-                self._become(k, UNKNOWN, int(s.seen[k]), due, events)
+        unseen_ns = round(self.unseen_s * NS)
+        due = [(int(s.seen[k]) + unseen_ns, k) for k in range(len(s.sleepers)) if s.state[k] != UNKNOWN]
+        for stamp, k in sorted(d for d in due if d[0] <= until):
+            s.seen_now[k] = np.nan
+            self._become(k, UNKNOWN, int(s.seen[k]), stamp, events)
 
     def _judge(self, k: int, end: int, events: Rows) -> None:
         """What the newest second says."""
