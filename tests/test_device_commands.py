@@ -17,6 +17,7 @@ from devices.discovery import found
 from devices.discovery.serial_ports import KNOWN, find
 from stream.errors import KinegraphError
 from stream.graph.load import load_text
+from stream.recording import Recording
 
 
 def port(device: str, vid: int | None = None, pid: int | None = None, **given: str) -> ListPortInfo:
@@ -122,12 +123,28 @@ def test_a_recording_with_no_graph_can_be_replayed(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.parametrize("store", [False, True])
+def test_images_are_kept_only_if_it_is_said_in_as_many_words(store: bool, tmp_path: Path) -> None:
+    flag = ["--store-frames"] if store else []
+    done = kinegraph(
+        "record", "cam:tests.camera_part.Camera", "frames=20", *flag, "-o", str(tmp_path / "s"), "--view", "none"
+    )
+    assert done.returncode == 0 and ("images of cam.depth are not kept" in done.stderr) is not store, done.stderr
+    with Recording.open(tmp_path / "s") as recording:
+        assert recording.streams["cam.depth"].samples == 20
+        if store:
+            assert recording.read("cam.depth")[1][:, 5, 7].tolist() == list(range(1, 21))
+        else:
+            assert recording.streams["cam.depth"].kept == "outline"
+
+
 @pytest.mark.parametrize(
     ("arguments", "told", "code"),
     [
         (["devices.cyton.Cyten"], "did you mean 'Cyton'", 2),
         (["devices.cyton.Cyton"], "port is missing", 2),
         (["devices.cyton.Cyton", "port=/dev/ttyNOTTHERE", "deadline_s=1"], "does not exist", 3),
+        (["devices.cyton.Cyton", "port=/dev/ttyUSB0", "--store-frames"], "none of these sources gives images", 2),
         (["devices.cyton.Cyton", "prot=/dev/ttyUSB0"], "did you mean 'port'", 2),
     ],
 )

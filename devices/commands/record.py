@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import io
 import re
+import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from stream.errors import KinegraphError
+
+if TYPE_CHECKING:
+    from stream.graph import Graph
 
 EXAMPLE = "kinegraph record devices.cyton.Cyton port=/dev/ttyUSB0"
 
@@ -29,13 +34,17 @@ def record(
         float, typer.Option("--for", metavar="SECONDS", help="end after so many seconds; 0: when stopped")
     ] = 0.0,
     simulate: Annotated[bool, typer.Option("--simulate", help="simulated devices in the place of real ones")] = False,
+    store_frames: Annotated[
+        bool, typer.Option("--store-frames", help="keep the images of cameras; otherwise only when they came")
+    ] = False,
     view: Annotated[str, typer.Option(help="how the session is shown: auto, live, lines or none")] = "auto",
     json_log: Annotated[bool, typer.Option("--log-json", help="log lines as JSON")] = False,
     verbose: Annotated[bool, typer.Option("-v", "--verbose", help="log more")] = False,
 ) -> None:
     """Record devices with no graph: kinegraph record devices.cyton.Cyton port=/dev/ttyUSB0 -o folder
 
-    Values are read as YAML. The recording holds a graph of these sources alone, so it can be replayed; exit codes are those of `run`.
+    What a camera sees is private, and is kept only with --store-frames. Values are read as YAML. The recording holds a graph of these
+    sources alone, so it can be replayed; exit codes are those of `run`.
     """
     from stream.commands import logs
     from stream.commands.run import conduct, session_folder
@@ -44,11 +53,30 @@ def record(
     logs.set_up(json=json_log, verbose=verbose)
     text, name = written(sources)
     graph = load_text(text, name)
+    if images := pictures(graph):
+        if store_frames:
+            graph = load_text(written(sources, images)[0], name)
+        else:
+            print(
+                f"images of {', '.join(images)} are not kept, only when they came; --store-frames keeps them",
+                file=sys.stderr,
+            )
+    elif store_frames:
+        raise KinegraphError("--store-frames: none of these sources gives images")
     conduct(graph, session_folder(graph, out), duration_s=duration_s, view=view, simulate=simulate)
 
 
-def written(arguments: list[str]) -> tuple[str, str]:
-    """The graph of these sources, as YAML, and its name."""
+def pictures(graph: Graph) -> list[str]:
+    """The outputs of sources that are images."""
+    from stream.recording.image import is_picture
+
+    return [
+        f"{node.name}.{output}" for node in graph.sources for output, spec in node.specs.items() if is_picture(spec)
+    ]
+
+
+def written(arguments: list[str], record: Sequence[str] = ()) -> tuple[str, str]:
+    """The graph of these sources, as YAML, and its name. `record`: outputs to name there, as images must be to be kept."""
     from ruamel.yaml import YAML
 
     nodes: dict[str, dict[str, Any]] = {}
@@ -64,7 +92,7 @@ def written(arguments: list[str]) -> tuple[str, str]:
             node = {"use": path}
             nodes[_name(name if colon else "", path, nodes)] = node
     out = io.StringIO()
-    YAML(typ="safe", pure=True).dump({"nodes": nodes}, out)
+    YAML(typ="safe", pure=True).dump({**({"record": [*record]} if record else {}), "nodes": nodes}, out)
     return out.getvalue(), "-".join(nodes)
 
 
