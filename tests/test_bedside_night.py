@@ -4,6 +4,7 @@ goes; and in the end the report says what home automation was told, epoch by epo
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from datetime import UTC, datetime
@@ -21,6 +22,8 @@ from stream.chunk import NS
 HERE = Path(__file__).parent
 CONFIG = HERE.parent / "configs" / "bedside_sleep.yaml"
 HISTORY = "kinegraph/bed/history/scorer"
+BED_H = float(os.environ.get("KINEGRAPH_NIGHT_H", "1.3"))
+"""How long the night is; 8 takes about a minute and a half."""
 GONE_S = (3000, 600)
 """When the camera goes, and for how long."""
 
@@ -33,8 +36,8 @@ def night(folder: Path, port: int, **camera: Any) -> Path:
         del nodes[name]
     now = datetime.now(UTC)
     nodes["camera"] = {
-        "use": "devices.bedside.Bedside", "bed_h": 1.3, "fps": 1, "evening_min": 4, "morning_min": 4, "exits": 1, "seed": 3,
-        "evening": f"{now:%H:%M}", "faults": [["gone", *GONE_S]], **camera,
+        "use": "devices.bedside.Bedside", "bed_h": BED_H, "fps": 1 if BED_H < 2 else 2, "evening_min": 4, "morning_min": 4,
+        "exits": 1, "seed": 3, "evening": f"{now:%H:%M}", "faults": [["gone", *GONE_S]], **camera,
     }  # fmt: skip
     nodes["simplify"] |= {"from": "camera.depth", "learn_s": 60}
     nodes["nights"]["from"] = {"bed": "presence"}
