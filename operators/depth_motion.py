@@ -34,12 +34,14 @@ class MotionState:
     regions  (k, 4)  per sleeper: row, column, rows, columns; no rows: not known. edges: the columns where they begin and end
     sums, seen (h, w)  the open epoch's change of every pixel (mm), and how often it was measured
     begin    start of the open epoch (ns); NEVER: none is open. frames: how many were compared in it
+    gap_ns   frames farther apart are not compared
     cell     side of a cell of the map, in pixels
     lost     what the next map says is missing before it
     """
 
     sleepers: list[str]
     epoch_ns: int
+    gap_ns: int
     cell: int
     last: Frame
     time: int
@@ -74,7 +76,7 @@ class Motion(Operator[MotionState]):
 
     epoch_s: float = param(30.0, above=0.0, help="length of an epoch; epochs begin at whole multiples of it since 1970")
     least_valid: float = param(0.2, above=0.0, most=1.0, help="share of the region's pixels that must be measured")
-    longest_gap_s: float = param(1.0, above=0.0, help="frames farther apart are not compared")
+    longest_gap_s: float = param(1.0, above=0.0, help="frames farther apart (and than 1.5 periods) are not compared")
     raw: bool = param(False, help="take frames that were not simplified: then checkpoints hold the newest raw frame")
 
     def open(self, specs: Specs) -> Specs:
@@ -90,8 +92,9 @@ class Motion(Operator[MotionState]):
             raise InputError(
                 "scene", specs["scene"].describe(), "the output scene of operators.depth_simplify.Simplify"
             )
-        if regular(spec, "frames") * self.epoch_s > LONGEST_EPOCH:
-            raise ParameterError("epoch_s", self.epoch_s, f"at most {LONGEST_EPOCH / regular(spec):g} (60000 frames)")
+        rate_hz = regular(spec, "frames")
+        if rate_hz * self.epoch_s > LONGEST_EPOCH:
+            raise ParameterError("epoch_s", self.epoch_s, f"at most {LONGEST_EPOCH / rate_hz:g} (60000 frames)")
         sleepers = sleepers_of(specs) if "regions" in specs else ("frame",)
         height, width = spec.shape
         cell = int(simplified["block"]) if simplified else 1
@@ -100,7 +103,8 @@ class Motion(Operator[MotionState]):
             regions[0] = 0, 0, height, width
         self.hold(
             MotionState(
-                list(sleepers), round(self.epoch_s * NS), cell, np.zeros(spec.shape, np.uint16), NEVER, regions, _edges(regions, width),
+                list(sleepers), round(self.epoch_s * NS), round(max(self.longest_gap_s, 1.5 / rate_hz) * NS), cell,
+                np.zeros(spec.shape, np.uint16), NEVER, regions, _edges(regions, width),
                 np.zeros(spec.shape, np.uint32), np.zeros(spec.shape, np.uint16), NEVER, 0, 0,
             )
         )  # fmt: skip
@@ -166,7 +170,7 @@ class Motion(Operator[MotionState]):
         s = self.state
         if s.begin == NEVER:
             s.begin = time // s.epoch_ns * s.epoch_ns
-        if s.time != NEVER and time - s.time <= self.longest_gap_s * NS:
+        if s.time != NEVER and time - s.time <= s.gap_ns:
             if change(frame, s.last, s.regions, s.edges, self.least_valid, s.sums, s.seen, out):
                 s.frames += 1
             else:
