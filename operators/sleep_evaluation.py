@@ -125,45 +125,9 @@ def write_table(pairs: list[Pair], path: Path) -> None:
 
 def draw(pairs: list[Pair]) -> Figure:
     """Bland-Altman plots of TST, SOL and WASO, and below them both hypnograms of every night."""
-    from matplotlib.figure import Figure
+    from operators import sleep_pictures
 
-    shown = pairs[:20]
-    figure = Figure(figsize=(11, 3.6 + 0.9 * len(shown)), layout="constrained")
-    grid = figure.add_gridspec(1 + len(shown), 3, height_ratios=[3.2, *[0.8] * len(shown)])
-    for k, (key, found) in enumerate(agreement(pairs).items()):
-        axes = figure.add_subplot(grid[0, k])
-        e, r = (np.array([getattr(getattr(one, side), key) for one in pairs]) for side in ("found", "truth"))
-        for number, person in enumerate(dict.fromkeys(one.person for one in pairs)):
-            mine = np.array([one.person == person for one in pairs])
-            axes.scatter(((e + r) / 2)[mine], (e - r)[mine], s=18, color=f"C{number % 10}")
-        for value, interval, style in (
-            (found.bias, found.bias_interval, "-"), (found.low, found.low_interval, "--"), (found.high, found.high_interval, "--")
-        ):  # fmt: skip
-            if value == value:
-                axes.axhline(value, color="black", linewidth=1, linestyle=style)
-            if interval[0] == interval[0]:
-                axes.axhspan(*interval, color="0.5", alpha=0.15, linewidth=0)
-        axes.set(title=NUMBERS[key], xlabel="mean of both (min)", ylabel="estimate - reference (min)")
-    for k, one in enumerate(shown):
-        axes = figure.add_subplot(grid[k + 1, :])
-        hours = (one.time - one.time[0]) / (3600 * NS)
-        for states, base, color in ((one.reference, 1.3, "black"), (one.estimate, 0.0, "C0")):
-            axes.step(
-                hours,
-                np.where(states == UNKNOWN, np.nan, base + (states == 1)),
-                where="post",
-                color=color,
-                linewidth=0.8,
-            )
-        axes.set(
-            yticks=[0.5, 1.8],
-            yticklabels=["estimate", "reference"],
-            title=f"{one.name}, {one.person}: up is wake",
-            xlabel="hours",
-        )
-        axes.title.set_fontsize(8)
-    figure.suptitle(NOTE, fontsize=8)
-    return figure
+    return sleep_pictures.draw(pairs, agreement(pairs), NUMBERS, NOTE)
 
 
 def _counts(c: Confusion) -> list[str]:
