@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.pictures import face
 from operators.depth_regions import REGION, region_spec
 from stream.chunk import NS, Array, Chunk, Specs, StreamSpec
 from stream.operator import Case, Operator
@@ -56,19 +57,6 @@ def finer(frame: Array, size: int = BLOCK) -> float:
     """The energy of what a frame holds beside the level of each block."""
     cut = in_blocks(np.asarray(frame, float), size)
     return float(((cut - cut.mean(axis=-1, keepdims=True)) ** 2).sum())
-
-
-def face(height: int, width: int, row: int, column: int) -> Array:
-    """A relief as large as a face at 2 m (40 x 52 pixels): nose, eyes, brows, lips, on a dome; mm towards the camera."""
-    y, x = np.mgrid[0:height, 0:width].astype(float)
-
-    def bump(dx: float, dy: float, wide: float, high: float) -> Array:
-        return np.exp(-(((x - column - dx) / wide) ** 2) - ((y - row - dy) / high) ** 2)
-
-    features = 25 * bump(0, 2, 3, 6) - 8 * bump(0, 14, 7, 2) + 8 * bump(0, 11, 6, 2)
-    for side in (-9, 9):
-        features += 10 * bump(side, -11, 6, 1.5) - 14 * bump(side, -6, 4, 3)
-    return features + 40 * bump(0, 0, 20, 26)
 
 
 @dataclass(frozen=True, slots=True)

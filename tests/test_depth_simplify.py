@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.pictures import face
 from operators.depth_blocks import left_over
 from operators.depth_simplify import Simplify
 from stream.chunk import NS, Array, Chunk
@@ -16,7 +17,7 @@ from stream.errors import InputError, ParameterError
 from stream.graph.load import load_text
 from stream.operator import grid
 from stream.recording import Recording
-from tests.depth_frames import Faces, blocks_spec, face, finer, frames_spec, in_blocks, play
+from tests.depth_frames import Faces, blocks_spec, finer, frames_spec, in_blocks, play
 
 RAW = frames_spec(48, 64, simplified=False)
 
