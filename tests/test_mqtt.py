@@ -270,3 +270,19 @@ def test_the_end_of_a_stream_is_no_life(tmp_path: Path) -> None:
     with running(made):
         made.process("motion", Chunk(np.array([START]), np.array([[1.0, 2.0]]), FOREVER))
         assert made.desk.told["camera"][0] == "OFF"
+
+
+def test_a_broker_that_never_answers_holds_nobody_up() -> None:
+    import socket
+
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        made = outlet(silent.getsockname()[1])
+        with running(made):
+            for k in range(500):
+                made.process("scorer", epochs(k))
+            assert made.desk.outbox and not made.desk.outbox.empty
+            assert len(json.loads("[" + ",".join(OutboxState(**_texts(made)).letters.splitlines()) + "]")) == 500
+
+
+def _texts(made: MqttOutlet) -> dict[str, str]:
+    return {name: str(array) for name, array in made.snapshot().items()}

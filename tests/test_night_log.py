@@ -320,3 +320,25 @@ def test_an_edf_of_any_length_can_be_written(tmp_path: Path) -> None:
         write_edf(tmp_path / "n.edf", shelf.Facts("n", EVENING, 30.0, "UTC"), epochs)
         edf = edfio.read_edf(tmp_path / "n.edf")
         assert n <= len(edf.signals[0].data) <= n + 50 and len(edf.annotations) == n
+
+
+def test_the_lights_end_a_night_though_somebody_stays_in_bed(tmp_path: Path) -> None:
+    """What follows is no night of its own; the next one begins when the bed was left in between."""
+    night, log = Night(n=300, out=280), opened(tmp_path, report=False)
+    night.bed[150:280] = "in"
+    log.begin()
+    feed(log, night.told(0, 200))
+    log.process("lights", night_made.event(SPECS["lights"].dtype, night.onset(200), True))
+    (row,) = (chunk for port, chunk in night.end() if port == "nights")
+    row.data["end"], row.data["estimated"], row.data["bed"] = night.onset(190), False, "lights"
+    log.process("nights", row)
+    feed(log, night.told(200))
+    ((folder, facts),) = shelf.nights(tmp_path)
+    assert facts.closed and facts.switched == [[night.onset(200), "lights on"]]
+    assert len(logged(folder)) == 200 - LATE - night.inn
+    rows = {r.name: r for r in table(facts, shelf.read_epochs(folder))}
+    assert "Sleep onset latency (SOL)" in rows and rows["Time in bed (TIB)"].meaning == "lights off to lights on"
+    later = Night(n=2000, inn=1800, out=1990)
+    feed(log, later.told(1790, 1900))
+    log.close()
+    assert len(shelf.nights(tmp_path)) == 2

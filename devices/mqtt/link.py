@@ -137,6 +137,8 @@ class Link:
                     pause = FIRST_PAUSE_S
             except (OSError, ValueError) as error:
                 self._complain(str(error))
+            except Exception as error:
+                log.error("MQTT connection failed", error=f"{type(error).__name__}: {error}", exc_info=True)
             finally:
                 self._gone()
                 client.loop_stop()

@@ -43,10 +43,15 @@ log = structlog.get_logger(__name__)
 
 @dataclass(slots=True)
 class LogState:
-    """`held`: what is known of epochs that are not final yet, as JSON by onset; `bed`: what the bed is now."""
+    """
+    held   what is known of epochs that are not final yet, as JSON by onset
+    bed    what the bed is now
+    rests  the night is over, but somebody is still in bed: the next begins when the bed was left
+    """
 
     held: str = "{}"
     bed: str = ""
+    rests: bool = False
 
 
 class _Desk:
@@ -166,6 +171,7 @@ class NightLog(_Logger):
                 desk.last = max(desk.last, int(epochs.onset[-1]))
             if facts.closed:
                 desk.former, desk.former_end = folder, int(facts.numbers.get("end", desk.last))
+                self.state.rests = self.state.rests or (len(epochs) > 0 and str(epochs.texts["bed"][-1]) == "in")
             elif len(epochs):
                 desk.night = _continued(folder, facts, epochs)
                 self._mark_break(desk.night, int(epochs.end[-1]))
@@ -184,8 +190,8 @@ class NightLog(_Logger):
             if port == "map":
                 self._map(np.asarray(chunk.data[-1]["map"], np.float32))
             else:
-                for row in chunk.data:
-                    self._take(port, row)
+                for stamp, row in zip(chunk.time.tolist(), chunk.data, strict=True):
+                    self._take(port, row, stamp)
         self._look_after_drawing()
 
     def close(self) -> None:
@@ -208,13 +214,13 @@ class NightLog(_Logger):
 
     # what comes in -------------------------------------------------------------------------------------------------------
 
-    def _take(self, port: str, row: Any) -> None:
+    def _take(self, port: str, row: Any, stamp: int) -> None:
         if port == "epochs":
             self._epoch(row)
         elif port == "nights":
             self._night(row)
         elif port == "lights":
-            self._switched(row)
+            self._switched(row, stamp)
         elif self.sleeper in ("", str(row["sleeper"])):
             if port == "bed":
                 self._bed(row)
@@ -259,8 +265,10 @@ class NightLog(_Logger):
                 return None
             self._shut(night)
             night = None
+        if bed == "out" or onset > desk.former_end + APART_NS:
+            self.state.rests = False
         if night is None:
-            if not here or (not told and onset < desk.former_end + APART_NS):
+            if not here or self.state.rests or (not told and onset < desk.former_end + APART_NS):
                 return None
             night = self._opened(onset)
         if here:
@@ -276,6 +284,7 @@ class NightLog(_Logger):
         night.facts.numbers = {k: (None if v != v else v) for k, v in numbers.items()}
         night.facts.closed = True
         desk.former, desk.former_end, desk.night = night.folder, numbers["end"], None
+        self.state.rests = True
         self._shut(night)
         log.info("the night is over", night=night.folder.name, folder=str(night.folder))
         self._draw_soon(night.folder)
@@ -289,11 +298,13 @@ class NightLog(_Logger):
             night.facts.exits.append(entry)
             night.save()
 
-    def _switched(self, row: Any) -> None:
+    def _switched(self, row: Any, stamp: int) -> None:
         night = self.desk.night
         if night is not None and len(night.facts.switched) < MOST_LISTED:
-            night.facts.switched.append([self.desk.last, "lights on" if row["on"] else "lights off"])
-            night.save()
+            entry = [stamp, "lights on" if row["on"] else "lights off"]
+            if entry not in night.facts.switched:
+                night.facts.switched.append(entry)
+                night.save()
 
     def _map(self, frame: Array) -> None:
         """The map comes with the night's numbers, before or after them."""
