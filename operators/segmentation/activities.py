@@ -114,7 +114,10 @@ def step(s: Memory, t: int) -> None:
             while b[DONE] < t:
                 b[DONE] += 1
                 explore(s, b[DONE])
-            if counts(s) and not b[TOLD] and t >= b[OPENED] + b[FIRM]:
+            if not b[TOLD] and t >= b[OPENED] + b[FIRM]:
+                if not counts(s):
+                    b[OPEN] = b[BEGUN] = b[ROWS] = b[RADIUS_AT] = 0
+                    return
                 tell_start(s)
         if t - b[LAST] >= b[QUIET] and not under_way(s, t):
             finish(s, False)

@@ -26,7 +26,7 @@ from stream.kernel import kernel
 
 DIP = 0.6
 """A cycle's lag is where the mean distance falls to this share of the largest one at a shorter lag."""
-RETURNS = 0.9
+RETURNS = 0.75
 """With this share in place of DIP, there is no cycle to count, but motion that comes back: an activity of its own."""
 SEEN = 0.7
 """So much of the second cycle must have been seen."""

@@ -60,8 +60,9 @@ CLOCK, TURN               counts uses of exemplars; whose turn it is to be compa
 EVENTS, NOW               rows written to the table of events; the stamp of what is decided now
 """
 SEARCH, TRACK = 0, 1
-RADIUS, BEST, FACTOR = 0, 1, 2
-"""Places in `values`: the radius, the best path's mean distance, the radius as a share of the median distance."""
+RADIUS, BEST, FACTOR, PRICE = range(4)
+"""Places in `values`: the radius, the best path's mean distance, the radius as a share of the median distance, the
+pending repetition's mean distance."""
 
 ACTIVITY_EVENT, PRIMITIVE_EVENT, BEGIN_EVENT, COUNT_EVENT, MERGE_EVENT, RADIUS_EVENT, BELIEVED_EVENT = range(7)
 EVENT_WIDTH = 8
@@ -156,5 +157,5 @@ def allocate(width: int, frames: dict[str, int], radius: float | None, factor: f
         exemplars=np.zeros((MOST_CLUSTERS, width, lag)),
         clusters=clusters,
         books=books,
-        values=np.array([0.0 if radius is None else radius, np.inf, factor]),
+        values=np.array([0.0 if radius is None else radius, np.inf, factor, np.inf]),
     )

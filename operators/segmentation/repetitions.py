@@ -12,6 +12,7 @@ from operators.segmentation.layout import (
     ACTIVITY_EVENT,
     BEGIN_EVENT,
     BELIEVED_EVENT,
+    BEST,
     BEST_END,
     BEST_START,
     CLUSTER,
@@ -29,6 +30,7 @@ from operators.segmentation.layout import (
     PENDING,
     PIECES_AT,
     PIECES_FROM,
+    PRICE,
     PRIMITIVE_EVENT,
     RADIUS,
     REPEATED,
@@ -165,17 +167,24 @@ def slack(length: int) -> int:
 
 @kernel
 def accept(s: Memory) -> None:
-    """The best path is a repetition: the one before it ends where it starts."""
+    """The best path is a repetition: the one before it ends where it starts. Of two that start within half a cycle the cheaper one is."""
     b = s.books
     start, end = b[BEST_START], b[BEST_END]
-    if b[PENDING]:
-        start = max(start, b[FROM] + 1)
+    close = b[PENDING] and start - b[FROM] < slack(b[LENGTH])
+    if close and s.values[BEST] >= s.values[PRICE]:
+        b[LAST] = max(b[LAST], end)
+        release(s)
+        return
+    if close:
+        b[COUNT] -= 1
+    elif b[PENDING]:
         settle(s, start - 1 if start - 1 - b[TO] <= slack(b[LENGTH]) else min(b[TO], start - 1))
     b[LAST] = max(b[LAST], end)
     start = max(start, b[PIECES_FROM])
     if start > b[PIECES_FROM]:
         piece(s, start - 1, False)
     b[PENDING], b[FROM], b[TO] = 1, start, end
+    s.values[PRICE] = s.values[BEST]
     b[CLUSTER] = s.clusters[b[SLOT], NUMBER]
     b[COUNT] += 1
     release(s)

@@ -1,0 +1,447 @@
+"""The segmentation in its plainest form: a whole recording, every distance there is, Python loops; it defines what the live one must tell.
+
+Each event is (kind, frame of the decision, ...). A decision at frame t looks at frames up to t only, at most a window back, and at the
+exemplars that were kept: every distance is asked for through `Reference.apart`, which notes how far back was looked.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+Event = tuple[Any, ...]
+DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 0.8, 64, 24
+
+
+@dataclass
+class Exemplar:
+    """A cluster's first cycle: its number, frames (length, features), and when it was used last."""
+
+    number: int
+    frames: Any
+    used: int = 0
+
+
+@dataclass
+class Paths:
+    """The cheapest warping paths along an exemplar that end at the newest frame, per column: cost and first frame."""
+
+    frames: Any
+    free: int
+    cost: list[float] = field(default_factory=list)
+    begin: list[int] = field(default_factory=list)
+    best: tuple[float, int, int] | None = None
+
+    def __post_init__(self) -> None:
+        self.cost, self.begin = [np.inf] * len(self.frames), [-1] * len(self.frames)
+
+    def advance(self, apart: Any, i: int, radius: float) -> float:
+        """Steps (1,1) weigh 2, (1,0) and (0,1) weigh 1; a node costs its distance less GAIN radii. Mean distance at the last column."""
+        m, old, begin = len(apart), self.cost, self.begin
+        cost, first = [np.inf] * m, [-1] * m
+        for c in range(m):
+            step = apart[c] - GAIN * radius
+            if c == 0:
+                ways = [(2 * step, i)] if i >= self.free else []
+            else:
+                ways = [
+                    (old[c - 1] + 2 * step, begin[c - 1]),
+                    (cost[c - 1] + step, first[c - 1]),
+                    (old[c] + step, begin[c]),
+                ]
+            for price, start in ways:
+                if price < cost[c]:
+                    cost[c], first[c] = price, start
+            if first[c] < self.free or i - first[c] >= 2 * m:
+                cost[c], first[c] = np.inf, -1
+        self.cost, self.begin = cost, first
+        frames = i - first[-1] + 1
+        if cost[-1] == np.inf or frames * 2 < m:
+            return np.inf
+        return cost[-1] / (frames + m) + GAIN * radius
+
+    @property
+    def patience(self) -> int:
+        return max(3, len(self.frames) // 4)
+
+    @property
+    def slack(self) -> int:
+        return len(self.frames) // 2
+
+    def release(self) -> None:
+        assert self.best
+        self.free = self.best[2] + 1 - self.patience // 2
+        for c, start in enumerate(self.begin):
+            if start < self.free:
+                self.cost[c], self.begin[c] = np.inf, -1
+        self.best = None
+
+
+class Reference:
+    """Feed `run` a recording (n, features); `frames` are the parameters in frames, named as in operators/segmentation/layout.py."""
+
+    def __init__(self, x: Any, frames: dict[str, int], share: float, radius: float | None = None) -> None:
+        self.good = np.isfinite(x).all(1)
+        self.x = np.array(x, float)
+        for i in np.flatnonzero(~self.good):
+            self.x[i] = self.x[i - 1] if i else 0.0
+        self.p, self.share, self.fixed = frames, share, radius
+        self.radius, self.band = radius or 0.0, frames["BAND_MOST"]
+        self.events: list[Event] = []
+        self.now = self.back = 0
+        self.exemplars: list[Exemplar | None] = [None] * MOST_CLUSTERS
+        self.clock = self.turn = self.clusters = self.activity = 0
+
+    def run(self, *, end: bool = True) -> list[Event]:
+        self.seed = self.untold = self.when = self.repeated = 0
+        self.open = False
+        self.flags = np.zeros(len(self.x), bool)
+        for t in range(len(self.x)):
+            self.now = t
+            self.step(t)
+        if end and len(self.x):
+            self.end()
+        return self.events
+
+    def tell(self, kind: str, *what: int) -> None:
+        self.events.append((kind, self.now, *(int(v) for v in what)))
+
+    def apart(self, i: int, j: int) -> float:
+        assert i <= self.now and j <= self.now
+        self.back = max(self.back, self.now - min(i, j))
+        return float(np.sqrt(np.sum((self.x[i] - self.x[j]) ** 2) / self.x.shape[1]))
+
+    def along(self, i: int, frames: Any) -> Any:
+        """Distances of frame `i` to an exemplar's frames."""
+        self.back = max(self.back, self.now - i)
+        return np.sqrt(np.sum((frames - self.x[i]) ** 2, axis=1) / self.x.shape[1])
+
+    # Activities
+
+    def has_neighbour(self, i: int) -> bool:
+        lags = range(self.band, min(self.p["LAG"], i - self.seed) + 1)
+        return bool(self.good[i]) and any(self.apart(i, i - k) <= self.radius for k in lags)
+
+    def step(self, t: int) -> None:
+        p = self.p
+        if not self.open:
+            if t + 1 < p["LEARN"]:
+                return
+            if t >= self.when:
+                self.choose_radius(t)
+                self.when = t + p["EVERY"]
+                for i in range(max(self.seed, t - p["LAG"] + 1), t):
+                    self.flags[i] = self.has_neighbour(i)
+            self.flags[t] = self.has_neighbour(t)
+            recent = slice(max(self.seed, t - p["LAG"] + 1), t + 1)
+            if self.flags[recent].sum() >= p["MASS"]:
+                self.open_up(t)
+        elif self.has_neighbour(t):
+            self.last = t
+        if self.open:
+            if not self.begun and (t - self.last >= p["QUIET"] or t >= self.opened + p["SETTLE"]):
+                self.begin()
+            if self.begun:
+                while self.done < t:
+                    self.done += 1
+                    self.explore(self.done)
+                if not self.told and t >= self.opened + p["FIRM"]:
+                    if not self.counts():
+                        self.open, self.when = False, 0
+                        return
+                    self.tell_start()
+            if t - self.last >= p["QUIET"] and not self.under_way(t):
+                self.finish(False)
+
+    def choose_radius(self, t: int) -> None:
+        p = self.p
+        if self.fixed is None:
+            first = max(0, t - p["WINDOW"] + 1)
+            chosen = range(first, t + 1, max(1, (t - first + 1) // SAMPLED))
+            self.radius = self.share * float(np.median([self.apart(i, j) for i in chosen for j in chosen if j < i]))
+        stays = []
+        for i in range(max(0, t - p["LAG"]), t):
+            k = 1
+            while k < p["BAND_MOST"] and k <= i and self.apart(i, i - k) <= self.radius:
+                k += 1
+            stays.append(k)
+        typical = sorted(stays)[(len(stays) - 1) // 2] if stays else 0
+        self.band = min(p["BAND_MOST"], max(p["BAND_LEAST"], typical + typical // 2))
+
+    def open_up(self, t: int) -> None:
+        self.open, self.opened, self.begun, self.told, self.paths = True, t, False, False, None
+        first = max(self.seed, t - self.p["LAG"] + 1)
+        marked = [i for i in range(first, t + 1) if self.flags[i]]
+        self.last, first = marked[-1], marked[0]
+        k = next(k for k in range(self.band, first + 1) if self.apart(first, first - k) <= self.radius)
+        self.tell("radius")
+        self.tell("provisional", first - k, t, self.activity + (first - k > self.untold), 0)
+
+    def begin(self) -> None:
+        """Grow backward from the last frame with a neighbour."""
+        p, first, found = self.p, self.last, 0
+        for i in range(self.last, max(self.seed, self.opened - 2 * p["LAG"]) - 1, -1):
+            lags = range(self.band, min(p["LAG"], self.last - i) + 1)
+            if self.good[i] and any(self.apart(i + k, i) <= self.radius for k in lags):
+                first, found = i, found + 1
+            elif first - i >= p["QUIET"] and found >= p["MASS"]:
+                break
+        self.begun, self.start, self.paths, self.origin, self.done = True, first, None, first, first - 1
+        self.returned = False
+        self.forget()
+
+    def counts(self) -> bool:
+        """Motion that does not come back is no activity, unless there were repetitions within a window."""
+        return self.returned or self.repeated > self.now
+
+    def forget(self) -> None:
+        self.count = self.cycles = 0
+        self.pending: tuple[int, int] | None = None
+        self.cluster = -1
+
+    def tell_start(self) -> None:
+        self.told, self.pieces = True, self.start
+        if self.start > self.untold:
+            self.stretch(self.start - 1, 0)
+        self.tell("begin", self.start, self.activity)
+
+    def stretch(self, last: int, forced: int) -> None:
+        self.tell("primitive", self.untold, last, self.activity, 0, -1, forced)
+        self.tell("activity", self.untold, last, self.activity, 0, -1, 2 + forced)
+        self.activity += 1
+
+    def under_way(self, t: int) -> bool:
+        q = self.paths
+        if q is None or not self.count:
+            return False
+        return any(
+            0 <= q.begin[c] <= self.last + q.slack
+            and q.cost[c] <= (HOLDS - GAIN) * self.radius * (t - q.begin[c] + c + 2)
+            for c in range(len(q.frames) // 3, len(q.frames))
+        )
+
+    def finish(self, forced: bool) -> None:
+        if self.paths is None and not self.told:
+            length = self.cycle_length(self.done, last_chance=True)
+            if length:
+                self.take_up(self.done, length)
+        if not self.told and not self.counts():
+            self.open, self.seed, self.when = False, self.last + 1, 0
+            return
+        if not self.told:
+            self.tell_start()
+        if self.paths and self.paths.best and self.paths.best[1] <= self.last:
+            self.accept()
+        last = self.last
+        if self.pending:
+            assert self.paths
+            self.settle(last if last - self.pending[1] <= self.paths.slack else self.pending[1])
+        if self.pieces <= last:
+            self.piece(last, forced)
+        self.tell("activity", self.start, last, self.activity, self.cycles, self.cluster, forced)
+        self.activity += 1
+        self.open, self.when = False, 0
+        self.seed = self.untold = last + 1
+
+    def end(self) -> None:
+        if self.open:
+            if not self.begun:
+                self.begin()
+            while self.done < self.now:
+                self.done += 1
+                self.explore(self.done)
+            self.finish(True)
+        if self.untold <= self.now:
+            self.stretch(self.now, 1)
+
+    # Cycles
+
+    def explore(self, i: int) -> None:
+        if self.paths:
+            self.pursue(i)
+            return
+        length = self.cycle_length(i)
+        if length:
+            self.take_up(i, length)
+
+    def take_up(self, i: int, length: int) -> None:
+        origin = max(self.origin, i + 1 - 2 * length)
+        slot = self.recognise(origin, i, length)
+        if slot < 0:
+            slot = self.keep(origin, length)
+        found = self.use(slot)
+        if self.told and self.cycles and found.number != self.cluster:
+            self.tell("activity", self.start, self.pieces - 1, self.activity, self.cycles, self.cluster, 0)
+            self.activity += 1
+            self.seed = self.untold = self.pieces
+            self.told = False
+            self.start = max(origin, self.seed)
+            self.forget()
+        self.slot = slot
+        if self.told:
+            origin = self.look_back(i, origin, self.pieces)
+        else:
+            origin = self.start = self.look_back(i, self.start, self.untold)
+            self.tell_start()
+        self.origin, self.paths = origin, Paths(found.frames, origin)
+        for j in range(origin, i + 1):
+            if self.paths:
+                self.pursue(j)
+
+    def cycle_length(self, i: int, *, last_chance: bool = False) -> int:
+        p, largest = self.p, 0.0
+        seen = i - self.origin + 1
+        lags = [k for k in range(1, p["LAG"] + 1) if seen - k >= SEEN * max(k, p["MASS"])]
+        means: dict[int, float] = {}
+        for k in lags:
+            n = min(max(k, p["MASS"]), seen - k)
+            rows = np.arange(i - n + 1, i + 1)
+            self.back = max(self.back, self.now - int(rows[0]) + k)
+            means[k] = float(np.sqrt(((self.x[rows] - self.x[rows - k]) ** 2).sum(1) / self.x.shape[1]).mean())
+        for k in lags:
+            if (
+                k >= self.band
+                and largest >= LEAVES * self.radius
+                and means[k] < RETURNS * largest
+                and means[k] <= self.radius
+            ):
+                self.returned = True
+                wide = max(2, k // 5)
+                if means[k] < DIP * largest:
+                    if k + wide not in means and not last_chance:
+                        return 0
+                    if all(means.get(j, np.inf) >= means[k] for j in range(k - wide, k + wide + 1)):
+                        return k
+            largest = max(largest, means[k])
+        return 0
+
+    def look_back(self, i: int, start: int, floor: int) -> int:
+        first = max(floor, start - self.p["LAG"])
+        if first >= start:
+            return start
+        exemplar = self.exemplars[self.slot]
+        assert exemplar
+        paths, found = Paths(exemplar.frames, first), []
+        for j in range(first, i + 1):
+            if self.track(paths, j):
+                assert paths.best
+                found.append(paths.best[1:])
+                paths.release()
+        for begin, end in reversed(found):
+            if begin < start <= end + paths.slack:
+                start = begin
+        return start
+
+    def track(self, paths: Paths, i: int) -> bool:
+        mean = paths.advance(self.along(i, paths.frames), i, self.radius)
+        if mean <= self.radius and (paths.best is None or mean < paths.best[0]):
+            paths.best = (mean, paths.begin[-1], i)
+        return paths.best is not None and i - paths.best[2] >= paths.patience
+
+    def pursue(self, i: int) -> None:
+        q = self.paths
+        assert q
+        fresh = q.best is None
+        if self.track(q, i):
+            self.accept()
+        elif fresh and q.best:
+            self.tell("count", self.activity, self.count + 1)
+            self.tell("provisional", q.best[1], q.best[2], self.activity, self.count + 1)
+        since = self.pending[1] if self.pending else self.origin
+        if q.best is None and i - since > q.slack + 2 * len(q.frames) + q.patience:
+            if self.pending:
+                self.settle(self.pending[1])
+            self.paths, self.origin = None, max(self.pieces, i - self.p["LAG"])
+
+    def accept(self) -> None:
+        q = self.paths
+        assert q and q.best
+        price, start, end = q.best
+        close = bool(self.pending and start - self.pending[0] < q.slack)
+        if close and price >= self.price:
+            self.last = max(self.last, end)
+            q.release()
+            return
+        if close:
+            self.count -= 1
+        elif self.pending:
+            until = self.pending[1]
+            self.settle(start - 1 if start - 1 - until <= q.slack else min(until, start - 1))
+        self.last = max(self.last, end)
+        start = max(start, self.pieces)
+        if start > self.pieces:
+            self.piece(start - 1, False)
+        self.pending, self.price = (start, end), price
+        found = self.exemplars[self.slot]
+        assert found
+        self.cluster = found.number
+        self.count += 1
+        q.release()
+
+    def settle(self, last: int) -> None:
+        assert self.pending
+        first = self.pending[0]
+        self.pending, self.cycles, self.pieces = None, self.cycles + 1, last + 1
+        if self.cycles > 1:
+            self.repeated = self.now + 1 + self.p["WINDOW"]
+        self.tell("primitive", first, last, self.activity, self.cycles, self.cluster, 0)
+        other = self.alike(first, last)
+        if other >= 0:
+            here, there = self.exemplars[self.slot], self.exemplars[other]
+            assert here and there
+            self.tell("merge", max(here.number, there.number), min(here.number, there.number))
+            if here.number > there.number:
+                self.cluster = there.number
+            here.number = min(here.number, there.number)
+            self.exemplars[other] = None
+
+    def piece(self, last: int, forced: bool) -> None:
+        self.tell("primitive", self.pieces, last, self.activity, 0, -1, forced)
+        self.pieces = last + 1
+
+    # Clusters
+
+    def fit(self, exemplar: Exemplar, first: int, last: int, whole: bool) -> float:
+        paths, best, m = Paths(exemplar.frames, first), np.inf, len(exemplar.frames)
+        for i in range(first, last + 1):
+            mean = paths.advance(self.along(i, paths.frames), i, self.radius)
+            if not whole or (i == last and paths.begin[-1] <= first + m // 8):
+                best = min(best, mean)
+        return best
+
+    def recognise(self, first: int, last: int, length: int) -> int:
+        best, found = self.radius, -1
+        for slot, exemplar in enumerate(self.exemplars):
+            if exemplar and 3 * len(exemplar.frames) <= 4 * length and 3 * length <= 4 * len(exemplar.frames):
+                mean = self.fit(exemplar, first, last, False)
+                if mean < best:
+                    best, found = mean, slot
+        return found
+
+    def keep(self, first: int, length: int) -> int:
+        empty = [slot for slot, exemplar in enumerate(self.exemplars) if exemplar is None]
+        slot = empty[0] if empty else min(range(MOST_CLUSTERS), key=lambda k: self.exemplars[k].used)  # type: ignore[union-attr]
+        self.exemplars[slot] = Exemplar(self.clusters, self.x[first : first + length].copy())
+        self.clusters += 1
+        self.use(slot)
+        return slot
+
+    def use(self, slot: int) -> Exemplar:
+        self.clock += 1
+        found = self.exemplars[slot]
+        assert found
+        found.used = self.clock
+        return found
+
+    def alike(self, first: int, last: int) -> int:
+        length = last - first + 1
+        for k in range(MOST_CLUSTERS):
+            other = (self.turn + k) % MOST_CLUSTERS
+            exemplar = self.exemplars[other]
+            if other == self.slot or exemplar is None or not length / 2 <= len(exemplar.frames) <= 2 * length:
+                continue
+            self.turn = other + 1
+            return other if self.fit(exemplar, first, last, True) <= self.radius else -1
+        return -1

@@ -1,0 +1,288 @@
+"""The live segmentation against its plain definition (reference.py), event by event; and what it promises about them."""
+
+from __future__ import annotations
+
+import os
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from reference import Event, Reference
+
+from operators.segmentation import Segment
+from operators.stack import Stack
+from stream.chunk import Chunk, StreamSpec
+from stream.errors import InputError, ParameterError
+from stream.operator import Operator, grid
+
+RATE = 30.0
+QUICK: dict[str, Any] = {"cycle_s": 4.0, "learn_s": 3.0, "window_s": 12.0, "firm_s": 4.0}
+FIELDS = {
+    "activity": ("onset", "end", "activity", "repetitions", "cluster", "forced"),
+    "primitive": ("onset", "end", "activity", "repetition", "cluster", "forced"),
+    "begin": ("onset", "activity"),
+    "count": ("activity", "count"),
+    "merge": ("cluster", "into"),
+    "provisional": ("onset", "end", "activity", "repetition"),
+    "radius": (),
+}
+FINAL = ("activity", "primitive", "begin", "merge")
+
+
+def played(operator: Operator[Any], x: Any, pieces: int = 1) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The events and their stamps, by output, of a recording (n, features) at 30 Hz that comes in so many pieces."""
+    operator = operator.fresh()
+    specs = operator.open({"in": StreamSpec(x.shape[1:], rate_hz=RATE)})
+    time, found = (
+        grid(RATE, len(x)),
+        {name: ([np.empty(0, spec.dtype)], [np.empty(0, np.int64)]) for name, spec in specs.items()},
+    )
+    emitted = []
+    for part in np.array_split(np.arange(len(x)), pieces):
+        emitted += operator.process("in", Chunk(time[part], x[part], int(time[part][-1])))
+    for name, chunk in [*emitted, *(operator.close() or [])]:
+        found[name][0].append(chunk.data)
+        found[name][1].append(chunk.time)
+    return {name: np.concatenate(e) for name, (e, _) in found.items()}, {
+        name: np.concatenate(t) for name, (_, t) in found.items()
+    }
+
+
+def as_frames(x: Any, events: dict[str, Any], stamps: dict[str, Any]) -> dict[str, list[Event]]:
+    """Events as the reference tells them: stamps as frame numbers."""
+    time = grid(RATE, len(x))
+    found = {}
+    for name, fields in FIELDS.items():
+        columns = [np.searchsorted(time, events[name][f]) if f in ("onset", "end") else events[name][f] for f in fields]
+        rows = [np.searchsorted(time, stamps[name]), *columns]
+        found[name] = [tuple(int(v) for v in row) for row in zip(*rows, strict=True)]
+    return found
+
+
+def frames_of(operator: Segment) -> dict[str, int]:
+    seconds = {
+        "LAG": operator.cycle_s, "WINDOW": operator.window_s, "LEARN": operator.learn_s, "QUIET": operator.quiet_s,
+        "MASS": operator.mass_s, "SETTLE": operator.settle_s, "FIRM": operator.firm_s, "BAND_LEAST": operator.band_s[0],
+        "BAND_MOST": operator.band_s[1], "EVERY": 0.5,
+    }  # fmt: skip
+    return {name: round(value * RATE) for name, value in seconds.items()}
+
+
+def told(reference: list[Event]) -> dict[str, list[Event]]:
+    """The reference's events by output; whether an activity was forced without what else its last number says."""
+    found: dict[str, list[Event]] = {name: [] for name in FIELDS}
+    for kind, *rest in reference:
+        if kind == "activity":
+            rest[-1] &= 1
+        found[kind].append(tuple(rest))
+    return found
+
+
+def motion(seed: int, bad: bool = False) -> Any:
+    """Cycles of three kinds at changing pace in random turn, with wandering between them: (n, 6)."""
+    rng = np.random.default_rng(seed)
+    made = []
+    for _ in range(6):
+        n, pace = int(rng.integers(40, 220)), rng.uniform(0.08, 0.35)
+        turn = np.cumsum(pace * (1 + 0.2 * np.sin(np.arange(n) * 0.05)))
+        kind = int(rng.integers(0, 4))
+        if kind < 3:
+            mix = np.random.default_rng(kind).normal(size=(4, 6))
+            made.append(np.stack([np.sin(turn), np.cos(turn), np.sin(2 * turn), np.cos(2 * turn)], 1) @ mix)
+        else:
+            made.append(np.cumsum(rng.normal(size=(n, 6)) * 0.15, 0))
+    x = np.concatenate(made)
+    x += 0.05 * rng.normal(size=x.shape)
+    if bad:
+        x[rng.integers(0, len(x), 5), rng.integers(0, 6, 5)] = np.nan
+    return x
+
+
+def circling(cycles: int, length: int = 36, seed: int = 1) -> Any:
+    """A cycle of `length` frames, so many times, between two stretches that do not repeat: (n, 4)."""
+    rng = np.random.default_rng(seed)
+    turn = np.arange(cycles * length) * (2 * np.pi / length)
+    body = np.stack([np.sin(turn), np.cos(turn), np.sin(2 * turn), 0.5 * np.cos(2 * turn)], 1)
+    away = np.linspace(3.0, 12.0, 120)[:, None] * np.array([1.0, -1.0, 0.5, 1.0])
+    x = np.concatenate([-away[::-1], body, away])
+    noisy: Any = x + 0.03 * rng.normal(size=x.shape)
+    return noisy
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_live_events_are_the_references_for_any_length_of_the_recording(seed: int) -> None:
+    operator, x = Segment(**QUICK), motion(seed, bad=seed % 3 == 0)
+    for n in (len(x), len(x) * 2 // 3, 100):
+        reference = Reference(x[:n], frames_of(operator), operator.radius_share)
+        expected = told(reference.run())
+        assert as_frames(x[:n], *played(operator, x[:n], pieces=seed + 1)) == expected
+        assert reference.back < max(frames_of(operator)["WINDOW"], 5 * frames_of(operator)["LAG"])
+    assert any(e[4] > 1 for e in expected["activity"]) or n == 100
+
+
+def test_a_given_radius_is_kept() -> None:
+    operator, x = Segment(radius=0.6, **QUICK), motion(8)
+    expected = told(Reference(x, frames_of(operator), operator.radius_share, 0.6).run())
+    events, stamps = played(operator, x)
+    assert as_frames(x, events, stamps) == expected
+    assert len(events["radius"]) and set(events["radius"]["radius"]) == {0.6}
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_final_events_of_the_beginning_are_a_prefix_of_the_wholes(seed: int) -> None:
+    operator, x = Segment(**QUICK), motion(seed)
+    whole = as_frames(x, *played(operator, x))
+    for n in range(60, len(x), 97):
+        part = as_frames(x[:n], *played(operator, x[:n]))
+        for name in FINAL:
+            free = [e for e in part[name] if e[0] < n - 1]
+            assert free == whole[name][: len(free)]
+
+
+def test_primitives_and_activities_follow_one_another_without_holes() -> None:
+    for seed in range(4):
+        x = motion(seed)
+        found = as_frames(x, *played(Segment(**QUICK), x))
+        for name in ("activity", "primitive"):
+            spans = [e[1:3] for e in found[name]]
+            assert spans[0][0] == 0 and spans[-1][1] == len(x) - 1
+            assert all(first <= last for first, last in spans)
+            assert all(a[1] + 1 == b[0] for a, b in pairwise(spans))
+        assert [e[3] for e in found["activity"]] == list(range(len(found["activity"])))
+
+
+def test_a_long_activity_is_counted_long_after_its_first_cycle_has_left_the_window() -> None:
+    cycles, length = 100, 36
+    x = circling(cycles, length)
+    events, stamps = played(Segment(**QUICK), x)
+    (action,) = events["activity"][events["activity"]["repeats"]]
+    assert abs(int(action["repetitions"]) - cycles) <= 1
+    repetitions = events["primitive"]["repetition"] > 0
+    found = events["primitive"][repetitions]
+    assert set(found["cluster"]) == {0}
+    phase = np.searchsorted(grid(RATE, len(x)), found["onset"]) % length
+    spread = np.abs(np.exp(2j * np.pi * phase / length).mean())
+    assert np.sqrt(-2 * np.log(spread)) / (2 * np.pi) < 0.05
+    late = (stamps["primitive"][repetitions] - found["end"])[10:-1]
+    assert (late <= 2.75 * (length + 1) / RATE * 1e9).all()
+    assert np.array_equal(events["count"]["count"], np.arange(1, len(events["count"]) + 1))
+    assert (
+        stamps["count"][10:] - events["provisional"]["end"][-len(events["count"]) :][10:] <= 2 * length / RATE * 1e9
+    ).all()
+
+
+def test_an_action_that_is_met_again_is_cut_at_the_same_phase_and_has_the_same_cluster() -> None:
+    rng = np.random.default_rng(4)
+    turn = np.arange(8 * 40) * (2 * np.pi / 40)
+    first = np.stack([np.sin(turn), np.cos(turn), np.sin(2 * turn)], 1)
+    other = np.stack([3 + np.sin(1.5 * turn), np.sin(3 * turn), np.cos(1.5 * turn) - 3], 1)
+    x = np.concatenate([first, other, np.roll(first, 13, axis=0)])
+    x += 0.02 * rng.normal(size=x.shape)
+    events, _ = played(Segment(**QUICK), x)
+    actions = events["activity"][events["activity"]["repeats"]]
+    assert len(actions) == 3
+    assert actions["cluster"][0] == actions["cluster"][2] != actions["cluster"][1]
+    time = grid(RATE, len(x))
+    found = events["primitive"][
+        (events["primitive"]["repetition"] > 0) & (events["primitive"]["cluster"] == actions["cluster"][0])
+    ]
+    frames = np.searchsorted(time, found["onset"])
+    phases = np.concatenate([frames[frames < 320], frames[frames >= 640] - 13])
+    assert len(phases) >= 15
+    assert (np.abs((phases - phases[1] + 20) % 40 - 20) <= 6).all()
+
+
+@pytest.mark.parametrize("kind", ["walk", "noise", "still"])
+def test_motion_that_does_not_repeat_is_not_cut(kind: str) -> None:
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        x = {
+            "walk": np.cumsum(rng.normal(size=(900, 8)), 0),
+            "noise": rng.normal(size=(900, 8)),
+            "still": np.ones((900, 8)),
+        }[kind]
+        events, _ = played(Segment(), x)
+        assert len(events["activity"]) == len(events["primitive"]) == 1
+        assert not events["activity"]["repeats"][0] and events["primitive"]["repetition"][0] == 0
+
+
+def test_a_gap_ends_what_is_open_and_exemplars_outlive_it() -> None:
+    x = np.concatenate([circling(12)[:520], circling(12)[120:]])
+    operator = Segment(**QUICK)
+    operator.open({"in": StreamSpec((4,), rate_hz=RATE)})
+    time = grid(RATE, len(x))
+    time[520:] += 20_000_000_000
+    made = [
+        *operator.process("in", Chunk(time[:520], x[:520], int(time[519]))),
+        *operator.process("in", Chunk(time[520:], x[520:], int(time[-1]), lost=-1)),
+        *operator.close(),
+    ]
+    activities = np.concatenate([chunk.data for name, chunk in made if name == "activity"])
+    stamps = np.concatenate([chunk.time for name, chunk in made if name == "activity"])
+    actions = activities[activities["repeats"]]
+    assert len(actions) == 2 and actions["forced"][0] and set(actions["cluster"]) == {0}
+    assert actions["end"][0] <= time[519] < actions["onset"][1]
+    assert stamps[activities["activity"] == actions["activity"][0]][0] == time[520]
+
+
+def test_memory_does_not_grow() -> None:
+    operator = Segment(**QUICK)
+    operator.open({"in": StreamSpec((4,), rate_hz=RATE)})
+    before, x = operator.memory_bytes, circling(40)
+    time = grid(RATE, len(x))
+    operator.process("in", Chunk(time, x, int(time[-1])))
+    assert operator.memory_bytes == before
+
+
+@pytest.mark.parametrize(
+    ("changes", "rate_hz", "error", "says"),
+    [
+        ({}, None, InputError, "regular"),
+        ({}, 500.0, InputError, "at most 200 Hz"),
+        ({"settle_s": 9.0}, 30.0, ParameterError, "at most firm_s"),
+        ({"band_s": (0.5, 0.3)}, 30.0, ParameterError, "below half of cycle_s"),
+    ],
+)
+def test_what_cannot_be_is_said_before_it_begins(
+    changes: dict[str, Any], rate_hz: float | None, error: type[Exception], says: str
+) -> None:
+    with pytest.raises(error, match=says):
+        Segment(**changes).open({"in": StreamSpec((4,), rate_hz=rate_hz)})
+
+
+def recording(name: str) -> Any:
+    folder = os.environ.get("KINEGRAPH_DATA")
+    path = Path(folder or "") / "segmentation" / f"{name}.npz"
+    if not folder or not path.exists():
+        pytest.skip(f"KINEGRAPH_DATA names no folder that holds segmentation/{name}.npz")
+    with np.load(path) as archive:
+        return {key: archive[key] for key in archive.files}
+
+
+def stacked(x: Any) -> Any:
+    operator = Stack()
+    operator.open({"in": StreamSpec(x.shape[1:], rate_hz=RATE)})
+    time = grid(RATE, len(x))
+    made: Any = operator.process("in", Chunk(time, np.ascontiguousarray(x, np.float64), int(time[-1])))
+    return made.data if isinstance(made, Chunk) else np.concatenate([chunk.data for _, chunk in made])
+
+
+def test_the_three_walks_of_a_recording_are_one_cluster_that_holds_nothing_else() -> None:
+    found = recording("cmu86_full/86_01")
+    x = stacked(found["e15_cm"])
+    operator = Segment()
+    events, stamps = played(operator, x)
+    assert as_frames(x, events, stamps) == told(Reference(x, frames_of(operator), operator.radius_share).run())
+    walk = int(np.flatnonzero(found["label_names"] == "walk")[0])
+    labels = found["label"][10 : 10 + len(x)]
+    time = grid(RATE, len(x))
+    clusters: dict[int, set[int]] = {}
+    for event in events["primitive"][events["primitive"]["repetition"] > 0]:
+        first, last = np.searchsorted(time, [event["onset"], event["end"]])
+        label = int(np.bincount(labels[first : last + 1] + 1).argmax()) - 1
+        if label >= 0:
+            clusters.setdefault(label, set()).add(int(event["cluster"]))
+    assert clusters[walk] == {0}
+    assert all(0 not in others for label, others in clusters.items() if label != walk)
