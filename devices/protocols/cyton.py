@@ -33,7 +33,7 @@ ONLY_BOARD, WITH_DAISY = b"c", b"C"
 ENDING = b"$$$"
 """What every answer ends with."""
 
-_NONE = np.empty((0, SIZE), np.uint8)
+_WIDE = np.dtype(">i4")
 _NAMES = "12345678QWERTYUI"
 _OFF, _ON = "12345678qwertyui", "!@#$%^&*QWERTYUI"
 _FRAME = rb"\xA0.{31}[\xC0-\xC6]"
@@ -79,27 +79,49 @@ def uv_per_count(gain: float) -> float:
     return REFERENCE_V / gain / FULL_SCALE * 1e6
 
 
-@dataclass(frozen=True, slots=True)
 class Frames:
-    """The packets found.
+    """The packets found; their parts are made from the bytes when they are asked for.
 
-    counter   (n,) uint8
-    counts    (n, 8) float64, whole numbers
-    aux       (n, 6) uint8
-    kind      (n,) uint8: the footer
     dropped   how many bytes belonged to no packet
     resyncs   how often the beginning of the next packet had to be looked for
     """
 
-    counter: NDArray[np.uint8]
-    counts: Samples
-    aux: NDArray[np.uint8]
-    kind: NDArray[np.uint8]
-    dropped: int
-    resyncs: int
+    __slots__ = ("_data", "_n", "dropped", "resyncs")
+
+    def __init__(self, data: bytes, dropped: int = 0, resyncs: int = 0) -> None:
+        """`data`: whole packets, one after the other."""
+        self._data, self._n, self.dropped, self.resyncs = data, len(data) // SIZE, dropped, resyncs
 
     def __len__(self) -> int:
-        return len(self.counter)
+        return self._n
+
+    @property
+    def counter(self) -> NDArray[np.uint8]:
+        """(n,) uint8"""
+        return self._table[:, 1]
+
+    @property
+    def counts(self) -> Samples:
+        """(n, 8) float64, whole numbers. One of 24 bits is read as the upper three of four bytes, whatever the fourth one is."""
+        if not self._n:
+            return np.empty((0, CHANNELS))
+        wide: NDArray[np.int32] = np.ndarray((self._n, CHANNELS), _WIDE, self._data, 2, (SIZE, 3))
+        return np.asarray(np.floor_divide(wide, 256.0))
+
+    @property
+    def aux(self) -> NDArray[np.uint8]:
+        """(n, 6) uint8"""
+        return self._table[:, 26 : SIZE - 1]
+
+    @property
+    def kind(self) -> NDArray[np.uint8]:
+        """(n,) uint8: the footer"""
+        return self._table[:, SIZE - 1]
+
+    @property
+    def _table(self) -> NDArray[np.uint8]:
+        table: NDArray[np.uint8] = np.ndarray((self._n, SIZE), np.uint8, self._data or None)
+        return table
 
 
 class Decoder:
@@ -112,6 +134,9 @@ class Decoder:
         self._counter = -1
 
     def feed(self, data: bytes) -> Frames:
+        if self._following and not self._buffer and len(data) == SIZE and _ONE.fullmatch(data):
+            self._counter = data[1]  # nearly every read: one packet, whole
+            return Frames(data)
         buffer = self._buffer + data if self._buffer else data
         pieces: list[bytes] = []
         at = dropped = resyncs = 0
@@ -135,7 +160,7 @@ class Decoder:
             dropped += start - at
             at = start
         self._buffer = buffer[at:]
-        return _frames(b"".join(pieces), dropped, resyncs)
+        return Frames(pieces[0] if len(pieces) == 1 else b"".join(pieces), dropped, resyncs)
 
     def _seek(self, buffer: bytes, at: int) -> tuple[int, bool]:
         """Where the next packet begins, if there is one to be believed, else where to look again when more has come."""
@@ -160,24 +185,13 @@ def _tail(buffer: bytes, at: int) -> int:
     return found if found >= 0 else len(buffer)
 
 
-def _frames(data: bytes, dropped: int, resyncs: int) -> Frames:
-    """Views of the packets' bytes. A 24-bit count is read as the upper three of four bytes, whatever the fourth one is."""
-    n = len(data) // SIZE
-    if not n:
-        return Frames(_NONE[:, 0], np.empty((0, CHANNELS)), _NONE[:, :6], _NONE[:, 0], dropped, resyncs)
-    wide: NDArray[np.int32] = np.ndarray((n, CHANNELS), ">i4", data, 2, (SIZE, 3))
-    counter: NDArray[np.uint8] = np.ndarray((n,), np.uint8, data, 1, (SIZE,))
-    aux: NDArray[np.uint8] = np.ndarray((n, 6), np.uint8, data, 26, (SIZE, 1))
-    kind: NDArray[np.uint8] = np.ndarray((n,), np.uint8, data, SIZE - 1, (SIZE,))
-    return Frames(counter, (wide >> 8).astype(np.float64), aux, kind, dropped, resyncs)
-
-
 def acceleration(frames: Frames) -> tuple[Array, Samples]:
     """Which packets (indices, (k,)) brought a new acceleration, and these (k, 3) in g: about each tenth, zeros stand in the others."""
-    if not frames.aux.any():
+    aux = frames.aux
+    if not aux.any():
         return np.empty(0, np.int64), np.empty((0, 3))
-    new = np.flatnonzero((frames.kind == ACCELEROMETER) & frames.aux.any(axis=1))
-    counts = np.ascontiguousarray(frames.aux[new]).view(">i2")
+    new = np.flatnonzero((frames.kind == ACCELEROMETER) & aux.any(axis=1))
+    counts = np.ascontiguousarray(aux[new]).view(">i2")
     return new, counts.astype(np.float64) * G_PER_COUNT
 
 
