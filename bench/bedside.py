@@ -141,6 +141,8 @@ class Agreement:
     still: int
     known: int
     near: int
+    states: Array
+    """(3, n): of the epochs in bed that both have scored, from simplified frames, from frames as they are, of the true movement."""
 
 
 def true_states(truth: Array) -> Array:
@@ -200,6 +202,7 @@ def agreement(run: Run) -> Agreement:
         still=int(still.sum()),
         known=int((still & np.isfinite(rate)).sum()),
         near=int((still & (np.abs(rate - truth["breaths"]) <= 1)).sum()),
+        states=np.stack([states["scorer"], states["scorer_raw"], true])[:, scored & scored_raw],
     )
 
 
@@ -244,17 +247,36 @@ def main() -> None:
         "rate known",
         "within 1",
     ]
-    rows = []
+    rows, nights = [], []
     with tempfile.TemporaryDirectory() as folder:
         for name, source in hypnograms(Path(folder), given.nights):
             size = f"width: {given.size[0]}, height: {given.size[1]}, fps: {given.fps}"
-            made = night(f"{source}, {size}", given.components)
-            shares = [f"{made.known / max(1, made.still):.1%}", f"{made.near / max(1, made.still):.1%}"]
-            kappas = [f"{k:.3f}" for k in (made.agreed, made.agreed_raw, made.stages)]
-            numbers = [str(n) for n in (made.exits, made.found, made.false, made.still)]
-            rows.append([name, str(made.epochs), str(made.unknown), *kappas, *numbers, *shares])
+            nights.append(night(f"{source}, {size}", given.components))
+            rows.append(row(name, nights[-1]))
             print(" ".join(rows[-1]), file=sys.stderr, flush=True)
-    print(table(header, rows))
+    print(table(header, [*rows, row("all", together(nights))]))
+
+
+def together(nights: list[Agreement]) -> Agreement:
+    """All nights as one: counts are added, kappas are of all epochs together (of the hypnogram: not told)."""
+    states = np.concatenate([made.states for made in nights], axis=1)
+    counts = ("epochs", "unknown", "exits", "found", "false", "still", "known", "near")
+    totals = {name: sum(getattr(made, name) for made in nights) for name in counts}
+    return Agreement(
+        **totals,
+        agreed=kappa(states[0], states[2]),
+        agreed_raw=kappa(states[1], states[2]),
+        stages=np.nan,
+        states=states,
+    )
+
+
+def row(name: str, made: Agreement) -> list[str]:
+    """A line of the table."""
+    shares = [f"{made.known / max(1, made.still):.1%}", f"{made.near / max(1, made.still):.1%}"]
+    kappas = [f"{k:.3f}" if k == k else "" for k in (made.agreed, made.agreed_raw, made.stages)]
+    numbers = [str(n) for n in (made.exits, made.found, made.false, made.still)]
+    return [name, str(made.epochs), str(made.unknown), *kappas, *numbers, *shares]
 
 
 if __name__ == "__main__":

@@ -65,6 +65,14 @@ def test_what_is_known_to_move_is_seen_moving() -> None:
     assert len(still) > 30 and max(change(s, s + 2) for s in still) < 25, "breath, in steps of disparity"
 
 
+def test_who_lies_down_breathes_at_once() -> None:
+    night = plan(made_up(1.0), seed=1)
+    room = Bedroom(**SMALL, plans=(night,), extras=Extras(pet=False, lamp=False, invalid=0.0))
+    chest = [room.frame(k, 310 + k / 5)[22:30, 44:52].astype(float).mean() for k in range(50)]
+    before = [room.frame(k, 100 + k / 5)[22:30, 44:52].astype(float).mean() for k in range(50)]
+    assert np.std(chest) > 2 > 1 > np.std(before) and min(a.onset_s for a in night.acts[1:]) > 321
+
+
 def test_a_hypnogram_is_read_from_a_table(tmp_path: Path) -> None:
     path = tmp_path / "stages.csv"
     path.write_text("onset,stage\n0,W\n90,N2\n120,3\n150,R\n", encoding="utf-8")

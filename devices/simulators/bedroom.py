@@ -23,7 +23,7 @@ DISPARITY = 43_500.0 * 8
 NOISE = 0.22
 """Standard deviation of that, in eighths of a pixel: 2.6 mm at 2 m."""
 VARIANTS = 8
-"""Different patterns of noise; each is used in four mirrorings."""
+"""Different patterns of noise; each is shifted otherwise in every frame."""
 BREATH_MM = 5.0
 LIMBS = {
     "left arm": (-0.09, 0.42, 0.05, 0.07),
@@ -57,14 +57,14 @@ class Extras:
 @kernel(nogil=True)
 def _sense(
     base: Map, chest: Map, breath: float, limb: Map, lifted: float, lamp: Map, lit: float, noise: Map, seen: Map,
-    invalid: float, pattern: int, flip_y: bool, flip_x: bool, out: Frame,
+    invalid: float, pattern: int, down: int, right: int, out: Frame,
 ) -> None:  # fmt: skip
     """Depths (h, w) less what has risen, as disparities with noise, in whole mm; 0 where nothing is measured."""
     height, width = base.shape
     for y in range(height):
-        v = height - 1 - y if flip_y else y
+        v = y + down if y + down < height else y + down - height
         for x in range(width):
-            u = width - 1 - x if flip_x else x
+            u = x + right if x + right < width else x + right - width
             z = base[y, x] - chest[y, x] * breath - limb[y, x] * lifted
             more = 1.0 + lit * lamp[y, x]
             step = np.floor(DISPARITY / z + noise[pattern, v, u] * more + 0.5)
@@ -117,10 +117,10 @@ class Bedroom:
             base = base - pet
         out = np.empty((self.height, self.width), np.uint16)
         lit = 1.0 if self._extras.lamp and not any(p.in_bed(seconds) for p in self.plans) else 0.0
-        pattern, turned = index % VARIANTS, index // VARIANTS % 4
+        down, right = index * 7919 % self.height, index * 104_729 % self.width
         _sense(
             base, chest, breath, limb, lifted, self._lamp, lit, self._noise, self._seen,
-            self._extras.invalid, pattern, bool(turned & 1), bool(turned & 2), out,
+            self._extras.invalid, index % VARIANTS, down, right, out,
         )  # fmt: skip
         return out
 
@@ -149,7 +149,7 @@ class Bedroom:
                 risen = np.float32(1.0 + act.size_mm / 230.0 * np.sin(np.pi * done))
                 here = (before * np.float32(1.0 - done) + here * np.float32(done)) * risen
             base = base - here
-            if side[last + 1] < len(SIDES) and side[last] < len(SIDES):
+            if side[last + 1] < len(SIDES) and (done == 1.0 or act.part != "in"):
                 if breath:
                     base = base - chest * np.float32(breath)
                 chest, breath = self._shape(k, side[last + 1], chest=True), _breath(night, seconds)
