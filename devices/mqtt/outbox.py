@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import os
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ import structlog
 MOST_LETTERS = 6000
 """Two nights of epochs. Beyond, the oldest are dropped and counted."""
 IN_FLIGHT = 16
+TOGETHER_S = 1.0
 
 log = structlog.get_logger(__name__)
 
@@ -65,6 +67,7 @@ class Outbox:
         self._posted: dict[str, int] = {}
         self._arrived: dict[str, int] = json.loads(state.arrived)
         self._ready = self._unwritten = False
+        self._written_at = 0.0
         self.dropped = 0
         self._read_ledger()
         for line in state.letters.splitlines():
@@ -185,10 +188,11 @@ class Outbox:
             log.warning("what was sent before cannot be read", path=str(self._ledger), error=str(error))
 
     def _write_ledger(self) -> None:
-        """Outside the lock: a disk may be slow."""
-        if self._ledger is None or not self._unwritten:
+        """Outside the lock: a disk may be slow. While many letters are on their way, once a second is enough."""
+        now = time.monotonic()
+        if self._ledger is None or not self._unwritten or (self._letters and now < self._written_at + TOGETHER_S):
             return
-        self._unwritten = False
+        self._unwritten, self._written_at = False, now
         told = {"session": self._session, "arrived": dict(self._arrived)}
         draft = self._ledger.with_name(f".{self._ledger.name}.draft")
         try:

@@ -180,10 +180,11 @@ class NightLog(_Logger):
         """From the last epoch that is known, final or not, to now, nobody looked."""
         length = round(night.facts.epoch_s * NS)
         begin = max([written, *(onset + length for onset in self.desk.held)])
-        if begin < self.desk.now and len(night.facts.breaks) < MOST_LISTED:
-            night.facts.breaks.append([begin, self.desk.now])
+        begin, now = min(begin, self.desk.now), self.desk.now
+        if now != NEVER and len(night.facts.breaks) < MOST_LISTED:
+            night.facts.breaks.append([begin, now])
             night.save()
-            log.info("the night goes on", night=night.folder.name, away_s=(self.desk.now - begin) // NS)
+            log.info("the night goes on", night=night.folder.name, away_s=(now - begin) // NS)
 
     def process(self, port: str, chunk: Chunk) -> None:
         if len(chunk):
