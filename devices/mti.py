@@ -299,15 +299,18 @@ class _Stream:
         return n
 
     def _emit(self, run: Run, packets: Packets, arrival: int, feed: Feed) -> None:
-        _count(len(run), packets, feed)
-        if not len(packets.stamp):
-            return
-        data = run.columns(self._kinds, self._width)
-        if len(packets.stamp) < len(run):
-            data = data[packets.kept]
-        for start, stop in runs(packets.lost):
-            times = packets.stamp[start:stop]
-            feed.emit(Chunk(times, data[start:stop], int(times[-1]), int(packets.lost[start])), "imu")
+        if packets.clean:
+            feed.emit(Chunk(packets.stamp, run.columns(self._kinds, self._width), packets.stamp.item(-1)), "imu")
+        else:
+            _count(len(run), packets, feed)
+            if not len(packets.stamp):
+                return
+            data = run.columns(self._kinds, self._width)
+            if len(packets.stamp) < len(run):
+                data = data[packets.kept]
+            for start, stop in runs(packets.lost):
+                times = packets.stamp[start:stop]
+                feed.emit(Chunk(times, data[start:stop], int(times[-1]), int(packets.lost[start])), "imu")
         told = slice(-1, None) if self._burst else slice(None)
         feed.emit(timing_chunk(packets.number[told], packets.device[told], arrival, packets.stamp[told]), "timing")
 

@@ -31,6 +31,8 @@ class Packets:
     lost: Times
     device: Times
     stamp: Times
+    clean: bool = False
+    """Known to be without a gap and a repetition."""
 
 
 class PacketClock:

@@ -24,6 +24,7 @@ class TickClock:
     ) -> None:
         """`rate_hz`: packets a second, by which the number of whole turns of the counter in an outage is chosen."""
         self._counters, self._ticks, self._tick_ns = 1 << counter_bits, 1 << tick_bits, tick_ns
+        self._whole_ns = int(tick_ns) if float(tick_ns).is_integer() else 0
         self._packet_ticks = NS / rate_hz / tick_ns
         self._clock = DeviceClock(latency_s)
         self._counter = self._tick = -1
@@ -49,7 +50,8 @@ class TickClock:
             self._counter, self._number = int(counters[0]) - 1, int(counters[0]) - 1
             self._tick, self._device = int(ticks[0]) - 1, int(ticks[0]) - 1
             self._arrival = arrival_ns
-        if self._in_order(counters, ticks, arrival_ns):
+        in_order = self._in_order(counters, ticks, arrival_ns)
+        if in_order:
             kept, lost = np.ones(len(ticks), bool), np.zeros(len(ticks), np.int64)
             number = np.arange(self._number + 1, self._number + 1 + len(ticks))
             device = ticks + (self._device - self._tick)
@@ -62,15 +64,16 @@ class TickClock:
             kept = lost >= 0
             number = self._number + np.cumsum(lost + 1)
             device = self._device + np.cumsum(steps)
+        clean = in_order and not self._passed
         lost[0] += self._passed
         self._number, self._device, self._arrival, self._passed = int(number[-1]), int(device[-1]), arrival_ns, 0
         self._counter, self._tick = int(counters[-1]), int(ticks[-1])
-        device_ns = np.round(device * self._tick_ns).astype(np.int64)
-        if not kept.all():
+        device_ns = device * self._whole_ns if self._whole_ns else np.round(device * self._tick_ns).astype(np.int64)
+        if not in_order and not kept.all():
             lost, number, device_ns = lost[kept], number[kept], device_ns[kept]
         if len(device_ns):
             self._clock.see(int(device_ns[-1]), arrival_ns)
-        return Packets(kept, number, lost, device_ns, self._clock.stamps(device_ns))
+        return Packets(kept, number, lost, device_ns, self._clock.stamps(device_ns), clean)
 
     def _in_order(self, counters: Times, ticks: Times, arrival_ns: int) -> bool:
         """Whether all is as it mostly is: each packet the next one, nothing has begun anew, no number has run over."""
@@ -79,7 +82,8 @@ class TickClock:
             return False
         if (int(ticks[-1]) - self._tick) * self._tick_ns > arrival_ns - self._arrival + SLACK_NS:
             return False
-        return n == 1 or bool((counters[1:] > counters[:-1]).all() and (ticks[1:] > ticks[:-1]).all())
+        rising = (counters[1:] > counters[:-1]) & (ticks[1:] > ticks[:-1])
+        return bool(np.count_nonzero(rising) == n - 1)
 
     def _missing(self, counters: Times, steps: Times) -> Times:
         """How many are missing before each; -1: it is the one before again."""
@@ -100,7 +104,7 @@ class TickClock:
         shift = number + 1 - int(after.number[0])
         after.number[:] += shift
         self._number += shift
-        if before is None:
-            return after
+        parts = [after] if before is None else [before, after]
         names = ("kept", "number", "lost", "device", "stamp")
-        return Packets(*(np.concatenate([getattr(before, name), getattr(after, name)]) for name in names))
+        kept, numbers, lost, device, stamp = (np.concatenate([getattr(p, name) for p in parts]) for name in names)
+        return Packets(kept, numbers, lost, device, stamp)

@@ -159,19 +159,28 @@ class Decoder:
     def __init__(self) -> None:
         self._buffer = b""
         self._following = False
+        self._usual = _NONE
+        self._fixed = _NONE.fixed
+        """The layout of the last message, and what its fixed bytes were: what is like it need not be taken apart again."""
 
     def feed(self, data: bytes) -> Found:
         buffer = self._buffer + data if self._buffer else data
         runs: list[Run] = []
         at = dropped = resyncs = 0
-        while True:
-            layout = _layout(buffer, at)
-            if layout is None:
-                break
-            n = _sound(buffer, at, layout) if layout.size else 0
+        while at < len(buffer):
+            layout: Layout | None = self._usual
+            n = _sound(buffer, at, self._usual, self._fixed)
+            if not n:
+                layout = _layout(buffer, at)
+                if layout is None:
+                    break
+                n = _sound(buffer, at, layout)
+            assert layout is not None
             if n:
                 stop = at + n * layout.size
                 runs.append(Run(layout, np.frombuffer(buffer, np.uint8, stop - at, at).reshape(n, layout.size)))
+                if layout is not self._usual:
+                    self._usual, self._fixed = layout, runs[-1].table[0, layout.fixed]
                 at, self._following = stop, True
                 continue
             resyncs += self._following
@@ -190,7 +199,7 @@ def _known(mid: int, size: int, start: int, items: tuple[tuple[int, int, int], .
     return Layout(mid, size, start, items, np.array(fixed))
 
 
-_NONE = Layout(0, 0, 0, (), np.zeros(0))
+_NONE = Layout(0, 0, 0, (), np.zeros(0, np.intp))
 """The layout of what is no message."""
 
 
@@ -233,14 +242,20 @@ def _possible(identifier: int, size: int) -> bool:
     return size == _SIZES.get(kind, size)
 
 
-def _sound(buffer: bytes, at: int, layout: Layout) -> int:
-    """How many messages of this layout follow each other from `at` with a right sum; 0 if the first one's is wrong."""
-    n = min((len(buffer) - at) // layout.size, MOST)
-    table = np.frombuffer(buffer, np.uint8, n * layout.size, at).reshape(n, layout.size)
-    good = table[:, 1:].sum(axis=1, dtype=np.uint8) == 0
-    if n > 1:
-        good &= (table[:, layout.fixed] == table[0, layout.fixed]).all(axis=1)
-    return n if good.all() else int(good.argmin())
+def _sound(buffer: bytes, at: int, layout: Layout, fixed: Array | None = None) -> int:
+    """How many messages of this layout follow each other from `at` with a right sum; 0 if the first one's is wrong.
+
+    `fixed`: what its fixed bytes must be; left out: those of the first message.
+    """
+    n = min((len(buffer) - at) // layout.size, MOST) if layout.size else 0
+    if not n:
+        return 0
+    table: Table = np.ndarray((n, layout.size), np.uint8, buffer, at)
+    sums = np.add.reduce(table[:, 1:], 1, np.uint8)
+    other = table[:, layout.fixed] != (table[0, layout.fixed] if fixed is None else fixed)
+    if not np.count_nonzero(sums) and not np.count_nonzero(other):
+        return n
+    return int(np.argmax((sums != 0) | other.any(axis=1)))
 
 
 def _numbers(raw: Table, form: int) -> Array:
