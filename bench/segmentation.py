@@ -180,7 +180,7 @@ def activities(folder: Path, radii: bool) -> str:
     if radii:
         f1 = np.array(list(shares.values()))
         left = [f1[np.delete(f1, k, 1).mean(1).argmax(), k] for k in range(f1.shape[1])]
-        text += f"\n\nWith `radius_share` chosen on all recordings but the one that is scored: F1 {np.mean(left):.3f}. By share, F1 over all: "
+        text += f"\n\nWith `radius_share` chosen on all recordings but the one that is scored: F1 {np.mean(left):.3f}. By share, all: "
         text += ", ".join(f"{share:g}: {np.mean(scores):.2f}" for share, scores in shares.items()) + "."
     return text
 
