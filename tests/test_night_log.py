@@ -342,3 +342,22 @@ def test_the_lights_end_a_night_though_somebody_stays_in_bed(tmp_path: Path) -> 
     feed(log, later.told(1790, 1900))
     log.close()
     assert len(shelf.nights(tmp_path)) == 2
+
+
+def test_two_sleepers_have_a_night_each_in_one_folder(tmp_path: Path) -> None:
+    logs = {name: opened(tmp_path, report=False, sleeper=name) for name in ("left", "right")}
+    for log in logs.values():
+        log.begin()
+    for name, night in (("left", Night(n=120, out=110)), ("right", Night(n=120, inn=60, out=110))):
+        for port, chunk in chain(night.told(), night.end()):
+            if "sleeper" in (chunk.data.dtype.names or ()):
+                chunk.data["sleeper"] = name
+                for log in logs.values():
+                    log.process(port, chunk)
+            else:
+                logs[name].process(port, chunk)
+    for log in logs.values():
+        log.close()
+    (_, left), (right_folder, right) = shelf.nights(tmp_path)
+    assert (left.sleeper, right.sleeper) == ("left", "right") and left.begun < right.begun
+    assert len(logged(right_folder)) == 40 and right.closed  # not seen before

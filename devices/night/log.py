@@ -161,7 +161,7 @@ class NightLog(_Logger):
         """Go on with the night that was broken off, if there is one."""
         desk, root = self.desk, Path(self.path).absolute()
         desk.held = {int(onset): facts for onset, facts in json.loads(self.state.held).items()}
-        desk.claim = claim(root / "night")
+        desk.claim = claim(root / (f"night-{self.sleeper}" if self.sleeper else "night"))
         desk.zone = shelf.zone_of(self.timezone)
         for folder, facts in shelf.nights(root):
             if facts.sleeper != self.sleeper:
