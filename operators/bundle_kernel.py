@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 from operators.eigen import symmetric_eigen
+from operators.neighbours.candidates import NOTHING
 from operators.neighbours.layout import IN_NEAR, LANES, NEAR, NEXT, Floats
-from operators.neighbours.search import NOTHING, search
+from operators.neighbours.search import search
 from operators.neighbours.window import insert, prepare, slot_of, tile_at
 from stream.chunk import Samples, Times
 from stream.kernel import kernel

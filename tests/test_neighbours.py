@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from operators.neighbours import Index, Neighbours
+from operators.neighbours.candidates import radius_squared
 from operators.neighbours.index import NeighbourError
 from operators.neighbours.layout import SEAL, SEAL_FROM
-from operators.neighbours.search import radius_squared
 from stream.chunk import Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.operator import grid
@@ -94,6 +94,27 @@ def test_sealed_blocks_against_plain_loops(stream):
         if (number % 1024 > 900 or number % 1024 < 60 or number % 23 == 0) and np.isfinite(x[number]).all():
             check_nearest(index, plain, 32, x[number], number, 20, index.nearest(32, band=20))
     assert len(seals) > 4, "blocks were sealed, and between two there is a rest"
+
+
+@pytest.mark.parametrize("width", [6, 60])
+def test_ten_thousand_frames_against_float64(width):
+    """A full window of 10 000: all of its nearest are as near as float64 finds them, up to roundings of float32."""
+    n, window, k, band = 13_000, 10_000, 32, 30
+    x = motion(n, width, seed=width)
+    rows = x.astype(np.float32).astype(np.float64)
+    index = Index(width, window, k)
+    index.follow(x[: window - 500], k, band=band)
+    slack = (width + 4) * 2.0**-24
+    for at in range(window - 500, n):
+        index.insert(x[at])
+        if at % 13 and at % 1024 > 6:
+            continue
+        frames, distances = index.nearest(k, band=band)
+        first = max(0, at - window + 1)
+        exact = np.sqrt(((rows[first : at - band] - rows[at]) ** 2).sum(axis=1))
+        wanted = np.sort(np.partition(exact, k)[:k])
+        np.testing.assert_allclose(distances, wanted, rtol=slack, err_msg=f"frame {at}")
+        assert exact[frames - first].max() <= wanted[-1] * (1.0 + slack), f"frame {at}"
 
 
 def test_both_paths_give_the_same_bits():

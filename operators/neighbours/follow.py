@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from operators.neighbours.candidates import radius_squared
 from operators.neighbours.lanes import lowest
 from operators.neighbours.layout import (
     AT_NEAR,
@@ -20,7 +21,7 @@ from operators.neighbours.layout import (
     WINDOW,
     Floats,
 )
-from operators.neighbours.search import radius_squared, search
+from operators.neighbours.search import search
 from operators.neighbours.window import insert, oldest, prepare, slot_of
 from stream.chunk import Array, Samples, Times
 from stream.kernel import kernel

@@ -8,6 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from operators.neighbours.candidates import radius_squared
 from operators.neighbours.follow import follow, take_marked, take_nearest
 from operators.neighbours.layout import (
     AT_TILES,
@@ -25,7 +26,7 @@ from operators.neighbours.layout import (
     allocate,
     clear,
 )
-from operators.neighbours.search import radius_squared, search
+from operators.neighbours.search import search
 from operators.neighbours.window import insert, prepare, slot_of
 from stream.chunk import Array, Samples, Times
 from stream.errors import KinegraphError

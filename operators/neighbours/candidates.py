@@ -1,0 +1,147 @@
+"""Frames that may be among the nearest, or are within a radius: gathered lane by lane, sifted, and put in order."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from operators.neighbours.lanes import bits_of, lowest, number_of
+from operators.neighbours.layout import (
+    AT_NEAR,
+    AT_REACH,
+    AT_SQUARED,
+    BLOCK,
+    BLOCKS,
+    FOUND,
+    IN_FRAMES,
+    IN_KEYS,
+    IN_MARKS,
+    IN_NEAR,
+    LANES,
+    MOST,
+    NEAR,
+    Floats,
+)
+from operators.neighbours.window import oldest
+from stream.chunk import Times
+from stream.kernel import kernel
+
+NOTHING = np.float32(-1.0)
+"""A limit that no distance keeps."""
+
+FARTHEST = np.float32(np.finfo(np.float32).max)
+"""No limit: everything but infinity, which is what lanes without a living frame hold."""
+
+
+@kernel
+def gather(
+    floats: Floats,
+    books: Times,
+    limit: np.float32,
+    tile: int,
+    lanes: int,
+    sums: int,
+    at: int,
+    band: int,
+    k: int,
+    within: np.float32,
+    both: bool,
+) -> tuple[np.float32, int]:
+    """Keep the frames in some lanes of a tile as candidates for the nearest (d2 <= `limit`), and mark those within a radius."""
+    marked = 0
+    for _ in range(LANES):
+        if lanes == 0:
+            break
+        lane = lowest(lanes)
+        lanes &= lanes - 1
+        slot = tile * LANES + lane
+        frame = books[books[IN_FRAMES] + slot]
+        if abs(frame - at) <= band:
+            continue
+        squared = floats[sums + lane]
+        if squared <= limit:
+            books[books[IN_KEYS] + books[FOUND]] = bits_of(squared) << 32 | (frame - oldest(books))
+            books[FOUND] += 1
+            if books[FOUND] == 3 * books[MOST] + 64:
+                sift(books, k)
+                limit = number_of(books[books[IN_KEYS] + k - 1] >> 32)
+        if squared <= within or (both and squared <= floats[books[AT_REACH] + slot]):
+            place = frame % (books[BLOCKS] * books[BLOCK])
+            floats[books[AT_SQUARED] + place] = squared
+            books[books[IN_MARKS] + place // 64] |= 1 << (place % 64)
+            marked += 1
+    return limit, marked
+
+
+@kernel
+def sift(books: Times, k: int) -> None:
+    """Keep the k smallest of all candidates' keys, of which there are more, the largest of these at place k - 1 (Hoare's quickselect)."""
+    keys = books[IN_KEYS]
+    low, high = keys, keys + books[FOUND] - 1
+    wanted = keys + k - 1
+    while low < high:
+        pivot = books[(low + high) // 2]
+        i, j = low, high
+        while i <= j:
+            while books[i] < pivot:
+                i += 1
+            while books[j] > pivot:
+                j -= 1
+            if i <= j:
+                books[i], books[j] = books[j], books[i]
+                i += 1
+                j -= 1
+        if wanted <= j:
+            high = j
+        elif wanted >= i:
+            low = i
+        else:
+            break
+    books[FOUND] = k
+
+
+COUNTED = 96
+"""Up to so many keys are put in order by counting, for each, those that are smaller: no branches, so faster than a sort."""
+
+
+@kernel
+def put_in_order(floats: Floats, books: Times, k: int) -> None:
+    """The k smallest keys become the list of the nearest."""
+    if books[FOUND] > COUNTED and books[FOUND] > k:
+        sift(books, k)
+    count = books[FOUND]
+    first = oldest(books)
+    keys = books[books[IN_KEYS] : books[IN_KEYS] + count]
+    books[NEAR] = min(count, k)
+    if count > COUNTED:
+        keys.sort()
+    for i in range(count):
+        key = keys[i]
+        rank = i
+        if count <= COUNTED:
+            rank = 0
+            for j in range(count):
+                rank += keys[j] < key
+        if rank < k:
+            floats[books[AT_NEAR] + rank] = number_of(key >> 32)
+            books[books[IN_NEAR] + rank] = first + (key & 0xFFFFFFFF)
+
+
+@kernel
+def radius_squared(radius: float) -> np.float32:
+    """The largest d2 whose root, rounded to float32, is at most the radius in float32: so d <= r holds for what is reported.
+
+    Negative for no radius: NaN, or below 0.
+    """
+    if not radius >= 0.0:
+        return np.float32(-1.0)
+    if radius * radius >= FARTHEST:
+        return FARTHEST
+    r = np.float32(radius)
+    squared = r * r
+    while squared < FARTHEST and math.sqrt(np.nextafter(squared, FARTHEST)) <= r:
+        squared = np.nextafter(squared, FARTHEST)
+    while math.sqrt(squared) > r:
+        squared = np.nextafter(squared, np.float32(-1.0))
+    return squared
