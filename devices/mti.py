@@ -49,6 +49,8 @@ SILENCE_S = 2.0
 FEW_HZ = 500.0
 """Above so many packets a second they are taken some at a time, and `timing` has an event per read instead of per packet."""
 GATHER_S = 0.01
+PIECE = 4000
+"""A read of a serial port takes all that is there, if that is not more than the system's buffer of 4096 bytes."""
 CLOCK_LOGGED_S = 60.0
 BITS_PER_BYTE = 10
 """On a serial line, with start and stop bit."""
@@ -196,7 +198,7 @@ class Mti(Source):
             now = time.monotonic()
             if data and now - heard > 0.1:
                 data = all_there(link, data)
-            elif data and self.gathered_s:
+            elif self.gathered_s and data and (len(data) > PIECE or self.port.startswith("usb://")):
                 data = _waiting(link, data, self.gathered_s)
             found = talk.decoder.feed(data)
             if found.dropped:
