@@ -22,6 +22,9 @@ FLOOR_SHARE = 0.05
 LEAST_FILLED = 0.6
 """How much of its rectangle a plateau must fill to be a bed."""
 
+LARGE = 20
+"""A bed of more blocks than this is told without those at its edge."""
+
 log = structlog.get_logger(__name__)
 
 
@@ -46,10 +49,10 @@ class BedRegion(Operator[BedState]):
     """Mean depths of blocks in, one event per sleeper out: the rectangle of pixels where that sleeper lies.
 
     With `regions` they are told with the first sample. Without, the bed is looked for in the mean of `learn_s`: the largest plateau
-    from `lowest_mm` to `highest_mm` above the floor, if it covers `least_share` of the frame and most of its own rectangle. Several
-    sleepers share it side by side, along its longer side, in the order of their names from the left (or the top). That suits a camera
-    that looks down on a bed and some floor; anything else has to be set. While none is found nothing is told, and it is looked for
-    again.
+    from `lowest_mm` to `highest_mm` above the floor, if it covers `least_share` of the frame and most of its own rectangle; less a block
+    at sides of more than 20, for blocks that hold the bed's edge tremble with the pixels that happen to be measured. Several sleepers
+    share it side by side, along its longer side, in the order of their names from the left (or the top). That suits a camera that looks
+    down on a bed and some floor; anything else has to be set. While none is found nothing is told, and it is looked for again.
     """
 
     sleepers: tuple[str, ...] = param(("sleeper",), help="who lies in the bed: a name for each")
@@ -156,9 +159,10 @@ class BedRegion(Operator[BedState]):
 
 
 def _extent(filled: NDArray[np.int64]) -> tuple[int, int]:
-    """From the first to one past the last row (or column) that is at least half as full as the fullest."""
+    """From the first to one past the last row (or column) at least half as full as the fullest, less the outermost of a large bed."""
     full = np.flatnonzero(filled * 2 >= filled.max())
-    return int(full[0]), int(full[-1]) + 1
+    inset = int(full[-1] - full[0] >= LARGE)
+    return int(full[0]) + inset, int(full[-1]) + 1 - inset
 
 
 def _shared(bed: tuple[int, int, int, int], count: int) -> list[tuple[int, int, int, int]]:

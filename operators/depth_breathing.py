@@ -13,7 +13,8 @@ from operators.continuity import regular
 from operators.depth_breath import gather, peak, powers, straighten, vary
 from operators.depth_presence import BED
 from operators.depth_regions import REGION, block_of, region_spec, sleepers_of, take
-from stream.chunk import NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times, add_lost
+from operators.depth_seconds import steep
+from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times, add_lost
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
 from stream.params import param
@@ -34,6 +35,8 @@ LOWEST, HIGHEST, STEP = 6.0, 40.0, 0.5
 """Breaths per minute that are looked for."""
 BEST = 6
 """So many cells, those that vary most slowly, are taken for the chest."""
+EDGE_MM = 150.0
+"""So far apart are neighbouring cells where there is an edge: their means tremble, see `operators.depth_seconds.steep`."""
 NIGHT_NS = 4 * 3600 * NS
 """After so long out of bed, coverage is counted anew."""
 
@@ -87,7 +90,7 @@ class Breathing(Operator[BreathingState]):
     confidence  0 to 1: the share of the chest's power, from 6 to 40 breaths per minute, that lies about the rate
     coverage    share of the night's epochs in bed, up to this one, that have a rate; a night ends with 4 h out of bed
 
-    The chest is those 6 cells of the region that vary most from second to second beyond their
+    The chest is those 6 cells of the region, off the edges, that vary most from second to second beyond their
     noise; the rate is where their spectra together are highest (5 Hz at most, no straight line, Hann window over the epoch). An epoch
     in which a cell of the region goes faster than `still_mm_s` has movement, and no rate. It finds no pauses of breath, and raises no
     alarm. No delay: the event comes with the epoch's end.
@@ -224,8 +227,12 @@ class Breathing(Operator[BreathingState]):
         self._close_tick(stop)
         varying = np.empty((2, s.ticks.shape[1]))
         vary(s.ticks, first, stop, varying)
+        finite = np.isfinite(s.ticks)
+        with np.errstate(invalid="ignore"):
+            depth = np.where(finite, s.ticks, 0.0).sum(axis=0) / finite.sum(axis=0)
+        edges = steep(depth.reshape(-1, s.across), EDGE_MM).ravel()
         for k in range(len(s.sleepers)):
-            rate, confidence = (math.nan, 0.0) if s.spoilt[k] else self._rate(k, varying, first)
+            rate, confidence = (math.nan, 0.0) if s.spoilt[k] else self._rate(k, varying, edges, first)
             rate = rate if confidence >= self.least_confidence else math.nan
             s.epochs[k] += not s.spoilt[k]
             s.known[k] += rate == rate
@@ -233,11 +240,11 @@ class Breathing(Operator[BreathingState]):
             made.append((s.epoch, end, s.sleepers[k], rate, confidence, coverage))
         s.epoch = NEVER
 
-    def _rate(self, k: int, varying: Samples, first: int) -> tuple[float, float]:
+    def _rate(self, k: int, varying: Samples, edges: Array, first: int) -> tuple[float, float]:
         """The rate of a sleeper's breath in the ticks from `first` on, and the confidence."""
         s = self.state
         cells = _cells(s.regions[k], s.size, s.ticks.shape[1], s.across)
-        cells = cells[np.isfinite(varying[0, cells])]
+        cells = cells[np.isfinite(varying[0, cells]) & ~edges[cells]]
         if len(cells) < BEST or varying[1, cells].max() * NS / s.tick_ns > self.still_mm_s:
             return math.nan, 0.0
         chest = cells[np.argsort(-varying[0, cells], kind="stable")[:BEST]]

@@ -76,7 +76,7 @@ class Presence(Operator[PresenceState]):
     outputs: ClassVar[tuple[str, ...]] = ("out", "height")
 
     rise_mm: float = param(80.0, above=0.0, help="how far above the empty bed a body is")
-    least_share: float = param(0.12, above=0.0, most=1.0, help="how much of the region a body covers at least")
+    least_share: float = param(0.15, above=0.0, most=1.0, help="how much of the region a body covers at least")
     hold_s: float = param(5.0, least=0.0, help="for how long the depth must say so before it is believed")
     learn_s: float = param(60.0, least=4.0, help="without movement for so long: this is the empty bed")
     still_mm: float = param(1.0, above=0.0, help="a block that varies less does not move")

@@ -6,9 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stream.chunk import NEVER, NS, Samples, Times
 from stream.kernel import kernel
+
+EDGE_MM = 100.0
+"""So far apart are neighbouring blocks where there is an edge."""
 
 
 @kernel
@@ -62,8 +66,23 @@ def look(mean: Samples, empty: Samples, regions: Times, rise: float, out: Sample
         out[k, 2] = measured / (rows * columns) if rows * columns > 0 else 0.0
 
 
+def steep(depth: Samples, limit: float) -> NDArray[np.bool_]:
+    """Where neighbours of `depth` (rows, columns) differ by more than `limit`: edges.
+
+    The mean of a block that holds both sides of an edge trembles with the pixels that happen to be measured in a frame.
+    """
+    edge = np.zeros(depth.shape, np.bool_)
+    down, right = np.abs(np.diff(depth, axis=0)) > limit, np.abs(np.diff(depth, axis=1)) > limit
+    for part, far in ((np.s_[1:], down), (np.s_[:-1], down), (np.s_[:, 1:], right), (np.s_[:, :-1], right)):
+        edge[part] |= far
+    return edge
+
+
 def restless(stretch: Samples, region: Times, least: float) -> int:
-    """How many blocks of a region vary by more than `least` and three times the frame's median; -1: the stretch was not seen."""
+    """How many blocks of a region vary by more than `least` and three times the frame's median; -1: the stretch was not seen.
+
+    Blocks on an edge are left out: see `steep`.
+    """
     count = stretch[0]
     most = count.max()
     usable = (count >= 0.8 * most) & (count > 1)
@@ -72,6 +91,9 @@ def restless(stretch: Samples, region: Times, least: float) -> int:
     if not usable[part].any():
         return -1
     n = np.maximum(count, 1.0)
+    usable &= ~steep(np.where(usable, stretch[1] / n, np.nan), EDGE_MM)
+    if not usable[part].any():
+        return -1
     spread = np.sqrt(np.maximum(stretch[2] / n - (stretch[1] / n) ** 2, 0.0))
     limit = max(least, 3.0 * float(np.median(spread[usable])))
     return int((usable[part] & (spread[part] > limit)).sum())
