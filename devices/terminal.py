@@ -21,7 +21,7 @@ from stream.graph import Graph
 REFRESH_HZ = 2.0
 LINE_S = 10.0
 HINT = "a word and Enter annotates · a digit or the space bar marks · Ctrl-C ends"
-WAITING = "getting ready (the first run after an installation compiles for up to a minute)"
+WAITING = "getting ready (up to a minute where kernels must be compiled first: after an installation or an edit)"
 
 log = structlog.get_logger(__name__)
 

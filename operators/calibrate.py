@@ -33,7 +33,7 @@ def calibrate(
     ],
     recording: Annotated[File, typer.Argument(help="the recording: a file or a session's folder", metavar="FILE")],
     output: Annotated[
-        File | None, typer.Option("-o", "--output", help="the reference to be made [default: SUBJECT.KIND.json]")
+        File | None, typer.Option("-o", "--out", help="the reference to be made [default: SUBJECT.KIND.json]")
     ] = None,
     config: Annotated[
         File | None, typer.Option(help="the graph whose envelope is meant [default: the recording's own]")
@@ -60,7 +60,7 @@ def calibrate(
         who = subject or str(about.get("subject", ""))
         target = output or File(f"{who or recording.stem}.{kind.value}.json")
         if target.exists() and not force:
-            raise KinegraphError(f"{target} exists; --force replaces it, --output names another file")
+            raise KinegraphError(f"{target} exists; --force replaces it, --out names another file")
         text = _text(config) if config else str(opened.header.get("graph") or "")
         envelope = envelope_of(text, str(config or "the recording's graph"))
         found, flags = reference(opened, kind.value, envelope, emg=emg, touchdown=touchdown, window_s=window_s)

@@ -44,7 +44,7 @@ def segmentation(
         float, typer.Option(min=0.0, help="of the matrix, in the features' unit [default: as it was found]")
     ] = 0.0,
     output: Annotated[
-        File | None, typer.Option("-o", "--output", help="folder for the pictures and scores.csv")
+        File | None, typer.Option("-o", "--out", help="folder for the pictures and scores.csv")
     ] = None,
     force: Annotated[bool, typer.Option(help="replace files that exist")] = False,
 ) -> None:
@@ -112,7 +112,7 @@ def _sheet(path: File, scores: dict[str, Scores]) -> None:
 def _save(folder: File, name: str, force: bool) -> None:
     """Make the folder; raises where the file is there already."""
     if (folder / name).exists() and not force:
-        raise KinegraphError(f"{folder / name} exists; --force replaces it, --output names another folder")
+        raise KinegraphError(f"{folder / name} exists; --force replaces it, --out names another folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -32,7 +32,7 @@ def sleep(
         float, typer.Option(min=1.0, max=300.0, help="epoch length of CSV tables that do not say")
     ] = 30.0,
     output: Annotated[
-        File | None, typer.Option("-o", "--output", help="folder for agreement.png and nights.csv")
+        File | None, typer.Option("-o", "--out", help="folder for agreement.png and nights.csv")
     ] = None,
     force: Annotated[bool, typer.Option(help="replace files that exist")] = False,
 ) -> None:
@@ -95,7 +95,7 @@ def _write(pairs: list[Pair], folder: File, force: bool) -> None:
     picture, sheet = folder / "agreement.png", folder / "nights.csv"
     for path in (picture, sheet):
         if path.exists() and not force:
-            raise KinegraphError(f"{path} exists; --force replaces it, --output names another folder")
+            raise KinegraphError(f"{path} exists; --force replaces it, --out names another folder")
     folder.mkdir(parents=True, exist_ok=True)
     draw(pairs).savefig(picture, dpi=130)
     write_table(pairs, sheet)

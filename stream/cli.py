@@ -21,6 +21,10 @@ COMMANDS = {
     "replay": ("stream.commands.replay:replay", "Run a graph on a recording, bit for bit as it was live."),
     "check": ("stream.commands.check:check", "Check a graph; print its streams, delays and memory."),
     "draw": ("stream.commands.draw:draw", "Draw a graph in the terminal, or as Mermaid or DOT."),
+    "parts": (
+        "stream.commands.parts:parts",
+        "List what a graph can use: sources, operators, outlets, their parameters.",
+    ),
     "schema": ("stream.commands.schema:schema", "Write the JSON Schema of graphs, for editors."),
     "info": ("stream.commands.info:info", "Show what a recording holds."),
     "recover": ("stream.commands.recover:recover", "Finish a recording that a killed process left."),

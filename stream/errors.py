@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import sysconfig
+import traceback
 from difflib import get_close_matches
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+_NOT_THE_USERS = (sysconfig.get_paths()["stdlib"], str(Path(__file__).resolve().parent), "<")
+
+
+MOST = 300
+"""Letters of a message that are shown; numba's go on for pages."""
 
 
 class KinegraphError(Exception):
@@ -65,3 +74,14 @@ def nearest(name: str, valid: Iterable[str]) -> str:
     if close:
         return f"did you mean {close[0]!r}?"
     return f"valid are {', '.join(repr(n) for n in names)}" if names else "there are none"
+
+
+def explain(error: BaseException) -> str:
+    """An exception on one line, with the last file and line on its way that is not Python's own, an installed package's or the engine's."""
+    if isinstance(error, SyntaxError):
+        return f"SyntaxError: {error.msg} ({error.filename}, line {error.lineno})"
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [f for f in frames if not f.filename.startswith(_NOT_THE_USERS) and "site-packages" not in f.filename]
+    where = "".join(f" ({at.filename}, line {at.lineno})" for at in own[-1:])
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text if len(text) <= MOST else text[:MOST] + ' ...'}{where}"

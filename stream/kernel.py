@@ -51,7 +51,10 @@ def kernel(function: Callable[P, R] | None = None, /, *, nogil: bool = False) ->
 
 
 def _compile(function: Callable[P, R], nogil: bool) -> Callable[P, R]:
-    folder = cache_folder(_package_of(function))
+    package = _package_of(function)
+    folder = cache_folder(package)
+    if package:  # what is kept names the module it came from, and a file of one's own may be imported by several names
+        folder /= function.__module__
     before = config.CACHE_DIR
     config.CACHE_DIR = str(folder)
     try:

@@ -122,6 +122,11 @@ class Outlet(Operator[S]):
     durable: ClassVar[bool] = False
     in_order: ClassVar[bool] = True
 
+    @property
+    def file(self) -> str:
+        """Where what it leaves behind lies, for people to find it at the end of a session; "" if it leaves nothing."""
+        return str(getattr(self, "path", ""))
+
     def meet(self, graph: Graph) -> None:
         """Told once, before `begin`, which graph this is: its text, its nodes with their parameters and delays, the session's facts."""
 

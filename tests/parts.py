@@ -94,6 +94,14 @@ class Identity(Operator[None]):
         return chunk
 
 
+@dataclass(frozen=True, slots=True)
+class Misspelt(Identity):
+    """A slip that only a sample brings to light."""
+
+    def process(self, port: str, chunk: Chunk) -> Emitted:
+        return Chunk(chunk.time, chunk.dat, chunk.until)  # type: ignore[attr-defined]
+
+
 @dataclass(slots=True)
 class SumState:
     total: Array
@@ -193,7 +201,11 @@ def lost(name: str = "out") -> list[int]:
 
 def threads() -> set[tuple[str, int | None]]:
     """Name and number of every thread of a session that is alive."""
-    return {(t.name, t.ident) for t in threading.enumerate() if t.name.startswith(("source", "lane", "recorder", "checkpoint"))}
+    return {
+        (t.name, t.ident)
+        for t in threading.enumerate()
+        if t.name.startswith(("source", "lane", "recorder", "checkpoint"))
+    }
 
 
 def nothing(spec: StreamSpec, until: int) -> Chunk:

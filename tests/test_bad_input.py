@@ -496,7 +496,9 @@ def test_what_is_there_is_not_replaced(kinegraph: Command, made: Path, tmp_path:
     assert len(table.read_text()) > 1000
     (tmp_path / "x.xdf").write_text("mine")
     refused(kinegraph("export", whole, "-o", "x.xdf", "--format", "xdf"), "x.xdf: is there already")
-    refused(kinegraph("export", whole, "-o", "x.xdf"), "x.xdf: is a file; name a folder")
+    refused(kinegraph("export", whole, "-o", "x.xdf"), "x.xdf: is there already")
+    (tmp_path / "rows").write_text("mine")
+    refused(kinegraph("export", whole, "-o", "rows"), "rows: is a file; name a folder")
     assert kinegraph("import", table, "-o", "t.mcap")[0] == 0
     before = (tmp_path / "t.mcap").read_bytes()
     refused(kinegraph("import", table, "-o", "t.mcap"), "t.mcap: holds a recording already")

@@ -1,4 +1,4 @@
-"""check, draw and schema; the schema is held against what `load` accepts."""
+"""check, draw, parts and schema; the schema is held against what `load` accepts."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from test_load import GOOD, NODE_ERRORS, TOP_ERRORS, nodes
 
 from stream.commands.check import check
 from stream.commands.draw import Format, draw
+from stream.commands.parts import parts
 from stream.commands.schema import schema
 from stream.errors import GraphError, KinegraphError
 from stream.graph.load import load_text
@@ -177,3 +178,18 @@ def test_schema_writes_a_file(
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
 def test_every_config_loads(path: Path) -> None:
     assert load_text(path.read_text(), path=str(path)).sources
+
+
+def test_parts_lists_what_there_is_and_shows_one(capsys: pytest.CaptureFixture[str]) -> None:
+    parts()
+    listed = capsys.readouterr().out
+    assert all(path in listed for path in catalogue()[0])
+    parts("operators.iir.Lowpass")
+    shown = " ".join(capsys.readouterr().out.split())
+    assert (
+        "inputs in outputs out" in shown and "cutoff_hz (must be given) number > 0" in shown and "zero | first" in shown
+    )
+    parts("graph_parts.Cycles")
+    assert "graph_parts.Cycles (operator)" in " ".join(capsys.readouterr().out.split())
+    with pytest.raises(KinegraphError, match="nothing is called 'Lowpas5'; did you mean 'Lowpass'"):
+        parts("Lowpas5")

@@ -71,6 +71,16 @@ def test_an_edit_of_a_callee_in_another_file_is_seen(tmp_path: Path, packaged: b
     assert run(home, module, cache)[0] == 61.0, "the old machine code was used"
 
 
+def test_a_file_that_is_imported_by_two_names_is_kept_twice(tmp_path: Path) -> None:
+    write(
+        tmp_path / "sub" / "whole_gain.py",
+        "from stream.kernel import kernel\n\n@kernel\ndef outer(x):\n    return x * 2.0\n",
+    )
+    assert run(tmp_path / "sub", "whole_gain", tmp_path / "cache")[0] == 6.0
+    assert run(tmp_path, "sub.whole_gain", tmp_path / "cache")[0] == 6.0
+    assert run(tmp_path / "sub", "whole_gain", tmp_path / "cache") == (6.0, 0)
+
+
 def test_a_cache_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     code = "from stream.kernel import kernel\n@kernel\ndef f(x): return x\n"

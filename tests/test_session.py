@@ -17,7 +17,7 @@ import pytest
 from stream.chunk import Chunk, empty
 from stream.engine.pipeline import Pipeline
 from stream.engine.session import Outcome, Session
-from stream.errors import DeviceError, RecordingError, RunError
+from stream.errors import DeviceError, GraphError, RecordingError, RunError
 from stream.graph import Graph
 from stream.graph.load import load_text
 from stream.recording import Recording
@@ -72,6 +72,17 @@ def test_all_threads_end() -> None:
     before = parts.threads()
     run(CHAIN % "")
     assert parts.threads() <= before
+
+
+def test_a_slip_in_ones_own_operator_is_told_with_both_lines() -> None:
+    nodes = """
+  board: {use: parts.Counting, samples: 100}
+  mine: {use: parts.Misspelt, from: board}
+"""
+    with pytest.raises(
+        GraphError, match=r"graph.yaml:5: node 'mine': .*'Chunk' object has no attribute 'dat' \(.*parts.py, line \d+\)"
+    ):
+        run(nodes)
 
 
 def test_a_session_that_is_refused_leaves_no_thread(tmp_path: Path) -> None:
@@ -177,9 +188,9 @@ def test_an_operator_that_raises_stops_the_graph_and_leaves_the_recording_readab
     outcome = run(nodes, tmp_path / "s", "record: [sum]")
     assert isinstance(outcome.error, RunError)
     assert outcome.exit_code == 4
-    assert "node 'sum': ValueError: this number is not to my taste at sample time 2023-11-14T22:13:21.23" in str(
-        outcome.error
-    )
+    told = str(outcome.error)
+    assert "node 'sum': ValueError: this number is not to my taste" in told
+    assert "parts.py, line" in told and "at sample time 2023-11-14T22:13:21.23" in told
     recording = recorded(tmp_path / "s")
     assert recording.finished
     assert recording.streams["sum"].samples == 1230

@@ -10,8 +10,7 @@ from dataclasses import is_dataclass
 
 from devices import simulators
 from devices.simulators.serve import Simulator
-from stream.errors import KinegraphError, nearest
-from stream.graph.parts import explain
+from stream.errors import KinegraphError, explain, nearest
 
 
 def named() -> dict[str, type[Simulator]]:

@@ -29,10 +29,11 @@ class Clock(StrEnum):
 
 def export(
     recording: Annotated[File, typer.Argument(help="the recording", metavar="FILE")],
-    output: Annotated[File | None, typer.Option("-o", "--output", help="a folder for CSV, a file for XDF")] = None,
+    output: Annotated[File | None, typer.Option("-o", "--out", help="a folder for CSV, a file for XDF")] = None,
     format: Annotated[
-        Format, typer.Option(help="csv: one table per stream; xdf: all streams in one file")
-    ] = Format.csv,
+        Format | None,
+        typer.Option(help="csv: one table per stream; xdf: all streams in one file (default: as --out ends, else csv)"),
+    ] = None,
     stream: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="only this stream; can be given again")
     ] = None,
@@ -47,7 +48,7 @@ def export(
     with Recording.open(recording) as opened:
         names = _chosen(opened, stream or [])
         total = sum(opened.streams[name].samples for name in names)
-        to_xdf = format is Format.xdf
+        to_xdf = format is Format.xdf or (format is None and output is not None and output.suffix.lower() == ".xdf")
         whole = recording.absolute()
         place = output or whole.with_name(whole.stem + (".xdf" if to_xdf else "_csv"))
         written = (
@@ -109,7 +110,7 @@ def _csv(
 def _tables(names: list[str], folder: File, overwrite: bool) -> dict[str, File]:
     """The file of each stream. Raises RecordingError where one would be lost: two of a name, or one that is there already."""
     if folder.exists() and not folder.is_dir():
-        raise RecordingError(f"--output {folder}: is a file; name a folder for the tables")
+        raise RecordingError(f"--out {folder}: is a file; name a folder for the tables")
     paths: dict[str, File] = {}
     for name in names:
         path = folder / f"{re.sub(r'[^A-Za-z0-9._-]', '_', name)}.csv"
@@ -124,9 +125,9 @@ def _tables(names: list[str], folder: File, overwrite: bool) -> dict[str, File]:
 
 def _refuse_existing(path: File, overwrite: bool) -> None:
     if path.is_dir():
-        raise RecordingError(f"{path}: is a folder; choose another --output")
+        raise RecordingError(f"{path}: is a folder; choose another --out")
     if path.exists() and not overwrite:
-        raise RecordingError(f"{path}: is there already; choose another --output, or replace it with --overwrite")
+        raise RecordingError(f"{path}: is there already; choose another --out, or replace it with --overwrite")
 
 
 def _xdf(
@@ -136,7 +137,7 @@ def _xdf(
     from stream.convert.xdf_write import XdfWriter
 
     if path.is_dir():
-        raise RecordingError(f"--output {path}: is a folder; name the XDF file")
+        raise RecordingError(f"--out {path}: is a folder; name the XDF file")
     _refuse_existing(path, overwrite)
     done = 0
     try:

@@ -32,7 +32,7 @@ def import_(
             help="CSV (with a header line), NPZ, XDF, BVH, C3D or AMC (with its ASF) files", metavar="FILE..."
         ),
     ],
-    output: Annotated[File, typer.Option("-o", "--output", help="the recording to be made, ending in .mcap")],
+    output: Annotated[File, typer.Option("-o", "--out", help="the recording to be made, ending in .mcap")],
     stream: Annotated[
         Many,
         typer.Option(
@@ -85,7 +85,7 @@ def import_(
     from stream.recording import versions
 
     if output.suffix != ".mcap":
-        raise RecordingError(f"--output {output}: the recording's name must end in .mcap")
+        raise RecordingError(f"--out {output}: the recording's name must end in .mcap")
     logs.set_up()
     begin = _moment(start)
     wishes = Wishes(

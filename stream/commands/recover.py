@@ -14,7 +14,7 @@ def recover(
         File | None,
         typer.Option(
             "-o",
-            "--output",
+            "--out",
             help="write it here; otherwise it takes the old file's place, which is kept as *.unfinished",
         ),
     ] = None,

@@ -61,7 +61,7 @@ def run(
     from stream.graph.load import load
     from stream.graph.overrides import read
     from stream.graph.plan import plan
-    from stream.recording.place import SUFFIX
+    from stream.recording.place import SUFFIX, refuse_taken_folder
 
     logs.set_up(json=json_log, verbose=verbose)
     if not isfinite(duration_s):
@@ -71,6 +71,8 @@ def run(
     graph = load(config, overrides=read(settings or []))
     plan(graph)
     folder = session_folder(graph, out, resume) if record or resume else None
+    if folder and not resume:
+        refuse_taken_folder(folder)
     conduct(graph, folder, resume=resume, duration_s=duration_s, view=view, simulate=simulate)
 
 
@@ -87,13 +89,12 @@ def conduct(
     from stream.commands.console import Console
     from stream.engine.session import Session
 
-    began = time.monotonic()
     with _simulated(graph) if simulate else nullcontext():
         screen = _screen(view, graph)
         session = Session(graph, folder, resume=resume, duration_s=duration_s, view=screen)
         with _signals(session), Console(session).listening(), screen or nullcontext():
             outcome = session.run()
-    _tell_end(outcome, time.monotonic() - began)
+    _tell_end(outcome)
     sys.exit(outcome.exit_code)
 
 
@@ -155,12 +156,14 @@ def _signals(session: Session) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _tell_end(outcome: Outcome, took_s: float) -> None:
-    print(f"session of {took_s:.1f} s ended{'' if outcome.error is None else ' by an error'}", file=sys.stderr)
+def _tell_end(outcome: Outcome) -> None:
+    print(f"session of {outcome.seconds:.1f} s ended{'' if outcome.error is None else ' by an error'}", file=sys.stderr)
     for name, row in outcome.table.items():
         troubles = {k: row[k] for k in ("dropped", "late", "gaps", "dropped_chunks", "error", "problems") if row.get(k)}
         if troubles:
             print(f"  {name}: {json.dumps(troubles)}", file=sys.stderr)
+    for node, file in outcome.files.items():
+        print(f"{node}: {file}", file=sys.stderr)
     if outcome.folder:
         print(f"recording: {outcome.folder}", file=sys.stderr)
     if outcome.error:

@@ -17,7 +17,7 @@ from stream.graph.schema import graph_schema
 
 def schema(
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="write it to this file instead of showing it")
+        Path | None, typer.Option("-o", "--out", help="write it to this file instead of showing it")
     ] = None,
     package: Annotated[
         list[str] | None, typer.Option(help="a package or module of your own to look into as well")

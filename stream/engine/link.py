@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from stream.chunk import Chunk, utc
 from stream.engine.metrics import Timing
-from stream.errors import KinegraphError, RunError
+from stream.errors import KinegraphError, RunError, explain
 from stream.operator import Emitted, Operator
 
 if TYPE_CHECKING:
@@ -55,5 +55,5 @@ def failure(node: str, error: Exception, port: str = "", chunk: Chunk | None = N
     if chunk is not None:
         stamp = int(chunk.time[0]) if len(chunk.time) else chunk.until
         where = f" at sample time {utc(stamp)} (input {port!r}, {len(chunk.time)} samples)"
-    text = str(error) if isinstance(error, KinegraphError) else f"{type(error).__name__}: {error}"
+    text = str(error) if isinstance(error, KinegraphError) else explain(error)
     return RunError(f"node {node!r}: {text}{where}")

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from time import perf_counter_ns
@@ -60,6 +60,8 @@ class Outcome:
 
     exit_code   0 well, 3 a device was missing, 4 the graph stopped by an error, 5 an outlet or the recording lost something
     table       the last metrics
+    seconds     from the common opening of the devices to their end
+    files       what outlets have left, by node
     compiled    kernels that were compiled while running; there should be none
     """
 
@@ -68,6 +70,8 @@ class Outcome:
     table: Table
     folder: Path | None
     compiled: list[str]
+    seconds: float = 0.0
+    files: dict[str, str] = field(default_factory=dict)
 
 
 class Session:
@@ -97,6 +101,7 @@ class Session:
         self._stopping = self._over = self._closing = False
         self._error: Exception | None = None
         self._down = False
+        self._ran_s = 0.0
         self.table: Table = {}
         waits = not any(s.live for s in graph.parts(Source) if not s.background)
         self._lanes = Lanes(self._bell, waits, self._fail, self._lane_dropped)
@@ -134,13 +139,26 @@ class Session:
         try:
             with calm():
                 self._begin()
-                self._loop()
+                began = time.monotonic()
+                try:
+                    self._loop()
+                finally:
+                    self._ran_s = time.monotonic() - began
         except Exception as error:  # noqa: BLE001 - told to the caller in the outcome, after everything is closed
             self._error = error
         finally:
             compilations.stop()
             self._finish()
-        return Outcome(self._error, self._exit_code(), self.table, self.folder, compilations.names)
+        files = {s.node.name: s.operator.file for s in self.pipeline.outlets if isinstance(s.operator, Outlet)}
+        return Outcome(
+            self._error,
+            self._exit_code(),
+            self.table,
+            self.folder,
+            compilations.names,
+            self._ran_s,
+            {node: file for node, file in files.items() if file},
+        )
 
     def _prepare(self) -> None:
         """Wire the graph, restore its state if it goes on with a former session, open the journal; no device yet."""
@@ -335,8 +353,13 @@ class Session:
             self.journal.enter(intake.number, chunk, self.clock.now())
             intake.wire.send(chunk, perf_counter_ns())
 
-    def _measure(self) -> None:
-        self.table = table_of(self.pipeline, self._intakes, self._lanes, self.journal.status, self.table)
+    def _measure(self, *, last: bool = False) -> None:
+        """Read the metrics; the `last` ones keep the rates from when samples still came."""
+        before = self.table
+        self.table = table_of(self.pipeline, self._intakes, self._lanes, self.journal.status, before)
+        if last:
+            for name in self.table.keys() & before.keys():
+                self.table[name] |= {k: v for k, v in before[name].items() if k == "rate_hz"}
         self.journal.metrics(self.table)
         if self._view:
             self._view.update(self.table)
@@ -373,7 +396,7 @@ class Session:
             self.journal.report("session failed", error=str(self._error))
             for stage in self.pipeline.outlets:
                 stage.close()
-        self._measure()
+        self._measure(last=True)
         for runner in self._runners:
             if not runner.join():
                 self.journal.report("source does not stop", node=runner.node.name)
@@ -390,6 +413,8 @@ class Session:
             if not intake.ended:
                 intake.wire.send(empty(intake.wire.spec, FOREVER), perf_counter_ns())
         self._lanes.settle(self._pump)
+        if any(isinstance(s.operator, Outlet) and s.operator.file for s in self.pipeline.outlets):
+            log.info("finishing: outlets write what is left")
         self.pipeline.close(lambda: self._lanes.settle(self._pump))
 
     def _exit_code(self) -> int:

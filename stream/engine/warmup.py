@@ -16,7 +16,7 @@ import structlog
 
 from stream.chunk import NS, Chunk, StreamSpec, empty
 from stream.engine.merge import Merge
-from stream.errors import GraphError, KinegraphError
+from stream.errors import GraphError, KinegraphError, explain
 from stream.graph import Graph, Node
 from stream.operator import Emitted, Operator, grid
 
@@ -31,10 +31,17 @@ def warm_up(graph: Graph) -> None:
     for node in graph.nodes.values():
         if not isinstance(node.part, Operator) or node.is_outlet:
             continue
-        if type(node.part) not in seen:
-            seen.add(type(node.part))
-            _run_cases(node.part)
-        _run_made_up(graph, node)
+        try:
+            if type(node.part) not in seen:
+                seen.add(type(node.part))
+                _run_cases(node.part)
+            _run_made_up(graph, node)
+        except KinegraphError:
+            raise
+        except Exception as error:
+            raise GraphError(
+                f"fails on samples made up to try it: {explain(error)}", path=graph.path, line=node.line, node=node.name
+            ) from error
 
 
 def _run_cases(part: Operator[Any]) -> None:
@@ -92,7 +99,7 @@ def check_promises(node: Node, promised: dict[str, StreamSpec], emitted: Emitted
     pairs = [(next(iter(promised)), emitted)] if isinstance(emitted, Chunk) else emitted
     for output, chunk in pairs:
         if output not in promised:
-            raise GraphError(f"emits on {output!r}, but `open` gave no spec for it", node=node.name, line=node.line)
+            raise GraphError(f"emits on {output!r}, but `open` gave no spec for it", node=node.name)
         spec = promised[output]
         if chunk.data.dtype != spec.dtype or chunk.data.shape[1:] != spec.shape or len(chunk.data) != len(chunk.time):
             raise GraphError(

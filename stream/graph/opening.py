@@ -7,10 +7,9 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from stream.chunk import Specs, StreamSpec
-from stream.errors import InputError, KinegraphError, ParameterError
+from stream.errors import InputError, KinegraphError, ParameterError, explain
 from stream.graph import Edge, Node, NodeOptions
 from stream.graph.draft import Draft
-from stream.graph.parts import explain
 from stream.graph.problems import Problems
 from stream.graph.wiring import Wires, order
 from stream.operator import Operator

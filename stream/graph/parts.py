@@ -9,8 +9,6 @@ from __future__ import annotations
 import importlib
 import pkgutil
 import sys
-import sysconfig
-import traceback
 from dataclasses import is_dataclass
 from difflib import get_close_matches
 from functools import partial
@@ -18,7 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeAlias, TypeGuard
 
-from stream.errors import KinegraphError, nearest
+from stream.errors import KinegraphError, explain, nearest
 from stream.operator import Operator, Outlet
 from stream.source import Source
 
@@ -27,7 +25,6 @@ PACKAGES = ("operators", "devices", "stream.manual")
 
 Part: TypeAlias = type[Source] | type[Operator[Any]]
 
-_PYTHON = sysconfig.get_paths()["stdlib"]
 _beside: list[str] = []
 """Folders that `import_from` has put on Python's search path."""
 
@@ -73,11 +70,22 @@ def find(use: str) -> Part:
         return found
     here = [n for n, member in vars(module).items() if is_part(member)]
     if found is None:
-        raise UseError(f"{module_name} has no {name!r}; {nearest(name, here)}")
+        raise UseError(f"{module_name} has no {name!r}; {nearest(name, here)}{_shadowed(module_name)}")
     fault = "is no dataclass" if isinstance(found, type) and issubclass(found, Source | Operator) else "is none"
     raise UseError(
         f"{use} must be a source, an operator or an outlet (a dataclass), but {fault}; {nearest(name, here)}"
     )
+
+
+def _shadowed(module: str) -> str:
+    """A user's own file that an installed module of the same name comes before."""
+    top = module.partition(".")[0]
+    taken = getattr(sys.modules.get(top), "__file__", None)
+    for folder in _beside:
+        mine = Path(folder) / f"{top}.py"
+        if mine.exists() and taken and Path(taken).resolve() != mine.resolve():
+            return f"; {mine} is not looked at, for a module {top!r} is installed ({taken}): rename your file"
+    return ""
 
 
 def is_part(candidate: object) -> TypeGuard[Part]:
@@ -145,16 +153,6 @@ def _import(name: str, use: str) -> ModuleType:
         raise UseError(f"{name} could not be imported: {explain(error)}") from error
 
 
-def explain(error: BaseException) -> str:
-    """An exception on one line, with the last file and line on its way that is not Python's own or an installed package's."""
-    if isinstance(error, SyntaxError):
-        return f"SyntaxError: {error.msg} ({error.filename}, line {error.lineno})"
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename != __file__]
-    own = [f for f in frames if not f.filename.startswith((_PYTHON, "<frozen")) and "site-packages" not in f.filename]
-    where = "".join(f" ({at.filename}, line {at.lineno})" for at in (own or frames)[-1:])
-    return f"{type(error).__name__}: {error}{where}"
-
-
 def _similar(use: str) -> str:
     """What `use` may have been meant to be."""
     top = use.partition(".")[0]
@@ -165,7 +163,9 @@ def _similar(use: str) -> str:
         close = [by_name[n] for n in get_close_matches(use.rpartition(".")[2].lower(), by_name, n=1, cutoff=0.75)]
     if close:
         return f"; did you mean {close[0]!r}?"
-    modules = sorted(
-        {path.rpartition(".")[0] for path in paths} | {f.stem for d in _beside for f in Path(d).glob("*.py")}
-    )
-    return f"; modules that have some are {', '.join(modules)}" if modules else ""
+    mine = sorted({f.stem for d in _beside for f in Path(d).glob("*.py")})
+    close = get_close_matches(top, mine, n=1, cutoff=0.6)
+    if close:
+        return f"; did you mean {'.'.join([close[0], *use.split('.')[1:]])!r}?"
+    own = f"; your own files beside the graph are {', '.join(mine)}" if mine else ""
+    return f"{own}; `kinegraph parts` lists what there is"

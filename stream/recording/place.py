@@ -65,6 +65,21 @@ def give_back(path: Path, held: FileLock) -> None:
     held.release()
 
 
+def refuse_taken_folder(path: Path) -> None:
+    """Raise RecordingError for a folder in which somebody records, or in which a recording lies already."""
+    if path.is_dir():
+        give_back(path, lock(path))
+        refuse_taken(path)
+
+
+def refuse_taken(path: Path) -> None:
+    """Raise RecordingError where a recording lies already."""
+    if parts_of(path):
+        raise RecordingError(
+            f"{path}: holds a recording already; name another place with -o, or go on with that session: run --resume"
+        )
+
+
 def claim(path: Path, *, resume: bool) -> tuple[FileLock, int]:
     """Lock the place, and prove that it can be written. Returns the lock and the number of the part to begin with."""
     folder = path.parent if path.suffix == SUFFIX else path
@@ -81,8 +96,8 @@ def claim(path: Path, *, resume: bool) -> tuple[FileLock, int]:
     held = lock(path)
     try:
         parts = parts_of(path)
-        if parts and not resume:
-            raise RecordingError(f"{path}: holds a recording already; name another place, or resume that session")
+        if not resume:
+            refuse_taken(path)
         number = 0 if not parts else 1 if parts[-1] == path else _number(parts[-1]) + 1
         _probe(part_path(path, number))
     except RecordingError:
