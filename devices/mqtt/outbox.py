@@ -18,7 +18,7 @@ from pathlib import Path
 import structlog
 
 MOST_LETTERS = 6000
-"""Two nights of epochs. Beyond, the oldest are dropped and counted."""
+"""Two days of epochs. Beyond, the oldest are dropped and counted."""
 IN_FLIGHT = 16
 TOGETHER_S = 1.0
 

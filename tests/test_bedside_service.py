@@ -1,0 +1,75 @@
+"""The systemd unit: systemd accepts it, and its command goes on with what a power cut has broken off."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from configparser import ConfigParser
+from pathlib import Path
+
+import pytest
+
+UNIT = Path(__file__).parent.parent / "configs" / "kinegraph-bedside.service"
+FAKE = """#!/bin/sh
+echo "$@" >> calls
+case "$*" in *--resume*) exit $(cat resumes);; esac
+mkdir -p session
+"""
+
+
+def command() -> str:
+    """What the unit runs, as systemd hands it to the shell."""
+    unit = ConfigParser(interpolation=None, strict=False)
+    unit.optionxform = str  # type: ignore[assignment,method-assign]
+    unit.read_string(UNIT.read_text().replace("\\\n", " "))
+    line = unit["Service"]["ExecStart"]
+    assert line.startswith("/bin/sh -c '") and line.endswith("'")
+    return line.removeprefix("/bin/sh -c '").removesuffix("'").replace("$$", "$")
+
+
+def started(folder: Path, *, checkpoint: bool, resumes: int = 0) -> tuple[int, list[str]]:
+    """The exit code, and how kinegraph was called."""
+    program = folder / "bin" / "kinegraph"
+    program.parent.mkdir(parents=True)
+    program.write_text(FAKE)
+    program.chmod(0o755)
+    (folder / "resumes").write_text(str(resumes))
+    (folder / "session").mkdir()
+    (folder / "session" / "session.0000.mcap").touch()
+    if checkpoint:
+        (folder / "session" / "checkpoint.npz").touch()
+    path = f"{program.parent}:{os.environ['PATH']}"
+    done = subprocess.run(["/bin/sh", "-c", command()], cwd=folder, env={**os.environ, "PATH": path}, timeout=60)
+    return done.returncode, (folder / "calls").read_text().splitlines()
+
+
+NEW = "run bedside.yaml -o session --view lines"
+RESUMED = "run bedside.yaml -o session --resume --view lines"
+
+
+def test_a_broken_off_night_goes_on(tmp_path: Path) -> None:
+    assert started(tmp_path, checkpoint=True) == (0, [RESUMED])
+
+
+def test_without_one_a_new_session_begins(tmp_path: Path) -> None:
+    assert started(tmp_path, checkpoint=False) == (0, [NEW])
+    assert not (tmp_path / "session" / "session.0000.mcap").exists()
+
+
+def test_one_that_cannot_go_on_is_put_aside(tmp_path: Path) -> None:
+    assert started(tmp_path, checkpoint=True, resumes=2) == (0, [RESUMED, NEW])
+    assert (tmp_path / "session.broken" / "checkpoint.npz").exists()
+
+
+def test_a_camera_that_is_missing_is_tried_again_by_systemd(tmp_path: Path) -> None:
+    assert started(tmp_path, checkpoint=True, resumes=3) == (3, [RESUMED])
+    assert (tmp_path / "session" / "checkpoint.npz").exists()
+
+
+def test_systemd_accepts_the_unit() -> None:
+    if not shutil.which("systemd-analyze"):
+        pytest.skip("no systemd here")
+    done = subprocess.run(["systemd-analyze", "verify", str(UNIT)], capture_output=True, text=True, timeout=60)
+    mine = [line for line in done.stderr.splitlines() if UNIT.name in line]
+    assert not mine, mine
