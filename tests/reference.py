@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 Event = tuple[Any, ...]
-DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 0.8, 64, 24
+DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 0.8, 1.25, 64, 24
 
 
 @dataclass
@@ -336,7 +336,7 @@ class Reference:
 
     def track(self, paths: Paths, i: int) -> bool:
         mean = paths.advance(self.along(i, paths.frames), i, self.radius)
-        if mean <= self.radius and (paths.best is None or mean < paths.best[0]):
+        if mean <= TRUSTS * self.radius and (paths.best is None or mean < paths.best[0]):
             paths.best = (mean, paths.begin[-1], i)
         return paths.best is not None and i - paths.best[2] >= paths.patience
 

@@ -34,6 +34,8 @@ LEAVES = 0.8
 """The largest mean distance at a shorter lag must be at least this share of the radius: who hardly moves has no cycle."""
 GAIN = 0.3
 """What a path's step costs is its distance less this share of the radius; without it paths would shrink to their cheapest part."""
+TRUSTS = 1.25
+"""A known cycle's repetition may lie so many radii away on the mean: it was met in an activity that repeats."""
 LONGEST = 2
 """Paths advance by slopes from 1 / LONGEST to LONGEST, on the whole."""
 
@@ -164,7 +166,7 @@ def track(s: Memory, i: int) -> bool:
     columns(s, i, b[SLOT], length)
     radius = s.values[RADIUS]
     mean = advance(s.scratch, i, length, b[FREE], GAIN * radius, s.cost, s.begin)
-    if mean <= radius and mean < s.values[BEST]:
+    if mean <= TRUSTS * radius and mean < s.values[BEST]:
         s.values[BEST] = mean
         b[BEST_START], b[BEST_END] = s.begin[0, length - 1], i
     return bool(b[BEST_END] >= 0 and i - b[BEST_END] >= patience(length))
