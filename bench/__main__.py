@@ -11,14 +11,17 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from bench import depth, paced, recorder, replay, start, throughput
+from bench import depth, devices, lsl, mti, paced, recorder, replay, start, throughput
 from bench.engines import Field
 from bench.report import Section, into_readme, whole
 
 README = Path(__file__).resolve().parent.parent / "README.md"
 BUSY = 0.5
 """Beyond this load average at the start, the report says that the machine was busy."""
-MEASURES = ("overhead", "chain", "sizes", "paced", "recorder", "depth", "start", "replay")
+ENGINES = ("overhead", "chain", "sizes", "paced")
+"""Measures beside other engines."""
+DEVICES = ("serial", "mti", "lsl", "depth")
+MEASURES = (*ENGINES, "recorder", *DEVICES, "start", "replay")
 
 
 def main() -> None:
@@ -26,26 +29,37 @@ def main() -> None:
     parser.add_argument(
         "--only", nargs="+", choices=MEASURES, default=MEASURES, metavar="MEASURE", help=", ".join(MEASURES)
     )
+    parser.add_argument("--devices", action="store_true", help=f"only {', '.join(DEVICES)}")
     parser.add_argument("--no-peers", action="store_true", help="kinegraph and the bare loops alone")
     parser.add_argument("--quick", action="store_true", help="tiny sizes: to see that it works, not for figures")
     parser.add_argument("--hours", type=float, default=10.0, help="of the replayed recording")
     parser.add_argument("--readme", action="store_true", help="write the report into the README")
     given = parser.parse_args()
+    only = DEVICES if given.devices else given.only
     began, load = time.monotonic(), os.getloadavg()[0]
     sections = []
-    with Field.gather(with_peers=not given.no_peers) as field:
+    with Field.gather(with_peers=not given.no_peers and bool({*only} & {*ENGINES})) as field:
         for name, measure in measures(field, quick=given.quick, hours=given.hours).items():
-            if name in given.only:
+            if name in only:
                 print(f"{name} ...", file=sys.stderr, flush=True)
-                sections.append(measure())
+                sections += measure()
         text = whole(sections, about(field, load, time.monotonic() - began))
     print(text)
     if given.readme:
         into_readme(README, text)
 
 
-def measures(field: Field, *, quick: bool, hours: float) -> dict[str, Callable[[], Section]]:
+def measures(field: Field, *, quick: bool, hours: float) -> dict[str, Callable[[], list[Section]]]:
     """Every measure, ready to be taken."""
+    single: dict[str, Callable[[], Section]] = _single(field, quick=quick, hours=hours)
+    made = {name: (lambda measure=measure: [measure()]) for name, measure in single.items()}
+    made["serial"] = lambda: devices.serial_devices(quick=quick)
+    made["mti"] = lambda: [mti.bytes_to_samples(0.5, 1)] if quick else mti.sections(10.0, 5)
+    return {name: made[name] for name in MEASURES}
+
+
+def _single(field: Field, *, quick: bool, hours: float) -> dict[str, Callable[[], Section]]:
+    """Those that give one table."""
     if quick:
         return {
             "overhead": lambda: throughput.overhead(field, 1, 0.01),
@@ -54,6 +68,7 @@ def measures(field: Field, *, quick: bool, hours: float) -> dict[str, Callable[[
             "paced": lambda: paced.paced(field, 1, 0.3),
             "recorder": lambda: recorder.recorder(500),
             "depth": lambda: depth.depth(2),
+            "lsl": lambda: lsl.latency(1, 0.3),
             "start": lambda: start.start(1),
             "replay": lambda: replay.replay(0.02, 36.0),
         }
@@ -64,6 +79,7 @@ def measures(field: Field, *, quick: bool, hours: float) -> dict[str, Callable[[
         "paced": lambda: paced.paced(field, 4, 4.5),
         "recorder": lambda: recorder.recorder(20_000),
         "depth": lambda: depth.depth(100),
+        "lsl": lambda: lsl.latency(5, 4.0),
         "start": lambda: start.start(5),
         "replay": lambda: replay.replay(hours),
     }
