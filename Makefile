@@ -16,7 +16,7 @@ test: .venv/installed-for-tests
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	cache=$$(mktemp -d) && trap 'rm -rf "$$cache"' EXIT && export KINEGRAPH_CACHE="$$cache" && \
-		$(BIN)/python -m tests.compile_kernels && $(BIN)/pytest -n 2 --dist loadgroup
+		$(BIN)/python -m tests.compile_kernels && $(BIN)/pytest -n 3 --dist loadgroup
 
 bench: .venv/installed-for-tests
 	$(BIN)/python -m bench --readme
