@@ -77,6 +77,10 @@ class Lsl(Simulator):
         muscles = tuple(str(n) if n in BURSTS else known[i % len(known)] for i, n in enumerate(names))
         return Signal(Walker(muscles, rate_hz=self.rate_hz or GAIT_HZ, seed=self.seed))
 
+    def values(self, signal: Signal, start: int, stop: int) -> NDArray[np.float64]:
+        """Samples start..stop-1 (n, channels), in `unit`."""
+        return np.asarray(signal.read(start, stop)[0] * UNITS.get(self.unit, 1.0))
+
 
 class Walk:
     """What is said as time passes: packets, each a row of bytes, by the number of samples since LSL's clock stood at 0."""
@@ -87,7 +91,6 @@ class Walk:
         count = of.channels if isinstance(of.channels, int) else len(of.channels)
         self.count = count
         self.row = np.dtype([("stamp", "<f8"), ("values", "<f4", (count,))])
-        self._scale = UNITS.get(of.unit, 1.0)
 
     def say(self, start: int, stop: int) -> list[bytes]:
         """The packets of samples start..stop-1; none is empty."""
@@ -97,7 +100,7 @@ class Walk:
             return self._markers(start, stop)
         if not self._of.rate_hz:
             return [self._rows(at, np.full((1, self.count), at / self.rate_hz)) for at in self._touchdowns(start, stop)]
-        return [self._rows(np.arange(start, stop), self._signal.read(start, stop)[0] * self._scale)]
+        return [self._rows(np.arange(start, stop), self._of.values(self._signal, start, stop))]
 
     def _touchdowns(self, start: int, stop: int) -> Sequence[int]:
         return [int(at) for at in self._signal.gait.touchdowns(start, stop)]
