@@ -63,10 +63,10 @@ HEADLINE = ("Total sleep", "Sleep efficiency", "Sleep onset", "Wake after", "Bed
 
 
 def title(facts: Facts) -> str:
-    """Which night it is."""
-    begin = clock(int(facts.numbers.get("onset", facts.begun)), zone_of(facts.timezone))
+    """Which night it is: the evening's date, as in the folder's name."""
+    evening = shelf.evening(int(facts.numbers.get("onset", facts.begun)), zone_of(facts.timezone))
     whose = f", {facts.sleeper}" if facts.sleeper else ""
-    return f"Night of {begin:%A, %-d %B %Y}{whose}"
+    return f"Night of {evening:%A}, {evening.day} {evening:%B %Y}{whose}"
 
 
 def line(facts: Facts) -> str:

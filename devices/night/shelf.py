@@ -14,7 +14,7 @@ import json
 import os
 import shutil
 from dataclasses import asdict, dataclass, field, fields
-from datetime import UTC, datetime, timedelta, tzinfo
+from datetime import UTC, date, datetime, timedelta, tzinfo
 from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
@@ -149,13 +149,18 @@ def nights(root: Path) -> list[tuple[Path, Facts]]:
 
 
 def new_folder(root: Path, begun: int, zone: tzinfo | None) -> Path:
-    """The folder of a night that begins now: the evening's date (before noon: yesterday's), and a number if there is one already."""
-    evening = (clock(begun, zone) - timedelta(hours=NOON_H)).date().isoformat()
-    number, folder = 1, root / evening
+    """The folder of a night that begins now: the evening's date, and a number if there is one already."""
+    name = evening(begun, zone).isoformat()
+    number, folder = 1, root / name
     while folder.exists():
         number += 1
-        folder = root / f"{evening}-{number}"
+        folder = root / f"{name}-{number}"
     return folder
+
+
+def evening(begun: int, zone: tzinfo | None) -> date:
+    """The date of the evening that a night belongs to: before noon, yesterday's."""
+    return (clock(begun, zone) - timedelta(hours=NOON_H)).date()
 
 
 def find(root: Path, name: str) -> Path:
