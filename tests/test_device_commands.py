@@ -14,7 +14,7 @@ from serial.tools.list_ports_common import ListPortInfo
 from devices.commands.devices import devices
 from devices.commands.record import written
 from devices.discovery import found
-from devices.discovery.serial_ports import KNOWN, find
+from devices.discovery.serial_ports import BLUETOOTH, KNOWN, find
 from stream.errors import KinegraphError
 from stream.graph.load import load_text
 from stream.recording import Recording
@@ -38,13 +38,14 @@ def ports(monkeypatch: pytest.MonkeyPatch) -> None:
         port("/dev/ttyACM0", 0x2341, 0x0043, description="Arduino Uno"),
         port("/dev/ttyACM1", 0x1234, 0x5678, description="Something new"),
         port("/dev/ttyS0"),
+        port("/dev/rfcomm0"),
     ]
     monkeypatch.setattr("serial.tools.list_ports.comports", lambda: there)
 
 
 def test_serial_ports_say_what_may_hang_on_them(ports: None) -> None:
     rows = {row.address: row for row in find()}
-    assert list(rows) == ["/dev/ttyACM0", "/dev/ttyACM1", "/dev/ttyUSB0", "/dev/ttyUSB1"], (
+    assert list(rows) == ["/dev/rfcomm0", "/dev/ttyACM0", "/dev/ttyACM1", "/dev/ttyUSB0", "/dev/ttyUSB1"], (
         "a port without anything is left out"
     )
     assert "OpenBCI Cyton" in rows["/dev/ttyUSB0"].what and "DM00Q0QM" in rows["/dev/ttyUSB0"].what
@@ -54,7 +55,7 @@ def test_serial_ports_say_what_may_hang_on_them(ports: None) -> None:
 
 
 def test_the_yaml_that_is_shown_can_be_used() -> None:
-    for known in KNOWN.values():
+    for known in [*KNOWN.values(), BLUETOOTH]:
         if known.yaml and "..." not in known.yaml:
             node = "\n".join(f"    {line}" for line in known.yaml.format(port="/dev/ttyUSB7").splitlines())
             assert load_text(f"nodes:\n  device:\n{node}").nodes["device"].specs
@@ -72,7 +73,7 @@ def test_what_is_found_is_printed(
     assert "serial: /dev/ttyUSB0" in printed.out and "      use: devices.cyton.Cyton" in printed.out
     assert "bus: could not be asked: OSError: no such bus" in printed.err
     devices(["serial"], True)
-    assert json.loads(capsys.readouterr().out)[2]["address"] == "/dev/ttyUSB0"
+    assert json.loads(capsys.readouterr().out)[3]["address"] == "/dev/ttyUSB0"
     with pytest.raises(KinegraphError, match="did you mean 'serial'"):
         devices(["serail"], False)
 

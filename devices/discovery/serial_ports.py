@@ -22,6 +22,13 @@ LINES = "use: devices.ascii_lines.AsciiLines\nport: {port}\ncolumns: [micros, em
 MTI = "use: devices.mti.Mti\nport: {port}"
 DECLARED = "use: devices.binary.Binary\nport: {port}\nframes: ...   # as in configs/witmotion.yaml"
 
+BLUETOOTH = Known(
+    "a Bluetooth device bound to this port: a BITalino, or a Shimmer3",
+    "use: devices.bitalino.Bitalino   # a Shimmer3: devices.shimmer.Shimmer, and no channels\nport: {port}\n"
+    "channels: [{{input: A1, sensor: emg}}]",
+)
+"""What /dev/rfcomm0 and the like may be; the system knows no more of it."""
+
 KNOWN: dict[tuple[int, int | None], Known] = {
     (0x0403, 0x6015): Known("FTDI FT231X: the dongle of an OpenBCI Cyton has this chip", CYTON),
     (0x0403, 0x6001): Known("FTDI FT232R adapter", DECLARED),
@@ -42,6 +49,11 @@ def find() -> Iterator[Found]:
     from serial.tools.list_ports import comports
 
     for port in sorted(comports()):
+        if port.device.startswith("/dev/rfcomm"):
+            yield Found(
+                "serial", port.device, BLUETOOTH.what, BLUETOOTH.yaml.format(port=port.device), _note(port.device)
+            )
+            continue
         if port.vid is None and port.description in (None, "", "n/a", port.name):
             continue
         known = KNOWN.get((port.vid or 0, port.pid)) or KNOWN.get((port.vid or 0, None))
