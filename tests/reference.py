@@ -232,11 +232,12 @@ class Reference:
             return
         if not self.told:
             self.tell_start()
-        if self.paths and self.paths.best and self.paths.best[1] <= self.last:
-            self.accept()
         last = self.last
+        if self.paths and self.paths.best and self.paths.best[1] <= last:
+            self.accept()
         if self.pending:
             assert self.paths
+            self.pending = (self.pending[0], min(self.pending[1], last))
             self.settle(last if last - self.pending[1] <= self.paths.slack else self.pending[1])
         if self.pieces <= last:
             self.piece(last, forced)

@@ -184,7 +184,7 @@ def oldest(s: Memory) -> int:
 
 @kernel
 def finish(s: Memory, forced: bool) -> None:
-    """The activity ends with its last frame that has a neighbour, or with its last repetition."""
+    """The activity ends with its last frame that has a neighbour, or with a repetition that was accepted while it was open."""
     b = s.books
     if b[MODE] == SEARCH and not b[TOLD]:
         length = cycle_length(s, b[DONE], True)
@@ -196,10 +196,11 @@ def finish(s: Memory, forced: bool) -> None:
         return
     if not b[TOLD]:
         tell_start(s)
-    if b[BEST_END] >= 0 and b[MODE] == TRACK and b[BEST_START] <= b[LAST]:
-        accept(s)
     last = b[LAST]
+    if b[BEST_END] >= 0 and b[MODE] == TRACK and b[BEST_START] <= last:
+        accept(s)
     if b[PENDING]:
+        b[TO] = min(b[TO], last)
         settle(s, last if last - b[TO] <= slack(b[LENGTH]) else b[TO])
     if b[PIECES_FROM] <= last:
         piece(s, last, forced)
