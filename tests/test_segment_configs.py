@@ -1,0 +1,68 @@
+"""The configurations that segment muscles and a Kinect's skeleton, run as they stand; and the simulated person they run on."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.exerciser import EXERCISES, JOINTS, Exerciser, Routine, skeleton
+from operators.segmentation_found import read_found
+from operators.segmentation_scores import score
+from operators.segmentation_truth import Truth, read_truth
+from stream import cli
+
+CONFIGS = Path(__file__).resolve().parent.parent / "configs"
+DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
+needs_data = pytest.mark.skipif(not DATA.exists(), reason="KINEGRAPH_DATA names no folder of recordings")
+
+
+def kinegraph(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        cli.call(str(arguments[0]), [str(a) for a in arguments[1:]])
+    assert not ended.value.code
+
+
+def test_the_simulated_person_is_the_same_whoever_asks_and_moves_smoothly():
+    one, other = Routine(Exerciser(noise_mm=0.0)), Routine(Exerciser(noise_mm=0.0))
+    later = other.joints(900)
+    frames = np.array([one.joints(i) for i in range(901)])
+    assert np.array_equal(frames[900], later) and frames.shape == (901, 20, 3)
+    assert np.abs(np.diff(frames, axis=0)).max() < 0.15
+    for exercise in EXERCISES:
+        assert (
+            np.allclose(skeleton(exercise, 0.0), skeleton("arms", 0.0)) and np.isfinite(skeleton(exercise, 0.4)).all()
+        )
+    at = {joint: frames[0, i] for i, joint in enumerate(JOINTS)}
+    assert at["head"][1] > at["hip_center"][1] > at["ankle_l"][1] and at["wrist_l"][0] < at["wrist_r"][0]
+
+
+def test_muscles_of_a_simulated_walk_repeat_once_a_stride(tmp_path):
+    fast = ("--set", "board.realtime=false", "--set", "board.duration_s=25")
+    kinegraph("run", CONFIGS / "segment_emg.yaml", *fast, "--view", "none", "-o", tmp_path / "walk")
+    found = read_found(tmp_path / "walk")
+    strides = np.diff(found.primitives[found.repetition > 0], axis=1)
+    assert len(strides) >= 8 and 0.9 < np.median(strides) < 1.3
+
+
+@needs_data
+def test_muscles_of_a_real_treadmill_walk_repeat_with_every_touchdown(tmp_path):
+    file = DATA / "emg" / "emg_santuz_tw12.npz"
+    source = ("--stream", "board.emg=emg_uV", "--time", "t_s", "--names", "names", "--unit", "uV")
+    kinegraph("import", file, "-o", tmp_path / "walk.mcap", *source)
+    kinegraph("replay", CONFIGS / "segment_emg.yaml", tmp_path / "walk.mcap", "-q", "-o", tmp_path / "out.mcap")
+    with np.load(file) as archive:
+        keys = archive["touchdown_s"] - archive["t_s"][0]
+    none = np.empty(0)
+    scores = score(read_found(tmp_path / "out.mcap"), Truth(none, none, [], none, keys))
+    assert scores.repetitions <= 1 and scores.key_sd <= 0.05
+
+
+@needs_data
+def test_a_real_kinect_recording_is_counted(tmp_path):
+    file = DATA / "segmentation" / "msrc12" / "P3_2_10_p17.npz"
+    source = ("--stream", "kinect.joints=joints_m", "--time", "t_us", "--names", "joint_names", "--unit", "m")
+    kinegraph("import", file, "-o", tmp_path / "hop.mcap", *source)
+    kinegraph("replay", CONFIGS / "segment_kinect.yaml", tmp_path / "hop.mcap", "-q", "-o", tmp_path / "out.mcap")
+    scores = score(read_found(tmp_path / "out.mcap"), read_truth(file))
+    assert scores.repetitions <= 2
