@@ -11,6 +11,9 @@ import numpy as np
 import pytest
 from reference import Event, Reference
 
+from devices.simulators.walking_limb import Limb
+from operators.iir import Lowpass
+from operators.resample import Resample
 from operators.segmentation import Segment
 from operators.stack import Stack
 from stream.chunk import Chunk, StreamSpec
@@ -252,6 +255,29 @@ def test_what_cannot_be_is_said_before_it_begins(
         Segment(**changes).open({"in": StreamSpec((4,), rate_hz=rate_hz)})
 
 
+def test_the_counter_of_the_configuration_counts_strides_from_one_accelerometer() -> None:
+    limb, n = Limb("foot", 100.0), 6000
+    spec, time = StreamSpec((3,), rate_hz=100.0), grid(100.0, n)
+    x: Any = limb.measure(np.arange(n))["acceleration"]
+    steps: tuple[Operator[Any], ...] = (Lowpass(cutoff_hz=3.0), Resample(rate_hz=RATE), Stack())
+    for operator in steps:
+        spec = operator.open({"in": spec})["out"]
+        parts = [
+            flat
+            for made in (operator.process("in", Chunk(time, x, int(time[-1]))), operator.close())
+            for flat in chunks_of(made)
+        ]
+        time, x = np.concatenate([part.time for part in parts]), np.concatenate([part.data for part in parts])
+    events, _ = played(Segment(), x)
+    assert abs(int(events["activity"]["repetitions"].sum()) - len(limb.gait.touchdowns(0, n))) <= 1
+
+
+def chunks_of(emitted: Any) -> list[Chunk]:
+    if emitted is None:
+        return []
+    return [emitted] if isinstance(emitted, Chunk) else [chunk for _, chunk in emitted]
+
+
 def recording(name: str) -> Any:
     folder = os.environ.get("KINEGRAPH_DATA")
     path = Path(folder or "") / "segmentation" / f"{name}.npz"
@@ -265,8 +291,8 @@ def stacked(x: Any) -> Any:
     operator = Stack()
     operator.open({"in": StreamSpec(x.shape[1:], rate_hz=RATE)})
     time = grid(RATE, len(x))
-    made: Any = operator.process("in", Chunk(time, np.ascontiguousarray(x, np.float64), int(time[-1])))
-    return made.data if isinstance(made, Chunk) else np.concatenate([chunk.data for _, chunk in made])
+    made = operator.process("in", Chunk(time, np.ascontiguousarray(x, np.float64), int(time[-1])))
+    return np.concatenate([chunk.data for chunk in chunks_of(made)])
 
 
 def test_the_three_walks_of_a_recording_are_one_cluster_that_holds_nothing_else() -> None:
