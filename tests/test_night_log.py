@@ -361,3 +361,24 @@ def test_two_sleepers_have_a_night_each_in_one_folder(tmp_path: Path) -> None:
     (_, left), (right_folder, right) = shelf.nights(tmp_path)
     assert (left.sleeper, right.sleeper) == ("left", "right") and left.begun < right.begun
     assert len(logged(right_folder)) == 40 and right.closed  # not seen before
+
+
+def test_a_night_that_begins_while_the_disk_is_full_is_written_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    night, log = Night(), opened(tmp_path, report=False)
+    log.begin()
+    mkdir, full = Path.mkdir, [True]
+
+    def refusing(path: Path, *args: Any, **more: Any) -> None:
+        if full[0]:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        mkdir(path, *args, **more)
+
+    monkeypatch.setattr(Path, "mkdir", refusing)
+    feed(log, night.told(0, 120))
+    assert shelf.nights(tmp_path) == []
+    full[0] = False
+    feed(log, chain(night.told(120), night.end()))
+    log.close()
+    assert logged(tmp_path / "2025-12-31") == states(night, night.inn)

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
-import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import tzinfo
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -16,10 +12,11 @@ import numpy as np
 import structlog
 from filelock import FileLock
 
-from devices.append_file import AppendFile
 from devices.claim import check_path, claim, let_go
 from devices.night import shelf
-from devices.night.shelf import COLUMNS, EPOCHS, MAP, Facts, clock, iso
+from devices.night.draughtsman import Draughtsman
+from devices.night.shelf import Facts, clock, iso, nanoseconds
+from devices.night.writing import Night, readable, write_map
 from devices.report.words import settings, versions
 from stream.chunk import NEVER, NS, Array, Chunk, Specs
 from stream.errors import DeviceError, InputError, ParameterError
@@ -35,8 +32,8 @@ HELD = 200
 """What is known of so many epochs waits for their final scores (Webster's rules: up to 70)."""
 APART_NS = 4 * 3600 * NS
 """So long after anyone was in bed, what follows is another night, whatever the statistics say."""
-SETTLE_S, AGAIN_S, DRAWING_S = 1.0, 60.0, 300.0
-MOST_LISTED = 500
+MOST_WAITING = 3000
+"""So many epochs wait for a disk that takes no new folder: a day."""
 
 log = structlog.get_logger(__name__)
 
@@ -72,30 +69,9 @@ class _Desk:
         """What is known of epochs that are not final yet, by onset."""
         self.last = NEVER
         """Onset of the newest epoch that stands in a log."""
-        self.drawing: tuple[subprocess.Popen[bytes], Path] | None = None
-        self.due: dict[Path, float] = {}
-        """Reports that are to be drawn, and when."""
-
-
-@dataclass(slots=True)
-class Night:
-    """The open night. `in_bed`: the onset of the last epoch in which somebody was; `stale`: its facts are not on the disk yet."""
-
-    folder: Path
-    facts: Facts
-    file: AppendFile
-    in_bed: int
-    stale: bool = field(default=False)
-
-    def save(self) -> None:
-        """Write the facts; a disk that is full is tried again with the next epoch."""
-        try:
-            self.facts.save(self.folder)
-            self.stale = False
-        except OSError as error:
-            if not self.stale:
-                log.error("cannot write the night's facts", folder=str(self.folder), error=error.strerror)
-            self.stale = True
+        self.waiting: list[dict[str, Any]] = []
+        """Rows of a night whose folder could not be made yet: the disk is full."""
+        self.draughtsman = Draughtsman()
 
 
 class _Logger(Outlet[LogState]):
@@ -166,24 +142,25 @@ class NightLog(_Logger):
         for folder, facts in shelf.nights(root):
             if facts.sleeper != self.sleeper:
                 continue
-            epochs = _readable(folder)
+            epochs = readable(folder)
             if len(epochs):
                 desk.last = max(desk.last, int(epochs.onset[-1]))
             if facts.closed:
                 desk.former, desk.former_end = folder, int(facts.numbers.get("end", desk.last))
                 self.state.rests = self.state.rests or (len(epochs) > 0 and str(epochs.texts["bed"][-1]) == "in")
-            elif len(epochs):
-                desk.night = _continued(folder, facts, epochs)
+        open_ones = [found for found in shelf.nights(root) if found[1].sleeper == self.sleeper and not found[1].closed]
+        for folder, facts in open_ones[-1:]:
+            epochs = readable(folder)
+            if len(epochs):
+                desk.night = Night.go_on(folder, facts, epochs)
                 self._mark_break(desk.night, int(epochs.end[-1]))
 
     def _mark_break(self, night: Night, written: int) -> None:
         """From the last epoch that is known, final or not, to now, nobody looked."""
-        length = round(night.facts.epoch_s * NS)
-        begin = max([written, *(onset + length for onset in self.desk.held)])
-        begin, now = min(begin, self.desk.now), self.desk.now
-        if now != NEVER and len(night.facts.breaks) < MOST_LISTED:
-            night.facts.breaks.append([begin, now])
-            night.save()
+        length, now = round(night.facts.epoch_s * NS), self.desk.now
+        begin = min(now, max([written, *(onset + length for onset in self.desk.held)]))
+        if now != NEVER:
+            night.note(night.facts.breaks, [begin, now])
             log.info("the night goes on", night=night.folder.name, away_s=(now - begin) // NS)
 
     def process(self, port: str, chunk: Chunk) -> None:
@@ -193,14 +170,12 @@ class NightLog(_Logger):
             else:
                 for stamp, row in zip(chunk.time.tolist(), chunk.data, strict=True):
                     self._take(port, row, stamp)
-        self._look_after_drawing()
+        self.desk.draughtsman.look()
 
     def close(self) -> None:
         desk = self.desk
         try:
-            for folder in list(desk.due):
-                desk.due[folder] = 0.0
-            self._finish_drawing()
+            desk.draughtsman.finish()
         finally:
             night, desk.night = desk.night, None
             if desk.claim:
@@ -243,38 +218,45 @@ class NightLog(_Logger):
         known = self.desk.held.pop(onset, {})
         if onset <= self.desk.last:
             return
-        night = self._night_for(onset, str(known.get("bed", "")), str(row["state"]))
-        if night is None:
-            return
-        self.desk.last = onset
-        facts = {
+        facts = {**known,
             "onset": iso(onset), "end": iso(int(row["end"])), "state": str(row["state"]), "rescored": int(row["rescored"]),
             "score": _number(row["score"]), "activity": _number(row["activity"]),
         }  # fmt: skip
-        night.file.write(_line({**known, **facts}))
-        night.file.sync()
-        if night.stale:
-            night.save()
+        if self._begins_or_goes_on(onset, str(known.get("bed", "")), str(row["state"])):
+            self.desk.last = onset
+            self.desk.waiting = [*self.desk.waiting[-MOST_WAITING:], facts]
+            self._write()
 
-    def _night_for(self, onset: int, bed: str, state: str) -> Night | None:
-        """The night that an epoch belongs to; None if nobody is in bed and no night is open."""
+    def _begins_or_goes_on(self, onset: int, bed: str, state: str) -> bool:
+        """Whether an epoch belongs to a night: one that is open (or waits for the disk), or one that begins with it."""
         desk, night = self.desk, self.desk.night
         told = "seen" in desk.specs
         here = bed == "in" if told else state != "unknown"
         if night is not None and onset - night.in_bed > APART_NS:
             if not here:
-                return None
-            self._shut(night)
-            night = None
+                return False
+            night.shut()
+            night = desk.night = None
         if bed == "out" or onset > desk.former_end + APART_NS:
             self.state.rests = False
-        if night is None:
-            if not here or self.state.rests or (not told and onset < desk.former_end + APART_NS):
-                return None
-            night = self._opened(onset)
-        if here:
+        if night is not None and here:
             night.in_bed = onset
-        return night
+        if night is not None or desk.waiting:
+            return True
+        return here and not self.state.rests and (told or onset >= desk.former_end + APART_NS)
+
+    def _write(self) -> None:
+        """Write what waits, in a new folder if need be; a disk that is full is tried again with the next epoch."""
+        desk = self.desk
+        if desk.night is None:
+            try:
+                desk.night = self._opened(nanoseconds(desk.waiting[0]["onset"]))
+            except (OSError, DeviceError) as error:
+                log.error("the night has no folder yet; its epochs wait in memory", path=self.path, error=str(error))
+                return
+        for row in desk.waiting:
+            desk.night.write(row)
+        desk.waiting = []
 
     def _night(self, row: Any) -> None:
         """The numbers of a night that is over."""
@@ -283,45 +265,31 @@ class NightLog(_Logger):
         if night is None or not numbers["onset"] - APART_NS < night.facts.begun < numbers["end"]:
             return
         night.facts.numbers = {k: (None if v != v else v) for k, v in numbers.items()}
-        night.facts.closed = True
         desk.former, desk.former_end, desk.night = night.folder, numbers["end"], None
         self.state.rests = True
-        self._shut(night)
+        night.shut()
         log.info("the night is over", night=night.folder.name, folder=str(night.folder))
-        self._draw_soon(night.folder)
+        if self.report:
+            desk.draughtsman.soon(night.folder)
         self._forget(numbers["end"])
 
     def _bed(self, row: Any) -> None:
         self.state.bed = str(row["state"])
         night = self.desk.night
-        entry = [int(row["onset"]), self.state.bed]
-        if night is not None and entry not in night.facts.exits and len(night.facts.exits) < MOST_LISTED:
-            night.facts.exits.append(entry)
-            night.save()
+        if night is not None:
+            night.note(night.facts.exits, [int(row["onset"]), self.state.bed])
 
     def _switched(self, row: Any, stamp: int) -> None:
         night = self.desk.night
-        if night is not None and len(night.facts.switched) < MOST_LISTED:
-            entry = [stamp, "lights on" if row["on"] else "lights off"]
-            if entry not in night.facts.switched:
-                night.facts.switched.append(entry)
-                night.save()
+        if night is not None:
+            night.note(night.facts.switched, [stamp, "lights on" if row["on"] else "lights off"])
 
     def _map(self, frame: Array) -> None:
         """The map comes with the night's numbers, before or after them."""
-        folder = self.desk.night.folder if self.desk.night else self.desk.former
-        if folder is None or not folder.is_dir():
-            return
-        draft = folder / f".{MAP}.draft"
-        try:
-            with draft.open("wb") as file:
-                np.save(file, frame)
-            draft.replace(folder / MAP)
-        except OSError as error:
-            log.error("cannot write the motion map", folder=str(folder), error=error.strerror)
-            return
-        if self.desk.night is None:
-            self._draw_soon(folder)
+        desk = self.desk
+        folder = desk.night.folder if desk.night else desk.former
+        if folder is not None and folder.is_dir() and write_map(folder, frame) and desk.night is None and self.report:
+            desk.draughtsman.soon(folder)
 
     # nights on the disk --------------------------------------------------------------------------------------------------
 
@@ -338,27 +306,9 @@ class NightLog(_Logger):
         )  # fmt: skip
         if self.state.bed:
             facts.exits.append([onset, self.state.bed])
-        try:
-            folder.mkdir(parents=True)
-        except OSError as error:
-            raise DeviceError(f"cannot make {folder}: {error.strerror}; choose another path") from None
-        file = AppendFile(folder / EPOCHS)
-        file.write((",".join(COLUMNS) + "\n").encode())
-        night = desk.night = Night(folder, facts, file, onset)
-        night.save()
+        night = Night.begin(folder, facts)
         log.info("a night begins", night=folder.name, at=str(clock(onset, desk.zone)))
         return night
-
-    def _shut(self, night: Night) -> None:
-        """Close a night's files; what could not be written is told, and does not end the outlet."""
-        night.facts.closed = True
-        night.save()
-        if self.desk.night is night:
-            self.desk.night = None
-        try:
-            night.file.close()
-        except DeviceError as error:
-            log.error(str(error))
 
     def _forget(self, now: int) -> None:
         """Delete nights that are older than they may become."""
@@ -368,60 +318,6 @@ class NightLog(_Logger):
             if facts.closed and facts.begun < now - self.keep_days * 86_400 * NS:
                 shelf.remove(folder)
                 log.info("an old night was deleted", night=folder.name, keep_days=self.keep_days)
-
-    # the report ----------------------------------------------------------------------------------------------------------
-
-    def _draw_soon(self, folder: Path) -> None:
-        if self.report:
-            self.desk.due[folder] = time.monotonic() + SETTLE_S
-
-    def _look_after_drawing(self) -> None:
-        """Begin what is due, and see how the last one ended; never waits."""
-        desk = self.desk
-        if desk.drawing:
-            process, folder = desk.drawing
-            if process.poll() is None:
-                return
-            desk.drawing = None
-            self._drawn(process, folder)
-        for folder, when in list(desk.due.items()):
-            if time.monotonic() >= when:
-                del desk.due[folder]
-                desk.drawing = (_draw(folder), folder)
-                return
-
-    def _finish_drawing(self) -> None:
-        """At the session's end: everything that is due, once."""
-        desk = self.desk
-        while desk.drawing or desk.due:
-            self._look_after_drawing()
-            if not desk.drawing:
-                continue
-            process, folder = desk.drawing
-            desk.drawing = None
-            try:
-                process.wait(DRAWING_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-            self._drawn(process, folder)
-            failed = desk.due.pop(folder, None)
-            if failed and failed > time.monotonic() + SETTLE_S:
-                raise DeviceError(
-                    f"no report of {folder}: try `kinegraph nights report {folder.name} --path {folder.parent}`"
-                )
-
-    def _drawn(self, process: subprocess.Popen[bytes], folder: Path) -> None:
-        complaint = process.stderr.read().decode(errors="replace").strip().splitlines()[-1:] if process.stderr else []
-        if process.stderr:
-            process.stderr.close()
-        if process.returncode:
-            log.error(
-                "report not drawn; tried again in a minute", night=folder.name, why=complaint[0] if complaint else ""
-            )
-            self.desk.due[folder] = time.monotonic() + AGAIN_S
-        else:
-            log.info("report written", page=str(folder / "report.html"))
 
 
 FIELDS = {
@@ -433,23 +329,6 @@ FIELDS = {
     "lights": ("on",),
     "map": ("map",),
 }
-
-
-def _continued(folder: Path, facts: Facts, epochs: shelf.Epochs) -> Night:
-    """A night that was broken off: a row that was being written is cut off."""
-    text = (folder / EPOCHS).read_bytes()
-    file = AppendFile(folder / EPOCHS, text.rfind(b"\n") + 1, fresh=False)
-    there = epochs.texts["bed"] == "in"
-    return Night(folder, facts, file, int(epochs.onset[there][-1] if there.any() else epochs.onset[-1]))
-
-
-def _readable(folder: Path) -> shelf.Epochs:
-    try:
-        return shelf.read_epochs(folder)
-    except shelf.NightError as error:
-        log.error("a night cannot be read", folder=str(folder), error=str(error))
-        none = np.empty(0, np.int64)
-        return shelf.Epochs(none, none, {}, {})
 
 
 def _seen(row: Any) -> dict[str, Any]:
@@ -464,17 +343,3 @@ def _breathing(row: Any) -> dict[str, Any]:
 
 def _number(value: Any) -> str:
     return f"{float(value):.4g}" if np.isfinite(value) else ""
-
-
-def _line(facts: dict[str, Any]) -> bytes:
-    return (",".join(str(facts.get(name, "")) for name in COLUMNS) + "\n").encode()
-
-
-def _draw(folder: Path) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "devices.night.page", str(folder)]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True)
-    try:
-        os.setpriority(os.PRIO_PROCESS, process.pid, 10)
-    except (OSError, AttributeError):
-        log.debug("report drawn at normal priority")
-    return process
