@@ -99,19 +99,19 @@ def test_with_an_evening_a_camera_that_starts_late_goes_on_with_the_night(late_s
 
 
 def test_scores_from_frames_agree_with_those_of_the_true_movement() -> None:
-    made = night("bed_h: 1.2, seed: 1")
+    made = night("bed_h: 0.9, seed: 1")
     assert made.agreed >= 0.9 and made.agreed - made.agreed_raw > -0.02
     assert made.unknown <= 5 and made.false == 0 and made.found == made.exits
     assert made.near >= 0.5 * made.still and made.known - made.near <= 0.05 * made.known
 
 
 @needs_data
-def test_five_hours_of_a_real_hypnogram_with_two_components(tmp_path: Path) -> None:
+def test_hours_of_a_real_hypnogram_with_two_components(tmp_path: Path) -> None:
     [(_, source)] = hypnograms(tmp_path, 1)
     table = tmp_path / "subj00_stage.csv"
-    table.write_text("".join(table.read_text(encoding="utf-8").splitlines(keepends=True)[:601]), encoding="utf-8")
+    table.write_text("".join(table.read_text(encoding="utf-8").splitlines(keepends=True)[:421]), encoding="utf-8")
     made = night(f"{source}, fps: 1", components=2)
-    assert made.epochs == 600 and made.unknown <= 5
+    assert made.epochs == 420 and made.unknown <= 5
     assert made.agreed >= 0.9 and abs(made.agreed - made.agreed_raw) < 0.02
     assert made.found == made.exits and not made.false
     assert made.near >= 0.5 * made.still
