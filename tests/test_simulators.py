@@ -265,6 +265,8 @@ IDENTIFIED = {
     "cyton_emg": "device board: OpenBCI Cyton, port ",
     "bitalino_emg": "firmware BITalino_v5.2, battery_v 3.9",
     "imu_steps": "serial 03700001, firmware 1.8.2",
+    "shimmer_emg": "device shimmer: Shimmer3, port ",
+    "trigno_emg": "device trigno: Delsys Trigno, port ",
     "lsl_emg": "LSL stream, name ",
     "depth_view": "device camera: OAK",
     "dualsense": "device controller: USB device, usb 054c:0ce6",

@@ -133,14 +133,14 @@ def test_channels_have_the_names_of_the_graph() -> None:
 
 
 def test_what_goes_wrong_is_counted() -> None:
-    feed = read(TrignoBrain(), 4000, Misbehaviour(corrupt=0.2, seed=2))
+    feed = read(TrignoBrain(), 2500, Misbehaviour(corrupt=0.2, seed=2))
     assert feed.error is None and feed.problems["impossible value"] >= np.isnan(feed.data("emg")).sum() > 0
     feed = read(TrignoBrain(), 9000, Misbehaviour(lose=0.12, seed=2))
     assert feed.error is None and feed.problems["lost count"] >= 1 and -1 in feed.lost("emg").values()
 
 
 def test_a_stall_is_no_loss() -> None:
-    assert not read(TrignoBrain(), 5000, Misbehaviour(stall_every_s=1.0, stall_s=0.3)).problems
+    assert not read(TrignoBrain(), 3500, Misbehaviour(stall_every_s=1.0, stall_s=0.3)).problems
 
 
 def test_unplugged_in_mid_sample() -> None:

@@ -24,7 +24,7 @@ from stream.source import Source
 from tests.device_feed import Kept, check
 from tests.test_align import run
 
-SECONDS = 75
+SECONDS = 60
 LEARNT_S = 30
 """From then on they must agree."""
 JITTER_S, STALLED, STALL_S = 0.02, 0.01, 0.1
