@@ -43,9 +43,7 @@ def segmentation(
     radius: Annotated[
         float, typer.Option(min=0.0, help="of the matrix, in the features' unit [default: as it was found]")
     ] = 0.0,
-    output: Annotated[
-        File | None, typer.Option("-o", "--out", help="folder for the pictures and scores.csv")
-    ] = None,
+    output: Annotated[File | None, typer.Option("-o", "--out", help="folder for the pictures and scores.csv")] = None,
     force: Annotated[bool, typer.Option(help="replace files that exist")] = False,
 ) -> None:
     """Boundary F1, covering, accuracy and repetitions against annotations, with a picture of each recording.
