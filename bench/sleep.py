@@ -197,16 +197,19 @@ def whole_graph(seen: Array, rounds: int) -> Section:
     """From the camera to the score: one frame after the other through all operators."""
     looped = Looped(seen)
     took = np.empty(max(rounds, 30) * 10)
+    cpu = 0.0
     for k in range(-300, len(took)):
+        cpu = cpu if k else time.thread_time()
         begin = time.perf_counter_ns()
         looped.feed(k + 300)
         if k >= 0:
             took[k] = (time.perf_counter_ns() - begin) / 1e6
-    ms, worst = float(took.mean()), float(np.quantile(took, 0.99))
+    ms, worst = 1000 * (time.thread_time() - cpu) / len(took), float(np.quantile(took, 0.99))
     section = Section(f"The whole graph, {WIDTH} x {HEIGHT}")
     section.notes = [
-        f"Simplification, bed, presence, motion, activity, score, breathing: {short(ms)} ms a frame on average, "
-        f"{short(float(np.median(took)))} median, {short(worst)} at the 99th percentile; at {FPS} fps {ms * FPS / 10:.1f} % of a core."
+        f"Simplification, bed, presence, motion, activity, score, breathing: {short(ms)} ms of processor time a frame on average, "
+        f"{short(float(np.median(took)))} ms elapsed in the median, {short(worst)} at the 99th percentile; "
+        f"at {FPS} fps {ms * FPS / 10:.1f} % of a core."
     ]
     section.goals = [
         Goal("whole graph", round(ms, 3), 1.5, "ms"),
