@@ -227,7 +227,7 @@ def muscles(path: Path) -> str:
 
 
 def speed() -> str:
-    """Stack and segment 75 features at 30 Hz, one frame at a time."""
+    """Stack and segment 75 features at 30 Hz, one frame at a time; in the thread's own time, which other work does not change."""
     rng, n = np.random.default_rng(0), 9000
     turn = np.arange(n) * 0.2
     kind = (np.arange(n) // 450) % 5
@@ -241,10 +241,10 @@ def speed() -> str:
         segments.open({"in": spec})
         stamps, took = grid(RATE, n), np.empty(n)
         for i in range(n):
-            begun = time.perf_counter_ns()
+            begun = time.thread_time_ns()
             for stacked in _chunks(stack.process("in", Chunk(stamps[i : i + 1], x[i : i + 1], int(stamps[i])))):
                 segments.process("in", stacked)
-            took[i] = (time.perf_counter_ns() - begun) / 1e6
+            took[i] = (time.thread_time_ns() - begun) / 1e6
         took = took[100:]
         cells = [took.mean(), *np.quantile(took, [0.5, 0.99, 0.999]), took.max()]
         rows.append([f"{window_s:g} s", *(f"{v:.3f}" for v in cells), f"{segments.memory_bytes / 1e6:.1f}"])
