@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from devices.simulators.bedroom import Bedroom, Extras
+from devices.simulators.bedroom import Bedroom, Extras, prepare
 from devices.simulators.night import EPOCH_S, Plan, made_up, plan
 from stream.chunk import NS, Chunk, Specs, StreamSpec, empty
 from stream.errors import DeviceError, ParameterError
@@ -78,6 +78,7 @@ class Bedside(Source):
         return (1 if self.live else TOGETHER) / self.fps
 
     def specs(self) -> Specs:
+        prepare()
         if self.evening:
             _clock(self.evening)
         meta = {"device": "simulated bedroom", "invalid": 0, "simulated": True}

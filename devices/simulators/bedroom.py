@@ -72,6 +72,12 @@ def _sense(
             out[y, x] = np.uint16(DISPARITY / step + 0.5) if measured else np.uint16(0)
 
 
+def prepare() -> None:
+    """Compile what renders, so that nothing compiles while a session runs."""
+    flat, pattern = np.full((1, 1), 2000.0, np.float32), np.zeros((1, 1, 1), np.float32)
+    _sense(flat, flat, 0.0, flat, 0.0, flat, 0.0, pattern, pattern, 0.0, 0, 0, 0, np.empty((1, 1), np.uint16))
+
+
 class Bedroom:
     """What the camera sees at any time of the night.
 
