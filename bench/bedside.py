@@ -20,7 +20,7 @@ import numpy as np
 
 from bench.report import table
 from devices.simulators.night import EPOCH_S
-from operators.sleep_scorer import SleepScorer
+from operators.sleep.scorer import SleepScorer
 from stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
 from stream.engine.pipeline import Pipeline
 from stream.graph import Graph
@@ -30,9 +30,9 @@ from stream.operator import grid
 START = 1_772_395_200 * NS
 """2026-03-01T20:00:00Z."""
 RAW = """
-  motion_raw: {use: operators.depth_motion.Motion, from: {regions: bed, frames: camera.depth}, raw: true}
-  activity_raw: {use: operators.depth_activity.Activity, from: {bed: presence, motion: motion_raw}}
-  scorer_raw: {use: operators.sleep_scorer.SleepScorer, from: activity_raw}
+  motion_raw: {use: operators.depth.motion.Motion, from: {regions: bed, frames: camera.depth}, raw: true}
+  activity_raw: {use: operators.depth.activity.Activity, from: {bed: presence, motion: motion_raw}}
+  scorer_raw: {use: operators.sleep.scorer.SleepScorer, from: activity_raw}
 """
 """The same without simplification."""
 KEPT = (
@@ -40,15 +40,15 @@ KEPT = (
 )  # fmt: skip
 STAGES = {0: "W", 1: "N1", 2: "N2", 3: "N3", 4: "N3", 5: "R", -1: "W"}
 LEAST_S = 1.0
-"""True movement of so long makes an epoch active, as operators.depth_activity.Activity has it."""
+"""True movement of so long makes an epoch active, as operators.depth.activity.Activity has it."""
 OPERATORS = """
-  simplify: {use: operators.depth_simplify.Simplify, from: camera.depth, components: COMPONENTS, learn_s: 60}
-  bed: {use: operators.depth_bed.BedRegion, from: simplify.blocks, sleepers: SLEEPERS, regions: REGIONS}
-  presence: {use: operators.depth_presence.Presence, from: {regions: bed, blocks: simplify.blocks}}
-  motion: {use: operators.depth_motion.Motion, from: {scene: simplify.scene, regions: bed, frames: simplify}}
-  activity: {use: operators.depth_activity.Activity, from: {bed: presence, motion: motion}}
-  scorer: {use: operators.sleep_scorer.SleepScorer, from: activity, channel: FIRST}
-  breathing: {use: operators.depth_breathing.Breathing, from: {regions: bed, bed: presence, blocks: simplify.blocks}}
+  simplify: {use: operators.depth.simplify.Simplify, from: camera.depth, components: COMPONENTS, learn_s: 60}
+  bed: {use: operators.depth.bed.BedRegion, from: simplify.blocks, sleepers: SLEEPERS, regions: REGIONS}
+  presence: {use: operators.depth.presence.Presence, from: {regions: bed, blocks: simplify.blocks}}
+  motion: {use: operators.depth.motion.Motion, from: {scene: simplify.scene, regions: bed, frames: simplify}}
+  activity: {use: operators.depth.activity.Activity, from: {bed: presence, motion: motion}}
+  scorer: {use: operators.sleep.scorer.SleepScorer, from: activity, channel: FIRST}
+  breathing: {use: operators.depth.breathing.Breathing, from: {regions: bed, bed: presence, blocks: simplify.blocks}}
 """
 
 

@@ -13,16 +13,16 @@ import platform
 import time
 from collections.abc import Callable
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
-import psutil
 
 from bench.bedside import START, Run, graph
 from bench.report import Goal, Section, short, whole
 from devices.bedside import Bedside
 from devices.simulators.bedroom import Bedroom
-from operators.depth_change import change
-from operators.depth_simplify import Simplify
+from operators.depth.change import change
+from operators.depth.simplify import Simplify
 from stream.chunk import NS, Array, Chunk, StreamSpec
 from stream.operator import grid
 
@@ -218,16 +218,21 @@ def whole_graph(seen: Array, rounds: int) -> Section:
     return section
 
 
+def resident_mib() -> float:
+    """The memory that this process takes, in MiB."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
 def night(seen: Array, count: int) -> Section:
     """A night at full rate: how long it takes, and what the process's memory does."""
     looped = Looped(seen)
-    process, hour = psutil.Process(), 3600 * FPS
+    hour = 3600 * FPS
     memory = []
     begin = time.monotonic()
     for k in range(count):
         looped.feed(k)
         if (k + 1) % hour == 0:
-            memory.append(process.memory_info().rss / 2**20)
+            memory.append(resident_mib())
     minutes = (time.monotonic() - begin) / 60
     section = Section(f"A night of {count} frames")
     growth = (memory[-1] - memory[0]) / (len(memory) - 1) if len(memory) > 1 else 0.0

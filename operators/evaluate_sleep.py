@@ -11,7 +11,7 @@ import typer
 from stream.errors import KinegraphError
 
 if TYPE_CHECKING:
-    from operators.sleep_evaluation import Pair
+    from operators.sleep.evaluation import Pair
 
 
 def sleep(
@@ -31,9 +31,7 @@ def sleep(
     epoch_s: Annotated[
         float, typer.Option(min=1.0, max=300.0, help="epoch length of CSV tables that do not say")
     ] = 30.0,
-    output: Annotated[
-        File | None, typer.Option("-o", "--out", help="folder for agreement.png and nights.csv")
-    ] = None,
+    output: Annotated[File | None, typer.Option("-o", "--out", help="folder for agreement.png and nights.csv")] = None,
     force: Annotated[bool, typer.Option(help="replace files that exist")] = False,
 ) -> None:
     """Sensitivity, specificity, kappa, and Bland-Altman limits of TST, SOL and WASO, against a reference hypnogram.
@@ -42,7 +40,7 @@ def sleep(
     """
     from rich.console import Console
 
-    from operators.sleep_evaluation import NOTE, tables
+    from operators.sleep.evaluation import NOTE, tables
 
     if (nights is None) == (estimate is None) or (estimate is None) != (reference is None):
         raise KinegraphError("give ESTIMATE and REFERENCE, or --nights TABLE.csv")
@@ -58,8 +56,8 @@ def sleep(
 
 
 def _pair(estimate: File, reference: File, person: str, offset_s: float, stream: str, epoch_s: float) -> Pair:
-    from operators.sleep_evaluation import pair
-    from operators.sleep_reference import read_hypnogram
+    from operators.sleep.evaluation import pair
+    from operators.sleep.reference import read_hypnogram
 
     found = read_hypnogram(estimate, stream=stream, epoch_s=epoch_s)
     truth = read_hypnogram(reference, epoch_s=epoch_s)
@@ -90,7 +88,7 @@ def _rows(table: File) -> list[tuple[File, File, str, float]]:
 
 
 def _write(pairs: list[Pair], folder: File, force: bool) -> None:
-    from operators.sleep_evaluation import draw, write_table
+    from operators.sleep.evaluation import draw, write_table
 
     picture, sheet = folder / "agreement.png", folder / "nights.csv"
     for path in (picture, sheet):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bench.pictures import face
-from operators.depth_regions import REGION, region_spec
+from operators.depth.regions import REGION, region_spec
 from stream.chunk import NS, Array, Chunk, Specs, StreamSpec
 from stream.operator import Case, Operator
 from stream.source import Feed, Source

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.depth_bed import BedRegion
-from operators.depth_motion import LONGEST_EPOCH, Motion
-from operators.depth_night_map import NightMap
-from operators.depth_simplify import SCENE
+from operators.depth.bed import BedRegion
+from operators.depth.motion import LONGEST_EPOCH, Motion
+from operators.depth.night_map import NightMap
+from operators.depth.simplify import SCENE
 from stream.chunk import NS, Array, Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.operator import grid

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.depth_activity import Activity
-from operators.depth_breathing import Breathing
-from operators.depth_presence import BED, Presence
-from operators.sleep_scorer import SleepScorer
+from operators.depth.activity import Activity
+from operators.depth.breathing import Breathing
+from operators.depth.presence import BED, Presence
+from operators.sleep.scorer import SleepScorer
 from stream.chunk import NS, Array, StreamSpec
 from stream.errors import InputError
 from stream.operator import grid
@@ -232,5 +232,5 @@ def test_streams_that_do_not_fit_are_refused() -> None:
         Presence().open({"regions": StreamSpec((), BED), "blocks": blocks})
     with pytest.raises(InputError, match="at least 1 Hz"):
         Breathing().open({"regions": place, "blocks": blocks_spec(ROWS, COLUMNS, 0.3)})
-    with pytest.raises(InputError, match=r"operators\.depth_presence.Presence"):
+    with pytest.raises(InputError, match=r"operators\.depth\.presence\.Presence"):
         Activity().open({"bed": place, "motion": StreamSpec((1,), rate_hz=30.0, channels=("a",))})

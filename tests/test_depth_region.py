@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.depth_region import RegionDepth
+from operators.depth.region import RegionDepth
 from stream.chunk import Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.operator import grid

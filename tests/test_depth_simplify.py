@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from bench.pictures import face
-from operators.depth_blocks import left_over
-from operators.depth_simplify import Simplify
+from operators.depth.blocks import left_over
+from operators.depth.simplify import Simplify
 from stream.chunk import NS, Array, Chunk
 from stream.engine.checkpoint import Checkpoint
 from stream.engine.session import Session
@@ -99,10 +99,10 @@ record: [simplify, simplify.blocks, motion, motion.map, presence.height]
 checkpoint_s: 0.1
 nodes:
   camera: {use: depth_frames.Faces}
-  simplify: {use: operators.depth_simplify.Simplify, from: camera}
-  bed: {use: operators.depth_bed.BedRegion, from: simplify.blocks, regions: [[0, 0, 48, 64]]}
-  presence: {use: operators.depth_presence.Presence, from: {regions: bed, blocks: simplify.blocks}}
-  motion: {use: operators.depth_motion.Motion, from: {scene: simplify.scene, regions: bed, frames: simplify}, epoch_s: 1.0}
+  simplify: {use: operators.depth.simplify.Simplify, from: camera}
+  bed: {use: operators.depth.bed.BedRegion, from: simplify.blocks, regions: [[0, 0, 48, 64]]}
+  presence: {use: operators.depth.presence.Presence, from: {regions: bed, blocks: simplify.blocks}}
+  motion: {use: operators.depth.motion.Motion, from: {scene: simplify.scene, regions: bed, frames: simplify}, epoch_s: 1.0}
 """
 
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from operators.evaluate_sleep import sleep
-from operators.sleep_agreement import Confusion, limits
-from operators.sleep_evaluation import agreement, draw, pair, total
-from operators.sleep_reference import Hypnogram, read_hypnogram, stage
-from operators.sleep_rescoring import SLEEP, UNKNOWN, WAKE
+from operators.sleep.agreement import Confusion, limits
+from operators.sleep.evaluation import agreement, draw, pair, total
+from operators.sleep.reference import Hypnogram, read_hypnogram, stage
+from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE
 from stream.chunk import NS, Array
 from stream.errors import KinegraphError
 from tests.sleep_data import needs_data, sleep_file

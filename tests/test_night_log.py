@@ -102,7 +102,7 @@ def test_edf_opens_in_other_programs(drawn: tuple[Path, Night]) -> None:
 
 
 def test_our_own_evaluation_reads_the_log_and_the_edf(drawn: tuple[Path, Night]) -> None:
-    from operators.sleep_reference import read_hypnogram
+    from operators.sleep.reference import read_hypnogram
 
     folder, _ = drawn
     of_csv, of_edf = read_hypnogram(folder / "epochs.csv"), read_hypnogram(folder / "hypnogram.edf")

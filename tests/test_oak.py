@@ -316,7 +316,7 @@ class TestWithDepthai:
             "record: [level]\n"
             "nodes:\n"
             "  camera: {use: devices.oak.Oak, width: 160, height: 100, reconnect_s: 0.3}\n"
-            "  level: {use: operators.depth_region.RegionDepth, from: camera.depth}\n"
+            "  level: {use: operators.depth.region.RegionDepth, from: camera.depth}\n"
         )
         with plugged_in(graph.nodes["camera"].part) as (source, simulated):  # type: ignore[arg-type]
             graph.nodes["camera"].part = source

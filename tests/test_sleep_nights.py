@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from operators.pause import Pause
-from operators.sleep_nights import Nights
+from operators.sleep.nights import Nights
 from stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
 from stream.engine.merge import Merge
 from stream.operator import Operator

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.sleep_rescoring import SLEEP, UNKNOWN, WAKE, rescored, settled
-from operators.sleep_scorer import SleepScorer
+from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE, rescored, settled
+from operators.sleep.scorer import SleepScorer
 from stream.chunk import NS, Chunk, StreamSpec
 from stream.errors import InputError, KinegraphError, ParameterError
 from tests.sleep_data import epochs_of, final, needs_data, run, sleep_file

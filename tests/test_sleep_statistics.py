@@ -8,12 +8,12 @@ from datetime import datetime
 import numpy as np
 import pytest
 
-from operators.sleep_epochs import Epochs
-from operators.sleep_night import night
-from operators.sleep_periods import SleepPeriods
-from operators.sleep_rescoring import SLEEP, UNKNOWN, WAKE
-from operators.sleep_scorer import EPOCH, SleepScorer
-from operators.sleep_statistics import SleepStatistics
+from operators.sleep.epochs import Epochs
+from operators.sleep.night import night
+from operators.sleep.periods import SleepPeriods
+from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE
+from operators.sleep.scorer import EPOCH, SleepScorer
+from operators.sleep.statistics import SleepStatistics
 from stream.chunk import NS, Array, Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
 from tests.sleep_data import epochs_of, needs_data, play, run, sleep_file, stamped

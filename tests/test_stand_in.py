@@ -25,9 +25,9 @@ record: [level, sum]
 recording: {flush_s: 0.2}
 nodes:
   camera: {use: camera_part.Camera}
-  level: {use: operators.depth_region.RegionDepth, from: camera.depth}
+  level: {use: operators.depth.region.RegionDepth, from: camera.depth}
   sum: {use: parts.RunningSum, from: level}
-  other: {use: operators.depth_region.RegionDepth, from: camera.depth, rows: 5}
+  other: {use: operators.depth.region.RegionDepth, from: camera.depth, rows: 5}
   othersum: {use: parts.RunningSum, from: other}
   board: {use: parts.Counting, samples: 2000}
   boardsum: {use: parts.RunningSum, from: board}

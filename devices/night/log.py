@@ -83,12 +83,12 @@ class _Logger(Outlet[LogState]):
 class NightLog(_Logger):
     """Every final epoch as a row on the disk, a folder for each night; in the morning a report: HTML, PNG, EDF+.
 
-    epochs     of `operators.sleep_scorer.SleepScorer`
-    nights     of `operators.sleep_statistics.SleepStatistics`: a row closes the night, and its numbers stand in the report
-    bed        of `operators.depth_presence.Presence`: bed exits
-    seen       of `operators.depth_activity.Activity` (epochs): how much of each epoch was seen, and whether anyone was in bed
-    breathing  of `operators.depth_breathing.Breathing`
-    map        of `operators.depth_night_map.NightMap`
+    epochs     of `operators.sleep.scorer.SleepScorer`
+    nights     of `operators.sleep.statistics.SleepStatistics`: a row closes the night, and its numbers stand in the report
+    bed        of `operators.depth.presence.Presence`: bed exits
+    seen       of `operators.depth.activity.Activity` (epochs): how much of each epoch was seen, and whether anyone was in bed
+    breathing  of `operators.depth.breathing.Breathing`
+    map        of `operators.depth.night_map.NightMap`
     lights     a button or switch: when the lights went off and on
 
     A night begins with the first epoch in which somebody is in bed (without `seen`: with the first epoch), and a row of `nights` ends it.

@@ -10,7 +10,7 @@ import numpy as np
 import structlog
 from numpy.typing import NDArray
 
-from operators.depth_regions import REGION, block_of, region_spec
+from operators.depth.regions import REGION, block_of, region_spec
 from stream.chunk import NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
 from stream.operator import Case, Operator, grid

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
-from operators.sleep_periods import PERIOD
+from operators.sleep.periods import PERIOD
 from stream.chunk import FOREVER, NEVER, NS, Chunk, Specs, StreamSpec
 from stream.errors import InputError
 from stream.operator import Case, Operator
@@ -47,7 +47,7 @@ class NightsState:
 class Nights(Operator[NightsState]):
     """In bed or out of it, and the lights, in; one event per night out: onset, end, minutes, and whether it is by the `lights`.
 
-    bed     of `operators.depth_presence.Presence`
+    bed     of `operators.depth.presence.Presence`
     lights  a button, MQTT, `stream.manual.Value`: 0, or a field `on` that is false, is off. May be left out, and forgotten for a night
 
     A night begins when the lights go off (in bed, or at most `apart_h` before), else when somebody goes to bed. It ends when the lights

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.depth_blocks import iterate, left_over
+from operators.depth.blocks import iterate, left_over
 from stream.chunk import Samples
 
 STEPS = 64

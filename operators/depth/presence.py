@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from operators.depth_regions import REGION, block_of, region_spec, sleepers_of, take
-from operators.depth_seconds import Seconds, add, look, restless
+from operators.depth.regions import REGION, block_of, region_spec, sleepers_of, take
+from operators.depth.seconds import Seconds, add, look, restless
 from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times, add_lost
 from stream.operator import Case, Operator, grid
 from stream.params import param

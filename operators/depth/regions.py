@@ -33,7 +33,7 @@ def sleepers_of(specs: Specs, port: str = "regions") -> tuple[str, ...]:
     """The names of those whose regions come by `port`."""
     spec = specs[port]
     if spec.dtype != REGION or not spec.meta.get("sleepers"):
-        raise InputError(port, spec.describe(), "regions, as operators.depth_bed.BedRegion gives them")
+        raise InputError(port, spec.describe(), "regions, as operators.depth.bed.BedRegion gives them")
     return tuple(spec.meta["sleepers"])
 
 
@@ -42,7 +42,7 @@ def block_of(spec: StreamSpec, port: str) -> int:
     block = spec.meta.get("simplified", {}).get("block")
     if len(spec.shape) != 2 or spec.dtype != np.dtype(np.float64) or not block:
         raise InputError(
-            port, spec.describe(), "mean depths of blocks (operators.depth_simplify.Simplify, output blocks)"
+            port, spec.describe(), "mean depths of blocks (operators.depth.simplify.Simplify, output blocks)"
         )
     return int(block)
 

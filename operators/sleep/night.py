@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.sleep_rescoring import SLEEP, UNKNOWN, WAKE, States, runs
+from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE, States, runs
 from stream.chunk import Samples
 
 Convention = Literal["AASM", "ActiLife", "Actiware"]

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from operators.sleep_rescoring import SLEEP, UNKNOWN, WAKE, States
-from operators.sleep_scorer import EPOCH
+from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE, States
+from operators.sleep.scorer import EPOCH
 from stream.chunk import NS, Times
 from stream.errors import KinegraphError, RecordingError
 

@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.depth_motion import map_of
-from operators.depth_presence import BED
+from operators.depth.motion import map_of
+from operators.depth.presence import BED
 from stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec, add_lost
 from stream.errors import InputError
 from stream.operator import Case, Operator, grid
@@ -49,11 +49,11 @@ class NightMap(Operator[NightMapState]):
         spec = specs["map"]
         shape = spec.dtype["map"].shape if spec.dtype.names and "map" in spec.dtype.names else ()
         if len(shape) != 2 or spec.dtype != map_of(shape):
-            raise InputError("map", spec.describe(), "the output map of operators.depth_motion.Motion")
+            raise InputError("map", spec.describe(), "the output map of operators.depth.motion.Motion")
         if not specs["nights"].is_event:
             raise InputError("nights", specs["nights"].describe(), "events, one at the end of each night")
         if "bed" in specs and specs["bed"].dtype != BED:
-            raise InputError("bed", specs["bed"].describe(), "the output of operators.depth_presence.Presence")
+            raise InputError("bed", specs["bed"].describe(), "the output of operators.depth.presence.Presence")
         there = [] if "bed" in specs else ["anybody"]
         self.hold(NightMapState(np.zeros(shape), np.zeros(shape, np.int64), NEVER, NEVER, there, 0))
         return {"out": spec}

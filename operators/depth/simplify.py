@@ -8,8 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.depth_basis import Learner, means
-from operators.depth_blocks import Frame, Single, gather, simplify
+from operators.depth.basis import Learner, means
+from operators.depth.blocks import Frame, Single, gather, simplify
 from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
@@ -25,7 +25,7 @@ EFFORT = 32 * 8**4
 class SimplifyState:
     """No frame stands here: only sums over many blocks, and vectors.
 
-    tiles, centre, shift   of the basis in use, as `operators.depth_blocks.simplify` takes them
+    tiles, centre, shift   of the basis in use, as `operators.depth.blocks.simplify` takes them
     vectors                (m, n) the same basis
     learned                whether it was learned; before that, blocks are their means
     begun                  when the stretch began from which is learned (ns)

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from operators.sleep_agreement import Confusion, Limits, limits
-from operators.sleep_night import Night, night
-from operators.sleep_reference import Hypnogram
-from operators.sleep_rescoring import UNKNOWN, States
+from operators.sleep.agreement import Confusion, Limits, limits
+from operators.sleep.night import Night, night
+from operators.sleep.reference import Hypnogram
+from operators.sleep.rescoring import UNKNOWN, States
 from stream.chunk import NS, Times
 from stream.errors import KinegraphError
 
@@ -125,9 +125,9 @@ def write_table(pairs: list[Pair], path: Path) -> None:
 
 def draw(pairs: list[Pair]) -> Figure:
     """Bland-Altman plots of TST, SOL and WASO, and below them both hypnograms of every night."""
-    from operators import sleep_pictures
+    from operators.sleep import pictures
 
-    return sleep_pictures.draw(pairs, agreement(pairs), NUMBERS, NOTE)
+    return pictures.draw(pairs, agreement(pairs), NUMBERS, NOTE)
 
 
 def _counts(c: Confusion) -> list[str]:

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from operators.sleep_agreement import Limits
-from operators.sleep_rescoring import SLEEP, UNKNOWN, WAKE
+from operators.sleep.agreement import Limits
+from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE
 from stream.chunk import NS, Samples
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from operators.sleep_evaluation import Pair
+    from operators.sleep.evaluation import Pair
 
 MOST_NIGHTS = 20
 INK, BAND, COLOURS = "#12395b", "#dfe6ee", {SLEEP: "#8fb3d3", WAKE: "#d98a29"}

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.sleep_rescoring import SLEEP, UNKNOWN, WAKE, States
+from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE, States
 from stream.chunk import Samples
 
 

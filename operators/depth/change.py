@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.depth_blocks import Frame
+from operators.depth.blocks import Frame
 from stream.chunk import Samples, Times
 from stream.kernel import kernel
 

@@ -10,9 +10,9 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
 
-from operators.sleep_night import Convention, night
-from operators.sleep_periods import PERIOD, scored, some_epochs
-from operators.sleep_rescoring import NAMES, SLEEP, UNKNOWN, States
+from operators.sleep.night import Convention, night
+from operators.sleep.periods import PERIOD, scored, some_epochs
+from operators.sleep.rescoring import NAMES, SLEEP, UNKNOWN, States
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator
@@ -85,7 +85,7 @@ class SleepStatistics(Operator[StatisticsState]):
 
     `estimated` is true for the last two (and for lights that never came on again): then `tib` is only a "time in bed", `sol` an
     estimate.
-    Every row names its `convention`; what each number is by which stands with operators.sleep_night.night and in docs/sleep.md. Minutes;
+    Every row names its `convention`; what each number is by which stands with operators.sleep.night.night and in docs/sleep.md. Minutes;
     `se`, `movement`, `fragmentation`, `total_fragmentation` in %. Unknown epochs enter no numerator; `_low` and `_high` bound what they
     leave open. sleep_onset, sleep_end: 0 where there was no sleep. Epochs that were never told are unknown.
 
@@ -111,7 +111,7 @@ class SleepStatistics(Operator[StatisticsState]):
             )
         if "periods" in specs and not set(PERIOD.names or ()) <= set(specs["periods"].dtype.names or ()):
             raise InputError(
-                "periods", specs["periods"].describe(), "the periods of operators.sleep_periods.SleepPeriods"
+                "periods", specs["periods"].describe(), "the periods of operators.sleep.periods.SleepPeriods"
             )
         given = [name for name in ("lights", "periods") if name in specs]
         if self.schedule and given:

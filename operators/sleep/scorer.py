@@ -11,9 +11,9 @@ import numpy as np
 
 from operators.channels import find_channel, names_of
 from operators.continuity import numeric, regular
-from operators.sleep_calibration import Calibration
-from operators.sleep_methods import METHODS, MethodName, Rule, rule
-from operators.sleep_rescoring import NAMES, REACH_MIN, SLEEP, UNKNOWN, WAKE, States, rescored, settled
+from operators.sleep.calibration import Calibration
+from operators.sleep.methods import METHODS, MethodName, Rule, rule
+from operators.sleep.rescoring import NAMES, REACH_MIN, SLEEP, UNKNOWN, WAKE, States, rescored, settled
 from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
@@ -197,7 +197,7 @@ class SleepScorer(Operator[ScorerState]):
         raise InputError(
             "in",
             f"in epochs of {given:g} s",
-            f"in epochs of {wanted} s for {self.method}; operators.sleep_epochs.Epochs makes them",
+            f"in epochs of {wanted} s for {self.method}; operators.sleep.epochs.Epochs makes them",
         )
 
     def _find(self, spec: StreamSpec) -> int:

@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from operators.continuity import regular
-from operators.depth_breath import gather, peak, powers, straighten, vary
-from operators.depth_presence import BED
-from operators.depth_regions import REGION, block_of, region_spec, sleepers_of, take
-from operators.depth_seconds import steep
+from operators.depth.breath import gather, peak, powers, straighten, vary
+from operators.depth.presence import BED
+from operators.depth.regions import REGION, block_of, region_spec, sleepers_of, take
+from operators.depth.seconds import steep
 from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times, add_lost
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
@@ -36,7 +36,7 @@ LOWEST, HIGHEST, STEP = 6.0, 40.0, 0.5
 BEST = 6
 """So many cells, those that vary most slowly, are taken for the chest."""
 EDGE_MM = 150.0
-"""So far apart are neighbouring cells where there is an edge: their means tremble, see `operators.depth_seconds.steep`."""
+"""So far apart are neighbouring cells where there is an edge: their means tremble, see `operators.depth.seconds.steep`."""
 NIGHT_NS = 4 * 3600 * NS
 """After so long out of bed, coverage is counted anew."""
 
@@ -108,7 +108,7 @@ class Breathing(Operator[BreathingState]):
         spec = specs["blocks"]
         block = block_of(spec, "blocks")
         if "bed" in specs and specs["bed"].dtype != BED:
-            raise InputError("bed", specs["bed"].describe(), "the output of operators.depth_presence.Presence")
+            raise InputError("bed", specs["bed"].describe(), "the output of operators.depth.presence.Presence")
         sleepers = sleepers_of(specs)
         tick_ns = _tick_ns(regular(spec, "blocks"))
         tick_hz = NS / tick_ns

@@ -9,10 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from operators.continuity import regular
-from operators.depth_blocks import Frame
-from operators.depth_change import Seen, Sums, change, conclude
-from operators.depth_regions import REGION, region_spec, sleepers_of, take
-from operators.depth_simplify import SCENE, frames_of
+from operators.depth.blocks import Frame
+from operators.depth.change import Seen, Sums, change, conclude
+from operators.depth.regions import REGION, region_spec, sleepers_of, take
+from operators.depth.simplify import SCENE, frames_of
 from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times, add_lost
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
@@ -86,11 +86,11 @@ class Motion(Operator[MotionState]):
         if not simplified and not self.raw:
             raise InputError(
                 "frames", f"{spec.describe()}, not simplified",
-                "frames from operators.depth_simplify.Simplify, so that no checkpoint holds a raw one; or say `raw: true`",
+                "frames from operators.depth.simplify.Simplify, so that no checkpoint holds a raw one; or say `raw: true`",
             )  # fmt: skip
         if "scene" in specs and specs["scene"].dtype != SCENE:
             raise InputError(
-                "scene", specs["scene"].describe(), "the output scene of operators.depth_simplify.Simplify"
+                "scene", specs["scene"].describe(), "the output scene of operators.depth.simplify.Simplify"
             )
         rate_hz = regular(spec, "frames")
         if rate_hz * self.epoch_s > LONGEST_EPOCH:

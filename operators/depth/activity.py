@@ -10,8 +10,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from operators.continuity import numeric, regular
-from operators.depth_noise import Noise
-from operators.depth_presence import BED, IN, NAMES, OUT, UNKNOWN
+from operators.depth.noise import Noise
+from operators.depth.presence import BED, IN, NAMES, OUT, UNKNOWN
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.kernel import kernel
@@ -86,7 +86,7 @@ class Activity(Operator[ActivityState]):
     out     (sleepers,) float64: share of the time seen with movement; 0 below `least_s` of movement; 1 where the sleeper was out of bed
             throughout (being up is being awake); NaN where less than `least_seen` was seen, noise is not known yet, or, with `bed`
             connected, nobody knows whether anybody is in bed. Stamped with the epoch's start; goes straight into
-            operators.sleep_scorer.SleepScorer
+            operators.sleep.scorer.SleepScorer
     epochs  per epoch and sleeper: onset, end; moved_s: time with movement; seen: share of the frames; bed: in, out or unknown, at its
             end; crosstalk: share of the movement during which another sleeper's region moved at least `crosstalk_ratio` times more, so
             that it may have been theirs; threshold (mm)
@@ -119,10 +119,10 @@ class Activity(Operator[ActivityState]):
         rate_hz = regular(spec, "motion")
         if not spec.is_signal or not spec.channels:
             raise InputError(
-                "motion", spec.describe(), "a channel for each sleeper, as operators.depth_motion.Motion gives"
+                "motion", spec.describe(), "a channel for each sleeper, as operators.depth.motion.Motion gives"
             )
         if "bed" in specs and specs["bed"].dtype != BED:
-            raise InputError("bed", specs["bed"].describe(), "the output of operators.depth_presence.Presence")
+            raise InputError("bed", specs["bed"].describe(), "the output of operators.depth.presence.Presence")
         if self.epoch_s * rate_hz < 4:
             raise ParameterError("epoch_s", self.epoch_s, f"at least {4 / rate_hz:g} (four frames)")
         k = len(spec.channels)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.sleep_scorer import EPOCH
+from operators.sleep.scorer import EPOCH
 from stream.chunk import NEVER, NS, Array, Chunk, Specs, StreamSpec
 from stream.errors import InputError
 from stream.operator import Case, Operator
@@ -93,7 +93,7 @@ class SleepPeriods(Operator[PeriodsState]):
 def scored(spec: StreamSpec, port: str = "in") -> StreamSpec:
     """The spec, if it is one of scored epochs."""
     if spec.dtype != EPOCH:
-        raise InputError(port, spec.describe(), "scored epochs, as operators.sleep_scorer.SleepScorer gives them")
+        raise InputError(port, spec.describe(), "scored epochs, as operators.sleep.scorer.SleepScorer gives them")
     return spec
 
 
