@@ -29,7 +29,7 @@ WRONG = Misbehaviour(
     lose=0.04, duplicate=0.04, corrupt=0.06, from_s=1.0, seed=1,
     stall_every_s=1.3, stall_s=0.4, reset_every_s=1.9, unplug_every_s=6.0, unplug_s=0.5,
 )  # fmt: skip
-AT_MOST_S = 150.0
+AT_MOST_S = 240.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +178,7 @@ def missing(table: Table) -> list[str]:
     return found
 
 
-@pytest.mark.timeout(280)
+@pytest.mark.timeout(400)
 def test_all_devices_misbehave_at_once_and_the_rest_goes_on(tmp_path: Path) -> None:
     made, view = graph(), Watching()
     with ExitStack() as cables:
