@@ -54,12 +54,15 @@ def short(value: float) -> str:
 
 
 def whole(sections: list[Section], about: str) -> str:
-    """The whole report: the goals first, then the tables."""
+    """The whole report: the goals first, then the tables, folded."""
     goals = [goal.row() for section in sections for goal in section.goals]
     parts = [about]
     if goals:
         parts.append(table(["goal", "reached", "promised", "kept"], goals))
-    return "\n\n".join([*parts, *(section.markdown() for section in sections)])
+    tables = [section.markdown() for section in sections]
+    if goals:
+        tables = ["<details><summary>All tables</summary>", *tables, "</details>"]
+    return "\n\n".join([*parts, *tables])
 
 
 def into_readme(readme: Path, text: str) -> None:
