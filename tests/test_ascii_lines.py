@@ -220,10 +220,10 @@ def test_a_device_without_clock_and_rate_is_stamped_by_arrival() -> None:
 
 
 def test_a_header_is_awaited_and_its_absence_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("devices.ascii_lines.HEADER_S", 0.5)
     with served(columns=("t", "a", "b"), time="t", header=True) as server:
         with reading(AsciiLines(server.address, ("b", "t"), header=True, time="t", rate_hz=500.0)) as feed:
             wait_for(lambda: feed.count("out") >= 50)
+        monkeypatch.setattr("devices.ascii_lines.HEADER_S", 0.5)
         with reading(AsciiLines(server.address, ("b", "c"), header=True)) as feed:
             wait_for(lambda: feed.error is not None)
     assert isinstance(feed.error, DeviceError) and "a line that names b,c; came" in str(feed.error)

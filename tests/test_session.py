@@ -152,7 +152,8 @@ def test_a_required_source_that_never_starts_ends_the_run_with_its_name() -> Non
 
 
 def test_a_source_that_is_not_required_may_be_missing() -> None:
-    session = session_of("  bed: {use: parts.Silent, required: false}\n" + CHAIN % "")
+    nodes = "  bed: {use: parts.Silent, required: false}\n" + CHAIN % ""
+    session = session_of(nodes.replace("use: parts.Collect,", "use: parts.Collect, policy: block,"))
 
     def stop_when_all_came() -> None:
         deadline = time.monotonic() + 60
