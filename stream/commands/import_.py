@@ -102,21 +102,8 @@ def import_(
         repeated=repeated,
         start_ns=begin or 0,
     )
-    series: list[Series] = []
-    motion = [file for file in files if file.suffix.lower() in MOTION or (kinect and file.suffix.lower() in TABLES)]
-    others = [file for file in files if file not in motion]
-    tables = [file for file in others if file.suffix.lower() not in (".xdf", ".xdfz")]
-    for file in others:
-        if file not in tables:
-            series += _from_xdf(
-                file, wishes, text_width, begin, dejitter=dejitter, synchronize=clock_sync, alone=not tables
-            )
-    if motion:
-        from stream.convert.motion import read_motion
-
-        series += read_motion(motion, wishes)
-    if tables:
-        series += _from_tables(tables, wishes)
+    xdf = {"width": text_width, "begin": begin, "dejitter": dejitter, "synchronize": clock_sync}
+    series = _read(files, wishes, xdf, kinect=kinect)
     _check_names(series)
     header = {
         "graph": "",
@@ -128,6 +115,22 @@ def import_(
         write_recording(output, series, header, chunk_s=chunk_ms / 1000, progress=progress)
     for one in series:
         typer.echo(f"{one.name}: {len(one.time)} samples, {one.spec.describe()}")
+
+
+def _read(files: Sequence[File], wishes: Wishes, xdf: dict[str, Any], *, kinect: bool) -> list[Series]:
+    """The streams of all files, each kind by its own reader; `xdf` is what the reader of XDF is told besides."""
+    motion = [file for file in files if file.suffix.lower() in MOTION or (kinect and file.suffix.lower() in TABLES)]
+    others = [file for file in files if file not in motion]
+    tables = [file for file in others if file.suffix.lower() not in (".xdf", ".xdfz")]
+    series: list[Series] = []
+    for file in others:
+        if file not in tables:
+            series += _from_xdf(file, wishes, **xdf, alone=not tables)
+    if motion:
+        from stream.convert.motion import read_motion
+
+        series += read_motion(motion, wishes)
+    return series + (_from_tables(tables, wishes) if tables else [])
 
 
 def _from_xdf(
