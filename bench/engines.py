@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Self
 
 HERE = Path(__file__).resolve().parent
-NEEDED = ["numba", "scipy", "platformdirs"]
+NEEDED = ["numba", "scipy", "platformdirs", "msgspec"]
 """What the shared work itself needs in a peer's environment."""
 MODULES = {
     "bare": "bare",
@@ -90,8 +90,8 @@ def peers() -> dict[str, list[str]]:
 def environment(name: str, packages: list[str]) -> Path:
     """The Python of a peer's environment, made and filled if need be. Raises EngineError where it does not install."""
     folder = Path(sys.prefix) / "peers" / name
-    python, done = folder / "bin" / "python", folder / "installed"
-    if done.exists() and done.read_text(encoding="utf-8") == " ".join(packages):
+    python, done, wanted = folder / "bin" / "python", folder / "installed", " ".join([*packages, *NEEDED])
+    if done.exists() and done.read_text(encoding="utf-8") == wanted:
         return python
     print(f"installing {name} ({' '.join(packages)}) ...", file=sys.stderr, flush=True)
     venv.create(folder, with_pip=True, clear=True)
@@ -100,7 +100,7 @@ def environment(name: str, packages: list[str]) -> Path:
     if made.returncode:
         errors = [line for line in made.stderr.splitlines() if line.startswith("ERROR")]
         raise EngineError(f"{name}: does not install ({(errors or ['no reason given'])[-1]})")
-    done.write_text(" ".join(packages), encoding="utf-8")
+    done.write_text(wanted, encoding="utf-8")
     return python
 
 

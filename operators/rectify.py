@@ -33,14 +33,14 @@ class Rectify(Filter[Continuity]):
         return {"out": out}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
-        x = chunk.data
-        out = np.empty(x.shape)
         state = self.state
-        if state.plain:
-            magnitudes(x, out)
-        else:
-            magnitudes(rows(x, state.width), out.reshape(len(x), state.width))
-        return Chunk(chunk.time, out, chunk.until, chunk.lost)
+        x = chunk.data
+        out = np.empty((len(x), state.width))
+        made = out
+        if not state.plain:
+            x, made = rows(x, state.width), out.reshape(x.shape)
+        magnitudes(x, out)
+        return Chunk(chunk.time, made, chunk.until, chunk.lost)
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -126,7 +127,7 @@ class StreamSpec:
 Specs: TypeAlias = dict[str, StreamSpec]
 
 
-class Chunk:
+class Chunk(msgspec.Struct, eq=False, gc=False):
     """Some consecutive samples of a stream; the arrays are never written again once it has been emitted.
 
     time   (n,) int64    nanoseconds of session time (UTC), one per sample, never decreasing
@@ -137,13 +138,10 @@ class Chunk:
     A chunk may be empty and still advance `until`; that is how time passes where nothing happens.
     """
 
-    __slots__ = ("data", "lost", "time", "until")
-
-    def __init__(self, time: Times, data: Array, until: int, lost: int = 0) -> None:
-        self.time = time
-        self.data = data
-        self.until = until
-        self.lost = lost
+    time: Times
+    data: Array
+    until: int
+    lost: int = 0
 
     def __len__(self) -> int:
         return len(self.time)

@@ -27,7 +27,8 @@ class Channel:
     policy    what a full queue does: `block` its writer, `drop_oldest`, or `fail`
     on_drop   told (first, n) of every drop: the dropped samples' running index in this channel and their number
     at_once   asked first where nothing waits: whether the reader has worked through the chunk on the writer's own thread
-    queue_until   it is not to be asked before (ns, perf_counter)
+    long      so often in a row that took long
+    queue_until   it is not to be asked before (ns of session time)
     """
 
     __slots__ = (
@@ -42,6 +43,7 @@ class Channel:
         "closed",
         "dropped",
         "limit",
+        "long",
         "name",
         "on_drop",
         "owner",
@@ -55,7 +57,7 @@ class Channel:
         self.name, self.bell, self.limit, self.policy, self.on_drop = name, bell, limit, policy, on_drop
         self.owner: Any = None
         self.at_once: Callable[[Channel, Chunk, int], bool] | None = None
-        self.queue_until = 0
+        self.long = self.queue_until = 0
         self.dropped = 0
         self.closed = False
         self.chunks = 0

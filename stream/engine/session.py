@@ -41,7 +41,8 @@ from stream.source import Source
 
 TICK_S = 0.1
 LONG_NS = 1_000_000
-"""Work longer than this on a source's thread would keep it from its device: for a second, that source's chunks are queued."""
+LONG_OFTEN = 3
+"""Work longer than LONG_NS so often in a row would keep a source from its device: for a second, its chunks are queued."""
 METRICS_S = 1.0
 
 log = structlog.get_logger(__name__)
@@ -281,8 +282,7 @@ class Session:
 
     def _at_once(self, channel: Channel, chunk: Chunk, arrival: int) -> bool:
         """On a source's thread: work through what it brings, if nothing waits and nobody has the turn; else it must queue."""
-        began = perf_counter_ns()
-        if began < channel.queue_until or not self._bell.empty() or not self._turn.acquire(blocking=False):
+        if arrival < channel.queue_until or not self._bell.empty() or not self._turn.acquire(False):
             return False
         try:
             if not self._start.done or self._closing or self._error:
@@ -294,8 +294,9 @@ class Session:
             self._turn.release()
         if self._over:
             self._bell.put(None)
-        if perf_counter_ns() - began > LONG_NS:
-            channel.queue_until = began + NS
+        channel.long = channel.long + 1 if self.clock.now() - arrival > LONG_NS else 0
+        if channel.long == LONG_OFTEN:
+            channel.long, channel.queue_until = 0, arrival + NS
         return True
 
     def _enter(self, intake: Intake, chunk: Chunk, arrival: int) -> None:

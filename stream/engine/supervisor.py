@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 import structlog
 
-from stream.chunk import FOREVER, STAMP, Chunk, Times, empty, utc
+from stream.chunk import FOREVER, NEVER, NS, STAMP, Chunk, Times, empty, utc
 from stream.engine.channel import Channel, Doorbell
 from stream.engine.clock import SessionClock
 from stream.errors import DeviceError, KinegraphError, RunError
@@ -36,12 +36,17 @@ log = structlog.get_logger(__name__)
 FEW = 64
 
 
-def _ordered(times: Times) -> bool:
-    """Whether stamps never decrease. A few are looked at in Python: after a pause in which numpy left the cache, that is much faster."""
+def _newest(times: Times) -> int | None:
+    """The newest of some stamps; None where they decrease anywhere. A few are looked at in Python, which after a pause, when numpy has
+    left the processor's caches, is much faster."""
     if len(times) > FEW:
-        return 1 not in (times[1:] < times[:-1]).tobytes()
-    stamps = times.tolist()
-    return bool(stamps == sorted(stamps))
+        return None if 1 in (times[1:] < times[:-1]).tobytes() else times.item(-1)
+    newest = NEVER
+    for stamp in times.tolist():
+        if stamp < newest:
+            return None
+        newest = stamp
+    return newest
 
 
 class _StopReadingError(Exception):
@@ -54,6 +59,7 @@ class _Feed:
     def __init__(self, runner: Runner, again: bool) -> None:
         self._runner = runner
         self._stop = threading.Event()
+        self._over = False
         self._unmarked = set(runner.channels) if again else set()
 
     @property
@@ -61,6 +67,7 @@ class _Feed:
         return self._stop.is_set()
 
     def stop(self) -> None:
+        self._over = True
         self._stop.set()
         self._runner.mailbox.put(None)  # whoever waits for a word wakes
 
@@ -71,6 +78,7 @@ class _Feed:
         return self._stop.wait(seconds)
 
     def ready(self) -> None:
+        self._runner.last_alive = time.monotonic()
         self._runner.came_alive()
 
     def hear(self, timeout_s: float) -> str | None:
@@ -86,15 +94,18 @@ class _Feed:
         self._runner.problems[kind] += count
 
     def emit(self, chunk: Chunk, output: str = "out") -> None:
-        if self._stop.is_set():
+        if self._over:
             raise _StopReadingError
+        now = time.monotonic_ns()
         runner = self._runner
         chunk = runner.normal(chunk, output)
         if self._unmarked and len(chunk.time) and output in self._unmarked:
             self._unmarked.discard(output)
             chunk.lost = chunk.lost or -1
-        runner.came_alive()
-        runner.channels[output].put(chunk, runner.clock.now())
+        runner.last_alive = now / NS
+        if not runner.ready or runner.state == "starting":
+            runner.came_alive()
+        runner.channels[output].put(chunk, runner.clock.at(now))
 
 
 class Runner:
@@ -178,8 +189,7 @@ class Runner:
             self._failed("its thread has ended without a word")
 
     def came_alive(self) -> None:
-        """Something came from the device."""
-        self.last_alive = time.monotonic()
+        """The device is there."""
         if not self.ready or self.state == "starting":
             self.ready = True
             if self.state == "starting":
@@ -189,19 +199,21 @@ class Runner:
         """The chunk as operators expect it: declared shape and dtype, contiguous, writable, times not decreasing."""
         spec = self.node.specs[output]
         times, data = chunk.time, chunk.data
-        if not (isinstance(times, np.ndarray) and times.dtype is STAMP and times.flags.carray):
+        if times.__class__ is not np.ndarray or times.dtype is not STAMP or not times.flags.carray:
             times = np.require(times, STAMP, ["C", "A", "W"])
-        if not (isinstance(data, np.ndarray) and data.dtype == spec.dtype and data.flags.carray):
+        if data.__class__ is not np.ndarray or data.dtype is not spec.dtype or not data.flags.carray:
             data = np.require(data, spec.dtype, ["C", "A", "W"])
         n = len(times)
         if data.shape != (n, *spec.shape):
             raise DeviceError(
                 f"source {self.node.name!r} gave samples of shape {data.shape[1:]}; its spec says {spec.shape}"
             )
-        if n > 1 and not _ordered(times):
+        until = chunk.until
+        newest = _newest(times)
+        if newest is None:
             times, data = self._in_order(times, data)
-        until = max(chunk.until, times.item(-1)) if n else chunk.until
-        return Chunk(times, data, until, chunk.lost)
+            newest = int(times[-1])
+        return Chunk(times, data, until if until > newest else newest, chunk.lost)
 
     def _in_order(self, times: Any, data: Any) -> tuple[Any, Any]:
         keep = times >= np.maximum.accumulate(times)
