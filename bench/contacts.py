@@ -19,10 +19,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from operators.contact_acceleration import AccelerationContacts
-from operators.contact_inertial import InertialContacts
-from operators.contact_marker import MarkerContacts
-from operators.contacts import Contacts
+from operators.gait.acceleration import AccelerationContacts
+from operators.gait.contacts import Contacts
+from operators.gait.inertial import InertialContacts
+from operators.gait.marker import MarkerContacts
 from stream.chunk import NS, Array, Chunk, StreamSpec
 
 TOLERANCE_S = 0.25

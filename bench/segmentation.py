@@ -18,14 +18,14 @@ import numpy as np
 
 from bench.report import table
 from operators.align import Align
-from operators.emg import Envelope
-from operators.pose import Pose
+from operators.emg.envelope import Envelope
+from operators.features.pose import Pose
+from operators.features.stack import Stack
+from operators.features.standardise import Standardise
 from operators.segmentation import Segment
-from operators.segmentation_found import Found, merged
-from operators.segmentation_scores import Scores, intervals, score
-from operators.segmentation_truth import Truth, read_truth
-from operators.stack import Stack
-from operators.standardise import Standardise
+from operators.segmentation.found import Found, merged
+from operators.segmentation.scores import Scores, intervals, score
+from operators.segmentation.truth import Truth, read_truth
 from stream.chunk import NS, Array, Chunk, StreamSpec
 from stream.operator import Operator, grid
 

@@ -38,8 +38,8 @@ class _Shown(Outlet[CycleTableState]):
 class CycleTable(_Shown):
     """Every cycle as it closes: its duration, stance and cadence, and what was measured of each muscle; rejected ones with the reason.
 
-    closed       of `operators.cycles.Cycles`
-    statistics   of `operators.cycle_statistics.CycleStatistics`
+    closed       of `operators.gait.cycles.Cycles`
+    statistics   of `operators.gait.statistics.CycleStatistics`
 
     `kinegraph run` shows the newest cycle as a table in its live view; where the output is no terminal, every cycle is a line.
     """

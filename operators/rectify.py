@@ -35,7 +35,7 @@ class Rectify(Filter[Continuity]):
     def process(self, port: str, chunk: Chunk) -> Chunk:
         state = self.state
         x = chunk.data
-        out = np.empty((len(x), state.width))
+        out: Samples = np.empty((len(x), state.width))
         made = out
         if not state.plain:
             x, made = rows(x, state.width), out.reshape(x.shape)

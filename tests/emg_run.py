@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.emg import Envelope
+from operators.emg.envelope import Envelope
 from stream.chunk import FOREVER, NS, Chunk, StreamSpec
 from stream.engine.merge import Merge
 

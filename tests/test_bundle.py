@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from operators.bundle import Bundle
-from operators.eigen import symmetric_eigen
+from operators.features.bundle import Bundle
+from operators.features.eigen import symmetric_eigen
 from stream.chunk import FOREVER, Chunk, StreamSpec
 from stream.operator import grid
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from bench import contacts as bench
-from operators.contact_acceleration import AccelerationContacts
-from operators.contact_force import ForceContacts, SwitchContacts
-from operators.contact_inertial import InertialContacts
-from operators.contact_marker import MarkerContacts, walker
-from operators.contacts import Contacts
-from operators.cycles import Cycles
+from operators.gait.acceleration import AccelerationContacts
+from operators.gait.contacts import Contacts
+from operators.gait.cycles import Cycles
+from operators.gait.force import ForceContacts, SwitchContacts
+from operators.gait.inertial import InertialContacts
+from operators.gait.marker import MarkerContacts, walker
 from stream.chunk import FOREVER, NS, Array, Chunk, Specs, StreamSpec
 from stream.engine.merge import Merge
 from stream.errors import InputError, ParameterError

@@ -11,9 +11,9 @@ from emg_run import contacts, drive, enveloped, stamps, treadmill
 from scipy.interpolate import CubicHermiteSpline
 from scipy.signal import butter, sosfiltfilt
 
-from operators.cycle_ensemble import CycleEnsemble
-from operators.cycle_statistics import CycleStatistics
-from operators.cycles import Cycles
+from operators.gait.cycles import Cycles
+from operators.gait.ensemble import CycleEnsemble
+from operators.gait.statistics import CycleStatistics
 from stream.chunk import StreamSpec
 from stream.errors import InputError, ParameterError
 

@@ -11,7 +11,7 @@ import pytest
 from naive_emg import zero_phase_envelope
 from scipy.signal import butter, sosfiltfilt
 
-from operators.emg import Envelope
+from operators.emg.envelope import Envelope
 from stream.chunk import FOREVER, Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
 

@@ -9,13 +9,13 @@ import pytest
 from emg_run import contacts, drive, enveloped, stamps, treadmill
 from typer.testing import CliRunner
 
-from operators.amplitude_reference import AmplitudeReference, CalibrationError
-from operators.calibrate import calibrate, envelope_of
-from operators.cycle_ensemble import CycleEnsemble
-from operators.cycle_statistics import CycleStatistics
-from operators.cycles import Cycles
-from operators.emg import Envelope
-from operators.normalise import Normalise
+from operators.emg.amplitude_reference import AmplitudeReference, CalibrationError
+from operators.emg.calibrate import calibrate, envelope_of
+from operators.emg.envelope import Envelope
+from operators.emg.normalise import Normalise
+from operators.gait.cycles import Cycles
+from operators.gait.ensemble import CycleEnsemble
+from operators.gait.statistics import CycleStatistics
 from stream.chunk import FOREVER, Chunk, StreamSpec
 from stream.errors import InputError, KinegraphError, ParameterError
 from stream.graph import RecordingOptions

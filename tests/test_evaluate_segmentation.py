@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.segmentation_found import Found, merged, read_found
-from operators.segmentation_picture import distances
-from operators.segmentation_scores import boundary_f1, covering, intervals, score
-from operators.segmentation_truth import Truth, read_truth
+from operators.segmentation.found import Found, merged, read_found
+from operators.segmentation.picture import distances
+from operators.segmentation.scores import boundary_f1, covering, intervals, score
+from operators.segmentation.truth import Truth, read_truth
 from stream import cli
 from stream.chunk import NS, StreamSpec
 from stream.convert.series import Series, write_recording

@@ -10,8 +10,8 @@ import edfio
 import numpy as np
 import pytest
 
-from operators.evaluate_sleep import sleep
 from operators.sleep.agreement import Confusion, limits
+from operators.sleep.evaluate import sleep
 from operators.sleep.evaluation import agreement, draw, pair, total
 from operators.sleep.reference import Hypnogram, read_hypnogram, stage
 from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from operators.mirror import Mirror
-from operators.pose import Pose
-from operators.stack import Stack
+from operators.features.mirror import Mirror
+from operators.features.pose import Pose
+from operators.features.stack import Stack
 from stream.chunk import FOREVER, Chunk, StreamSpec
 from stream.errors import ParameterError
 from stream.operator import grid

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from operators.skeleton import SETS, find_joints
+from operators.features.skeleton import SETS, find_joints
 from stream import cli
 from stream.convert.asf_read import read_amc, read_asf
 from stream.convert.bvh_read import read_bvh

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.pose import Pose
-from operators.skeleton import SETS, partner
+from operators.features.pose import Pose
+from operators.features.skeleton import SETS, partner
 from stream.chunk import Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.operator import grid

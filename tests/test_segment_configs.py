@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from devices.exerciser import EXERCISES, JOINTS, Exerciser, Routine, skeleton
-from operators.segmentation_found import read_found
-from operators.segmentation_scores import score
-from operators.segmentation_truth import Truth, read_truth
+from operators.segmentation.found import read_found
+from operators.segmentation.scores import score
+from operators.segmentation.truth import Truth, read_truth
 from stream import cli
 
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"

@@ -12,10 +12,10 @@ import pytest
 from reference import Event, Reference
 
 from devices.simulators.walking_limb import Limb
+from operators.features.stack import Stack
 from operators.iir import Lowpass
 from operators.resample import Resample
 from operators.segmentation import Segment
-from operators.stack import Stack
 from stream.chunk import Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.operator import Operator, grid

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from emg_run import drive, enveloped, recording, stamps, treadmill
 
-from operators.amplitude_reference import AmplitudeReference
-from operators.contact_marker import MarkerContacts
-from operators.cycle_ensemble import CycleEnsemble
-from operators.cycles import Cycles
-from operators.signal_quality import SignalQuality
+from operators.emg.amplitude_reference import AmplitudeReference
+from operators.emg.quality import SignalQuality
+from operators.gait.cycles import Cycles
+from operators.gait.ensemble import CycleEnsemble
+from operators.gait.marker import MarkerContacts
 from stream.chunk import StreamSpec
 from stream.errors import InputError, ParameterError
 

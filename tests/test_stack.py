@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from operators.stack import Stack
+from operators.features.stack import Stack
 from stream.chunk import FOREVER, Chunk, StreamSpec
 from stream.errors import ParameterError
 from stream.operator import grid

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from operators.standardise import QUARTILES, Standardise
+from operators.features.standardise import QUARTILES, Standardise
 from stream.chunk import FOREVER, Chunk, StreamSpec
 from stream.operator import grid
 

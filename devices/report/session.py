@@ -64,10 +64,10 @@ class _Reporter(Outlet[ReportState]):
 class SessionReport(_Reporter):
     """Gait cycles and what is known of them in; at the session's end a self-contained HTML page and a CSV file beside it.
 
-    closed, cycles   of `operators.cycles.Cycles`; with these alone there are curves, cadence and rejected cycles
-    statistics       of `operators.cycle_statistics.CycleStatistics`: the table's numbers per cycle
-    muscles, pairs   of `operators.cycle_ensemble.CycleEnsemble`: repeatability, co-contraction
-    quality          of `operators.signal_quality.SignalQuality`: the verdict on each electrode
+    closed, cycles   of `operators.gait.cycles.Cycles`; with these alone there are curves, cadence and rejected cycles
+    statistics       of `operators.gait.statistics.CycleStatistics`: the table's numbers per cycle
+    muscles, pairs   of `operators.gait.ensemble.CycleEnsemble`: repeatability, co-contraction
+    quality          of `operators.emg.quality.SignalQuality`: the verdict on each electrode
     emg              the raw signal: when the session began, its gaps and losses
 
     The CSV file has one row per cycle, rejected ones with the reason, written as the cycle closes. Memory is bounded: running statistics
@@ -89,7 +89,9 @@ class SessionReport(_Reporter):
             raise ParameterError("path", self.path, wrong or "a file that ends with .html")
         cycles = specs["cycles"]
         if cycles.is_event or len(cycles.shape) != 2 or cycles.channel_axis != 1 or not cycles.channels:
-            raise InputError("cycles", cycles.describe(), "cycles (points, muscles), as operators.cycles.Cycles gives")
+            raise InputError(
+                "cycles", cycles.describe(), "cycles (points, muscles), as operators.gait.cycles.Cycles gives"
+            )
         _check_fields(specs, "closed", (*GAIT, "onset", "number", "rejected"))
         _check_fields(specs, "statistics", ("number", "muscle"))
         _check_fields(specs, "muscles", ("muscle", "verdict"))

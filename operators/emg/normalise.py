@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from operators.amplitude_reference import METHODS, AmplitudeReference, CalibrationError
+from operators.emg.amplitude_reference import METHODS, AmplitudeReference, CalibrationError
 from stream.chunk import Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid

@@ -8,11 +8,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.bundle_kernel import bundle_frames
 from operators.continuity import Continuity, numeric, regular, rows, samples_in, watch
+from operators.features.bundle_kernel import bundle_frames
+from operators.features.stack import pieces
 from operators.neighbours.index import LIMITS
 from operators.neighbours.layout import IndexState, allocate, clear
-from operators.stack import pieces
 from stream.chunk import FOREVER, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Emitted, Operator, grid
@@ -24,7 +24,7 @@ APART = 4
 
 @dataclass(slots=True)
 class BundleState(Continuity):
-    """See operators.bundle_kernel for the shapes; `pull` and what follows is room, and remembers nothing."""
+    """See operators.features.bundle_kernel for the shapes; `pull` and what follows is room, and remembers nothing."""
 
     index: IndexState
     recent: Samples

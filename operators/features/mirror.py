@@ -43,8 +43,8 @@ class Mirror(Operator[MirrorState]):
     negate  channels that change their sign: what points sideways, and turns about axes in the plane. "*.x" stands for all that end so
     sides   whether the first of each pair is the left one. If not, or where nothing is said, results say A and B, not left and right
 
-    Without `swap` and `negate` a pose's own pairs are used (operators.pose.Pose). A channel may stand in one pair. Stacked features keep
-    their offsets: ankle_l.x[-10] and ankle_r.x[-10]. The output's `meta["sides"]` is "LR", or "AB" where sides are not known.
+    Without `swap` and `negate` a pose's own pairs are used (operators.features.pose.Pose). A channel may stand in one pair. Stacked
+    features keep their offsets: ankle_l.x[-10] and ankle_r.x[-10]. The output's `meta["sides"]` is "LR", or "AB" where sides are not known.
     """
 
     swap: tuple[tuple[str, str], ...] = param((), help="[channel, channel]: they change places")

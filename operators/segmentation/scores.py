@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from operators.segmentation_found import Found
-from operators.segmentation_truth import Truth
+from operators.segmentation.found import Found
+from operators.segmentation.truth import Truth
 from stream.chunk import Array, Samples
 
 STEP_S = 1.0 / 120.0

@@ -8,10 +8,10 @@ from typing import Literal
 
 import numpy as np
 
-from operators.emg_kernel import envelope, gap
+from operators.emg.envelope_kernel import envelope, gap
+from operators.emg.zero_phase import antialias_phases, highpass_reach, lowpass_phases
 from operators.iir import butterworth, steady_memory
 from operators.remembered import remembered
-from operators.zero_phase import antialias_phases, highpass_reach, lowpass_phases
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Emitted, Operator, grid
@@ -23,7 +23,7 @@ BLOCK_S = 0.02
 
 @dataclass(slots=True)
 class Filters:
-    """What the parameters and the input's rate come to; see `operators.emg_kernel.envelope` for the shapes."""
+    """What the parameters and the input's rate come to; see `operators.emg.envelope_kernel.envelope` for the shapes."""
 
     hp_sos: Samples
     hp_start: Samples
@@ -69,7 +69,7 @@ class Envelope(Operator[EnvelopeState]):
     - Offset and motion artefact are removed before rectifying, by a high-pass of `highpass_hz` (SENIAM: 10-20 Hz), since rectifying
       would turn them into activity for good. 0 leaves it out.
     - `phase: zero` (default) filters forwards and backwards: the high-pass on short overlapping blocks, the low-pass as a symmetric FIR
-      filter of the squared response (`operators.zero_phase`). Peaks stay where they are; the look-ahead is 0.23 s with the defaults.
+      filter of the squared response (`operators.emg.zero_phase`). Peaks stay where they are; the look-ahead is 0.23 s with the defaults.
       The low-pass is its own anti-alias filter: 76 dB down at 60 Hz.
     - `phase: causal` uses the Butterworth filters as they are, about 0.05 s behind; stamps are set back by the anti-alias filter's delay
       and by the low-pass's mean group delay below half its cut-off. One peak in ten then lies more than 1 % of a cycle off.

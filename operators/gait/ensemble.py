@@ -7,8 +7,8 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from operators.cycle import POINTS, REASONS, Expected, check_cycles, some_cycles
-from operators.deviation_kernel import deviations
+from operators.gait.cycle import POINTS, REASONS, Expected, check_cycles, some_cycles
+from operators.gait.deviation_kernel import deviations
 from stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
 from stream.operator import Case, Operator
@@ -185,7 +185,7 @@ class CycleEnsemble(Operator[EnsembleState]):
             raise InputError(
                 "cycles",
                 f"not normalised in amplitude (in {', '.join(dict.fromkeys(spec.units)) or 'no unit'})",
-                "normalised for `pairs`, since co-contraction compares two muscles (operators.normalise.Normalise before the cycles)",
+                "normalised for `pairs`, since co-contraction compares two muscles (operators.emg.normalise.Normalise before the cycles)",
             )
         return [spec.channels.index(name) for name in names]
 

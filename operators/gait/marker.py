@@ -8,9 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from operators.contact_legs import LEGS
-from operators.contact_path import MEMORY_S, WALK, follow
-from operators.contacts import Contacts, Followed
+from operators.gait.contacts import Contacts, Followed
+from operators.gait.legs import LEGS
+from operators.gait.path import MEMORY_S, WALK, follow
 from operators.iir import butterworth, group_delay, settling, steady_memory
 from operators.marker_columns import marker_columns
 from stream.chunk import NEVER, NS, Array, Samples, Specs, StreamSpec, Times

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from operators.eigen import symmetric_eigen
+from operators.features.eigen import symmetric_eigen
 from operators.neighbours.candidates import NOTHING
 from operators.neighbours.layout import IN_NEAR, LANES, NEAR, NEXT, Floats
 from operators.neighbours.search import search

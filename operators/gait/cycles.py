@@ -7,9 +7,9 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from operators.cycle import CLOSED, CLOSED_UNITS, MAXIMUM, POINTS, Closing
-from operators.cycle_kernel import maxima, normalise_time
-from operators.panorama import Panorama
+from operators.gait.cycle import CLOSED, CLOSED_UNITS, MAXIMUM, POINTS, Closing
+from operators.gait.cycle_kernel import maxima, normalise_time
+from operators.gait.panorama import Panorama
 from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
@@ -58,7 +58,7 @@ class Cycles(Operator[CyclesState]):
     """A regular signal (channels,) and one foot's contacts in, whole cycles out.
 
     cycles     (100, channels) of each accepted cycle: point p is the signal at p % of the time from touch-down to touch-down, so that the
-               next cycle's point 0 follows point 99 (interpolation: `operators.cycle_kernel.normalise_time`)
+               next cycle's point 0 follows point 99 (interpolation: `operators.gait.cycle_kernel.normalise_time`)
     closed     one event per cycle, rejected ones with the reason (`CLOSED`); an accepted one comes before its sample in `cycles`
     maxima     one event per local maximum of an accepted cycle and channel; at 0 and 99 % the neighbouring cycle's points decide
     panorama   (200, channels) per accepted cycle, in order, -50..149 %: with the halves of its neighbours, NaN where a neighbour was

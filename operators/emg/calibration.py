@@ -6,9 +6,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from operators.cycles import Cycles
-from operators.emg import Envelope
-from operators.signal_quality import SignalQuality
+from operators.emg.envelope import Envelope
+from operators.emg.quality import SignalQuality
+from operators.gait.cycles import Cycles
 from stream.chunk import FOREVER, NS, Array, Chunk, Samples, StreamSpec, Times, empty
 from stream.engine.merge import Merge
 from stream.errors import KinegraphError

@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 
 from operators.continuity import numeric, rows
+from operators.features.skeleton import SETS, find_joints, pairs
 from operators.marker_columns import marker_columns
-from operators.skeleton import SETS, find_joints, pairs
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError
 from stream.kernel import kernel
@@ -123,7 +123,7 @@ class Pose(Operator[PoseState]):
              frozen then. 0: as it is
 
     The input's unit is m, cm or mm (without one it is taken for cm). No delay; any rate. A point that is not finite is NaN, and so is the
-    whole pose where the root or the hips are. `meta["mirror"]` holds what operators.mirror.Mirror swaps.
+    whole pose where the root or the hips are. `meta["mirror"]` holds what operators.features.mirror.Mirror swaps.
     """
 
     points: Literal["e15", "e30", "all"] = param("e15", help="which points come out")

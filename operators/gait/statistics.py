@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from operators.cycle import Expected, check_cycles, some_cycles
+from operators.gait.cycle import Expected, check_cycles, some_cycles
 from stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.operator import Case, Operator
 from stream.params import param

@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from operators.contact_legs import BY_ENERGY, BY_SIZE, LEGS, LIFTOFF, LONGEST_NS, TOUCHDOWN, glide, judge, rest
-from operators.contacts import Contacts, Followed, signal_channels
+from operators.gait.contacts import Contacts, Followed, signal_channels
+from operators.gait.legs import BY_ENERGY, BY_SIZE, LEGS, LIFTOFF, LONGEST_NS, TOUCHDOWN, glide, judge, rest
 from stream.chunk import NEVER, NS, Array, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError
 from stream.kernel import kernel

@@ -14,8 +14,8 @@ from stream.errors import KinegraphError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from operators.amplitude_reference import AmplitudeReference
-    from operators.emg import Envelope
+    from operators.emg.amplitude_reference import AmplitudeReference
+    from operators.emg.envelope import Envelope
     from stream.recording import Recording
 
 
@@ -48,7 +48,7 @@ def calibrate(
     ] = 0.5,
     force: Annotated[bool, typer.Option(help="replace a reference that exists")] = False,
 ) -> None:
-    """Make the reference for amplitude normalisation (operators.normalise.Normalise): mvc, rest or task.
+    """Make the reference for amplitude normalisation (operators.emg.normalise.Normalise): mvc, rest or task.
 
     mvc: per muscle the highest mean of the envelope over `--window-s`. rest: the envelope's mean, and the raw signal's baseline noise.
     task: peak and mean of the mean cycle. The envelope is computed as the graph does, and the reference is valid for no other.
@@ -75,8 +75,8 @@ def reference(
     """The reference that a recording gives, and per channel what its quality was. Raises KinegraphError."""
     import numpy as np
 
-    from operators.amplitude_reference import AmplitudeReference
-    from operators.calibration import highest_mean, mean_cycle, quality, settled_envelope
+    from operators.emg.amplitude_reference import AmplitudeReference
+    from operators.emg.calibration import highest_mean, mean_cycle, quality, settled_envelope
     from stream.chunk import utc
 
     name = emg or _only(
@@ -119,7 +119,7 @@ def envelope_of(text: str, where: str) -> Envelope:
     """The envelope that a graph's text describes; the default one where it has none. Raises KinegraphError where it has several."""
     from ruamel.yaml import YAML
 
-    from operators.emg import Envelope
+    from operators.emg.envelope import Envelope
     from stream.params import build
 
     known = {f.name for f in fields(Envelope)}

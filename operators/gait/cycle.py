@@ -98,10 +98,12 @@ def check_cycles(specs: Specs) -> StreamSpec:
     cycles, closed = specs["cycles"], specs["closed"]
     if cycles.is_event or len(cycles.shape) != 2 or cycles.shape[0] != POINTS or cycles.channel_axis != 1:
         raise InputError(
-            "cycles", cycles.describe(), f"cycles of {POINTS} points (output 'cycles' of operators.cycles.Cycles)"
+            "cycles", cycles.describe(), f"cycles of {POINTS} points (output 'cycles' of operators.gait.cycles.Cycles)"
         )
     if closed.dtype != CLOSED:
-        raise InputError("closed", closed.describe(), "the cycles' events (output 'closed' of operators.cycles.Cycles)")
+        raise InputError(
+            "closed", closed.describe(), "the cycles' events (output 'closed' of operators.gait.cycles.Cycles)"
+        )
     return cycles
 
 

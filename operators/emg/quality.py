@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from operators.amplitude_reference import AmplitudeReference
-from operators.quality_kernel import powers, runs
+from operators.emg.amplitude_reference import AmplitudeReference
+from operators.emg.quality_kernel import powers, runs
 from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid

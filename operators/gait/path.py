@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from operators.contact_legs import LIFTOFF, NO_VOTE, SURE, TOUCHDOWN, glide, judge, rest
+from operators.gait.legs import LIFTOFF, NO_VOTE, SURE, TOUCHDOWN, glide, judge, rest
 from stream.chunk import NEVER, Array, Samples, Times
 from stream.kernel import kernel
 

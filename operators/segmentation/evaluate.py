@@ -12,7 +12,7 @@ import typer
 from stream.errors import KinegraphError
 
 if TYPE_CHECKING:
-    from operators.segmentation_scores import Scores
+    from operators.segmentation.scores import Scores
 
 SHOWN = {
     "f1": "boundary F1 within 1 s",
@@ -52,10 +52,10 @@ def segmentation(
     """
     from rich.console import Console
 
-    from operators.segmentation_found import read_found
-    from operators.segmentation_picture import draw
-    from operators.segmentation_scores import score
-    from operators.segmentation_truth import read_truth
+    from operators.segmentation.found import read_found
+    from operators.segmentation.picture import draw
+    from operators.segmentation.scores import score
+    from operators.segmentation.truth import read_truth
 
     if (table is None) == (result is None) or (result is None) != (truth is None):
         raise KinegraphError("give RESULT and TRUTH, or --table TABLE.csv")
@@ -88,7 +88,7 @@ def _names(paths: list[File]) -> list[str]:
 def _summary(scores: dict[str, Scores]) -> object:
     from rich.table import Table
 
-    from operators.segmentation_scores import intervals
+    from operators.segmentation.scores import intervals
 
     made = Table(title=f"segmentation, {len(scores)} recording{'s' if len(scores) != 1 else ''}")
     for heading in ("", "mean", "95 % interval"):

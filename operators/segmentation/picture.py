@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from operators.segmentation_found import Found
-from operators.segmentation_truth import Truth
+from operators.segmentation.found import Found
+from operators.segmentation.truth import Truth
 from stream.chunk import Array, Samples
 
 if TYPE_CHECKING:

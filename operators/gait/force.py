@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from operators.contacts import Contacts, Followed, signal_channels
+from operators.gait.contacts import Contacts, Followed, signal_channels
 from stream.chunk import NEVER, NS, Array, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.kernel import kernel
