@@ -135,6 +135,11 @@ class Journal:
         if self._recorder:
             self._recorder.write(number, chunk, arrival, self.sequence)
 
+    def lull(self) -> None:
+        """A chunk has been worked through."""
+        if self._recorder and self._recorder.patient:
+            self._recorder.lull()
+
     def report(self, kind: str, **facts: Any) -> None:
         """Something worth knowing happened: to the log, and into the recording."""
         tell = log.error if "failed" in kind else log.info if kind in QUIET else log.warning

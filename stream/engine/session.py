@@ -39,7 +39,7 @@ from stream.manual import Value
 from stream.operator import Outlet
 from stream.source import Source
 
-TICK_S = 0.1
+TICK_S = 0.2
 LONG_NS = 1_000_000
 LONG_OFTEN = 3
 """Work longer than LONG_NS so often in a row would keep a source from its device: for a second, its chunks are queued."""
@@ -294,6 +294,7 @@ class Session:
             self._turn.release()
         if self._over:
             self._bell.put(None)
+        self.journal.lull()
         channel.long = channel.long + 1 if self.clock.now() - arrival > LONG_NS else 0
         if channel.long == LONG_OFTEN:
             channel.long, channel.queue_until = 0, arrival + NS

@@ -29,6 +29,8 @@ ROUND_BYTES = 1 << 20
 """Beyond this many bytes of samples the gathering ends early."""
 TURNS = 4
 """So often within `flush_s` the recorder's thread wakes; what came is on the disk at the latest after so many turns."""
+PATIENCE_S = 0.02
+"""How long the recorder waits for a moment at which the session has nothing to do."""
 SYNC_S = 2.0
 """How often the file is forced to the disk itself, for the case of a power cut."""
 NOTHING = np.empty(0)
@@ -74,7 +76,9 @@ class Recorder:
         self._lock, number = claim(path, resume=resume)
         self._tape = Tape(path, number, header, options)
         self._due = self._sync_due = time.monotonic()
-        self._stop = Event()
+        self._stop, self._lull = Event(), Event()
+        self.patient = False
+        """Whether the recorder's work is due, and waits a little for a lull in the session's."""
         self._thread = Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -163,6 +167,10 @@ class Recorder:
             error=self._error,
         )
 
+    def lull(self) -> None:
+        """The session has nothing to do just now. The recorder's thread shares the interpreter with it, and works best in between."""
+        self._lull.set()
+
     def flush(self, timeout_s: float = 5.0) -> bool:
         """Wait until everything handed over so far is on the disk itself; returns whether it is. Not for the graph's thread."""
         done = Event()
@@ -192,6 +200,8 @@ class Recorder:
         ended = False
         try:
             while not self._stop.wait(0.01 if self._wait else self._options.flush_s / TURNS):
+                if not self._wait:
+                    self._await_lull()
                 self._turn()
             self._turn(last=True)
             self._tape.finish()
@@ -202,6 +212,12 @@ class Recorder:
             if not ended:
                 self._error = self._error or "the recorder has stopped"
                 self._tape.abandon()
+
+    def _await_lull(self) -> None:
+        self._lull.clear()
+        self.patient = True
+        self._lull.wait(PATIENCE_S)
+        self.patient = False
 
     def _turn(self, *, last: bool = False) -> None:
         """Take what has come, make messages of it, and write when it is time."""
