@@ -13,7 +13,7 @@ from pathlib import Path
 
 from bench import depth, devices, lsl, mti, paced, recorder, replay, start, throughput
 from bench.engines import Field
-from bench.report import Section, into_readme, whole
+from bench.report import Section, into_page, whole
 
 README = Path(__file__).resolve().parent.parent / "README.md"
 BUSY = 0.5
@@ -46,7 +46,7 @@ def main() -> None:
         text = whole(sections, about(field, load, time.monotonic() - began))
     print(text)
     if given.readme:
-        into_readme(README, text)
+        into_page(README, text)
 
 
 def measures(field: Field, *, quick: bool, hours: float) -> dict[str, Callable[[], list[Section]]]:

@@ -9,6 +9,11 @@ BEGIN = "<!-- bench: begin (written by `make bench`) -->"
 END = "<!-- bench: end -->"
 
 
+def marks(name: str) -> tuple[str, str]:
+    """Where a bench of its own, `python -m NAME`, writes its report into a page."""
+    return f"<!-- {name}: begin (written by `python -m {name} --write`) -->", f"<!-- {name}: end -->"
+
+
 @dataclass(slots=True)
 class Goal:
     """One promise: what was reached, and the most (or, with `least`, the least) that it may be."""
@@ -65,13 +70,13 @@ def whole(sections: list[Section], about: str) -> str:
     return "\n\n".join([*parts, *tables])
 
 
-def into_readme(readme: Path, text: str) -> None:
+def into_page(page: Path, text: str, begin: str = BEGIN, end: str = END) -> None:
     """Put the report between its marks; at the end, where there are none yet."""
-    before = readme.read_text(encoding="utf-8")
-    block = f"{BEGIN}\n{text}\n{END}"
-    if BEGIN in before and END in before:
-        head, _, rest = before.partition(BEGIN)
-        after = head + block + rest.partition(END)[2]
+    before = page.read_text(encoding="utf-8")
+    block = f"{begin}\n{text}\n{end}"
+    if begin in before and end in before:
+        head, _, rest = before.partition(begin)
+        after = head + block + rest.partition(end)[2]
     else:
         after = f"{before.rstrip()}\n\n## Speed\n\n{block}\n"
-    readme.write_text(after, encoding="utf-8")
+    page.write_text(after, encoding="utf-8")

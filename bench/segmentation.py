@@ -1,70 +1,41 @@
-"""`python -m bench.segmentation`: how well operators.segmentation does on annotated recordings, and how long a frame takes; Markdown.
+"""`python -m bench.segmentation`: how well operators.segmentation does on annotated recordings, beside the thesis's batch method; Markdown.
 
-Accuracy needs the folder of recordings that the environment variable KINEGRAPH_DATA names, and is left out without it. One set of defaults
-for all; intervals are 95 %, from drawing recordings again and again. `--radii` also finds every recording's best fixed radius.
+Accuracy needs the folder of recordings that the environment variable KINEGRAPH_DATA names. One set of defaults for all; intervals are 95 %,
+from drawing recordings again and again. `--speed`: how long a frame takes instead, beside other libraries. `--write` puts the tables into
+the README and docs/segmentation.md. `--quick`: to see that it works, not for figures.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import time
-from collections.abc import Iterable
+import sys
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from bench.report import table
-from operators.align import Align
+from bench import batch
+from bench.motion import RATE, Series, cmu_and_mocap6, kinect, regular
+from bench.report import Goal, Section, into_page, marks, whole
+from bench.segmentation_speed import speed
 from operators.emg.envelope import Envelope
-from operators.features.pose import Pose
 from operators.features.stack import Stack
 from operators.features.standardise import Standardise
 from operators.segmentation import Segment
 from operators.segmentation.found import Found, merged
-from operators.segmentation.scores import Scores, intervals, score
+from operators.segmentation.scores import Scores, boundary_f1, intervals, score
 from operators.segmentation.truth import Truth, read_truth
-from stream.chunk import NS, Array, Chunk, StreamSpec
-from stream.operator import Operator, grid
+from stream.chunk import NS, Array, Chunk, Samples, StreamSpec
+from stream.operator import grid
 
-RATE = 30.0
-
-
-class Series:
-    """A stream as a whole: its spec, stamps (n,) ns from 0, samples."""
-
-    def __init__(self, spec: StreamSpec, stamps: Array, data: Array) -> None:
-        self.spec, self.stamps, self.data = spec, np.asarray(stamps, np.int64), np.ascontiguousarray(data, np.float64)
-
-    def through(self, *operators: Operator[Any]) -> Series:
-        made = self
-        for operator in operators:
-            made = made._through(operator)
-        return made
-
-    def _through(self, operator: Operator[Any]) -> Series:
-        port = operator.inputs[0] if operator.inputs else "pose"
-        (spec,) = operator.open({port: self.spec}).values()
-        chunks = [
-            *_chunks(operator.process(port, Chunk(self.stamps, self.data, int(self.stamps[-1])))),
-            *_chunks(operator.close()),
-        ]
-        return Series(spec, np.concatenate([c.time for c in chunks]), np.concatenate([c.data for c in chunks]))
-
-    def part(self, first_s: float, last_s: float) -> Array:
-        return self.data[(self.stamps >= first_s * NS) & (self.stamps < last_s * NS)]
-
-
-def _chunks(emitted: Any) -> list[Chunk]:
-    if emitted is None:
-        return []
-    return [emitted] if isinstance(emitted, Chunk) else [chunk for _, chunk in emitted]
-
-
-def regular(data: Array, rate_hz: float = RATE) -> Series:
-    return Series(StreamSpec(data.shape[1:], rate_hz=rate_hz), grid(rate_hz, len(data), 0), data)
+HOUSE = Path(__file__).resolve().parent.parent
+SHARES = np.arange(0.30, 0.62, 0.025).round(3)
+RADII = np.geomspace(0.2, 0.9, 25)
+"""Fixed radii that are tried, as shares of the median distance between frames of the whole recording."""
+BAND = 30
+"""The band that the thesis leaves out, in frames: a second."""
+SHOWN = ("f1", "covering", "strict", "tolerant")
 
 
 def segment(features: Series, operator: Segment | None = None) -> Found:
@@ -77,13 +48,14 @@ def segment(features: Series, operator: Segment | None = None) -> Found:
     for name, made in [*operator.process("in", chunk), *operator.close()]:
         found[name].append(made.data)
     activity, primitive, merge = (np.concatenate(found[name]) for name in ("activity", "primitive", "merge"))
-    clusters = merged(primitive["cluster"], zip(merge["cluster"].tolist(), merge["into"].tolist(), strict=True))
+    radii = np.concatenate(found["radius"])["radius"]
     return Found(
         _spans(activity, features),
         activity["transition"],
         _spans(primitive, features),
-        clusters,
+        merged(primitive["cluster"], zip(merge["cluster"].tolist(), merge["into"].tolist(), strict=True)),
         primitive["repetition"],
+        radius=float(np.median(radii)) if len(radii) else np.nan,
     )
 
 
@@ -94,29 +66,113 @@ def _spans(events: Array, features: Series) -> Array:
     return spans
 
 
-def cmu_and_mocap6(folder: Path) -> Iterable[tuple[str, str, Series, Truth]]:
-    """(set, name, stacked features, annotations) of the annotated motion capture."""
-    for path in sorted(folder.glob("cmu86_4ch/*.npz")):
-        angles = np.rad2deg(np.unwrap(np.deg2rad(np.load(path)["angles_deg"].astype(np.float64)), axis=0))[::4]
-        yield "CMU-86, 4 channels", path.stem, regular(angles).through(Stack()), read_truth(path)
-    for path in sorted([*folder.glob("cmu86_full/*.npz"), *folder.glob("mocap6/1?_??.npz")]):
-        kind = "CMU-86, full body" if path.parent.name == "cmu86_full" else "exercises, full body"
-        yield kind, path.stem, regular(np.load(path)["e15_cm"]).through(Stack()), read_truth(path)
-    for path in sorted(folder.glob("mocap6/*12ch*.npz")):
-        slow = regular(np.load(path)["x"], 10.0)
-        yield "exercises, 12 channels", path.stem, slow.through(Align(rate_hz=RATE), Stack()), read_truth(path)
+def in_batch(features: Series, apart: Samples, radius: float) -> Found:
+    """What the thesis's method finds, from all distances."""
+    made = batch.cut(apart, radius, BAND)
+    edges = np.append(features.stamps, features.stamps[-1] + features.spec.period_ns) / NS
+    edges[0] = 0.0
+    unknown = np.full(len(made.repetition), -1)
+    return Found(edges[made.activities], made.transition, edges[made.primitives], unknown, made.repetition)
 
 
-def kinect(path: Path) -> Series:
-    """A Kinect recording's pose at 30 Hz, joints that are lost filled in."""
-    with np.load(path) as found:
-        joints, names = found["joints_m"].astype(np.float64), tuple(str(name) for name in found["joint_names"])
-        stamps = (found["t_us"] - found["t_us"][0]) * 1000
-        joints[~found["tracked"] | ~joints.any(axis=(1, 2))] = np.nan
-    keep = np.append(True, np.diff(stamps) > 0)
-    return Series(StreamSpec(joints.shape[1:], channels=names, units=("m",)), stamps[keep], joints[keep]).through(
-        Pose(), Align(rate_hz=RATE, max_distance_s=0.5)
-    )
+Scored = dict[str, dict[str, list[Scores]]]
+"""Scores by set of recordings and by method."""
+LIVE, LIVE_BEST = "live", "live, best fixed radius"
+RAW, RAW_BEST, BUNDLED, BUNDLED_BEST = (
+    "batch, the live radius",
+    "batch, best radius",
+    "batch, bundled, the live radius",
+    "batch, bundled, best radius",
+)
+
+
+def activities(folder: Path, *, quick: bool) -> list[Section]:
+    """Boundaries of activities, live and by the thesis's method."""
+    scored: Scored = {}
+    shares: dict[float, list[float]] = {share: [] for share in SHARES}
+    rows, beside = [], []
+    for kind, name, features, truth in cmu_and_mocap6(folder):
+        print(f"{kind}: {name} ...", file=sys.stderr, flush=True)
+        found, made = methods(features, truth, quick=quick)
+        for group in (kind, "all"):
+            for method, one in made.items():
+                scored.setdefault(group, {}).setdefault(method, []).append(one)
+        first = [f"{kind}: {name.partition('_12ch')[0]}"]
+        rows.append([*first, *(f"{getattr(made[LIVE], field):.2f}" for field in SHOWN)])
+        agree = boundary_f1(found[LIVE].boundaries(), found[RAW].boundaries())[0]
+        beside.append([*first, *(f"{one.f1:.2f}" for one in made.values()), f"{agree:.2f}"])
+        if not quick:
+            for share, scores in shares.items():
+                scores.append(score(segment(features, Segment(radius_share=float(share))), truth).f1)
+    methods_ = list(scored["all"])
+    beside += [
+        [f"**{k}, mean**", *(f"{np.mean([s.f1 for s in v[m]]):.2f}" for m in methods_), ""] for k, v in scored.items()
+    ]
+    title = "Boundary F1, live and by the thesis's batch method; last, the live boundaries against those of the batch method"
+    sections = [
+        Section("Activities: one set of defaults, radius found from the data", ["", *SHOWN], [*rows, *means(scored)]),
+        Section(title, ["F1", *methods_, "live against batch, the live radius"], beside),
+        Section(
+            "All four scores, by method",
+            ["", *SHOWN],
+            [row for k in ("CMU-86, 4 channels", "all") for row in by_method(k, scored[k])],
+        ),
+    ]
+    sections[0].goals = accuracy_goals(scored)
+    sections[0].notes = [] if quick else [left_out(shares)]
+    return sections
+
+
+def methods(features: Series, truth: Truth, *, quick: bool) -> tuple[dict[str, Found], dict[str, Scores]]:
+    """What each method finds in one recording, and its scores."""
+    found = {LIVE: segment(features)}
+    raw = batch.distances(features.data)
+    close = batch.distances(batch.bundled(features.data))
+    radii = float(np.median(raw[::20, ::20])) * RADII
+    if not quick:
+        found[LIVE_BEST] = best([segment(features, Segment(radius=float(r))) for r in radii], truth)
+    for apart, same, tuned in ((raw, RAW, RAW_BEST), (close, BUNDLED, BUNDLED_BEST)):
+        found[same] = in_batch(features, apart, found[LIVE].radius)
+        if not quick:
+            found[tuned] = best([in_batch(features, apart, float(r)) for r in radii], truth)
+    return found, {name: score(one, truth) for name, one in found.items()}
+
+
+def best(found: list[Found], truth: Truth) -> Found:
+    """The first with the highest F1, and of these with the highest covering: picked with the annotations in hand."""
+    return max(found, key=lambda one: (score(one, truth).f1, score(one, truth).covering))
+
+
+def means(scored: Scored) -> list[list[str]]:
+    rows = []
+    for kind, made in scored.items():
+        mean = intervals(made[LIVE])
+        cells = [f"{mean[k][0]:.3f} ({mean[k][1]:.2f}-{mean[k][2]:.2f})" for k in SHOWN]
+        rows.append([f"**{kind}, mean of {len(made[LIVE])}**", *cells])
+    return rows
+
+
+def by_method(kind: str, made: dict[str, list[Scores]]) -> list[list[str]]:
+    return [[f"{kind}: {m}", *(f"{np.mean([getattr(s, k) for s in v]):.3f}" for k in SHOWN)] for m, v in made.items()]
+
+
+def accuracy_goals(scored: Scored) -> list[Goal]:
+    kind = "CMU-86, 4 channels"
+    goals = [
+        Goal(f"{kind}: {field}", float(np.mean([getattr(s, field) for s in scored[kind][LIVE]])), limit, "", least=True)
+        for field, limit in zip(SHOWN, (0.85, 0.88, 0.88, 0.98), strict=True)
+    ]
+    if LIVE_BEST in scored["all"]:
+        lost = np.mean([b.f1 - a.f1 for a, b in zip(scored["all"][LIVE], scored["all"][LIVE_BEST], strict=True)])
+        goals.append(Goal("all sets: f1 lost against each recording's best fixed radius", float(lost), 0.05, ""))
+    return goals
+
+
+def left_out(shares: dict[float, list[float]]) -> str:
+    f1 = np.array(list(shares.values()))
+    left = [f1[np.delete(f1, k, 1).mean(1).argmax(), k] for k in range(f1.shape[1])]
+    text = f"With `radius_share` chosen on all recordings but the one that is scored: F1 {np.mean(left):.3f}. By share, all: "
+    return text + ", ".join(f"{share:g}: {np.mean(scores):.2f}" for share, scores in shares.items()) + "."
 
 
 def joined(poses: list[tuple[Series, Truth]], seed: int, draws: int = 24) -> list[int]:
@@ -144,128 +200,96 @@ def joined(poses: list[tuple[Series, Truth]], seed: int, draws: int = 24) -> lis
     return errors
 
 
-def activities(folder: Path, radii: bool) -> str:
-    sets: dict[str, list[Scores]] = {}
-    rows, best, shares = [], [], {share: [] for share in np.arange(0.30, 0.62, 0.025).round(3)}
-    for kind, name, features, truth in cmu_and_mocap6(folder):
-        made = score(segment(features), truth)
-        sets.setdefault(kind, []).append(made)
-        sets.setdefault("all", []).append(made)
-        row = [f"{kind}: {name}", *(f"{v:.2f}" for v in (made.f1, made.covering, made.strict, made.tolerant))]
-        if radii:
-            median = (
-                float(np.median(np.linalg.norm(features.data[::20, None] - features.data[None, ::20], axis=2)))
-                / features.data.shape[1] ** 0.5
-            )
-            best.append(
-                max(score(segment(features, Segment(radius=median * r)), truth).f1 for r in np.geomspace(0.2, 0.9, 25))
-            )
-            row.append(f"{best[-1]:.2f}")
-            for share, scores in shares.items():
-                scores.append(score(segment(features, Segment(radius_share=float(share))), truth).f1)
-        rows.append(row)
-    for kind, scores in sets.items():
-        means = intervals(scores)
-        cells = [
-            f"{means[k][0]:.3f} ({means[k][1]:.2f}-{means[k][2]:.2f})" for k in ("f1", "covering", "strict", "tolerant")
-        ]
-        rows.append(
-            [
-                f"**{kind}, mean of {len(scores)}**",
-                *cells,
-                *([f"{np.mean(best):.2f}" if kind == "all" else ""] if radii else []),
-            ]
-        )
-    text = table(["", "F1", "covering", "strict", "tolerant", *(["F1, best fixed radius"] if radii else [])], rows)
-    if radii:
-        f1 = np.array(list(shares.values()))
-        left = [f1[np.delete(f1, k, 1).mean(1).argmax(), k] for k in range(f1.shape[1])]
-        text += f"\n\nWith `radius_share` chosen on all recordings but the one that is scored: F1 {np.mean(left):.3f}. By share, all: "
-        text += ", ".join(f"{share:g}: {np.mean(scores):.2f}" for share, scores in shares.items()) + "."
-    return text
-
-
-def repetitions(folder: Path) -> str:
-    poses = [(kinect(path), read_truth(path)) for path in sorted(folder.glob("msrc12/*.npz"))]
+def repetitions(folder: Path) -> Section:
+    """Kinect recordings of ten repetitions or so, counted, and where the annotated moment stands in them."""
     names = [path.stem for path in sorted(folder.glob("msrc12/*.npz"))]
-    rows, scores = [], []
+    poses = [(kinect(path), read_truth(path)) for path in sorted(folder.glob("msrc12/*.npz"))]
+    rows, scores, others = [], [], []
     for name, (pose, truth) in zip(names, poses, strict=True):
-        found = segment(pose.through(Stack()))
-        made = score(found, truth)
+        features = pose.through(Stack())
+        found = segment(features)
+        whole_ = in_batch(features, batch.distances(features.data), found.radius)
+        made, other = score(found, truth), score(whole_, truth)
         scores.append(made)
-        rows.append(
-            [
-                name,
-                str(len(truth.keys)),
-                str(int((found.repetition > 0).sum())),
-                f"{made.key_place:.2f}",
-                f"{made.key_sd:.2f}",
-            ]
-        )
+        others.append(other)
+        counts = [len(truth.keys), (found.repetition > 0).sum(), (whole_.repetition > 0).sum()]
+        places = [made.key_place, made.key_sd, other.key_sd]
+        rows.append([name, *map(str, counts), *(f"{v:.2f}" for v in places)])
     errors = np.array(joined(poses, 0))
-    text = table(["MSRC-12", "annotated", "counted", "key point's place", "its circular sd"], rows)
-    return text + (
-        f"\n\nCounted within 1: {np.mean([s.within_1 for s in scores]):.0%} of {len(scores)} recordings; "
-        f"{np.mean(errors <= 1):.0%} of {len(errors)} pieces of 3 to 8 repetitions joined by threes."
+    within, pieces = float(np.mean([s.within_1 for s in scores])), float(np.mean(errors <= 1))
+    note = (
+        f"Counted within 1: {within:.0%} of {len(scores)} recordings (batch: {np.mean([s.within_1 for s in others]):.0%}); "
+        f"{pieces:.0%} of {len(errors)} pieces of 3 to 8 repetitions joined by threes."
     )
+    goals = [
+        Goal("MSRC-12: recordings counted within 1", 100 * within, 80, "%", least=True),
+        Goal("MSRC-12: pieces counted within 1", 100 * pieces, 80, "%", least=True),
+        Goal(
+            "MSRC-12: circular sd of the key point's place, mean",
+            100 * float(np.mean([s.key_sd for s in scores])),
+            15,
+            "%",
+        ),
+    ]
+    head = [
+        "MSRC-12",
+        "annotated",
+        "counted",
+        "counted, batch",
+        "key point's place",
+        "its circular sd",
+        "circular sd, batch",
+    ]
+    return Section("Repetitions before a Kinect", head, rows, [note], goals)
 
 
-def muscles(path: Path) -> str:
+def muscles(path: Path) -> Section:
+    """Gait cycles from muscle signals."""
     with np.load(path) as found:
         emg, touch = found["emg_uV"], found["touchdown_s"] - found["t_s"][0]
     raw = Series(StreamSpec((emg.shape[1],), rate_hz=1000.0, units=("uV",)), grid(1000.0, len(emg), 0), emg)
     found_ = segment(raw.through(Envelope(cutoff_hz=10.0, rate_hz=RATE), Standardise(freeze_s=10.0), Stack()))
     starts = found_.primitives[found_.repetition > 0, 0]
-    places = [(s - a) / (b - a) for s in starts for a, b in pairwise(touch) if a <= s < b]
-    spread = (
-        np.sqrt(-2 * np.log(np.abs(np.exp(2j * np.pi * np.array(places)).mean()))) / (2 * np.pi) if places else np.nan
+    places = np.array([(s - a) / (b - a) for s in starts for a, b in pairwise(touch) if a <= s < b])
+    spread = np.sqrt(-2 * np.log(np.abs(np.exp(2j * np.pi * places).mean()))) / (2 * np.pi) if len(places) else np.nan
+    note = (
+        f"{len(touch) - 1} gait cycles, {len(starts)} repetitions; circular sd of their start {spread:.1%} of a cycle."
     )
-    return (
-        f"Treadmill walking, 13 muscles: {len(touch) - 1} gait cycles, {len(starts)} repetitions; "
-        f"circular sd of their start {spread:.1%} of a cycle."
-    )
+    goals = [
+        Goal("EMG: gait cycles counted wrongly", abs(len(touch) - 1 - len(starts)), 1, ""),
+        Goal("EMG: circular sd of the cycles' start", 100 * float(spread), 5, "%"),
+    ]
+    return Section("Treadmill walking, 13 muscles", notes=[note], goals=goals)
 
 
-def speed() -> str:
-    """Stack and segment 75 features at 30 Hz, one frame at a time; in the thread's own time, which other work does not change."""
-    rng, n = np.random.default_rng(0), 9000
-    turn = np.arange(n) * 0.2
-    kind = (np.arange(n) // 450) % 5
-    mix = rng.normal(size=(5, 4, 15))
-    circle = np.stack([np.sin(turn), np.cos(turn), np.sin(2 * turn), np.cos(2 * turn)], 1)
-    x = np.einsum("nk,nkd->nd", circle, mix[kind]) + 0.1 * rng.normal(size=(n, 15))
-    rows = []
-    for window_s in (60.0, 600.0):
-        stack, segments = Stack(), Segment(window_s=window_s)
-        spec = stack.open({"in": StreamSpec((15,), rate_hz=RATE)})["out"]
-        segments.open({"in": spec})
-        stamps, took = grid(RATE, n), np.empty(n)
-        for i in range(n):
-            begun = time.thread_time_ns()
-            for stacked in _chunks(stack.process("in", Chunk(stamps[i : i + 1], x[i : i + 1], int(stamps[i])))):
-                segments.process("in", stacked)
-            took[i] = (time.thread_time_ns() - begun) / 1e6
-        took = took[100:]
-        cells = [took.mean(), *np.quantile(took, [0.5, 0.99, 0.999]), took.max()]
-        rows.append([f"{window_s:g} s", *(f"{v:.3f}" for v in cells), f"{segments.memory_bytes / 1e6:.1f}"])
-    return table(["window", "mean ms/frame", "median", "p99", "p99.9", "longest", "memory, MB"], rows)
+def accuracy(*, quick: bool) -> list[Section]:
+    """All that is measured on recordings. Exits where there are none."""
+    folder = Path(os.environ.get("KINEGRAPH_DATA", "")) / "segmentation"
+    if not os.environ.get("KINEGRAPH_DATA") or not folder.is_dir():
+        sys.exit("KINEGRAPH_DATA must name a folder of recordings that holds `segmentation`")
+    return [
+        *activities(folder, quick=quick),
+        repetitions(folder),
+        muscles(folder.parent / "emg" / "emg_santuz_tw12.npz"),
+    ]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--radii", action="store_true", help="every recording's best fixed radius, and leave-one-out")
-    parser.add_argument("--speed", action="store_true", help="only the speed")
-    args = parser.parse_args()
-    folder = Path(os.environ.get("KINEGRAPH_DATA", "")) / "segmentation"
-    if not args.speed and folder.is_dir():
-        print(
-            activities(folder, args.radii),
-            repetitions(folder),
-            muscles(folder.parent / "emg" / "emg_santuz_tw12.npz"),
-            sep="\n\n",
-        )
-        print()
-    print(speed())
+    parser = argparse.ArgumentParser(prog="python -m bench.segmentation", description=__doc__)
+    parser.add_argument("--speed", action="store_true", help="how long a frame takes")
+    parser.add_argument("--quick", action="store_true", help="no best radii, short windows, no other libraries")
+    parser.add_argument(
+        "--write", action="store_true", help="write the tables into the README and docs/segmentation.md"
+    )
+    given = parser.parse_args()
+    sections = [speed(quick=given.quick)] if given.speed else accuracy(quick=given.quick)
+    name = "bench.segmentation" + (" --speed" if given.speed else "")
+    text = whole(sections, f"By `python -m {name}`.")
+    print(text)
+    if given.write:
+        into_page(HOUSE / "README.md", text, *marks(name))
+        tables = "\n\n".join(section.markdown() for section in sections)
+        into_page(HOUSE / "docs" / "segmentation.md", tables, *marks(name))
 
 
 if __name__ == "__main__":

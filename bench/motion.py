@@ -1,0 +1,78 @@
+"""Recordings as features, for the benches: read whole, through the operators that a graph would use."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from operators.align import Align
+from operators.features.pose import Pose
+from operators.features.stack import Stack
+from operators.segmentation.truth import Truth, read_truth
+from stream.chunk import NS, Array, Chunk, StreamSpec
+from stream.operator import Operator, grid
+
+RATE = 30.0
+
+
+class Series:
+    """A stream as a whole: its spec, stamps (n,) ns from 0, samples."""
+
+    def __init__(self, spec: StreamSpec, stamps: Array, data: Array) -> None:
+        self.spec, self.stamps, self.data = spec, np.asarray(stamps, np.int64), np.ascontiguousarray(data, np.float64)
+
+    def through(self, *operators: Operator[Any]) -> Series:
+        made = self
+        for operator in operators:
+            made = made._through(operator)
+        return made
+
+    def _through(self, operator: Operator[Any]) -> Series:
+        port = operator.inputs[0] if operator.inputs else "pose"
+        (spec,) = operator.open({port: self.spec}).values()
+        made = [
+            *chunks(operator.process(port, Chunk(self.stamps, self.data, int(self.stamps[-1])))),
+            *chunks(operator.close()),
+        ]
+        return Series(spec, np.concatenate([c.time for c in made]), np.concatenate([c.data for c in made]))
+
+    def part(self, first_s: float, last_s: float) -> Array:
+        return self.data[(self.stamps >= first_s * NS) & (self.stamps < last_s * NS)]
+
+
+def chunks(emitted: Any) -> list[Chunk]:
+    if emitted is None:
+        return []
+    return [emitted] if isinstance(emitted, Chunk) else [chunk for _, chunk in emitted]
+
+
+def regular(data: Array, rate_hz: float = RATE) -> Series:
+    return Series(StreamSpec(data.shape[1:], rate_hz=rate_hz), grid(rate_hz, len(data), 0), data)
+
+
+def cmu_and_mocap6(folder: Path) -> Iterable[tuple[str, str, Series, Truth]]:
+    """(set, name, stacked features, annotations) of the annotated motion capture."""
+    for path in sorted(folder.glob("cmu86_4ch/*.npz")):
+        angles = np.rad2deg(np.unwrap(np.deg2rad(np.load(path)["angles_deg"].astype(np.float64)), axis=0))[::4]
+        yield "CMU-86, 4 channels", path.stem, regular(angles).through(Stack()), read_truth(path)
+    for path in sorted([*folder.glob("cmu86_full/*.npz"), *folder.glob("mocap6/1?_??.npz")]):
+        kind = "CMU-86, full body" if path.parent.name == "cmu86_full" else "exercises, full body"
+        yield kind, path.stem, regular(np.load(path)["e15_cm"]).through(Stack()), read_truth(path)
+    for path in sorted(folder.glob("mocap6/*12ch*.npz")):
+        slow = regular(np.load(path)["x"], 10.0)
+        yield "exercises, 12 channels", path.stem, slow.through(Align(rate_hz=RATE), Stack()), read_truth(path)
+
+
+def kinect(path: Path) -> Series:
+    """A Kinect recording's pose at 30 Hz, joints that are lost filled in."""
+    with np.load(path) as found:
+        joints, names = found["joints_m"].astype(np.float64), tuple(str(name) for name in found["joint_names"])
+        stamps = (found["t_us"] - found["t_us"][0]) * 1000
+        joints[~found["tracked"] | ~joints.any(axis=(1, 2))] = np.nan
+    keep = np.append(True, np.diff(stamps) > 0)
+    return Series(StreamSpec(joints.shape[1:], channels=names, units=("m",)), stamps[keep], joints[keep]).through(
+        Pose(), Align(rate_hz=RATE, max_distance_s=0.5)
+    )
