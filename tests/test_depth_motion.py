@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from operators.depth.activity import EPOCH_SEEN
 from operators.depth.bed import BedRegion
-from operators.depth.motion import LONGEST_EPOCH, Motion
+from operators.depth.motion import LONGEST_EPOCH, Motion, map_of
 from operators.depth.night_map import NightMap
 from operators.depth.simplify import SCENE
 from stream.chunk import NS, Array, Chunk, StreamSpec
@@ -121,6 +122,52 @@ def test_the_night_map_is_the_mean_over_its_frames_and_begins_anew() -> None:
     weights = maps["frames"][2:].astype(float)
     expected = (maps["map"][2:] * weights[:, None, None]).sum(axis=0) / weights.sum()
     assert np.allclose(made["map"][1], expected, rtol=1e-6) and made["frames"].tolist() == [39, 50]
+
+
+def epochs_of_a_bed(count: int = 400) -> tuple[Array, Array]:
+    """Maps in which the bed's edge (column 2) trembles all night and a body moves in every fourth epoch, and what `seen` says."""
+    random = np.random.default_rng(3)
+    noise = np.full((6, 8), 0.6)
+    noise[:, 2] = 15.0
+    maps, epochs = np.zeros(count, map_of((6, 8))), np.zeros(count, EPOCH_SEEN)
+    maps["end"] = epochs["end"] = grid(1 / 30, count, 900 * NS) + 30 * NS
+    maps["onset"] = maps["end"] - 30 * NS
+    maps["frames"] = 60
+    maps["map"] = noise * random.normal(1, 0.05, (count, 6, 8))
+    maps["map"][::4, 2:4, 4:6] += 0.8
+    epochs["moved_s"][::4] = 5.0
+    return maps, epochs
+
+
+def night_map(maps: Array, epochs: Array | None = None, epoch_s: float = 30.0) -> Array:
+    """The one map of a night that ends with the last epoch."""
+    end = np.array([(int(maps["end"][-1]),)], [("onset", "<i8")])
+    inputs = {
+        "map": (StreamSpec((), maps.dtype, meta={"epoch_s": 30.0}), maps["end"] - 1, maps),
+        "nights": (StreamSpec((), end.dtype), end["onset"].copy(), end),
+    }
+    if epochs is not None:
+        inputs["seen"] = (StreamSpec((), EPOCH_SEEN, meta={"epoch_s": epoch_s}), epochs["end"] - 1, epochs)
+    made: Array = play(NightMap(), **inputs)["out"]["map"][0]
+    return made
+
+
+def test_the_noise_of_still_epochs_is_taken_off_the_nights_map() -> None:
+    maps, epochs = epochs_of_a_bed()
+    assert (night_map(maps)[:, 2] > 14).all(), "or else the edge outshines the sleeper"
+    made = night_map(maps, epochs)
+    body = np.zeros((6, 8), np.bool_)
+    body[2:4, 4:6] = True
+    assert np.allclose(made[body], 0.2, atol=0.02) and np.abs(made[~body]).max() < 0.1
+    assert np.abs(made[~body & (np.arange(8) != 2)]).max() < 0.01
+
+
+def test_where_no_epoch_was_still_nothing_is_known_of_the_noise() -> None:
+    maps, epochs = epochs_of_a_bed(40)
+    epochs["moved_s"] = np.where(np.arange(40) % 2, 0.5, np.nan)
+    assert np.isnan(night_map(maps, epochs)).all()
+    with pytest.raises(InputError, match=r"epochs of 60.*epoch_s 30"):
+        night_map(maps, epochs, epoch_s=60.0)
 
 
 # the bed -------------------------------------------------------------------------------------------------------------

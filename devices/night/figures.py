@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
+from matplotlib.colors import Normalize
 from matplotlib.dates import AutoDateLocator, DateFormatter
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from devices.night.numbers import CAVEATS, Row, exits, runs, span
+from devices.night.numbers import CAVEATS, Row, exits, runs, span, unseen
 from devices.night.shelf import Epochs, Facts, clock, zone_of
 from stream.chunk import NS, Array, Samples
 
@@ -43,7 +43,7 @@ STYLE: dict[Any, Any] = {
 def night_svg(facts: Facts, epochs: Epochs) -> str:
     """Hypnogram, activity and breathing over the clock, as one SVG element."""
     with rc_context(STYLE):
-        figure = Figure(figsize=(7.2, 5.3))
+        figure = Figure(figsize=(7.2, 5.0))
         _three(figure, facts, epochs, (0.09, 0.06, 0.88, 0.89))
         return _svg(figure, "Hypnogram, activity and breathing over the night")
 
@@ -51,8 +51,9 @@ def night_svg(facts: Facts, epochs: Epochs) -> str:
 def map_svg(motion: Samples) -> str:
     """The night's motion map, as one SVG element."""
     with rc_context(STYLE):
-        figure = Figure(figsize=(3.4, 2.6))
-        _map(figure, figure.add_axes((0.02, 0.06, 0.78, 0.9)), motion)
+        width = 0.82
+        figure = Figure(figsize=(3.4, 3.4 * width * motion.shape[0] / motion.shape[1] + 0.1))
+        _map(figure, figure.add_axes((0.0, 0.02, width, 0.96)), motion)
         return _svg(figure, "Where in the picture it moved during the night")
 
 
@@ -104,7 +105,7 @@ def _three(figure: Figure, facts: Facts, epochs: Epochs, place: tuple[float, flo
     for panel in panels:
         panel.set_xlim(begin, end)
         panel.tick_params(labelbottom=panel is panels[-1])
-        _unseen(panel, epochs, x)
+        _unseen(panel, facts, epochs)
     panels[-1].xaxis.set_major_locator(AutoDateLocator(minticks=5, maxticks=11))  # type: ignore[no-untyped-call]
     panels[-1].xaxis.set_major_formatter(DateFormatter("%H:%M"))  # type: ignore[no-untyped-call]
 
@@ -138,7 +139,7 @@ def _hypnogram(axes: Axes, facts: Facts, epochs: Epochs, x: tuple[Array, Array])
                 color=INK,
             )
     handles = [Patch(facecolor=GONE, hatch="////", edgecolor="#9a978f", label="not seen")]
-    if (epochs.texts["state"] == "unknown").any():
+    if unseen(epochs):
         axes.legend(
             handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False, borderpad=0, handlelength=1.6
         )
@@ -170,20 +171,20 @@ def _breathing(axes: Axes, epochs: Epochs, x: tuple[Array, Array]) -> None:
     axes.set_ylabel("Breaths\nper minute")
 
 
-def _unseen(axes: Axes, epochs: Epochs, x: tuple[Array, Array]) -> None:
-    for a, b in runs(epochs.texts["state"] == "unknown"):
-        axes.axvspan(x[0][a], x[1][b - 1], facecolor=GONE, edgecolor="#9a978f", hatch="////", linewidth=0, zorder=0)
+def _unseen(axes: Axes, facts: Facts, epochs: Epochs) -> None:
+    for stretch in unseen(epochs):
+        begin, end = _days(np.array([stretch.begin, stretch.end]), facts)
+        axes.axvspan(begin, end, facecolor=GONE, edgecolor="#9a978f", hatch="////", linewidth=0, zorder=0)
 
 
 def _map(figure: Figure, axes: Axes, motion: Samples) -> None:
-    seen = np.isfinite(motion) & (motion > 0)
-    if not seen.any():
+    seen = np.isfinite(motion)
+    if not (motion[seen] > 0).any():
         axes.set_axis_off()
         axes.text(0.5, 0.5, "no motion was seen", ha="center", va="center", transform=axes.transAxes)
         return
-    top = float(np.percentile(motion[seen], 99.8))
-    norm = LogNorm(max(float(np.percentile(motion[seen], 5)), top / 1000), top)
-    shown = np.ma.masked_invalid(np.where(seen, motion, np.nan))
+    norm = Normalize(0.0, float(np.percentile(motion[seen], 99.8)), clip=True)
+    shown = np.ma.masked_invalid(motion)
     axes.set_facecolor(GONE)
     image = axes.imshow(shown, cmap="magma", norm=norm, interpolation="nearest")
     axes.set_xticks([])
@@ -214,7 +215,7 @@ def _beside(figure: Figure, seen: list[tuple[str, str]], top: float) -> None:
     figure.text(0.66, top, "What was seen", fontsize=9, weight="bold", color=INK, va="top")
     y = top - 0.024
     for name, value in seen:
-        lines = wrap(value, 46)[:3]
+        lines = wrap(value, 46, max_lines=3, placeholder=" …")
         figure.text(0.66, y, name, fontsize=7.5, va="top")
         figure.text(0.66, y - 0.0115, "\n".join(lines), fontsize=6.5, va="top", color="#6a6862", linespacing=1.25)
         y -= 0.0165 + 0.0096 * len(lines)

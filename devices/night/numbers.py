@@ -99,11 +99,21 @@ def exits(facts: Facts) -> list[Stretch]:
 
 
 def unseen(epochs: Epochs) -> list[Stretch]:
-    """Stretches of epochs that were not scored."""
-    return [
-        Stretch(int(epochs.onset[a]), int(epochs.end[b - 1]), "unknown")
-        for a, b in runs(epochs.texts["state"] == "unknown")
+    """Stretches that were not scored: unknown epochs, and times between epochs of which no row is there."""
+    found = [
+        Stretch(int(epochs.onset[a]), int(epochs.end[b - 1]), "") for a, b in runs(epochs.texts["state"] == "unknown")
     ]
+    found += [
+        Stretch(int(epochs.end[k]), int(epochs.onset[k + 1]), "")
+        for k in np.flatnonzero(epochs.onset[1:] > epochs.end[:-1]).tolist()
+    ]
+    joined: list[Stretch] = []
+    for stretch in sorted(found, key=lambda s: s.begin):
+        if joined and stretch.begin <= joined[-1].end:
+            joined[-1] = Stretch(joined[-1].begin, stretch.end, "")
+        else:
+            joined.append(stretch)
+    return joined
 
 
 def quality(facts: Facts, epochs: Epochs) -> list[tuple[str, str]]:

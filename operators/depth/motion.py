@@ -114,7 +114,8 @@ class Motion(Operator[MotionState]):
             shape=(len(sleepers),), dtype=np.dtype(np.float64), channels=sleepers, meta=meta, settling_s=settling
         )
         made = map_of((height // cell, width // cell))
-        return {"out": out, "map": StreamSpec((), made, units=("ns", "ns", "", spec.units[0]), meta=meta)}
+        maps = StreamSpec((), made, units=("ns", "ns", "", spec.units[0]), meta={**meta, "epoch_s": self.epoch_s})
+        return {"out": out, "map": maps}
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
         s = self.state
