@@ -15,7 +15,7 @@ import pytest
 from night_made import EVENING, LATE, SPECS, STEP, Night, feed, opened, states
 
 from devices.night import shelf
-from devices.night.numbers import CAVEATS, exits, quality, table
+from devices.night.numbers import CAVEATS, exits, quality, table, unseen
 from devices.night.page import render
 from stream.chunk import NS
 from stream.engine.clock import SessionClock
@@ -162,6 +162,43 @@ def test_a_restart_without_resume_goes_on_with_the_night(tmp_path: Path) -> None
     assert "kinegraph did not run" in dict(quality(facts, shelf.read_epochs(folder)))
 
 
+def test_a_night_that_is_ahead_of_the_clock_is_left_as_it_is(tmp_path: Path) -> None:
+    """A simulated night goes faster than time: the next one has the same hours. It is killed, and goes on, too."""
+    night_made.whole(tmp_path, report=False)
+    night, log, clock = Night(seed=9), opened(tmp_path, report=False), SessionClock()
+    clock.utc_ns = night.onset(0)
+    log.keep_time(clock)
+    log.begin()
+    feed(log, night.told(0, 200))
+    checkpoint = log.snapshot()
+    feed(log, night.told(200, 220))
+    log.close()
+    again = opened(tmp_path, report=False)
+    again.restore(checkpoint)
+    clock.utc_ns = night.onset(3)  # it goes faster than time
+    again.keep_time(clock)
+    again.begin()
+    feed(again, chain(night.told(200), night.end()))
+    again.close()
+    (first, _), (second, facts) = shelf.nights(tmp_path)
+    assert logged(first) == states(Night(), night.inn) and logged(second) == states(night, night.inn)
+    assert (second.name, facts.closed) == ("2025-12-31-2", True)
+
+
+def test_epochs_of_which_there_is_no_row_were_not_seen(drawn: tuple[Path, Night]) -> None:
+    folder, night = drawn
+    epochs, facts = shelf.read_epochs(folder), shelf.Facts.load(folder)
+    there = np.ones(len(epochs), np.bool_)
+    there[20:30] = False
+    texts, numbers = ({n: c[there] for n, c in columns.items()} for columns in (epochs.texts, epochs.numbers))
+    holed = shelf.Epochs(epochs.onset[there], epochs.end[there], texts, numbers)
+    assert [(s.begin, s.end) for s in unseen(holed)] == [
+        (night.onset(night.inn + 20), night.onset(night.inn + 30)),
+        (night.onset(night.gone[0]), night.onset(night.gone[-1] + 1)),
+    ]
+    assert "(5 min)" in dict(quality(facts, holed))["Not scored"]
+
+
 def test_what_was_final_is_never_changed(tmp_path: Path) -> None:
     night, log = Night(), opened(tmp_path, report=False)
     log.begin()
@@ -264,7 +301,7 @@ def test_the_command_lists_draws_and_deletes(tmp_path: Path, capsys: pytest.Capt
         return capsys.readouterr().out
 
     night_made.whole(tmp_path, report=False, ports=("epochs", "nights"))
-    assert "2025-12-31" in run() and "1 nights" in run("list")
+    assert "2025-12-31" in run() and "1 night in" in run("list")
     assert "report.html" in run("report", "last")
     with pytest.raises(KinegraphError, match="2025-12-31"):
         call("nights", ["delete", "2025-12-30", "--path", str(tmp_path)])

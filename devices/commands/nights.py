@@ -78,4 +78,4 @@ def _list(root: Path) -> None:
         )  # fmt: skip
     console = Console(highlight=False)
     console.print(table)
-    console.print(f"{len(found)} nights in {root}")
+    console.print(f"{len(found)} night{'' if len(found) == 1 else 's'} in {root}")

@@ -211,6 +211,7 @@ class MqttOutlet(_Sender):
         assert outbox
         newest = outbox.newest(topic)
         nights = shelf.nights(Path(history.log)) if newest >= 0 else []
+        nights.sort(key=lambda night: (night[0] / shelf.EPOCHS).stat().st_mtime_ns)  # the one that was written last
         for folder, _ in nights[-1:]:
             epochs = shelf.read_epochs(folder)
             for k in np.flatnonzero(epochs.onset > newest).tolist():

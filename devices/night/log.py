@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import uuid
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import tzinfo
 from pathlib import Path
@@ -44,11 +46,13 @@ class LogState:
     held   what is known of epochs that are not final yet, as JSON by onset
     bed    what the bed is now
     rests  the night is over, but somebody is still in bed: the next begins when the bed was left
+    run    which session this is, over all its restarts
     """
 
     held: str = "{}"
     bed: str = ""
     rests: bool = False
+    run: str = ""
 
 
 class _Desk:
@@ -139,21 +143,37 @@ class NightLog(_Logger):
         desk.held = {int(onset): facts for onset, facts in json.loads(self.state.held).items()}
         desk.claim = claim(root / (f"night-{self.sleeper}" if self.sleeper else "night"))
         desk.zone = shelf.zone_of(self.timezone)
+        self.state.run = self.state.run or uuid.uuid4().hex
+        broken_off = None
         for folder, facts in shelf.nights(root):
-            if facts.sleeper != self.sleeper:
-                continue
             epochs = readable(folder)
-            if len(epochs):
-                desk.last = max(desk.last, int(epochs.onset[-1]))
+            if facts.sleeper != self.sleeper or not len(epochs) or self._of_another_clock(folder, facts, epochs):
+                continue
+            desk.last = max(desk.last, int(epochs.onset[-1]))
             if facts.closed:
                 desk.former, desk.former_end = folder, int(facts.numbers.get("end", desk.last))
-                self.state.rests = self.state.rests or (len(epochs) > 0 and str(epochs.texts["bed"][-1]) == "in")
-        open_ones = [found for found in shelf.nights(root) if found[1].sleeper == self.sleeper and not found[1].closed]
-        for folder, facts in open_ones[-1:]:
-            epochs = readable(folder)
-            if len(epochs):
-                desk.night = Night.go_on(folder, facts, epochs)
-                self._mark_break(desk.night, int(epochs.end[-1]))
+                self.state.rests = self.state.rests or str(epochs.texts["bed"][-1]) == "in"
+            else:
+                broken_off = folder, facts, epochs
+        if broken_off:
+            desk.night = Night.go_on(*broken_off)
+            desk.night.facts.run = self.state.run
+            self._mark_break(desk.night, int(broken_off[2].end[-1]))
+
+    def _of_another_clock(self, folder: Path, facts: Facts, epochs: shelf.Epochs) -> bool:
+        """Whether an earlier session's night lies ahead of this one's beginning: a simulated one, or the clock has been wrong.
+
+        Such a night is over, and what is seen now is not taken for what it holds already.
+        """
+        ahead = self.desk.now != NEVER and int(epochs.onset[-1]) > self.desk.now + round(facts.epoch_s * NS)
+        if facts.run == self.state.run or not ahead:
+            return False
+        log.warning("a night in the log is ahead of the clock; another one begins beside it", night=folder.name)
+        if not facts.closed:
+            facts.closed = True
+            with suppress(OSError):
+                facts.save(folder)
+        return True
 
     def _mark_break(self, night: Night, written: int) -> None:
         """From the last epoch that is known, final or not, to now, nobody looked."""
@@ -303,6 +323,7 @@ class NightLog(_Logger):
             session=dict(graph.session) if graph else {},
             settings=[[s.node, s.use, s.parameters] for s in settings(graph)] if graph else [],
             versions=[list(pair) for pair in versions()],
+            run=self.state.run,
         )  # fmt: skip
         if self.state.bed:
             facts.exits.append([onset, self.state.bed])

@@ -50,6 +50,7 @@ class Facts:
     numbers    the row of the night's statistics; empty while the night goes on
     meta       of the scored stream: method, threshold, calibration
     settings   [node, use, parameters] of the graph
+    run        which session writes it, over all its restarts
     """
 
     name: str
@@ -66,6 +67,7 @@ class Facts:
     session: dict[str, Any] = field(default_factory=dict)
     settings: list[list[str]] = field(default_factory=list)
     versions: list[list[str]] = field(default_factory=list)
+    run: str = ""
     version: int = VERSION
 
     def save(self, folder: Path) -> None:

@@ -164,7 +164,7 @@ def _tell_end(outcome: Outcome) -> None:
             print(f"  {name}: {json.dumps(troubles)}", file=sys.stderr)
     for node, file in outcome.files.items():
         print(f"{node}: {file}", file=sys.stderr)
-    if outcome.folder:
+    if outcome.folder and any(outcome.folder.glob("*.mcap")):
         print(f"recording: {outcome.folder}", file=sys.stderr)
     if outcome.error:
         print(f"kinegraph: {outcome.error}", file=sys.stderr)
