@@ -18,7 +18,7 @@ test: .venv/installed-for-tests
 	cache=$$(mktemp -d) && trap 'rm -rf "$$cache"' EXIT && export KINEGRAPH_CACHE="$$cache" && \
 		$(BIN)/python -m tests.compile_kernels && $(BIN)/pytest -n 3 --dist loadgroup
 
-bench: .venv/installed-for-tests
+bench: .venv/installed-for-bench
 	$(BIN)/python -m bench --readme
 
 .venv/bin/python:
@@ -33,6 +33,10 @@ bench: .venv/installed-for-tests
 .venv/installed-for-tests: .venv/bin/python pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
 	@touch .venv/installed $@
+
+.venv/installed-for-bench: .venv/bin/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,bench]'
+	@touch .venv/installed .venv/installed-for-tests $@
 
 clean:
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from bench import depth, devices, lsl, mti, paced, recorder, replay, start, throughput
+from bench import depth, devices, lsl, mti, paced, recorder, replay, sleep, start, throughput
 from bench.engines import Field
 from bench.report import Section, into_page, whole
 
@@ -21,7 +21,7 @@ BUSY = 0.5
 ENGINES = ("overhead", "chain", "sizes", "paced")
 """Measures beside other engines."""
 DEVICES = ("serial", "mti", "lsl", "depth")
-MEASURES = (*ENGINES, "recorder", *DEVICES, "start", "replay")
+MEASURES = (*ENGINES, "recorder", *DEVICES, "sleep", "start", "replay")
 
 
 def main() -> None:
@@ -55,6 +55,7 @@ def measures(field: Field, *, quick: bool, hours: float) -> dict[str, Callable[[
     made = {name: (lambda measure=measure: [measure()]) for name, measure in single.items()}
     made["serial"] = lambda: devices.serial_devices(quick=quick)
     made["mti"] = lambda: [mti.bytes_to_samples(0.5, 1)] if quick else mti.sections(10.0, 5)
+    made["sleep"] = lambda: sleep.sections(2 if quick else 200)
     return {name: made[name] for name in MEASURES}
 
 

@@ -1,8 +1,9 @@
 """`python -m bench.sleep`: depth frames to movement, beside numpy and OpenCV on the same frames; a table in Markdown.
 
 Milliseconds a frame of 640 x 480, medians; contenders take turns. OpenCV (`pip install opencv-python-headless`) is left out where it is
-not installed. `--night` feeds 864 000 frames, looped from memory, through the whole graph (ten minutes and more), with the time and the
-process's memory, hour by hour. No recording is made and nothing is decoded.
+not installed. All but the night is part of `python -m bench`, too. `--night` feeds 864 000 frames, looped from memory, through the whole
+graph in a process of its own (ten minutes and more), with the time and the process's memory, hour by hour. No recording is made and
+nothing is decoded.
 """
 
 from __future__ import annotations
@@ -12,8 +13,11 @@ import os
 import platform
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from importlib.util import find_spec
+from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +33,8 @@ from stream.operator import grid
 WIDTH, HEIGHT, FPS = 640, 480, 30
 NIGHT_FRAMES = 864_000
 BLOCK = 8
+WARM = 2000
+"""Frames before any is timed: more than two epochs, so that everything has happened once."""
 
 
 def frames(count: int = 64) -> Array:
@@ -55,9 +61,7 @@ class OpenCV:
     """The same with OpenCV's calls."""
 
     def __init__(self) -> None:
-        import cv2
-
-        self.cv2 = cv2
+        self.cv2 = one_core()
         self.total = np.zeros((HEIGHT, WIDTH), np.float32)
 
     def change(self, a: Array, b: Array) -> float:
@@ -66,6 +70,14 @@ class OpenCV:
         difference = cv2.copyTo(cv2.absdiff(a, b), mask)
         cv2.accumulate(difference, self.total)
         return float(cv2.sumElems(difference)[0] / cv2.countNonZero(mask))
+
+
+def one_core() -> Any:
+    """OpenCV, with one thread: everything here is measured on one core."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    return cv2
 
 
 def blocks_of(frame: Array) -> Array:
@@ -100,8 +112,7 @@ def numpy_pca(frame: Array, components: int) -> Array:
 
 def opencv_pca(frame: Array, components: int) -> Array:
     """The same by cv2.PCACompute."""
-    import cv2
-
+    cv2 = one_core()
     blocks = blocks_of(frame)
     mean, vectors = cv2.PCACompute(blocks, mean=None, maxComponents=components)
     return back(cv2.PCABackProject(cv2.PCAProject(blocks, mean, vectors), mean, vectors))
@@ -135,6 +146,8 @@ def movement(seen: Array, rounds: int) -> Section:
     took = medians(ways, rounds)
     section = Section(f"N(t), D(p) and masking, {WIDTH} x {HEIGHT}", ["", "ms a frame"])
     section.rows = [[name, short(ms)] for name, ms in took.items()]
+    if find_spec("cv2") is None:
+        section.notes = ["OpenCV is not installed: pip install opencv-python-headless."]
     section.goals = [Goal("N, D and masking", round(took["kinegraph"], 3), 0.15, "ms")]
     return section
 
@@ -198,10 +211,10 @@ def whole_graph(seen: Array, rounds: int) -> Section:
     looped = Looped(seen)
     took = np.empty(max(rounds, 30) * 10)
     cpu = 0.0
-    for k in range(-300, len(took)):
+    for k in range(-WARM, len(took)):
         cpu = cpu if k else time.thread_time()
         begin = time.perf_counter_ns()
-        looped.feed(k + 300)
+        looped.feed(k + WARM)
         if k >= 0:
             took[k] = (time.perf_counter_ns() - begin) / 1e6
     ms, worst = 1000 * (time.thread_time() - cpu) / len(took), float(np.quantile(took, 0.99))
@@ -249,25 +262,33 @@ def night(seen: Array, count: int) -> Section:
     return section
 
 
+def night_apart(count: int) -> Section:
+    """The same in a process of its own, whose memory nothing else has used."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(_night, count).result()
+
+
+def _night(count: int) -> Section:
+    return night(frames(16), count)
+
+
+def sections(rounds: int) -> list[Section]:
+    """All but the night."""
+    seen = frames()
+    return [movement(seen, rounds), simplification(seen, max(5, rounds // 4)), whole_graph(seen, rounds)]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.sleep", description=__doc__)
     parser.add_argument("--rounds", type=int, default=200)
     parser.add_argument("--night", action="store_true", help="feed a whole night, too")
     parser.add_argument("--frames", type=int, default=NIGHT_FRAMES, help="how many frames that is")
     given = parser.parse_args()
-    seen = frames()
-    sections = [
-        movement(seen, given.rounds),
-        simplification(seen, max(5, given.rounds // 4)),
-        whole_graph(seen, given.rounds),
-    ]
+    made = sections(given.rounds)
     if given.night:
-        sections.append(night(seen[:16].copy(), given.frames))
-    print(
-        whole(
-            sections, f"{platform.processor() or platform.machine()}, load average {os.getloadavg()[0]:.1f} at the end."
-        )
-    )
+        made.append(night_apart(given.frames))
+    load = os.getloadavg()[0]
+    print(whole(made, f"{platform.processor() or platform.machine()}, load average {load:.1f} at the end."))
 
 
 if __name__ == "__main__":
