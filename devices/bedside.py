@@ -65,6 +65,9 @@ class Bedside(Source):
     lamp: bool = param(True, help="a lamp disturbs the camera while nobody is in bed")
     invalid: float = param(0.1, least=0.0, most=1.0, help="share of pixels without a measurement")
     seed: int = param(0, least=0, help="another seed, another night")
+    drift_ppm: float = param(
+        0.0, least=-1000, most=1000, help="how much too fast the camera's clock goes, in millionths"
+    )
     faults: tuple[tuple[Literal["frozen", "blind", "gone"], float, float], ...] = param(
         (), help="what goes wrong: [frozen, blind or gone, from (s), for (s)]"
     )
@@ -135,7 +138,7 @@ class _Night:
         feed.ready()
         for k in range(first, last, size):
             seconds = [i / of.fps for i in range(k, min(k + size, last))]
-            stamps = np.array([self._begun + round(s * NS) for s in seconds])
+            stamps = np.array([self._begun + round(s * (1 + of.drift_ppm * 1e-6) * NS) for s in seconds])
             ahead = (seconds[-1] - first / of.fps) / of.speed if of.live else 0.0
             if ahead and feed.wait(max(0.0, ahead - (feed.now() - self._opened) / NS)):
                 return
