@@ -125,6 +125,10 @@ class NightLog(_Logger):
                 raise InputError(port, specs[port].describe(), f"events with the fields {', '.join(needed)}")
         if not float(specs["epochs"].meta.get("epoch_s", 0.0)) > 0:
             raise InputError("epochs", "without epoch_s in its meta", "scored epochs of a known length")
+        length = float(specs["epochs"].meta["epoch_s"])
+        for port in ("seen", "breathing"):
+            if port in specs and (other := float(specs[port].meta.get("epoch_s", length))) != length:
+                raise InputError(port, f"epochs of {other:g} s", f"epochs of {length:g} s, as the scored ones are")
         if "map" in specs and len(specs["map"].dtype["map"].shape) != 2:
             raise InputError("map", specs["map"].describe(), "events whose field `map` is a table (rows, columns)")
         object.__setattr__(self, "desk", _Desk(specs))

@@ -132,7 +132,7 @@ class Breathing(Operator[BreathingState]):
                 np.zeros(k, np.int64), np.zeros(k, np.int64), np.zeros(k, np.int64), rates, np.cos(angles), np.sin(angles), 0,
             )
         )  # fmt: skip
-        meta = {**spec.meta, "sleepers": list(sleepers)}
+        meta = {**spec.meta, "sleepers": list(sleepers), "epoch_s": self.epoch_s}
         return {"out": StreamSpec((), BREATH, units=("ns", "ns", "", "1/min", "", ""), meta=meta)}
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
