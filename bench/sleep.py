@@ -33,6 +33,14 @@ from stream.operator import grid
 WIDTH, HEIGHT, FPS = 640, 480, 30
 NIGHT_FRAMES = 864_000
 BLOCK = 8
+MORNING = """
+  nights: {use: operators.sleep.nights.Nights, from: {bed: presence}}
+  statistics: {use: operators.sleep.statistics.SleepStatistics, from: {epochs: scorer, periods: nights}}
+  night_map:
+    use: operators.depth.night_map.NightMap
+    from: {map: motion.map, seen: activity.epochs, bed: presence, nights: statistics}
+"""
+"""With these the graph is the whole one of configs/bedside_sleep.yaml, but for its outlets."""
 WARM = 2000
 """Frames before any is timed: more than two epochs, so that everything has happened once."""
 
@@ -195,7 +203,7 @@ class Looped:
 
     def __init__(self, seen: Array) -> None:
         self._seen = seen
-        self._run = Run(graph(f"width: {WIDTH}, height: {HEIGHT}, fps: {FPS}, bed_h: 0.5"), ())
+        self._run = Run(graph(f"width: {WIDTH}, height: {HEIGHT}, fps: {FPS}, bed_h: 0.5", more=MORNING), ())
         self._run.pipeline.begin()
 
     def feed(self, k: int) -> None:
@@ -220,7 +228,7 @@ def whole_graph(seen: Array, rounds: int) -> Section:
     ms, worst = 1000 * (time.thread_time() - cpu) / len(took), float(np.quantile(took, 0.99))
     section = Section(f"The whole graph, {WIDTH} x {HEIGHT}")
     section.notes = [
-        f"Simplification, bed, presence, motion, activity, score, breathing: {short(ms)} ms of processor time a frame on average, "
+        f"Simplification, bed, presence, motion, activity, score, breathing, night: {short(ms)} ms of processor time a frame on average, "
         f"{short(float(np.median(took)))} ms elapsed in the median, {short(worst)} at the 99th percentile; "
         f"at {FPS} fps {ms * FPS / 10:.1f} % of a core."
     ]

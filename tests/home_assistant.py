@@ -34,6 +34,7 @@ SHARED: dict[str, Any] = {
     "availability_topic": TOPIC,
     "availability_mode": {"enum": ["all", "any", "latest"]},
     "availability_template": TEXT,
+    "default_entity_id": TEXT,
     "device": DEVICE,
     "origin": ORIGIN,
     "enabled_by_default": FLAG,

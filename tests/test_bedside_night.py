@@ -122,3 +122,4 @@ def test_a_night_with_two_power_cuts_ends_in_a_report_that_agrees_with_what_was_
     assert "kinegraph did not run" in page and "Not scored" in page and "simulated" in page
     assert {path.name for path in folder.iterdir()} >= {*shelf.DRAWN, shelf.MAP}
     assert shelf.bytes_of(folder) < 1_000_000 and not list(session.glob("*.mcap"))
+    assert "compiled while running" not in (tmp_path / "log.txt").read_text()
