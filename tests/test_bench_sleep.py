@@ -7,8 +7,9 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
+from bench.night import night
 from bench.pictures import face, finer, simplified
-from bench.sleep import Numpy, OpenCV, blocks_of, learned, movement, night, numpy_fixed
+from bench.sleep import Numpy, OpenCV, blocks_of, learned, movement, numpy_fixed
 from devices.simulators.bedroom import Bedroom
 from devices.simulators.night import made_up, plan
 from stream.chunk import Array, Chunk
