@@ -86,7 +86,7 @@ def _percent(pieces: list[bytes], n: int) -> float:
         for run in decoder.feed(piece).runs:
             run.integers(xbus.PACKET_COUNTER)
             run.integers(xbus.SAMPLE_TIME_FINE)
-            run.columns((xbus.ACCELERATION_HR, xbus.RATE_OF_TURN_HR), 6)
+            run.columns((xbus.ACCELERATION_HR, xbus.RATE_OF_TURN_HR))
             seen += len(run)
     took = time.thread_time() - began
     assert seen == n

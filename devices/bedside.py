@@ -10,7 +10,8 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from devices.simulators.bedroom import Bedroom, Extras, prepare
+from devices.simulators import bedroom
+from devices.simulators.bedroom import Bedroom, Extras
 from devices.simulators.night import EPOCH_S, Plan, made_up, plan
 from stream.chunk import NS, Chunk, Specs, StreamSpec, empty
 from stream.errors import DeviceError, ParameterError
@@ -81,7 +82,6 @@ class Bedside(Source):
         return (1 if self.live else TOGETHER) / self.fps
 
     def specs(self) -> Specs:
-        prepare()
         if self.evening:
             _clock(self.evening)
         meta = {"device": "simulated bedroom", "invalid": 0, "simulated": True}
@@ -105,6 +105,9 @@ class Bedside(Source):
             )
             for k in range(self.sleepers)
         )
+
+    def prepare(self) -> None:
+        bedroom.prepare()
 
     def read(self, feed: Feed) -> None:
         plans = self.plans()

@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from stream.chunk import NS, Samples, Times
+from stream.chunk import NS, STAMP, Samples, Times
 
 BUCKET_NS = NS
 WINDOW = 120
@@ -25,6 +25,8 @@ MOST_DRIFT = 1e-3
 """No quartz is worse; a steeper line would be an artefact of the delays."""
 SLEW = 0.01
 """After the line has moved back, stamps still advance at this share of the device's pace until it is reached."""
+ROUNDED = 2
+"""Stamps whose first is later than that by more ns than rounding makes are all later, as they advance faster."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,16 +82,17 @@ class DeviceClock:
                 self._fit()
 
     def stamps(self, device_ns: Times) -> Times:
-        """Session times (n,) ns of device times (n,) ns, increasing; never before one that was given."""
-        mapped = (
-            device_ns + np.round(self._height + self._slope * (device_ns - self._at)).astype(np.int64) - self._latency
-        )
-        if not len(mapped):
-            return mapped
+        """Session times (n,) ns of device times (n,) ns, which do not run backwards; never before one that was given."""
+        if not len(device_ns):
+            return device_ns
+        offset = (device_ns - self._at) * self._slope
+        offset += self._height
+        mapped = device_ns + np.rint(offset, out=offset).astype(STAMP)
+        mapped -= self._latency
         if self._last is not None:
             device, stamp = self._last
-            mapped = np.maximum(mapped, stamp + np.maximum((SLEW * (device_ns - device)).astype(np.int64), 1))
-        mapped = np.maximum.accumulate(mapped)
+            if int(mapped[0]) <= stamp + max(int(SLEW * (int(device_ns[0]) - device)), 1) + ROUNDED:
+                mapped = np.maximum(mapped, stamp + np.maximum((SLEW * (device_ns - device)).astype(STAMP), 1))
         self._last = int(device_ns[-1]), int(mapped[-1])
         return mapped
 

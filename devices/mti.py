@@ -10,9 +10,10 @@ from typing import ClassVar, Literal
 
 import structlog
 
+from devices import tick_clock
 from devices.handshake import all_there, shown
 from devices.packet_clock import Packets
-from devices.protocols import xbus
+from devices.protocols import xbus, xbus_numbers
 from devices.protocols.xbus import Decoder, Layout, Run
 from devices.stamps import runs
 from devices.tick_clock import TickClock
@@ -157,6 +158,10 @@ class Mti(Source):
         with device.on_usb() if self.port.startswith("usb://") else device.serving() as address:
             yield replace(self, port=address)
 
+    def prepare(self) -> None:
+        xbus_numbers.prepare()
+        tick_clock.prepare()
+
     def read(self, feed: Feed) -> None:
         with connect(self.port, self.baud) as link:
             talk = _Talk(link, feed, self.port)
@@ -273,8 +278,7 @@ class _Stream:
             rate_hz=of.rate_hz,
             latency_s=of.latency_s,
         )
-        self._kinds = [identifier for identifier, _ in of.wanted[2:]]
-        self._width = sum(len(QUANTITIES[name].channels) for name in of.ordered)
+        self._kinds = tuple(identifier for identifier, _ in of.wanted[2:])
         self._needed = [identifier for identifier, _ in of.wanted]
         self._layout: Layout | None = None
         """How the last sample was laid out."""
@@ -302,12 +306,12 @@ class _Stream:
 
     def _emit(self, run: Run, packets: Packets, arrival: int, feed: Feed) -> None:
         if packets.clean:
-            feed.emit(Chunk(packets.stamp, run.columns(self._kinds, self._width), packets.stamp.item(-1)), "imu")
+            feed.emit(Chunk(packets.stamp, run.columns(self._kinds), packets.stamp.item(-1)), "imu")
         else:
             _count(len(run), packets, feed)
             if not len(packets.stamp):
                 return
-            data = run.columns(self._kinds, self._width)
+            data = run.columns(self._kinds)
             if len(packets.stamp) < len(run):
                 data = data[packets.kept]
             for start, stop in runs(packets.lost):

@@ -6,10 +6,38 @@ import numpy as np
 
 from devices.device_clock import ClockState, DeviceClock
 from devices.packet_clock import Packets
-from stream.chunk import NS, Times
+from stream.chunk import NS, STAMP, Times
+from stream.kernel import kernel
 
 SLACK_NS = 10_000_000_000
 """A device's time may advance by so much more than what has passed here: what was made during a stall comes all at once."""
+
+
+@kernel
+def _follow(
+    counters: Times, ticks: Times, begin: tuple[int, int, int, int], whole_ns: int, tick_ns: float, number: Times, device_ns: Times
+) -> bool:  # fmt: skip
+    """Whether packets (n,) come one after the other, without a number that has run over: then `number` and `device_ns` (n,) are theirs.
+
+    begin      counter and ticks of the packet before, its running number and its unwrapped ticks
+    whole_ns   a tick in ns; 0: it is no whole number, take `tick_ns`
+    """
+    counter, tick, running, device = begin
+    before = tick
+    for i in range(len(counters)):
+        if counters[i] != counter + 1 + i or ticks[i] <= before:
+            return False
+        before = ticks[i]
+        number[i] = running + 1 + i
+        made = device + before - tick
+        device_ns[i] = made * whole_ns if whole_ns else np.int64(np.rint(made * tick_ns))
+    return True
+
+
+def prepare() -> None:
+    """Compile what counts on, or take it from the cache."""
+    one = np.zeros(1, STAMP)
+    _follow(one, one, (0, 0, 0, 0), 1, 1.0, one.copy(), one.copy())
 
 
 class TickClock:
@@ -50,11 +78,11 @@ class TickClock:
             self._counter, self._number = int(counters[0]) - 1, int(counters[0]) - 1
             self._tick, self._device = int(ticks[0]) - 1, int(ticks[0]) - 1
             self._arrival = arrival_ns
-        in_order = self._in_order(counters, ticks, arrival_ns)
+        number, device_ns = np.empty(len(ticks), STAMP), np.empty(len(ticks), STAMP)
+        in_order = self._in_order(counters, ticks, arrival_ns, number, device_ns)
         if in_order:
-            kept, lost = np.ones(len(ticks), bool), np.zeros(len(ticks), np.int64)
-            number = np.arange(self._number + 1, self._number + 1 + len(ticks))
-            device = ticks + (self._device - self._tick)
+            kept, lost = np.ones(len(ticks), bool), np.zeros(len(ticks), STAMP)
+            last = self._device - self._tick + int(ticks[-1])
         else:
             steps: Times = np.diff(ticks, prepend=self._tick) % self._ticks
             anew = steps * self._tick_ns > arrival_ns - self._arrival + SLACK_NS
@@ -64,26 +92,27 @@ class TickClock:
             kept = lost >= 0
             number = self._number + np.cumsum(lost + 1)
             device = self._device + np.cumsum(steps)
+            last = int(device[-1])
+            device_ns = device * self._whole_ns if self._whole_ns else np.round(device * self._tick_ns).astype(STAMP)
         clean = in_order and not self._passed
         lost[0] += self._passed
-        self._number, self._device, self._arrival, self._passed = int(number[-1]), int(device[-1]), arrival_ns, 0
+        self._number, self._device, self._arrival, self._passed = int(number[-1]), last, arrival_ns, 0
         self._counter, self._tick = int(counters[-1]), int(ticks[-1])
-        device_ns = device * self._whole_ns if self._whole_ns else np.round(device * self._tick_ns).astype(np.int64)
         if not in_order and not kept.all():
             lost, number, device_ns = lost[kept], number[kept], device_ns[kept]
         if len(device_ns):
             self._clock.see(int(device_ns[-1]), arrival_ns)
         return Packets(kept, number, lost, device_ns, self._clock.stamps(device_ns), clean)
 
-    def _in_order(self, counters: Times, ticks: Times, arrival_ns: int) -> bool:
-        """Whether all is as it mostly is: each packet the next one, nothing has begun anew, no number has run over."""
-        n = len(counters)
-        if counters[0] != self._counter + 1 or counters[-1] != self._counter + n or ticks[0] <= self._tick:
-            return False
+    def _in_order(self, counters: Times, ticks: Times, arrival_ns: int, number: Times, device_ns: Times) -> bool:
+        """Whether all is as it mostly is: each packet the next one, nothing has begun anew, no number has run over.
+
+        If so, `number` (n,) and `device_ns` (n,) are filled.
+        """
         if (int(ticks[-1]) - self._tick) * self._tick_ns > arrival_ns - self._arrival + SLACK_NS:
             return False
-        rising = (counters[1:] > counters[:-1]) & (ticks[1:] > ticks[:-1])
-        return bool(np.count_nonzero(rising) == n - 1)
+        begin = (self._counter, self._tick, self._number, self._device)
+        return _follow(counters, ticks, begin, self._whole_ns, float(self._tick_ns), number, device_ns)
 
     def _missing(self, counters: Times, steps: Times) -> Times:
         """How many are missing before each; -1: it is the one before again."""

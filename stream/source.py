@@ -67,6 +67,9 @@ class Source:
         """The specs of the outputs, by name, known from the parameters before anything is opened. Raises ParameterError."""
         raise NotImplementedError
 
+    def prepare(self) -> None:
+        """Compile what reading takes (or have it taken from the cache). It is called before a session's devices open."""
+
     def read(self, feed: Feed) -> None:
         """Open, read and emit until `feed.stopped`, close. Runs in its own thread."""
         raise NotImplementedError

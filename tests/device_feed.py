@@ -76,6 +76,7 @@ class Kept:
 def reading(source: Source) -> Iterator[Kept]:
     """Within: the source is being read; at the end it is stopped, and must stop."""
     source.specs()
+    source.prepare()
     feed = Kept()
 
     def work() -> None:

@@ -18,7 +18,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from stream.chunk import Array, Samples
+from devices.protocols import xbus_numbers as numbers
+from stream.chunk import STAMP, Samples, Times
 
 HEAD = b"\xfa\xff"
 EXTENDED = 0xFF
@@ -59,7 +60,8 @@ ERRORS = {
     0x28: "an error of the device itself",
 }
 
-_FLOATS = {0: (">f4", 4), 1: (">i4", 4), 2: (">u2", 6), 3: (">f8", 8)}
+_BYTES = (4, 4, 6, 8)
+"""A number's, by its format: 32 bits, 12.20, 16.32, 64 bits."""
 _SIZES = {PACKET_COUNTER: 2, SAMPLE_TIME_FINE: 4, STATUS_WORD: 4}
 _VECTORS = {
     QUATERNION: 4, ACCELERATION: 3, FREE_ACCELERATION: 3, ACCELERATION_HR: 3,
@@ -84,7 +86,7 @@ class Layout:
     size: int
     start: int
     items: tuple[tuple[int, int, int], ...]
-    fixed: Array
+    fixed: Times
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,34 +112,23 @@ class Run:
         """Whether these measurements hold this quantity."""
         return any(identifier & KIND == kind for identifier, _, _ in self.layout.items)
 
-    def integers(self, kind: int) -> NDArray[np.int64]:
+    def integers(self, kind: int) -> Times:
         """A counter or time (n,) int64."""
-        _, at, size = self._item(kind)
-        raw = np.ascontiguousarray(self.table[:, at : at + size])
-        return raw.view(f">u{size}")[:, 0].astype(np.int64)
+        _, at, size = _item(self.layout.items, kind)
+        out = np.empty(len(self.table), STAMP)
+        numbers.integers(self.table, at, size, out)
+        return out
 
     def vectors(self, kind: int) -> Samples:
         """A quantity (n, components) float64, whichever of the four formats it comes in."""
-        return np.asarray(self._numbers(kind), np.float64)
+        return self.columns((kind,))
 
-    def columns(self, kinds: Sequence[int], width: int) -> Samples:
-        """Several quantities side by side (n, width) float64."""
-        out, at = np.empty((len(self.table), width)), 0
-        for kind in kinds:
-            values = self._numbers(kind)
-            out[:, at : at + values.shape[1]] = values
-            at += values.shape[1]
+    def columns(self, kinds: tuple[int, ...]) -> Samples:
+        """Several quantities side by side (n, components) float64."""
+        places, width = _places(self.layout.items, kinds)
+        out = np.empty((len(self.table), width))
+        numbers.reals(self.table, places, out)
         return out
-
-    def _numbers(self, kind: int) -> Array:
-        identifier, at, size = self._item(kind)
-        return _numbers(np.ascontiguousarray(self.table[:, at : at + size]), identifier & 3)
-
-    def _item(self, kind: int) -> tuple[int, int, int]:
-        for item in self.layout.items:
-            if item[0] & KIND == kind:
-                return item
-        raise KeyError(f"these measurements have no {kind:04X}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,27 +151,28 @@ class Decoder:
         self._buffer = b""
         self._following = False
         self._usual = _NONE
-        self._fixed = _NONE.fixed
+        self._fixed: Table = np.zeros(0, np.uint8)
         """The layout of the last message, and what its fixed bytes were: what is like it need not be taken apart again."""
 
     def feed(self, data: bytes) -> Found:
         buffer = self._buffer + data if self._buffer else data
+        raw: Table = np.frombuffer(buffer, np.uint8)
         runs: list[Run] = []
         at = dropped = resyncs = 0
         while at < len(buffer):
             layout: Layout | None = self._usual
-            n = _sound(buffer, at, self._usual, self._fixed)
+            n = _sound(raw, at, self._usual, self._fixed)
             if not n:
                 layout = _layout(buffer, at)
                 if layout is None:
                     break
-                n = _sound(buffer, at, layout)
+                n = _sound(raw, at, layout, raw[at + layout.fixed])
             assert layout is not None
             if n:
                 stop = at + n * layout.size
-                runs.append(Run(layout, np.frombuffer(buffer, np.uint8, stop - at, at).reshape(n, layout.size)))
+                runs.append(Run(layout, raw[at:stop].reshape(n, layout.size)))
                 if layout is not self._usual:
-                    self._usual, self._fixed = layout, runs[-1].table[0, layout.fixed]
+                    self._usual, self._fixed = layout, raw[at + layout.fixed]
                 at, self._following = stop, True
                 continue
             resyncs += self._following
@@ -196,10 +188,10 @@ class Decoder:
 @lru_cache(maxsize=256)
 def _known(mid: int, size: int, start: int, items: tuple[tuple[int, int, int], ...]) -> Layout:
     fixed = [*range(start), *(at - 3 + i for _, at, _ in items for i in range(3))]
-    return Layout(mid, size, start, items, np.array(fixed))
+    return Layout(mid, size, start, items, np.array(fixed, np.int64))
 
 
-_NONE = Layout(0, 0, 0, (), np.zeros(0, np.intp))
+_NONE = Layout(0, 0, 0, (), np.zeros(0, np.int64))
 """The layout of what is no message."""
 
 
@@ -238,36 +230,30 @@ def _possible(identifier: int, size: int) -> bool:
     """Whether an item of this kind can have this size."""
     kind = identifier & KIND
     if kind in _VECTORS:
-        return size == _VECTORS[kind] * _FLOATS[identifier & 3][1]
+        return size == _VECTORS[kind] * _BYTES[identifier & 3]
     return size == _SIZES.get(kind, size)
 
 
-def _sound(buffer: bytes, at: int, layout: Layout, fixed: Array | None = None) -> int:
-    """How many messages of this layout follow each other from `at` with a right sum; 0 if the first one's is wrong.
-
-    `fixed`: what its fixed bytes must be; left out: those of the first message.
-    """
-    n = min((len(buffer) - at) // layout.size, MOST) if layout.size else 0
-    if not n:
+def _sound(raw: Table, at: int, layout: Layout, fixed: Table) -> int:
+    """How many messages of this layout follow each other from `at` with a right sum, the bytes that are the same in all being `fixed`."""
+    if not layout.size or len(raw) - at < layout.size:
         return 0
-    table: Table = np.ndarray((n, layout.size), np.uint8, buffer, at)
-    sums = np.add.reduce(table[:, 1:], 1, np.uint8)
-    other = table[:, layout.fixed] != (table[0, layout.fixed] if fixed is None else fixed)
-    if not np.count_nonzero(sums) and not np.count_nonzero(other):
-        return n
-    return int(np.argmax((sums != 0) | other.any(axis=1)))
+    return numbers.sound(raw, at, layout.size, MOST, layout.fixed, fixed)
 
 
-def _numbers(raw: Table, form: int) -> Array:
-    """Values (n, components), of any floating type, of bytes (n, bytes) in one of the formats: 32 bits, 12.20, 16.32, 64 bits."""
-    values = raw.view(_FLOATS[form][0])
-    if form == 1:
-        return values.astype(np.float64) / 2**20
-    if form == 2:  # 32 bits of fraction, then 16 signed bits of whole numbers
-        parts = values.reshape(len(raw), -1, 3).astype(np.int64)
-        whole = (parts[:, :, 2] ^ 0x8000) - 0x8000
-        return np.asarray(whole + (parts[:, :, 0] * 65536 + parts[:, :, 1]) / 2**32, np.float64)
-    return values
+def _item(items: tuple[tuple[int, int, int], ...], kind: int) -> tuple[int, int, int]:
+    for item in items:
+        if item[0] & KIND == kind:
+            return item
+    raise KeyError(f"these measurements have no {kind:04X}")
+
+
+@lru_cache(maxsize=64)
+def _places(items: tuple[tuple[int, int, int], ...], kinds: tuple[int, ...]) -> tuple[Times, int]:
+    """(first byte, components, format) of each of these quantities, and the components of all."""
+    found = [_item(items, kind) for kind in kinds]
+    places = [(at, size // _BYTES[identifier & 3], identifier & 3) for identifier, at, size in found]
+    return np.array(places, np.int64), sum(components for _, components, _ in places)
 
 
 def message(mid: int, data: bytes = b"") -> bytes:

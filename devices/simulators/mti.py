@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from devices.protocols import xbus
+from devices.protocols import xbus, xbus_numbers
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from devices.simulators.serve import Server, Simulator
 from devices.simulators.walking_limb import Limb, Site
@@ -57,6 +57,7 @@ class MtiBrain:
     """The sensor without a cable. Measurement i after GoToMeasurement is sample i of `limb`, and its packet counter is i mod 65536."""
 
     def __init__(self, site: Site = "foot", cadence_per_min: float = 57.0, seed: int = 0) -> None:
+        xbus_numbers.prepare()
         self._site, self._cadence, self._seed = site, cadence_per_min, seed
         self._decoder = xbus.Decoder()
         self._outputs = list(FACTORY)

@@ -1,7 +1,7 @@
-"""Before any device opens: a scratch instance of every operator is run, so that nothing compiles while a graph runs.
+"""Before any device opens: sources prepare and scratch operators are run, so that nothing compiles while a graph runs.
 
-Two runs for each: its own cases, which reach every kernel, and made-up samples under the specs of this graph, which also show whether the
-operator keeps the promises of its specs.
+Two runs for each operator: its own cases, which reach every kernel, and made-up samples under the specs of this graph, which also show
+whether the operator keeps the promises of its specs.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from stream.engine.merge import Merge
 from stream.errors import GraphError, KinegraphError, explain
 from stream.graph import Graph, Node
 from stream.operator import Emitted, Operator, grid
+from stream.source import Source
 
 SAMPLES = 64
 
@@ -29,6 +30,8 @@ def warm_up(graph: Graph) -> None:
     """Compile (or load from the cache) all kernels of a graph; raises GraphError where an operator breaks its specs' promises."""
     seen: set[type[Any]] = set()
     for node in graph.nodes.values():
+        if isinstance(node.part, Source):
+            node.part.prepare()
         if not isinstance(node.part, Operator) or node.is_outlet:
             continue
         try:
