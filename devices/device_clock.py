@@ -87,7 +87,7 @@ class DeviceClock:
             return device_ns
         offset = (device_ns - self._at) * self._slope
         offset += self._height
-        mapped = device_ns + np.rint(offset, out=offset).astype(STAMP)
+        mapped: Times = device_ns + np.rint(offset, out=offset).astype(STAMP)
         mapped -= self._latency
         if self._last is not None:
             device, stamp = self._last
