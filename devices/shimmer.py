@@ -16,6 +16,7 @@ from devices.handshake import all_there, quiet, shown
 from devices.protocols import shimmer as protocol
 from devices.protocols import shimmer_units as units
 from devices.protocols.shimmer import TICKS_HZ, Decoder, Inquiry
+from devices.protocols.shimmer_units import Chips
 from devices.stamps import Stamps, runs
 from devices.timing import timing_chunk, timing_spec
 from devices.transport import Transport, connect
@@ -139,14 +140,14 @@ class Shimmer(Source):
 
     def read(self, feed: Feed) -> None:
         with connect(self.port) as link:
-            inquiry, calibration = self._greet(_Talk(link, feed, self.port), feed)
+            inquiry, calibration, chips = self._greet(_Talk(link, feed, self.port), feed)
             try:
-                self._stream(link, feed, _Stream(self, inquiry, calibration))
+                self._stream(link, feed, _Stream(self, inquiry, calibration, chips))
             finally:
                 with suppress(DeviceError):
                     link.write(bytes([protocol.STOP]))
 
-    def _greet(self, talk: _Talk, feed: Feed) -> tuple[Inquiry, bytes]:
+    def _greet(self, talk: _Talk, feed: Feed) -> tuple[Inquiry, bytes, Chips]:
         """Bring the device to what is wanted; raises DeviceError if it is not there, or is another."""
         talk.rest()
         version = talk.ask(bytes([protocol.FIRMWARE]), protocol.VERSION, 6)
@@ -158,9 +159,11 @@ class Shimmer(Source):
             )
         name = talk.ask(bytes([protocol.NAME]), protocol.NAMED, 0)[1:].decode("ascii", "replace")
         volts = protocol.battery_v(talk.ask(bytes([protocol.BATTERY]), protocol.CHARGED, 3))
-        firmware = "LogAndStream " + ".".join(map(str, numbers))
-        feed.identify("Shimmer3", port=self.port, name=name, firmware=firmware, battery_v=round(volts, 2))
-        for command in self._settings():
+        board = talk.ask(bytes([protocol.BOARD, 3, 0]), protocol.BOARDED, 0)[1:]
+        told = "unknown" if board[0] == 0xFF else f"SR{board[0]}-{board[1]}-{board[2]}"
+        firmware, chips = "LogAndStream " + ".".join(map(str, numbers)), units.chips_of(board)
+        feed.identify("Shimmer3", port=self.port, name=name, firmware=firmware, board=told, battery_v=round(volts, 2))
+        for command in self._settings(chips):
             talk.ask(command, protocol.ACK, 0)
         inquiry = protocol.inquiry(talk.ask(bytes([protocol.INQUIRY]), protocol.INQUIRED, -1))
         offered = {c.name if (c := protocol.CHANNELS.get(n)) else f"{n:#04x}" for n in inquiry.channels}
@@ -169,14 +172,14 @@ class Shimmer(Source):
                 f"{self.port} was asked for {', '.join(sorted(self.expected))} every {protocol.divider(self.rate_hz)} ticks "
                 f"and offers {', '.join(sorted(offered)) or 'nothing'} every {inquiry.divider}"
             )
-        return inquiry, talk.ask(bytes([protocol.CALIBRATION]), protocol.CALIBRATED, units.ALL)
+        return inquiry, talk.ask(bytes([protocol.CALIBRATION]), protocol.CALIBRATED, units.ALL), chips
 
-    def _settings(self) -> Iterator[bytes]:
+    def _settings(self, chips: Chips) -> Iterator[bytes]:
         """The commands that set what is wanted."""
         yield bytes([protocol.SENSORS]) + self.bits.to_bytes(3, "little")
         yield bytes([protocol.RATE]) + protocol.divider(self.rate_hz).to_bytes(2, "little")
         if "wide_acceleration" in self.sensors:
-            yield bytes([protocol.WIDE_RANGE, units.WIDE_G.index(self.wide_range_g)])
+            yield bytes([protocol.WIDE_RANGE, chips.wide_g.index(self.wide_range_g)])
         if "angular_velocity" in self.sensors:
             yield bytes([protocol.GYRO_RANGE, units.GYRO_DPS.index(self.gyro_range_dps)])
         if self.purpose:
@@ -240,12 +243,12 @@ class _Talk:
 class _Stream:
     """Packets to samples: what is remembered between two reads."""
 
-    def __init__(self, of: Shimmer, inquiry: Inquiry, calibration: bytes) -> None:
+    def __init__(self, of: Shimmer, inquiry: Inquiry, calibration: bytes, chips: Chips) -> None:
         self.decoder = Decoder(inquiry.channels, inquiry.divider)
         wraps = round(protocol.TICKS * NS / TICKS_HZ)
         self.stamps = Stamps(of.true_hz, has_time=True, wraps_ns=wraps, latency_s=of.latency_s)
         self._channels, self._port = inquiry.channels, of.port
-        ranges = (inquiry.wide_range, inquiry.gyro_range)
+        ranges = (inquiry.wide_range, inquiry.gyro_range, chips)
         self._motion = {name: units.calibration(calibration, name, *ranges) for name in of.motion}
         if nominal := [name for name, known in self._motion.items() if not known.own]:
             log.warning(

@@ -71,6 +71,14 @@ def test_sizes_and_commands() -> None:
     assert protocol.start_command([1, 3, 6]) == bytes([0b10010101])
 
 
+@pytest.mark.parametrize(("counts", "volts"), [(527, 3.4), (590, 3.8)])
+def test_the_batterys_alarm_is_where_the_firmware_has_it(counts: int, volts: float) -> None:
+    """Its least and its greatest threshold, in counts and in volts, are those of the maker's firmware and API."""
+    answer = protocol.state([0] * 6, counts / 1024 * 2 * protocol.VCC_V, (0, 0, 0, 0), "BITalino_v5.2")
+    assert int.from_bytes(answer[12:14], "little") == counts
+    assert protocol.battery_v(answer, 17) == pytest.approx(volts, abs=0.005)
+
+
 @pytest.mark.parametrize("channels", range(1, 7))
 @pytest.mark.parametrize("size", [1, 3, 8, 50, 10**6])
 def test_any_cut_gives_the_same_frames(channels: int, size: int) -> None:

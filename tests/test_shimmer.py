@@ -178,6 +178,15 @@ def test_without_a_calibration_for_the_range_the_data_sheet_counts() -> None:
     assert not other.own and other.sensitivity[0] == pytest.approx(16.4 * 180 / np.pi)
 
 
+@pytest.mark.parametrize(
+    ("board", "newer"),
+    [((47, 3, 0), True), ((47, 1, 0), False), ((31, 5, 9), False), ((31, 6, 0), True), ((37, 1, 171), True),
+     ((255, 255, 255), False), ((14, 9, 0), False)],
+)  # fmt: skip
+def test_the_board_tells_the_chips(board: tuple[int, int, int], newer: bool) -> None:
+    assert units.chips_of(bytes(board)) == (units.NEWER if newer else units.OLDER)
+
+
 def test_exg_registers_and_gain() -> None:
     assert [r[0] for r in units.registers("emg", 512)] == [3, 3] and units.registers("ecg", 125)[0][0] == 0
     np.testing.assert_allclose(units.exg_uv("emg", 2), 2.42 / 12 / (2**23 - 1) * 1e6)
@@ -221,12 +230,15 @@ def test_what_the_device_measures_arrives(address: str) -> None:
     assert feed.identity["battery_v"] == pytest.approx(3.95, abs=0.01)
 
 
-def test_ranges_and_ecg() -> None:
-    brain = ShimmerBrain(seed=5)
+@pytest.mark.parametrize(("board", "code"), [((47, 5, 0), 1), ((37, 1, 0), 3)])
+def test_ranges_and_ecg(board: tuple[int, int, int], code: int) -> None:
+    """The wide-range accelerometer's 16 g has another code on later boards."""
+    brain = ShimmerBrain(seed=5, board=board)
     feed = read(
         brain, 60, sensors=("wide_acceleration", "angular_velocity", "ecg"), wide_range_g=16, gyro_range_dps=2000
     )
-    assert feed.error is None and (brain.wide_range, brain.gyro_range) == (3, 3)
+    assert feed.error is None and (brain.wide_range, brain.gyro_range) == (code, 3)
+    assert feed.identity["board"] == "SR{}-{}-{}".format(*board)
     true = brain.limb.measure(np.arange(60))
     np.testing.assert_allclose(feed.data("motion")[:60, 3:], true["angular_velocity"], atol=0.002)
     np.testing.assert_allclose(feed.data("motion")[:60, :3], true["acceleration"], atol=0.01)

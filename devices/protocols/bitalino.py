@@ -4,7 +4,7 @@ A frame is a string of bits, the last byte first: a sequence number (4 bits), a 
 acquired analogue inputs in ascending order, four of 10 bits and a fifth and sixth of 6 bits; 0 fills the first byte up. There are no bytes
 to look for, so where frames begin is told by CRC and sequence number alone: several in a row must agree.
 
-Source: "BITalino (r)evolution MCU Block Data Sheet"; the package `bitalino` agrees (tests/peers).
+Source: "BITalino (r)evolution MCU Block Data Sheet" and the firmware; the package `bitalino` agrees (tests/peers).
 """
 
 from __future__ import annotations
@@ -56,7 +56,10 @@ def state_size(version: str) -> int:
 
 
 def battery_v(answer: bytes, size: int) -> float | None:
-    """The battery's voltage in the answer to STATE; None if it is none. Half of it is measured, with 10 bits."""
+    """The battery's voltage in the answer to STATE; None if it is none. Half of it is measured, with 10 bits.
+
+    The firmware's own numbers say so (BITalinoWorld/firmware-bitalino-revolution): its alarm at 3.4 to 3.8 V is at 527 to 590 counts.
+    """
     if len(answer) != size or crc_of(answer) != answer[-1] & 0x0F:
         return None
     return int.from_bytes(answer[12:14], "little") / 1024 * 2 * VCC_V

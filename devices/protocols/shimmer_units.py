@@ -1,6 +1,10 @@
 """Counts of a Shimmer3 to physical units: the sensors' calibration, as the device keeps it, and the ExG chips' registers.
 
-A calibrated vector is inv(alignment) @ ((counts - offset) / sensitivity).
+A calibrated vector is inv(alignment) @ ((counts - offset) / sensitivity). Later boards carry other accelerometers than earlier ones, whose
+ranges have other codes; which ones a device has is told by its expansion board.
+
+Source of the nominal numbers, the codes and the boards: the maker's driver (ShimmerEngineering/Shimmer-Java-Android-API: SensorKionix*,
+SensorLSM303*, SensorMPU9X50, NEW_IMU_EXP_REV) and firmware (ShimmerResearch/shimmer3).
 """
 
 from __future__ import annotations
@@ -17,18 +21,36 @@ BLOCK = 21
 """Bytes of a sensor's calibration: offset, sensitivity (3 int16 each, big-endian), alignment (9 int8, hundredths)."""
 ORDER = ("acceleration", "angular_velocity", "magnetic_field", "wide_acceleration")
 ALL = BLOCK * len(ORDER)
-ALIGNED = {
-    "acceleration": (0, -1, 0, -1, 0, 0, 0, 0, -1),
-    "angular_velocity": (0, -1, 0, -1, 0, 0, 0, 0, -1),
-    "wide_acceleration": (-1, 0, 0, 0, 1, 0, 0, 0, -1),
-}
-"""How the chips sit on the board."""
+ACROSS = (0, -1, 0, -1, 0, 0, 0, 0, -1)
+"""How the low-noise accelerometer and the gyroscope sit on the board."""
 GYRO_DPS = (250, 500, 1000, 2000)
-WIDE_G = (2, 4, 8, 16)
 COUNTS_PER_DPS = (131.0, 65.5, 32.8, 16.4)
-COUNTS_PER_M_S2 = (1631.0, 815.0, 408.0, 135.0)
-LOW_NOISE = (2047.0, 83.0)
-"""Offset and counts per m/s2 of the low-noise accelerometer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chips:
+    """The accelerometers of a generation of boards.
+
+    low_noise    offset (counts) and counts per m/s2 of the analogue one
+    wide_g       the wide-range one's ranges, by the code that sets them
+    wide_counts  counts per m/s2 in these ranges
+    wide_sits    how it sits on the board
+    """
+
+    low_noise: tuple[float, float]
+    wide_g: tuple[int, ...]
+    wide_counts: tuple[float, ...]
+    wide_sits: tuple[int, ...]
+
+
+OLDER = Chips((2047.0, 83.0), (2, 4, 8, 16), (1631.0, 815.0, 408.0, 135.0), (-1, 0, 0, 0, 1, 0, 0, 0, -1))
+"""KXRB5-2042 and LSM303DLHC."""
+NEWER = Chips((2253.0, 92.0), (2, 16, 4, 8), (1671.0, 209.0, 836.0, 418.0), (0, -1, 0, 1, 0, 0, 0, 0, -1))
+"""KXTC9-2050 and LSM303AHTR, and what firmware makes to look like it (ICM-20948)."""
+NEWER_FROM = {31: 6, 36: 3, 38: 3, 47: 3, 48: 3, 49: 3}
+"""By the expansion board's number (SR31, ...): the first revision that comes with them."""
+NEWER_BELOW = 171
+"""The special revision of an older expansion board on a newer main board."""
 APART = 1.6
 """A stored sensitivity that is further from the nominal one than this factor belongs to another range."""
 
@@ -60,22 +82,31 @@ class Calibration:
         return np.asarray(values @ (self.alignment.T * self.sensitivity) + self.offset)
 
 
-def nominal(sensor: str, wide_range: int = 0, gyro_range: int = 1) -> Calibration:
-    """By the chips' data sheets; m/s2 and rad/s."""
-    per_unit = {
-        "acceleration": LOW_NOISE[1],
-        "angular_velocity": COUNTS_PER_DPS[gyro_range] * 180 / math.pi,
-        "wide_acceleration": COUNTS_PER_M_S2[wide_range],
-    }[sensor]
-    offset = LOW_NOISE[0] if sensor == "acceleration" else 0.0
-    alignment = np.array(ALIGNED[sensor], float).reshape(3, 3)
-    return Calibration(np.full(3, offset), np.full(3, per_unit), alignment, own=False)
+def chips_of(board: bytes) -> Chips:
+    """By the expansion board's number, revision and special revision, as the device tells them; FF where it does not know."""
+    number, revision, special = board[:3]
+    newer = special == NEWER_BELOW or NEWER_FROM.get(number, 256) <= revision
+    return NEWER if newer else OLDER
 
 
-def calibration(data: bytes, sensor: str, wide_range: int = 0, gyro_range: int = 1) -> Calibration:
+def nominal(sensor: str, wide_range: int = 0, gyro_range: int = 1, chips: Chips = OLDER) -> Calibration:
+    """By the chips' data sheets; m/s2 and rad/s. `wide_range`, `gyro_range`: the codes of the ranges."""
+    offset, sits = 0.0, chips.wide_sits if sensor == "wide_acceleration" else ACROSS
+    if sensor == "acceleration":
+        offset, per_unit = chips.low_noise
+    elif sensor == "wide_acceleration":
+        per_unit = chips.wide_counts[wide_range]
+    else:
+        per_unit = COUNTS_PER_DPS[gyro_range] * 180 / math.pi
+    return Calibration(np.full(3, offset), np.full(3, per_unit), np.array(sits, float).reshape(3, 3), own=False)
+
+
+def calibration(
+    data: bytes, sensor: str, wide_range: int = 0, gyro_range: int = 1, chips: Chips = OLDER
+) -> Calibration:
     """A sensor's, from the 84 bytes in which the device tells all; the nominal one where it keeps none that belongs to this range."""
     block = data[ORDER.index(sensor) * BLOCK :][:BLOCK]
-    known = nominal(sensor, wide_range, gyro_range)
+    known = nominal(sensor, wide_range, gyro_range, chips)
     numbers = struct.unpack(">6h9b", block)
     sensitivity, alignment = np.array(numbers[3:6], float), np.array(numbers[6:], float).reshape(3, 3) / 100
     if sensor == "angular_velocity":

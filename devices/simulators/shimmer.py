@@ -17,13 +17,16 @@ from devices.treadmill.signal import Signal, Walker
 from stream.chunk import Array, Samples, Times
 from stream.params import param
 
+MEASURED = ("acceleration", "angular_velocity", "wide_acceleration")
 MUSCLES = ("TA", "GM", "SO", "PL")
 MOST_BEHIND_S = 10.0
-LENGTHS = {0x05: 3, 0x08: 4, 0x09: 2, 0x49: 2, 0x63: 4, 0xA3: 2}
+LENGTHS = {0x05: 3, 0x08: 4, 0x09: 2, 0x49: 2, 0x63: 4, 0x66: 3, 0xA3: 2}
 """Bytes of the commands that have any behind the first."""
 OUTPUTS = {"acceleration": (0, 1, 2), "wide_acceleration": (4, 5, 6), "angular_velocity": (10, 11, 12),
            "exg1": (29, 30, 31), "exg2": (32, 33, 34)}  # fmt: skip
 FACTORY_TICKS = 640
+BOARD = (47, 5, 0)
+"""An ExG unit of the later boards."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,17 +37,29 @@ class Shimmer(Simulator):
 
     site: Site = param("shank", help="where it is worn: foot or shank")
     firmware: tuple[int, int, int] = param((0, 16, 0), help="LogAndStream's version")
+    board: tuple[int, int, int] = param(
+        BOARD,
+        help="the expansion board's number, revision and special revision; before SR47-3-0 it has older accelerometers",
+    )
     seed: int = param(0, least=0, help="another seed, another walk")
 
     def brain(self) -> ShimmerBrain:
-        return ShimmerBrain(self.site, self.firmware, self.seed)
+        return ShimmerBrain(self.site, self.firmware, self.seed, self.board)
 
 
 class ShimmerBrain:
     """The sensor without Bluetooth. Packet i since START holds sample i of its signals; `counts` tells what."""
 
-    def __init__(self, site: Site = "shank", firmware: tuple[int, int, int] = (0, 16, 0), seed: int = 0) -> None:
+    def __init__(
+        self,
+        site: Site = "shank",
+        firmware: tuple[int, int, int] = (0, 16, 0),
+        seed: int = 0,
+        board: tuple[int, int, int] = BOARD,
+    ) -> None:
         self._site, self._firmware, self._seed = site, firmware, seed
+        self._board = bytes(board)
+        self.chips = units.chips_of(self._board)
         self._emg = Signal(Walker(MUSCLES, seed=seed))
         self.divider = FACTORY_TICKS
         self.channels: tuple[int, ...] = OUTPUTS["acceleration"]
@@ -52,8 +67,8 @@ class ShimmerBrain:
         self.registers = list(units.registers("emg", TICKS_HZ / FACTORY_TICKS))
         self.calibrated = {
             name: Calibration(known.offset + 3, known.sensitivity * np.array([1.01, 0.99, 1.02]), known.alignment)
-            for name in units.ALIGNED
-            if (known := units.nominal(name))
+            for name in MEASURED
+            if (known := units.nominal(name, chips=self.chips))
         }
         self.battery_v = 3.95
         self._pending = b""
@@ -115,11 +130,12 @@ class ShimmerBrain:
 
     def _known(self, name: str) -> Calibration:
         """By which the sensor measures: as calibrated, but for the ranges of the factory."""
-        now = units.nominal(name, self.wide_range, self.gyro_range)
-        factor = now.sensitivity / units.nominal(name).sensitivity
+        ranges = (self.wide_range, self.gyro_range, self.chips)
+        now = units.nominal(name, *ranges)
+        factor = now.sensitivity / units.nominal(name, chips=self.chips).sensitivity
         own = self.calibrated[name]
         kept = units.stored({name: Calibration(own.offset, own.sensitivity * factor, own.alignment)})
-        return units.calibration(kept, name, self.wide_range, self.gyro_range)
+        return units.calibration(kept, name, *ranges)
 
     def _electrode(self, channel: int, index: Times) -> Samples:
         """Counts (n,) of one electrode pair."""
@@ -152,6 +168,8 @@ class ShimmerBrain:
                 major, minor, release = self._firmware
                 version = [protocol.LOG_AND_STREAM, 0, major, 0, minor, release]
                 return ack + bytes([protocol.VERSION, *version])
+            case protocol.BOARD:
+                return ack + bytes([protocol.BOARDED, data[0]]) + self._board[data[1] : data[1] + data[0]]
             case protocol.NAME:
                 return ack + bytes([protocol.NAMED, 13]) + b"Shimmer3-5A1E"
             case protocol.INQUIRY:
