@@ -33,6 +33,7 @@ def simulate(
 
     It speaks the real device's protocol, so kinegraph or any other software can be pointed at it. What goes wrong is told the same way for
     all: lose=0.01, duplicate=, corrupt= (shares of packets), stall_every_s=, stall_s=, reset_every_s=, unplug_every_s=, unplug_s=, from_s=.
+    What means nothing to a device (a counter begun anew where there is none) is refused.
     """
     from devices.simulators.misbehaviour import Misbehaviour
     from devices.simulators.named import find, named
@@ -45,6 +46,7 @@ def simulate(
     own, mishaps = _split(_read(settings or []), kind, Misbehaviour)
     try:
         device, misbehaviour = build(kind, own), build(Misbehaviour, mishaps)
+        device.check(misbehaviour)
     except ParameterError as error:
         raise KinegraphError(f"{name}: {error}") from None
     with _interruptible(), device.serving(misbehaviour, at) as address:

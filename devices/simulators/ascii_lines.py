@@ -34,6 +34,11 @@ class AsciiLines(Simulator):
     counter_bits: int = param(16, least=1, most=32, help="after how many bits it begins anew")
     seed: int = param(0, least=0, help="another seed, another walk")
 
+    @property
+    def cannot(self) -> dict[str, str]:
+        counts = {self.time, self.counter} & set(self.columns)
+        return {} if counts else {"reset_every_s": "its lines have neither a time nor a counter"}
+
     def brain(self) -> LinesBrain:
         return LinesBrain(self)
 

@@ -32,7 +32,7 @@ class Lsl(Simulator):
 
     Sample k is stamped k / `rate_hz` on LSL's clock and is a function of k alone, so streams of one seed are in step, whoever sends
     them, and one that was restarted goes on with the same walk. When the cable is pulled out the outlet is gone; it comes back with the
-    same source_id. `reset_every_s` has no meaning here.
+    same source_id.
     """
 
     name: str = param("simulated EMG", help="what the stream is called")
@@ -46,6 +46,13 @@ class Lsl(Simulator):
     chunk_ms: float = param(10.0, above=0, most=1000, help="how much is sent at a time")
     seed: int = param(0, least=0, help="another seed, another walk")
     network: Network = param(ANY, help="how far it is seen")
+
+    @property
+    def cannot(self) -> dict[str, str]:
+        return {
+            "reset_every_s": "a stream of LSL has no counter",
+            "corrupt": "LSL goes over TCP, which lets no changed byte pass",
+        }
 
     @contextmanager
     def serving(self, misbehaviour: Misbehaviour = GOOD, address: str = "") -> Iterator[str]:

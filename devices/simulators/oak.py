@@ -59,6 +59,10 @@ class Oak(Simulator):
     blind_s: float = param(1.0, above=0, help="for how long")
     record: str = param("", help="write depthai's own recording into this file, FILE.mcap")
 
+    @property
+    def cannot(self) -> dict[str, str]:
+        return {"reset_every_s": "its frames are numbered anew whenever it was unplugged, and only then"}
+
     @contextmanager
     def serving(self, misbehaviour: Misbehaviour = GOOD, address: str = "") -> Iterator[str]:
         if address:

@@ -11,6 +11,7 @@ from typing import ClassVar, Self
 from devices.simulators.brain import Brain
 from devices.simulators.lines import Line, line_at
 from devices.simulators.misbehaviour import GOOD, Misbehaviour, Mishaps
+from stream.errors import ParameterError
 
 TICK_S = 0.002
 """How finely time passes for a simulated device."""
@@ -108,6 +109,17 @@ class Simulator:
     __slots__ = ()
     port_name: ClassVar[str] = "ttySIM"
     """The end of the pseudo-terminal's address."""
+
+    @property
+    def cannot(self) -> dict[str, str]:
+        """By misbehaviour that means nothing to this device: why."""
+        return {}
+
+    def check(self, misbehaviour: Misbehaviour) -> None:
+        """Raise ParameterError for a misbehaviour that this device cannot show."""
+        for name, why in self.cannot.items():
+            if value := getattr(misbehaviour, name):
+                raise ParameterError(name, int(value) if value == int(value) else value, f"0, as {why}")
 
     def brain(self) -> Brain:
         """The device, just switched on."""

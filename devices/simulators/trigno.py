@@ -32,10 +32,14 @@ TRIES = 20
 
 @dataclass(frozen=True, slots=True)
 class Trigno(Simulator):
-    """A Trigno base station with sixteen sensors on a walking person. `reset_every_s` has no meaning: there is no counter."""
+    """A Trigno base station with sixteen sensors on a walking person."""
 
     paired: int = param(SENSORS, least=0, most=SENSORS, help="so many sensors are paired, from the first")
     seed: int = param(0, least=0, help="another seed, another walk")
+
+    @property
+    def cannot(self) -> dict[str, str]:
+        return {"reset_every_s": "its samples have no counter"}
 
     def brain(self) -> TrignoBrain:
         return TrignoBrain(self.paired, self.seed)
