@@ -20,6 +20,7 @@ SECONDS = int(os.environ.get("KINEGRAPH_FUZZ_S", "5"))
 PROGRAM = """
 import sys
 import atheris
+import devices.protocols.xbus_numbers  # kernels: what is compiled cannot be watched
 with atheris.instrument_imports(include=["devices.protocols"]):
     from devices.protocols import {module}
 from devices.protocols.declared import Field, Frame, Layout
