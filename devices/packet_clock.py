@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,8 +15,7 @@ EARLY_NS = 50_000_000
 """A packet that claims to be made so much later than it arrived does not count on from those before it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Packets:
+class Packets(msgspec.Struct, eq=False, gc=False):
     """The packets of one read. Repeated ones are left out: `kept` (n,) says of all which stand here, the rest has (m,) entries.
 
     number    running number of each packet; the first one ever has its own counter's, and odd ones stay odd

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -89,8 +90,7 @@ class Layout:
     fixed: Times
 
 
-@dataclass(frozen=True, slots=True)
-class Run:
+class Run(msgspec.Struct, eq=False, gc=False):
     """Messages (n, size) of one layout that followed each other."""
 
     layout: Layout
@@ -131,8 +131,7 @@ class Run:
         return out
 
 
-@dataclass(frozen=True, slots=True)
-class Found:
+class Found(msgspec.Struct, eq=False, gc=False):
     """What a feed brought: runs of messages in order, bytes that belonged to none, and how often a beginning had to be looked for."""
 
     runs: list[Run]
