@@ -12,7 +12,8 @@ import pytest
 
 from operators.sleep.agreement import Confusion, limits
 from operators.sleep.evaluate import sleep
-from operators.sleep.evaluation import agreement, draw, pair, total
+from operators.sleep.evaluation import agreement, pair, total
+from operators.sleep.pictures import draw
 from operators.sleep.reference import Hypnogram, read_hypnogram, stage
 from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE
 from stream.chunk import NS, Array

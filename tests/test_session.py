@@ -15,8 +15,9 @@ import parts
 import pytest
 
 from stream.chunk import Chunk, empty
+from stream.engine.outcome import Outcome
 from stream.engine.pipeline import Pipeline
-from stream.engine.session import Outcome, Session
+from stream.engine.session import Session
 from stream.errors import DeviceError, GraphError, RecordingError, RunError
 from stream.graph import Graph
 from stream.graph.load import load_text

@@ -88,7 +88,8 @@ def _rows(table: File) -> list[tuple[File, File, str, float]]:
 
 
 def _write(pairs: list[Pair], folder: File, force: bool) -> None:
-    from operators.sleep.evaluation import draw, write_table
+    from operators.sleep.evaluation import write_table
+    from operators.sleep.pictures import draw
 
     picture, sheet = folder / "agreement.png", folder / "nights.csv"
     for path in (picture, sheet):

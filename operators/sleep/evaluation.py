@@ -17,7 +17,6 @@ from stream.chunk import NS, Times
 from stream.errors import KinegraphError
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.table import Table
 
 NUMBERS = {"tst": "TST", "sol": "SOL", "waso": "WASO"}
@@ -121,13 +120,6 @@ def write_table(pairs: list[Pair], path: Path) -> None:
             c = one.confusion
             values = [getattr(side, key) for key in NUMBERS for side in (one.found, one.truth)]
             sheet.writerow([one.name, one.person, c.epochs, c.unknown, c.sensitivity, c.specificity, c.kappa, *values])
-
-
-def draw(pairs: list[Pair]) -> Figure:
-    """Bland-Altman plots of TST, SOL and WASO, and below them both hypnograms of every night."""
-    from operators.sleep import pictures
-
-    return pictures.draw(pairs, agreement(pairs), NUMBERS, NOTE)
 
 
 def _counts(c: Confusion) -> list[str]:

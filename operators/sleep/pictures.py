@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from operators.sleep.agreement import Limits
+from operators.sleep.evaluation import NOTE, NUMBERS, Pair, agreement
 from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE
 from stream.chunk import NS, Samples
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from operators.sleep.evaluation import Pair
 
 MOST_NIGHTS = 20
 INK, BAND, COLOURS = "#12395b", "#dfe6ee", {SLEEP: "#8fb3d3", WAKE: "#d98a29"}
@@ -30,18 +28,18 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def draw(pairs: list[Pair], found: Mapping[str, Limits], names: Mapping[str, str], note: str) -> Figure:
+def draw(pairs: list[Pair]) -> Figure:
     """A4: the differences of TST, SOL and WASO against their means, and below them at most 20 nights, epoch by epoch."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    shown = pairs[:MOST_NIGHTS]
+    shown, found = pairs[:MOST_NIGHTS], agreement(pairs)
     with rc_context(STYLE):
         figure = Figure(figsize=(8.27, 4.1 + 0.42 * len(shown)), layout="constrained")
         above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=[2.9, 0.7 + 0.42 * len(shown)])[:, 0]
         places = above.subplots(1, len(found))
         for axes, (key, limits) in zip(np.atleast_1d(places), found.items(), strict=True):
-            _differences(axes, pairs, key, limits, names[key])
+            _differences(axes, pairs, key, limits, NUMBERS[key])
         rows = below.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
         for axes, one in zip(rows, shown, strict=True):
             _night(axes, one)
@@ -50,7 +48,7 @@ def draw(pairs: list[Pair], found: Mapping[str, Limits], names: Mapping[str, str
         rows[-1].tick_params(bottom=True)
         _legend(below)
         more = f" The first {len(shown)} of {len(pairs)} nights are drawn." if len(pairs) > len(shown) else ""
-        figure.suptitle(f"{note}{more}", fontsize=7, color="#55534e")
+        figure.suptitle(f"{NOTE}{more}", fontsize=7, color="#55534e")
         return figure
 
 

@@ -19,7 +19,8 @@ from stream.errors import KinegraphError, RecordingError
 from stream.source import Source
 
 if TYPE_CHECKING:
-    from stream.engine.session import Outcome, Session
+    from stream.engine.outcome import Outcome
+    from stream.engine.session import Session
     from stream.graph import Graph
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from stream.chunk import FOREVER, NEVER, Chunk, add_lost, utc
+from stream.chunk import FOREVER, NEVER, NS, Chunk, add_lost, empty, utc
 from stream.engine.supervisor import Runner
 from stream.engine.wire import Wire
 from stream.errors import DeviceError
@@ -56,6 +56,24 @@ class Intake:
             chunk.until = self.promised
         self.promised = chunk.until
         return chunk
+
+    def nothing_for(self, age_s: float, now: int, report: Callable[..., None]) -> Chunk | None:
+        """Told at `now` (ns) that nothing has come for `age_s`. Once that is longer than the stated patience: the chunk that says that
+        nothing happened, so that nobody waits; the alarm is raised after `stale_s`."""
+        options = self.runner.node.options
+        if self.ended:
+            return None
+        if 0 < options.stale_s < age_s and not self.stale:
+            self.stale = True
+            report("stream is stale", stream=self.stream, age_s=round(age_s, 2))
+        until = now - int(options.patience_s * NS)
+        if not 0 < options.patience_s < age_s or until <= self.promised:
+            return None
+        if not self.silent:
+            self.silent = True
+            report("silent source advanced", stream=self.stream, to=utc(until))
+        self.promised = until
+        return empty(self.wire.spec, until)
 
     def _without_late(self, chunk: Chunk, report: Callable[..., None]) -> Chunk:
         keep = chunk.time > self.promised

@@ -11,25 +11,23 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from time import perf_counter_ns
-from typing import Protocol
 
 import structlog
 
-from stream.chunk import FOREVER, NEVER, NS, Chunk, empty, utc
+from stream.chunk import FOREVER, NEVER, NS, Chunk, empty
 from stream.engine.channel import Channel, Doorbell
 from stream.engine.clock import SessionClock
 from stream.engine.drops import KIND as DROPPED
-from stream.engine.drops import recorded_drops
 from stream.engine.intake import CommonStart, Intake, promises
 from stream.engine.journal import Former, Journal
 from stream.engine.lanes import Lanes
+from stream.engine.outcome import Outcome, View
 from stream.engine.pipeline import Pipeline
+from stream.engine.resume import catch_up
 from stream.engine.stalls import calm
-from stream.engine.stand_in import StandIns
 from stream.engine.status import Table, table_of
 from stream.engine.supervisor import Runner
 from stream.engine.warmup import Compilations, warm_up
@@ -46,33 +44,6 @@ LONG_OFTEN = 3
 METRICS_S = 1.0
 
 log = structlog.get_logger(__name__)
-
-
-class View(Protocol):
-    """Something that shows a running session."""
-
-    def update(self, table: Table) -> None:
-        """Take the newest metrics, once a second; must not wait."""
-
-
-@dataclass(slots=True)
-class Outcome:
-    """How a session ended.
-
-    exit_code   0 well, 3 a device was missing, 4 the graph stopped by an error, 5 an outlet or the recording lost something
-    table       the last metrics
-    seconds     from the common opening of the devices to their end
-    files       what outlets have left, by node
-    compiled    kernels that were compiled while running; there should be none
-    """
-
-    error: Exception | None
-    exit_code: int
-    table: Table
-    folder: Path | None
-    compiled: list[str]
-    seconds: float = 0.0
-    files: dict[str, str] = field(default_factory=dict)
 
 
 class Session:
@@ -190,46 +161,12 @@ class Session:
     def _begin(self) -> None:
         self._start = CommonStart(self._runners)
         if self._former:
-            self._catch_up(self._former)
+            catch_up(self._former, self.pipeline, self._intakes, self._lanes, self.journal, self.clock, self._pump)
         else:
             self.pipeline.begin(self.clock)
             self._checkpoint()
         for runner in self._runners:
             runner.start(again=self._former is not None)
-
-    def _catch_up(self, former: Former) -> None:
-        """Work through what was logged after the checkpoint; durable outlets write again what they had written since.
-
-        Images that were not kept are lost to the nodes that read them; what these gave, where it was recorded, takes its way again.
-        """
-        checkpoint, recording = former.checkpoint, former.recording
-        log.info("going on with a broken-off session", folder=str(self.folder))
-        for stage in self.pipeline.outlets:
-            assert isinstance(stage.operator, Outlet)
-            stage.muted = not stage.operator.durable
-        self.pipeline.begin(self.clock)
-        self._lanes.repeat(recorded_drops(recording.log), checkpoint.indices if checkpoint else {})
-        intakes = {intake.stream: intake for intake in self._intakes}
-        stand_ins = StandIns.of(self.graph, recording.streams)
-        with stand_ins.at_work(self.pipeline) as taken:
-            after = self.journal.sequence
-            for sequence, stream, chunk, _arrival in recording.inputs(after, also=stand_ins.taken):
-                self.journal.sequence = sequence
-                if stream in taken:
-                    taken[stream].send(chunk, perf_counter_ns())
-                elif stream in intakes:
-                    intakes[stream].promised = max(intakes[stream].promised, chunk.until)
-                    self.pipeline.feed(stream, chunk)
-                self._lanes.settle(self._pump)
-        for intake in self._intakes:
-            if intake.ended:
-                intake.promised = self.clock.utc_ns - 1  # it had ended then; now it begins again
-            intake.owed = -1  # also where the first chunks, which say so, come before the common start
-        for stage in self.pipeline.outlets:
-            stage.muted = False
-        self._lanes.repeat({}, {})
-        recording.close()
-        self.journal.report("session resumed", sequence=self.journal.sequence)
 
     def _loop(self) -> None:
         began = time.monotonic()
@@ -337,21 +274,9 @@ class Session:
             for intake in self._intakes:
                 self._check_silence(intake, now - max(intake.last, self._start.since))
 
-    def _check_silence(self, intake: Intake, age: float) -> None:
+    def _check_silence(self, intake: Intake, age_s: float) -> None:
         """After the stated patience, say that nothing happened, so that nobody waits; after `stale_s`, raise the alarm."""
-        options = intake.runner.node.options
-        if intake.ended:
-            return
-        if 0 < options.stale_s < age and not intake.stale:
-            intake.stale = True
-            self.journal.report("stream is stale", stream=intake.stream, age_s=round(age, 2))
-        until = self.clock.now() - int(options.patience_s * NS)
-        if 0 < options.patience_s < age and until > intake.promised:
-            if not intake.silent:
-                intake.silent = True
-                self.journal.report("silent source advanced", stream=intake.stream, to=utc(until))
-            intake.promised = until
-            chunk = empty(intake.wire.spec, until)
+        if (chunk := intake.nothing_for(age_s, self.clock.now(), self.journal.report)) is not None:
             self.journal.enter(intake.number, chunk, self.clock.now())
             intake.wire.send(chunk, perf_counter_ns())
 
