@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from bench.bedside import START
-from bench.night import FPS, HEIGHT, NIGHT_FRAMES, WIDTH, frames, night_apart, whole_graph
+from bench.night import FPS, HEIGHT, NIGHT_FRAMES, WIDTH, apart, frames, whole_graph, whole_night
 from bench.report import Goal, Section, short, whole
 from operators.depth.change import change
 from operators.depth.simplify import Simplify
@@ -133,7 +133,7 @@ def movement(seen: Array, rounds: int) -> Section:
     section.rows = [[name, short(ms)] for name, ms in took.items()]
     if find_spec("cv2") is None:
         section.notes = ["OpenCV is not installed: pip install opencv-python-headless."]
-    section.goals = [Goal("N, D and masking", round(took["kinegraph"], 3), 0.15, "ms")]
+    section.goals = [Goal("depth frame: N, D and masking", round(took["kinegraph"], 3), 0.15, "ms")]
     return section
 
 
@@ -160,7 +160,9 @@ def simplification(seen: Array, rounds: int) -> Section:
         section.header = ["components", *took]
         section.rows.append([str(components), *(short(ms) for ms in took.values())])
         if components == 2:
-            section.goals = [Goal("simplification, M = 2", round(took["kinegraph, fixed basis"], 3), 0.8, "ms")]
+            section.goals = [
+                Goal("depth frame: simplification, M = 2", round(took["kinegraph, fixed basis"], 3), 0.8, "ms")
+            ]
     section.notes = ["Ours is the whole operator: the blocks' means, and learning with it."]
     return section
 
@@ -177,6 +179,10 @@ def learned(seen: Array, components: int) -> tuple[Simplify, Array]:
 
 def sections(rounds: int) -> list[Section]:
     """All but the night."""
+    return apart(_sections, rounds)
+
+
+def _sections(rounds: int) -> list[Section]:
     seen = frames()
     return [movement(seen, rounds), simplification(seen, max(5, rounds // 4)), whole_graph(seen, rounds)]
 
@@ -189,7 +195,7 @@ def main() -> None:
     given = parser.parse_args()
     made = sections(given.rounds)
     if given.night:
-        made.append(night_apart(given.frames))
+        made.append(apart(whole_night, given.frames))
     load = os.getloadavg()[0]
     print(whole(made, f"{platform.processor() or platform.machine()}, load average {load:.1f} at the end."))
 
