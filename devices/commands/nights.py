@@ -70,7 +70,8 @@ def _list(root: Path) -> None:
     for folder, facts in found:
         zone, n = shelf.zone_of(facts.timezone), facts.numbers
         begin = shelf.clock(int(n.get("onset", facts.begun)), zone)
-        asleep = "" if not n else f"{n['tst'] // 60:.0f} h {n['tst'] % 60:02.0f}"
+        minutes = round(n.get("tst") or 0)
+        asleep = f"{minutes // 60} h {minutes % 60:02d} min" if n else ""
         table.add_row(
             folder.name, f"{begin:%H:%M}", f"{shelf.clock(int(n['end']), zone):%H:%M}" if n else "goes on" if not facts.closed else "",
             asleep, f"{n['se']:.0f} %" if n and n["se"] is not None else "", str(len(shelf.read_epochs(folder))),

@@ -119,7 +119,7 @@ def settings(graph: Graph) -> Iterator[Setting]:
         if isinstance(node.part, Outlet) or getattr(node.part, "background", False):
             continue
         parameters = [(f.name, getattr(node.part, f.name)) for f in fields(node.part)]  # type: ignore[arg-type]
-        text = ", ".join(f"{name}: {_plain(value)}" for name, value in parameters if value not in ("", ()))
+        text = ", ".join(f"{name}: {_plain(value)}" for name, value in parameters if value not in (None, "", ()))
         delay = node.part.delay_s * 1000 if isinstance(node.part, Operator) else float("nan")
         yield Setting(node.name, node.use, text, delay)
 
