@@ -1,5 +1,5 @@
-"""A night from frames to the morning, by configs/bedside_sleep.yaml: two power cuts, a camera that goes, a clock set back, a broker that
-goes; and in the end the report says what home automation was told, epoch by epoch."""
+"""A night from frames to the morning, by configs/bedside_sleep.yaml: two power cuts, a camera that goes, a clock set back; and in the end
+the report says what home automation was told, epoch by epoch. KINEGRAPH_NIGHT_H=8 makes it a night of eight hours."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HERE = Path(__file__).parent
 CONFIG = HERE.parent / "configs" / "bedside_sleep.yaml"
 HISTORY = "kinegraph/bed/history/scorer"
 BED_H = float(os.environ.get("KINEGRAPH_NIGHT_H", "1.3"))
-"""How long the night is; 8 takes about a minute and a half."""
+"""How long the night is; 8 takes about a minute."""
 GONE_S = (3000, 600)
 """When the camera goes, and for how long."""
 
