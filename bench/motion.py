@@ -1,4 +1,4 @@
-"""Recordings as features, for the benches: read whole, through the operators that a graph would use."""
+"""Recordings as features, and what is found in them, for the benches: read whole, through the operators that a graph would use."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy as np
 
 from operators.align import Align
 from operators.features.pose import Pose
-from operators.features.stack import Stack
+from operators.segmentation import Segment
+from operators.segmentation.found import Found, merged
 from operators.segmentation.truth import Truth, read_truth
 from stream.chunk import NS, Array, Chunk, StreamSpec
 from stream.operator import Operator, grid
@@ -53,17 +54,45 @@ def regular(data: Array, rate_hz: float = RATE) -> Series:
     return Series(StreamSpec(data.shape[1:], rate_hz=rate_hz), grid(rate_hz, len(data), 0), data)
 
 
-def cmu_and_mocap6(folder: Path) -> Iterable[tuple[str, str, Series, Truth]]:
-    """(set, name, stacked features, annotations) of the annotated motion capture."""
+def segment(features: Series, operator: Segment | None = None) -> Found:
+    """What is found in stacked features."""
+    operator = operator or Segment()
+    found: dict[str, list[Array]] = {
+        name: [np.empty(0, spec.dtype)] for name, spec in operator.open({"in": features.spec}).items()
+    }
+    chunk = Chunk(features.stamps, features.data, int(features.stamps[-1]))
+    for name, made in [*operator.process("in", chunk), *operator.close()]:
+        found[name].append(made.data)
+    activity, primitive, merge = (np.concatenate(found[name]) for name in ("activity", "primitive", "merge"))
+    radii = np.concatenate(found["radius"])["radius"]
+    return Found(
+        _spans(activity, features),
+        activity["transition"],
+        _spans(primitive, features),
+        merged(primitive["cluster"], zip(merge["cluster"].tolist(), merge["into"].tolist(), strict=True)),
+        primitive["repetition"],
+        radius=float(np.median(radii)) if len(radii) else np.nan,
+    )
+
+
+def _spans(events: Array, features: Series) -> Array:
+    """Start and end in seconds: a segment ends where the next one starts; frames that have no stack belong to the first and last."""
+    spans = np.stack([events["onset"], events["end"] + features.spec.period_ns], 1) / NS
+    spans[0, 0] = 0.0
+    return spans
+
+
+def poses(folder: Path) -> Iterable[tuple[str, str, Series, Truth]]:
+    """(set, name, features at 30 Hz, annotations) of the annotated motion capture."""
     for path in sorted(folder.glob("cmu86_4ch/*.npz")):
         angles = np.rad2deg(np.unwrap(np.deg2rad(np.load(path)["angles_deg"].astype(np.float64)), axis=0))[::4]
-        yield "CMU-86, 4 channels", path.stem, regular(angles).through(Stack()), read_truth(path)
+        yield "CMU-86, 4 channels", path.stem, regular(angles), read_truth(path)
     for path in sorted([*folder.glob("cmu86_full/*.npz"), *folder.glob("mocap6/1?_??.npz")]):
         kind = "CMU-86, full body" if path.parent.name == "cmu86_full" else "exercises, full body"
-        yield kind, path.stem, regular(np.load(path)["e15_cm"]).through(Stack()), read_truth(path)
+        yield kind, path.stem, regular(np.load(path)["e15_cm"]), read_truth(path)
     for path in sorted(folder.glob("mocap6/*12ch*.npz")):
         slow = regular(np.load(path)["x"], 10.0)
-        yield "exercises, 12 channels", path.stem, slow.through(Align(rate_hz=RATE), Stack()), read_truth(path)
+        yield "exercises, 12 channels", path.stem, slow.through(Align(rate_hz=RATE)), read_truth(path)
 
 
 def kinect(path: Path) -> Series:

@@ -30,7 +30,7 @@ class Goal:
 
     def row(self) -> list[str]:
         bound = f"{'at least' if self.least else 'at most'} {self.limit:g} {self.unit}"
-        return [self.name, f"{short(self.reached)} {self.unit}", bound, "yes" if self.met else "**no**"]
+        return [self.name, f"{short(self.reached)} {self.unit}".strip(), bound.strip(), "yes" if self.met else "**no**"]
 
 
 @dataclass(slots=True)

@@ -16,17 +16,18 @@ from pathlib import Path
 import numpy as np
 
 from bench import batch
-from bench.motion import RATE, Series, cmu_and_mocap6, kinect, regular
+from bench.bundling import bundling
+from bench.motion import RATE, Series, kinect, poses, regular, segment
 from bench.report import Goal, Section, into_page, marks, whole
 from bench.segmentation_speed import speed
 from operators.emg.envelope import Envelope
 from operators.features.stack import Stack
 from operators.features.standardise import Standardise
 from operators.segmentation import Segment
-from operators.segmentation.found import Found, merged
+from operators.segmentation.found import Found
 from operators.segmentation.scores import Scores, boundary_f1, intervals, score
 from operators.segmentation.truth import Truth, read_truth
-from stream.chunk import NS, Array, Chunk, Samples, StreamSpec
+from stream.chunk import NS, Samples, StreamSpec
 from stream.operator import grid
 
 HOUSE = Path(__file__).resolve().parent.parent
@@ -35,35 +36,7 @@ RADII = np.geomspace(0.2, 0.9, 25)
 """Fixed radii that are tried, as shares of the median distance between frames of the whole recording."""
 BAND = 30
 """The band that the thesis leaves out, in frames: a second."""
-SHOWN = ("f1", "covering", "strict", "tolerant")
-
-
-def segment(features: Series, operator: Segment | None = None) -> Found:
-    """What is found in stacked features."""
-    operator = operator or Segment()
-    found: dict[str, list[Array]] = {
-        name: [np.empty(0, spec.dtype)] for name, spec in operator.open({"in": features.spec}).items()
-    }
-    chunk = Chunk(features.stamps, features.data, int(features.stamps[-1]))
-    for name, made in [*operator.process("in", chunk), *operator.close()]:
-        found[name].append(made.data)
-    activity, primitive, merge = (np.concatenate(found[name]) for name in ("activity", "primitive", "merge"))
-    radii = np.concatenate(found["radius"])["radius"]
-    return Found(
-        _spans(activity, features),
-        activity["transition"],
-        _spans(primitive, features),
-        merged(primitive["cluster"], zip(merge["cluster"].tolist(), merge["into"].tolist(), strict=True)),
-        primitive["repetition"],
-        radius=float(np.median(radii)) if len(radii) else np.nan,
-    )
-
-
-def _spans(events: Array, features: Series) -> Array:
-    """Start and end in seconds: a segment ends where the next one starts; frames that have no stack belong to the first and last."""
-    spans = np.stack([events["onset"], events["end"] + features.spec.period_ns], 1) / NS
-    spans[0, 0] = 0.0
-    return spans
+SHOWN = {"f1": "F1", "covering": "covering", "strict": "strict", "tolerant": "tolerant"}
 
 
 def in_batch(features: Series, apart: Samples, radius: float) -> Found:
@@ -91,7 +64,8 @@ def activities(folder: Path, *, quick: bool) -> list[Section]:
     scored: Scored = {}
     shares: dict[float, list[float]] = {share: [] for share in SHARES}
     rows, beside = [], []
-    for kind, name, features, truth in cmu_and_mocap6(folder):
+    for kind, name, pose, truth in poses(folder):
+        features = pose.through(Stack())
         print(f"{kind}: {name} ...", file=sys.stderr, flush=True)
         found, made = methods(features, truth, quick=quick)
         for group in (kind, "all"):
@@ -110,11 +84,15 @@ def activities(folder: Path, *, quick: bool) -> list[Section]:
     ]
     title = "Boundary F1, live and by the thesis's batch method; last, the live boundaries against those of the batch method"
     sections = [
-        Section("Activities: one set of defaults, radius found from the data", ["", *SHOWN], [*rows, *means(scored)]),
+        Section(
+            "Activities: one set of defaults, radius found from the data",
+            ["", *SHOWN.values()],
+            [*rows, *means(scored)],
+        ),
         Section(title, ["F1", *methods_, "live against batch, the live radius"], beside),
         Section(
             "All four scores, by method",
-            ["", *SHOWN],
+            ["", *SHOWN.values()],
             [row for k in ("CMU-86, 4 channels", "all") for row in by_method(k, scored[k])],
         ),
     ]
@@ -159,12 +137,12 @@ def by_method(kind: str, made: dict[str, list[Scores]]) -> list[list[str]]:
 def accuracy_goals(scored: Scored) -> list[Goal]:
     kind = "CMU-86, 4 channels"
     goals = [
-        Goal(f"{kind}: {field}", float(np.mean([getattr(s, field) for s in scored[kind][LIVE]])), limit, "", least=True)
-        for field, limit in zip(SHOWN, (0.85, 0.88, 0.88, 0.98), strict=True)
+        Goal(f"{kind}: {name}", float(np.mean([getattr(s, field) for s in scored[kind][LIVE]])), limit, "", least=True)
+        for (field, name), limit in zip(SHOWN.items(), (0.85, 0.88, 0.88, 0.98), strict=True)
     ]
     if LIVE_BEST in scored["all"]:
         lost = np.mean([b.f1 - a.f1 for a, b in zip(scored["all"][LIVE], scored["all"][LIVE_BEST], strict=True)])
-        goals.append(Goal("all sets: f1 lost against each recording's best fixed radius", float(lost), 0.05, ""))
+        goals.append(Goal("all sets: F1 lost against each recording's best fixed radius", float(lost), 0.05, ""))
     return goals
 
 
@@ -203,9 +181,9 @@ def joined(poses: list[tuple[Series, Truth]], seed: int, draws: int = 24) -> lis
 def repetitions(folder: Path) -> Section:
     """Kinect recordings of ten repetitions or so, counted, and where the annotated moment stands in them."""
     names = [path.stem for path in sorted(folder.glob("msrc12/*.npz"))]
-    poses = [(kinect(path), read_truth(path)) for path in sorted(folder.glob("msrc12/*.npz"))]
+    recorded = [(kinect(path), read_truth(path)) for path in sorted(folder.glob("msrc12/*.npz"))]
     rows, scores, others = [], [], []
-    for name, (pose, truth) in zip(names, poses, strict=True):
+    for name, (pose, truth) in zip(names, recorded, strict=True):
         features = pose.through(Stack())
         found = segment(features)
         whole_ = in_batch(features, batch.distances(features.data), found.radius)
@@ -215,7 +193,7 @@ def repetitions(folder: Path) -> Section:
         counts = [len(truth.keys), (found.repetition > 0).sum(), (whole_.repetition > 0).sum()]
         places = [made.key_place, made.key_sd, other.key_sd]
         rows.append([name, *map(str, counts), *(f"{v:.2f}" for v in places)])
-    errors = np.array(joined(poses, 0))
+    errors = np.array(joined(recorded, 0))
     within, pieces = float(np.mean([s.within_1 for s in scores])), float(np.mean(errors <= 1))
     note = (
         f"Counted within 1: {within:.0%} of {len(scores)} recordings (batch: {np.mean([s.within_1 for s in others]):.0%}); "
@@ -269,6 +247,7 @@ def accuracy(*, quick: bool) -> list[Section]:
         sys.exit("KINEGRAPH_DATA must name a folder of recordings that holds `segmentation`")
     return [
         *activities(folder, quick=quick),
+        bundling(folder),
         repetitions(folder),
         muscles(folder.parent / "emg" / "emg_santuz_tw12.npz"),
     ]

@@ -46,7 +46,7 @@ from operators.neighbours.window import oldest, slot_of, tile_at
 from stream.chunk import Times
 from stream.kernel import kernel
 
-MOST_SURVIVE, PLAIN_FOR = 0.6, 15
+MOST_SURVIVE, PLAIN_FOR = 0.9, 15
 """Beyond this share of tiles that were looked into, so many queries leave the boxes aside."""
 
 
