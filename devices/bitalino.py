@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 import structlog
 
+from devices.clock_log import ClockLog
 from devices.handshake import all_there, answer, quiet, shown
 from devices.protocols import bitalino as protocol
 from devices.protocols.bitalino import GAINS, Decoder, Frames, Sensor
@@ -28,7 +29,6 @@ PAUSE_S = 0.1
 """What the device needs between two commands."""
 STATE_S = 1.0
 SILENCE_S = 2.0
-CLOCK_LOGGED_S = 60.0
 PORTS = ("I1", "I2", "O1", "O2")
 
 log = structlog.get_logger(__name__)
@@ -140,7 +140,7 @@ class Bitalino(Source):
     def _stream(self, link: Transport, feed: Feed) -> None:
         decoder, stream = Decoder(len(self.channels)), _Stream(self)
         patience = SILENCE_S + 2 * protocol.AGREE / self.rate_hz
-        heard = logged = time.monotonic()
+        heard, clock_log = time.monotonic(), ClockLog(self.port)
         strange = b""
         while not feed.stopped:
             data = link.read(0.1)
@@ -162,9 +162,7 @@ class Bitalino(Source):
                 raise DeviceError(
                     f"no frame from {self.port} for {patience:g} s: expected {size} bytes with a right CRC; came {shown(strange)}"
                 )
-            if now - logged > CLOCK_LOGGED_S:
-                logged = now
-                log.info("clock", port=self.port, state=stream.counter.state)
+            clock_log.tell(stream.counter.state)
 
 
 class _Stream:

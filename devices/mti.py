@@ -11,6 +11,7 @@ from typing import ClassVar, Literal
 import structlog
 
 from devices import tick_clock
+from devices.clock_log import ClockLog
 from devices.handshake import all_there, shown
 from devices.packet_clock import Packets
 from devices.protocols import xbus, xbus_numbers
@@ -52,7 +53,6 @@ FEW_HZ = 500.0
 GATHER_S = 0.01
 PIECE = 4000
 """A read of a serial port takes all that is there, if that is not more than the system's buffer of 4096 bytes."""
-CLOCK_LOGGED_S = 60.0
 BITS_PER_BYTE = 10
 """On a serial line, with start and stop bit."""
 
@@ -196,7 +196,7 @@ class Mti(Source):
     def _stream(self, link: Transport, talk: _Talk, feed: Feed) -> None:
         stream = _Stream(self)
         stream.pass_on(talk.behind, feed)
-        heard = logged = time.monotonic()
+        heard, clock_log = time.monotonic(), ClockLog(self.port)
         strange = b""
         while not feed.stopped:
             data = link.read(0.1)
@@ -221,9 +221,7 @@ class Mti(Source):
                     f"no measurement from {self.port} for {SILENCE_S:g} s: expected {', '.join(self.measure)} in FA FF 36 ...; "
                     f"came {shown(strange)}"
                 )
-            if now - logged > CLOCK_LOGGED_S:
-                logged = now
-                log.info("clock", port=self.port, state=stream.clock.state)
+            clock_log.tell(stream.clock.state)
 
 
 def _waiting(link: Transport, first: bytes, within_s: float) -> bytes:

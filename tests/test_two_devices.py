@@ -108,8 +108,9 @@ def test_they_agree_within_two_milliseconds(bursts: bool, leg_hz: int, monkeypat
     """Quartzes of +50 and -50 ppm, up to 20 ms of jitter, 1 % stalls of 100 ms, least delays of 3 and 8 ms, which are known.
 
     In bursts, what has gathered is fetched every 10 to 20 ms, as Bluetooth does; else each packet has a delay of its own. These must not
-    come much more often than the jitter lets them through in order: at 512 Hz nearly each waits for one before it, none arrives with the
-    least delay, and the devices are 2.4 ms apart.
+    come much more often than the jitter lets them through in order: at 512 Hz nearly each waits for one before it, and of a minute's none
+    arrives with the least delay. Then stamps are up to 4 ms late in the first minute and 3 ms afterwards (here the devices are 2.4 ms
+    apart); up to 2.2 ms would stay if the drift were known, so that no other line through the earliest packets would do.
     """
     feeds = [Arriving(), Arriving()]
     board = Cyton("a", latency_s=0.003)
