@@ -22,7 +22,11 @@ WINDOW = 120
 STEADY = 10
 """Below so many buckets the drift is taken as zero."""
 MOST_DRIFT = 1e-3
-"""No quartz is worse; a steeper line would be an artefact of the delays."""
+"""No quartz is worse; a steeper line is an artefact of the delays, unless it is clear."""
+STEEPEST, CLEAR = 0.03, 20
+"""A device that is slow by more (an Arduino's resonator, a rate that is not quite the stated one) is believed up to so much, where what that
+makes over the time known is so many times what the least delays stray about the line. One that is fast needs no belief: each second's
+least delay is lower than those before."""
 SLEW = 0.01
 """After the line has moved back, stamps still advance at this share of the device's pace until it is reached."""
 ROUNDED = 2
@@ -129,7 +133,11 @@ class DeviceClock:
         else:
             left, right = _edge(x, y, float(x.mean()))
             slope = (y[right] - y[left]) / (x[right] - x[left])
-            self._slope = float(np.clip(slope, -MOST_DRIFT, MOST_DRIFT))
+            if slope > MOST_DRIFT:
+                stray = np.median(y - y[left] - slope * (x - x[left]))
+                clear = (slope - MOST_DRIFT) * (x[-1] - x[0]) > CLEAR * stray
+                slope = min(slope, STEEPEST if clear else MOST_DRIFT)
+            self._slope = float(max(slope, -MOST_DRIFT))
             self._at, self._height = self._x[left], float(self._y[left])
             below = float((y - y[left] - self._slope * (x - x[left])).min())
             self._height += min(below, 0.0)

@@ -39,6 +39,26 @@ def test_stamps_follow_the_truth_through_jitter_and_stalls(ppm: float) -> None:
     assert 0 < clock.state.uncertainty_s < 0.005
 
 
+@pytest.mark.parametrize("ppm", [-1500.0, -5000.0, -20000.0, 3000.0])
+def test_a_clock_that_is_no_quartz_is_followed_as_well(ppm: float) -> None:
+    """An Arduino's resonator, or a counter whose rate is not quite the stated one."""
+    true, device, arrival = link(90, 50, ppm, seed=7)
+    stamps, clock = mapped(device, arrival)
+    error = np.abs(stamps - true) / NS
+    assert error[true > 30 * NS].max() < (0.002 if ppm < 0 else 0.005)
+    assert (np.diff(stamps) > 0).all()
+    if ppm < 0:
+        assert clock.state.drift_ppm == pytest.approx(1e6 / (1 + ppm * 1e-6) - 1e6, abs=30)
+
+
+def test_delays_that_grow_for_a_while_are_no_drift() -> None:
+    true, device, arrival = link(120, 50, 20.0, seed=8)
+    late = np.interp(true / NS, [20, 35, 36, 120], [0, 0.3, 0, 0])
+    stamps, clock = mapped(device, np.maximum.accumulate(arrival + (late * NS).astype(np.int64)))
+    assert (np.abs(stamps - true) / NS)[true > 30 * NS].max() < 0.002
+    assert abs(clock.state.drift_ppm) < 100
+
+
 def test_arrival_times_alone_would_be_far_worse() -> None:
     true, device, arrival = link(120, 50, 50.0, seed=2)
     stamps, _ = mapped(device, arrival)
