@@ -24,9 +24,10 @@ STEADY = 10
 MOST_DRIFT = 1e-3
 """No quartz is worse; a steeper line is an artefact of the delays, unless it is clear."""
 STEEPEST, CLEAR = 0.03, 20
-"""A device that is slow by more (an Arduino's resonator, a rate that is not quite the stated one) is believed up to so much, where what that
-makes over the time known is so many times what the least delays stray about the line. One that is fast needs no belief: each second's
-least delay is lower than those before."""
+"""A device that is slow by more (an Arduino's resonator, a rate that is not quite the stated one) is believed up to so much, where what
+that makes over the time known is so many times what the least delays stray about the line. One that is fast needs no belief: each second's
+least delay is lower than those before.
+"""
 SLEW = 0.01
 """After the line has moved back, stamps still advance at this share of the device's pace until it is reached."""
 ROUNDED = 2
