@@ -6,6 +6,11 @@ import os
 
 from hypothesis import HealthCheck, settings
 
+from tests.command_line import kinegraph, made
+
+__all__ = ["kinegraph", "made"]
+"""Fixtures that tests may ask for by name."""
+
 EXAMPLES = int(os.environ.get("KINEGRAPH_EXAMPLES", "0"))
 
 settings.register_profile(

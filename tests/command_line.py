@@ -1,0 +1,78 @@
+"""Commands called in this process, through the same `main` that `kinegraph` calls, by hostile and clumsy users.
+
+A user's mistake never shows a traceback: whatever `main` lets through but SystemExit fails the test.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import structlog
+
+KINEGRAPH = Path(sys.executable).parent / "kinegraph"
+BOARD = "nodes:\n  board: {use: devices.treadmill.Treadmill, realtime: false, duration_s: %s}\n"
+GRAPH = BOARD % 2 + "  rect: {use: operators.rectify.Rectify, from: board.emg}\nrecord: [rect]\n"
+QUIET = ("--view", "none")
+
+Told = tuple[int, str, str]
+Command = Callable[..., Told]
+
+
+@pytest.fixture
+def kinegraph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Command]:
+    """Call a command in an empty folder: (exit code, what it printed, what it complained of)."""
+    import stream.cli
+
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: object) -> Told:
+        monkeypatch.setattr(sys, "argv", ["kinegraph", *map(str, arguments)])
+        capsys.readouterr()
+        code: Any = 0
+        try:
+            stream.cli.main()
+        except SystemExit as end:
+            code = end.code or 0
+        told = capsys.readouterr()
+        assert "Traceback" not in told.out + told.err
+        return code, told.out, told.err
+
+    yield call
+    structlog.reset_defaults()
+
+
+def refused(told: Told, *words: str, code: int = 2) -> None:
+    """The command ended with `code`, and its complaint holds all these words."""
+    assert told[0] == code, told
+    assert not [word for word in words if word not in told[2]], told[2]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a graph and a whole recording of it."""
+    folder = tmp_path_factory.mktemp("made")
+    (folder / "graph.yaml").write_text(GRAPH)
+    subprocess.run([KINEGRAPH, "run", "graph.yaml", "-o", "s", *QUIET], cwd=folder, check=True, capture_output=True)
+    return folder
+
+
+def wait_for(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def shell(command: str, folder: Path, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run(
+        ["bash", "-c", command], cwd=folder, capture_output=True, text=True, env={**os.environ, **(env or {})}
+    )
+    assert "Traceback" not in done.stderr, done.stderr
+    return done

@@ -1,0 +1,150 @@
+"""Sessions that are resumed wrongly, run into each other, are ended at any moment, or print where nobody reads."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from stream.chunk import NS
+from stream.engine.clock import SessionClock
+from stream.recording import Recording
+from tests.command_line import BOARD, KINEGRAPH, QUIET, Command, refused, shell, wait_for
+
+
+def test_resuming_what_is_not_there_or_not_ours(kinegraph: Command, made: Path, tmp_path: Path) -> None:
+    graph = made / "graph.yaml"
+    refused(kinegraph("run", graph, *QUIET, "-o", made / "s"), "holds a recording already")
+    refused(kinegraph("run", graph, *QUIET, "-o", made / "s", "--resume"), "was ended properly")
+    refused(kinegraph("run", graph, *QUIET, "-o", "none", "--resume"), "none: there is no such recording")
+    refused(kinegraph("run", graph, *QUIET, "--resume"), "there is no session of 'graph'", "--out")
+    (tmp_path / "foreign").mkdir()
+    refused(kinegraph("run", graph, *QUIET, "-o", "foreign", "--resume"), "holds no recording")
+    (tmp_path / "foreign" / "session.0000.mcap").write_bytes(b"hello")
+    refused(kinegraph("run", graph, *QUIET, "-o", "foreign", "--resume"), "not an MCAP recording")
+    assert sorted(p.name for p in (made / "s").iterdir()) == ["session.0000.mcap"], "no lock, no trial file is left"
+
+
+RAISES = '''
+from dataclasses import dataclass
+
+import numpy as np
+
+from stream.chunk import Chunk, Specs
+from stream.operator import Operator
+
+
+@dataclass(slots=True)
+class State:
+    seen: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Raises(Operator[State]):
+    """Raises in the middle of the stream."""
+
+    def open(self, specs: Specs) -> Specs:
+        self.hold(State())
+        return {"out": specs["in"]}
+
+    def process(self, port: str, chunk: Chunk) -> Chunk:
+        self.state.seen += len(chunk.time)
+        if self.state.seen > 1000:
+            raise ZeroDivisionError("division by zero")
+        return chunk
+'''
+
+
+def test_an_operator_that_raises_names_itself_and_loses_nothing(kinegraph: Command, tmp_path: Path) -> None:
+    (tmp_path / "raising.py").write_text(RAISES)
+    (tmp_path / "g.yaml").write_text(BOARD % 2 + "  bad: {use: raising.Raises, from: board.emg}\nrecord: [bad]\n")
+    told = kinegraph("run", "g.yaml", *QUIET, "-o", "s")
+    refused(told, "bad", "ZeroDivisionError", "division by zero", code=4)
+    assert re.search(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d", told[2]), "the sample's time is named"
+    with Recording.open(tmp_path / "s") as recording:
+        assert recording.finished and recording.streams["board.emg"].samples > 1000
+        assert recording.streams["bad"].samples <= 1000
+
+
+def test_two_sessions_on_one_output(kinegraph: Command, made: Path, tmp_path: Path) -> None:
+    text = (BOARD % 0).replace("realtime: false, ", "")
+    text += "  out: {use: devices.csv_file.CsvFile, from: board.emg, path: out.csv}\n"
+    (tmp_path / "g.yaml").write_text(text)
+    first = subprocess.Popen(
+        [KINEGRAPH, "run", "g.yaml", "-o", "s", *QUIET], stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True
+    )
+    try:
+        wait_for(lambda: (tmp_path / "s").is_dir() and (tmp_path / "out.csv").exists())
+        refused(kinegraph("run", "g.yaml", *QUIET, "-o", "s", "--for", 1), "another kinegraph is recording there")
+        refused(kinegraph("run", "g.yaml", *QUIET, "-o", "s", "--resume"), "another kinegraph is recording there")
+        refused(kinegraph("recover", "s"), "is being recorded now")
+        code, _, complaint = kinegraph("run", "g.yaml", *QUIET, "-o", "other", "--for", 1)
+        assert code == 0 or (code == 3 and "out.csv" in complaint), "another file, or an error that names it"
+        (tmp_path / "g.yaml").write_text("garbage: [")
+    finally:
+        first.send_signal(signal.SIGTERM)
+        said = first.communicate(timeout=60)[1]
+    assert first.returncode == 0, said
+    with Recording.open(tmp_path / "s") as recording:
+        assert recording.finished and recording.header["graph"] == text, "the graph as it ran, not as it was edited"
+
+
+@pytest.mark.parametrize("moment", ["start", "warm-up", "running"])
+def test_sigterm_ends_a_session_in_every_phase(moment: str, tmp_path: Path) -> None:
+    (tmp_path / "g.yaml").write_text((BOARD % 0).replace("realtime: false, ", "") + "record: [board.emg]\n")
+    process = subprocess.Popen(
+        [KINEGRAPH, "run", "g.yaml", "-o", "s"],
+        cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    if moment == "start":
+        time.sleep(0.3)
+    elif moment == "warm-up":
+        assert process.stdout and "getting ready" in process.stdout.readline()
+    else:
+        wait_for(lambda: any((tmp_path / "s").glob("session.*")))
+    process.terminate()
+    _, said = process.communicate(timeout=60)
+    assert "Traceback" not in said
+    if moment == "start":
+        assert process.returncode in (0, 143, -signal.SIGTERM)
+    else:
+        assert process.returncode == 0, said
+        with Recording.open(tmp_path / "s") as recording:
+            assert recording.finished
+    assert not list(tmp_path.glob("s/.*")), "no lock and no trial file is left"
+
+
+def test_a_clock_that_is_set_back_does_not_turn_time_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = SessionClock()
+    before = clock.now()
+    monkeypatch.setattr(time, "time_ns", lambda: 0)
+    assert clock.now() >= before
+    again = SessionClock(after=before)
+    assert again.utc_ns > before and again.now() > before
+    monkeypatch.setattr(time, "time_ns", lambda: before + 3600 * NS)
+    assert again.now() < before + 60 * NS, "nor does one that is set forward make it leap"
+    assert SessionClock(after=before).utc_ns == before + 3600 * NS
+
+
+def test_outputs_that_nobody_reads(made: Path, tmp_path: Path) -> None:
+    """`| head`, closed outputs and a full disk behind them do not stop a session; other commands end at once, without a traceback."""
+    run = f"{KINEGRAPH} run {made / 'graph.yaml'} --view lines -o"
+    assert shell(f"{run} a >&- 2>&-", tmp_path).returncode == 0
+    done = shell(f"{run} b <&- >/dev/full", tmp_path)
+    assert done.returncode == 0 and "not shown any more" in done.stderr
+    for name in "ab":
+        with Recording.open(tmp_path / name) as recording:
+            assert recording.finished and recording.streams["rect"].samples == 2000
+    assert shell(f"{KINEGRAPH} info a --json | head -1", tmp_path).stdout == "{\n"
+    ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii"}
+    assert shell(f"{KINEGRAPH} draw {made / 'graph.yaml'}", tmp_path, ascii_only).returncode == 0
+
+
+def test_a_cache_that_cannot_be_written_says_what_to_do(made: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    done = shell(f"{KINEGRAPH} check {made / 'graph.yaml'}", tmp_path, {"KINEGRAPH_CACHE": str(tmp_path / "file")})
+    assert done.returncode == 2 and "set KINEGRAPH_CACHE to a folder that can be written" in done.stderr
