@@ -134,7 +134,7 @@ class AsciiLines(Source):
     def _stream(self, link: Transport, feed: Feed) -> None:
         decoder = Decoder(self.columns, self.delimiter, self.header)
         stream = _Stream(self)
-        opened, clock_log = time.monotonic(), ClockLog(self.port)
+        opened, clock_log = time.monotonic(), ClockLog(self.port, lambda: stream.clock)
         seen, came = False, b""
         while not feed.stopped:
             data = link.read(0.1)
@@ -147,7 +147,7 @@ class AsciiLines(Source):
             if len(lines.rows):
                 seen = True
                 stream.pass_on(lines.rows, feed)
-                clock_log.tell(stream.clock)
+                clock_log.tell()
             elif not seen:
                 came = (came + data)[-64:]
                 self._check_beginning(time.monotonic() - opened, bool(decoder.names), came)

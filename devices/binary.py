@@ -166,12 +166,12 @@ class Binary(Source):
         layouts = self.layouts()
         decoder, stream = self._decoder(layouts), _Stream(self, layouts)
         opened, seen, came = time.monotonic(), False, b""
-        clock_log = ClockLog(self.port)
+        clock_log = ClockLog(self.port, lambda: stream.clock)
         while not feed.stopped:
             data = self._taken(link, 0.1)
             found = decoder.feed(data)
             stream.pass_on(found, feed)
-            clock_log.tell(stream.clock)
+            clock_log.tell()
             for kind, count in (
                 ("bad checksum", found.bad), ("bytes that are no frame", found.dropped), ("resync", found.resyncs)
             ):  # fmt: skip

@@ -140,7 +140,7 @@ class Bitalino(Source):
     def _stream(self, link: Transport, feed: Feed) -> None:
         decoder, stream = Decoder(len(self.channels)), _Stream(self)
         patience = SILENCE_S + 2 * protocol.AGREE / self.rate_hz
-        heard, clock_log = time.monotonic(), ClockLog(self.port)
+        heard, clock_log = time.monotonic(), ClockLog(self.port, lambda: stream.counter.state)
         strange = b""
         while not feed.stopped:
             data = link.read(0.1)
@@ -162,7 +162,7 @@ class Bitalino(Source):
                 raise DeviceError(
                     f"no frame from {self.port} for {patience:g} s: expected {size} bytes with a right CRC; came {shown(strange)}"
                 )
-            clock_log.tell(stream.counter.state)
+            clock_log.tell()
 
 
 class _Stream:

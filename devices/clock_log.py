@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import structlog
 
@@ -14,16 +15,16 @@ log = structlog.get_logger(__name__)
 
 
 class ClockLog:
-    """One device's; `tell` may be called as often as one likes."""
+    """One device's; `tell` may be called as often as one likes, and asks for the state only when it is time."""
 
-    def __init__(self, device: str) -> None:
-        self._device = device
+    def __init__(self, device: str, state: Callable[[], ClockState | None]) -> None:
+        self._device, self._state = device, state
         self._due = time.monotonic() + EVERY_S
 
-    def tell(self, state: ClockState | None) -> None:
+    def tell(self) -> None:
         """Log offset, drift and uncertainty, if it is time and there is a clock."""
         now = time.monotonic()
-        if state is None or now < self._due:
+        if now < self._due or (state := self._state()) is None:
             return
         self._due = now + EVERY_S
         log.info(

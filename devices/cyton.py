@@ -133,7 +133,7 @@ class Cyton(Source):
     def _stream(self, link: Transport, feed: Feed) -> None:
         decoder, stream = Decoder(), _Stream(self)
         link.write(protocol.START)
-        heard, clock_log = time.monotonic(), ClockLog(self.port)
+        heard, clock_log = time.monotonic(), ClockLog(self.port, lambda: stream.clock.state)
         strange = b""
         while not feed.stopped:
             data = link.read(0.1)
@@ -151,7 +151,7 @@ class Cyton(Source):
                 raise DeviceError(
                     f"no packet from {self.port} for {SILENCE_S:g} s: expected 33 bytes from A0 to C0; came {shown(strange)}"
                 )
-            clock_log.tell(stream.clock.state)
+            clock_log.tell()
 
 
 class _Stream:

@@ -117,6 +117,11 @@ class DeviceClock:
             self._last = (0, self._last[1])
 
     @property
+    def offset_ns(self) -> float | None:
+        """Session time minus device time now, with the least delay in it; None where nothing is known yet."""
+        return self._line(self._x[-1]) if self._x else None
+
+    @property
     def state(self) -> ClockState:
         now = self._x[-1] if self._x else 0
         return ClockState(self._line(now) / NS, self._slope * 1e6, self._spread / NS, len(self._x))

@@ -196,7 +196,7 @@ class Mti(Source):
     def _stream(self, link: Transport, talk: _Talk, feed: Feed) -> None:
         stream = _Stream(self)
         stream.pass_on(talk.behind, feed)
-        heard, clock_log = time.monotonic(), ClockLog(self.port)
+        heard, clock_log = time.monotonic(), ClockLog(self.port, lambda: stream.clock.state)
         strange = b""
         while not feed.stopped:
             data = link.read(0.1)
@@ -221,7 +221,7 @@ class Mti(Source):
                     f"no measurement from {self.port} for {SILENCE_S:g} s: expected {', '.join(self.measure)} in FA FF 36 ...; "
                     f"came {shown(strange)}"
                 )
-            clock_log.tell(stream.clock.state)
+            clock_log.tell()
 
 
 def _waiting(link: Transport, first: bytes, within_s: float) -> bytes:

@@ -101,8 +101,8 @@ class PacketClock:
 
     def _excess(self, number: int, arrival_ns: int) -> int:
         """By how much a number is too high for its arrival; 0 if it can be."""
-        state = self._clock.state
-        if not state.seconds:
+        offset = self._clock.offset_ns
+        if offset is None:
             return 0
-        early = number * self._period + state.offset_s * NS - arrival_ns
+        early = number * self._period + offset - arrival_ns
         return round(early / self._period) if early > EARLY_NS else 0

@@ -189,7 +189,7 @@ class Shimmer(Source):
     def _stream(self, link: Transport, feed: Feed, stream: _Stream) -> None:
         link.write(bytes([protocol.START]))
         heard = asked = time.monotonic()
-        clock_log, strange = ClockLog(self.port), b""
+        clock_log, strange = ClockLog(self.port, lambda: stream.stamps.state), b""
         patience = SILENCE_S + 2 * protocol.AGREE / self.true_hz
         while not feed.stopped:
             data = link.read(0.1)
@@ -208,7 +208,7 @@ class Shimmer(Source):
             if now - asked > BATTERY_S:
                 asked = now
                 link.write(bytes([protocol.BATTERY]))
-            clock_log.tell(stream.stamps.state)
+            clock_log.tell()
 
 
 class _Talk:

@@ -50,9 +50,9 @@ class ShortCounter:
         return Packets(np.ones(len(counters), bool), number, lost, device, self._clock.stamps(device))
 
     def _watch(self, device_ns: int, arrival_ns: int) -> None:
-        state = self._clock.state
-        if state.seconds:
-            self._least = min(self._least, arrival_ns - device_ns - state.offset_s * NS)
+        offset = self._clock.offset_ns
+        if offset is not None:
+            self._least = min(self._least, arrival_ns - device_ns - offset)
 
     def _turns(self, arrival_ns: int) -> int:
         """How many whole turns are found to be missing now."""

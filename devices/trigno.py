@@ -176,14 +176,14 @@ class Trigno(Source):
             places = [c * per + i for c in columns for i in range(per)]
             streams["aux"] = _Stream("aux", SENSORS * per, places, protocol.AUX_HZ, self.latency_s)
         heard = dict.fromkeys(streams, time.monotonic())
-        clock_log = ClockLog(self.port)
+        clock_log = ClockLog(self.port, lambda: streams["emg"].pace.state)
         while not feed.stopped:
             for name, link, wait in (("emg", emg, 0.1), ("aux", aux, 0.0)):
                 if link and (data := link.read(wait)) and streams[name].pass_on(data, feed):
                     heard[name] = time.monotonic()
             if silent := [name for name, at in heard.items() if time.monotonic() - at > SILENCE_S]:
                 raise DeviceError(f"no samples of {' and '.join(silent)} from {self.port} for {SILENCE_S:g} s")
-            clock_log.tell(streams["emg"].pace.state)
+            clock_log.tell()
 
 
 class _Stream:

@@ -97,8 +97,8 @@ def test_the_clocks_state_is_logged_once_a_minute(monkeypatch: pytest.MonkeyPatc
     now, told = [0.0], []
     monkeypatch.setattr("devices.clock_log.time.monotonic", lambda: now[0])
     monkeypatch.setattr("devices.clock_log.log.info", lambda *_, **facts: told.append(facts), raising=False)
-    clock_log, state = ClockLog("board"), ClockState(1.5, 20.0, 0.001, 60)
-    for now[0] in (10.0, 61.0, 62.0, 122.0):
-        clock_log.tell(state)
-        clock_log.tell(None)
-    assert [facts["drift_ppm"] for facts in told] == [20.0, 20.0]
+    states: list[ClockState | None] = [None, ClockState(1.5, 20.0, 0.001, 60), ClockState(1.5, 21.0, 0.001, 60)]
+    clock_log = ClockLog("board", lambda: states.pop(0))
+    for now[0] in (10.0, 61.0, 62.0, 63.0, 122.0, 123.0):
+        clock_log.tell()
+    assert [facts["drift_ppm"] for facts in told] == [20.0, 21.0]
