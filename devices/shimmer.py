@@ -157,6 +157,10 @@ class Shimmer(Source):
             raise DeviceError(
                 f"{self.port}: expected the firmware LogAndStream (3), 0.5.4 or later; it has firmware {kind}, {text}"
             )
+        made = talk.ask(bytes([protocol.HARDWARE]), protocol.MADE, 1)[0]
+        if made != protocol.SHIMMER3:
+            kind_of = protocol.MODELS.get(made, f"hardware {made}")
+            raise DeviceError(f"{self.port}: expected a Shimmer3; it is a {kind_of}, which sends its numbers otherwise")
         name = talk.ask(bytes([protocol.NAME]), protocol.NAMED, 0)[1:].decode("ascii", "replace")
         volts = protocol.battery_v(talk.ask(bytes([protocol.BATTERY]), protocol.CHARGED, 3))
         board = talk.ask(bytes([protocol.BOARD, 3, 0]), protocol.BOARDED, 0)[1:]

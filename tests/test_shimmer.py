@@ -286,6 +286,7 @@ def test_unplugged_in_mid_packet() -> None:
     [
         (0x2E, b"", "expected 2F after command 2E .*came nothing"),
         (0x2E, b"\xff\x2f\x02\x00\x00\x00\x10\x00", "expected the firmware LogAndStream"),
+        (0x3F, b"\xff\x25\x0a", "it is a Shimmer3R"),
         (0x01, b"\xff\x02\x40\x00\x08\x00\x01\x00\x02\x01\x00\x03", "offers 0x03, ax every 64"),
     ],
 )

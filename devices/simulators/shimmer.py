@@ -168,6 +168,8 @@ class ShimmerBrain:
                 major, minor, release = self._firmware
                 version = [protocol.LOG_AND_STREAM, 0, major, 0, minor, release]
                 return ack + bytes([protocol.VERSION, *version])
+            case protocol.HARDWARE:
+                return ack + bytes([protocol.MADE, protocol.SHIMMER3])
             case protocol.BOARD:
                 return ack + bytes([protocol.BOARDED, data[0]]) + self._board[data[1] : data[1] + data[0]]
             case protocol.NAME:
