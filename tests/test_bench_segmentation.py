@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from bench import batch
+from bench.bundling import pairs, warped
+from operators.segmentation.found import Found
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -55,6 +57,18 @@ def test_batch_bundling_takes_noise_off_across_the_way_and_keeps_the_timing():
         assert wide(made) < 0.6 * wide(x)
     late = np.angle(np.exp(1j * (np.arctan2(made[:, 1], made[:, 0]) - np.arctan2(x[:, 1], x[:, 0]))))
     assert spread.max() < 0.3 and np.abs(late[2:-2]).mean() < 0.02
+
+
+def test_the_distance_of_two_repetitions_is_that_along_the_cheapest_path():
+    a = np.array([[0.0], [1.0], [3.0]])
+    assert warped(a, a) == 0.0 and warped(a, a[[0, 0, 1, 1, 2]]) == 0.0
+    assert np.isclose(warped(a, a + 0.25), 0.25) and np.isclose(warped(a, np.array([[0.0], [2.0]])), (0 + 1 + 1) / 3)
+
+
+def test_pairs_are_of_repetitions_of_one_cluster():
+    spans = np.array([[float(i), i + 1.0] for i in range(6)])
+    found = Found(spans[:1], np.array([False]), spans, np.array([0, 0, 1, -1, 1, 0]), np.array([1, 2, 1, 0, 2, 0]))
+    assert pairs(found) == [(0, 1), (2, 4)]
 
 
 def test_the_bench_of_speed_runs():
