@@ -22,6 +22,7 @@ class Exemplar:
     number: int
     frames: Any
     used: int = 0
+    lead: float = 0.0
 
 
 @dataclass
@@ -80,13 +81,28 @@ class Paths:
 
 
 class Reference:
-    """Feed `run` a recording (n, features); `frames` are the parameters in frames, named as in operators/segmentation/layout.py."""
+    """Feed `run` a recording (n, features); `frames` are the parameters in frames, named as in operators/segmentation/layout.py.
 
-    def __init__(self, x: Any, frames: dict[str, int], share: float, radius: float | None = None) -> None:
+    mirrored, firsts  the mirror images (n, features), if there are any, and which features are the first of a pair
+    """
+
+    def __init__(
+        self,
+        x: Any,
+        frames: dict[str, int],
+        share: float,
+        radius: float | None = None,
+        mirrored: Any = None,
+        firsts: Any = None,
+    ) -> None:
         self.good = np.isfinite(x).all(1)
         self.x = np.array(x, float)
         for i in np.flatnonzero(~self.good):
             self.x[i] = self.x[i - 1] if i else 0.0
+        self.mirrored, self.firsts = mirrored, firsts
+        if mirrored is not None:
+            self.mirrored = np.array(mirrored, float)
+            self.mirrored[~self.good | ~np.isfinite(mirrored).all(1)] = np.nan
         self.p, self.share, self.fixed = frames, share, radius
         self.radius, self.band = radius or 0.0, frames["BAND_MOST"]
         self.events: list[Event] = []
@@ -197,7 +213,9 @@ class Reference:
         return self.returned or self.repeated > self.now
 
     def forget(self) -> None:
-        self.count = self.cycles = 0
+        self.count = self.cycles = self.bouts = 0
+        self.bout: list[tuple[int, int]] = []
+        self.kinds = [0, 0, 0, 0]
         self.pending: tuple[int, int] | None = None
         self.cluster = -1
 
@@ -208,8 +226,8 @@ class Reference:
         self.tell("begin", self.start, self.activity)
 
     def stretch(self, last: int, forced: int) -> None:
-        self.tell("primitive", self.untold, last, self.activity, 0, -1, forced)
-        self.tell("activity", self.untold, last, self.activity, 0, -1, 2 + forced)
+        self.tell("primitive", self.untold, last, self.activity, 0, -1, forced, 0)
+        self.tell("activity", self.untold, last, self.activity, 0, -1, forced, 0)
         self.activity += 1
 
     def under_way(self, t: int) -> bool:
@@ -239,9 +257,10 @@ class Reference:
             assert self.paths
             self.pending = (self.pending[0], min(self.pending[1], last))
             self.settle(last if last - self.pending[1] <= self.paths.slack else self.pending[1])
+        self.close_bout()
         if self.pieces <= last:
             self.piece(last, forced)
-        self.tell("activity", self.start, last, self.activity, self.cycles, self.cluster, forced)
+        self.tell("activity", self.start, last, self.activity, self.cycles, self.cluster, forced, self.how())
         self.activity += 1
         self.open, self.when = False, 0
         self.seed = self.untold = last + 1
@@ -274,7 +293,8 @@ class Reference:
             slot = self.keep(origin, length)
         found = self.use(slot)
         if self.told and self.cycles and found.number != self.cluster:
-            self.tell("activity", self.start, self.pieces - 1, self.activity, self.cycles, self.cluster, 0)
+            self.close_bout()
+            self.tell("activity", self.start, self.pieces - 1, self.activity, self.cycles, self.cluster, 0, self.how())
             self.activity += 1
             self.seed = self.untold = self.pieces
             self.told = False
@@ -354,6 +374,7 @@ class Reference:
         if q.best is None and i - since > q.slack + 2 * len(q.frames) + q.patience:
             if self.pending:
                 self.settle(self.pending[1])
+            self.close_bout()
             self.paths, self.origin = None, max(self.pieces, i - self.p["LAG"])
 
     def accept(self) -> None:
@@ -370,6 +391,8 @@ class Reference:
         elif self.pending:
             until = self.pending[1]
             self.settle(start - 1 if start - 1 - until <= q.slack else min(until, start - 1))
+            if start - self.bout[-1][1] - 1 > len(q.frames):
+                self.close_bout()
         self.last = max(self.last, end)
         start = max(start, self.pieces)
         if start > self.pieces:
@@ -387,7 +410,13 @@ class Reference:
         self.pending, self.cycles, self.pieces = None, self.cycles + 1, last + 1
         if self.cycles > 1:
             self.repeated = self.now + 1 + self.p["WINDOW"]
-        self.tell("primitive", first, last, self.activity, self.cycles, self.cluster, 0)
+        self.bout.append((first, last))
+        kind, half = self.symmetry(first, last + 1)
+        self.kinds[kind] += 1
+        side = self.leader(first, half, last + 1) if half >= 0 else 0
+        steps = [(first, half - 1, side), (half, last, 3 - side)] if side else [(first, last, 0)]
+        for a, b, whose in steps:
+            self.tell("primitive", a, b, self.activity, self.cycles, self.cluster, 0, whose)
         other = self.alike(first, last)
         if other >= 0:
             here, there = self.exemplars[self.slot], self.exemplars[other]
@@ -399,8 +428,20 @@ class Reference:
             self.exemplars[other] = None
 
     def piece(self, last: int, forced: bool) -> None:
-        self.tell("primitive", self.pieces, last, self.activity, 0, -1, forced)
+        self.tell("primitive", self.pieces, last, self.activity, 0, -1, forced, 0)
         self.pieces = last + 1
+
+    def close_bout(self) -> None:
+        """Repetitions that followed one another without a pause as long as a cycle."""
+        if self.bout:
+            self.bouts += 1
+            (first, _), (_, last) = self.bout[0], self.bout[-1]
+            self.tell("bout", first, last, self.activity, self.bouts, len(self.bout), self.cluster)
+            self.bout = []
+
+    def how(self) -> int:
+        """The open activity's symmetry: that of most of its repetitions."""
+        return max((1, 2, 3), key=lambda kind: self.kinds[kind]) if any(self.kinds[1:]) else 0
 
     # Clusters
 
@@ -424,10 +465,53 @@ class Reference:
     def keep(self, first: int, length: int) -> int:
         empty = [slot for slot, exemplar in enumerate(self.exemplars) if exemplar is None]
         slot = empty[0] if empty else min(range(MOST_CLUSTERS), key=lambda k: self.exemplars[k].used)  # type: ignore[union-attr]
-        self.exemplars[slot] = Exemplar(self.clusters, self.x[first : first + length].copy())
+        frames = self.x[first : first + length].copy()
+        self.exemplars[slot] = Exemplar(self.clusters, frames)
         self.clusters += 1
         self.use(slot)
         return slot
+
+    def symmetry(self, first: int, stop: int) -> tuple[int, int]:
+        """How a cycle's mirror image fits: 1 at once, 2 half a cycle later, 3 not, 0 not known; at 2 also where the second step begins."""
+        at_once = self.to_mirror(first, stop)
+        if np.isnan(at_once):
+            return 0, -1
+        half = self.second_step(first, stop)
+        exemplar = self.exemplars[self.slot]
+        assert exemplar
+        if half >= 0 and (exemplar.lead or self.to_other_step(first, half, stop) <= TRUSTS * self.radius):
+            return 2, half
+        return (1 if at_once <= self.radius else 3), -1
+
+    def leader(self, first: int, half: int, stop: int) -> int:
+        """1, if the first of each pair moves more in the first steps of the cluster's cycles so far than in the second ones; else 2."""
+        exemplar = self.exemplars[self.slot]
+        assert exemplar
+        own, other = ((np.diff(y[first:stop, self.firsts > 0], axis=0) ** 2).sum(1) for y in (self.x, self.mirrored))
+        more, cut = own - other, half - first - 1
+        exemplar.lead += float(more[:cut].sum() - more[cut:].sum())
+        return 1 if exemplar.lead >= 0 else 2
+
+    def second_step(self, first: int, stop: int) -> int:
+        """From where on, in its middle third, a cycle is the mirror image of what it was until then; -1: it is not."""
+        third = -(-(stop - first) // 3)
+        far = {m: self.to_other_step(first, m, stop) for m in range(first + max(1, third), stop - third + 1)}
+        half = min(far, key=lambda m: far[m], default=-1)
+        return half if half >= 0 and far[half] < 0.6 * self.to_mirror(first, stop) else -1
+
+    def to_mirror(self, first: int, stop: int) -> float:
+        if self.mirrored is None:
+            return np.nan
+        return self.mean_apart(np.arange(first, stop), np.arange(first, stop))
+
+    def to_other_step(self, first: int, middle: int, stop: int) -> float:
+        c, n = np.arange((stop - first) // 2), (stop - first) // 2
+        return self.mean_apart(first + c * (middle - first) // n, middle + c * (stop - middle) // n)
+
+    def mean_apart(self, rows: Any, images: Any) -> float:
+        """Mean distance of frames to the mirror images of others."""
+        self.back = max(self.back, self.now - int(rows[0]))
+        return float(np.sqrt(((self.x[rows] - self.mirrored[images]) ** 2).mean(1)).mean())
 
     def use(self, slot: int) -> Exemplar:
         self.clock += 1

@@ -11,6 +11,7 @@ from operators.segmentation.found import read_found
 from operators.segmentation.scores import score
 from operators.segmentation.truth import Truth, read_truth
 from stream import cli
+from stream.recording import Recording
 
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"
 DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
@@ -43,6 +44,31 @@ def test_muscles_of_a_simulated_walk_repeat_once_a_stride(tmp_path):
     found = read_found(tmp_path / "walk")
     strides = np.diff(found.primitives[found.repetition > 0], axis=1)
     assert len(strides) >= 8 and 0.9 < np.median(strides) < 1.3
+
+
+def test_exercises_of_a_simulated_person_are_told_apart_by_their_symmetry(tmp_path):
+    fast = ("--set", "mocap.realtime=false", "--set", "mocap.duration_s=65")
+    kinegraph("run", CONFIGS / "segment_mocap.yaml", *fast, "--view", "none", "-o", tmp_path / "move")
+    with Recording.open(next(tmp_path.glob("move*"))) as recording:
+        told = {
+            name: np.concatenate([entry[0].data for entry in recording.entries(f"segment.{name}")])
+            for name in ("activity", "primitive")
+        }
+        zero = min(s.first for s in recording.streams.values() if s.role == "input" and s.first is not None)
+    routine, expected = Routine(Exerciser()), {"arms": 1, "squat": 1, "knees": 2, "wave": 3}
+    for number, exercise in enumerate(EXERCISES):
+        starts = routine.starts(number) * 1e9 + zero
+        actions, parts = (
+            e[(e["onset"] < starts[-1]) & (e["end"] > starts[0]) & (e["cluster"] >= 0)] for e in told.values()
+        )
+        done = [a["symmetry"] for a in actions if starts[0] < (a["onset"] + a["end"]) / 2 < starts[-1]]
+        assert done == [expected[exercise]]
+        steps = parts[parts["side"] > 0]
+        assert (len(steps) >= 8) == (exercise == "knees")
+        for step in steps[steps["onset"] >= starts[0]]:
+            times = np.linspace(step["onset"], min(step["end"], starts[-1]), 20)
+            share = np.interp(times, starts, np.arange(len(starts))) % 1.0
+            assert (np.sin(2 * np.pi * share).sum() > 0) == (step["side"] == 1)  # the left knee is raised first
 
 
 @needs_data

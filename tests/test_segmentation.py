@@ -14,6 +14,7 @@ from reference import Event, Reference
 from devices.simulators.walking_limb import Limb
 from operators.features.stack import Stack
 from operators.iir import Lowpass
+from operators.features.mirror import Mirror
 from operators.resample import Resample
 from operators.segmentation import Segment
 from stream.chunk import Chunk, StreamSpec
@@ -23,27 +24,35 @@ from stream.operator import Operator, grid
 RATE = 30.0
 QUICK: dict[str, Any] = {"cycle_s": 4.0, "learn_s": 3.0, "window_s": 12.0, "firm_s": 4.0}
 FIELDS = {
-    "activity": ("onset", "end", "activity", "repetitions", "cluster", "forced"),
-    "primitive": ("onset", "end", "activity", "repetition", "cluster", "forced"),
+    "activity": ("onset", "end", "activity", "repetitions", "cluster", "forced", "symmetry"),
+    "primitive": ("onset", "end", "activity", "repetition", "cluster", "forced", "side"),
+    "bout": ("onset", "end", "activity", "bout", "repetitions", "cluster"),
     "begin": ("onset", "activity"),
     "count": ("activity", "count"),
     "merge": ("cluster", "into"),
     "provisional": ("onset", "end", "activity", "repetition"),
     "radius": (),
 }
-FINAL = ("activity", "primitive", "begin", "merge")
+FINAL = ("activity", "primitive", "bout", "begin", "merge")
 
 
-def played(operator: Operator[Any], x: Any, pieces: int = 1) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The events and their stamps, by output, of a recording (n, features) at 30 Hz that comes in so many pieces."""
+def played(
+    operator: Operator[Any], x: Any, pieces: int = 1, mirror: Mirror | None = None
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The events and their stamps, by output, of a recording (n, features) at 30 Hz that comes in so many pieces, or with a mirror."""
     operator = operator.fresh()
-    specs = operator.open({"in": StreamSpec(x.shape[1:], rate_hz=RATE)})
+    spec = StreamSpec(x.shape[1:], rate_hz=RATE)
+    specs = operator.open({"in": spec} | ({"mirrored": mirror.open({"in": spec})["out"]} if mirror else {}))
     time, found = (
         grid(RATE, len(x)),
         {name: ([np.empty(0, spec.dtype)], [np.empty(0, np.int64)]) for name, spec in specs.items()},
     )
     emitted = []
-    for part in np.array_split(np.arange(len(x)), pieces):
+    for part in np.array_split(np.arange(len(x)), len(x) if mirror else pieces):
+        if mirror:
+            emitted += operator.process(
+                "mirrored", mirror.process("in", Chunk(time[part], x[part], int(time[part][-1])))
+            )
         emitted += operator.process("in", Chunk(time[part], x[part], int(time[part][-1])))
     for name, chunk in [*emitted, *(operator.close() or [])]:
         found[name][0].append(chunk.data)
@@ -74,11 +83,9 @@ def frames_of(operator: Segment) -> dict[str, int]:
 
 
 def told(reference: list[Event]) -> dict[str, list[Event]]:
-    """The reference's events by output; whether an activity was forced without what else its last number says."""
+    """The reference's events by output."""
     found: dict[str, list[Event]] = {name: [] for name in FIELDS}
     for kind, *rest in reference:
-        if kind == "activity":
-            rest[-1] &= 1
         found[kind].append(tuple(rest))
     return found
 
@@ -195,6 +202,100 @@ def test_an_action_that_is_met_again_is_cut_at_the_same_phase_and_has_the_same_c
     phases = np.concatenate([frames[frames < 320], frames[frames >= 640] - 13])
     assert len(phases) >= 15
     assert (np.abs((phases - phases[1] + 20) % 40 - 20) <= 6).all()
+
+
+SIDES = Mirror(swap=(("0", "2"), ("1", "3")), negate=("4",), sides=True)
+
+
+def walking(strides: int, length: int = 40, seed: int = 0, phase: float = 0.5) -> Any:
+    """The two sides do the same (0, 1 and 2, 3), the second one so much of a cycle later; the trunk sways (4) and bobs (5): (n, 6).
+
+    A side swings in the second half of its cycle: there it moves most.
+    """
+    rng = np.random.default_rng(seed)
+    turn = np.cumsum(1.0 + 0.2 * np.sin(np.arange(strides * length) * 0.03)) / length
+
+    def leg(at: Any) -> Any:
+        at = at % 1.0
+        return np.where(at < 0.5, 1.0 - 2.0 * at, 2.0 * at - 1.0), np.where(
+            at < 0.5, 0.0, np.sin(2 * np.pi * (at - 0.5))
+        )
+
+    sway = 0.5 * np.cos(2 * np.pi * turn) if phase else np.zeros(len(turn))
+    x = np.stack([*leg(turn), *leg(turn + phase), sway, 0.2 * np.cos(4 * np.pi * turn)], 1)
+    noisy: Any = x + 0.02 * rng.normal(size=x.shape)
+    return noisy
+
+
+def mirror_images(x: Any) -> tuple[Any, Any]:
+    """The mirror images, and which features are the first of a pair."""
+    return x[:, [2, 3, 0, 1, 4, 5]] * [1.0, 1.0, 1.0, 1.0, -1.0, 1.0], np.array([1, 1, 0, 0, 0, 0])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_live_events_with_a_mirror_are_the_references(seed: int) -> None:
+    between = np.cumsum(np.random.default_rng(seed).normal(size=(90, 6)) * 0.15, 0)
+    x = np.concatenate([walking(7, seed=seed), between, walking(6, seed=seed, phase=0.0), motion(seed, bad=True)[:200]])
+    operator = Segment(**QUICK)
+    for n in (len(x), len(x) // 2):
+        images, firsts = mirror_images(x[:n])
+        reference = Reference(x[:n], frames_of(operator), operator.radius_share, None, images, firsts)
+        assert as_frames(x[:n], *played(operator, x[:n], mirror=SIDES)) == told(reference.run())
+
+
+def test_strides_are_refined_into_the_steps_of_both_sides() -> None:
+    length = 40
+    x = walking(12, length)
+    plain, _ = played(Segment(**QUICK), x)
+    events, _ = played(Segment(**QUICK), x, mirror=SIDES)
+    assert (events["activity"]["symmetry"][events["activity"]["repeats"]] == 2).all()
+    assert np.array_equal(events["activity"]["repetitions"], plain["activity"]["repetitions"])
+    steps = events["primitive"][events["primitive"]["side"] > 0]
+    strides = plain["primitive"][plain["primitive"]["repetition"] > 0]
+    assert len(steps) >= 2 * len(strides) - 1 and len(strides) >= 10
+    assert np.isin(strides["onset"], steps["onset"]).all() and set(plain["primitive"]["side"]) == {0}
+    assert (np.diff(steps["side"]) != 0).all()
+    second = steps["side"][1:] == 3 - steps["side"][0]
+    share = (steps["onset"][1:][second] - steps["onset"][:-1][second]) / np.median(np.diff(strides["onset"]))
+    assert np.median(np.abs(share - 0.5)) < 0.08
+    first, last = (np.searchsorted(grid(RATE, len(x)), steps[name]) for name in ("onset", "end"))
+    moved = np.cumsum(np.append(0.0, (np.diff(x[:, :2], axis=0) ** 2 - np.diff(x[:, 2:4], axis=0) ** 2).sum(1)))
+    assert (((moved[last] - moved[first]) > 0) == (steps["side"] == 1)).mean() > 0.9
+
+
+@pytest.mark.parametrize(("phase", "symmetry"), [(0.0, 1), (0.5, 2), (0.2, 3)])
+def test_both_sides_at_once_or_in_turn_or_not_alike(phase: float, symmetry: int) -> None:
+    events, _ = played(Segment(**QUICK), walking(8, phase=phase), mirror=SIDES)
+    actions = events["activity"][events["activity"]["repeats"]]
+    assert len(actions) == 1 and actions["symmetry"][0] == symmetry
+    assert (events["primitive"]["side"] > 0).any() == (symmetry == 2)
+
+
+def test_final_events_with_a_mirror_are_a_prefix_and_late_by_the_stated_bound() -> None:
+    x = walking(9)
+    whole, stamps = played(Segment(**QUICK), x, mirror=SIDES)
+    for n in range(100, len(x), 61):
+        part, when = played(Segment(**QUICK), x[:n], mirror=SIDES)
+        for name in FINAL:
+            free = part[name][when[name] < grid(RATE, n)[-1]]
+            assert np.array_equal(free, whole[name][: len(free)])
+    steps = whole["primitive"]["side"] > 0
+    late = (stamps["primitive"][steps] - whole["primitive"]["end"][steps])[6:]
+    assert (late <= (2.75 + 0.5) * 45 / RATE * 1e9).all()
+
+
+def test_repetitions_with_pauses_between_them_come_in_bouts() -> None:
+    wave = circling(3, 30)[120:-120]
+    rest = wave[-1] + np.random.default_rng(2).normal(size=(70, 4)) * 0.03 + np.sin(np.arange(70) * np.pi / 69)[:, None]
+    x = np.concatenate([np.concatenate([wave, rest]) for _ in range(5)])
+    events, stamps = played(Segment(**QUICK), x)
+    bouts = events["bout"][events["bout"]["repetitions"] > 1]
+    assert len(bouts) >= 4 and (bouts["end"] - bouts["onset"] <= 100 / RATE * 1e9).all()
+    assert (stamps["bout"] - events["bout"]["end"] <= 3.0 * 34 / RATE * 1e9)[1:].all()
+    for action in events["activity"][events["activity"]["repeats"]]:
+        mine = events["bout"][events["bout"]["activity"] == action["activity"]]
+        assert mine["bout"].tolist() == list(range(1, len(mine) + 1))
+        assert mine["repetitions"].sum() == action["repetitions"]
 
 
 @pytest.mark.parametrize("kind", ["walk", "noise", "still"])

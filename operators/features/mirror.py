@@ -44,7 +44,8 @@ class Mirror(Operator[MirrorState]):
     sides   whether the first of each pair is the left one. If not, or where nothing is said, results say A and B, not left and right
 
     Without `swap` and `negate` a pose's own pairs are used (operators.features.pose.Pose). A channel may stand in one pair. Stacked
-    features keep their offsets: ankle_l.x[-10] and ankle_r.x[-10]. The output's `meta["sides"]` is "LR", or "AB" where sides are not known.
+    features keep their offsets: ankle_l.x[-10] and ankle_r.x[-10]. The output's `meta["sides"]` is "LR", or "AB" where sides are not known;
+    `meta["firsts"]` names the first of each pair.
     """
 
     swap: tuple[tuple[str, str], ...] = param((), help="[channel, channel]: they change places")
@@ -76,10 +77,11 @@ class Mirror(Operator[MirrorState]):
         ]
         sign = np.array([-1.0 if plain in turned else 1.0 for plain in bare])
         self.hold(MirrorState(np.array(source, np.int64), sign))
-        return {"out": out.derive(meta={**spec.meta, "mirrored": True, "sides": "LR" if sided else "AB"})}
+        facts = {"mirrored": True, "sides": "LR" if sided else "AB", "firsts": list(couples)[::2]}
+        return {"out": out.derive(meta={**spec.meta, **facts})}
 
     def _couples(self, names: list[str]) -> dict[str, str]:
-        """Who takes whose place, both ways."""
+        """Who takes whose place, both ways; the first of each pair before the second."""
         found: dict[str, str] = {}
         for i, (first, second) in enumerate(self.swap):
             for a in self._named(f"swap[{i}]", first, names):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from operators.segmentation.bouts import close_bout
 from operators.segmentation.cycles import cycle_length
-from operators.segmentation.distances import choose_radius, insert, mark
+from operators.segmentation.distances import choose_radius, insert, mark, reflect
 from operators.segmentation.events import stamp, tell
+from operators.segmentation.final import how, piece, settle, stretch, tell_start
 from operators.segmentation.layout import (
     ACTIVITY,
     ACTIVITY_EVENT,
@@ -13,6 +15,7 @@ from operators.segmentation.layout import (
     BELIEVED_EVENT,
     BEST_END,
     BEST_START,
+    BOUT,
     CLUSTER,
     COUNT,
     CYCLES,
@@ -55,13 +58,9 @@ from operators.segmentation.layout import (
 from operators.segmentation.repetitions import (
     accept,
     explore,
-    piece,
     search_from,
-    settle,
     slack,
-    stretch,
     take_up,
-    tell_start,
     under_way,
 )
 from stream.chunk import Samples, Times
@@ -72,8 +71,10 @@ ROOM = 1024
 
 
 @kernel
-def follow(s: Memory, x: Samples, time: Times, first: int, gap: bool) -> int:
+def follow(s: Memory, x: Samples, mirrored: Samples, time: Times, first: int, gap: bool) -> int:
     """Work through frames `x` (n, features) with stamps `time` (n,) from row `first` on, while there is room for events.
+
+    mirrored  (n, features)  their mirror images; NaN: not known. (0, features): there are none
 
     `gap`: what is open ends before row `first`. Returns the row to go on with; EVENTS rows were written.
     """
@@ -83,7 +84,10 @@ def follow(s: Memory, x: Samples, time: Times, first: int, gap: bool) -> int:
         s.books[NOW] = time[i]
         if gap and i == first:
             end(s)
-        step(s, insert(s, x[i], time[i]))
+        t = insert(s, x[i], time[i])
+        if mirrored.shape[0]:
+            reflect(s, t, mirrored[i])
+        step(s, t)
         i += 1
     return i
 
@@ -163,7 +167,8 @@ def begin(s: Memory) -> None:
         i -= 1
     b[BEGUN], b[TOLD], b[RETURNED] = 1, 0, 0
     b[START] = first
-    b[COUNT] = b[PENDING] = b[CYCLES] = 0
+    b[COUNT] = b[PENDING] = b[CYCLES] = b[BOUT] = 0
+    s.kinds[:] = 0
     b[CLUSTER] = -1
     search_from(s, first)
     b[DONE] = first - 1
@@ -202,6 +207,7 @@ def finish(s: Memory, forced: bool) -> None:
     if b[PENDING]:
         b[TO] = min(b[TO], last)
         settle(s, last if last - b[TO] <= slack(b[LENGTH]) else b[TO])
+    close_bout(s)
     if b[PIECES_FROM] <= last:
         piece(s, last, forced)
     tell(
@@ -212,7 +218,7 @@ def finish(s: Memory, forced: bool) -> None:
         b[ACTIVITY],
         b[CYCLES],
         b[CLUSTER],
-        forced,
+        how(s) + forced,
     )
     b[ACTIVITY] += 1
     b[OPEN] = b[BEGUN] = b[ROWS] = 0

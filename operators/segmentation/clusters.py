@@ -5,11 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from operators.segmentation.cycles import GAIN, advance, columns
-from operators.segmentation.layout import CLOCK, NEXT_CLUSTER, RADIUS, TURN, Memory
+from operators.segmentation.layout import (
+    CLOCK,
+    NEXT_CLUSTER,
+    NUMBER,
+    RADIUS,
+    SIZE,
+    TURN,
+    USED,
+    Memory,
+)
 from stream.kernel import kernel
-
-NUMBER, SIZE, USED, SEEN = range(4)
-"""Columns of `clusters`."""
 
 
 @kernel
@@ -44,7 +50,7 @@ def recognise(s: Memory, first: int, last: int, length: int) -> int:
 
 @kernel
 def keep(s: Memory, first: int, length: int) -> int:
-    """Frames first, ... are the exemplar of a new cluster; its slot. The one that was not used for longest makes room if there is none."""
+    """`length` frames from `first` on are the exemplar of a new cluster; its slot. The one that was not used for longest makes room."""
     slot = 0
     for k in range(s.clusters.shape[0]):
         if s.clusters[k, NUMBER] < 0:
@@ -58,7 +64,7 @@ def keep(s: Memory, first: int, length: int) -> int:
             s.exemplars[slot, d, c] = s.frames[d, (first + c) % ring]
     s.clusters[slot, NUMBER] = s.books[NEXT_CLUSTER]
     s.clusters[slot, SIZE] = length
-    s.clusters[slot, SEEN] = 0
+    s.leads[slot] = 0.0
     s.books[NEXT_CLUSTER] += 1
     use(s, slot)
     return slot

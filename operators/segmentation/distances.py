@@ -67,6 +67,17 @@ def insert(s: Memory, x: Samples, stamp: int) -> int:
 
 
 @kernel
+def reflect(s: Memory, t: int, image: Samples) -> None:
+    """`image` (features,) is the mirror image of frame `t`; not known where a value is not finite, or the frame was bad."""
+    good = s.near[t % s.near.shape[0]] != 2
+    for d in range(image.shape[0]):
+        good = good and math.isfinite(image[d])
+    row = s.mirrored[t % s.mirrored.shape[0]]
+    for d in range(image.shape[0]):
+        row[d] = image[d] if good else math.nan
+
+
+@kernel
 def between(s: Memory, i: int, j: int) -> float:
     """Distance of two frames of the window."""
     ring = s.times.shape[0]

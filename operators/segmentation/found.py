@@ -23,7 +23,8 @@ class Found:
     """Segments in order, seconds from the recording's start; every end is the next one's start where nothing lies between.
 
     activities  (n, 2)   start and end; `transition` (n,): a short stretch between two others
-    primitives  (m, 2)   start and end; `cluster` (m,), -1: none; `repetition` (m,), 0: no repetition
+    primitives  (m, 2)   start and end; `cluster` (m,), -1: none; `repetition` (m,), 0: no repetition; `second` (m,): the second step of
+                         the same repetition as the one before
     features, time       what was segmented, if it was recorded: (frames, width), (frames,)
     own                  of stacked features, the first column of offset 0, and the one after its last
     radius               in which neighbours were looked for, in the features' unit; NaN: not known
@@ -38,6 +39,16 @@ class Found:
     time: Samples = field(default_factory=lambda: np.empty(0))
     own: tuple[int, int] = (0, 0)
     radius: float = np.nan
+    second: Array | None = None
+
+    def repetitions(self) -> Samples:
+        """Start and end of each repetition (k, 2); a left and a right step are one."""
+        within = self.repetition > 0
+        spans = self.primitives[within]
+        if self.second is None or not len(spans):
+            return spans
+        first = np.flatnonzero(~self.second[within])
+        return np.stack([spans[first, 0], spans[np.append(first[1:] - 1, len(spans) - 1), 1]], 1)
 
     def boundaries(self) -> Samples:
         """Where activities meet; a transition between two others counts once, in its middle, and one at an end not at all."""
@@ -81,12 +92,25 @@ def read_found(path: Path, node: str = "", features: str = "") -> Found:
             _spans(primitive, zero),
             merged(primitive["cluster"], zip(merges["cluster"], merges["into"], strict=True) if len(merges) else ()),
             primitive["repetition"].astype(np.int64),
+            second=second_steps(primitive),
         )
         if features:
             made.time, made.features, made.own = _signal(recording, features, zero)
             if len(radii):
                 made.radius = float(radii["radius"][-1]) * np.sqrt(made.features.shape[1])
     return made
+
+
+def second_steps(primitive: Array) -> Array | None:
+    """Which primitives are the second step of the same repetition as the one before; None where sides are not told."""
+    if "side" not in (primitive.dtype.names or ()):
+        return None
+    second = np.zeros(len(primitive), bool)
+    before, after = primitive[:-1], primitive[1:]
+    second[1:] = (after["side"] > 0) & (before["side"] == 3 - after["side"])
+    for name in ("activity", "repetition"):
+        second[1:] &= before[name] == after[name]
+    return second
 
 
 def merged(cluster: Array, merges: Iterable[tuple[int, int]]) -> Array:

@@ -14,7 +14,7 @@ NAMES = [
     "NEXT", "SINCE", "SEED", "UNTOLD", "UNTOLD_AT", "BAND", "RADIUS_AT", "ROWS", "OPEN", "OPENED", "LAST", "BEGUN",
     "RETURNED", "REPEATED", "START", "START_AT", "ACTIVITY",
     "MODE", "ORIGIN", "DONE", "SLOT", "LENGTH", "FREE", "BEST_START", "BEST_END", "COUNT", "PENDING", "FROM", "TO", "CYCLES",
-    "PIECES_FROM", "PIECES_AT", "TOLD_TO",
+    "PIECES_FROM", "PIECES_AT", "TOLD_TO", "BOUT", "BOUT_COUNT", "BOUT_AT", "BOUT_TO", "BOUT_END",
     "CLUSTER", "NEXT_CLUSTER", "CLOCK", "TURN", "EVENTS", "TOLD", "NOW",
 ]  # fmt: skip
 (
@@ -22,7 +22,7 @@ NAMES = [
     NEXT, SINCE, SEED, UNTOLD, UNTOLD_AT, BAND, RADIUS_AT, ROWS, OPEN, OPENED, LAST, BEGUN,
     RETURNED, REPEATED, START, START_AT, ACTIVITY,
     MODE, ORIGIN, DONE, SLOT, LENGTH, FREE, BEST_START, BEST_END, COUNT, PENDING, FROM, TO, CYCLES,
-    PIECES_FROM, PIECES_AT, TOLD_TO,
+    PIECES_FROM, PIECES_AT, TOLD_TO, BOUT, BOUT_COUNT, BOUT_AT, BOUT_TO, BOUT_END,
     CLUSTER, NEXT_CLUSTER, CLOCK, TURN, EVENTS, TOLD, NOW,
 ) = range(len(NAMES))  # fmt: skip
 """
@@ -55,6 +55,9 @@ PENDING, FROM, TO         whether a repetition waits for its end; its path
 PIECES_FROM, PIECES_AT    first frame of the activity not yet told as a primitive, and its stamp
 TOLD_TO                   stamp of the frame before that
 CYCLES                    repetitions of the open activity, told
+BOUT, BOUT_COUNT          bouts of the open activity that were told; repetitions in the one under way
+BOUT_AT, BOUT_TO          its first repetition's onset and its last one's end, stamps
+BOUT_END                  the frame of that end
 CLUSTER, NEXT_CLUSTER     cluster of the pending repetition; number of the next new one
 CLOCK, TURN               counts uses of exemplars; whose turn it is to be compared
 EVENTS, NOW               rows written to the table of events; the stamp of what is decided now
@@ -64,9 +67,14 @@ RADIUS, BEST, FACTOR, PRICE = range(4)
 """Places in `values`: the radius, the best path's mean distance, the radius as a share of the median distance, the
 pending repetition's mean distance."""
 
-ACTIVITY_EVENT, PRIMITIVE_EVENT, BEGIN_EVENT, COUNT_EVENT, MERGE_EVENT, RADIUS_EVENT, BELIEVED_EVENT = range(7)
+(
+    ACTIVITY_EVENT, PRIMITIVE_EVENT, BEGIN_EVENT, COUNT_EVENT, MERGE_EVENT, RADIUS_EVENT, BELIEVED_EVENT, BOUT_EVENT,
+) = range(8)  # fmt: skip
 EVENT_WIDTH = 8
 """A row of the table of events: kind, stamp of the decision, then what the kind has; see operator.py."""
+
+NUMBER, SIZE, USED = range(3)
+"""Columns of `clusters`."""
 
 MOST_CLUSTERS = 24
 
@@ -83,7 +91,11 @@ class Memory(NamedTuple):
     begin      (2, LAG + 1)        the frame where that path starts
     scratch    (LAG + 1,)          distances of a frame to the exemplar's
     exemplars  (clusters, features, LAG)
-    clusters   (clusters, 4)       number (-1: free), length, last use, repetitions seen
+    clusters   (clusters, 3)       number (-1: free), length, last use
+    mirrored   (ring, features)    mirror images of frames, by number modulo ring; NaN: not known. (0, features) where there are none
+    firsts     (features,)         1: the first of a pair that changes places in the mirror
+    leads      (clusters,)         how much more the firsts have moved in the first steps of a cluster's cycles than in the second ones
+    kinds      (4,)                repetitions of the open activity by their symmetry
     books, values                  the numbers named above
     events     (m, EVENT_WIDTH)    what a call leads to; radii (m,): the radius of that moment. Not part of the state
     """
@@ -98,6 +110,10 @@ class Memory(NamedTuple):
     scratch: Samples
     exemplars: Samples
     clusters: Times
+    mirrored: Samples
+    firsts: Times
+    leads: Samples
+    kinds: Times
     books: Times
     values: Samples
     events: Times
@@ -118,6 +134,10 @@ class Remembered:
     scratch: Samples
     exemplars: Samples
     clusters: Times
+    mirrored: Samples
+    firsts: Times
+    leads: Samples
+    kinds: Times
     books: Times
     values: Samples
 
@@ -132,8 +152,10 @@ class Remembered:
         return memory.events[:made], memory.radii[:made]
 
 
-def allocate(width: int, frames: dict[str, int], radius: float | None, factor: float) -> Remembered:
-    """Nothing seen yet. `frames`: the numbers LAG to EVERY, by name."""
+def allocate(
+    width: int, frames: dict[str, int], radius: float | None, factor: float, firsts: Times | None = None
+) -> Remembered:
+    """Nothing seen yet. `frames`: the numbers LAG to EVERY, by name. `firsts`: where frames have a mirror image."""
     lag = frames["LAG"]
     ring = max(frames["WINDOW"], 5 * lag + frames["FIRM"] + 64)
     rows = 3 * lag + frames["FIRM"] + 64
@@ -143,8 +165,8 @@ def allocate(width: int, frames: dict[str, int], radius: float | None, factor: f
     books[FIXED] = radius is not None
     books[BAND] = frames["BAND_MOST"]
     books[[BEST_START, BEST_END]] = -1
-    clusters = np.zeros((MOST_CLUSTERS, 4), np.int64)
-    clusters[:, 0] = -1
+    clusters = np.zeros((MOST_CLUSTERS, 3), np.int64)
+    clusters[:, NUMBER] = -1
     return Remembered(
         frames=np.zeros((width, 2 * ring)),
         times=np.zeros(ring, np.int64),
@@ -156,6 +178,10 @@ def allocate(width: int, frames: dict[str, int], radius: float | None, factor: f
         scratch=np.zeros(lag + 1),
         exemplars=np.zeros((MOST_CLUSTERS, width, lag)),
         clusters=clusters,
+        mirrored=np.full((0 if firsts is None else ring, width), np.nan),
+        firsts=np.zeros(width, np.int64) if firsts is None else firsts,
+        leads=np.zeros(MOST_CLUSTERS),
+        kinds=np.zeros(4, np.int64),
         books=books,
         values=np.array([0.0 if radius is None else radius, np.inf, factor, np.inf]),
     )

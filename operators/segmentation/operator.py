@@ -8,12 +8,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from operators.channels import names_of
 from operators.continuity import Continuity, numeric, regular, rows, samples_in, watch
+from operators.features.mirror import STACKED
 from operators.segmentation.activities import ROOM, end, follow
+from operators.segmentation.final import SIDED, SYMMETRIC
 from operators.segmentation.layout import (
     ACTIVITY_EVENT,
     BEGIN_EVENT,
     BELIEVED_EVENT,
+    BOUT_EVENT,
     COUNT_EVENT,
     EVENT_WIDTH,
     EVENTS,
@@ -31,9 +35,18 @@ from stream.params import param
 
 SPAN = [("onset", "<i8"), ("end", "<i8"), ("activity", "<i8")]
 ACTIVITY = np.dtype(
-    [*SPAN, ("repeats", "?"), ("cluster", "<i8"), ("repetitions", "<i4"), ("transition", "?"), ("forced", "?")]
+    [
+        *SPAN,
+        ("repeats", "?"),
+        ("cluster", "<i8"),
+        ("repetitions", "<i4"),
+        ("transition", "?"),
+        ("forced", "?"),
+        ("symmetry", "<i4"),
+    ]
 )
-PRIMITIVE = np.dtype([*SPAN, ("repetition", "<i4"), ("cluster", "<i8"), ("forced", "?")])
+PRIMITIVE = np.dtype([*SPAN, ("repetition", "<i4"), ("cluster", "<i8"), ("forced", "?"), ("side", "<i4")])
+BOUT = np.dtype([*SPAN, ("bout", "<i4"), ("repetitions", "<i4"), ("cluster", "<i8")])
 BEGIN = np.dtype([("onset", "<i8"), ("activity", "<i8")])
 COUNT = np.dtype([("activity", "<i8"), ("count", "<i4")])
 MERGE = np.dtype([("cluster", "<i8"), ("into", "<i8")])
@@ -42,6 +55,7 @@ RADIUS = np.dtype([("radius", "<f8")])
 OUTPUTS = {
     "activity": (ACTIVITY, ACTIVITY_EVENT),
     "primitive": (PRIMITIVE, PRIMITIVE_EVENT),
+    "bout": (BOUT, BOUT_EVENT),
     "begin": (BEGIN, BEGIN_EVENT),
     "count": (COUNT, COUNT_EVENT),
     "merge": (MERGE, MERGE_EVENT),
@@ -53,21 +67,29 @@ OUTPUTS = {
 
 @dataclass(slots=True)
 class SegmentState(Continuity):
-    """memory: see layout.py; longest: ns, of a transition."""
+    """memory: see layout.py; longest: ns, of a transition; mirrored: the newest mirror image (features,), if any; its stamp."""
 
     memory: Remembered
     longest: int
+    mirrored: Samples
+    mirrored_at: int
 
 
 @dataclass(frozen=True, slots=True)
 class Segment(Operator[SegmentState]):
     """Features in (features,), stacked as a rule; actions, their repetitions, and which of them are alike out, as the motion goes on.
 
+    in           features
+    mirrored     input, optional: the same through operators.features.mirror.Mirror, for `side` and `symmetry`
     activity     final, one after another without holes: onset, end (ns; the stamp of the last frame that belongs to it), activity (its
                  number, from 0), repeats (whether repetitions were found), cluster (of its last repetition; -1: none), repetitions,
-                 transition (a stretch between activities no longer than `transition_s`), forced (ended by a gap or the end of the stream)
+                 transition (a stretch between activities no longer than `transition_s`), forced (ended by a gap or the end of the stream),
+                 symmetry (of most of its repetitions; 1: both sides do the same at once, 2: in turn, 3: not; 0: not known)
     primitive    final: onset, end, activity, repetition (1, 2, ...; 0: a part that is none, or an activity that does not repeat), cluster
-                 (-1: none), forced
+                 (-1: none), forced, side. A repetition in which the sides take turns is told as two steps of the same number, with
+                 side 1 (where more moves in the first of each pair: left, or A) and 2; else side is 0
+    bout         final: repetitions that follow one another without a pause longer than their cycle: onset, end, activity, bout (1, 2, ...
+                 in the activity), repetitions (in it), cluster
     begin        final: onset of an activity that goes on, `settle_s` to `firm_s` after it was noticed
     count        at once: activity, and how many repetitions have come in it so far, this one included
     merge        two clusters are found to be one: from now on `cluster` is `into`, the older one. Clusters never split
@@ -83,12 +105,14 @@ class Segment(Operator[SegmentState]):
 
     radius_share  of the median distance between frames of the window: the radius, while no activity is open; `radius` fixes it
 
-    A repetition is final at the latest 2.75 cycles after its end. Memory, in numbers, with times in frames: 8 cycle_s^2 +
-    2 features window_s, and 24 exemplars of cycle_s frames. A frame with a bad value has no neighbour. A gap longer than `reset_gap_s`
-    ends what is open; exemplars are kept.
-    Source: thesis, 2.3 and 2.5. Departures: docs/segmentation.md.
+    A repetition and its steps are final at the latest 2.75 cycles after its end, a bout 3. Memory, in numbers, with times in frames:
+    8 cycle_s^2 + 2 features window_s (mirrored: 3), and 24 exemplars of cycle_s frames. A frame with a bad value has no neighbour. A gap
+    longer than `reset_gap_s` ends what is open; exemplars are kept.
+    Source: thesis, 2.3 to 2.5. Departures: docs/segmentation.md.
     """
 
+    inputs: ClassVar[tuple[str, ...]] = ("mirrored", "in")
+    optional: ClassVar[tuple[str, ...]] = ("mirrored",)
     outputs: ClassVar[tuple[str, ...]] = tuple(OUTPUTS)
     departures: ClassVar[dict[str, str]] = {
         "time": "what the end of the stream forces to close is stamped with the newest frame, so time is promised up to there only",
@@ -134,11 +158,14 @@ class Segment(Operator[SegmentState]):
         frames = {name: samples_in(parameter, value, rate_hz) for name, (parameter, value) in seconds.items()}
         frames["LEARN"] = max(2, frames["LEARN"])
         frames["EVERY"] = max(1, round(0.5 * rate_hz))
+        firsts = _firsts(spec, specs["mirrored"]) if "mirrored" in specs else None
         self.hold(
             SegmentState(
                 **watch(spec, reset_gap_s=self.reset_gap_s),
-                memory=allocate(spec.shape[0], frames, self.radius, self.radius_share),
+                memory=allocate(spec.shape[0], frames, self.radius, self.radius_share, firsts),
                 longest=round(self.transition_s * 1e9),
+                mirrored=np.full(0 if firsts is None else spec.shape[0], np.nan),
+                mirrored_at=NEVER,
             )
         )
         unit = spec.units[0] if len(set(spec.units)) == 1 else ""
@@ -152,16 +179,23 @@ class Segment(Operator[SegmentState]):
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
         s = self.state
+        if port == "mirrored":
+            if len(chunk):
+                s.mirrored, s.mirrored_at = rows(chunk.data, s.width)[-1].copy(), int(chunk.time[-1])
+            return []
         if not len(chunk):
             return self._emitted([], chunk.until if s.last == NEVER else min(chunk.until, s.last - 1), 0)
         gap = bool(chunk.lost) and s.last != NEVER and s.breaks(chunk)
         s.last = int(chunk.time[-1])
         x = rows(chunk.data, s.width)
+        images = np.full((len(x) if len(s.mirrored) else 0, s.width), np.nan)
+        if len(images):
+            images[chunk.time == s.mirrored_at] = s.mirrored
         tables: list[tuple[Times, Samples]] = []
         done = 0
         while done < len(x):
             memory = s.memory.with_room(4 * ROOM)
-            done = follow(memory, x, chunk.time, done, gap and not done)
+            done = follow(memory, x, images, chunk.time, done, gap and not done)
             tables.append(s.memory.told(memory))
         return self._emitted(tables, min(chunk.until, s.last - 1), -1 if chunk.lost else 0)
 
@@ -196,6 +230,10 @@ class Segment(Operator[SegmentState]):
         if dtype == ACTIVITY:
             events["repeats"] = events["repetitions"] > 1
             events["transition"] = (table[:, 5] & 2 > 0) & (events["end"] - events["onset"] <= self.state.longest)
+            events["symmetry"] = table[:, 5] // SYMMETRIC
+        if dtype == PRIMITIVE:
+            events["side"] = table[:, 5] // SIDED
+        if dtype in (ACTIVITY, PRIMITIVE):
             events["forced"] = table[:, 5] & 1
         return events
 
@@ -211,12 +249,33 @@ class Segment(Operator[SegmentState]):
         x += 0.03 * rng.normal(size=x.shape)
         motion = {"in": (StreamSpec((4,), rate_hz=30.0, units=("rad",)), time, x)}
         quick = {"cycle_s": 3.0, "learn_s": 3.0, "window_s": 15.0}
-        return [Case(cls(**quick), motion, least=20), Case(cls(radius=0.5, **quick), motion, least=20)]  # type: ignore[arg-type]
+        spec = motion["in"][0]
+        image = spec.derive(meta={"mirrored": True, "firsts": ["0", "1"]})
+        sided = {"mirrored": (image, time, np.roll(x, 2, axis=1)), **motion}
+        return [
+            Case(cls(**quick), motion, least=20),  # type: ignore[arg-type]
+            Case(cls(radius=0.5, **quick), motion, least=20),  # type: ignore[arg-type]
+            Case(cls(**quick), sided, least=20),  # type: ignore[arg-type]
+        ]
+
+
+def _firsts(spec: StreamSpec, mirrored: StreamSpec) -> Times:
+    """Per feature: 1 for the first of a pair that changes places in the mirror, of a stack at offset 0 only. Raises InputError."""
+    same = mirrored.shape == spec.shape and mirrored.rate_hz == spec.rate_hz and mirrored.channels == spec.channels
+    if not same or not mirrored.meta.get("mirrored"):
+        raise InputError(
+            "mirrored", mirrored.describe(), "the features of 'in', of the same rate, through operators.features.mirror.Mirror"
+        )
+    firsts = set(mirrored.meta["firsts"])
+    names = names_of(spec)
+    own = any(name.endswith("[+0]") for name in names)
+    return np.array([STACKED.sub("", n) in firsts and (not own or n.endswith("[+0]")) for n in names], np.int64)
 
 
 COLUMNS: dict[np.dtype[Any], tuple[str, ...]] = {
     ACTIVITY: ("onset", "end", "activity", "repetitions", "cluster"),
-    PRIMITIVE: ("onset", "end", "activity", "repetition", "cluster", "forced"),
+    PRIMITIVE: ("onset", "end", "activity", "repetition", "cluster"),
+    BOUT: ("onset", "end", "activity", "bout", "repetitions", "cluster"),
     BEGIN: ("onset", "activity"),
     COUNT: ("activity", "count"),
     MERGE: ("cluster", "into"),

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from operators.segmentation.clusters import NUMBER, SIZE, alike, keep, recognise, use
+from operators.segmentation.bouts import close_bout, part
+from operators.segmentation.clusters import keep, recognise, use
 from operators.segmentation.cycles import GAIN, LONGEST, begin_tracking, cycle_length, patience, release, sum_up, track
 from operators.segmentation.events import stamp, tell
+from operators.segmentation.final import how, piece, settle, tell_start
 from operators.segmentation.layout import (
     ACTIVITY,
     ACTIVITY_EVENT,
-    BEGIN_EVENT,
     BELIEVED_EVENT,
     BEST,
     BEST_END,
     BEST_START,
+    BOUT,
     CLUSTER,
     COUNT,
     COUNT_EVENT,
@@ -23,19 +25,17 @@ from operators.segmentation.layout import (
     LAG,
     LAST,
     LENGTH,
-    MERGE_EVENT,
     MODE,
-    NEXT,
+    NUMBER,
     ORIGIN,
     PENDING,
     PIECES_AT,
     PIECES_FROM,
     PRICE,
-    PRIMITIVE_EVENT,
     RADIUS,
-    REPEATED,
     SEARCH,
     SEED,
+    SIZE,
     SLOT,
     START,
     START_AT,
@@ -45,7 +45,6 @@ from operators.segmentation.layout import (
     TRACK,
     UNTOLD,
     UNTOLD_AT,
-    WINDOW,
     Memory,
 )
 from stream.kernel import kernel
@@ -122,12 +121,14 @@ def look_back(s: Memory, i: int, start: int) -> int:
 def change(s: Memory, origin: int) -> None:
     """Another cycle than before: the activity ends with its last repetition, and another begins."""
     b = s.books
-    tell(s, ACTIVITY_EVENT, b[START_AT], b[TOLD_TO], b[ACTIVITY], b[CYCLES], b[CLUSTER], 0)
+    close_bout(s)
+    tell(s, ACTIVITY_EVENT, b[START_AT], b[TOLD_TO], b[ACTIVITY], b[CYCLES], b[CLUSTER], how(s))
     b[ACTIVITY] += 1
     b[SEED] = b[UNTOLD] = b[PIECES_FROM]
     b[UNTOLD_AT] = b[PIECES_AT]
     b[START], b[TOLD] = max(origin, b[SEED]), 0
-    b[COUNT] = b[PENDING] = b[CYCLES] = 0
+    b[COUNT] = b[PENDING] = b[CYCLES] = b[BOUT] = 0
+    s.kinds[:] = 0
     b[CLUSTER] = -1
 
 
@@ -154,6 +155,7 @@ def pursue(s: Memory, i: int) -> None:
     if b[BEST_END] < 0 and i - since > slack(length) + LONGEST * length + patience(length):
         if b[PENDING]:
             settle(s, b[TO])
+        close_bout(s)
         search_from(s, max(b[PIECES_FROM], i - b[LAG]))
         for j in range(b[ORIGIN], i + 1):
             sum_up(s, j)
@@ -179,6 +181,7 @@ def accept(s: Memory) -> None:
         b[COUNT] -= 1
     elif b[PENDING]:
         settle(s, start - 1 if start - 1 - b[TO] <= slack(b[LENGTH]) else min(b[TO], start - 1))
+        part(s, start)
     b[LAST] = max(b[LAST], end)
     start = max(start, b[PIECES_FROM])
     if start > b[PIECES_FROM]:
@@ -188,44 +191,6 @@ def accept(s: Memory) -> None:
     b[CLUSTER] = s.clusters[b[SLOT], NUMBER]
     b[COUNT] += 1
     release(s)
-
-
-@kernel
-def settle(s: Memory, last: int) -> None:
-    """The pending repetition ends at `last`: it is told, and compared with another cluster's exemplar."""
-    b = s.books
-    b[CYCLES] += 1
-    if b[CYCLES] > 1:
-        b[REPEATED] = b[NEXT] + b[WINDOW]
-    b[PENDING] = 0
-    tell(s, PRIMITIVE_EVENT, stamp(s, b[FROM]), stamp(s, last), b[ACTIVITY], b[CYCLES], b[CLUSTER], 0)
-    told_to(s, last)
-    slot = b[SLOT]
-    other = alike(s, slot, b[FROM], last)
-    if other >= 0:
-        gone, stays = (slot, other) if s.clusters[slot, NUMBER] > s.clusters[other, NUMBER] else (other, slot)
-        tell(s, MERGE_EVENT, s.clusters[gone, NUMBER], s.clusters[stays, NUMBER], 0, 0, 0, 0)
-        if gone == slot:
-            s.clusters[slot, NUMBER], s.clusters[other, NUMBER] = s.clusters[other, NUMBER], -1
-            b[CLUSTER] = s.clusters[slot, NUMBER]
-        else:
-            s.clusters[other, NUMBER] = -1
-
-
-@kernel
-def told_to(s: Memory, last: int) -> None:
-    """Primitives are told up to frame `last`."""
-    b = s.books
-    b[TOLD_TO] = stamp(s, last)
-    b[PIECES_FROM], b[PIECES_AT] = last + 1, s.times[(last + 1) % s.times.shape[0]]
-
-
-@kernel
-def piece(s: Memory, last: int, forced: bool) -> None:
-    """A part of an activity that is no repetition."""
-    b = s.books
-    tell(s, PRIMITIVE_EVENT, b[PIECES_AT], stamp(s, last), b[ACTIVITY], 0, -1, forced)
-    told_to(s, last)
 
 
 @kernel
@@ -248,30 +213,3 @@ def under_way(s: Memory, t: int) -> bool:
 
 HOLDS = 0.8
 """A path under way keeps an activity open while its mean distance is at most this share of the radius."""
-
-
-@kernel
-def tell_start(s: Memory) -> None:
-    """The activity's start is decided; what lies before it is a stretch of its own."""
-    b = s.books
-    first = b[START]
-    b[START_AT] = b[UNTOLD_AT] if first == b[UNTOLD] else s.times[first % s.times.shape[0]]
-    b[TOLD] = 1
-    if first > b[UNTOLD]:
-        stretch(s, first - 1, False)
-    b[PIECES_FROM], b[PIECES_AT] = first, b[START_AT]
-    tell(s, BEGIN_EVENT, b[START_AT], b[ACTIVITY], 0, 0, 0, 0)
-
-
-STRETCH = 2
-"""Added to `forced` in an activity's event that is a stretch between activities."""
-
-
-@kernel
-def stretch(s: Memory, last: int, forced: bool) -> None:
-    """What lies between activities, from UNTOLD to `last`, repeats nothing: one primitive."""
-    b = s.books
-    onset, stop = b[UNTOLD_AT], s.times[last % s.times.shape[0]]
-    tell(s, PRIMITIVE_EVENT, onset, stop, b[ACTIVITY], 0, -1, forced)
-    tell(s, ACTIVITY_EVENT, onset, stop, b[ACTIVITY], 0, -1, STRETCH + forced)
-    b[ACTIVITY] += 1

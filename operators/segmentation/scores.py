@@ -109,7 +109,7 @@ def frame_accuracy(cuts: Samples, truth: Truth, length_s: float) -> tuple[float,
 
 def repetition_errors(found: Found, truth: Truth) -> Array:
     """|found - counted| per annotated action, or of the whole where only key points are annotated."""
-    middle = found.primitives.mean(axis=1)[found.repetition > 0]
+    middle = found.repetitions().mean(axis=1)
     if len(truth.keys) and not np.isfinite(truth.repetitions).any():
         return np.array([abs(len(middle) - len(truth.keys))])
     errors = []
@@ -136,7 +136,7 @@ def distance_and_overlap(found: Found, truth: Truth) -> tuple[float, float]:
 
 def key_phase(found: Found, truth: Truth) -> tuple[float, float]:
     """The circular mean of the key points' places in their repetitions, and its circular standard deviation, in shares of a repetition."""
-    spans = found.primitives[found.repetition > 0]
+    spans = found.repetitions()
     places = [(key - start) / (end - start) for key in truth.keys for start, end in spans if start <= key < end]
     if not places:
         return np.nan, np.nan

@@ -1,0 +1,44 @@
+"""Repetitions that follow one another without a pause as long as one of them: the bout, a second level between action and repetition."""
+
+from __future__ import annotations
+
+from operators.segmentation.events import tell
+from operators.segmentation.layout import (
+    ACTIVITY,
+    BOUT,
+    BOUT_AT,
+    BOUT_COUNT,
+    BOUT_END,
+    BOUT_EVENT,
+    BOUT_TO,
+    CLUSTER,
+    LENGTH,
+    Memory,
+)
+from stream.kernel import kernel
+
+
+@kernel
+def join(s: Memory, onset: int, end: int, last: int) -> None:
+    """A repetition is told, with these stamps; it ended with frame `last`."""
+    b = s.books
+    if not b[BOUT_COUNT]:
+        b[BOUT_AT] = onset
+    b[BOUT_COUNT] += 1
+    b[BOUT_TO], b[BOUT_END] = end, last
+
+
+@kernel
+def part(s: Memory, start: int) -> None:
+    """The next repetition starts with frame `start`: if that is more than a cycle later, the bout is over."""
+    if start - s.books[BOUT_END] - 1 > s.books[LENGTH]:
+        close_bout(s)
+
+
+@kernel
+def close_bout(s: Memory) -> None:
+    b = s.books
+    if b[BOUT_COUNT]:
+        b[BOUT] += 1
+        tell(s, BOUT_EVENT, b[BOUT_AT], b[BOUT_TO], b[ACTIVITY], b[BOUT], b[BOUT_COUNT], b[CLUSTER])
+        b[BOUT_COUNT] = 0

@@ -1,0 +1,132 @@
+"""What is final of an activity is told: its start, its repetitions or their steps, and what is none."""
+
+from __future__ import annotations
+
+from operators.segmentation.bouts import join
+from operators.segmentation.clusters import alike
+from operators.segmentation.events import stamp, tell
+from operators.segmentation.layout import (
+    ACTIVITY,
+    ACTIVITY_EVENT,
+    BEGIN_EVENT,
+    CLUSTER,
+    CYCLES,
+    FROM,
+    MERGE_EVENT,
+    NEXT,
+    NUMBER,
+    PENDING,
+    PIECES_AT,
+    PIECES_FROM,
+    PRIMITIVE_EVENT,
+    REPEATED,
+    SLOT,
+    START,
+    START_AT,
+    TOLD,
+    TOLD_TO,
+    UNTOLD,
+    UNTOLD_AT,
+    WINDOW,
+    Memory,
+)
+from operators.segmentation.symmetry import leader, symmetry
+from stream.kernel import kernel
+
+
+@kernel
+def settle(s: Memory, last: int) -> None:
+    """The pending repetition ends at `last`: it is told, and compared with another cluster's exemplar."""
+    b = s.books
+    b[CYCLES] += 1
+    if b[CYCLES] > 1:
+        b[REPEATED] = b[NEXT] + b[WINDOW]
+    b[PENDING] = 0
+    join(s, stamp(s, b[FROM]), stamp(s, last), last)
+    slot = b[SLOT]
+    kind, half = symmetry(s, slot, b[FROM], last + 1)
+    s.kinds[kind] += 1
+    if half >= 0:
+        side = leader(s, slot, b[FROM], half, last + 1)
+        tell_step(s, b[FROM], half - 1, side)
+        tell_step(s, half, last, 3 - side)
+    else:
+        tell_step(s, b[FROM], last, 0)
+    told_to(s, last)
+    other = alike(s, slot, b[FROM], last)
+    if other >= 0:
+        gone, stays = (slot, other) if s.clusters[slot, NUMBER] > s.clusters[other, NUMBER] else (other, slot)
+        tell(s, MERGE_EVENT, s.clusters[gone, NUMBER], s.clusters[stays, NUMBER], 0, 0, 0, 0)
+        if gone == slot:
+            s.clusters[slot, NUMBER], s.clusters[other, NUMBER] = s.clusters[other, NUMBER], -1
+            b[CLUSTER] = s.clusters[slot, NUMBER]
+        else:
+            s.clusters[other, NUMBER] = -1
+
+
+@kernel
+def tell_step(s: Memory, first: int, last: int, side: int) -> None:
+    """A repetition, or one side's step of it, is told."""
+    b = s.books
+    tell(s, PRIMITIVE_EVENT, stamp(s, first), stamp(s, last), b[ACTIVITY], b[CYCLES], b[CLUSTER], SIDED * side)
+
+
+SIDED = 2
+"""Times the side: added to `forced` in a primitive's event."""
+
+
+@kernel
+def how(s: Memory) -> int:
+    """The activity's symmetry, that of most of its repetitions, as it is told with `forced`."""
+    most = 0
+    for kind in range(1, 4):
+        if s.kinds[kind] > (s.kinds[most] if most else 0):
+            most = kind
+    return SYMMETRIC * most
+
+
+SYMMETRIC = 4
+"""Times the symmetry: added to `forced` in an activity's event."""
+
+
+@kernel
+def told_to(s: Memory, last: int) -> None:
+    """Primitives are told up to frame `last`."""
+    b = s.books
+    b[TOLD_TO] = stamp(s, last)
+    b[PIECES_FROM], b[PIECES_AT] = last + 1, s.times[(last + 1) % s.times.shape[0]]
+
+
+@kernel
+def piece(s: Memory, last: int, forced: bool) -> None:
+    """A part of an activity that is no repetition."""
+    b = s.books
+    tell(s, PRIMITIVE_EVENT, b[PIECES_AT], stamp(s, last), b[ACTIVITY], 0, -1, forced)
+    told_to(s, last)
+
+
+@kernel
+def tell_start(s: Memory) -> None:
+    """The activity's start is decided; what lies before it is a stretch of its own."""
+    b = s.books
+    first = b[START]
+    b[START_AT] = b[UNTOLD_AT] if first == b[UNTOLD] else s.times[first % s.times.shape[0]]
+    b[TOLD] = 1
+    if first > b[UNTOLD]:
+        stretch(s, first - 1, False)
+    b[PIECES_FROM], b[PIECES_AT] = first, b[START_AT]
+    tell(s, BEGIN_EVENT, b[START_AT], b[ACTIVITY], 0, 0, 0, 0)
+
+
+STRETCH = 2
+"""Added to `forced` in an activity's event that is a stretch between activities."""
+
+
+@kernel
+def stretch(s: Memory, last: int, forced: bool) -> None:
+    """What lies between activities, from UNTOLD to `last`, repeats nothing: one primitive."""
+    b = s.books
+    onset, stop = b[UNTOLD_AT], s.times[last % s.times.shape[0]]
+    tell(s, PRIMITIVE_EVENT, onset, stop, b[ACTIVITY], 0, -1, forced)
+    tell(s, ACTIVITY_EVENT, onset, stop, b[ACTIVITY], 0, -1, STRETCH + forced)
+    b[ACTIVITY] += 1
