@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.segmentation.found import Found, merged, read_found
+from operators.segmentation.found import Found, merged, read_found, second_steps
 from operators.segmentation.picture import distances
 from operators.segmentation.scores import boundary_f1, covering, intervals, score
 from operators.segmentation.truth import Truth, read_truth
@@ -137,6 +137,19 @@ def recording(path):
         {},
     )
     return path
+
+
+def test_two_steps_are_one_repetition():
+    fields = [("activity", "<i8"), ("repetition", "<i4"), ("side", "<i4")]
+    told = np.array([(0, 1, 1), (0, 1, 2), (0, 2, 0), (0, 3, 2), (0, 3, 1), (0, 0, 0), (1, 1, 1), (2, 1, 2)], fields)
+    made = found([0, 80], primitives=np.arange(0, 90, 10), repetition=told["repetition"].tolist())
+    assert len(made.repetitions()) == 7
+    made.second = second_steps(told)
+    assert made.second.tolist() == [False, True, False, False, True, False, False, False]
+    assert made.repetitions().tolist() == [[0, 20], [20, 30], [30, 50], [60, 70], [70, 80]]
+    assert second_steps(told[["activity", "repetition"]]) is None
+    scores = score(made, truth([(0, 80, "walk", 5)], keys=(10.0, 40.0)))
+    assert scores.repetitions == 0 and scores.key_place == pytest.approx(0.5)
 
 
 def test_a_recording_is_read_in_seconds_from_its_start(tmp_path):

@@ -23,6 +23,7 @@ def test_pairs_change_places_and_what_points_sideways_its_sign():
     spec, made = mirror(Mirror(swap=(("arm_l", "arm_r"),), negate=("*.z",), sides=True), ANGLES, data)
     assert made[0].tolist() == [2.0, -3.0, 0.0, -1.0, -4.0]
     assert spec.channels == ANGLES.channels and spec.meta["sides"] == "LR"
+    assert spec.meta["firsts"] == ["arm_l.x", "arm_l.z"]
     again = mirror(Mirror(swap=(("arm_l", "arm_r"),), negate=("*.z",)), ANGLES, made)
     assert np.array_equal(again[1], data) and again[0].meta["sides"] == "AB"
 

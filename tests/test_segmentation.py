@@ -12,9 +12,9 @@ import pytest
 from reference import Event, Reference
 
 from devices.simulators.walking_limb import Limb
+from operators.features.mirror import Mirror
 from operators.features.stack import Stack
 from operators.iir import Lowpass
-from operators.features.mirror import Mirror
 from operators.resample import Resample
 from operators.segmentation import Segment
 from stream.chunk import Chunk, StreamSpec
@@ -354,6 +354,30 @@ def test_what_cannot_be_is_said_before_it_begins(
 ) -> None:
     with pytest.raises(error, match=says):
         Segment(**changes).open({"in": StreamSpec((4,), rate_hz=rate_hz)})
+
+
+def test_a_mirror_image_must_be_one_of_these_features() -> None:
+    spec = StreamSpec((6,), rate_hz=RATE)
+    image = SIDES.fresh().open({"in": spec})["out"]
+    Segment().open({"in": spec, "mirrored": image})
+    for other in (spec, image.derive(rate_hz=2 * RATE), image.derive(shape=(3,))):
+        with pytest.raises(InputError, match="through operators"):
+            Segment().open({"in": spec, "mirrored": other})
+
+
+def test_steps_whose_mirror_image_is_missing_have_no_side() -> None:
+    x = walking(9)
+    bad = x.copy()
+    bad[:, 2] = np.nan
+    spec, time, operator = StreamSpec((6,), rate_hz=RATE), grid(RATE, len(x)), Segment(**QUICK)
+    operator.open({"in": spec, "mirrored": SIDES.open({"in": spec})["out"]})
+    made = []
+    for i in range(len(x)):
+        part = Chunk(time[i : i + 1], bad[i : i + 1], int(time[i]))
+        operator.process("mirrored", SIDES.process("in", part))
+        made += operator.process("in", Chunk(time[i : i + 1], x[i : i + 1], int(time[i])))
+    told_parts = np.concatenate([chunk.data for name, chunk in [*made, *operator.close()] if name == "primitive"])
+    assert (told_parts["repetition"] > 0).sum() > 5 and set(told_parts["side"]) == {0}
 
 
 def test_the_counter_of_the_configuration_counts_strides_from_one_accelerometer() -> None:

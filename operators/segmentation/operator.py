@@ -264,7 +264,9 @@ def _firsts(spec: StreamSpec, mirrored: StreamSpec) -> Times:
     same = mirrored.shape == spec.shape and mirrored.rate_hz == spec.rate_hz and mirrored.channels == spec.channels
     if not same or not mirrored.meta.get("mirrored"):
         raise InputError(
-            "mirrored", mirrored.describe(), "the features of 'in', of the same rate, through operators.features.mirror.Mirror"
+            "mirrored",
+            mirrored.describe(),
+            "the features of 'in', of the same rate, through operators.features.mirror.Mirror",
         )
     firsts = set(mirrored.meta["firsts"])
     names = names_of(spec)
