@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from operators.align import Align
+from operators.features.mirror import Mirror
 from operators.features.pose import Pose
 from operators.segmentation import Segment
-from operators.segmentation.found import Found, merged
+from operators.segmentation.found import Found, merged, second_steps
 from operators.segmentation.truth import Truth, read_truth
 from stream.chunk import NS, Array, Chunk, StreamSpec
 from stream.operator import Operator, grid
@@ -54,25 +55,39 @@ def regular(data: Array, rate_hz: float = RATE) -> Series:
     return Series(StreamSpec(data.shape[1:], rate_hz=rate_hz), grid(rate_hz, len(data), 0), data)
 
 
-def segment(features: Series, operator: Segment | None = None) -> Found:
+def segment(features: Series, operator: Segment | None = None, mirror: Mirror | None = None) -> Found:
     """What is found in stacked features."""
-    operator = operator or Segment()
-    found: dict[str, list[Array]] = {
-        name: [np.empty(0, spec.dtype)] for name, spec in operator.open({"in": features.spec}).items()
-    }
-    chunk = Chunk(features.stamps, features.data, int(features.stamps[-1]))
-    for name, made in [*operator.process("in", chunk), *operator.close()]:
-        found[name].append(made.data)
-    activity, primitive, merge = (np.concatenate(found[name]) for name in ("activity", "primitive", "merge"))
-    radii = np.concatenate(found["radius"])["radius"]
+    told = events(features, operator or Segment(), mirror)
+    activity, primitive, merge, radii = (told[name] for name in ("activity", "primitive", "merge", "radius"))
     return Found(
         _spans(activity, features),
         activity["transition"],
         _spans(primitive, features),
         merged(primitive["cluster"], zip(merge["cluster"].tolist(), merge["into"].tolist(), strict=True)),
         primitive["repetition"],
-        radius=float(np.median(radii)) if len(radii) else np.nan,
+        radius=float(np.median(radii["radius"])) if len(radii) else np.nan,
+        second=second_steps(primitive),
     )
+
+
+def events(features: Series, operator: Segment, mirror: Mirror | None = None) -> dict[str, Array]:
+    """Everything that the operator tells about stacked features, by output."""
+    specs = {"in": features.spec}
+    if mirror:
+        specs["mirrored"] = mirror.open(specs)["out"]
+    found = {name: [np.empty(0, spec.dtype)] for name, spec in operator.open(specs).items()}
+    whole = Chunk(features.stamps, features.data, int(features.stamps[-1]))
+    made: list[tuple[str, Chunk]] = []
+    if mirror:
+        images = mirror.process("in", whole)
+        for i in range(len(whole)):
+            operator.process("mirrored", images.part(i, i + 1))
+            made += operator.process("in", whole.part(i, i + 1))
+    else:
+        made += operator.process("in", whole)
+    for name, chunk in [*made, *operator.close()]:
+        found[name].append(chunk.data)
+    return {name: np.concatenate(parts) for name, parts in found.items()}
 
 
 def _spans(events: Array, features: Series) -> Array:

@@ -17,9 +17,11 @@ import numpy as np
 
 from bench import batch
 from bench.bundling import bundling
-from bench.motion import RATE, Series, kinect, poses, regular, segment
+from bench.motion import RATE, Series, events, kinect, poses, regular, segment
 from bench.report import Goal, Section, into_page, marks, whole
 from bench.segmentation_speed import speed
+from bench.sides import sides
+from bench.surrogates import surrogates
 from operators.emg.envelope import Envelope
 from operators.features.stack import Stack
 from operators.features.standardise import Standardise
@@ -190,7 +192,8 @@ def repetitions(folder: Path) -> Section:
         made, other = score(found, truth), score(whole_, truth)
         scores.append(made)
         others.append(other)
-        counts = [len(truth.keys), (found.repetition > 0).sum(), (whole_.repetition > 0).sum()]
+        bouts = len(events(features, Segment())["bout"])
+        counts = [len(truth.keys), (found.repetition > 0).sum(), bouts, (whole_.repetition > 0).sum()]
         places = [made.key_place, made.key_sd, other.key_sd]
         rows.append([name, *map(str, counts), *(f"{v:.2f}" for v in places)])
     errors = np.array(joined(recorded, 0))
@@ -213,6 +216,7 @@ def repetitions(folder: Path) -> Section:
         "MSRC-12",
         "annotated",
         "counted",
+        "in bouts",
         "counted, batch",
         "key point's place",
         "its circular sd",
@@ -250,6 +254,8 @@ def accuracy(*, quick: bool) -> list[Section]:
         bundling(folder),
         repetitions(folder),
         muscles(folder.parent / "emg" / "emg_santuz_tw12.npz"),
+        sides(folder),
+        surrogates(folder, draws=1 if quick else 3),
     ]
 
 

@@ -1,0 +1,59 @@
+"""Motion that does not repeat: recordings shuffled, with random phases, and noise; how many repetitions are found in it all the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from bench.motion import RATE, events, kinect, poses, regular
+from bench.report import Section
+from operators.features.stack import Stack
+from operators.segmentation import Segment
+from stream.chunk import Array
+
+PIECE_S = 0.5
+
+
+def shuffled(x: Array, rng: np.random.Generator) -> Array:
+    """Pieces of half a second in random order."""
+    size = round(PIECE_S * RATE)
+    pieces = [x[i : i + size] for i in range(0, len(x) - size + 1, size)]
+    return np.concatenate([pieces[i] for i in rng.permutation(len(pieces))])
+
+
+def phases(x: Array, rng: np.random.Generator) -> Array:
+    """The same spectrum of every channel, each of its frequencies at a random phase: a stationary noise."""
+    spectrum = np.fft.rfft(x - x.mean(0), axis=0)
+    spectrum *= np.exp(2j * np.pi * rng.random(spectrum.shape))
+    return np.fft.irfft(spectrum, len(x), axis=0) + x.mean(0)
+
+
+SURROGATES: dict[str, Callable[[Array, np.random.Generator], Array]] = {
+    "as recorded": lambda x, rng: x,
+    "pieces of 0.5 s shuffled": shuffled,
+    "random phases": phases,
+    "random walk": lambda x, rng: np.cumsum(rng.normal(size=(len(x), 8)), 0),
+}
+
+
+def surrogates(folder: Path, draws: int = 3) -> Section:
+    """Of all recordings: how many repetitions per minute, and how much of the time they fill."""
+    rows: list[list[str]] = []
+    known = [pose.data for _, _, pose, _ in poses(folder)]
+    known += [kinect(path).data for path in sorted(folder.glob("msrc12/*.npz"))]
+    for name, make in SURROGATES.items():
+        count, within, total, clean, runs = 0, 0.0, 0.0, 0, 0
+        for k, data in enumerate(known):
+            for draw in range(1 if name == "as recorded" else draws):
+                x = make(data[np.isfinite(data).all(1)], np.random.default_rng((k, draw)))
+                told = events(regular(x).through(Stack()), Segment())
+                repeats = told["primitive"][told["primitive"]["repetition"] > 0]
+                count, runs = count + len(repeats), runs + 1
+                within += float((repeats["end"] - repeats["onset"]).sum()) / 1e9
+                total += len(x) / RATE
+                clean += not len(repeats)
+        rows.append([name, f"{60 * count / total:.1f}", f"{within / total:.0%}", f"{clean} of {runs}"])
+    title = "Motion that does not repeat: what is found in it all the same"
+    return Section(title, ["", "repetitions per minute", "of the time", "recordings without any"], rows)
