@@ -184,8 +184,10 @@ class Shimmer(Source):
         yield bytes([protocol.RATE]) + protocol.divider(self.rate_hz).to_bytes(2, "little")
         if "wide_acceleration" in self.sensors:
             yield bytes([protocol.WIDE_RANGE, chips.wide_g.index(self.wide_range_g)])
+            yield bytes([protocol.WIDE_RATE, chips.wide_rate(self.true_hz)])
         if "angular_velocity" in self.sensors:
             yield bytes([protocol.GYRO_RANGE, units.GYRO_DPS.index(self.gyro_range_dps)])
+            yield bytes([protocol.GYRO_RATE, units.gyro_divider(self.true_hz)])
         if self.purpose:
             for chip, registers in enumerate(units.registers(self.purpose, self.true_hz)):
                 yield bytes([protocol.EXG, chip, 0, len(registers)]) + registers

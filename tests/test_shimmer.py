@@ -187,6 +187,12 @@ def test_the_board_tells_the_chips(board: tuple[int, int, int], newer: bool) -> 
     assert units.chips_of(bytes(board)) == (units.NEWER if newer else units.OLDER)
 
 
+def test_the_sensors_own_rates_are_not_below_the_packets() -> None:
+    assert [units.gyro_divider(hz) for hz in (512, 204.8, 51.2, 1)] == [14, 38, 155, 255]
+    assert [units.OLDER.wide_rate(hz) for hz in (1, 51.2, 204.8, 512)] == [1, 5, 7, 9]
+    assert [units.NEWER.wide_rate(hz) for hz in (1, 51.2, 204.8, 512)] == [1, 4, 6, 7]
+
+
 def test_exg_registers_and_gain() -> None:
     assert [r[0] for r in units.registers("emg", 512)] == [3, 3] and units.registers("ecg", 125)[0][0] == 0
     np.testing.assert_allclose(units.exg_uv("emg", 2), 2.42 / 12 / (2**23 - 1) * 1e6)
@@ -239,6 +245,7 @@ def test_ranges_and_ecg(board: tuple[int, int, int], code: int) -> None:
     )
     assert feed.error is None and (brain.wide_range, brain.gyro_range) == (code, 3)
     assert feed.identity["board"] == "SR{}-{}-{}".format(*board)
+    assert brain.gyro_hz >= 512 and brain.wide_hz >= 512, "set to measure as often as the packets come"
     true = brain.limb.measure(np.arange(60))
     np.testing.assert_allclose(feed.data("motion")[:60, 3:], true["angular_velocity"], atol=0.002)
     np.testing.assert_allclose(feed.data("motion")[:60, :3], true["acceleration"], atol=0.01)

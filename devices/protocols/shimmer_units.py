@@ -24,6 +24,7 @@ ALL = BLOCK * len(ORDER)
 ACROSS = (0, -1, 0, -1, 0, 0, 0, 0, -1)
 """How the low-noise accelerometer and the gyroscope sit on the board."""
 GYRO_DPS = (250, 500, 1000, 2000)
+GYRO_HZ = 8000.0
 COUNTS_PER_DPS = (131.0, 65.5, 32.8, 16.4)
 
 
@@ -35,17 +36,30 @@ class Chips:
     wide_g       the wide-range one's ranges, by the code that sets them
     wide_counts  counts per m/s2 in these ranges
     wide_sits    how it sits on the board
+    wide_hz      its own rates, by the code that sets them; 0: there is none
     """
 
     low_noise: tuple[float, float]
     wide_g: tuple[int, ...]
     wide_counts: tuple[float, ...]
     wide_sits: tuple[int, ...]
+    wide_hz: tuple[float, ...]
+
+    def wide_rate(self, rate_hz: float) -> int:
+        """The code of its slowest rate that is not below the packets', or of its fastest."""
+        enough = [code for code, hz in enumerate(self.wide_hz) if hz >= rate_hz]
+        return enough[0] if enough else len(self.wide_hz) - 1
 
 
-OLDER = Chips((2047.0, 83.0), (2, 4, 8, 16), (1631.0, 815.0, 408.0, 135.0), (-1, 0, 0, 0, 1, 0, 0, 0, -1))
+OLDER = Chips(
+    (2047.0, 83.0), (2, 4, 8, 16), (1631.0, 815.0, 408.0, 135.0), (-1, 0, 0, 0, 1, 0, 0, 0, -1),
+    (0, 1, 10, 25, 50, 100, 200, 400, 0, 1344),
+)  # fmt: skip
 """KXRB5-2042 and LSM303DLHC."""
-NEWER = Chips((2253.0, 92.0), (2, 16, 4, 8), (1671.0, 209.0, 836.0, 418.0), (0, -1, 0, 1, 0, 0, 0, 0, -1))
+NEWER = Chips(
+    (2253.0, 92.0), (2, 16, 4, 8), (1671.0, 209.0, 836.0, 418.0), (0, -1, 0, 1, 0, 0, 0, 0, -1),
+    (0, 12.5, 25, 50, 100, 200, 400, 800, 1600, 3200, 6400),
+)  # fmt: skip
 """KXTC9-2050 and LSM303AHTR, and what firmware makes to look like it (ICM-20948)."""
 NEWER_FROM = {31: 6, 36: 3, 38: 3, 47: 3, 48: 3, 49: 3}
 """By the expansion board's number (SR31, ...): the first revision that comes with them."""
@@ -80,6 +94,11 @@ class Calibration:
     def counts(self, values: Samples) -> Samples:
         """The reverse, for simulators."""
         return np.asarray(values @ (self.alignment.T * self.sensitivity) + self.offset)
+
+
+def gyro_divider(rate_hz: float) -> int:
+    """What sets the gyroscope's own rate, 8000 Hz / (1 + divider), to the slowest that is not below the packets'."""
+    return min(255, max(0, int(GYRO_HZ / rate_hz) - 1))
 
 
 def chips_of(board: bytes) -> Chips:

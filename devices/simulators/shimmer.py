@@ -20,7 +20,7 @@ from stream.params import param
 MEASURED = ("acceleration", "angular_velocity", "wide_acceleration")
 MUSCLES = ("TA", "GM", "SO", "PL")
 MOST_BEHIND_S = 10.0
-LENGTHS = {0x05: 3, 0x08: 4, 0x09: 2, 0x49: 2, 0x63: 4, 0x66: 3, 0xA3: 2}
+LENGTHS = {0x05: 3, 0x08: 4, 0x09: 2, 0x40: 2, 0x49: 2, 0x4C: 2, 0x63: 4, 0x66: 3, 0xA3: 2}
 """Bytes of the commands that have any behind the first."""
 OUTPUTS = {"acceleration": (0, 1, 2), "wide_acceleration": (4, 5, 6), "angular_velocity": (10, 11, 12),
            "exg1": (29, 30, 31), "exg2": (32, 33, 34)}  # fmt: skip
@@ -64,6 +64,8 @@ class ShimmerBrain:
         self.divider = FACTORY_TICKS
         self.channels: tuple[int, ...] = OUTPUTS["acceleration"]
         self.wide_range, self.gyro_range = 0, 1
+        self.wide_hz, self.gyro_hz = 100.0, units.GYRO_HZ / 156
+        """How often the digital sensors themselves measure; from the factory, slower than most packets."""
         self.registers = list(units.registers("emg", TICKS_HZ / FACTORY_TICKS))
         self.calibrated = {
             name: Calibration(known.offset + 3, known.sensitivity * np.array([1.01, 0.99, 1.02]), known.alignment)
@@ -114,10 +116,12 @@ class ShimmerBrain:
     def counts(self, first: int, stop: int) -> Array:
         """What the packets first..stop-1 hold (n, channels)."""
         index = np.arange(first, stop)
-        measured, made = self.limb.measure(index), np.zeros((len(index), len(self.channels)), np.int64)
+        made = np.zeros((len(index), len(self.channels)), np.int64)
+        hz = {"wide_acceleration": self.wide_hz, "angular_velocity": self.gyro_hz}
         names = [protocol.CHANNELS[c].name for c in self.channels]
         for name, channels in (("acceleration", "a"), ("wide_acceleration", "w"), ("angular_velocity", "g")):
             if channels + "x" in names:
+                measured = self.limb.measure(self._held(index, hz.get(name, np.inf)))
                 counts = self._known(name).counts(measured[name.removeprefix("wide_")])
                 at = names.index(channels + "x")
                 made[:, at : at + 3] = np.round(np.clip(counts, -32768, 32767))
@@ -127,6 +131,11 @@ class ShimmerBrain:
             elif name.startswith("status"):
                 made[:, i] = 0x80
         return made
+
+    def _held(self, index: Times, hz: float) -> Times:
+        """Of which sample a sensor of this rate shows the value: it stays until the next is measured."""
+        rate = TICKS_HZ / self.divider
+        return index if hz >= rate else np.floor(np.floor(index / rate * hz) / hz * rate).astype(np.int64)
 
     def _known(self, name: str) -> Calibration:
         """By which the sensor measures: as calibrated, but for the ranges of the factory."""
@@ -196,6 +205,10 @@ class ShimmerBrain:
                 self._configure()
             case protocol.WIDE_RANGE:
                 self.wide_range = data[0] & 3
+            case protocol.WIDE_RATE:
+                self.wide_hz = self.chips.wide_hz[data[0] % len(self.chips.wide_hz)]
+            case protocol.GYRO_RATE:
+                self.gyro_hz = units.GYRO_HZ / (1 + data[0])
             case protocol.GYRO_RANGE:
                 self.gyro_range = data[0] & 3
             case protocol.EXG:
