@@ -15,11 +15,12 @@ from devices.clock_log import ClockLog
 from devices.handshake import all_there, shown
 from devices.packet_clock import Packets
 from devices.protocols import xbus, xbus_numbers
-from devices.protocols.xbus import Decoder, Layout, Run
+from devices.protocols.xbus import Layout, Run
 from devices.stamps import runs
 from devices.tick_clock import TickClock
 from devices.timing import timing_chunk, timing_spec
 from devices.transport import Transport, connect
+from devices.xbus_talk import Talk, reason
 from stream.chunk import NS, Chunk, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
@@ -45,7 +46,6 @@ QUANTITIES: dict[Measure, Quantity] = {
     "orientation": Quantity(xbus.QUATERNION, 0, ("qw", "qx", "qy", "qz")),
 }
 
-ANSWER_S, TRIES = 1.0, 3
 SILENCE_S = 2.0
 """A sensor that was measuring and says nothing for so long is asked anew."""
 FEW_HZ = 500.0
@@ -164,7 +164,7 @@ class Mti(Source):
 
     def read(self, feed: Feed) -> None:
         with connect(self.port, self.baud) as link:
-            talk = _Talk(link, feed, self.port)
+            talk = Talk(link, feed, self.port)
             self._greet(talk, feed)
             try:
                 self._stream(link, talk, feed)
@@ -172,7 +172,7 @@ class Mti(Source):
                 with suppress(DeviceError):
                     link.write(xbus.message(xbus.GO_TO_CONFIG))
 
-    def _greet(self, talk: _Talk, feed: Feed) -> None:
+    def _greet(self, talk: Talk, feed: Feed) -> None:
         """Bring the sensor to measure what is wanted; raises DeviceError if it is not there, or cannot."""
         talk.ask(xbus.GO_TO_CONFIG)
         number = talk.ask(xbus.REQUEST_DEVICE_ID).hex().upper()
@@ -193,7 +193,7 @@ class Mti(Source):
                 offers = f"{got} Hz" if got else "nothing"
                 raise DeviceError(f"{product} on {self.port} was asked for {name} at {rate} Hz and offers {offers}")
 
-    def _stream(self, link: Transport, talk: _Talk, feed: Feed) -> None:
+    def _stream(self, link: Transport, talk: Talk, feed: Feed) -> None:
         stream = _Stream(self)
         stream.pass_on(talk.behind, feed)
         heard, clock_log = time.monotonic(), ClockLog(self.port, lambda: stream.clock.state)
@@ -232,39 +232,6 @@ def _waiting(link: Transport, first: bytes, within_s: float) -> bytes:
     return b"".join(pieces)
 
 
-class _Talk:
-    """Commands and their answers, while measurements may still be coming."""
-
-    def __init__(self, link: Transport, feed: Feed, port: str) -> None:
-        self.decoder = Decoder()
-        self.behind: list[Run] = []
-        """What came in one read with the last answer, behind it."""
-        self._link, self._feed, self._port = link, feed, port
-
-    def ask(self, mid: int, data: bytes = b"") -> bytes:
-        """Send a message; returns the data of its answer (the next higher identifier). Raises DeviceError."""
-        came = b""
-        for _ in range(TRIES):
-            self._link.write(xbus.message(mid, data))
-            deadline = time.monotonic() + ANSWER_S
-            while (rest := deadline - time.monotonic()) > 0:
-                if self._feed.stopped:
-                    raise DeviceError("stopped while waiting for an answer")
-                piece = self._link.read(min(rest, 0.1))
-                came = (came + piece)[:64]
-                came_runs = self.decoder.feed(piece).runs
-                for i, run in enumerate(came_runs):
-                    if run.mid == mid + 1:
-                        self.behind = came_runs[i + 1 :]
-                        return run.data
-                    if run.mid == xbus.ERROR and mid != xbus.GO_TO_CONFIG:
-                        raise DeviceError(f"{self._port} refused message {mid:02X}: it tells of {_reason(run)}")
-        raise DeviceError(
-            f"no answer from {self._port} within {TRIES * ANSWER_S:g} s: expected FA FF {mid + 1:02X} after message {mid:02X} "
-            f"(is it an MTi, in Xbus mode, and `baud` as set in it?); came {shown(came)}"
-        )
-
-
 class _Stream:
     """Measurements to samples: what is remembered between two reads."""
 
@@ -297,7 +264,7 @@ class _Stream:
                 self.clock.pass_by(run.integers(xbus.PACKET_COUNTER))
             elif run.mid == xbus.ERROR:
                 feed.problem("device error", len(run))
-                log.warning("MTi", says=_reason(run))
+                log.warning("MTi", says=reason(run))
             elif run.mid == xbus.WAKE_UP:
                 raise DeviceError("the sensor was switched on anew, and measures what it did when it left the factory")
         return n
@@ -327,8 +294,3 @@ def _count(n: int, packets: Packets, feed: Feed) -> None:
             feed.problem("lost packet", missing)
         if (packets.lost < 0).any():
             feed.problem("counter reset")
-
-
-def _reason(run: Run) -> str:
-    code = run.data[0] if run.data else -1
-    return xbus.ERRORS.get(code, f"error {code:#x}")

@@ -12,11 +12,12 @@ import numpy as np
 import structlog
 
 from devices.clock_log import ClockLog
-from devices.handshake import all_there, quiet, shown
+from devices.handshake import all_there, shown
 from devices.protocols import shimmer as protocol
 from devices.protocols import shimmer_units as units
 from devices.protocols.shimmer import TICKS_HZ, Decoder, Inquiry
 from devices.protocols.shimmer_units import Chips
+from devices.shimmer_talk import Talk
 from devices.stamps import Stamps, runs
 from devices.timing import timing_chunk, timing_spec
 from devices.transport import Transport, connect
@@ -37,7 +38,6 @@ EXG: dict[str, dict[str, str]] = {
 }
 """Per purpose: the channels, and which of the chips' they are."""
 
-ANSWER_S, TRIES = 2.0, 3
 SILENCE_S = 2.0
 BATTERY_S = 60.0
 LOW_BATTERY_V = 3.6
@@ -140,14 +140,14 @@ class Shimmer(Source):
 
     def read(self, feed: Feed) -> None:
         with connect(self.port) as link:
-            inquiry, calibration, chips = self._greet(_Talk(link, feed, self.port), feed)
+            inquiry, calibration, chips = self._greet(Talk(link, feed, self.port), feed)
             try:
                 self._stream(link, feed, _Stream(self, inquiry, calibration, chips))
             finally:
                 with suppress(DeviceError):
                     link.write(bytes([protocol.STOP]))
 
-    def _greet(self, talk: _Talk, feed: Feed) -> tuple[Inquiry, bytes, Chips]:
+    def _greet(self, talk: Talk, feed: Feed) -> tuple[Inquiry, bytes, Chips]:
         """Bring the device to what is wanted; raises DeviceError if it is not there, or is another."""
         talk.rest()
         version = talk.ask(bytes([protocol.FIRMWARE]), protocol.VERSION, 6)
@@ -215,35 +215,6 @@ class Shimmer(Source):
                 asked = now
                 link.write(bytes([protocol.BATTERY]))
             clock_log.tell()
-
-
-class _Talk:
-    """Commands and their answers, while the device does not measure."""
-
-    def __init__(self, link: Transport, feed: Feed, port: str) -> None:
-        self._link, self._feed, self._port = link, feed, port
-
-    def rest(self) -> None:
-        """Stop it, if it measures still."""
-        self._link.write(bytes([protocol.STOP]))
-        quiet(self._link, self._feed, 0.2, 2.0)
-
-    def ask(self, command: bytes, code: int, size: int) -> bytes:
-        """Send a command; returns its answer (see `protocol.answer_in`). Raises DeviceError."""
-        came = b""
-        for _ in range(TRIES):
-            self._link.write(command)
-            came, deadline = b"", time.monotonic() + ANSWER_S
-            while (rest := deadline - time.monotonic()) > 0:
-                if self._feed.stopped:
-                    raise DeviceError("stopped while waiting for an answer")
-                came += self._link.read(min(rest, 0.1))
-                if (found := protocol.answer_in(came, code, size)) is not None:
-                    return found
-        raise DeviceError(
-            f"no answer from {self._port} within {TRIES * ANSWER_S:g} s: expected {code:02X} after command {command[0]:02X} "
-            f"(is it a Shimmer3 with LogAndStream, on, and not docked?); came {shown(came)}"
-        )
 
 
 class _Stream:
