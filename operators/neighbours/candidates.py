@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from operators.neighbours.lanes import bits_of, lowest, number_of
+from operators.neighbours.lanes import bits_of, lowest, number_of, one
 from operators.neighbours.layout import (
     AT_NEAR,
     AT_REACH,
@@ -49,28 +49,29 @@ def gather(
     both: bool,
 ) -> tuple[np.float32, int]:
     """Keep the frames in some lanes of a tile as candidates for the nearest (d2 <= `limit`), and mark those within a radius."""
-    marked = 0
-    for _ in range(LANES):
-        if lanes == 0:
-            break
+    marked, found, room = 0, books[FOUND], 3 * books[MOST] + 64
+    frames, keys, first = books[IN_FRAMES] + tile * LANES, books[IN_KEYS], oldest(books)
+    while lanes:
         lane = lowest(lanes)
         lanes &= lanes - 1
-        slot = tile * LANES + lane
-        frame = books[books[IN_FRAMES] + slot]
+        frame = books[frames + lane]
         if abs(frame - at) <= band:
             continue
-        squared = floats[sums + lane]
+        squared = one(floats, sums + lane)
         if squared <= limit:
-            books[books[IN_KEYS] + books[FOUND]] = bits_of(squared) << 32 | (frame - oldest(books))
-            books[FOUND] += 1
-            if books[FOUND] == 3 * books[MOST] + 64:
+            books[keys + found] = bits_of(squared) << 32 | (frame - first)
+            found += 1
+            if found == room:
+                books[FOUND] = found
                 sift(books, k)
-                limit = number_of(books[books[IN_KEYS] + k - 1] >> 32)
-        if squared <= within or (both and squared <= floats[books[AT_REACH] + slot]):
+                found = books[FOUND]
+                limit = number_of(books[keys + k - 1] >> 32)
+        if squared <= within or (both and squared <= floats[books[AT_REACH] + tile * LANES + lane]):
             place = frame % (books[BLOCKS] * books[BLOCK])
             floats[books[AT_SQUARED] + place] = squared
             books[books[IN_MARKS] + place // 64] |= 1 << (place % 64)
             marked += 1
+    books[FOUND] = found
     return limit, marked
 
 

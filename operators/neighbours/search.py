@@ -15,19 +15,24 @@ import numpy as np
 
 from operators.neighbours.candidates import FARTHEST, NOTHING, gather, put_in_order
 from operators.neighbours.distance import box_distances, lanes_at_most, tile_distances
-from operators.neighbours.lanes import lowest
+from operators.neighbours.lanes import lowest, one
 from operators.neighbours.layout import (
     AT_GROUP_REACH,
     AT_GROUPS,
     AT_SCRATCH,
+    AT_TILES,
     AT_TOPS,
     AT_WARM,
+    BLOCK,
+    BLOCKS,
     FOUND,
     GROUPS,
     IN_KEYS,
     IN_NEAR,
+    IN_PLACES,
     IN_SEEN,
     IN_SUMS,
+    IN_TABLE,
     IN_WARM,
     LANES,
     NEAR,
@@ -42,7 +47,7 @@ from operators.neighbours.layout import (
     WINDOW,
     Floats,
 )
-from operators.neighbours.window import oldest, slot_of, tile_at
+from operators.neighbours.window import oldest, tile_at
 from stream.chunk import Times
 from stream.kernel import kernel
 
@@ -92,33 +97,42 @@ def visit_successors(
     Where k such frames live, none of the k nearest is farther than the farthest of them.
     """
     first, last, later = oldest(books), books[NEXT], at - books[WARM_AT]
+    bits = lowest(books[BLOCK])
+    base, turns = first >> bits, books[BLOCKS]
+    turn, mask = base % turns, books[BLOCK] - 1
+    warm, seen, table, places, keys = books[IN_WARM], books[IN_SEEN], books[IN_TABLE], books[IN_PLACES], books[IN_KEYS]
+    known, query, sums, at_tiles = books[IN_SUMS], books[QUERIES], books[AT_WARM], books[AT_TILES]
+    size = (1 + books[WIDTH]) * LANES
     tiles, successors = 0, 0
     limit = np.float32(0.0)
     for i in range(books[WARM]):
-        frame = books[books[IN_WARM] + i] + later
+        frame = books[warm + i] + later
         if not first <= frame < last:
             continue
-        slot = slot_of(books, frame)
-        tile = slot // LANES
-        if books[books[IN_SEEN] + tile] != books[QUERIES]:
-            sums = books[AT_WARM] + tiles * LANES
-            books[books[IN_SEEN] + tile] = books[QUERIES]
-            books[books[IN_SUMS] + tile] = sums
-            books[books[IN_KEYS] + tiles] = tile
-            if tile_distances(floats, books, tile_at(books, tile), FARTHEST, sums) == 0:
+        stands = turn + (frame >> bits) - base
+        stands = books[table + (stands - turns if stands >= turns else stands)]
+        slot = books[places + (stands << bits) + (frame & mask)]
+        tile = slot >> 4
+        if books[seen + tile] != query:
+            books[seen + tile] = query
+            books[known + tile] = sums
+            books[keys + tiles] = tile
+            if tile_distances(floats, books, at_tiles + tile * size, FARTHEST, sums) == 0:
                 blank(floats, sums)
             tiles += 1
-        squared = floats[books[books[IN_SUMS] + tile] + slot % LANES]
+            sums += LANES
+        squared = one(floats, books[known + tile] + (slot & 15))
         if squared <= FARTHEST and abs(frame - at) > band:
             limit = max(limit, squared)
             successors += 1
     if successors < k:
         limit = FARTHEST
     marked = 0
+    near = books[IN_NEAR]
     for i in range(tiles):
-        books[books[IN_NEAR] + i] = books[books[IN_KEYS] + i]
+        books[near + i] = books[keys + i]
     for i in range(tiles):
-        tile = books[books[IN_NEAR] + i]
+        tile = books[near + i]
         sums = books[AT_WARM] + i * LANES
         radius = max(within, floats[books[AT_GROUP_REACH] + tile // LANES]) if both else within
         lanes = lanes_at_most(floats, books, max(limit, radius), sums)
