@@ -34,7 +34,7 @@ def naive(frames: Array) -> tuple[Array, Array]:
 def test_n_and_d_are_those_of_the_thesis_on_valid_pixels() -> None:
     frames, time = noisy(90), grid(10.0, 90, 100 * NS)
     both = {"left": (0, 0, 24, 13), "right": (3, 9, 16, 23)}
-    made = play(Motion(epoch_s=2.0), frames=(SPEC, time, frames), regions=regions(int(time[0]), **both))
+    made = play(Motion(epoch_s=2.0, step_s=0.0), frames=(SPEC, time, frames), regions=regions(int(time[0]), **both))
     moved, valid = naive(frames)
     for k, (row, column, rows, columns) in enumerate(both.values()):
         part = np.s_[:, row : row + rows, column : column + columns]
@@ -54,12 +54,30 @@ def test_n_and_d_are_those_of_the_thesis_on_valid_pixels() -> None:
     assert np.allclose(maps["map"][1], expected, rtol=1e-6)
 
 
+def test_frames_half_a_second_apart_are_compared_at_any_rate() -> None:
+    """At 30 fps the same as at 2; a few frames that are missing move a look, and many cost looks."""
+    frames, spec = noisy(300), frames_spec(24, 32, 30.0)
+    moved, valid = naive(frames[::15])
+    with np.errstate(invalid="ignore"):
+        expected = moved.sum(axis=(1, 2)) / valid.sum(axis=(1, 2))
+    time = grid(30.0, 300, 100 * NS)
+    operator = Motion(epoch_s=2.0)
+    assert operator.open({"frames": spec})["out"].rate_hz == 2.0
+    made = play(operator, frames=(spec, time, frames))
+    assert np.array_equal(made["out"][1:, 0], expected) and made["map"]["frames"].tolist() == [3, 4, 4, 4, 4]
+    there = np.ones(300, np.bool_)
+    there[[45, 100]] = there[180:230] = False
+    gaps = play(operator, frames=(spec, time[there], frames[there]))["out"][:, 0]
+    assert np.array_equal(gaps[1:3], expected[:2]) and np.isnan(gaps).sum() == 2, "the first, and the one after 1.7 s"
+    assert len(gaps) == 17
+
+
 def test_flickering_pixels_are_no_movement() -> None:
     random = np.random.default_rng(1)
     frames = np.full((50, 24, 32), 2000) + random.integers(0, 2, (50, 24, 32))
     frames[random.random(frames.shape) < 0.1] = 0
     frames = frames.astype(np.uint16)
-    made = play(Motion(), frames=(SPEC, grid(10.0, 50), frames))["out"][1:, 0]
+    made = play(Motion(step_s=0.0), frames=(SPEC, grid(10.0, 50), frames))["out"][1:, 0]
     unmasked = np.abs(np.diff(frames.astype(int), axis=0)).mean(axis=(1, 2))
     assert made.max() < 0.6 and unmasked.min() > 250
 
@@ -70,17 +88,21 @@ def test_no_number_stands_where_nothing_was_seen() -> None:
     frames[20:22] = 0  # blind
     frames[30][:, 5:] = 0  # mostly blind
     time[40:] += 5 * NS
-    made = play(Motion(epoch_s=1.0), frames=(SPEC, time, frames))
+    made = play(Motion(epoch_s=1.0, step_s=0.0), frames=(SPEC, time, frames))
     unseen = np.flatnonzero(np.isnan(made["out"][:, 0])).tolist()
     assert unseen == [0, *range(10, 15), 20, 21, 22, 30, 31, 40]
-    frozen = play(Motion(epoch_s=1.0), frames=(SPEC, grid(10.0, 40, 100 * NS), frames[9:10].repeat(40, axis=0)))["map"]
+    frozen = play(
+        Motion(epoch_s=1.0, step_s=0.0), frames=(SPEC, grid(10.0, 40, 100 * NS), frames[9:10].repeat(40, axis=0))
+    )["map"]
     assert len(frozen) == 4 and not frozen["frames"].any() and np.isnan(frozen["map"]).all()
 
 
 def test_another_basis_is_no_movement() -> None:
     frames, time = noisy(30), grid(10.0, 30)
     scene = np.array([(time[12], "learned", 1.0)], SCENE)
-    made = play(Motion(), frames=(SPEC, time, frames), scene=(StreamSpec((), SCENE), scene["onset"].copy(), scene))
+    made = play(
+        Motion(step_s=0.0), frames=(SPEC, time, frames), scene=(StreamSpec((), SCENE), scene["onset"].copy(), scene)
+    )
     assert np.flatnonzero(np.isnan(made["out"][:, 0])).tolist() == [0, 12]
 
 
@@ -88,7 +110,7 @@ def test_the_greatest_changes_for_the_longest_epoch_do_not_overflow() -> None:
     rate = 2000.0
     spec = frames_spec(8, 8, rate)
     frames = np.where(np.arange(2000)[:, None, None] % 2, 65535, 1).astype(np.uint16) * np.ones((1, 8, 8), np.uint16)
-    operator = Motion(epoch_s=LONGEST_EPOCH / rate, longest_gap_s=40.0)
+    operator = Motion(epoch_s=LONGEST_EPOCH / rate, step_s=0.0, longest_gap_s=40.0)
     operator.open({"frames": spec})
     maps = []
     for k in range(30):
@@ -99,7 +121,7 @@ def test_the_greatest_changes_for_the_longest_epoch_do_not_overflow() -> None:
     made = np.concatenate(maps)
     assert made["frames"].tolist() == [59_999] and made["map"].tolist() == [[[65534.0]]]
     with pytest.raises(ParameterError, match="at most 30"):
-        Motion(epoch_s=31.0).open({"frames": spec})
+        Motion(epoch_s=31.0, step_s=0.0).open({"frames": spec})
 
 
 def test_raw_frames_are_taken_only_if_that_is_said() -> None:
@@ -113,8 +135,8 @@ def test_raw_frames_are_taken_only_if_that_is_said() -> None:
 
 def test_the_night_map_is_the_mean_over_its_frames_and_begins_anew() -> None:
     frames, time = noisy(90), grid(10.0, 90, 100 * NS)
-    maps = play(Motion(epoch_s=2.0), frames=(SPEC, time, frames))["map"]
-    spec = Motion(epoch_s=2.0).open({"frames": SPEC})["map"]
+    maps = play(Motion(epoch_s=2.0, step_s=0.0), frames=(SPEC, time, frames))["map"]
+    spec = Motion(epoch_s=2.0, step_s=0.0).open({"frames": SPEC})["map"]
     ends = np.array([(105 * NS,), (111 * NS,)], [("onset", "<i8")])
     nights = (StreamSpec((), ends.dtype, units=("ns",)), ends["onset"].copy(), ends)
     made = play(NightMap(), map=(spec, maps["end"] - 1, maps), nights=nights)["out"]

@@ -193,7 +193,7 @@ def _map(figure: Figure, axes: Axes, motion: Samples) -> None:
     bar = figure.colorbar(
         image, cax=figure.add_axes((box.x1 + 0.012, box.y0 + 0.1 * box.height, 0.014, 0.8 * box.height))
     )
-    bar.set_label("mm per frame", fontsize=6.5)
+    bar.set_label("mm", fontsize=6.5)
     bar.ax.tick_params(labelsize=6)
     bar.outline.set_linewidth(0.4)
 

@@ -2,7 +2,7 @@
 
 epochs.csv   a row per final epoch, there as soon as it was final
 night.json   everything else: what was switched, gaps, the numbers, settings
-map.npy      the night's motion map, (rows, columns) mm per frame
+map.npy      the night's motion map, (rows, columns) mm
 report.html, report.png, hypnogram.edf   drawn from the others
 """
 

@@ -30,7 +30,7 @@ BREATH = np.dtype(
     ]
 )
 """A sleeper's breath in an epoch; see `Breathing`."""
-FASTEST_TICK_HZ = 5.0
+FASTEST_TICK_HZ = 2.0
 LOWEST, HIGHEST, STEP = 6.0, 40.0, 0.5
 """Breaths per minute that are looked for."""
 BEST = 6
@@ -91,7 +91,7 @@ class Breathing(Operator[BreathingState]):
     coverage    share of the night's epochs in bed, up to this one, that have a rate; a night ends with 4 h out of bed
 
     The chest is those 6 cells of the region, off the edges, that vary most from second to second beyond their
-    noise; the rate is where their spectra together are highest (5 Hz at most, no straight line, Hann window over the epoch). An epoch
+    noise; the rate is where their spectra together are highest (2 Hz at most, no straight line, Hann window over the epoch). An epoch
     in which a cell of the region goes faster than `still_mm_s` has movement, and no rate. It finds no pauses of breath, and raises no
     alarm. No delay: the event comes with the epoch's end.
     """
@@ -266,7 +266,7 @@ class Breathing(Operator[BreathingState]):
 
 
 def _tick_ns(rate_hz: float) -> int:
-    """How long a tick is: a frame, 0.2 s at least."""
+    """How long a tick is: a frame, 0.5 s at least, so that the noise of many frames is averaged."""
     return round(NS / min(FASTEST_TICK_HZ, rate_hz))
 
 

@@ -1,4 +1,4 @@
-"""Movement in depth frames: how much each sleeper's region changes from frame to frame, and where the epoch's change was."""
+"""Movement in depth frames: how much each sleeper's region changes within half a second, and where the epoch's change was."""
 
 from __future__ import annotations
 
@@ -23,25 +23,30 @@ LONGEST_EPOCH = 60_000
 
 
 def map_of(shape: tuple[int, int]) -> np.dtype[Any]:
-    """One motion map: mean change from frame to frame (mm) of every cell in an epoch; NaN where nothing was measured."""
+    """One motion map: mean change from look to look (mm) of every cell in an epoch; NaN where nothing was measured."""
     return np.dtype([("onset", "<i8"), ("end", "<i8"), ("frames", "<i8"), ("map", "<f4", shape)])
 
 
 @dataclass(slots=True)
 class MotionState:
     """
-    last     (h, w)  the frame before, and when it was taken; NEVER: there is none to compare with
+    every    how many frames a look is after the one before; step_ns: that time; taken: when the newest one was (ns); NEVER: none yet
+    last     (h, w)  the frame that was looked at last; time: when, NEVER: there is none to compare with
     regions  (k, 4)  per sleeper: row, column, rows, columns; no rows: not known. edges: the columns where they begin and end
     sums, seen (h, w)  the open epoch's change of every pixel (mm), and how often it was measured
     begin    start of the open epoch (ns); NEVER: none is open. frames: how many were compared in it
-    gap_ns   frames farther apart are not compared
+    gap_ns   looks farther apart are not compared; gone: what the input has said is missing since the last one
     cell     side of a cell of the map, in pixels
     lost     what the next map says is missing before it
     """
 
     sleepers: list[str]
     epoch_ns: int
+    every: int
+    step_ns: int
+    taken: int
     gap_ns: int
+    gone: int
     cell: int
     last: Frame
     time: int
@@ -56,18 +61,22 @@ class MotionState:
 
 @dataclass(frozen=True, slots=True)
 class Motion(Operator[MotionState]):
-    """Simplified depth frames in; how much moves, per sleeper and frame, and where, per epoch.
+    """Simplified depth frames in; how much moves, per sleeper and look, and where, per epoch.
 
-    out  (sleepers,) float64, mm: N(t), the mean change since the frame before over the sleeper's region (thesis, eq. 4.2; stamped with
+    out  (sleepers,) float64, mm: N(t), the mean change since the look before over the sleeper's region (thesis, eq. 4.2; stamped with
          the later frame); without `regions` over the whole frame, and the channel is called "frame"
-    map  an event per epoch: D(p), the mean change from frame to frame (thesis, eq. 4.1), as means of cells of a block
+    map  an event per epoch: D(p), the mean change from look to look (thesis, eq. 4.1), as means of cells of a block
+
+    A look is a frame in `step_s`, the others are passed over. The thesis compares every frame with the next. But a limb that takes a
+    second to turn moves from one frame to the next, a thirtieth of a second later, by less than the frames' noise, and in half a second
+    by fifteen times as much, in the same noise.
 
     Only pixels that were measured in both frames count: the thesis has no such mask, but what flickers between measured and not is most
     of what changes in real frames. (The remarks on 4.1 and 4.2 are exchanged in print.) N is NaN: in the first frame, after a gap of more
     than `longest_gap_s`, in the first frame under another basis (`scene`), where less than `least_valid` of the region was measured in
     both frames, while the region is not known, and where no pixel of the whole frame has changed, for such a frame was not taken anew.
 
-    The state holds the frame before. So that no checkpoint holds a raw one, frames that were not simplified are refused, unless `raw`.
+    The state holds a frame. So that no checkpoint holds a raw one, frames that were not simplified are refused, unless `raw`.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("scene", "regions", "frames")
@@ -76,7 +85,10 @@ class Motion(Operator[MotionState]):
 
     epoch_s: float = param(30.0, above=0.0, help="length of an epoch; epochs begin at whole multiples of it since 1970")
     least_valid: float = param(0.2, above=0.0, most=1.0, help="share of the region's pixels that must be measured")
-    longest_gap_s: float = param(1.0, above=0.0, help="frames farther apart (and than 1.5 periods) are not compared")
+    step_s: float = param(
+        0.5, least=0.0, help="how far apart the frames are that are compared; 0: every frame with the next"
+    )
+    longest_gap_s: float = param(1.0, above=0.0, help="frames farther apart (and than 1.5 steps) are not compared")
     raw: bool = param(False, help="take frames that were not simplified: then checkpoints hold the newest raw frame")
 
     def open(self, specs: Specs) -> Specs:
@@ -92,9 +104,12 @@ class Motion(Operator[MotionState]):
             raise InputError(
                 "scene", specs["scene"].describe(), "the output scene of operators.depth.simplify.Simplify"
             )
-        rate_hz = regular(spec, "frames")
+        every = max(1, round(self.step_s * regular(spec, "frames")))
+        rate_hz = regular(spec, "frames") / every
         if rate_hz * self.epoch_s > LONGEST_EPOCH:
-            raise ParameterError("epoch_s", self.epoch_s, f"at most {LONGEST_EPOCH / rate_hz:g} (60000 frames)")
+            raise ParameterError(
+                "epoch_s", self.epoch_s, f"at most {LONGEST_EPOCH / rate_hz:g} ({LONGEST_EPOCH} looks)"
+            )
         sleepers = sleepers_of(specs) if "regions" in specs else ("frame",)
         height, width = spec.shape
         cell = int(simplified["block"]) if simplified else 1
@@ -103,15 +118,20 @@ class Motion(Operator[MotionState]):
             regions[0] = 0, 0, height, width
         self.hold(
             MotionState(
-                list(sleepers), round(self.epoch_s * NS), round(max(self.longest_gap_s, 1.5 / rate_hz) * NS), cell,
-                np.zeros(spec.shape, np.uint16), NEVER, regions, _edges(regions, width),
-                np.zeros(spec.shape, np.uint32), np.zeros(spec.shape, np.uint16), NEVER, 0, 0,
+                list(sleepers), round(self.epoch_s * NS), every, round(NS / rate_hz), NEVER,
+                round(max(self.longest_gap_s, 1.5 / rate_hz) * NS), 0, cell, np.zeros(spec.shape, np.uint16), NEVER, regions,
+                _edges(regions, width), np.zeros(spec.shape, np.uint32), np.zeros(spec.shape, np.uint16), NEVER, 0, 0,
             )
         )  # fmt: skip
         settling = max(s.settling_s for s in specs.values())
         meta = {key: value for key, value in spec.meta.items() if key != "sleepers"}
         out = spec.derive(
-            shape=(len(sleepers),), dtype=np.dtype(np.float64), channels=sleepers, meta=meta, settling_s=settling
+            shape=(len(sleepers),),
+            dtype=np.dtype(np.float64),
+            rate_hz=rate_hz,
+            channels=sleepers,
+            meta=meta,
+            settling_s=settling,
         )
         made = map_of((height // cell, width // cell))
         maps = StreamSpec((), made, units=("ns", "ns", "", spec.units[0]), meta={**meta, "epoch_s": self.epoch_s})
@@ -121,23 +141,27 @@ class Motion(Operator[MotionState]):
         s = self.state
         emitted: list[tuple[str, Chunk]] = []
         maps: list[tuple[Any, ...]] = []
-        out = np.empty((len(chunk.time) if port == "frames" else 0, len(s.sleepers)))
+        looks: list[tuple[int, Samples]] = []
+        lost = 0
         if port == "frames":
             if chunk.lost:
-                before = int(chunk.time[0]) - 1
+                before = int(chunk.time[0]) - 1 if len(chunk.time) else chunk.until
                 self._close_epoch(before, maps)
                 emitted.append(("map", self._maps(maps, before)))
-                maps, s.lost = [], add_lost(s.lost, chunk.lost)
+                maps, s.lost, s.gone = [], add_lost(s.lost, chunk.lost), add_lost(s.gone, chunk.lost)
             for i, time in enumerate(chunk.time.tolist()):
                 self._close_epoch(time - 1, maps)
-                self._frame(chunk.data[i], time, out[i])
+                if self._is_look(time):
+                    lost = lost if looks else self._missing(time)
+                    looks.append((time, self._look(chunk.data[i], time)))
         elif port == "scene" and len(chunk.time):
             s.time = NEVER
         elif port == "regions" and len(chunk.time):
             take(chunk.data, tuple(s.sleepers), s.regions)
             s.edges = _edges(s.regions, s.last.shape[1])
         self._close_epoch(chunk.until, maps)
-        moved = Chunk(chunk.time[: len(out)], out, chunk.until, chunk.lost if port == "frames" else 0)
+        times, moved_mm = np.array([t for t, _ in looks], np.int64), np.array([n for _, n in looks])
+        moved = Chunk(times, moved_mm.reshape(len(looks), len(s.sleepers)), chunk.until, lost)
         return [*emitted, ("out", moved), ("map", self._maps(maps, chunk.until))]
 
     def close(self) -> list[tuple[str, Chunk]]:
@@ -163,12 +187,30 @@ class Motion(Operator[MotionState]):
             "frames": (spec, time, frames),
         }
         return [
-            Case(cls(epoch_s=1.0), inputs, least=124),
-            Case(cls(epoch_s=0.5, raw=True), {"frames": (spec.derive(meta={}), time, frames)}, least=127),
+            Case(cls(epoch_s=1.0, step_s=0.0), inputs, least=124),
+            Case(cls(epoch_s=0.5, step_s=0.1, raw=True), {"frames": (spec.derive(meta={}), time, frames)}, least=47),
         ]
 
-    def _frame(self, frame: Frame, time: int, out: Samples) -> None:
+    def _is_look(self, time: int) -> bool:
+        """Whether a frame is one of those that are compared: a step after the last one, or half a frame less."""
         s = self.state
+        return s.every == 1 or s.taken == NEVER or time - s.taken >= s.step_ns - s.step_ns // (2 * s.every)
+
+    def _missing(self, time: int) -> int:
+        """How many looks are missing before the one at `time`; -1: nobody knows, or none, but it comes late."""
+        s = self.state
+        gone, s.gone = s.gone, 0
+        if s.every == 1 or not gone:
+            return gone
+        if s.taken == NEVER:
+            return -1
+        away = time - s.taken
+        return max(0, round(away / s.step_ns) - 1) or -int(away - s.step_ns > s.step_ns // (2 * s.every))
+
+    def _look(self, frame: Frame, time: int) -> Samples:
+        """N (k,) of a frame that is compared."""
+        s = self.state
+        out = np.full(len(s.sleepers), np.nan)
         if s.begin == NEVER:
             s.begin = time // s.epoch_ns * s.epoch_ns
         if s.time != NEVER and time - s.time <= s.gap_ns:
@@ -178,9 +220,9 @@ class Motion(Operator[MotionState]):
                 np.subtract(s.seen, 1, out=s.seen, where=(frame != 0) & (s.seen > 0))
                 out[:] = np.nan
         else:
-            out[:] = np.nan
             s.last[:] = frame
-        s.time = time
+        s.time = s.taken = time
+        return out
 
     def _close_epoch(self, until: int, maps: list[tuple[Any, ...]]) -> None:
         """The map of the epoch that is over by `until`."""

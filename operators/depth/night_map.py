@@ -41,7 +41,7 @@ class NightMapState:
 
 @dataclass(frozen=True, slots=True)
 class NightMap(Operator[NightMapState]):
-    """The epochs' motion maps in (`map`), one map per event of `nights` out: the mean change from frame to frame (mm) of every cell.
+    """The epochs' motion maps in (`map`), one map per event of `nights` out: the mean change from look to look (mm) of every cell.
 
     With `seen` (the output epochs of operators.depth.activity.Activity) the mean over the epochs in which nobody moved is taken off, cell
     by cell: what the frames' own noise does, and breath. Without it the edges of the bed outshine whoever lies in it, for there a pixel
