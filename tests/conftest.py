@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 
 from hypothesis import HealthCheck, settings
 
@@ -22,6 +23,9 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 settings.load_profile("kinegraph")
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+"""A shell that starts the tests in the background has interrupts ignored, also by the commands that tests start and interrupt."""
 
 os.environ["KINEGRAPH_LSL"] = f"machine:tests-{os.getpid()}"
 """No test looks for LSL streams, or shows any, beyond this computer and its own process (and those that it starts)."""

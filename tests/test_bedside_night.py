@@ -45,7 +45,7 @@ def night(folder: Path, port: int, **camera: Any) -> Path:
     nodes["log"] |= {"path": str(folder / "nights"), "timezone": "Europe/Berlin"}
     nodes["home"] |= {"broker": {"host": "127.0.0.1", "port": port}, "ledger": str(folder / "sent.json")}
     nodes["home"]["history"][0]["log"] = str(folder / "nights")
-    graph["checkpoint_s"] = 0.5
+    graph["checkpoint_s"] = 0.1  # at this pace minutes of the night
     graph["recording"] |= {"rotate_mb": 0.02, "flush_s": 0.2}
     path = folder / "bedside.yaml"
     with path.open("w") as file:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from serial.tools.list_ports_common import ListPortInfo
+from usb.backend import libusb1
 
 from devices.commands.devices import devices
 from devices.commands.record import written
@@ -83,6 +84,9 @@ def test_every_finder_of_the_house_can_be_asked() -> None:
     assert "serial" in known
     for name, finder in known.items():
         rows, failed = found.look(finder)
+        if name == "usb" and libusb1.get_backend() is None:
+            assert "libusb 1.0 is not there; install it" in failed
+            continue
         assert not failed, f"{name}: {failed}"
         assert all(row.kind and row.address and row.what for row in rows)
 

@@ -296,7 +296,7 @@ def test_several_inlets_start_together(name: str, tmp_path: Path) -> None:
         for i in range(4)
     )
     text = f"nodes:\n{nodes}\n  m: {{use: devices.lsl.LslInlet, name: {name}0 markers, markers: true}}"
-    session = Session(load_text(text), tmp_path / "s", duration_s=4.0)
+    session = Session(load_text(text), tmp_path / "s", duration_s=8.0)
     late = threading.Timer(1.0, lambda: senders.append(stack(3)))
     senders: list[Any] = []
 
