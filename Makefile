@@ -1,5 +1,6 @@
 # make demo: a treadmill session on a simulated signal, live in the terminal, with a report at the end.
 # make test: everything that is checked before a change goes in.
+# make test-peers: software written elsewhere reads what kinegraph writes; installed for the purpose.
 # Each needs Python >= 3.11 and nothing else; the environment is made in .venv.
 
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
@@ -7,7 +8,7 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 SECONDS_OF_DEMO ?= 30
 BIN := .venv/bin
 
-.PHONY: demo test bench clean
+.PHONY: demo test test-peers bench clean
 
 demo: .venv/installed
 	$(BIN)/kinegraph run configs/treadmill_emg.yaml --set treadmill.duration_s=$(SECONDS_OF_DEMO)
@@ -17,6 +18,12 @@ test: .venv/installed-for-tests
 	$(BIN)/mypy
 	cache=$$(mktemp -d) && trap 'rm -rf "$$cache"' EXIT && export KINEGRAPH_CACHE="$$cache" && \
 		$(BIN)/python -m tests.compile_kernels && $(BIN)/pytest -n 3 --dist loadgroup
+
+test-peers: .venv/installed-for-tests
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,oak,peers]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps bitalino
+	$(BIN)/pytest -n 2 --dist loadgroup tests/peers tests/test_oak.py tests/test_depthai_replay.py tests/test_simulators.py \
+		tests/test_export.py tests/test_night_log.py
 
 bench: .venv/installed-for-bench
 	$(BIN)/python -m bench --readme
