@@ -108,8 +108,6 @@ def whole_source(seconds: float) -> Section:
                 Mti(address, rate_hz=RATE_HZ, high_rate=True, baud=2_000_000, gather_s=gather_s), seconds
             )
         section.rows.append([name, short(percent), str(problems), short(together)])
-        if gather_s is None and served is _in_a_process:
-            section.goals.append(Goal("MTi at 2000 Hz over a pseudo-terminal", percent, MOST_PERCENT, "% of a core"))
     return section
 
 
