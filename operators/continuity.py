@@ -14,9 +14,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from stream.chunk import FOREVER, NEVER, NS, STAMP, Array, Chunk, Samples, StreamSpec, Times
+from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Operator
+from stream.spare import Spare
 
 
 @dataclass(slots=True)
@@ -29,6 +30,7 @@ class Continuity:
     limit_ns    the longest gap that leaves the state as it is
     delay_ns    what is subtracted from stamps
     last        stamp of the newest sample seen
+    spare       arrays for what goes out
     """
 
     plain: bool
@@ -37,6 +39,7 @@ class Continuity:
     limit_ns: int
     delay_ns: int
     last: int
+    spare: Spare
 
     def gap_ns(self, chunk: Chunk) -> int:
         """How much time is missing before a chunk that holds samples."""
@@ -81,11 +84,10 @@ class Filter(Operator[C]):
             self.rest()
         state.last = time[-1]
         x = chunk.data
-        out: Samples = np.empty((n, state.width))
+        out, stamps = state.spare.both(n)
         made = out
         if not state.plain:
             x, made = rows(x, state.width), out.reshape(x.shape)
-        stamps = np.empty(n, STAMP)
         self.work(x, time, out, stamps)
         until = chunk.until
         return Chunk(stamps, made, until if until == FOREVER else until - state.delay_ns, chunk.lost)
@@ -93,13 +95,15 @@ class Filter(Operator[C]):
 
 def watch(spec: StreamSpec, *, delay_s: float = 0.0, reset_gap_s: float = 0.0) -> dict[str, Any]:
     """The fields of `Continuity` for an input."""
+    width = int(np.prod(spec.shape, dtype=np.int64))
     return {
         "plain": spec.dtype == np.float64 and len(spec.shape) == 1,
-        "width": int(np.prod(spec.shape, dtype=np.int64)),
+        "width": width,
         "period_ns": spec.period_ns,
         "limit_ns": round(reset_gap_s * NS),
         "delay_ns": round(delay_s * NS),
         "last": NEVER,
+        "spare": Spare(width),
     }
 
 

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from operators.continuity import Continuity, numeric, regular, rows, watch
-from stream.chunk import STAMP, Chunk, Samples, Specs, StreamSpec, Times
+from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from stream.kernel import kernel
 from stream.operator import Case, Operator, grid
 from stream.params import param
@@ -71,11 +71,10 @@ class Decimate(Operator[DecimateState]):
         m = 1 + (n - first - 1) // self.every
         state.skip = first + m * self.every - n
         x = chunk.data
-        out: Samples = np.empty((m, state.width))
+        out, stamps = state.spare.both(m)
         made = out
         if not state.plain:
             x, made = rows(x, state.width), out.reshape((m, *x.shape[1:]))
-        stamps = np.empty(m, STAMP)
         thin_out(x, first, self.every, time, out, stamps)
         return Chunk(stamps, made, chunk.until, lost)
 

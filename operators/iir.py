@@ -20,7 +20,7 @@ import numpy as np
 
 from operators.continuity import Continuity, Filter, nothing, numeric, regular, rows, watch
 from operators.remembered import remembered
-from stream.chunk import FOREVER, STAMP, Chunk, Samples, Specs, StreamSpec, Times
+from stream.chunk import FOREVER, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
 from stream.kernel import kernel
 from stream.operator import Case, grid
@@ -143,7 +143,7 @@ class Sections(Filter[SectionsState]):
             self.rest()
         state.last = time[-1]
         x = chunk.data
-        out: Samples = np.empty((n, state.width))
+        out, stamps = state.spare.both(n)
         made = out
         if not state.plain:
             x, made = rows(x, state.width), out.reshape(x.shape)
@@ -153,7 +153,6 @@ class Sections(Filter[SectionsState]):
         if not delay_ns:
             sections(x, state.sos, state.z, out)
             return Chunk(time, made, chunk.until, chunk.lost)
-        stamps = np.empty(n, STAMP)
         late_sections(x, state.sos, state.z, out, time, delay_ns, stamps)
         until = chunk.until
         return Chunk(stamps, made, until if until == FOREVER else until - delay_ns, chunk.lost)

@@ -35,8 +35,7 @@ class Rectify(Filter[Continuity]):
     def process(self, port: str, chunk: Chunk) -> Chunk:
         state = self.state
         x = chunk.data
-        out: Samples = np.empty((len(x), state.width))
-        made = out
+        made = out = state.spare.rows(len(x))
         if not state.plain:
             x, made = rows(x, state.width), out.reshape(x.shape)
         magnitudes(x, out)

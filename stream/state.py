@@ -1,4 +1,7 @@
-"""State as plain arrays: a dataclass of arrays, numbers, texts, and lists or dataclasses of these, packed and unpacked by name."""
+"""State as plain arrays: a dataclass of arrays, numbers, texts, and lists or dataclasses of these, packed and unpacked by name.
+
+A `Spare` in it is no state, and left as it is.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import numpy as np
 
 from stream.chunk import Array
 from stream.errors import KinegraphError
+from stream.spare import Spare
 
 
 class StateError(KinegraphError):
@@ -43,7 +47,8 @@ def size_of(state: Any) -> int:
 def _entries(state: Any) -> list[tuple[str, Any]]:
     if not is_dataclass(state):
         raise TypeError(f"a state is a dataclass of arrays, numbers and texts, not {type(state).__name__}")
-    return [(f.name, getattr(state, f.name)) for f in fields(state)]
+    found = [(f.name, getattr(state, f.name)) for f in fields(state)]
+    return [(name, value) for name, value in found if value.__class__ is not Spare]
 
 
 def _pack(name: str, value: Any, packed: dict[str, Array]) -> None:
@@ -79,6 +84,8 @@ def _unpack(name: str, old: Any, hint: Any, arrays: dict[str, Array]) -> Any:
     if made is None or not any(key.startswith(f"{name}.") for key in arrays):
         raise StateError(f"the snapshot has no {name!r}: it was made by another version, or with other parameters")
     for part in fields(made):
+        if getattr(made, part.name, None).__class__ is Spare:
+            continue
         value = _unpack(f"{name}.{part.name}", getattr(old, part.name, None), _hint(type(made), part.name), arrays)
         object.__setattr__(made, part.name, value)
     return made
