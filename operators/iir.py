@@ -18,9 +18,9 @@ from typing import Literal
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, nothing, numeric, regular, rows, watch
+from operators.continuity import Continuity, Filter, numeric, regular, watch
 from operators.remembered import remembered
-from stream.chunk import FOREVER, Chunk, Samples, Specs, StreamSpec, Times
+from stream.chunk import Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
 from stream.kernel import kernel
 from stream.operator import Case, grid
@@ -133,29 +133,11 @@ class Sections(Filter[SectionsState]):
             state.waiting[:] = 1
             state.unprimed = state.width
 
-    def process(self, port: str, chunk: Chunk) -> Chunk:
+    def work(self, x: Samples, time: Times, out: Samples, stamps: Times) -> None:
         state = self.state
-        time = chunk.time
-        n = len(time)
-        if not n:
-            return nothing(chunk, state)
-        if chunk.lost and state.breaks(chunk):
-            self.rest()
-        state.last = time[-1]
-        x = chunk.data
-        out, stamps = state.spare.both(n)
-        made = out
-        if not state.plain:
-            x, made = rows(x, state.width), out.reshape(x.shape)
         if state.unprimed:
             state.unprimed = prime(x, state.steady, state.waiting, state.z)
-        delay_ns = state.delay_ns
-        if not delay_ns:
-            sections(x, state.sos, state.z, out)
-            return Chunk(time, made, chunk.until, chunk.lost)
-        late_sections(x, state.sos, state.z, out, time, delay_ns, stamps)
-        until = chunk.until
-        return Chunk(stamps, made, until if until == FOREVER else until - delay_ns, chunk.lost)
+        late_sections(x, state.sos, state.z, out, time, state.delay_ns, stamps)
 
 
 @dataclass(frozen=True, slots=True)

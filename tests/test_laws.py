@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from stream.graph.parts import catalogue
 from stream.operator import Operator, Outlet
-from stream.trial import Broken, Trial, trials
+from stream.trial import Broken, Trial, checks, trials
 
 EXAMPLES = int(os.environ.get("KINEGRAPH_EXAMPLES", "0")) or 12
 
@@ -64,7 +64,7 @@ def test_every_module_was_searched() -> None:
 
 @each_case
 def test_laws_without_chance(use: str, k: int) -> None:
-    for check in _trial(use, k).checks().values():
+    for check in checks(_trial(use, k)).values():
         check()
 
 

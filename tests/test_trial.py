@@ -8,7 +8,7 @@ import pytest
 from broken_operators import Excused, Sound, all_broken
 
 from stream.operator import Operator
-from stream.trial import RULES, Broken, Choices, smallest, trials
+from stream.trial import RULES, Broken, Choices, checks, smallest, trials
 
 SEEDS = range(30)
 
@@ -18,7 +18,7 @@ def complaint(cls: type[Operator[Any]]) -> Broken | None:
     try:
         for make in trials(cls):
             trial = make()
-            for check in trial.checks().values():
+            for check in checks(trial).values():
                 check()
             for seed in SEEDS:
                 trial.attempt(choices := Choices(seed))

@@ -14,7 +14,7 @@ from rich.progress import Progress
 from stream.errors import KinegraphError
 from stream.graph.parts import find, import_from
 from stream.operator import Operator
-from stream.trial import Broken, Choices, Trial, smallest, trials
+from stream.trial import Broken, Choices, Trial, checks, smallest, trials
 
 
 def try_(
@@ -49,10 +49,10 @@ def try_(
 
 def _one_case(trial: Trial, examples: int, seed: int, title: str, console: Console) -> None:
     """Every check, then the random tries; what fails is made as simple as it goes."""
-    checks = trial.checks()
+    tried = checks(trial)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(title, total=len(checks) + examples)
-        for check in checks.values():
+        task = progress.add_task(title, total=len(tried) + examples)
+        for check in tried.values():
             check()
             progress.advance(task)
         for k in range(examples):

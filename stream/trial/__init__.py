@@ -2,13 +2,14 @@
 
 for make in trials(MyOperator):
     trial = make()                      # warms up; raises Broken, which says what is wrong, where, and what to do
-    for check in trial.checks().values():
+    for check in checks(trial).values():
         check()
     trial.attempt(random.Random(1).randint)
 """
 
 from stream.trial.broken import RULES, Broken, Rule
 from stream.trial.chance import Choices, smallest
+from stream.trial.checks import checks
 from stream.trial.laws import Trial, trials
 
-__all__ = ["RULES", "Broken", "Choices", "Rule", "Trial", "smallest", "trials"]
+__all__ = ["RULES", "Broken", "Choices", "Rule", "Trial", "checks", "smallest", "trials"]

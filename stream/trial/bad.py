@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stream.chunk import NS, Array, StreamSpec, utc
 from stream.trial.broken import Broken
 from stream.trial.cut import steps
+from stream.trial.laws import Trial
 from stream.trial.play import Player, differ
 from stream.trial.tape import Tape, Tapes, pause, spoil
-
-if TYPE_CHECKING:
-    from stream.trial.laws import Trial
 
 
 def bad_samples(trial: Trial) -> None:

@@ -1,4 +1,4 @@
-"""The laws of DESIGN on one case of one operator: any cutting, replay, snapshots, memory; promises and bad samples stand beside."""
+"""The laws of DESIGN on one case of one operator: any cutting, replay, snapshots, memory."""
 
 from __future__ import annotations
 
@@ -6,18 +6,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from stream.errors import KinegraphError
 from stream.operator import Case, Operator
-from stream.trial.bad import bad_samples, gaps
 from stream.trial.broken import RULES, Broken
 from stream.trial.cut import Delivery, anyhow, describe, steps, whole
 from stream.trial.play import Player, differ
-from stream.trial.promises import delay, settling, time
 from stream.trial.tape import Draw, Tapes, repeat, span, tapes_of, with_faults
 from stream.trial.watch import compiling
 
@@ -69,14 +66,6 @@ class Trial:
             if old.time.tobytes() != tape.time.tobytes() or old.data.tobytes() != tape.data.tobytes():
                 raise Broken("inputs", f"the samples given to input '{port}' were changed")
         return player
-
-    def checks(self) -> dict[str, Callable[[], None]]:
-        """What is tried without chance, by name."""
-        return {
-            "replay": self.replay,
-            "memory": self.memory,
-            **{check.__name__: partial(check, self) for check in (delay, time, settling, bad_samples, gaps)},
-        }
 
     @contextmanager
     def warm(self, how: str = "") -> Iterator[None]:

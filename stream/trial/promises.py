@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from stream.chunk import NS, empty, utc
 from stream.trial.broken import Broken
 from stream.trial.cut import steps
+from stream.trial.laws import Trial
 from stream.trial.play import Player
 from stream.trial.tape import span
-
-if TYPE_CHECKING:
-    from stream.trial.laws import Trial
 
 HOUR_NS = 3600 * NS
 

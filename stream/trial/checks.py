@@ -1,0 +1,19 @@
+"""Everything that a case is tried on without chance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from stream.trial.bad import bad_samples, gaps
+from stream.trial.laws import Trial
+from stream.trial.promises import delay, settling, time
+
+
+def checks(trial: Trial) -> dict[str, Callable[[], None]]:
+    """The checks by name; each raises `Broken`."""
+    return {
+        "replay": trial.replay,
+        "memory": trial.memory,
+        **{check.__name__: partial(check, trial) for check in (delay, time, settling, bad_samples, gaps)},
+    }
