@@ -14,7 +14,7 @@ from rich.progress import Progress
 from stream.errors import KinegraphError
 from stream.graph.parts import find, import_from
 from stream.operator import Operator
-from stream.trial import Broken, Choices, Trial, checks, smallest, trials
+from stream.trial import Broken, Choices, Trial, checks, lags, smallest, trials
 
 
 def try_(
@@ -37,14 +37,24 @@ def try_(
         made = trials(cls)
         for k, make in enumerate(made):
             begun = perf_counter()
-            _one_case(make(), examples, seed, f"case {k + 1} of {len(made)}", console)
+            trial = make()
+            _one_case(trial, examples, seed, f"case {k + 1} of {len(made)}", console)
             console.print(
                 f"case {k + 1} of {len(made)}: every law held, {examples} random tries, {perf_counter() - begun:.1f} s"
             )
+            for output, seconds in lags(trial).items():
+                console.print(_hint(output, seconds), soft_wrap=True)
     except Broken as broken:
         raise LawBroken(operator, broken) from None
     for rule, reason in cls.departures.items():
         console.print(f"[dim]not asked: rule '{escape(rule)}' ({escape(reason)})[/dim]")
+
+
+def _hint(output: str, seconds: float) -> str:
+    return (
+        f"hint: by its stamps output '{output}' is {1000 * seconds:.3g} ms behind what it answers to; if that is a filter's delay, "
+        "subtract it from the stamps and from `until`, and declare it: hold(state, delay_s=...)"
+    )
 
 
 def _one_case(trial: Trial, examples: int, seed: int, title: str, console: Console) -> None:

@@ -10,6 +10,7 @@ for make in trials(MyOperator):
 from stream.trial.broken import RULES, Broken, Rule
 from stream.trial.chance import Choices, smallest
 from stream.trial.checks import checks
+from stream.trial.lag import lags
 from stream.trial.laws import Trial, trials
 
-__all__ = ["RULES", "Broken", "Choices", "Rule", "Trial", "checks", "smallest", "trials"]
+__all__ = ["RULES", "Broken", "Choices", "Rule", "Trial", "checks", "lags", "smallest", "trials"]
