@@ -35,15 +35,22 @@ def free_port() -> int:
 class Mosquitto:
     """A broker on a port of this computer, which may be stopped and started; it remembers retained messages over that."""
 
-    def __init__(self, folder: Path, port: int = 0) -> None:
+    def __init__(self, folder: Path, port: int = 0, password: str = "") -> None:
+        """`password`: that of the only user who may connect, `me`; none: everybody may."""
         self.port = port or free_port()
         self._config = folder / "mosquitto.conf"
         kept = folder / "broker"
         kept.mkdir(exist_ok=True)
         kept.chmod(0o777)
         self._config.write_text(
-            f"listener {self.port} 127.0.0.1\nallow_anonymous true\npersistence true\npersistence_location {kept}/\nuser root\n"
+            f"listener {self.port} 127.0.0.1\nallow_anonymous {str(not password).lower()}\n"
+            f"persistence true\npersistence_location {kept}/\nuser root\n"
         )
+        if password:
+            users = folder / "users"
+            subprocess.run(["mosquitto_passwd", "-c", "-b", users, "me", password], check=True, capture_output=True)
+            with self._config.open("a") as file:
+                file.write(f"password_file {users}\n")
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> Mosquitto:

@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 from device_feed import check, reading
 from mosquitto import Listener, Mosquitto, broker, eventually, free_port, listening
+from structlog.testing import capture_logs
 
 from devices.mqtt import MqttOutlet, MqttSwitch
 from devices.mqtt.discovery import Device, Entity
-from devices.mqtt.link import Broker
+from devices.mqtt.link import FIRST_PAUSE_S, Broker
 from devices.mqtt.outbox import MOST_LETTERS, Outbox, OutboxState
 from devices.mqtt.outlet import History
 from stream.chunk import FOREVER, NS, Chunk, StreamSpec, empty, utc
@@ -36,10 +37,10 @@ ENTITIES = {
 PREFIX = "kinegraph/bed"
 
 
-def outlet(port: int, ledger: Path | None = None, **more: Any) -> MqttOutlet:
+def outlet(port: int | Broker, ledger: Path | None = None, **more: Any) -> MqttOutlet:
     given = {"entities": ENTITIES, "device": Device("bed", "Bed", "simulated", "Bedroom"), **more}
     made = MqttOutlet(
-        broker=Broker("127.0.0.1", port),
+        broker=Broker("127.0.0.1", port) if isinstance(port, int) else port,
         history=(History("scorer", {"final": True}),),
         ledger=str(ledger or ""),
         **given,
@@ -263,6 +264,57 @@ def test_a_password_stands_in_a_file(tmp_path: Path) -> None:
         Broker(password_file=str(file)).check()
     with pytest.raises(KinegraphError, match="exists"):
         Broker(username="me", password_file=str(tmp_path / "none")).check()
+
+
+def test_a_broker_that_refuses_the_password_is_tried_ever_less_often_and_told_of_once(tmp_path: Path) -> None:
+    file = tmp_path / "password"
+    file.write_text("wrong\n")
+    mosquitto = Mosquitto(tmp_path, password="secret").start()
+    try:
+        with capture_logs() as logs, running(outlet(Broker("127.0.0.1", mosquitto.port, "me", str(file)))) as made:
+            link = made.desk.link
+            assert link
+            eventually(lambda: link.failures >= 3)
+            assert link.pause_s > FIRST_PAUSE_S
+            file.unlink()
+            link.hasten()
+            eventually(lambda: any("No such file" in line.get("why", "") for line in logs))
+            file.write_text("secret\n")
+            link.hasten()
+            eventually(lambda: link.there)
+    finally:
+        mosquitto.stop()
+    complaints = [line for line in logs if line["log_level"] == "warning"]
+    assert len(complaints) == 2 and "'me'" in complaints[0]["why"] and "password_file" in complaints[0]["why"]
+
+
+def test_what_waits_at_the_end_is_sent_if_the_broker_is_back(tmp_path: Path) -> None:
+    mosquitto = Mosquitto(tmp_path, free_port())
+    made = outlet(mosquitto.port)
+    made.begin()
+    link = made.desk.link
+    assert link
+    made.process("scorer", epochs(*range(100)))
+    eventually(lambda: link.failures > 0)
+    link.pause_s = 1e6  # nothing but the end itself makes it try again
+    eventually(lambda: link.failures > 1)
+    mosquitto.start()
+    try:
+        with capture_logs() as logs:
+            made.close()
+        with listening(mosquitto.port) as late:
+            late.wait_for(f"{PREFIX}/history/scorer")
+            assert told(late) == [99]  # the retained one
+    finally:
+        mosquitto.stop()
+    assert not [line for line in logs if line["log_level"] == "warning"]
+
+
+def test_how_many_events_a_broker_never_got_is_told_at_the_end(tmp_path: Path) -> None:
+    made = outlet(free_port())
+    with capture_logs() as logs, running(made):
+        made.process("scorer", epochs(0, 1, 2))
+    assert [line["events"] for line in logs if "events" in line] == [3]
 
 
 def test_the_end_of_a_stream_is_no_life(tmp_path: Path) -> None:

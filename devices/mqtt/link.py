@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import ssl
 import threading
 from collections.abc import Callable, Sequence
@@ -51,6 +52,8 @@ class Broker:
         for name in (self.password_file, self.ca_file):
             if name and not Path(name).is_file():
                 raise ParameterError("broker", name, "a file that exists")
+            if name and not os.access(name, os.R_OK):
+                raise ParameterError("broker", name, "a file that may be read by who runs kinegraph")
         if self.password_file and not self.username:
             raise ParameterError("broker", self.password_file, "given together with a username")
 
@@ -94,6 +97,13 @@ class Link:
         self._news: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         """What the library has called us for; None: the connection is over."""
         self._trouble = ""
+        self._refused = False
+        """Whether the broker has refused this attempt: that the connection then ends is no second trouble."""
+        self.failures = 0
+        """Attempts that did not bring a connection."""
+        self.pause_s = FIRST_PAUSE_S
+        """How long is waited before the next attempt."""
+        self._wake = threading.Event()
         self._thread = threading.Thread(target=self._work, name=f"mqtt {client_id}", daemon=True)
 
     @property
@@ -112,10 +122,15 @@ class Link:
         said = client.publish(topic, text, qos=qos, retain=retain)
         return said.mid if said.rc == 0 else None
 
+    def hasten(self) -> None:
+        """Make the next attempt at once."""
+        self._wake.set()
+
     def stop(self) -> None:
         """Say good-bye, give the last messages a moment, and end the thread."""
         client = self._client
         self._stopping.set()
+        self._wake.set()
         if client is not None and self._there:
             with contextlib.suppress(RuntimeError, ValueError):
                 client.publish(self._greeting, OFFLINE, qos=1, retain=True).wait_for_publish(FAREWELL_S)
@@ -125,25 +140,34 @@ class Link:
             self._thread.join(FAREWELL_S)
 
     def _work(self) -> None:
-        pause = FIRST_PAUSE_S
         while not self._stopping.is_set():
-            self._news = SimpleQueue()
+            self._attempt()
+            self._wake.wait(self.pause_s)
+            self._wake.clear()
+            self.pause_s = min(2 * self.pause_s, LONGEST_PAUSE_S)
+
+    def _attempt(self) -> None:
+        """Connect, and serve the connection until it is lost."""
+        self._news, self._refused, stood, client = SimpleQueue(), False, False, None
+        try:
             client = self._client = self._made()
-            try:
-                client.connect(self._broker.host, self._broker.port, KEEPALIVE_S)
-                client.loop_start()
-                while (news := self._news.get()) is not None and not self._stopping.is_set():
-                    news()
-                    pause = FIRST_PAUSE_S
-            except (OSError, ValueError) as error:
-                self._complain(str(error))
-            except Exception as error:
-                log.error("MQTT connection failed", error=f"{type(error).__name__}: {error}", exc_info=True)
-            finally:
-                self._gone()
+            client.connect(self._broker.host, self._broker.port, KEEPALIVE_S)
+            client.loop_start()
+            while (news := self._news.get()) is not None and not self._stopping.is_set():
+                news()
+                stood = stood or self._there
+        except (OSError, ValueError) as error:
+            self._complain(str(error))
+        except Exception as error:
+            log.error("MQTT connection failed", error=f"{type(error).__name__}: {error}", exc_info=True)
+        finally:
+            self._gone()
+            if client is not None:
                 client.loop_stop()
-            self._stopping.wait(pause)
-            pause = min(2 * pause, LONGEST_PAUSE_S)
+        if stood:
+            self.pause_s = FIRST_PAUSE_S
+        else:
+            self.failures += 1
 
     def _made(self) -> Client:
         client = Client(CallbackAPIVersion.VERSION2, self._id, reconnect_on_failure=False)
@@ -162,7 +186,14 @@ class Link:
 
     def _connected(self, client: Client, reason: Any) -> None:
         if reason.is_failure:
-            self._complain(str(reason))
+            self._refused = True
+            broker = self._broker
+            given = (
+                f"username {broker.username!r} with its password_file"
+                if broker.username
+                else "a connection without a username"
+            )
+            self._complain(f"it refuses {given}: {reason}")
             self._news.put(None)
         elif self._subscriptions:
             client.subscribe([(topic, 1) for topic in self._subscriptions])
@@ -187,7 +218,7 @@ class Link:
         self._heard(message.topic, message.payload.decode("utf-8", "replace"), bool(message.retain))
 
     def _disconnected(self, reason: Any) -> None:
-        if not self._stopping.is_set():
+        if not self._stopping.is_set() and not self._refused:
             self._complain(str(reason))
 
     def _gone(self) -> None:
@@ -198,4 +229,7 @@ class Link:
     def _complain(self, why: str) -> None:
         if why != self._trouble:
             self._trouble = why
-            log.warning("no MQTT broker; tried again for as long as it takes", host=self._broker.host, why=why)
+            broker = self._broker
+            log.warning(
+                "no MQTT broker; tried again for as long as it takes", host=broker.host, port=broker.port, why=why
+            )

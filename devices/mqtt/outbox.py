@@ -156,12 +156,19 @@ class Outbox:
             return
         with self._lock:
             self._has_arrived(topic, key)
+            self.flush()
         self._write_ledger()
 
     @property
     def empty(self) -> bool:
         with self._lock:
             return not self._letters and not self._unsaid
+
+    @property
+    def waiting(self) -> int:
+        """How many letters have not arrived."""
+        with self._lock:
+            return len(self._letters)
 
     def keep(self) -> OutboxState:
         """What a checkpoint needs."""

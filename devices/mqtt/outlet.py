@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+import structlog
 
 from devices.claim import check_path
 from devices.mqtt.discovery import OFF, ON, UNKNOWN, Device, Entity, Topics, announcement
@@ -28,7 +29,10 @@ if TYPE_CHECKING:
 
 REFRESH = 0.4
 """A state that has not changed is said again after this share of its `expire_after_s`."""
-FAREWELL_S = 2.0
+FAREWELL_S, KNOCK_S, LAST_TRY_S = 2.0, 5.0, 20.0
+"""At the end: how long the last states are given to arrive; how long a broker to answer, if letters wait; how long these to arrive."""
+
+log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +83,8 @@ class MqttOutlet(_Sender):
 
     `history` sends events one by one as JSON to base/device/history/stream, each once and in order, also over a broker that was away, a
     killed process and `--resume`: the checkpoint, the file `ledger` and the broker's own retained message say what has arrived. With no
-    broker up to 6000 events wait; older ones are dropped, counted and logged.
+    broker up to 6000 events wait; older ones are dropped, counted and logged. When the session ends, the broker is tried once more, and
+    given 20 s to take what waits; what it does not take is forgotten, and its number told.
 
     It never waits for the network: without a broker at start, or when it goes, everything else goes on.
     """
@@ -154,14 +159,32 @@ class MqttOutlet(_Sender):
 
     def close(self) -> None:
         desk = self.desk
-        link, desk.link = desk.link, None
+        link = desk.link
         if link is None or desk.outbox is None:
             return
         desk.outbox.flush()
-        end = time.monotonic() + FAREWELL_S
-        while link.there and not desk.outbox.empty and time.monotonic() < end:
-            time.sleep(0.01)
+        self._wait_for_the_last(link, desk.outbox)
+        desk.link = None
         link.stop()
+        if undelivered := desk.outbox.waiting + desk.outbox.dropped:
+            broker = f"{self.broker.host}:{self.broker.port}"
+            kept = " (the night's log has them)" if any(h.log for h in self.history) else ""
+            log.warning(
+                f"the MQTT broker did not get these events, and will not{kept}", events=undelivered, broker=broker
+            )
+
+    def _wait_for_the_last(self, link: Link, outbox: Outbox) -> None:
+        """Letters are given a bounded time as long as the broker takes them; one that is away is tried once more, at once."""
+        began, failures = time.monotonic(), link.failures
+        if outbox.waiting:
+            link.hasten()
+        while not outbox.empty:
+            letters, passed = outbox.waiting, time.monotonic() - began
+            reachable = link.there or (letters and link.failures == failures)
+            limit_s = FAREWELL_S if not letters else LAST_TRY_S if link.there else KNOCK_S
+            if not reachable or passed > limit_s:
+                return
+            time.sleep(0.01)
 
     def snapshot(self) -> dict[str, Array]:
         return pack(self.desk.outbox.keep() if self.desk.outbox else self.state)
