@@ -121,7 +121,8 @@ class Breathing(Operator[BreathingState]):
         rates = np.arange(LOWEST, min(HIGHEST, 60 * tick_hz * 0.45) + STEP / 2, STEP)
         if cells < BEST:
             raise ParameterError("cell_blocks", self.cell_blocks, f"smaller: the frame has only {cells} such cells")
-        straighten(np.zeros(4), np.empty(4))  # compiled now: made-up samples of the warm-up seldom breathe
+        vary(np.zeros((1, 1)), 0, 1, np.empty((2, 1)))  # compiled now: made-up samples of the warm-up seldom breathe
+        straighten(np.zeros(4), np.empty(4))
         powers(np.zeros(4), np.zeros((1, 4)), np.zeros((1, 4)), np.zeros(1))
         angles = 2 * np.pi * np.outer(rates / 60, np.arange(n) / tick_hz)
         self.hold(
