@@ -61,7 +61,8 @@ def test_the_report_says_what_must_be_said(drawn: tuple[Path, Night]) -> None:
         "Night of Wednesday, 31 December 2025",
         "estimated",
         "AASM",
-        "not seen",
+        ">not scored<",
+        "Hatched: not scored",
         "Gaussian-weighted",
     ):
         assert words in page, words

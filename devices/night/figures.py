@@ -51,8 +51,8 @@ def night_svg(facts: Facts, epochs: Epochs) -> str:
 def map_svg(motion: Samples) -> str:
     """The night's motion map, as one SVG element."""
     with rc_context(STYLE):
-        width = 0.82
-        figure = Figure(figsize=(3.4, 3.4 * width * motion.shape[0] / motion.shape[1] + 0.1))
+        width, across = 0.8, 2.8  # as wide as on the page, so that its numbers are as large as they say
+        figure = Figure(figsize=(across, across * width * motion.shape[0] / motion.shape[1] + 0.1))
         _map(figure, figure.add_axes((0.0, 0.02, width, 0.96)), motion)
         return _svg(figure, "Where in the picture it moved during the night")
 
@@ -138,7 +138,7 @@ def _hypnogram(axes: Axes, facts: Facts, epochs: Epochs, x: tuple[Array, Array])
                 va="top",
                 color=INK,
             )
-    handles = [Patch(facecolor=GONE, hatch="////", edgecolor="#9a978f", label="not seen")]
+    handles = [Patch(facecolor=GONE, hatch="////", edgecolor="#9a978f", label="not scored")]
     if unseen(epochs):
         axes.legend(
             handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False, borderpad=0, handlelength=1.6
