@@ -137,6 +137,35 @@ def test_minutes_against_half_minutes_and_epochs_that_one_side_lacks() -> None:
         pair("n", "p", estimate, hypnogram(truth, start=10**6 * NS))
 
 
+def test_epochs_that_never_both_know_are_not_called_apart() -> None:
+    truth = np.repeat(np.array([WAKE, SLEEP], np.int8), [20, 20])
+    estimate = hypnogram(truth)
+    estimate.state[:10] = UNKNOWN
+    with pytest.raises(KinegraphError, match="no epoch in common that both know"):
+        pair("n", "p", estimate, hypnogram(truth[:10]))
+
+
+@pytest.mark.parametrize(("night", "told"), [("night.csv", "--offset -3600"), ("night.edf", "")])
+def test_a_clock_without_a_zone_beside_one_with(
+    tmp_path: Path, night: str, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A laboratory's EDF goes by the clock on its wall; our table by UTC, our EDF by the wall's clock, too."""
+    stages = np.repeat([0, 2, 0], [20, 200, 20])
+    write_edf(tmp_path / "psg.edf", stages)
+    write_edf(tmp_path / "night.edf", stages)
+    write_csv(tmp_path / "night.csv", [STAGES[int(s)] for s in stages])
+    sleep(tmp_path / night, tmp_path / "psg.edf")
+    assert told in (warned := capsys.readouterr().err) and bool(told) == bool(warned)
+
+
+def test_an_edf_file_that_breaks_off(tmp_path: Path) -> None:
+    write_edf(tmp_path / "psg.edf", np.repeat([0, 2, 0], [20, 200, 20]))
+    whole = (tmp_path / "psg.edf").read_bytes()
+    (tmp_path / "psg.edf").write_bytes(whole[: len(whole) * 2 // 3])
+    read = read_hypnogram(tmp_path / "psg.edf")
+    assert 0 < len(read.state) < 240 and "records" in read.damage
+
+
 @needs_data
 def test_thirty_one_real_hypnograms_against_a_spoilt_copy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Every tenth epoch of wake called sleep, every twentieth of sleep called wake: the shares come back, through files and the command."""

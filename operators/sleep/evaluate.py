@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 
 
 def sleep(
-    estimate: Annotated[File | None, typer.Argument(help="a recording with scored epochs, or a CSV of them")] = None,
+    estimate: Annotated[
+        File | None, typer.Argument(help="a night's hypnogram.edf, its epochs.csv, or a recording")
+    ] = None,
     reference: Annotated[File | None, typer.Argument(help="the hypnogram: EDF+ or CSV")] = None,
     nights: Annotated[
         File | None,
@@ -36,7 +38,9 @@ def sleep(
 ) -> None:
     """Sensitivity, specificity, kappa, and Bland-Altman limits of TST, SOL and WASO, against a reference hypnogram.
 
-    kinegraph evaluate sleep night.mcap psg.edf --offset -12 -o agreement
+    kinegraph evaluate sleep nights/2026-11-20/hypnogram.edf psg.edf --offset -12 -o agreement
+
+    An EDF file says no time zone: both then go by the clock on the wall. epochs.csv and recordings are in UTC.
     """
     from rich.console import Console
 
@@ -61,6 +65,15 @@ def _pair(estimate: File, reference: File, person: str, offset_s: float, stream:
 
     found = read_hypnogram(estimate, stream=stream, epoch_s=epoch_s)
     truth = read_hypnogram(reference, epoch_s=epoch_s)
+    for path, read in ((estimate, found), (reference, truth)):
+        if read.damage:
+            typer.echo(f"{path} is damaged, and what is whole of it was read: {read.damage}", err=True)
+    if found.dated and truth.dated and found.zoned != truth.zoned:
+        bare, shift = (reference, -3600) if found.zoned else (estimate, 3600)
+        note = (
+            f"no time zone stands in {bare}, and UTC is assumed; --offset {shift} if its clock was an hour ahead of UTC"
+        )
+        typer.echo(note, err=True)
     return pair(estimate.stem, person or estimate.stem, found, truth, offset_s)
 
 

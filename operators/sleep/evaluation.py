@@ -50,9 +50,11 @@ def pair(name: str, person: str, estimate: Hypnogram, reference: Hypnogram, offs
     n = max(1, round((int(reference.end[-1]) - int(reference.onset[0])) / length))
     time = reference.onset[0] + np.arange(n) * length
     e, r = estimate.at(time + length // 2), reference.at(time + length // 2)
-    if not (e != UNKNOWN).any():
+    if not ((e != UNKNOWN) & (r != UNKNOWN)).any():
+        apart = estimate.end[-1] <= reference.onset[0] or reference.end[-1] <= estimate.onset[0]
+        why = "do not overlap" if apart else "have no epoch in common that both know"
         raise KinegraphError(
-            f"{name}: estimate and reference do not overlap: {_span(estimate)} and {_span(reference)}; --offset shifts the reference"
+            f"{name}: estimate and reference {why}: {_span(estimate)} and {_span(reference)}; --offset shifts the reference"
         )
     confusion = Confusion.of(e, r)
     unknown = (e == UNKNOWN) | (r == UNKNOWN)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+import re
+import warnings
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -31,12 +33,19 @@ LABELS = ("state", "stage", "sleep", "label", "annotation", "description")
 
 @dataclass(frozen=True, slots=True)
 class Hypnogram:
-    """Epochs in order: onset and end (n,) ns UTC, state (n,). `dated`: whether the times are of the clock or count from 0."""
+    """Epochs in order: onset and end (n,) ns UTC, state (n,).
+
+    dated   whether the times are of the clock or count from 0
+    zoned   whether it is known of which time zone; where it is not, as in every EDF file, they are taken for UTC
+    damage  what is wrong with the file that they stand in; "" where nothing is
+    """
 
     onset: Times
     end: Times
     state: States
     dated: bool
+    zoned: bool = False
+    damage: str = ""
 
     def at(self, time: Times) -> States:
         """The state at each time; unknown where no epoch is."""
@@ -45,7 +54,7 @@ class Hypnogram:
         return np.where(inside, self.state[np.maximum(place, 0)], UNKNOWN).astype(np.int8)
 
     def later(self, shift_ns: int) -> Hypnogram:
-        return Hypnogram(self.onset + shift_ns, self.end + shift_ns, self.state, self.dated)
+        return replace(self, onset=self.onset + shift_ns, end=self.end + shift_ns)
 
 
 def read_hypnogram(path: Path, *, stream: str = "", epoch_s: float = 30.0) -> Hypnogram:
@@ -69,7 +78,7 @@ def stage(text: str) -> int | None:
     return STAGES.get(text.strip().lower().removeprefix("sleep stage").strip())
 
 
-def _hypnogram(rows: list[tuple[int, int, int]], path: Path, *, dated: bool) -> Hypnogram:
+def _hypnogram(rows: list[tuple[int, int, int]], path: Path, *, dated: bool, zoned: bool = False) -> Hypnogram:
     rows.sort()
     if not rows:
         raise KinegraphError(f"{path}: holds no sleep stages")
@@ -77,14 +86,16 @@ def _hypnogram(rows: list[tuple[int, int, int]], path: Path, *, dated: bool) -> 
     if (onset[1:] < end[:-1] - NS // 100).any():
         k = int(np.argmax(onset[1:] < end[:-1] - NS // 100))
         raise KinegraphError(f"{path}: epochs overlap: number {k + 2} begins before number {k + 1} ends")
-    return Hypnogram(onset, end, state.astype(np.int8), dated)
+    return Hypnogram(onset, end, state.astype(np.int8), dated, zoned)
 
 
 def _edf(path: Path) -> Hypnogram:
     import edfio
 
     try:
-        edf = edfio.read_edf(path)
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            edf = edfio.read_edf(path)
         begin = round(edf.startdatetime.replace(tzinfo=UTC).timestamp() * NS)
         dated = edf.startdatetime.year > 1985
         annotations = edf.annotations
@@ -96,7 +107,8 @@ def _edf(path: Path) -> Hypnogram:
         if state is not None:
             onset = begin + round(note.onset * NS)
             rows.append((onset, onset + round((note.duration or 30.0) * NS), state))
-    return _hypnogram(rows, path, dated=dated)
+    damage = "; ".join(sorted({str(warning.message) for warning in told}))
+    return replace(_hypnogram(rows, path, dated=dated), damage=damage)
 
 
 def _csv(path: Path, epoch_s: float) -> Hypnogram:
@@ -121,7 +133,7 @@ def _csv(path: Path, epoch_s: float) -> Hypnogram:
             f"{path}: the header is {', '.join(names) or 'empty'}; it must name the epochs' onset (seconds or ISO times) "
             "and their state or stage"
         )
-    rows, dated = [], True
+    rows, dated, zoned = [], True, True
     for line, row in enumerate(table[1:], 2):
         if not any(cell.strip() for cell in row):
             continue
@@ -130,6 +142,7 @@ def _csv(path: Path, epoch_s: float) -> Hypnogram:
                 continue
             state = stage(row[label])
             onset, clock = _moment(row[start])
+            zoned = zoned and _has_zone(row[start])
             if "end" in bare and row[bare["end"]].strip():
                 end = _moment(row[bare["end"]])[0]
             else:
@@ -144,7 +157,12 @@ def _csv(path: Path, epoch_s: float) -> Hypnogram:
             )
         dated = dated and clock
         rows.append((onset, end, state))
-    return _hypnogram(rows, path, dated=dated)
+    return _hypnogram(rows, path, dated=dated, zoned=zoned)
+
+
+def _has_zone(text: str) -> bool:
+    """Whether an ISO time ends in Z or an offset."""
+    return re.search(r"T.*(Z|[+-]\d\d:?\d\d)$", text.strip()) is not None
 
 
 def _moment(text: str) -> tuple[int, bool]:
@@ -181,4 +199,5 @@ def _recording(path: Path, stream: str) -> Hypnogram:
         [(int(e["onset"]), int(e["end"]), ("unknown", "wake", "sleep").index(str(e["state"]))) for e in kept],
         path,
         dated=True,
+        zoned=True,
     )
