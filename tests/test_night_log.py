@@ -7,6 +7,7 @@ import json
 import os
 from itertools import chain
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import night_made
@@ -15,7 +16,7 @@ import pytest
 from night_made import EVENING, LATE, SPECS, STEP, Night, feed, opened, states
 
 from devices.night import shelf
-from devices.night.numbers import CAVEATS, exits, quality, table, unseen
+from devices.night.numbers import CAVEATS, begun_anew, exits, quality, span, table, unseen
 from devices.night.page import render
 from stream.chunk import NS
 from stream.engine.clock import SessionClock
@@ -289,7 +290,39 @@ def test_the_report_of_a_night_that_goes_on(tmp_path: Path) -> None:
     feed(log, night.told(0, 300))
     log.close()
     folder = tmp_path / "2025-12-31"
-    assert "not over" in render(shelf.Facts.load(folder), shelf.read_epochs(folder), None, [])
+    facts, epochs = shelf.Facts.load(folder), shelf.read_epochs(folder)
+    assert "not over" in render(facts, epochs, None, [])
+    facts.closed = True  # another night has begun meanwhile
+    assert "broken off" in (page := render(facts, epochs, None, [])) and "not over" not in page
+
+
+@pytest.mark.parametrize(("dark", "told"), [(None, True), (100, True), (270, False)])
+def test_numbers_of_a_new_session_do_not_pass_for_those_of_the_night(
+    tmp_path: Path, dark: int | None, told: bool
+) -> None:
+    """kinegraph was stopped in order and started again; who was in bed is noticed three minutes later. `dark`: lights off at this epoch."""
+    night, switched = Night(), SPECS["lights"].dtype
+    for begin, end, first in ((0, 250, 0), (262, night.n, 256)):
+        log = opened(tmp_path, report=False)
+        log.keep_time(SimpleNamespace(utc_ns=night.onset(first)))
+        log.begin()
+        cut = dark if dark and begin <= dark < end else end
+        feed(log, night.told(begin, cut))
+        if cut < end:
+            log.process("lights", night_made.event(switched, night.onset(cut), False))
+        feed(log, night.told(cut, end))
+        if begin:
+            for port, chunk in night.end():
+                if port == "nights":
+                    chunk.data["onset"] = night.onset(dark if dark and dark > 262 else 262)
+                    chunk.data["bed"] = "detected" if dark is None else "lights"
+                feed(log, iter([(port, chunk)]))
+        log.close()
+    ((folder, facts),) = shelf.nights(tmp_path)
+    epochs = shelf.read_epochs(folder)
+    assert bool(begun_anew(facts, epochs)) == told == ("Numbers" in dict(quality(facts, epochs)))
+    assert ("of a night that began at 23:20" in render(facts, epochs, None, [])) == told
+    assert span(facts, epochs)[0] == (facts.begun if told else night.onset(270) - 15 * 60 * NS)
 
 
 def test_the_command_lists_draws_and_deletes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

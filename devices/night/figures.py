@@ -16,7 +16,7 @@ from matplotlib.dates import AutoDateLocator, DateFormatter
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from devices.night.numbers import CAVEATS, Row, exits, runs, span, unseen
+from devices.night.numbers import CAVEATS, NO_NUMBERS, Row, exits, runs, span, unseen
 from devices.night.shelf import Epochs, Facts, clock, zone_of
 from stream.chunk import NS, Array, Samples
 
@@ -72,7 +72,7 @@ def page_png(
         figure.text(0.07, 0.962, title, fontsize=15, weight="bold", va="top")
         figure.text(0.07, 0.938, line, fontsize=8.5, color="#55534e", va="top")
         _three(figure, facts, epochs, (0.115, 0.53, 0.825, 0.375))
-        _table(figure, rows, 0.475)
+        _table(figure, rows, 0.475, NO_NUMBERS[facts.closed])
         if motion is not None:
             figure.text(0.66, 0.475, "Where it moved", fontsize=9, weight="bold", color=INK, va="top")
             axes = figure.add_axes((0.655, 0.322, 0.235, 0.133))
@@ -198,10 +198,11 @@ def _map(figure: Figure, axes: Axes, motion: Samples) -> None:
     bar.outline.set_linewidth(0.4)
 
 
-def _table(figure: Figure, rows: list[Row], top: float) -> None:
-    figure.text(0.07, top, "The night in numbers" if rows else "The night is not over: no numbers yet", fontsize=9, weight="bold",
-                color=INK, va="top")  # fmt: skip
+def _table(figure: Figure, rows: list[Row], top: float, none: str) -> None:
+    figure.text(0.07, top, "The night in numbers", fontsize=9, weight="bold", color=INK, va="top")
     y = top - 0.026
+    if not rows:
+        figure.text(0.07, y, none, fontsize=8, va="top")
     for row in rows:
         figure.text(0.07, y, row.name, fontsize=8, va="top")
         figure.text(0.405, y, row.value, fontsize=8, va="top", weight="bold", ha="right")

@@ -260,6 +260,8 @@ class NightLog(_Logger):
             if not here:
                 return False
             night.shut()
+            if self.report:
+                desk.draughtsman.soon(night.folder)
             night = desk.night = None
         if bed == "out" or onset > desk.former_end + APART_NS:
             self.state.rests = False

@@ -16,6 +16,11 @@ CAVEATS = (
     "It is not a medical device, and raises no alarm for apnoea or infants.",
     "Simplification removes detail finer than a block; outline and habits remain.",
 )
+NO_NUMBERS = {
+    False: "The night is not over: its numbers come with its end.",
+    True: "The night was broken off, and nobody saw its end: it has no numbers.",
+}
+"""By whether it is closed."""
 SHOWN_NS = 15 * 60 * NS
 """So much before and after the night is drawn."""
 LEAST_SEEN = 0.5
@@ -43,8 +48,22 @@ class Stretch:
 def span(facts: Facts, epochs: Epochs) -> tuple[int, int]:
     """From when to when the report shows the night."""
     if facts.numbers:
-        return int(facts.numbers["onset"]) - SHOWN_NS, int(facts.numbers["end"]) + SHOWN_NS
+        begin = facts.begun if begun_anew(facts, epochs) else int(facts.numbers["onset"]) - SHOWN_NS
+        return begin, int(facts.numbers["end"]) + SHOWN_NS
     return (int(epochs.onset[0]), int(epochs.end[-1])) if len(epochs) else (facts.begun, facts.begun + NS)
+
+
+def begun_anew(facts: Facts, epochs: Epochs) -> Stretch | None:
+    """The break after which the numbers begin, though the night had begun before it: another session saw that part. None: there is none."""
+    n = facts.numbers
+    dark = [int(t) for t, what in facts.switched if what == "lights off"]
+    for begin, end in ((int(a), int(b)) for a, b in facts.breaks):
+        known = epochs.texts["bed"][(epochs.end <= begin) & np.isin(epochs.texts["bed"], ("in", "out"))]
+        in_bed = not len(known) or known[-1] == "in"
+        dark_before = n.get("bed") != "lights" or any(t < begin for t in dark)
+        if n and in_bed and dark_before and facts.begun < begin and end <= int(n["onset"]):
+            return Stretch(begin, end, "")
+    return None
 
 
 def table(facts: Facts, epochs: Epochs) -> list[Row]:
@@ -129,6 +148,14 @@ def quality(facts: Facts, epochs: Epochs) -> list[tuple[str, str]]:
     if facts.breaks:
         whole = [Stretch(int(a), int(b), "") for a, b in facts.breaks]
         told.append(("kinegraph did not run", "; ".join(_when(s, zone) for s in whole[:12])))
+    if begun_anew(facts, epochs):
+        since = clock(int(facts.numbers["onset"]), zone)
+        told.append(
+            (
+                "Numbers",
+                f"of the time from {since:%H:%M} on alone: kinegraph was stopped before, and a new session began",
+            )
+        )
     seen = epochs.numbers["seen"]
     if np.isfinite(seen).any():
         poor = int((seen < LEAST_SEEN).sum())

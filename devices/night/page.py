@@ -12,7 +12,7 @@ from pathlib import Path
 
 from devices.night import shelf
 from devices.night.edf import write_edf
-from devices.night.numbers import CAVEATS, Row, quality, span, table
+from devices.night.numbers import CAVEATS, NO_NUMBERS, Row, begun_anew, quality, span, table
 from devices.night.shelf import Epochs, Facts, clock, zone_of
 from stream.chunk import Samples
 from stream.errors import KinegraphError
@@ -45,11 +45,12 @@ def render(facts: Facts, epochs: Epochs, motion: Samples | None, rows: list[Row]
     return environment.get_template("page.html.j2").render(
         f=facts,
         title=title(facts),
-        line=line(facts),
+        line=line(facts, epochs),
         rows=rows,
         figures=[row for row in rows if row.name.startswith(HEADLINE)],
         quality=quality(facts, epochs),
         caveats=CAVEATS,
+        no_numbers=NO_NUMBERS[facts.closed],
         method=_method(facts),
         night=figures.night_svg(facts, epochs),
         map=figures.map_svg(motion) if motion is not None else "",
@@ -69,17 +70,18 @@ def title(facts: Facts) -> str:
     return f"Night of {evening:%A}, {evening.day} {evening:%B %Y}{whose}"
 
 
-def line(facts: Facts) -> str:
+def line(facts: Facts, epochs: Epochs) -> str:
     """From when to when, by which convention, and whether anyone really slept there."""
     zone, n = zone_of(facts.timezone), facts.numbers
     if not n:
-        return f"Since {clock(facts.begun, zone):%H:%M}. The night is not over."
+        return f"Since {clock(facts.begun, zone):%H:%M}. {NO_NUMBERS[facts.closed]}"
     begin, end = clock(int(n["onset"]), zone), clock(int(n["end"]), zone)
     by = {"lights": "lights off and on", "schedule": "the schedule"}.get(
         n.get("bed", ""), "time in bed, as it was seen"
     )
     made_up = "  ·  simulated" if facts.session.get("simulated_sources") or facts.meta.get("simulated") else ""
-    return f"{begin:%H:%M} to {end:%H:%M} {end:%Z}  ·  by {by}  ·  numbers by the definitions of {n['convention']}{made_up}"
+    anew = f", of a night that began at {clock(facts.begun, zone):%H:%M}" if begun_anew(facts, epochs) else ""
+    return f"{begin:%H:%M} to {end:%H:%M} {end:%Z}{anew}  ·  by {by}  ·  numbers by the definitions of {n['convention']}{made_up}"
 
 
 def _method(facts: Facts) -> str:
@@ -101,7 +103,7 @@ def _method(facts: Facts) -> str:
 def _picture(facts: Facts, epochs: Epochs, motion: Samples | None, rows: list[Row]) -> bytes:
     from devices.night import figures
 
-    return figures.page_png(facts, epochs, motion, rows, quality(facts, epochs), title(facts), line(facts))
+    return figures.page_png(facts, epochs, motion, rows, quality(facts, epochs), title(facts), line(facts, epochs))
 
 
 def _write(path: Path, content: bytes) -> None:
