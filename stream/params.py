@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, Field, field, fields
+from dataclasses import MISSING, Field, field, fields, is_dataclass
 from functools import cache
 from operator import ge, gt, le, lt
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -60,6 +60,7 @@ def build(cls: type[T], values: Mapping[str, Any]) -> T:
     for f in fields(cls):  # type: ignore[arg-type]
         if f.name in values:
             _check_bounds(f.name, values[f.name], _facts(f))
+            _check_parts(f.name, values[f.name], getattr(made, f.name))
     return made
 
 
@@ -67,6 +68,9 @@ def schema(cls: type[Any]) -> dict[str, Any]:
     """The JSON Schema of a dataclass's parameters, for editors."""
     made: dict[str, Any] = adapter(cls).json_schema()
     made.pop("title", None)
+    for inner in made.get("$defs", {}).values():
+        if "properties" in inner:
+            inner.setdefault("additionalProperties", False)
     entries = made.get("properties", {})
     for f in fields(cls):
         entry, facts = entries[f.name], _facts(f)
@@ -120,6 +124,24 @@ def _check_bounds(name: str, value: Any, facts: Mapping[str, Any]) -> None:
         told = [f"{text} {facts[bound]:g}" for bound, (_, text, _) in BOUNDS.items() if bound in facts]
         if not all(holds(value, facts[bound]) for bound, (holds, _, _) in BOUNDS.items() if bound in facts):
             raise _within(name, ParameterError(name, value, " and ".join(told)))
+
+
+def _check_parts(name: str, given: Any, made: Any) -> None:
+    """Raise ParameterError if a mapping that has become a dataclass, at any depth, has an unknown name or a number out of its bounds."""
+    if is_dataclass(made) and isinstance(given, dict):
+        known = {f.name: f for f in fields(made)}
+        for key, value in given.items():
+            path = f"{name}.{key}"
+            if key not in known:
+                raise _within(path, ParameterError(path, value, f"one of its names; {nearest(key, known)}"))
+            _check_bounds(path, value, _facts(known[key]))
+            _check_parts(path, value, getattr(made, key))
+    elif isinstance(given, list) and isinstance(made, tuple | list):
+        for i, (item, part) in enumerate(zip(given, made, strict=False)):
+            _check_parts(f"{name}[{i}]", item, part)
+    elif isinstance(given, dict) and isinstance(made, dict):
+        for key, item in given.items():
+            _check_parts(f"{name}.{key}", item, made.get(key))
 
 
 def _tell_bounds(entry: Any, facts: Mapping[str, Any]) -> None:

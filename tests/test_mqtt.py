@@ -249,6 +249,9 @@ def test_a_switch_without_a_broker_lets_time_pass() -> None:
         ({"entities": {"x": Entity("scorer", "X", "state", "binary_sensor")}}, "ON"),
         ({"entities": {"x": Entity("motion", "X", component="binary_sensor", alive_s=1, device_class="bed")}}, "occupancy"),
         ({"device": Device("my bed")}, "letters"),
+        ({"base": "home/#"}, "topic"),
+        ({"base": ""}, "topic"),
+        ({"discovery": "/ha"}, "topic"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_refused_before_anything_starts(more: dict[str, Any], word: str) -> None:

@@ -16,7 +16,7 @@ from stream.params import MissingParameter, build, help_of, param, schema
 @dataclass(frozen=True, slots=True)
 class Band:
     low_hz: float
-    high_hz: float = 40.0
+    high_hz: float = param(40.0, most=500.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +33,7 @@ class Part:
     pairs: tuple[tuple[str, str], ...] = param(())
     gains: dict[str, float] | None = param(None, most=10.0)
     band: Band | None = param(None)
+    bands: dict[str, tuple[Band, ...]] | None = param(None)
 
 
 def made(**values: Any) -> Part:
@@ -84,6 +85,12 @@ def test_what_fits_is_taken(name: str, given: Any, taken: Any) -> None:
         ("pairs", [["a", 2]], r"pairs[0][1] is 2; it must be a text"),
         ("gains", {"a": 11}, "gains.a is 11; it must be at most 10"),
         ("band", {"low_hz": "x"}, "band.low_hz is 'x'; it must be a number"),
+        (
+            "band",
+            {"low_hz": 1, "hihg_hz": 2},
+            "band.hihg_hz is 2; it must be one of its names; did you mean 'high_hz'?",
+        ),
+        ("bands", {"a": [{"low_hz": 1}, {"low_hz": 1, "low": 2}]}, "bands.a[1].low is 2; it must be one of its names"),
         ("band", 3, "band is 3; it must be a mapping of names to values"),
     ],
 )
@@ -107,6 +114,11 @@ def test_what_is_no_plain_value_is_refused(given: Any) -> None:
 def test_an_unknown_name_comes_with_the_nearest() -> None:
     with pytest.raises(ParameterError, match=r"cutof_hz is 1; .* did you mean 'cutoff_hz'\?"):
         made(cutof_hz=1)
+
+
+def test_bounds_hold_within_a_mapping_too() -> None:
+    with pytest.raises(ParameterError, match=r"band.high_hz is 501; it must be at most 500"):
+        made(band={"low_hz": 1, "high_hz": 501})
 
 
 def test_what_is_missing_is_named() -> None:

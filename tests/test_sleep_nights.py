@@ -9,6 +9,7 @@ from operators.pause import Pause
 from operators.sleep.nights import Nights
 from stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
 from stream.engine.merge import Merge
+from stream.errors import ParameterError
 from stream.operator import Operator
 
 START = 1_767_218_400 * NS
@@ -78,6 +79,12 @@ def test_nights(
 
 def test_another_sleeper_has_other_nights() -> None:
     assert told(Nights(sleeper="you"), [(1, "in"), (8, "out"), (20, "out")]) == []
+
+
+def test_nights_that_can_never_be_are_refused() -> None:
+    case = Nights.cases()[0]
+    with pytest.raises(ParameterError, match=r"longest_h is 0\.5; it must be above shortest_h"):
+        Nights(longest_h=0.5).open({port: spec for port, (spec, _, _) in case.inputs.items()})
 
 
 def test_a_pause_lets_nothing_pass() -> None:

@@ -93,6 +93,17 @@ class Topics:
     device: str
     prefix: str
 
+    def check(self) -> None:
+        """Raises ParameterError where what all topics begin with is no topic, but a pattern or nothing."""
+        for parameter, given in (("base", self.base), ("discovery", self.prefix)):
+            wrong = any(sign in given for sign in "+#\0") or given.startswith("/") or given.endswith("/")
+            if wrong or (not given and parameter == "base"):
+                raise ParameterError(
+                    parameter,
+                    given,
+                    "the beginning of a topic, without + and #, and without / at its ends",
+                )
+
     def state(self, entity: str) -> str:
         return f"{self.base}/{self.device}/{entity}/state"
 

@@ -105,6 +105,7 @@ class MqttOutlet(_Sender):
     def open(self, specs: Specs) -> Specs:
         self.broker.check()
         self.device.check()
+        self._topics.check()
         if self.ledger and (wrong := check_path(Path(self.ledger))):
             raise ParameterError("ledger", self.ledger, wrong)
         for name, entity in self.entities.items():

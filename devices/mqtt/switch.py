@@ -46,6 +46,7 @@ class MqttSwitch(Source):
         self.broker.check()
         self.device.check()
         Device(self.name).check()
+        Topics(self.base, self.device.id, self.discovery).check()
         return {"out": StreamSpec((), SWITCHED, meta={"switch": self.name})}
 
     def read(self, feed: Feed) -> None:

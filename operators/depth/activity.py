@@ -104,7 +104,9 @@ class Activity(Operator[ActivityState]):
     optional: ClassVar[tuple[str, ...]] = ("bed",)
     outputs: ClassVar[tuple[str, ...]] = ("out", "epochs")
 
-    epoch_s: float = param(30.0, above=0.0, help="length of an epoch; epochs begin at whole multiples of it since 1970")
+    epoch_s: float = param(
+        30.0, above=0.0, most=3600.0, help="length of an epoch; epochs begin at whole multiples of it since 1970"
+    )
     smooth_s: float = param(0.5, above=0.0, help="movement is judged on averages over so long")
     sigmas: float = param(6.0, above=0.0, help="how far above the noise movement begins: lower is more sensitive")
     least_rise: float = param(0.05, least=0.0, help="and how far at least, as a share of the noise")

@@ -10,7 +10,7 @@ import numpy as np
 
 from operators.sleep.periods import PERIOD
 from stream.chunk import FOREVER, NEVER, NS, Chunk, Specs, StreamSpec
-from stream.errors import InputError
+from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator
 from stream.params import param
 
@@ -73,6 +73,10 @@ class Nights(Operator[NightsState]):
         if "lights" in specs and not (specs["lights"].is_signal or "on" in (specs["lights"].dtype.names or ())):
             raise InputError(
                 "lights", specs["lights"].describe(), "a signal of one channel, or events with a field `on`"
+            )
+        if self.longest_h <= self.shortest_h:
+            raise ParameterError(
+                "longest_h", self.longest_h, f"above shortest_h, {self.shortest_h:g}: nothing else is a night"
             )
         self.hold(NightsState(NEVER, "", NEVER, "", NEVER, False, 0, NEVER, NEVER, 0))
         return {"out": StreamSpec((), NIGHTS, units=("ns", "ns", "min", "", ""), meta=dict(bed.meta))}
