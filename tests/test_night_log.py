@@ -235,6 +235,45 @@ def test_rows_wait_while_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.Mo
     assert logged(folder) == states(night, night.inn)
 
 
+def test_a_night_that_ends_while_the_disk_is_full_gets_its_numbers_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    night, log = Night(), opened(tmp_path, report=False)
+    log.begin()
+    feed(log, night.told(0, 400))
+    save, full = shelf.Facts.save, True
+
+    def saved(facts: shelf.Facts, folder: Path) -> None:
+        if full:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        save(facts, folder)
+
+    monkeypatch.setattr(shelf.Facts, "save", saved)
+    feed(log, chain(night.told(400), night.end()))
+    ((_, facts),) = shelf.nights(tmp_path)
+    assert not facts.closed and not facts.numbers
+    full = False
+    log.process("epochs", night.final(night.n - 1, night.onset(night.n + 1)))  # known already, but time goes on
+    log.process("epochs", night_made.event(night_made.EPOCH, night.onset(night.n), night.onset(night.n), night.onset(night.n + 1),
+                                           "wake", 0.2, 0.0, True, False))  # fmt: skip
+    log.close()
+    ((_, facts),) = shelf.nights(tmp_path)
+    assert facts.closed and facts.numbers["awakenings"] == 11
+
+
+def test_a_night_that_is_deleted_while_it_goes_on_goes_on_in_another_folder(tmp_path: Path) -> None:
+    night, log = Night(), opened(tmp_path)
+    log.begin()
+    feed(log, night.told(0, 300))
+    shelf.remove(tmp_path / "2025-12-31")
+    feed(log, chain(night.told(300), night.end()))
+    log.close()
+    ((folder, facts),) = shelf.nights(tmp_path)
+    assert logged(folder) == states(night, 300 - LATE) and facts.begun == night.onset(300 - LATE)
+    assert facts.closed and not facts.numbers  # they would tell of what was deleted
+    assert "broken off" in (folder / "report.html").read_text()
+
+
 def test_nights_are_separated_and_old_ones_deleted(tmp_path: Path) -> None:
     log = opened(tmp_path, report=False, keep_days=2.0)
     log.begin()

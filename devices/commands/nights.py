@@ -50,7 +50,7 @@ def nights(
     for folder in folders:
         if not shelf.Facts.load(folder).closed and not yes:
             raise KinegraphError(
-                f"the night {folder.name} is still being written; stop kinegraph first, or insist with --yes"
+                f"the night {folder.name} is not over; stop kinegraph first, or delete what there is of it with --yes"
             )
         if yes or typer.confirm(f"Delete the night {folder.name} with all its files?"):
             shelf.remove(folder)

@@ -35,7 +35,7 @@ class Draughtsman:
             if process.poll() is None:
                 return
             self._at_work = None
-            if not _ended_well(process, folder):
+            if not _ended_well(process, folder) and folder.is_dir():
                 self._due[folder] = time.monotonic() + AGAIN_S
         for folder, when in self._due.items():
             if time.monotonic() >= when:
@@ -56,7 +56,7 @@ class Draughtsman:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-            if not _ended_well(process, folder):
+            if not _ended_well(process, folder) and folder.is_dir():
                 raise DeviceError(
                     f"no report of {folder}: try `kinegraph nights report {folder.name} --path {folder.parent}`"
                 )

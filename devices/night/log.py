@@ -64,6 +64,10 @@ class _Desk:
         self.claim: FileLock | None = None
         self.zone: tzinfo | None = None
         self.night: Night | None = None
+        self.over: list[Night] = []
+        """Nights that are over, and not on the disk yet as they should be: it is full."""
+        self.deleted = NEVER
+        """Onset of the epoch before which the open night was deleted by somebody; its numbers are then of what is no more."""
         self.former: Path | None = None
         """The night that was closed last."""
         self.former_end = NEVER
@@ -198,6 +202,9 @@ class NightLog(_Logger):
 
     def close(self) -> None:
         desk = self.desk
+        self._settle()
+        for late in desk.over:
+            late.let_go()
         try:
             desk.draughtsman.finish()
         finally:
@@ -246,6 +253,8 @@ class NightLog(_Logger):
             "onset": iso(onset), "end": iso(int(row["end"])), "state": str(row["state"]), "rescored": int(row["rescored"]),
             "score": _number(row["score"]), "activity": _number(row["activity"]),
         }  # fmt: skip
+        self._settle()
+        self._forget_deleted(onset)
         if self._begins_or_goes_on(onset, str(known.get("bed", "")), str(row["state"])):
             self.desk.last = onset
             self.desk.waiting = [*self.desk.waiting[-MOST_WAITING:], facts]
@@ -259,9 +268,7 @@ class NightLog(_Logger):
         if night is not None and onset - night.in_bed > APART_NS:
             if not here:
                 return False
-            night.shut()
-            if self.report:
-                desk.draughtsman.soon(night.folder)
+            self._shut(night)
             night = desk.night = None
         if bed == "out" or onset > desk.former_end + APART_NS:
             self.state.rests = False
@@ -290,14 +297,38 @@ class NightLog(_Logger):
         numbers = {name: row[name].item() for name in row.dtype.names}
         if night is None or not numbers["onset"] - APART_NS < night.facts.begun < numbers["end"]:
             return
-        night.facts.numbers = {k: (None if v != v else v) for k, v in numbers.items()}
-        desk.former, desk.former_end, desk.night = night.folder, numbers["end"], None
+        if numbers["onset"] >= desk.deleted:
+            night.facts.numbers = {k: (None if v != v else v) for k, v in numbers.items()}
+        desk.former, desk.former_end, desk.night, desk.deleted = night.folder, numbers["end"], None, NEVER
         self.state.rests = True
-        night.shut()
         log.info("the night is over", night=night.folder.name, folder=str(night.folder))
-        if self.report:
-            desk.draughtsman.soon(night.folder)
+        self._shut(night)
         self._forget(numbers["end"])
+
+    def _shut(self, night: Night) -> None:
+        self.desk.over.append(night)
+        self._settle()
+
+    def _settle(self) -> None:
+        """See that nights that are over are on the disk, and have them drawn."""
+        desk = self.desk
+        for night in [*desk.over]:
+            if night.deleted or night.shut():
+                desk.over.remove(night)
+                night.let_go()
+                if self.report and not night.deleted:
+                    desk.draughtsman.soon(night.folder)
+
+    def _forget_deleted(self, onset: int) -> None:
+        """The open night was deleted while it went on: what follows gets a folder of its own."""
+        desk = self.desk
+        if desk.night is not None and desk.night.deleted:
+            log.warning(
+                "the night was deleted while it went on; what follows is kept in another folder",
+                night=desk.night.folder.name,
+            )
+            desk.night.let_go()
+            desk.night, desk.deleted = None, onset
 
     def _bed(self, row: Any) -> None:
         self.state.bed = str(row["state"])

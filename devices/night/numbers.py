@@ -18,7 +18,7 @@ CAVEATS = (
 )
 NO_NUMBERS = {
     False: "The night is not over: its numbers come with its end.",
-    True: "The night was broken off, and nobody saw its end: it has no numbers.",
+    True: "The night was broken off, or a part of it deleted: it has no numbers.",
 }
 """By whether it is closed."""
 SHOWN_NS = 15 * 60 * NS

@@ -75,10 +75,20 @@ class Night:
                 log.error("cannot write the night's facts", folder=str(self.folder), error=error.strerror)
             self.stale = True
 
-    def shut(self) -> None:
-        """The night is over. What could not be written is told, and ends nothing else."""
+    @property
+    def deleted(self) -> bool:
+        """Whether somebody has removed what was written."""
+        return not (self.folder / EPOCHS).exists()
+
+    def shut(self) -> bool:
+        """The night is over. Whether everything is on the disk; if not, this is asked again when there may be room."""
         self.facts.closed = True
         self.save()
+        self.file.write(b"")
+        return not self.stale and not self.file.pending
+
+    def let_go(self) -> None:
+        """Close the file. What could not be written is told, and ends nothing else."""
         try:
             self.file.close()
         except DeviceError as error:
