@@ -20,6 +20,7 @@ import pytest
 from devices.discovery.oak import described
 from devices.oak import Oak
 from devices.oak.adapter import Frames, Message, Motion
+from devices.oak.camera import Link, opened
 from devices.oak.library import NONE, all_cameras, library, not_opened, ns
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from devices.simulators.oak import BOOTED_S, SimulatedCamera, SimulatedOak
@@ -182,6 +183,14 @@ def test_errors_say_what_to_do() -> None:
     assert "no OAK camera '192.168.1.40'" in elsewhere and "14442C10D13EABCE00" in elsewhere
     taken = str(not_opened(fake(camera()), "14442C10D13EABCE00", RuntimeError("X_LINK_DEVICE_ALREADY_IN_USE")))
     assert "X_LINK_DEVICE_ALREADY_IN_USE" in taken and "another program" in taken
+
+
+@pytest.mark.parametrize("device", ["", "14442C10D13EABCE01"])
+def test_depthai_is_not_asked_for_a_camera_that_is_not_there(device: str) -> None:
+    """It would look for ten seconds, and a session that ended meanwhile with it, by std::terminate."""
+    dai = fake(*([camera()] if device else []))  # without `Device`: asking for it is an AttributeError
+    with pytest.raises(DeviceError, match="no OAK camera"), opened(dai, Oak(device=device), Link()):
+        pass
 
 
 def test_cameras_are_listed_with_the_yaml_to_use_them() -> None:

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from devices.oak.library import not_opened
+from devices.oak.library import all_cameras, not_opened
 
 if TYPE_CHECKING:
     from devices.oak.source import Oak
@@ -63,7 +63,13 @@ class Camera:
 
 @contextmanager
 def opened(dai: Any, of: Oak, link: Link) -> Iterator[Camera]:
-    """The camera that the source names, at work while the context lasts. Raises DeviceError."""
+    """The camera that the source names, at work while the context lasts. Raises DeviceError.
+
+    depthai itself would look for a camera for ten seconds, in which it cannot be stopped; so it is only asked for one that is there, or
+    that is named by an address, for those beyond the next router are not seen.
+    """
+    if of.device.count(".") < 3 and not any(of.device in ("", info.deviceId, info.name) for info in all_cameras(dai)):
+        raise not_opened(dai, of.device, RuntimeError("it is not there"))
     try:
         device = dai.Device(dai.DeviceInfo(of.device)) if of.device else dai.Device()
     except RuntimeError as error:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
@@ -96,7 +98,16 @@ def conduct(
         with _signals(session), Console(session).listening(), screen or nullcontext():
             outcome = session.run()
     _tell_end(outcome)
-    sys.exit(outcome.exit_code)
+    _leave(outcome.exit_code)
+
+
+def _leave(code: int) -> NoReturn:
+    """Exit, at once where a source's thread is still in a library's call: taken down within it, C++ would end the process by a signal."""
+    if any(thread.name.startswith("source ") for thread in threading.enumerate()):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)
 
 
 @contextmanager
