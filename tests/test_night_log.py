@@ -335,7 +335,7 @@ def test_the_report_of_a_night_that_goes_on(tmp_path: Path) -> None:
     assert "broken off" in (page := render(facts, epochs, None, [])) and "not over" not in page
 
 
-@pytest.mark.parametrize(("dark", "told"), [(None, True), (100, True), (270, False)])
+@pytest.mark.parametrize(("dark", "told"), [(None, True), (30, True), (100, True), (270, False)])
 def test_numbers_of_a_new_session_do_not_pass_for_those_of_the_night(
     tmp_path: Path, dark: int | None, told: bool
 ) -> None:
@@ -360,6 +360,10 @@ def test_numbers_of_a_new_session_do_not_pass_for_those_of_the_night(
     ((folder, facts),) = shelf.nights(tmp_path)
     epochs = shelf.read_epochs(folder)
     assert bool(begun_anew(facts, epochs)) == told == ("Numbers" in dict(quality(facts, epochs)))
+    if dark == 30:
+        assert facts.switched == [[night.onset(30), "lights off"]]  # just before anybody was in bed
+        facts.switched, facts.numbers["onset"] = [], night.onset(257)  # the switch says what it had been before
+        assert begun_anew(facts, epochs)
     assert ("of a night that began at 23:20" in render(facts, epochs, None, [])) == told
     assert span(facts, epochs)[0] == (facts.begun if told else night.onset(270) - 15 * 60 * NS)
 

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 def devices(
     kinds: Annotated[
-        list[str] | None, typer.Argument(help="look only for these kinds; left out: all", metavar="[KIND]...")
+        list[str] | None,
+        typer.Argument(help="look only for these: serial, usb, oak, lsl; left out: all", metavar="[KIND]..."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print JSON")] = False,
 ) -> None:

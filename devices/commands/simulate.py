@@ -26,7 +26,7 @@ def simulate(
     ] = None,
     at: Annotated[str, typer.Option(help="serve here, tcp://host:port, instead of on a pseudo-terminal")] = "",
     duration_s: Annotated[
-        float, typer.Option("--for", metavar="SECONDS", help="end after so long; 0: when stopped")
+        float, typer.Option("--for", metavar="SECONDS", min=0.0, help="end after so long; 0: when stopped")
     ] = 0.0,
 ) -> None:
     """Run a simulated device on its own; print the address at which it is found.

@@ -79,6 +79,8 @@ class _Desk:
         """Onset of the newest epoch that stands in a log."""
         self.waiting: list[dict[str, Any]] = []
         """Rows of a night whose folder could not be made yet: the disk is full."""
+        self.switched: list[Any] = []
+        """When the lights were switched last, and to what."""
         self.draughtsman = Draughtsman()
 
 
@@ -338,8 +340,9 @@ class NightLog(_Logger):
 
     def _switched(self, row: Any, stamp: int) -> None:
         night = self.desk.night
+        self.desk.switched = [stamp, "lights on" if row["on"] else "lights off"]
         if night is not None:
-            night.note(night.facts.switched, [stamp, "lights on" if row["on"] else "lights off"])
+            night.note(night.facts.switched, self.desk.switched)
 
     def _map(self, frame: Array) -> None:
         """The map comes with the night's numbers, before or after them."""
@@ -364,6 +367,8 @@ class NightLog(_Logger):
         )  # fmt: skip
         if self.state.bed:
             facts.exits.append([onset, self.state.bed])
+        if desk.switched and desk.switched[1] == "lights off" and onset - desk.switched[0] < APART_NS:
+            facts.switched.append(desk.switched)
         night = Night.begin(folder, facts)
         log.info("a night begins", night=folder.name, at=str(clock(onset, desk.zone)))
         return night

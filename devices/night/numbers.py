@@ -24,6 +24,7 @@ NO_NUMBERS = {
 SHOWN_NS = 15 * 60 * NS
 """So much before and after the night is drawn."""
 LEAST_SEEN = 0.5
+AT_ONCE_NS = 60 * NS
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +61,10 @@ def begun_anew(facts: Facts, epochs: Epochs) -> Stretch | None:
     for begin, end in ((int(a), int(b)) for a, b in facts.breaks):
         known = epochs.texts["bed"][(epochs.end <= begin) & np.isin(epochs.texts["bed"], ("in", "out"))]
         in_bed = not len(known) or known[-1] == "in"
-        dark_before = n.get("bed") != "lights" or any(t < begin for t in dark)
+        told_again = (
+            int(n.get("onset", 0)) - end < AT_ONCE_NS
+        )  # what a switch had been before comes with the new session
+        dark_before = n.get("bed") != "lights" or told_again or any(t < begin for t in dark)
         if n and in_bed and dark_before and facts.begun < begin and end <= int(n["onset"]):
             return Stretch(begin, end, "")
     return None
