@@ -23,6 +23,8 @@ from stream.chunk import NS, Array, Samples
 INK, SLEEP, WAKE, OUT, GONE, DOT = "#12395b", "#2f6690", "#d98a29", "#7a7a7a", "#e3e0d9", "#2f7d4f"
 LEVELS = {"out": 2.0, "wake": 1.0, "sleep": 0.0}
 A4_IN = (8.27, 11.69)
+LOWEST = 0.094
+"""Below this, as a share of the page's height, stand the words that belong to every report."""
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "kinegraph",
@@ -70,7 +72,7 @@ def page_png(
     with rc_context(STYLE):
         figure = Figure(figsize=A4_IN, facecolor="white")
         figure.text(0.07, 0.962, title, fontsize=15, weight="bold", va="top")
-        figure.text(0.07, 0.938, line, fontsize=8.5, color="#55534e", va="top")
+        figure.text(0.07, 0.938, line, fontsize=8.5 * min(1.0, 112 / len(line)), color="#55534e", va="top")
         _three(figure, facts, epochs, (0.115, 0.53, 0.825, 0.375))
         _table(figure, rows, 0.475, NO_NUMBERS[facts.closed])
         if motion is not None:
@@ -78,8 +80,8 @@ def page_png(
             axes = figure.add_axes((0.655, 0.322, 0.235, 0.133))
             axes.set_anchor("N")
             _map(figure, axes, motion)
-        _beside(figure, seen, 0.298 if motion is not None else 0.475)
-        figure.text(0.07, 0.045, "\n".join(CAVEATS), fontsize=7, color="#44423d", va="bottom", linespacing=1.5)
+        _beside(figure, seen, 0.305 if motion is not None else 0.475)
+        figure.text(0.07, 0.03, "\n".join(CAVEATS), fontsize=7, color="#44423d", va="bottom", linespacing=1.5)
         file = io.BytesIO()
         figure.savefig(file, format="png", dpi=150, metadata={"Software": "kinegraph"})
         return file.getvalue()
@@ -212,11 +214,14 @@ def _table(figure: Figure, rows: list[Row], top: float, none: str) -> None:
 
 
 def _beside(figure: Figure, seen: list[tuple[str, str]], top: float) -> None:
-    """What was seen of the night, in the column beside the table."""
+    """What was seen of the night, in the column beside the table; what does not fit above the page's last lines is in the HTML."""
     figure.text(0.66, top, "What was seen", fontsize=9, weight="bold", color=INK, va="top")
     y = top - 0.024
     for name, value in seen:
-        lines = wrap(value, 46, max_lines=3, placeholder=" …")
+        lines = wrap(value, 48, max_lines=3, placeholder=" …")
+        if y - 0.0115 - 0.0096 * len(lines) < LOWEST:
+            figure.text(0.66, y, "…", fontsize=7.5, va="top")
+            return
         figure.text(0.66, y, name, fontsize=7.5, va="top")
         figure.text(0.66, y - 0.0115, "\n".join(lines), fontsize=6.5, va="top", color="#6a6862", linespacing=1.25)
         y -= 0.0165 + 0.0096 * len(lines)

@@ -91,6 +91,7 @@ def table(facts: Facts, epochs: Epochs) -> list[Row]:
         Row("Movement index", f"{_plain(n['movement'])} %", "", "epochs with movement, from the first to the last sleep"),
         Row("Fragmentation index", f"{_plain(n['fragmentation'])} %", "", "movement index + share of still stretches of at most 1 min"),
     ]  # fmt: skip
+    epochs = epochs.part(int(n["onset"]), int(n["end"]))
     breaths = epochs.numbers["breaths_per_min"]
     known = breaths[np.isfinite(breaths)]
     if len(known):
