@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from math import isfinite
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -30,7 +31,10 @@ TRUTH = np.dtype(
     ]
 )
 """What happened in an epoch: the sleeper's number, stage, seconds with movement, seconds in bed, breaths per minute."""
+LONGEST_S = 24 * 3600
 STAGES = {"0": "W", "1": "N1", "2": "N2", "3": "N3", "4": "N3", "5": "R", "wake": "W", "rem": "R"}
+STAGES |= {name.lower(): name for name in ("W", "N1", "N2", "N3", "R")} | dict.fromkeys(("?", "-1", "unknown"), "W")
+"""What stages are called, in small letters; one that was not scored is shown awake."""
 TOGETHER = 8
 """Frames in a chunk when it goes faster than time."""
 
@@ -84,6 +88,11 @@ class Bedside(Source):
     def specs(self) -> Specs:
         if self.evening:
             _clock(self.evening)
+        if self.hypnogram:
+            try:
+                read_stages(Path(self.hypnogram))
+            except DeviceError as error:
+                raise ParameterError("hypnogram", self.hypnogram, f"a hypnogram: {error}") from None
         meta = {"device": "simulated bedroom", "invalid": 0, "simulated": True}
         shape = (self.height, self.width)
         units = ("ns", "ns", "", "", "s", "s", "1/min")
@@ -127,7 +136,8 @@ class _Night:
 
     def __init__(self, of: Bedside, room: Bedroom, feed: Feed, begun: int, now: int) -> None:
         self._of, self._room, self._feed, self._begun, self._opened = of, room, feed, begun, now
-        self._truth = of.specs()["truth"]
+        specs = of.specs()
+        self._depth, self._truth = specs["depth"], specs["truth"]
         self._moved = [p.moved_s() for p in room.plans]
         self._held: tuple[float, np.ndarray] | None = None
 
@@ -154,7 +164,7 @@ class _Night:
                 feed.emit(Chunk(stamps[there], frames, until, lost), "depth")
                 lost = 0
             else:
-                feed.emit(empty(of.specs()["depth"], until), "depth")
+                feed.emit(empty(self._depth, until), "depth")
             lost += len(seconds) - len(there)
             while (epoch + 1) * EPOCH_S <= seconds[-1]:
                 self._tell(epoch, until)
@@ -188,18 +198,33 @@ class _Night:
 
 
 def read_stages(path: Path) -> tuple[str, ...]:
-    """The stages of a CSV with the columns onset (s) and stage, one per 30 s. Raises DeviceError."""
+    """The stages of a CSV with the columns onset (s) and stage, one per 30 s. Raises DeviceError, which names the line."""
     try:
-        with path.open(newline="") as file:
-            rows = [(float(row["onset"]), row["stage"].strip()) for row in csv.DictReader(file)]
-    except (OSError, KeyError, ValueError) as error:
-        raise DeviceError(f"{path} is no hypnogram with the columns onset (s) and stage: {error}") from None
-    if not rows:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise DeviceError(f"{path} cannot be read: {error}") from None
+    found: list[tuple[float, str]] = []
+    for line, row in enumerate(rows, 2):
+        try:
+            onset, stage = float(row["onset"]), STAGES[row["stage"].strip().lower()]
+        except (KeyError, ValueError, AttributeError):
+            told = ",".join(str(value) for value in row.values())
+            raise DeviceError(
+                f"{path}, line {line}: {told!r} is no onset (s) with its stage (W N1 N2 N3 R, 0 to 5, or ?), under a header that says so"
+            ) from None
+        if not isfinite(onset) or (found and onset <= found[-1][0]):
+            raise DeviceError(f"{path}, line {line}: onset is {onset:g} s, which is not after the line before")
+        found.append((onset, stage))
+    if not found:
         raise DeviceError(f"{path} holds no stage")
     stages: list[str] = []
-    for (onset, stage), (following, _) in zip(rows, [*rows[1:], (rows[-1][0] + EPOCH_S, "")], strict=True):
-        known = STAGES.get(stage.lower(), stage if stage in STAGES.values() else "W")
-        stages += [known] * max(0, round((following - onset) / EPOCH_S))
+    for (onset, stage), (following, _) in zip(found, [*found[1:], (found[-1][0] + EPOCH_S, "")], strict=True):
+        stages += [stage] * max(0, round((following - onset) / EPOCH_S))
+    if not stages or len(stages) * EPOCH_S > LONGEST_S:
+        raise DeviceError(
+            f"{path} tells of {len(stages) * EPOCH_S / 3600:g} h; it must be a night, at most {LONGEST_S / 3600:g} h"
+        )
     return tuple(stages)
 
 

@@ -12,7 +12,7 @@ from devices.bedside import Bedside, read_stages
 from devices.simulators.bedroom import BED_MM, FLOOR_MM, Bedroom, Extras
 from devices.simulators.night import EPOCH_S, made_up, plan
 from stream.chunk import NS
-from stream.errors import DeviceError, ParameterError
+from stream.errors import ParameterError
 from tests.sleep_data import needs_data
 
 SMALL = {"width": 96, "height": 72}
@@ -77,9 +77,32 @@ def test_a_hypnogram_is_read_from_a_table(tmp_path: Path) -> None:
     path = tmp_path / "stages.csv"
     path.write_text("onset,stage\n0,W\n90,N2\n120,3\n150,R\n", encoding="utf-8")
     assert read_stages(path) == ("W", "W", "W", "N2", "N3", "R")
-    path.write_text("time,stage\n0,W\n", encoding="utf-8")
-    with pytest.raises(DeviceError, match="columns onset"):
-        read_stages(path)
+    path.write_text("onset,stage\n0,?\n30,n2\n", encoding="utf-8")
+    assert read_stages(path) == ("W", "N2")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("time,stage\n0,W\n", "line 2: '0,W' is no onset"),
+        ("onset,stage\n0,W\n30,Q\n", "line 3: '30,Q' is no onset"),
+        ("onset,stage\n0,W\n30\n", "line 3"),
+        ("onset,stage\n0,W\n60,N2\n30,N2\n", "line 4: onset is 30 s"),
+        ("onset,stage\n0,W\nnan,N2\n", "line 3: onset is nan"),
+        ("onset,stage\n0,W\n1e9,N2\n", "at most 24 h"),
+        ("onset,stage\n", "no stage"),
+    ],
+)
+def test_a_table_that_is_no_hypnogram_is_refused_before_anything_starts(tmp_path: Path, text: str, told: str) -> None:
+    path = tmp_path / "stages.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ParameterError, match=told):
+        Bedside(hypnogram=str(path)).specs()
+    with pytest.raises(ParameterError, match="cannot be read"):
+        Bedside(hypnogram=str(tmp_path / "none.csv")).specs()
+
+
+def test_an_evening_is_a_time_of_day() -> None:
     with pytest.raises(ParameterError, match="22:30"):
         Bedside(evening="half past ten").specs()
 
