@@ -67,6 +67,13 @@ def test_a_camera_that_is_missing_is_tried_again_by_systemd(tmp_path: Path) -> N
     assert (tmp_path / "session" / "checkpoint.npz").exists()
 
 
+def test_compiled_kernels_have_a_place_though_the_user_has_no_home() -> None:
+    lines = UNIT.read_text().splitlines()
+    (folder,) = (line.partition("=")[2] for line in lines if line.startswith("CacheDirectory="))
+    (named,) = (word for line in lines for word in line.split() if word.startswith("Environment=KINEGRAPH_CACHE="))
+    assert named == f"Environment=KINEGRAPH_CACHE=/var/cache/{folder}"
+
+
 def test_systemd_accepts_the_unit() -> None:
     if not shutil.which("systemd-analyze"):
         pytest.skip("no systemd here")
