@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from operators.neighbours import Index, Neighbours
+from operators.neighbours import Index, Neighbours, layout
 from operators.neighbours.candidates import radius_squared
 from operators.neighbours.index import NeighbourError
 from operators.neighbours.layout import SEAL, SEAL_FROM
@@ -17,6 +17,12 @@ from stream.operator import grid
 from tests.naive_neighbours import Window
 
 SEED = 20
+
+
+@pytest.fixture(params=["scanned", "boxes"])
+def path(request, monkeypatch):
+    """Small windows are looked through from end to end; here also from their boxes down."""
+    monkeypatch.setattr(layout, "SCAN_UP_TO", 10**9 if request.param == "scanned" else 0)
 
 
 def motion(n, width, seed=SEED):
@@ -64,6 +70,7 @@ def check_nearest(index, plain, k, q, at, band, found):
         (uniform, 60, 1000, 1500),
     ],
 )
+@pytest.mark.usefixtures("path")
 def test_every_frame_against_plain_loops(stream, width, window, n, vector):
     index, plain = Index(width, window, 20, vector=vector), Window(width, window)
     for number, x in enumerate(stream(n, width)):
@@ -117,11 +124,12 @@ def test_ten_thousand_frames_against_float64(width):
         assert exact[frames - first].max() <= wanted[-1] * (1.0 + slack), f"frame {at}"
 
 
-def test_both_paths_give_the_same_bits():
-    """Vectors and loops, with weights, sealed: the whole of both states is the same but for what they are told apart by."""
-    x = motion(SEAL_FROM + 2100, 7)
-    x[5000:5010, 3] = np.inf
-    one, two = Index(7, SEAL_FROM, 16), Index(7, SEAL_FROM, 16, vector=False)
+@pytest.mark.parametrize("window", [400, 4000, SEAL_FROM], ids=["scanned", "boxes", "sealed"])
+def test_both_paths_give_the_same_bits(window):
+    """Vectors and loops, with weights."""
+    x = motion(window + 2100, 7)
+    x[window - 3 : window + 7, 3] = np.inf
+    one, two = Index(7, window, 16), Index(7, window, 16, vector=False)
     for part in np.array_split(x, 5):
         weights = np.random.default_rng(len(part)).uniform(0, 2, 7).round(1)
         one.weigh(weights)
@@ -132,6 +140,20 @@ def test_both_paths_give_the_same_bits():
         assert d.tobytes() == e.tobytes()
 
 
+@pytest.mark.parametrize("vector", [True, False], ids=["vectors", "loops"])
+@pytest.mark.usefixtures("path")
+def test_more_nearest_than_are_counted(vector):
+    """Many are sorted, not put in order by counting; and where fewer frames are left than were asked for, all of them come."""
+    k = 3 * layout.COUNTED
+    index, plain = Index(4, 2 * k, k, vector=vector), Window(4, 2 * k)
+    for number, row in enumerate(motion(4 * k, 4)):
+        index.insert(row)
+        plain.insert(row)
+        if number % 7 == 0:
+            check_nearest(index, plain, k, row, number, 3, index.nearest(k, band=3))
+
+
+@pytest.mark.usefixtures("path")
 def test_ties_and_duplicates():
     """Whole numbers make many equal distances: the older come first, and are those kept."""
     x = np.random.default_rng(SEED).integers(0, 3, (900, 3)).astype(float)
@@ -149,6 +171,7 @@ def test_ties_and_duplicates():
             assert (distances == 0).all()
 
 
+@pytest.mark.usefixtures("path")
 def test_bad_frames_are_nobodys_neighbours():
     x = motion(1500, 6)
     rng = np.random.default_rng(SEED)
@@ -167,6 +190,7 @@ def test_bad_frames_are_nobodys_neighbours():
             check_nearest(index, plain, 10, row, number, 3, found)
 
 
+@pytest.mark.usefixtures("path")
 def test_weights_change_at_any_time():
     x = motion(1200, 8)
     rng = np.random.default_rng(SEED)
@@ -183,6 +207,7 @@ def test_weights_change_at_any_time():
 
 @pytest.mark.parametrize("both", [False, True], ids=["one way", "both ways"])
 @pytest.mark.parametrize("stream", [motion, uniform])
+@pytest.mark.usefixtures("path")
 def test_radius_both_ways(stream, both):
     x = stream(1300, 6)
     radii = np.random.default_rng(SEED).uniform(0.05, 0.6, 1300)
@@ -201,6 +226,7 @@ def test_radius_both_ways(stream, both):
     assert found > 1000
 
 
+@pytest.mark.usefixtures("path")
 def test_the_boundary_of_a_radius_is_the_reported_distance():
     """Whoever is told at distance d is within d, and not within the next smaller float32."""
     x = motion(400, 5)
@@ -216,8 +242,9 @@ def test_the_boundary_of_a_radius_is_the_reported_distance():
     assert radius_squared(np.nan) < 0
 
 
+@pytest.mark.usefixtures("path")
 def test_any_vector_and_any_band():
-    """Queries that are not the newest frame, one after another, among insertions; with and without the boxes' help."""
+    """Queries that are not the newest frame, one after another, among insertions."""
     rng = np.random.default_rng(SEED)
     x = motion(700, 4)
     index, plain = Index(4, 350, 50), Window(4, 350)

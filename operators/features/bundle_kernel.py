@@ -6,6 +6,7 @@ import math
 
 from operators.features.eigen import symmetric_eigen
 from operators.neighbours.candidates import NOTHING
+from operators.neighbours.lanes import bare
 from operators.neighbours.layout import IN_NEAR, LANES, NEAR, NEXT, Floats
 from operators.neighbours.search import search
 from operators.neighbours.window import insert, prepare, slot_of, tile_at
@@ -177,6 +178,7 @@ def bundle_frames(
     places   (2,)            frames since the last break; how many before them do not come out
     when     (2, n)          stamp of each row made, and how many are lost before it
     """
+    f, b = bare(floats), bare(books)
     ring, d = recent.shape[0], recent.shape[1]
     made = 0
     for i in range(x.shape[0]):
@@ -190,8 +192,8 @@ def bundle_frames(
         newest = places[0]
         for c in range(d):
             recent[newest % ring, c] = x[i, c]
-        good = prepare(floats, books, x[i])
-        insert(floats, books, good, NOTHING)
+        good = prepare(f, b, x[i])
+        insert(f, b, good, NOTHING)
         places[0] += 1
         if newest < ahead:
             continue
@@ -208,7 +210,7 @@ def bundle_frames(
                 ways[0, c] = 8.0 * (after[c] - before[c]) - (beyond[c] - behind[c])
                 fine = fine and abs(ways[0, c]) < math.inf and abs(frame[c]) < math.inf
         if fine:
-            bundle(floats, books, books[NEXT] - 1 - ahead, k, variance, pull, gram, basis, room, ways, frame, out[made])
+            bundle(f, b, b[NEXT] - 1 - ahead, k, variance, pull, gram, basis, room, ways, frame, out[made])
         else:
             for c in range(d):
                 out[made, c] = frame[c] if abs(frame[c]) < math.inf else math.nan

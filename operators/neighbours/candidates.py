@@ -6,21 +6,25 @@ import math
 
 import numpy as np
 
-from operators.neighbours.lanes import bits_of, lowest, number_of, one
+from operators.neighbours.lanes import array_of, bits_of, count_above, lowest, none_counted, number_of, store_counts
 from operators.neighbours.layout import (
     AT_NEAR,
     AT_REACH,
     AT_SQUARED,
     BLOCK,
     BLOCKS,
+    COUNTED,
+    FARTHEST,
     FOUND,
     IN_FRAMES,
     IN_KEYS,
     IN_MARKS,
     IN_NEAR,
+    IN_RANKS,
     LANES,
-    MOST,
     NEAR,
+    ROOM,
+    VECTOR,
     Floats,
 )
 from operators.neighbours.window import oldest
@@ -30,16 +34,13 @@ from stream.kernel import kernel
 NOTHING = np.float32(-1.0)
 """A limit that no distance keeps."""
 
-FARTHEST = np.float32(np.finfo(np.float32).max)
-"""No limit: everything but infinity, which is what lanes without a living frame hold."""
-
 
 @kernel
 def gather(
     floats: Floats,
     books: Times,
     limit: np.float32,
-    tile: int,
+    slot: int,
     lanes: int,
     sums: int,
     at: int,
@@ -48,16 +49,17 @@ def gather(
     within: np.float32,
     both: bool,
 ) -> tuple[np.float32, int]:
-    """Keep the frames in some lanes of a tile as candidates for the nearest (d2 <= `limit`), and mark those within a radius."""
-    marked, found, room = 0, books[FOUND], 3 * books[MOST] + 64
-    frames, keys, first = books[IN_FRAMES] + tile * LANES, books[IN_KEYS], oldest(books)
+    """Keep the frames in some lanes from `slot` on as candidates for the nearest (d2 <= `limit`), and mark those within a radius."""
+    marked, found, room = 0, books[FOUND], books[ROOM]
+    frames, keys, first = books[IN_FRAMES] + slot, books[IN_KEYS], oldest(books)
+    reaches = books[AT_REACH] + slot
     while lanes:
         lane = lowest(lanes)
         lanes &= lanes - 1
         frame = books[frames + lane]
         if abs(frame - at) <= band:
             continue
-        squared = one(floats, sums + lane)
+        squared = floats[sums + lane]
         if squared <= limit:
             books[keys + found] = bits_of(squared) << 32 | (frame - first)
             found += 1
@@ -66,7 +68,7 @@ def gather(
                 sift(books, k)
                 found = books[FOUND]
                 limit = number_of(books[keys + k - 1] >> 32)
-        if squared <= within or (both and squared <= floats[books[AT_REACH] + tile * LANES + lane]):
+        if squared <= within or (both and squared <= floats[reaches + lane]):
             place = frame % (books[BLOCKS] * books[BLOCK])
             floats[books[AT_SQUARED] + place] = squared
             books[books[IN_MARKS] + place // 64] |= 1 << (place % 64)
@@ -102,31 +104,40 @@ def sift(books: Times, k: int) -> None:
     books[FOUND] = k
 
 
-COUNTED = 96
-"""Up to so many keys are put in order by counting, for each, those that are smaller: no branches, so faster than a sort."""
-
-
 @kernel
 def put_in_order(floats: Floats, books: Times, k: int) -> None:
     """The k smallest keys become the list of the nearest."""
     if books[FOUND] > COUNTED and books[FOUND] > k:
         sift(books, k)
-    count = books[FOUND]
-    first = oldest(books)
-    keys = books[books[IN_KEYS] : books[IN_KEYS] + count]
+    count, keys, ranks = books[FOUND], books[IN_KEYS], books[IN_RANKS]
+    rank(books, keys, count, ranks)
     books[NEAR] = min(count, k)
-    if count > COUNTED:
-        keys.sort()
+    first, frames, squared = oldest(books), books[IN_NEAR], books[AT_NEAR]
     for i in range(count):
-        key = keys[i]
-        rank = i
-        if count <= COUNTED:
-            rank = 0
+        key, place = books[keys + i], books[ranks + i]
+        floats[squared + place] = number_of(key >> 32)
+        books[frames + place] = first + (key & 0xFFFFFFFF)
+
+
+@kernel
+def rank(books: Times, keys: int, count: int, ranks: int) -> None:
+    """The places of keys in their order: few by counting, for each, those that are smaller; many by being sorted."""
+    if count > COUNTED:
+        array_of(books, keys + count)[keys:].sort()
+        for i in range(count):
+            books[ranks + i] = i
+    elif books[VECTOR]:
+        for i in range(0, count, LANES):
+            smaller = none_counted()
             for j in range(count):
-                rank += keys[j] < key
-        if rank < k:
-            floats[books[AT_NEAR] + rank] = number_of(key >> 32)
-            books[books[IN_NEAR] + rank] = first + (key & 0xFFFFFFFF)
+                smaller = count_above(smaller, books, keys + i, books[keys + j])
+            store_counts(books, ranks + i, smaller)
+    else:
+        for i in range(count):
+            smaller = 0
+            for j in range(count):
+                smaller += books[keys + j] < books[keys + i]
+            books[ranks + i] = smaller
 
 
 @kernel

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from operators.neighbours.lanes import add_square, add_weighted, at_most, load, one, outside, store
-from operators.neighbours.layout import AT_QUERY, AT_WEIGHTS, LANES, VECTOR, WEIGHTED, WIDTH, Floats
+from operators.neighbours.lanes import add_square, add_weighted, at_most, load, outside, store
+from operators.neighbours.layout import AT_QUERY, AT_WEIGHTS, FARTHEST, LANES, VECTOR, WEIGHTED, WIDTH, Floats
 from stream.chunk import Times
 from stream.kernel import kernel
 
@@ -45,17 +45,59 @@ def tile_by_vectors(floats: Floats, books: Times, tile: int, limit: np.float32, 
         stop = min(done + AT_ONCE, width)
         if weighted:
             for i in range(done, stop):
-                total = add_weighted(total, load(floats, row), one(floats, query + i), one(floats, weights + i))
+                total = add_weighted(total, load(floats, row), floats[query + i], floats[weights + i])
                 row += LANES
         else:
             for i in range(done, stop):
-                total = add_square(total, load(floats, row), one(floats, query + i))
+                total = add_square(total, load(floats, row), floats[query + i])
                 row += LANES
         if at_most(total, limit) == 0:
             return 0
         done = stop
     store(floats, out, total)
     found: int = at_most(total, limit)
+    return found
+
+
+@kernel
+def four_distances(floats: Floats, books: Times, first: int, second: int, third: int, fourth: int, out: int) -> None:
+    """All sums of four tiles, at place `out`; infinite where no frame lives. With vectors side by side: no sum waits for another's."""
+    if not books[VECTOR]:
+        for i, tile in enumerate((first, second, third, fourth)):
+            tile_by_loops(floats, books, tile, FARTHEST, out + i * LANES)
+        return
+    width, query, weights = books[WIDTH], books[AT_QUERY], books[AT_WEIGHTS]
+    a, b, c, d = load(floats, first), load(floats, second), load(floats, third), load(floats, fourth)
+    if books[WEIGHTED]:
+        for i in range(width):
+            q, w, row = floats[query + i], floats[weights + i], (1 + i) * LANES
+            a = add_weighted(a, load(floats, first + row), q, w)
+            b = add_weighted(b, load(floats, second + row), q, w)
+            c = add_weighted(c, load(floats, third + row), q, w)
+            d = add_weighted(d, load(floats, fourth + row), q, w)
+    else:
+        for i in range(width):
+            q, row = floats[query + i], (1 + i) * LANES
+            a = add_square(a, load(floats, first + row), q)
+            b = add_square(b, load(floats, second + row), q)
+            c = add_square(c, load(floats, third + row), q)
+            d = add_square(d, load(floats, fourth + row), q)
+    store(floats, out, a)
+    store(floats, out + LANES, b)
+    store(floats, out + 2 * LANES, c)
+    store(floats, out + 3 * LANES, d)
+
+
+@kernel
+def four_at_most(floats: Floats, books: Times, limit: np.float32, at: int) -> int:
+    """Of the 64 sums at place `at`, those that are at most `limit`, as bits."""
+    if books[VECTOR]:
+        low = at_most(load(floats, at), limit) | at_most(load(floats, at + LANES), limit) << LANES
+        high = at_most(load(floats, at + 2 * LANES), limit) | at_most(load(floats, at + 3 * LANES), limit) << LANES
+        return int(low | high << 2 * LANES)
+    found = 0
+    for i in range(4):
+        found |= bits_at_most(floats, limit, at + i * LANES) << (i * LANES)
     return found
 
 
@@ -69,10 +111,8 @@ def boxes_by_vectors(floats: Floats, books: Times, boxes: int, limit: np.float32
     while done < width:
         stop = min(done + AT_ONCE, width)
         for i in range(done, stop):
-            off = outside(load(floats, row), load(floats, row + LANES), one(floats, query + i))
-            total = (
-                add_weighted(total, off, zero, one(floats, weights + i)) if weighted else add_square(total, off, zero)
-            )
+            off = outside(load(floats, row), load(floats, row + LANES), floats[query + i])
+            total = add_weighted(total, off, zero, floats[weights + i]) if weighted else add_square(total, off, zero)
             row += 2 * LANES
         if at_most(total, limit) == 0:
             return 0

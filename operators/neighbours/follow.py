@@ -1,4 +1,7 @@
-"""Kernels that work through many frames in one call: each is inserted, and asked about at once."""
+"""The kernels that Python calls: frames are inserted, and asked about, in one call as many as there are.
+
+They take the index as its two arrays, and hand it on bare.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ import math
 import numpy as np
 
 from operators.neighbours.candidates import radius_squared
-from operators.neighbours.lanes import lowest
+from operators.neighbours.lanes import bare, lowest
 from operators.neighbours.layout import (
     AT_NEAR,
     AT_REACH,
@@ -30,13 +33,13 @@ from stream.kernel import kernel
 @kernel
 def take_nearest(floats: Floats, books: Times, frames: Times, distances: Array) -> None:
     """Write the nearest that `search` found into `frames` (k,) int64 and `distances` (k,) float32; -1 and NaN where there are fewer."""
-    for i in range(frames.shape[0]):
-        if i < books[NEAR]:
-            frames[i] = books[books[IN_NEAR] + i]
-            distances[i] = math.sqrt(floats[books[AT_NEAR] + i])
-        else:
-            frames[i] = -1
-            distances[i] = math.nan
+    near, squared, known = books[IN_NEAR], books[AT_NEAR], books[NEAR]
+    for i in range(known):
+        frames[i] = books[near + i]
+        distances[i] = math.sqrt(floats[squared + i])
+    for i in range(known, frames.shape[0]):
+        frames[i] = -1
+        distances[i] = math.nan
 
 
 @kernel
@@ -71,14 +74,15 @@ def take_marked(
 @kernel
 def follow(floats: Floats, books: Times, x: Samples, band: int, radius: float, frames: Times, distances: Array) -> None:
     """Insert each of `x` (n, width) with its `radius` (NaN: none), and write its nearest into `frames` and `distances` (n, k)."""
+    f, b = bare(floats), bare(books)
     reach = radius_squared(radius)
     for i in range(x.shape[0]):
-        good = prepare(floats, books, x[i])
-        insert(floats, books, good, reach)
-        books[NEAR] = 0
+        good = prepare(f, b, x[i])
+        insert(f, b, good, reach)
+        b[NEAR] = 0
         if good and frames.shape[1]:
-            search(floats, books, books[NEXT] - 1, band, frames.shape[1], np.float32(-1.0), False)
-        take_nearest(floats, books, frames[i], distances[i])
+            search(f, b, b[NEXT] - 1, band, frames.shape[1], np.float32(-1.0), False)
+        take_nearest(f, b, frames[i], distances[i])
 
 
 @kernel
@@ -103,19 +107,52 @@ def follow_within(
     found, found_distances, ways  (m,), (m,), (m, 2)  see take_marked
     Returns the row to go on with, and how many were found.
     """
+    f, b = bare(floats), bare(books)
     within = radius_squared(radius)
     made = 0
     i = start
-    while i < x.shape[0] and made + books[WINDOW] <= who.shape[0]:
-        good = prepare(floats, books, x[i])
-        insert(floats, books, good, within)
-        books[NEAR] = 0
+    while i < x.shape[0] and made + b[WINDOW] <= who.shape[0]:
+        good = prepare(f, b, x[i])
+        insert(f, b, good, within)
+        b[NEAR] = 0
         if good:
-            marked = search(floats, books, books[NEXT] - 1, band, frames.shape[1], within, both)
+            marked = search(f, b, b[NEXT] - 1, band, frames.shape[1], within, both)
             if marked:
-                after = take_marked(floats, books, within, made, found, found_distances, ways)
+                after = take_marked(f, b, within, made, found, found_distances, ways)
                 who[made:after] = i
                 made = after
-        take_nearest(floats, books, frames[i], distances[i])
+        take_nearest(f, b, frames[i], distances[i])
         i += 1
     return i, made
+
+
+@kernel
+def enter(floats: Floats, books: Times, x: Samples, radius: float) -> None:
+    """Insert the frame `x` (width,) with its own `radius`."""
+    f, b = bare(floats), bare(books)
+    good = prepare(f, b, x)
+    insert(f, b, good, radius_squared(radius))
+
+
+@kernel
+def ask_nearest(floats: Floats, books: Times, x: Samples, at: int, band: int, frames: Times, distances: Array) -> int:
+    """Write the nearest of `x` (width,) into `frames` and `distances` (k,); returns how many there are."""
+    f, b = bare(floats), bare(books)
+    b[NEAR] = 0
+    if prepare(f, b, x):
+        search(f, b, at, band, frames.shape[0], np.float32(-1.0), False)
+    take_nearest(f, b, frames, distances)
+    return int(b[NEAR])
+
+
+@kernel
+def ask_within(floats: Floats, books: Times, x: Samples, at: int, band: int, radius: float, both: bool) -> int:
+    """Mark all within a radius of `x` (width,), to be told by `tell_within`; returns how many."""
+    f, b = bare(floats), bare(books)
+    return search(f, b, at, band, 0, radius_squared(radius), both) if prepare(f, b, x) else 0
+
+
+@kernel
+def tell_within(floats: Floats, books: Times, radius: float, frames: Times, distances: Array, ways: Array) -> None:
+    """Write those that `ask_within` marked: see take_marked."""
+    take_marked(bare(floats), bare(books), radius_squared(radius), 0, frames, distances, ways)

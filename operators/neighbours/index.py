@@ -8,14 +8,12 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operators.neighbours.candidates import radius_squared
-from operators.neighbours.follow import follow, take_marked, take_nearest
+from operators.neighbours.follow import ask_nearest, ask_within, enter, follow, tell_within
 from operators.neighbours.layout import (
     AT_TILES,
     AT_WEIGHTS,
     LANES,
     MOST,
-    NEAR,
     NEXT,
     SINCE,
     WEIGHTED,
@@ -26,8 +24,7 @@ from operators.neighbours.layout import (
     allocate,
     clear,
 )
-from operators.neighbours.search import search
-from operators.neighbours.window import insert, prepare, slot_of
+from operators.neighbours.window import slot_of
 from stream.chunk import Array, Samples, Times
 from stream.errors import KinegraphError
 from stream.state import pack, unpack
@@ -95,9 +92,7 @@ class Index:
 
     def insert(self, x: ArrayLike, *, radius: float = np.nan) -> int:
         """Insert a frame (width,); returns its number. `radius` is its own, for `within(..., both=True)` of later frames."""
-        s = self.state
-        good = prepare(s.floats, s.books, self._row(x))
-        insert(s.floats, s.books, good, np.float32(radius_squared(float(radius))))
+        enter(self.state.floats, self.state.books, self._row(x), float(radius))
         return self.newest
 
     def follow(
@@ -122,14 +117,10 @@ class Index:
         frame itself, -1 nothing.
         """
         s, k = self.state, self._few(k)
-        at, good = self._ask(x, at)
-        if not good or k == 0:
-            return np.empty(0, np.int64), np.empty(0, np.float32)
-        search(s.floats, s.books, at, band, k, np.float32(-1.0), False)
-        count = int(s.books[NEAR])
-        frames, distances = np.empty(count, np.int64), np.empty(count, np.float32)
-        take_nearest(s.floats, s.books, frames, distances)
-        return frames, distances
+        frames, distances = np.empty(k, np.int64), np.empty(k, np.float32)
+        at = self.newest if at is None else at
+        count = ask_nearest(s.floats, s.books, self._question(x), at, band, frames, distances)
+        return frames[:count], distances[:count]
 
     def within(
         self, radius: float, x: ArrayLike | None = None, *, at: int | None = None, band: int = 0, both: bool = False
@@ -145,12 +136,11 @@ class Index:
         self, radius: float, x: ArrayLike | None = None, *, at: int | None = None, band: int = 0, both: bool = True
     ) -> tuple[Times, Floats, Array]:
         """As `within`, and (m, 2) bool: whether the frame is within `radius`, and whether `x` is within the frame's own radius."""
-        s, within = self.state, np.float32(radius_squared(float(radius)))
-        at, good = self._ask(x, at)
-        marked = search(s.floats, s.books, at, band, 0, within, both) if good else 0
+        s, at = self.state, self.newest if at is None else at
+        marked = ask_within(s.floats, s.books, self._question(x), at, band, float(radius), both)
         frames, distances = np.empty(marked, np.int64), np.empty(marked, np.float32)
         ways = np.empty((marked, 2), np.bool_)
-        take_marked(s.floats, s.books, within, 0, frames, distances, ways)
+        tell_within(s.floats, s.books, float(radius), frames, distances, ways)
         return frames, distances, ways
 
     def frame(self, number: int) -> Floats:
@@ -192,15 +182,11 @@ class Index:
             raise NeighbourError(f"k is {k}; it must be from 0 to {most} (the index was made for `most` of them)")
         return k
 
-    def _ask(self, x: ArrayLike | None, at: int | None) -> tuple[int, bool]:
-        """The number to ask at; and whether the frame in question, which is prepared, can have neighbours."""
-        s = self.state
+    def _question(self, x: ArrayLike | None) -> Samples:
+        """The frame that is asked about: the newest, if no other is given; all NaN if there is none."""
         if x is None:
-            if not len(self):
-                return 0, False
-            x = self.frame(self.newest)
-        good = prepare(s.floats, s.books, self._row(x))
-        return self.newest if at is None else at, bool(good)
+            x = self.frame(self.newest) if len(self) else np.full(self.width, np.nan)
+        return self._row(x)
 
 
 def set_weights(state: IndexState, weights: Samples | Sequence[float]) -> None:

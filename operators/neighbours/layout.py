@@ -1,7 +1,8 @@
 """Where everything stands in the two flat arrays that an index is: `floats` (float32) and `books` (int64).
 
-Kernels take these two arrays and nothing else, as every array in a call costs time, and as a snapshot is then a copy of both. `books`
-begins with the numbers named here; those that begin with AT_ are places in `floats`, those with IN_ places in `books`.
+Kernels take these two arrays and nothing else, as every array in a call costs time, and as a snapshot is then a copy of both. Within
+kernels they are bare (see lanes.py): only those that Python calls, in follow.py, know them as arrays. `books` begins with the numbers named
+here; those that begin with AT_ are places in `floats`, those with IN_ places in `books`.
 
 A frame lives in a slot: lane `slot % 16` of tile `slot // 16`. Tiles hold one row of 16 lanes per feature, behind a row that is 0 in lanes
 that hold a living frame and infinite in all others; a distance is summed up from there. 16 tiles are a group, 16 groups a top; a box over
@@ -22,29 +23,38 @@ from stream.chunk import Times
 Floats: TypeAlias = NDArray[np.float32]
 
 LANES = 16
+FOUR = 4 * LANES
 GROUP = LANES * LANES
 SEALED_BLOCK = 1024
 SEAL_FROM = 8192
 """Windows of at least so many frames have their full blocks sealed; in shorter ones it does not pay."""
+SCAN_UP_TO = 20_000
+"""Windows of at most so many numbers (frames times 1 + width) are looked through from end to end: measured, sooner than by boxes."""
+COUNTED = 96
+"""Up to so many candidates are put in order by counting, for each, those that are nearer: no branches, so faster than a sort."""
 
 LARGEST = 1e18
 """Features beyond this size (either sign) are not finite for us: sums of squares then stay in float32's range, or overflow to infinity."""
 
 NO_REACH = -1.0
 
+FARTHEST = np.float32(np.finfo(np.float32).max)
+"""No limit: everything but infinity, which is what lanes without a living frame hold."""
+
 NAMES = [
-    "WIDTH", "WINDOW", "MOST", "BLOCK", "BLOCKS", "SLOTS", "GROUPS", "TOPS", "VECTOR", "WEIGHTED",
+    "WIDTH", "WINDOW", "MOST", "BLOCK", "BLOCKS", "SLOTS", "GROUPS", "TOPS", "VECTOR", "WEIGHTED", "SCANNED", "ROOM",
     "AT_WEIGHTS", "AT_QUERY", "AT_SCRATCH", "AT_KEYS", "AT_NEAR", "AT_WARM", "AT_SQUARED", "AT_REACH",
     "AT_GROUP_REACH", "AT_TILES", "AT_GROUPS", "AT_TOPS",
-    "IN_FRAMES", "IN_PLACES", "IN_ALIVE", "IN_GROUP_ALIVE", "IN_TABLE", "IN_ORDER", "IN_SORTED", "IN_NEAR",
+    "IN_FRAMES", "IN_PLACES", "IN_ALIVE", "IN_GROUP_ALIVE", "IN_TABLE", "IN_ORDER", "IN_SORTED", "IN_NEAR", "IN_RANKS",
     "IN_KEYS", "IN_WARM", "IN_SUMS", "IN_SEEN", "IN_MARKS",
     "NEXT", "SINCE", "NEAR", "FOUND", "WARM", "WARM_AT", "QUERIES", "PLAIN", "SPARE", "SEAL", "STAGE",
     "SIZE", "FROM", "PART", "AXIS", "PACE",
 ]  # fmt: skip
 (
-    WIDTH, WINDOW, MOST, BLOCK, BLOCKS, SLOTS, GROUPS, TOPS, VECTOR, WEIGHTED,
+    WIDTH, WINDOW, MOST, BLOCK, BLOCKS, SLOTS, GROUPS, TOPS, VECTOR, WEIGHTED, SCANNED, ROOM,
     AT_WEIGHTS, AT_QUERY, AT_SCRATCH, AT_KEYS, AT_NEAR, AT_WARM, AT_SQUARED, AT_REACH, AT_GROUP_REACH, AT_TILES, AT_GROUPS, AT_TOPS,
-    IN_FRAMES, IN_PLACES, IN_ALIVE, IN_GROUP_ALIVE, IN_TABLE, IN_ORDER, IN_SORTED, IN_NEAR, IN_KEYS, IN_WARM, IN_SUMS, IN_SEEN, IN_MARKS,
+    IN_FRAMES, IN_PLACES, IN_ALIVE, IN_GROUP_ALIVE, IN_TABLE, IN_ORDER, IN_SORTED,
+    IN_NEAR, IN_RANKS, IN_KEYS, IN_WARM, IN_SUMS, IN_SEEN, IN_MARKS,
     NEXT, SINCE, NEAR, FOUND, WARM, WARM_AT, QUERIES, PLAIN, SPARE, SEAL, STAGE, SIZE, FROM, PART, AXIS, PACE,
 ) = range(len(NAMES))  # fmt: skip
 """
@@ -52,13 +62,14 @@ WIDTH, WINDOW, MOST      features, frames in the window, the largest k
 BLOCK, BLOCKS            frames in a block, and how many blocks take turns (a sealed index has one more, the spare)
 SLOTS, GROUPS, TOPS      how many there are
 VECTOR, WEIGHTED         whether the vector path is used; whether any weight differs from 1
+SCANNED, ROOM            whether queries look through the whole window (scan.py); how many candidates there is room for
 AT_WEIGHTS, AT_QUERY     (width,)         the weights; the frame that is inserted or asked about
 AT_SCRATCH               (3, 16)          sums of a top, a group, a tile
 AT_KEYS                  (block,)         the feature by which a part of a block is being sorted
-AT_NEAR, IN_NEAR         (most,)          squared distances and frames of the nearest, in order
-IN_KEYS                  (room_for(most),)  candidates, FOUND of them: the bits of d2, then the number counted from the oldest
-AT_WARM, IN_SUMS         (most, 16), (tiles,)  the sums of the tiles that were looked into first; where there those of each tile stand
-AT_SQUARED               (blocks * block,)   squared distance of a frame that was marked, by its number modulo that length
+AT_NEAR, IN_NEAR         (many,)          squared distances and frames of the nearest, in order; many: most, at least COUNTED
+IN_KEYS, IN_RANKS        (room,), (many,) candidates, FOUND of them: the bits of d2, then the number counted from the oldest; their order
+AT_WARM, IN_SUMS         (most + 3, 16), (tiles,)  the sums of the tiles that were looked into first; where there those of each tile stand
+AT_SQUARED               (blocks * block,)   squared distance of a frame that was marked (scan.py: of any), by its number modulo that length
 AT_REACH, AT_GROUP_REACH (slots,), (groups,) square of every frame's own radius, -1: none; the largest of each group
 AT_TILES                 (tiles, 1 + width, 16)
 AT_GROUPS, AT_TOPS       (.., 1 + 2 width, 16)
@@ -76,11 +87,6 @@ SPARE, SEAL, ..., PACE   the spare block, the block being sealed (-1: none), how
 """
 
 
-def room_for(most: int) -> int:
-    """Room for candidates: enough for several times those that are wanted, so that they seldom have to be sifted."""
-    return 3 * most + 64
-
-
 @dataclass(slots=True)
 class IndexState:
     """An index; see this module for what stands where."""
@@ -96,20 +102,20 @@ def allocate(width: int, window: int, most: int, *, vector: bool = True) -> Inde
     blocks = -(-(window + block - 1) // block)
     groups = (blocks + sealed) * block // GROUP
     slots, tiles, tops, ring = groups * GROUP, groups * LANES, -(-groups // LANES), blocks * block
-    rows = 1 + 2 * width
+    rows, many, room = 1 + 2 * width, max(most, COUNTED), 3 * most + 64
     head = {
         "WIDTH": width, "WINDOW": window, "MOST": most, "BLOCK": block, "BLOCKS": blocks, "SLOTS": slots,
         "GROUPS": groups, "TOPS": tops, "VECTOR": vector, "SPARE": blocks if sealed else -1, "SEAL": -1, "WARM_AT": -1,
-        "PACE": _pace(width) if sealed else 0,
+        "PACE": _pace(width) if sealed else 0, "SCANNED": not sealed and window * (1 + width) <= SCAN_UP_TO, "ROOM": room,
     }  # fmt: skip
     floats = {
-        "AT_WEIGHTS": width, "AT_QUERY": width, "AT_SCRATCH": 3 * LANES, "AT_KEYS": block, "AT_NEAR": most, "AT_WARM": most * LANES,
+        "AT_WEIGHTS": width, "AT_QUERY": width, "AT_SCRATCH": 3 * LANES, "AT_KEYS": block, "AT_NEAR": many, "AT_WARM": (most + 3) * LANES,
         "AT_SQUARED": ring, "AT_REACH": slots, "AT_GROUP_REACH": groups,
         "AT_TILES": tiles * (1 + width) * LANES, "AT_GROUPS": groups * rows * LANES, "AT_TOPS": tops * rows * LANES,
     }  # fmt: skip
     books = {
         "IN_FRAMES": slots, "IN_PLACES": slots, "IN_ALIVE": tiles, "IN_GROUP_ALIVE": groups, "IN_TABLE": blocks,
-        "IN_ORDER": block, "IN_SORTED": block, "IN_NEAR": most, "IN_KEYS": room_for(most), "IN_WARM": most,
+        "IN_ORDER": block, "IN_SORTED": block, "IN_NEAR": many, "IN_RANKS": many, "IN_KEYS": room, "IN_WARM": most,
         "IN_SUMS": tiles, "IN_SEEN": tiles, "IN_MARKS": ring // 64,
     }  # fmt: skip
     places, float_count = _lay_out(floats, 0)

@@ -122,15 +122,15 @@ def find_axis(floats: Floats, books: Times) -> None:
 def rank(floats: Floats, books: Times) -> None:
     """Where some of the part's frames belong in order of their keys, equal ones as they were; at the end, on to the next part."""
     start, size = books[FROM], books[SIZE]
-    keys = floats[books[AT_KEYS] : books[AT_KEYS] + size]
+    keys = books[AT_KEYS]
     stop = min(size, books[PART] + max(1, RANK_WORK // size))
     for i in range(books[PART], stop):
-        key = keys[i]
+        key = floats[keys + i]
         before = 0
         for j in range(i):
-            before += keys[j] <= key
+            before += floats[keys + j] <= key
         for j in range(i + 1, size):
-            before += keys[j] < key
+            before += floats[keys + j] < key
         books[books[IN_SORTED] + start + before] = books[books[IN_ORDER] + start + i]
     books[PART] = stop
     if stop < size:

@@ -3,28 +3,27 @@
 Order and ties. A frame is before another if its d2 (see distance.py) is smaller, or equal and its number is lower: the older one. The k
 nearest are the first k; so the answer does not depend on the order in which tiles are visited, nor on what is sealed.
 
-The tiles that hold the successors of the nearest of the query before are visited first: in motion those are about the nearest now, so
-that the bound is tight from the beginning. Where most tiles survive all the same, as in noise, the next queries leave the boxes aside.
+A small window is looked through from end to end (scan.py). In a large one the tiles that hold the successors of the nearest of the query
+before are visited first: in motion those are about the nearest now, so that the bound is tight from the beginning. Where most tiles survive
+all the same, as in noise, the next queries leave the boxes aside.
 """
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from operators.neighbours.candidates import FARTHEST, NOTHING, gather, put_in_order
-from operators.neighbours.distance import box_distances, lanes_at_most, tile_distances
-from operators.neighbours.lanes import lowest, one
+from operators.neighbours.candidates import NOTHING, gather, put_in_order
+from operators.neighbours.distance import box_distances, four_distances, lanes_at_most, tile_distances
+from operators.neighbours.lanes import lowest
 from operators.neighbours.layout import (
     AT_GROUP_REACH,
     AT_GROUPS,
     AT_SCRATCH,
-    AT_TILES,
     AT_TOPS,
     AT_WARM,
     BLOCK,
     BLOCKS,
+    FARTHEST,
     FOUND,
     GROUPS,
     IN_KEYS,
@@ -39,6 +38,7 @@ from operators.neighbours.layout import (
     NEXT,
     PLAIN,
     QUERIES,
+    SCANNED,
     SINCE,
     TOPS,
     WARM,
@@ -47,6 +47,7 @@ from operators.neighbours.layout import (
     WINDOW,
     Floats,
 )
+from operators.neighbours.scan import scan
 from operators.neighbours.window import oldest, tile_at
 from stream.chunk import Times
 from stream.kernel import kernel
@@ -67,25 +68,32 @@ def search(floats: Floats, books: Times, at: int, band: int, k: int, within: np.
     As the frame asked about is usually the newest, `at` is its number; else any.
     """
     books[FOUND] = 0
+    marked = visit(floats, books, at, band, k, within, both)
+    put_in_order(floats, books, k)
+    if books[NEAR]:
+        warm, near = books[IN_WARM], books[IN_NEAR]
+        for i in range(books[NEAR]):
+            books[warm + i] = books[near + i]
+        books[WARM], books[WARM_AT] = books[NEAR], at
+    return marked
+
+
+@kernel
+def visit(floats: Floats, books: Times, at: int, band: int, k: int, within: np.float32, both: bool) -> int:
+    """Gather the frames that are near enough; returns how many were marked."""
+    if books[SCANNED]:
+        return scan(floats, books, at, band, k, within, both)
     books[QUERIES] += 1
-    marked, looked = 0, 0
-    limit = FARTHEST if k > 0 else NOTHING
+    limit, marked = NOTHING, 0
     if k > 0:
         limit, marked = visit_successors(floats, books, at, band, k, within, both)
     if books[PLAIN] > 0:
         books[PLAIN] -= 1
-        marked += visit_all(floats, books, limit, at, band, k, within, both)
-    else:
-        found, looked = visit_boxes(floats, books, limit, at, band, k, within, both)
-        marked += found
-        if looked * LANES > MOST_SURVIVE * min(books[WINDOW], books[NEXT] - books[SINCE]):
-            books[PLAIN] = PLAIN_FOR
-    put_in_order(floats, books, k)
-    if books[NEAR]:
-        for i in range(books[NEAR]):
-            books[books[IN_WARM] + i] = books[books[IN_NEAR] + i]
-        books[WARM], books[WARM_AT] = books[NEAR], at
-    return marked
+        return marked + visit_all(floats, books, limit, at, band, k, within, both)
+    found, looked = visit_boxes(floats, books, limit, at, band, k, within, both)
+    if looked * LANES > MOST_SURVIVE * min(books[WINDOW], books[NEXT] - books[SINCE]):
+        books[PLAIN] = PLAIN_FOR
+    return marked + found
 
 
 @kernel
@@ -100,14 +108,12 @@ def visit_successors(
     bits = lowest(books[BLOCK])
     base, turns = first >> bits, books[BLOCKS]
     turn, mask = base % turns, books[BLOCK] - 1
-    warm, seen, table, places, keys = books[IN_WARM], books[IN_SEEN], books[IN_TABLE], books[IN_PLACES], books[IN_KEYS]
-    known, query, sums, at_tiles = books[IN_SUMS], books[QUERIES], books[AT_WARM], books[AT_TILES]
-    size = (1 + books[WIDTH]) * LANES
+    warm, seen, table, places, near = books[IN_WARM], books[IN_SEEN], books[IN_TABLE], books[IN_PLACES], books[IN_NEAR]
+    known, query, sums, keys = books[IN_SUMS], books[QUERIES], books[AT_WARM], books[IN_KEYS]
     tiles, successors = 0, 0
-    limit = np.float32(0.0)
     for i in range(books[WARM]):
         frame = books[warm + i] + later
-        if not first <= frame < last:
+        if not first <= frame < last or abs(frame - at) <= band:
             continue
         stands = turn + (frame >> bits) - base
         stands = books[table + (stands - turns if stands >= turns else stands)]
@@ -115,37 +121,37 @@ def visit_successors(
         tile = slot >> 4
         if books[seen + tile] != query:
             books[seen + tile] = query
-            books[known + tile] = sums
-            books[keys + tiles] = tile
-            if tile_distances(floats, books, at_tiles + tile * size, FARTHEST, sums) == 0:
-                blank(floats, sums)
+            books[known + tile] = sums + tiles * LANES
+            books[near + tiles] = tile
             tiles += 1
-            sums += LANES
-        squared = one(floats, books[known + tile] + (slot & 15))
-        if squared <= FARTHEST and abs(frame - at) > band:
-            limit = max(limit, squared)
-            successors += 1
-    if successors < k:
-        limit = FARTHEST
+        books[keys + successors] = books[known + tile] + (slot & 15)
+        successors += 1
+    sum_up(floats, books, near, tiles, sums)
+    limit = FARTHEST
+    if successors >= k:
+        limit = np.float32(0.0)
+        for i in range(successors):
+            limit = max(limit, floats[books[keys + i]])
+        limit = min(limit, FARTHEST)
     marked = 0
-    near = books[IN_NEAR]
-    for i in range(tiles):
-        books[near + i] = books[keys + i]
     for i in range(tiles):
         tile = books[near + i]
-        sums = books[AT_WARM] + i * LANES
         radius = max(within, floats[books[AT_GROUP_REACH] + tile // LANES]) if both else within
         lanes = lanes_at_most(floats, books, max(limit, radius), sums)
-        limit, found = gather(floats, books, limit, tile, lanes, sums, at, band, k, within, both)
+        limit, found = gather(floats, books, limit, tile * LANES, lanes, sums, at, band, k, within, both)
         marked += found
+        sums += LANES
     return limit, marked
 
 
 @kernel
-def blank(floats: Floats, sums: int) -> None:
-    """16 sums of which none is near."""
-    for lane in range(LANES):
-        floats[sums + lane] = math.inf
+def sum_up(floats: Floats, books: Times, near: int, tiles: int, sums: int) -> None:
+    """All sums of some tiles, whose numbers stand from place `near` on, at place `sums`; four at a time, the last ones once more."""
+    for i in range(0, tiles, 4):
+        a, b = books[near + i], books[near + min(i + 1, tiles - 1)]
+        c, d = books[near + min(i + 2, tiles - 1)], books[near + min(i + 3, tiles - 1)]
+        out = sums + i * LANES
+        four_distances(floats, books, tile_at(books, a), tile_at(books, b), tile_at(books, c), tile_at(books, d), out)
 
 
 @kernel
@@ -224,4 +230,4 @@ def visit_tile(
     lanes = tile_distances(floats, books, tile_at(books, tile), max(limit, radius), sums)
     if lanes == 0:
         return limit, 0
-    return gather(floats, books, limit, tile, lanes, sums, at, band, k, within, both)
+    return gather(floats, books, limit, tile * LANES, lanes, sums, at, band, k, within, both)
