@@ -25,7 +25,7 @@ from operators.neighbours.layout import (
     Floats,
 )
 from operators.neighbours.search import search
-from operators.neighbours.window import insert, oldest, prepare, slot_of
+from operators.neighbours.window import insert, oldest, prepare, recall, slot_of
 from stream.chunk import Array, Samples, Times
 from stream.kernel import kernel
 
@@ -136,10 +136,10 @@ def enter(floats: Floats, books: Times, x: Samples, radius: float) -> None:
 
 @kernel
 def ask_nearest(floats: Floats, books: Times, x: Samples, at: int, band: int, frames: Times, distances: Array) -> int:
-    """Write the nearest of `x` (width,) into `frames` and `distances` (k,); returns how many there are."""
+    """Write the nearest of `x` (width,), or, if it is empty, of the newest frame, into `frames` and `distances` (k,); returns how many."""
     f, b = bare(floats), bare(books)
     b[NEAR] = 0
-    if prepare(f, b, x):
+    if prepare(f, b, x) if len(x) else recall(f, b):
         search(f, b, at, band, frames.shape[0], np.float32(-1.0), False)
     take_nearest(f, b, frames, distances)
     return int(b[NEAR])
@@ -147,9 +147,10 @@ def ask_nearest(floats: Floats, books: Times, x: Samples, at: int, band: int, fr
 
 @kernel
 def ask_within(floats: Floats, books: Times, x: Samples, at: int, band: int, radius: float, both: bool) -> int:
-    """Mark all within a radius of `x` (width,), to be told by `tell_within`; returns how many."""
+    """Mark all within a radius of `x` (width,), or, if it is empty, of the newest frame, to be told by `tell_within`; returns how many."""
     f, b = bare(floats), bare(books)
-    return search(f, b, at, band, 0, radius_squared(radius), both) if prepare(f, b, x) else 0
+    good = prepare(f, b, x) if len(x) else recall(f, b)
+    return search(f, b, at, band, 0, radius_squared(radius), both) if good else 0
 
 
 @kernel

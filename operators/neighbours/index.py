@@ -32,6 +32,9 @@ from stream.state import pack, unpack
 Nearest: TypeAlias = tuple[Times, Floats]
 """Numbers of frames (m,) int64, and their distances (m,) float32."""
 
+NEWEST = np.empty(0)
+"""Given as the frame that is asked about: the newest."""
+
 LIMITS = {"width": (1, 4096), "window": (1, 10_000_000), "most": (0, 65_536)}
 
 
@@ -119,7 +122,7 @@ class Index:
         s, k = self.state, self._few(k)
         frames, distances = np.empty(k, np.int64), np.empty(k, np.float32)
         at = self.newest if at is None else at
-        count = ask_nearest(s.floats, s.books, self._question(x), at, band, frames, distances)
+        count = ask_nearest(s.floats, s.books, NEWEST if x is None else self._row(x), at, band, frames, distances)
         return frames[:count], distances[:count]
 
     def within(
@@ -137,7 +140,7 @@ class Index:
     ) -> tuple[Times, Floats, Array]:
         """As `within`, and (m, 2) bool: whether the frame is within `radius`, and whether `x` is within the frame's own radius."""
         s, at = self.state, self.newest if at is None else at
-        marked = ask_within(s.floats, s.books, self._question(x), at, band, float(radius), both)
+        marked = ask_within(s.floats, s.books, NEWEST if x is None else self._row(x), at, band, float(radius), both)
         frames, distances = np.empty(marked, np.int64), np.empty(marked, np.float32)
         ways = np.empty((marked, 2), np.bool_)
         tell_within(s.floats, s.books, float(radius), frames, distances, ways)
@@ -181,12 +184,6 @@ class Index:
         if not 0 <= k <= most:
             raise NeighbourError(f"k is {k}; it must be from 0 to {most} (the index was made for `most` of them)")
         return k
-
-    def _question(self, x: ArrayLike | None) -> Samples:
-        """The frame that is asked about: the newest, if no other is given; all NaN if there is none."""
-        if x is None:
-            x = self.frame(self.newest) if len(self) else np.full(self.width, np.nan)
-        return self._row(x)
 
 
 def set_weights(state: IndexState, weights: Samples | Sequence[float]) -> None:

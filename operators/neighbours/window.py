@@ -67,6 +67,19 @@ def prepare(floats: Floats, books: Times, x: Samples) -> bool:
 
 
 @kernel
+def recall(floats: Floats, books: Times) -> bool:
+    """Take the newest frame as the frame in question; False where there is none, or where it is bad."""
+    newest = books[NEXT] - 1
+    if newest < books[SINCE]:
+        return False
+    slot = slot_of(books, newest)
+    row = tile_at(books, slot // LANES) + slot % LANES
+    for i in range(books[WIDTH]):
+        floats[books[AT_QUERY] + i] = floats[row + (1 + i) * LANES]
+    return bool(floats[row] == 0.0)
+
+
+@kernel
 def insert(floats: Floats, books: Times, good: bool, reach: np.float32) -> None:
     """The frame that was prepared enters, the oldest leaves if the window was full, and a step of sealing is done.
 
