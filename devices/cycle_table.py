@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from rich.table import Table
 
+from devices.report.words import relative_to
 from devices.terminal import View
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError, ParameterError, nearest
@@ -77,8 +78,9 @@ class CycleTable(_Shown):
         elif len(chunk) and len(state.event):
             rows = chunk.data[chunk.data["number"] == state.event["number"][0]]
             if len(rows):
-                table = cycle_table(headline(state.event, state), rows, self.fields, self.specs["statistics"])
-                _show(table, cycle_line(state.event, rows, self.fields))
+                spec = self.specs["statistics"]
+                table = cycle_table(headline(state.event, state), rows, self.fields, spec)
+                _show(table, cycle_line(state.event, rows, self.fields, spec))
 
 
 def headline(event: Array, state: CycleTableState) -> str:
@@ -93,7 +95,14 @@ def rejection(event: Array) -> str:
 
 def cycle_table(title: str, rows: Array, fields: tuple[str, ...], spec: StreamSpec) -> Table:
     """One row per muscle."""
-    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False, header_style="dim")
+    table = Table(
+        title=f"{title}\namplitudes {relative_to(spec.meta)}",
+        title_justify="left",
+        title_style="bold",
+        box=None,
+        pad_edge=False,
+        header_style="dim",
+    )
     table.add_column("muscle")
     for field in fields:
         table.add_column(f"{_short(field)} {spec.unit_of(field)}".strip(), justify="right")
@@ -102,14 +111,18 @@ def cycle_table(title: str, rows: Array, fields: tuple[str, ...], spec: StreamSp
     return table
 
 
-def cycle_line(event: Array, rows: Array, fields: tuple[str, ...]) -> str:
-    """The cycle, then the first number of each muscle and, if it is shown, where the peak lies: "TA 91.2@76"."""
+def cycle_line(event: Array, rows: Array, fields: tuple[str, ...], spec: StreamSpec) -> str:
+    """The cycle, then the first number of each muscle, its unit and, if it is shown, where the peak lies: "TA 91.2@76%"."""
+    first = next((field for field in fields if field != "peak_pct"), "")
     parts = []
     for row in rows:
         place = f"@{row['peak_pct']:.0f}%" if "peak_pct" in fields and np.isfinite(row["peak_pct"]) else ""
-        first = next((field for field in fields if field != "peak_pct"), "")
         parts.append(f"{row['name']} {_number(first, float(row[first])) if first else ''}{place}")
-    return f"{_what(event)}  {_short(fields[0]) if fields else ''}: {', '.join(parts)}"
+    if not first:
+        return f"{_what(event)}  {'peak at' if fields else ''}: {', '.join(parts)}"
+    unit = spec.unit_of(first)
+    about = f" in {unit}, {relative_to(spec.meta)}" if unit else ""
+    return f"{_what(event)}  {_short(first)}{about}: {', '.join(parts)}"
 
 
 def _what(event: Array) -> str:

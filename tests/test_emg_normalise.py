@@ -73,7 +73,7 @@ def test_mvc_is_the_highest_half_second(walked, tmp_path):
 
 
 def test_rest_is_the_mean_and_the_baseline_noise(walked, tmp_path):
-    run("rest", walked, "-o", str(tmp_path / "rest.json"))
+    told = run("rest", walked, "-o", str(tmp_path / "rest.json"))
     found = AmplitudeReference.read(tmp_path / "rest.json")
     spec, time, envelope = enveloped(emg())
     np.testing.assert_allclose(
@@ -81,6 +81,7 @@ def test_rest_is_the_mean_and_the_baseline_noise(walked, tmp_path):
     )
     blocks = emg()[2].reshape(12, 10, 100, 2).std(axis=2).min(axis=1)
     np.testing.assert_allclose(found.noise, blocks.mean(axis=0), rtol=1e-12)
+    assert "rest (uV)" in told and "noise (uV)" in told
 
 
 def test_task_is_peak_and_mean_of_the_mean_cycle(walked, tmp_path):

@@ -287,7 +287,8 @@ def test_cycles_appear_as_lines_where_there_is_no_terminal(capsys: pytest.Captur
     walk.feed(outlet, 0, 4, ("closed", "statistics"))
     first, _, _, last = capsys.readouterr().out.splitlines()
     assert re.match(
-        r"cycle 1  1\.0\d\d s  stance 6\d\.\d %  5\d\.\d strides/min  peak: TA \d\d\.\d@\d+%, SO \d\d\.\d@", first
+        r"cycle 1  1\.0\d\d s  stance 6\d\.\d %  5\d\.\d strides/min  peak in uV, not normalised: TA \d\d\.\d@\d+%, SO \d\d\.\d@",
+        first,
     )
     assert re.match(r"cycle 4  1\.0\d\d s  rejected: gap$", last)
     with pytest.raises(ParameterError, match="did you mean 'peak'"):

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from devices.report.data import Curves, Muscle, Report, Stream, Value, load
+from devices.report.words import normalisation_text
 from stream.chunk import NS
 
 AT_TIMES = 0.1
@@ -92,11 +93,6 @@ def quality_sentence(muscles: list[Muscle]) -> str:
 
 def _because(muscle: Muscle) -> str:
     return f" ({muscle.remark})" if muscle.remark else ""
-
-
-def normalisation_text(normalisation: str) -> str:
-    """The normalisation as it is named at every amplitude."""
-    return "not normalised" if normalisation in ("", "none") else f"normalised to {normalisation}"
 
 
 def pretty(unit: str) -> str:

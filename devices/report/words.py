@@ -104,6 +104,16 @@ def normalisation(meta: Mapping[str, Any]) -> str:
     return f"{METHODS.get(method, method)}{f' (reference of {whose})' if whose else ''}"
 
 
+def relative_to(meta: Mapping[str, Any]) -> str:
+    """The same as it is said beside a number: "not normalised", "normalised to ..."."""
+    return normalisation_text(normalisation(meta))
+
+
+def normalisation_text(normalisation: str) -> str:
+    """The normalisation as it is named at every amplitude."""
+    return "not normalised" if normalisation in ("", "none") else f"normalised to {normalisation}"
+
+
 def sites(session: Mapping[str, Any], meta: Mapping[str, Any]) -> dict[str, str]:
     """Where the electrodes sat, by channel: as the session says, else as the device does."""
     for place in (session, meta):

@@ -171,7 +171,7 @@ def _table(made: AmplitudeReference, flags: list[str]) -> Table:
     for column in (
         "muscle",
         *(f"{method} ({made.unit})" for method in made.values),
-        *(["noise"] if made.noise else []),
+        *([f"noise ({made.unit})"] if made.noise else []),
         "quality",
     ):
         table.add_column(column, justify="left" if column in ("muscle", "quality") else "right")
