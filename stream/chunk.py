@@ -92,7 +92,11 @@ class StreamSpec:
             else f"{' x '.join(map(str, self.shape))} {self.dtype}"
         )
         rate = f" at {self.rate_hz:g} Hz" if self.rate_hz else ", irregular"
-        unit = "" if self.is_event or not any(self.units) else f" in {', '.join(dict.fromkeys(self.units))}"
+        unit = (
+            ""
+            if self.is_event or not any(self.units)
+            else f" in {', '.join(dict.fromkeys(u or 'no unit' for u in self.units))}"
+        )
         return kind + rate + unit
 
     def to_json(self) -> dict[str, Any]:

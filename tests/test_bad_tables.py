@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.command_line import Command, refused, wait_for
+from tests.command_line import BOARD, Command, refused, wait_for
 
 TABLES: list[tuple[str | bytes, str]] = [
     ("", "the file is empty"),
@@ -31,13 +31,16 @@ TABLES: list[tuple[str | bytes, str]] = [
     ("a,b\n1,2\n", "when its samples were taken is not known"),
     (bytes(2000), "zero bytes"),
     (bytes(range(128, 256)), "not a text file in UTF-8"),
+    ("time,a [µV]\n0,1\n1,2\n".encode("latin-1"), "save it again as UTF-8"),
 ]
 
 
 @pytest.mark.parametrize(("text", "words"), TABLES, ids=[words for _, words in TABLES])
 def test_a_table_that_cannot_be(text: str | bytes, words: str, kinegraph: Command, tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_bytes(text if isinstance(text, bytes) else text.encode())
-    refused(kinegraph("import", "t.csv", "-o", "t.mcap"), words)
+    told = kinegraph("import", "t.csv", "-o", "t.mcap")
+    refused(told, words)
+    assert not told[2].startswith("\n"), "no trace of a progress bar that nobody can see"
     assert [p.name for p in tmp_path.iterdir()] == ["t.csv"]
 
 
@@ -105,6 +108,16 @@ def test_what_is_there_is_not_replaced(kinegraph: Command, made: Path, tmp_path:
     assert (tmp_path / "t.mcap").read_bytes() == before
     refused(kinegraph("recover", whole, "-o", "t.mcap"), "holds a recording already")
     refused(kinegraph("replay", made / "graph.yaml", whole, "-o", "t.mcap"), "holds a recording already")
+
+
+def test_nothing_is_verified_where_there_is_nothing_to_compare(kinegraph: Command, made: Path, tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("time,a [uV],b\n0,1,1\n1,2,1\n2,3,1\n")
+    code, said, _ = kinegraph("import", "t.csv", "-o", "t.mcap", "--stream", "board.emg=a,b", "--time", "time")
+    assert code == 0 and "in uV, no unit" in said
+    refused(kinegraph("replay", made / "graph.yaml", "t.mcap", "--verify"), "t.mcap holds no output", "`record`")
+    (tmp_path / "less.yaml").write_text(BOARD % 2)
+    code, said, _ = kinegraph("replay", "less.yaml", made / "s", "--verify")
+    assert code == 1 and "rect: NOT COMPARED" in said
 
 
 def test_streams_that_would_become_one_table_are_kept_apart(kinegraph: Command, tmp_path: Path) -> None:

@@ -51,6 +51,11 @@ def replay(
     with Recording.open(recording) as source:
         graph = load(config, recorded={n: s.spec for n, s in source.streams.items()}, overrides=read(settings or []))
         run = Replay(graph, source, speaking=_speaking(graph, speak or []), speed=speed or None, output=out)
+        recorded = [name for name, stream in source.streams.items() if stream.role == "edge"]
+        if verify and not recorded:
+            raise KinegraphError(
+                f"--verify: {recording} holds no output of a graph, so there is nothing to compare with; name some under `record`"
+            )
         _tell_missing(run.stand_ins)
         before = signal.signal(signal.SIGINT, lambda *_: run.stop())
         try:
@@ -58,7 +63,10 @@ def replay(
         finally:
             signal.signal(signal.SIGINT, before)
     _tell(result)
-    if verify and (result.differing or result.stopped):
+    unseen = _not_compared(recorded, result, run.stand_ins) if verify else []
+    for name in unseen:
+        print(f"  {name}: NOT COMPARED, for this graph has no such output")
+    if verify and (result.differing or result.stopped or unseen):
         sys.exit(1)
     if failed := [stage for stage in run.pipeline.outlets if stage.failed]:
         raise OutletFailed(", ".join(f"{stage.node.name!r}: {stage.failed}" for stage in failed))
@@ -116,6 +124,11 @@ def _with_progress(run: object, total_s: float, quiet: bool) -> Replayed:
     with Progress(*columns, console=console, disable=quiet or not console.is_terminal) as bar:
         task = bar.add_task("replay", total=max(total_s, 1e-9))
         return run.run(lambda done_s: bar.update(task, completed=done_s))
+
+
+def _not_compared(recorded: list[str], result: Replayed, of: StandIns) -> list[str]:
+    """Recorded edges that the graph did not compute again, though no image is missing for them."""
+    return [name for name in recorded if name not in result.digests and name.partition(".")[0] not in of.idle]
 
 
 def _tell(result: Replayed) -> None:

@@ -107,7 +107,9 @@ def read_text(path: Path, kind: str) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
-        raise RecordingError(f"{path}: not a text file in UTF-8, so no {kind}") from None
+        raise RecordingError(
+            f"{path}: not a text file in UTF-8, so no {kind}; if a spreadsheet wrote it, save it again as UTF-8"
+        ) from None
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror or error})") from None
 

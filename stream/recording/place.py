@@ -76,7 +76,7 @@ def refuse_taken(path: Path) -> None:
     """Raise RecordingError where a recording lies already."""
     if parts_of(path):
         raise RecordingError(
-            f"{path}: holds a recording already; name another place with -o, or go on with that session: run --resume"
+            f"{path}: holds a recording already; name another place with -o (a session that was broken off goes on with `run --resume`)"
         )
 
 
