@@ -61,10 +61,12 @@ def mixed(
         (t, text, (1 / 3, -2.5)) for t, text in zip(times.tolist(), ["sit, stand", 'a "b" <c>', "Ägypten"], strict=True)
     ]
     made["notes"] = (spec, times, np.array(notes, events))
+    made["silent"] = (spec, times[:0], np.array([], events))
     with Recorder(path, {}, RecordingOptions(), wait=True) as recorder:
         for i, (name, (spec, times, data)) in enumerate(made.items()):
             recorder.add_stream(name, spec, "input")
-            recorder.write(i + 2, Chunk(times, data, int(times[-1])), int(times[-1]), i)
+            until = int(times[-1]) if len(times) else start
+            recorder.write(i + 2, Chunk(times, data, until), until, i)
     return {name: (times, data) for name, (_, times, data) in made.items()}
 
 
@@ -117,9 +119,9 @@ def test_xdf_there_and_back(tmp_path: Path) -> None:
     with imported(tmp_path, tmp_path / "r.xdf") as back:
         for name in back.streams:
             time, data = back.read(name)
-            assert np.abs(time - truth[name][0]).max() <= 1, name
+            assert np.abs(time - truth[name][0]).max(initial=0) <= 1, name
             assert data.dtype == truth[name][1].dtype and data.tobytes() == truth[name][1].tobytes(), name
-        assert len(back.streams) == 5
+        assert len(back.streams) == 6
         assert back.streams["emg"].spec.units == ("uV",) and back.streams["emg"].spec.channels == ("TA", "GM")
         assert_live_like(back)
     with imported(tmp_path / "x", tmp_path / "r.xdf", "--stream", "board.emg=emg", "--start", "2024-01-01") as back:

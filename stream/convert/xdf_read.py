@@ -177,6 +177,7 @@ def _ours(name: str, spec_json: str, stream: dict[str, Any], time: Times, order:
     """A stream that kinegraph wrote, with the spec it had; None if the samples are not of that spec any more."""
     rows = stream["time_series"]
     table = np.asarray(rows)[order] if isinstance(rows, np.ndarray) else np.array([rows[i] for i in order], object)
+    table = table if len(time) else table.reshape(0, int(stream["info"]["channel_count"][0]))
     try:
         spec = StreamSpec.from_json(json.loads(spec_json))
         data = assemble(spec, [table[:, i] for i in range(table.shape[1])])
