@@ -118,7 +118,7 @@ def call(name: str, arguments: list[str]) -> None:
 
 
 def _interruptible(function: Any) -> Any:
-    """The command, which Ctrl-C ends with exit code 130; click would hide that, and any EOFError, behind "Aborted!"."""
+    """The command, which Ctrl-C ends with exit code 130 and a reader that left with 141; click would hide both, and any EOFError."""
 
     @wraps(function)
     def command(*args: Any, **options: Any) -> Any:
@@ -127,6 +127,9 @@ def _interruptible(function: Any) -> Any:
         except KeyboardInterrupt:
             print("kinegraph: stopped", file=sys.stderr)
             sys.exit(130)
+        except BrokenPipeError:  # click would end with 1, which says that a comparison found a difference
+            _forget_output()
+            sys.exit(141)
         except EOFError as error:
             raise RuntimeError("a file ended too early") from error
 

@@ -20,6 +20,9 @@ import typer
 from stream.errors import KinegraphError, RecordingError
 from stream.source import Source
 
+HANG_UP: signal.Signals | None = getattr(signal, "SIGHUP", None)
+"""What a terminal that is closed says to those in it; Windows has no such thing."""
+
 if TYPE_CHECKING:
     from stream.engine.outcome import Outcome
     from stream.engine.session import Session
@@ -150,17 +153,20 @@ def _screen(view: str, graph: Any) -> Any:
 
 @contextmanager
 def _signals(session: Session) -> Iterator[None]:
-    """Within: Ctrl-C and SIGTERM end the session cleanly; a second Ctrl-C breaks off."""
+    """Within: Ctrl-C, SIGTERM and a closed terminal (unless under `nohup`) end the session cleanly; a second Ctrl-C breaks off."""
     asked = 0
 
-    def stop(_number: int, _frame: object) -> None:
+    def stop(number: int, _frame: object) -> None:
         nonlocal asked
-        asked += 1
+        asked += number != HANG_UP  # a shell that is closed may well say it twice
         if asked > 1:
             raise KeyboardInterrupt
         session.stop()
 
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    heard = [signal.SIGINT, signal.SIGTERM]
+    if HANG_UP is not None and signal.getsignal(HANG_UP) is not signal.SIG_IGN:
+        heard.append(HANG_UP)
+    before = {number: signal.signal(number, stop) for number in heard}
     try:
         yield
     finally:
