@@ -29,7 +29,7 @@ class ParameterError(KinegraphError):
 
     def __init__(self, parameter: str, given: object, accepts: str) -> None:
         """`accepts` completes the sentence "it must be ..."."""
-        super().__init__(f"{parameter} is {given!r}; it must be {accepts}")
+        super().__init__(f"{parameter} is {'empty' if given is None else repr(given)}; it must be {accepts}")
         self.parameter = parameter
 
 

@@ -12,6 +12,7 @@ BOMB = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
     f"{new}: &{new} [{','.join([f'*{old}'] * 9)}]\n" for old, new in zip("abcdefgh", "bcdefghi", strict=True)
 )
 LOW = BOARD % 2 + "  low: {use: operators.iir.Lowpass, from: board.emg, cutoff_hz: %s}\n"
+MEAN = BOARD % 2 + "  mean: {use: operators.moving.MovingMean, from: board.emg, window_s: %s}\n"
 GRAPHS: list[tuple[str | bytes, list[str]]] = [
     ("", ["a graph is a mapping", "not empty"]),
     (b"\x00" * 4096, ["may not stand in YAML"]),
@@ -40,6 +41,9 @@ GRAPHS: list[tuple[str | bytes, list[str]]] = [
     (GRAPH.replace("board.emg", "board.touchdown"), ["node 'rect'", "must be a stream of numbers"]),
     (GRAPH.replace("board.emg", "rect"), ["runs in a circle"]),
     (LOW % 1200, ["cutoff_hz is 1200", "below 500"]),
+    (LOW % "", ["cutoff_hz is empty", "a number"]),
+    (MEAN % 1e12, ["g.yaml:3:", "node 'mean'", "MovingMean", "make its windows and rates smaller"]),
+    (MEAN % 1e300, ["g.yaml:3:", "node 'mean'", "MovingMean", "make its windows and rates smaller"]),
     (LOW % "20 Hz", ["cutoff_hz is '20 Hz'", "a number"]),
     ("latency_budget_ms: 0\n" + GRAPH, ["latency_budget_ms is 0", "above 0"]),
 ]  # fmt: skip
@@ -57,7 +61,7 @@ SETTINGS = [
     ("x", "it must be NODE.PARAMETER=VALUE"),
     ("=5", "it must be NODE.PARAMETER=VALUE"),
     ("board.duration_s", "it must be NODE.PARAMETER=VALUE"),
-    ("board.duration_s=", "duration_s is None"),
+    ("board.duration_s=", "duration_s is empty"),
     ("board.duration_s=[1,", "this is not YAML"),
     ("board.seed=&a [*a]", "contain themselves"),
     ("board.seed=!!python/name:os.system", "is refused"),
@@ -81,7 +85,11 @@ def test_arguments_that_cannot_be(kinegraph: Command, made: Path, tmp_path: Path
     refused(kinegraph("run"), "Missing argument")
     refused(kinegraph("run", graph, "--nope"), "No such option")
     refused(kinegraph("run", "none.yaml"), "none.yaml: the graph cannot be read: No such file")
-    refused(kinegraph("run", tmp_path), "cannot be read: Is a directory")
+    (tmp_path / "folder.yaml").mkdir()
+    told = kinegraph("run", "folder.yaml")
+    refused(told, "cannot be read: Is a directory")
+    assert "did you mean" not in told[2]
+    (tmp_path / "folder.yaml").rmdir()
     refused(kinegraph("run", "x" * 5000), "File name too long")
     for seconds in ("nan", "inf", "-1", "soon"):
         refused(kinegraph("run", graph, "--for", seconds), "--for")

@@ -49,7 +49,7 @@ class Former:
         graph_then = self.checkpoint.graph if self.checkpoint else fingerprint(str(self.recording.header.get("graph")))
         if graph_then != fingerprint(graph.text):
             raise RecordingError(
-                f"{folder} was recorded with another graph; resume with that one, or start a new session"
+                f"{folder} was recorded with another graph, or with other values of --set; resume with the same, or start a new session"
             )
 
     @property

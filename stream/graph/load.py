@@ -58,7 +58,7 @@ def load(
         raise GraphError(f"this is no text in UTF-8 (byte {error.start})", path=str(path)) from None
     except OSError as error:
         there = [p.name for p in sorted(path.parent.glob("*.y*ml"))] if path.parent.is_dir() else []
-        hint = f"; {nearest(path.name, there)}" if there else ""
+        hint = f"; {nearest(path.name, there)}" if there and not path.exists() else ""
         raise GraphError(f"the graph cannot be read: {error.strerror}{hint}", path=str(path)) from None
     return load_text(text, path.stem, path=str(path), recorded=recorded, overrides=overrides)
 

@@ -88,6 +88,10 @@ class _Opening:
         except KinegraphError as error:
             self.problems.add(str(error), draft.entry, draft.name, cause=error)
             return None
+        except (MemoryError, OverflowError) as error:
+            text = f"{draft.kind.__name__} would need more memory or longer numbers than there are; make its windows and rates smaller"
+            self.problems.add(f"{text} ({explain(error)})", draft.entry, draft.name, cause=error)
+            return None
         except Exception as error:  # noqa: BLE001  (a fault in anyone's operator is told like any other, with its place)
             text = f"{draft.kind.__name__} failed while it was being opened: {explain(error)}"
             self.problems.add(text, draft.entry, draft.name, cause=error)

@@ -72,9 +72,8 @@ def find(use: str) -> Part:
     if found is None:
         raise UseError(f"{module_name} has no {name!r}; {nearest(name, here)}{_shadowed(module_name)}")
     fault = "is no dataclass" if isinstance(found, type) and issubclass(found, Source | Operator) else "is none"
-    raise UseError(
-        f"{use} must be a source, an operator or an outlet (a dataclass), but {fault}; {nearest(name, here)}"
-    )
+    hint = f"; {nearest(name, here)}" if here else ""
+    raise UseError(f"{use} must be a source, an operator or an outlet (a dataclass), but {fault}{hint}")
 
 
 def _shadowed(module: str) -> str:
@@ -149,6 +148,8 @@ def _import(name: str, use: str) -> ModuleType:
         if error.name and (name == error.name or name.startswith(error.name + ".")):
             raise UseError(f"there is no module {error.name!r}{_similar(use)}") from None
         raise UseError(f"{name} could not be imported: {explain(error)}") from error
+    except KinegraphError as error:
+        raise UseError(str(error)) from error
     except Exception as error:
         raise UseError(f"{name} could not be imported: {explain(error)}") from error
 
