@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 Event = tuple[Any, ...]
-DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 0.8, 1.25, 64, 24
+FAR, DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, TRUSTS = 2.0, 0.5, 0.75, 0.7, 0.8, 0.3, 0.8, 1.25
+SAMPLED, MOST_CLUSTERS = 64, 24
 
 
 @dataclass
@@ -320,14 +321,11 @@ class Reference:
             n = min(max(k, p["MASS"]), seen - k)
             rows = np.arange(i - n + 1, i + 1)
             self.back = max(self.back, self.now - int(rows[0]) + k)
-            means[k] = float(np.sqrt(((self.x[rows] - self.x[rows - k]) ** 2).sum(1) / self.x.shape[1]).mean())
+            apart = np.sqrt(((self.x[rows] - self.x[rows - k]) ** 2).sum(1) / self.x.shape[1])
+            means[k] = float(np.minimum(apart, FAR * self.radius).mean())
         for k in lags:
-            if (
-                k >= self.band
-                and largest >= LEAVES * self.radius
-                and means[k] < RETURNS * largest
-                and means[k] <= self.radius
-            ):
+            returns = means[k] < RETURNS * largest and means[k] <= TRUSTS * self.radius
+            if k >= self.band and largest >= LEAVES * self.radius and returns:
                 self.returned = True
                 wide = max(2, k // 5)
                 if means[k] < DIP * largest:

@@ -312,6 +312,22 @@ def test_motion_that_does_not_repeat_is_not_cut(kind: str) -> None:
         assert not events["activity"]["repeats"][0] and events["primitive"]["repetition"][0] == 0
 
 
+def assert_not_cut(x: Any) -> None:
+    """One activity, which says that it does not repeat, one primitive, and nothing counted."""
+    events, _ = played(Segment(), x)
+    assert len(events["activity"]) == len(events["primitive"]) == 1
+    assert not events["activity"]["repeats"][0] and events["primitive"]["repetition"][0] == 0
+    assert not len(events["begin"]) and not len(events["count"])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_motion_whose_frames_are_shuffled_is_not_cut(seed: int) -> None:
+    x = np.concatenate([walking(9, seed=seed), np.ones((90, 6)), 2.0 - walking(7, 30, seed=seed)])
+    events, _ = played(Segment(), stacked(x))
+    assert events["activity"]["repeats"].any()
+    assert_not_cut(stacked(np.random.default_rng(seed).permutation(x)))
+
+
 def test_a_gap_ends_what_is_open_and_exemplars_outlive_it() -> None:
     x = np.concatenate([circling(12)[:520], circling(12)[120:]])
     operator = Segment(**QUICK)
@@ -437,3 +453,17 @@ def test_the_three_walks_of_a_recording_are_one_cluster_that_holds_nothing_else(
             clusters.setdefault(label, set()).add(int(event["cluster"]))
     assert clusters[walk] == {0}
     assert all(0 not in others for label, others in clusters.items() if label != walk)
+
+
+SHUFFLED = [f"cmu86_4ch/86_{n}" for n in ("01", "03", "07", "09", "11")]
+SHUFFLED += ["cmu86_full/86_01", "cmu86_full/86_09", "mocap6/13_29", "mocap6/13_31"]
+
+
+@pytest.mark.parametrize("name", SHUFFLED)
+def test_a_recording_whose_frames_are_shuffled_is_not_cut(name: str) -> None:
+    found = recording(name)
+    x = found["e15_cm"] if "e15_cm" in found else np.unwrap(found["angles_deg"], period=360.0, axis=0)[::4]
+    events, _ = played(Segment(), stacked(x))
+    assert events["activity"]["repeats"].any()
+    for seed in range(3):
+        assert_not_cut(stacked(np.random.default_rng(seed).permutation(x)))
