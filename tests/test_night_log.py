@@ -389,6 +389,39 @@ def test_the_command_lists_draws_and_deletes(tmp_path: Path, capsys: pytest.Capt
     assert not (tmp_path / "2025-12-31").exists()
 
 
+def test_a_night_that_cannot_be_read_can_be_deleted_and_is_forgotten(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from devices.commands.nights import Action, nights
+
+    for name, file in (("2025-01-01", shelf.FACTS), ("2025-01-02", shelf.EPOCHS), ("2025-01-03", shelf.EPOCHS)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / file).write_text("onset,en")
+    nights(path=tmp_path)
+    assert "2025-01-01: cannot be read" in capsys.readouterr().out
+    nights(Action.delete, ["2025-01-01"], tmp_path, True)
+    os.utime(tmp_path / "2025-01-02", (1, 1))
+    night, log = Night(n=160, out=140), opened(tmp_path, report=False, keep_days=2.0)
+    log.begin()
+    feed(log, chain(night.told(), night.end()))
+    log.close()
+    assert sorted(path.name for path in tmp_path.iterdir() if path.is_dir()) == ["2025-01-03", "2025-12-31"]
+
+
+def test_an_old_night_that_cannot_be_deleted_ends_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    night, log = Night(n=160, out=140), opened(tmp_path, report=False, keep_days=0.01)
+
+    def refused(folder: Path) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(shelf.shutil, "rmtree", refused)
+    log.begin()
+    feed(log, chain(night.told(), night.end()))
+    log.close()
+    ((_, facts),) = shelf.nights(tmp_path)
+    assert facts.closed and facts.numbers
+
+
 def test_only_a_night_is_deleted(tmp_path: Path) -> None:
     (tmp_path / "photos").mkdir()
     with pytest.raises(KinegraphError, match="no night"):

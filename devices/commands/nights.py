@@ -47,8 +47,9 @@ def nights(
         for folder in folders:
             typer.echo(draw(folder))
         return
+    broken = shelf.damaged(path)
     for folder in folders:
-        if not shelf.Facts.load(folder).closed and not yes:
+        if folder not in broken and not shelf.Facts.load(folder).closed and not yes:
             raise KinegraphError(
                 f"the night {folder.name} is not over; stop kinegraph first, or delete what there is of it with --yes"
             )
@@ -79,4 +80,6 @@ def _list(root: Path) -> None:
         )  # fmt: skip
     console = Console(highlight=False)
     console.print(table)
+    for folder in shelf.damaged(root):
+        console.print(f"{folder.name}: cannot be read; kinegraph nights delete {folder.name} removes it")
     console.print(f"{len(found)} night{'' if len(found) == 1 else 's'} in {root}")

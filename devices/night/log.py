@@ -377,10 +377,15 @@ class NightLog(_Logger):
         """Delete nights that are older than they may become."""
         if not self.keep_days:
             return
-        for folder, facts in shelf.nights(Path(self.path).absolute()):
-            if facts.closed and facts.begun < now - self.keep_days * 86_400 * NS:
+        root, oldest = Path(self.path).absolute(), now - self.keep_days * 86_400 * NS
+        old = [folder for folder, facts in shelf.nights(root) if facts.closed and facts.begun < oldest]
+        old += [folder for folder in shelf.damaged(root) if folder.stat().st_mtime_ns < oldest]
+        for folder in old:
+            try:
                 shelf.remove(folder)
                 log.info("an old night was deleted", night=folder.name, keep_days=self.keep_days)
+            except DeviceError as error:
+                log.error(str(error))
 
 
 FIELDS = {

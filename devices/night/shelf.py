@@ -150,6 +150,16 @@ def nights(root: Path) -> list[tuple[Path, Facts]]:
     return sorted(found, key=lambda night: (night[1].begun, night[0].name))
 
 
+def damaged(root: Path) -> list[Path]:
+    """Folders of nights that cannot be read: a power cut may leave one, and what it holds can still be deleted."""
+    readable = {folder for folder, _ in nights(root)}
+    return sorted(f for f in (root.iterdir() if root.is_dir() else ()) if _holds_night(f) and f not in readable)
+
+
+def _holds_night(folder: Path) -> bool:
+    return (folder / FACTS).is_file() or (folder / EPOCHS).is_file()
+
+
 def new_folder(root: Path, begun: int, zone: tzinfo | None) -> Path:
     """The folder of a night that begins now: the evening's date, and a number if there is one already."""
     name = evening(begun, zone).isoformat()
@@ -170,7 +180,7 @@ def find(root: Path, name: str) -> Path:
     known = [folder for folder, _ in nights(root)]
     if name == "last" and known:
         return known[-1]
-    for folder in known:
+    for folder in [*known, *damaged(root)]:
         if folder.name == name:
             return folder
     there = ", ".join(folder.name for folder in known[-5:]) or "none"
@@ -179,7 +189,7 @@ def find(root: Path, name: str) -> Path:
 
 def remove(folder: Path) -> None:
     """Delete a night with everything in it; only a folder that holds one. Raises DeviceError."""
-    if not (folder / FACTS).is_file():
+    if not _holds_night(folder):
         raise NightError(f"{folder} holds no night")
     try:
         shutil.rmtree(folder)
