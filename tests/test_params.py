@@ -72,7 +72,7 @@ def test_what_fits_is_taken(name: str, given: Any, taken: Any) -> None:
         ("cutoff_hz", 500.0, "cutoff_hz is 500.0; it must be above 0 and below 500"),
         ("cutoff_hz", "20", "cutoff_hz is '20'; it must be a number"),
         ("cutoff_hz", True, "cutoff_hz is True; it must be a number"),
-        ("cutoff_hz", None, "cutoff_hz is None; it must be a number"),
+        ("cutoff_hz", None, "cutoff_hz is empty; it must be a number"),
         ("order", 2.0, "order is 2.0; it must be a whole number"),
         ("order", 0, "order is 0; it must be at least 1 and at most 8"),
         ("mode", "mid", "mode is 'mid'; it must be 'low' or 'high'"),
