@@ -349,6 +349,8 @@ def test_numbers_of_a_new_session_do_not_pass_for_those_of_the_night(
         feed(log, night.told(begin, cut))
         if cut < end:
             log.process("lights", night_made.event(switched, night.onset(cut), False))
+        if begin and dark and dark < begin:  # what the switch had been is said again
+            log.process("lights", night_made.event(switched, night.onset(begin), False))
         feed(log, night.told(cut, end))
         if begin:
             for port, chunk in night.end():
@@ -360,6 +362,7 @@ def test_numbers_of_a_new_session_do_not_pass_for_those_of_the_night(
     ((folder, facts),) = shelf.nights(tmp_path)
     epochs = shelf.read_epochs(folder)
     assert bool(begun_anew(facts, epochs)) == told == ("Numbers" in dict(quality(facts, epochs)))
+    assert [what for _, what in facts.switched] == (["lights off"] if dark else [])
     if dark == 30:
         assert facts.switched == [[night.onset(30), "lights off"]]  # just before anybody was in bed
         facts.switched, facts.numbers["onset"] = [], night.onset(257)  # the switch says what it had been before

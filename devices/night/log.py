@@ -341,8 +341,10 @@ class NightLog(_Logger):
     def _switched(self, row: Any, stamp: int) -> None:
         night = self.desk.night
         self.desk.switched = [stamp, "lights on" if row["on"] else "lights off"]
-        if night is not None:
-            night.note(night.facts.switched, self.desk.switched)
+        if night is not None and self.desk.switched[1] not in [what for _, what in night.facts.switched[-1:]]:
+            night.note(
+                night.facts.switched, self.desk.switched
+            )  # a switch that says after a restart what it was, was not switched
 
     def _map(self, frame: Array) -> None:
         """The map comes with the night's numbers, before or after them."""
