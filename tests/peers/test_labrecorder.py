@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import pyxdf
 
-from devices.lsl.network import Network
+from devices.lsl.network import Network, library
 from stream import cli
 from stream.engine.session import Session
 from stream.graph.load import load_text
@@ -27,6 +27,7 @@ nodes:
   contacts: {use: devices.lsl.LslOutlet, from: treadmill.touchdown, name: walk.touchdown}
   force: {use: devices.lsl.LslOutlet, from: treadmill.force, name: walk.force}
 """
+OUTLETS = ("emg", "touchdown", "force")
 SECONDS = 4.0
 
 
@@ -37,14 +38,15 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp("labrecorder")
     settings = folder / "lsl_api.cfg"
     settings.write_text(Network(scope="machine", session=os.environ["KINEGRAPH_LSL"].partition(":")[2]).text())
-    session = Session(load_text(GRAPH), folder / "session", duration_s=SECONDS + 20)
+    session = Session(load_text(GRAPH), folder / "session", duration_s=SECONDS + 60)
     thread = threading.Thread(target=session.run, daemon=True)
     thread.start()
     other = recorder.LabRecorder()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LSLAPICFG", str(settings))
-        time.sleep(1.0)  # LabRecorder looks around once
-        other.start(folder / "walk.xdf", [{"name": f"walk.{n}"} for n in ("emg", "touchdown", "force")])
+        for name in OUTLETS:  # LabRecorder looks around once, and a session may have to compile first
+            assert library().resolve_byprop("name", f"walk.{name}", 1, 60.0)
+        other.start(folder / "walk.xdf", [{"name": f"walk.{name}"} for name in OUTLETS])
     time.sleep(SECONDS)
     other.stop()
     session.stop()
