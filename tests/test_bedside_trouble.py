@@ -169,6 +169,7 @@ def test_a_camera_that_starts_in_the_middle_of_the_night_tells_what_it_saw() -> 
         ("activity.epoch_s", 0, "must be above 0"),
         ("activity.epoch_s", -30, "must be above 0"),
         ("activity.epoch_s", math.nan, "finite"),
+        ("activity.epoch_s", 1e12, "at most 3600"),
         ("activity.epoch_s", 1, "at least 2 .four frames"),
         ("activity.epoch_s", 45, "epochs of 45 s; it must be in epochs of 30 s for thesis"),
         ("motion.epoch_s", 1e6, "at most 30000"),

@@ -83,9 +83,7 @@ class Motion(Operator[MotionState]):
     optional: ClassVar[tuple[str, ...]] = ("scene", "regions")
     outputs: ClassVar[tuple[str, ...]] = ("out", "map")
 
-    epoch_s: float = param(
-        30.0, above=0.0, most=3600.0, help="length of an epoch; epochs begin at whole multiples of it since 1970"
-    )
+    epoch_s: float = param(30.0, above=0.0, help="length of an epoch; epochs begin at whole multiples of it since 1970")
     least_valid: float = param(0.2, above=0.0, most=1.0, help="share of the region's pixels that must be measured")
     step_s: float = param(
         0.5, least=0.0, help="how far apart the frames are that are compared; 0: every frame with the next"
