@@ -169,7 +169,7 @@ class MqttOutlet(_Sender):
         link.stop()
         if undelivered := desk.outbox.waiting + desk.outbox.dropped:
             broker = f"{self.broker.host}:{self.broker.port}"
-            kept = " (the night's log has them)" if any(h.log for h in self.history) else ""
+            kept = " (the log has those of the night)" if any(h.log for h in self.history) else ""
             log.warning(
                 f"the MQTT broker did not get these events, and will not{kept}", events=undelivered, broker=broker
             )
