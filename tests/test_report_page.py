@@ -123,6 +123,17 @@ def test_few_cycles_interim_and_normalised() -> None:
     assert text.count("%, normalised to MVC of 2026-01-01") == 2 and "not normalised" not in text
 
 
+def test_a_long_unit_does_not_stick_out_of_its_panel() -> None:
+    report, curves = sample(accepted=4)
+    for unit in ("µV", "% task peak"):
+        report.unit = unit
+        place = re.search(
+            rf'<text style="[^"]*text-anchor: (\w+)[^"]*" x="([-0-9.]+)"[^>]*>{unit}<', render(report, curves)
+        )
+        assert place and float(place[2]) >= 0
+        assert place[1] == ("start" if unit[0] == "%" else "end")
+
+
 def test_a_session_without_a_single_cycle_has_a_page() -> None:
     report, _ = sample(accepted=0)
     report.muscles[0].values = report.muscles[1].values = [(NAN, NAN), (NAN, NAN)]

@@ -74,6 +74,31 @@ def test_the_page_names_what_went_wrong(session: tuple[Path, str]) -> None:
         assert told in page, told
 
 
+def test_a_replay_names_whose_recording_it_is(tmp_path: Path) -> None:
+    """Not whom the graph names; the command line has the last word. A date that nobody gave is not made up."""
+    rows = "".join(f"{i / 1000:.3f},{i % 7}\n" for i in range(4000))
+    (tmp_path / "walk.csv").write_text(f"time,TA [uV]\n{rows}")
+    (tmp_path / "steps.csv").write_text("heel_s\n0.5\n1.5\n2.5\n")
+    streams = ["--stream", "treadmill.emg=TA", "--time", "treadmill.emg=time", "--events", "treadmill.touchdown=heel_s"]
+    streams += ["--events", "treadmill.liftoff=heel_s"]
+    tables = [tmp_path / "walk.csv", tmp_path / "steps.csv"]
+    kinegraph(
+        "import", *tables, "-o", tmp_path / "named.mcap", *streams, "--fact", "subject=S01", "--fact", "speed_m_s=1.4"
+    )
+    kinegraph("import", *tables, "-o", tmp_path / "nameless.mcap", *streams)
+    for name, settings, words in (
+        ("named", [], "Subject <b>S01</b>"),
+        ("named", ["--set", "session.subject=S02"], "Subject <b>S02</b>"),
+        ("nameless", [], "Subject <b>simulated</b>"),
+    ):
+        page = tmp_path / f"{len(words)}{len(settings)}{name}.html"
+        say = ["--speak", "report", "--set", f"report.path={page}", *settings]
+        told = kinegraph("replay", CONFIG, tmp_path / f"{name}.mcap", *say).stdout
+        assert words in page.read_text() and "1970" not in page.read_text().partition("<h2>")[0]
+        assert ("Speed <b>1.4 m/s</b>" in page.read_text()) == (name == "named")
+        assert ("holds no facts about its session" in told) == (name == "nameless")
+
+
 def test_a_replay_that_may_speak_writes_the_same_table(session: tuple[Path, str]) -> None:
     folder, _ = session
     again = ["--speak", "report", "--set", f"report.path={folder / 'again.html'}", "--verify", "-q"]

@@ -16,6 +16,9 @@ from stream.graph import Graph
 OVERALL = ("cv_pct", "variance_ratio")
 """What the table takes of the numbers over all cycles; the others say the same as those per cycle."""
 
+A_DATE = 366 * 86_400 * NS
+"""A recording that says no date (an import without `--start`) counts its time from 1970."""
+
 
 def compose(tally: Tally, specs: Specs, graph: Graph | None, names: Mapping[str, str]) -> tuple[Report, Curves]:
     """Everything but the title and the files' names. `names` are the streams' names, by port."""
@@ -53,7 +56,7 @@ def compose(tally: Tally, specs: Specs, graph: Graph | None, names: Mapping[str,
 
 def _facts(tally: Tally, specs: Specs, session: Mapping[str, Any]) -> list[tuple[str, str]]:
     told = list(words.facts(session))
-    if tally.started > 0:
+    if tally.started > A_DATE:
         begun = str(np.datetime64(tally.started, "ns").astype("datetime64[s]"))
         told.append(("Begun", f"{begun.replace('T', ' ')} UTC"))
     meta = specs["cycles"].meta

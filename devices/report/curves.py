@@ -9,14 +9,18 @@ from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.transforms import blended_transform_factory
 
 from devices.report.data import Curves
 from stream.chunk import Samples
 
 SIZES_IN = {4: (3.55, 1.9), 12: (2.36, 1.42), 10_000: (2.36, 1.18)}
 """Width and height of a panel where there are at most so many, so that more than twelve still fit on one A4 page."""
+LONG = 4
+"""A unit of more letters does not fit beside the axis."""
 SINGLE = 40
 """At most so many single cycles are drawn."""
 INK, BAND, THIN, STANCE = "#12395b", "#8fb3d3", "#9a9a9a", "#f1efe9"
@@ -69,8 +73,17 @@ def _muscle(
     axes.set_ylim(0, _top(mean, sd, single))
     axes.set_xticks([0, 25, 50, 75, 100])
     axes.locator_params(axis="y", nbins=4)
-    axes.text(-0.02, 1.03, unit, ha="right", va="bottom", color="#55534e", transform=axes.transAxes)
+    _write_unit(axes, figure, unit)
     return _svg(figure, title)
+
+
+def _write_unit(axes: Axes, figure: Figure, unit: str) -> None:
+    """Above the axis' numbers, in line with them; a long one ("% task peak") begins at the panel's edge, or it would stick out of it."""
+    long = len(unit) > LONG
+    across = figure.transFigure if long else axes.transAxes
+    transform = blended_transform_factory(across, axes.transAxes)
+    x, side = (0.0, "left") if long else (-0.02, "right")
+    axes.text(x, 1.03, unit, ha=side, va="bottom", color="#55534e", transform=transform)
 
 
 def _top(mean: Samples, sd: Samples, single: Samples) -> float:

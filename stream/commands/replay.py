@@ -49,7 +49,15 @@ def replay(
 
     logs.set_up()
     with Recording.open(recording) as source:
-        graph = load(config, recorded={n: s.spec for n, s in source.streams.items()}, overrides=read(settings or []))
+        asked = read(settings or [])
+        graph = load(config, recorded={n: s.spec for n, s in source.streams.items()}, overrides=asked)
+        known = source.header.get("session") or {}
+        if graph.session and not known and not quiet:
+            print(
+                "the recording holds no facts about its session; what the graph says of it is taken instead:", end=" "
+            )
+            print(", ".join(f"{name} {value}" for name, value in graph.session.items()))
+        graph.session = _facts(graph.session, known, asked)
         run = Replay(graph, source, speaking=_speaking(graph, speak or []), speed=speed or None, output=out)
         recorded = [name for name, stream in source.streams.items() if stream.role == "edge"]
         if verify and not recorded:
