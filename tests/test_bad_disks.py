@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -49,12 +50,16 @@ def test_a_disk_that_fills_up_while_files_are_made(
     else:
         told = kinegraph("replay", made / "graph.yaml", made / "s", "-o", "again", "-q")
     refused(told, "not everything could be written (No space left on device)", "free some space")
+    assert "the session goes on" not in told[2]
 
 
 @pytest.mark.usefixtures("full_disk")
 def test_a_disk_that_fills_up_during_a_session(kinegraph: Command, made: Path) -> None:
     told = kinegraph("run", made / "graph.yaml", *QUIET, "-o", "s")
     refused(told, "the recording cannot be written; the session goes on", "No space left on device", code=5)
+    assert re.search(r"recording: the last \d\.\d s could not be written and are lost", told[2]), (
+        "and not all since 1970"
+    )
 
 
 def test_a_recording_that_is_deleted_while_it_is_written_goes_on(

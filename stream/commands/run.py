@@ -177,6 +177,8 @@ def _signals(session: Session) -> Iterator[None]:
 def _tell_end(outcome: Outcome) -> None:
     print(f"session of {outcome.seconds:.1f} s ended{'' if outcome.error is None else ' by an error'}", file=sys.stderr)
     for name, row in outcome.table.items():
+        if row.get("error") and row.get("behind_s"):
+            print(f"  {name}: the last {row['behind_s']:.1f} s could not be written and are lost", file=sys.stderr)
         troubles = {k: row[k] for k in ("dropped", "late", "gaps", "dropped_chunks", "error", "problems") if row.get(k)}
         if troubles:
             print(f"  {name}: {json.dumps(troubles)}", file=sys.stderr)

@@ -28,7 +28,7 @@ from stream.engine.outcome import Outcome, View
 from stream.engine.pipeline import Pipeline
 from stream.engine.resume import catch_up
 from stream.engine.stalls import calm
-from stream.engine.status import Table, table_of
+from stream.engine.status import Table, recording_row, table_of
 from stream.engine.supervisor import Runner
 from stream.engine.warmup import Compilations, warm_up
 from stream.errors import KinegraphError
@@ -330,6 +330,8 @@ class Session:
         for lane in self._lanes.stop():
             self.journal.report("lane does not stop", lane=lane)
         self.journal.close(well=self._error is None)
+        if (status := self.journal.status) is not None:
+            self.table["recording"] = recording_row(status)
 
     def _drain(self) -> None:
         """Everything that had arrived is worked through, then every operator emits what is pending."""

@@ -40,14 +40,19 @@ def table_of(
             round((row["samples"] - old["samples"]) / (now - old["at_s"]), 2) if old and now > old["at_s"] else 0.0
         )
     if recording:
-        table["recording"] = {
-            "kind": "recording",
-            "bytes": recording.bytes,
-            "behind_s": round(recording.behind_s, 2),
-            "dropped_chunks": sum(recording.dropped.values()),
-            "error": recording.error,
-        }
+        table["recording"] = recording_row(recording)
     return table
+
+
+def recording_row(recording: RecorderStatus) -> dict[str, Any]:
+    """How the recorder does; once it has been closed, `behind_s` is what it could not write at the end."""
+    return {
+        "kind": "recording",
+        "bytes": recording.bytes,
+        "behind_s": round(recording.behind_s, 2),
+        "dropped_chunks": sum(recording.dropped.values()),
+        "error": recording.error,
+    }
 
 
 def _source_row(intake: Intake, now: float) -> dict[str, Any]:

@@ -248,6 +248,7 @@ class Recorder:
             body = dump({"time": arrival, "table": what}) if number else encode_log(what[0], arrival, what[1])
             self._tape.add(number, arrival, arrival, self._batch, body)
             return
+        self._done = self._done or arrival  # until something is on the disk, all since the first chunk is behind
         now = self._newest = max(arrival, self._newest)
         if self._gathered and (now - self._opened >= self._options.gather_s * NS or self._gathered > ROUND_BYTES):
             self._round()
@@ -333,7 +334,8 @@ class Recorder:
     def _fail(self, error: OSError) -> None:
         text = error.strerror or str(error)
         if not self._error:
-            log.error("the recording cannot be written; the session goes on", path=str(self._path), error=text)
+            goes_on = "" if self._wait else "; the session goes on"
+            log.error(f"the recording cannot be written{goes_on}", path=str(self._path), error=text)
         self._error = text
 
     def _report_drops(self, *, over: bool) -> None:
