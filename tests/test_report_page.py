@@ -140,7 +140,11 @@ def test_a_session_without_a_single_cycle_has_a_page() -> None:
     report.stance_percent = NAN
     nothing = np.full((100, 2), np.nan)
     text = Page(render(report, Curves(nothing, nothing, np.empty((0, 100, 2))))).text
-    assert text.count("no valid cycle") == 2
+    assert text.count("no valid cycle") == 2 and "No cycle was accepted" in text and "Only 0" not in text
+    assert "2 of 2 cycles were left out" in text
+    report.rejected, report.rejections, report.reasons = 0, [], []
+    text = Page(render(report, Curves(nothing, nothing, np.empty((0, 100, 2))))).text
+    assert "no two touch-downs were found" in text and "all 0 cycles" not in text
 
 
 def test_the_sentence_on_quality_names_bad_channels() -> None:

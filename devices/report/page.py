@@ -103,7 +103,9 @@ def pretty(unit: str) -> str:
 def limits(report: Report) -> list[str]:
     """What a reader must know before drawing conclusions."""
     told = []
-    if report.accepted < 10:
+    if not report.accepted:
+        told.append("No cycle was accepted, so this page says nothing of the muscles; only the signals were judged.")
+    elif report.accepted < 10:
         told.append(
             f"Only {report.accepted} cycles were accepted. Means and standard deviations of so few are uncertain; the variance ratio"
             " is given from ten cycles on."
