@@ -70,6 +70,34 @@ def test_an_operator_that_raises_names_itself_and_loses_nothing(kinegraph: Comma
         assert recording.streams["bad"].samples <= 1000
 
 
+@pytest.mark.parametrize(
+    ("nonsense", "words"),
+    [
+        ("sys.exit(0)", ["node 'bad'", "SystemExit"]),
+        ("return 'hello'", ["node 'bad'", "gave back a str", "a Chunk", "'out'"]),
+        ("return [('ouch', chunk)]", ["node 'bad'", "gave back a list", "'ouch'", "'out'"]),
+        ("return self.process(port, chunk)", ["node 'bad'", "RecursionError"]),
+    ],
+)
+def test_an_operator_that_returns_nonsense(nonsense: str, words: list[str], kinegraph: Command, tmp_path: Path) -> None:
+    module = re.sub(r"\W", "", nonsense)
+    text = RAISES.replace('raise ZeroDivisionError("division by zero")', nonsense)
+    (tmp_path / f"{module}.py").write_text("import sys\n" + text.lstrip())
+    (tmp_path / "g.yaml").write_text(BOARD % 2 + f"  bad: {{use: {module}.Raises, from: board.emg}}\nrecord: [bad]\n")
+    refused(kinegraph("run", "g.yaml", *QUIET, "-o", "s"), *words, code=4)
+    with Recording.open(tmp_path / "s") as recording:
+        assert recording.finished and recording.streams["bad"].samples <= 1000
+
+
+def test_samples_that_cannot_be_recorded_are_counted(kinegraph: Command, tmp_path: Path) -> None:
+    text = RAISES.replace(
+        'raise ZeroDivisionError("division by zero")', "return replace(chunk, data=chunk.data[:, :1])"
+    )
+    (tmp_path / "narrow.py").write_text("from msgspec.structs import replace\n" + text.lstrip())
+    (tmp_path / "g.yaml").write_text(BOARD % 2 + "  bad: {use: narrow.Raises, from: board.emg}\nrecord: [bad]\n")
+    refused(kinegraph("run", "g.yaml", *QUIET, "-o", "s"), "a chunk could not be recorded", '"dropped_chunks"', code=5)
+
+
 def test_two_sessions_on_one_output(kinegraph: Command, made: Path, tmp_path: Path) -> None:
     text = (BOARD % 0).replace("realtime: false, ", "")
     text += "  out: {use: devices.csv_file.CsvFile, from: board.emg, path: out.csv}\n"

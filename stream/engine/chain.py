@@ -74,7 +74,7 @@ class Chain:
             lines.append("        if t0 >= due:")
             self._write_out(lines, " " * 12, timed=True)
         self._write_out(lines, " " * 8, timed=False)
-        lines += ["    except Exception as error:", "        trouble(error, locals())", "        raise"]
+        lines += ["    except (Exception, SystemExit) as error:", "        trouble(error, locals())", "        raise"]
         return lines
 
     def _write_out(self, lines: list[str], indent: str, *, timed: bool) -> None:
@@ -116,7 +116,7 @@ class Chain:
         times = ", ".join(f"t{k}" for k in range(i + 2))
         return [f"note{i}(({times}))", f"due = t{i + 1} + {REST} * (t{i + 1} - t0)"]
 
-    def _trouble(self, error: Exception, found: dict[str, Any]) -> None:
+    def _trouble(self, error: Exception | SystemExit, found: dict[str, Any]) -> None:
         """Raise what an operator's exception means; nothing, where no operator of this chain raised it."""
         trace = error.__traceback__
         i = self._at.get(trace.tb_lineno) if trace else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from time import perf_counter_ns
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -42,14 +42,14 @@ class Link:
     def __call__(self, chunk: Chunk, start: int) -> int:
         try:
             emitted = self.process(self.port, chunk)
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # no operator ends the program by itself, with a recording open
             raise failure(self.name, error, self.port, chunk) from error
         end = perf_counter_ns()
         self.timing.durations.append(end - start)
         return end if emitted is None else self.emit(emitted, end)
 
 
-def failure(node: str, error: Exception, port: str = "", chunk: Chunk | None = None) -> RunError:
+def failure(node: str, error: Exception | SystemExit, port: str = "", chunk: Chunk | None = None) -> RunError:
     """What an operator's exception means to the person at the screen: which node, at which sample's time."""
     where = ""
     if chunk is not None:
@@ -57,3 +57,12 @@ def failure(node: str, error: Exception, port: str = "", chunk: Chunk | None = N
         where = f" at sample time {utc(stamp)} (input {port!r}, {len(chunk.time)} samples)"
     text = str(error) if isinstance(error, KinegraphError) else explain(error)
     return RunError(f"node {node!r}: {text}{where}")
+
+
+def nonsense(node: str, emitted: object, outputs: Iterable[str], error: Exception) -> RunError:
+    """What it means that an operator gave back something that cannot be sent on."""
+    named = ", ".join(map(repr, outputs)) or "none"
+    return RunError(
+        f"node {node!r}: gave back a {type(emitted).__name__} that cannot be sent on ({explain(error)}); an operator gives back a Chunk,"
+        f" pairs of an output and a Chunk, or nothing; its outputs: {named}"
+    )

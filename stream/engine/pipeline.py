@@ -16,7 +16,7 @@ import structlog
 
 from stream.chunk import FOREVER, Array, Chunk, empty
 from stream.engine.clock import SessionClock
-from stream.engine.link import Link, Push, failure
+from stream.engine.link import Link, Push, failure, nonsense
 from stream.engine.merge import Merge
 from stream.engine.metrics import FOLD_AT, Timing
 from stream.engine.wire import Wire
@@ -101,8 +101,13 @@ class Stage:
             return start
         if isinstance(emitted, Chunk):
             emitted = [(next(iter(self.wires)), emitted)]
-        for name, chunk in emitted:
-            start = self.wires[name].send(chunk, start)
+        try:
+            for name, chunk in emitted:
+                start = self.wires[name].send(chunk, start)
+        except KinegraphError:
+            raise
+        except Exception as error:
+            raise nonsense(self.node.name, emitted, self.wires, error) from error
         return start
 
     def close(self) -> None:

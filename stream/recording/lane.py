@@ -32,7 +32,7 @@ class Lane:
     """A stream (or the log, or the metrics) on its way to the recorder's thread. Each counter has one thread that writes it.
 
     put, dropped, missed   of the stream's thread: bytes handed over; chunks dropped; samples dropped since the last chunk accepted
-    got, index             of the recorder's thread: bytes taken; cumulative index of the next sample
+    got, index, refused    of the recorder's thread: bytes taken; index of the next sample; chunks that were not of the stream's spec
     pending, first         of the recorder's thread: the chunks of the next message, and the index of their first sample
     kept                   how its samples are kept
     track, frames          where on the tape its chunks go, and its frames if it has any
@@ -42,6 +42,7 @@ class Lane:
     spec: StreamSpec | None = None
     put: int = 0
     dropped: int = 0
+    refused: int = 0
     missed: int = 0
     got: int = 0
     index: int = 0

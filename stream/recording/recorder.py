@@ -163,7 +163,7 @@ class Recorder:
         return RecorderStatus(
             bytes=self._tape.saved,
             behind_s=max(self._latest - self._done, 0) / NS if self._latest else 0.0,
-            dropped={lane.name: lane.dropped for lane in self._lanes if lane.dropped},
+            dropped={lane.name: lost for lane in self._lanes if (lost := lane.dropped + lane.refused)},
             error=self._error,
         )
 
@@ -286,6 +286,7 @@ class Recorder:
         except (ValueError, TypeError) as error:
             log.error("a chunk could not be recorded", stream=lane.name, error=str(error))
             self._note("not recorded", level="error", stream=lane.name, error=str(error))
+            lane.refused += len(entries)
             return
         stamp = int(entries[0].chunk.time[0]) if len(entries[0].chunk.time) else entries[0].arrival
         if lane.frames:
