@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import structlog
 
-from stream.chunk import NS, Chunk, StreamSpec, empty
+from stream.chunk import FOREVER, NS, Chunk, StreamSpec, empty
 from stream.engine.merge import Merge
 from stream.errors import GraphError, KinegraphError, explain
 from stream.graph import Graph, Node
@@ -53,11 +53,14 @@ def _run_cases(part: Operator[Any]) -> None:
         specs = {port: spec for port, (spec, _, _) in case.inputs.items()}
         operator.open(specs)
         merge = Merge(specs, in_turn=operator.in_turn)
-        for port, (spec, times, data) in case.inputs.items():
-            for piece in _pieces(spec, times, data):
-                for name, merged in merge.push(port, piece):
-                    with suppress(KinegraphError):
-                        operator.process(name, merged)
+        pieces = [(port, piece) for port, given in case.inputs.items() for piece in _pieces(*given)]
+        ends = [
+            (port, empty(spec, FOREVER)) for port, spec in specs.items()
+        ]  # nothing is left waiting for another input
+        for port, piece in [*pieces, *ends]:
+            for name, merged in merge.push(port, piece):
+                with suppress(KinegraphError):
+                    operator.process(name, merged)
         operator.close()
 
 
