@@ -13,7 +13,7 @@ from serial.tools.list_ports_common import ListPortInfo
 from usb.backend import libusb1
 
 from devices.commands.devices import devices
-from devices.commands.record import written
+from devices.commands.record import with_ports, written
 from devices.discovery import found
 from devices.discovery.serial_ports import BLUETOOTH, KNOWN, find
 from stream.errors import KinegraphError
@@ -104,6 +104,18 @@ def test_sources_become_a_graph() -> None:
             written(wrong)
 
 
+def test_a_simulated_device_needs_no_port() -> None:
+    given = [
+        "devices.cyton.Cyton",
+        "daisy=true",
+        "b:devices.mti.Mti",
+        "port=/dev/x",
+        "devices.oak.Oak",
+        "devices.nowhere.No",
+    ]
+    assert with_ports(given) == [*given[:1], "port=simulated", *given[1:]]
+
+
 def kinegraph(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "stream", *arguments],
@@ -113,9 +125,7 @@ def kinegraph(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_a_recording_with_no_graph_can_be_replayed(tmp_path: Path) -> None:
     out = str(tmp_path / "session")
-    done = kinegraph(
-        "record", "devices.cyton.Cyton", "port=/dev/ttyUSB0", "--simulate", "--for", "2", "-o", out, "--view", "none"
-    )
+    done = kinegraph("record", "devices.cyton.Cyton", "--simulate", "--for", "2", "-o", out, "--view", "none")
     assert done.returncode == 0, done.stderr
     info = kinegraph("info", out).stdout
     assert "cyton.emg" in info and "simulated_sources ['cyton']" in info

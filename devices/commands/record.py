@@ -6,8 +6,9 @@ import io
 import re
 import sys
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -51,6 +52,8 @@ def record(
     from stream.graph.load import load_text
 
     logs.set_up(json=json_log, verbose=verbose)
+    if simulate:
+        sources = with_ports(sources)
     text, name = written(sources)
     graph = load_text(text, name)
     if images := pictures(graph):
@@ -73,6 +76,31 @@ def pictures(graph: Graph) -> list[str]:
     return [
         f"{node.name}.{output}" for node in graph.sources for output, spec in node.specs.items() if is_picture(spec)
     ]
+
+
+def with_ports(arguments: list[str]) -> list[str]:
+    """The same, with something for every `port` that is not given: a simulated device has no use for it."""
+    found: list[str] = []
+    given = False
+    for argument in reversed(arguments):
+        key, equals, _ = argument.partition("=")
+        given = given or key == "port"
+        if not equals:
+            if not given and "port" in _parameters(argument.rpartition(":")[2]):
+                found.append("port=simulated")
+            given = False
+        found.append(argument)
+    return found[::-1]
+
+
+def _parameters(path: str) -> set[str]:
+    """The names of a source's parameters; none where there is no such source, which is told when the graph is loaded."""
+    from stream.graph.parts import find
+
+    try:
+        return {field.name for field in fields(cast("Any", find(path)))}
+    except KinegraphError:
+        return set()
 
 
 def written(arguments: list[str], record: Sequence[str] = ()) -> tuple[str, str]:
