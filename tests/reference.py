@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 Event = tuple[Any, ...]
-FAR, DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, TRUSTS = 2.0, 0.5, 0.75, 0.7, 0.8, 0.3, 0.8, 1.25
-SAMPLED, MOST_CLUSTERS = 64, 24
+DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 0.8, 1.25, 64, 24
 
 
 @dataclass
@@ -321,14 +320,17 @@ class Reference:
             n = min(max(k, p["MASS"]), seen - k)
             rows = np.arange(i - n + 1, i + 1)
             self.back = max(self.back, self.now - int(rows[0]) + k)
-            apart = np.sqrt(((self.x[rows] - self.x[rows - k]) ** 2).sum(1) / self.x.shape[1])
-            means[k] = float(np.minimum(apart, FAR * self.radius).mean())
+            means[k] = float(np.sqrt(((self.x[rows] - self.x[rows - k]) ** 2).sum(1) / self.x.shape[1]).mean())
         for k in lags:
-            returns = means[k] < RETURNS * largest and means[k] <= TRUSTS * self.radius
-            if k >= self.band and largest >= LEAVES * self.radius and returns:
+            if (
+                k >= self.band
+                and largest >= LEAVES * self.radius
+                and means[k] < RETURNS * largest
+                and means[k] <= TRUSTS * self.radius
+            ):
                 self.returned = True
                 wide = max(2, k // 5)
-                if means[k] < DIP * largest:
+                if means[k] < DIP * largest and means[k] <= self.radius:
                     if k + wide not in means and not last_chance:
                         return 0
                     if all(means.get(j, np.inf) >= means[k] for j in range(k - wide, k + wide + 1)):

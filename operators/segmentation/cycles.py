@@ -24,12 +24,10 @@ from operators.segmentation.layout import (
 from stream.chunk import Samples, Times
 from stream.kernel import kernel
 
-FAR = 2.0
-"""A distance of more than so many radii counts as so many: how far away frames are that are not alike says nothing about a cycle."""
-DIP = 0.5
-"""A cycle's lag is where the mean distance falls to this share of the largest one at a shorter lag."""
+DIP = 0.6
+"""A cycle's lag is where the mean distance falls to this share of the largest one at a shorter lag, and to the radius."""
 RETURNS = 0.75
-"""With this share in place of DIP, and at most TRUSTS radii, there is no cycle to count, but motion that comes back: an activity."""
+"""With this share in place of DIP, and TRUSTS radii, there is no cycle to count, but motion that comes back: an activity of its own."""
 SEEN = 0.7
 """So much of the second cycle must have been seen."""
 LEAVES = 0.8
@@ -37,22 +35,21 @@ LEAVES = 0.8
 GAIN = 0.3
 """What a path's step costs is its distance less this share of the radius; without it paths would shrink to their cheapest part."""
 TRUSTS = 1.25
-"""A known cycle's repetition may lie so many radii away on the mean, and so may frames that come back."""
+"""A known cycle's repetition may lie so many radii away on the mean, and so may motion that comes back."""
 LONGEST = 2
 """Paths advance by slopes from 1 / LONGEST to LONGEST, on the whole."""
 
 
 @kernel
 def sum_up(s: Memory, i: int) -> None:
-    """Frame `i`'s distances at each lag, back to ORIGIN, at most FAR radii each, added to those of the frames before it."""
+    """Frame `i`'s distances at each lag, back to ORIGIN, added to those of the frames before it."""
     b = s.books
-    far = FAR * s.values[RADIUS]
     row, sums, before = s.rows[i % s.rows.shape[0]], s.sums[i % s.sums.shape[0]], s.sums[(i - 1) % s.sums.shape[0]]
     for k in range(1, b[LAG] + 1):
         if k > i - b[ORIGIN]:
             sums[k] = 0.0
         else:
-            sums[k] = before[k] + min(row[k], far)
+            sums[k] = before[k] + row[k]
 
 
 @kernel
@@ -85,7 +82,7 @@ def cycle_length(s: Memory, i: int, last_chance: bool) -> int:
         if k >= b[BAND] and largest >= LEAVES * radius and mean < RETURNS * largest and mean <= TRUSTS * radius:
             b[RETURNED] = 1
             wide = max(2, k // 5)
-            lowest = mean < DIP * largest
+            lowest = mean < DIP * largest and mean <= radius
             if lowest and k + wide > last and not last_chance:
                 return 0
             for j in range(k - wide, min(k + wide, last) + 1):
