@@ -35,36 +35,43 @@ def nothing_held(specs: Specs) -> Held:
 def header(specs: Specs) -> bytes:
     """The first line: names with units."""
     closed, statistics = specs["closed"], specs.get("statistics")
-    names = ["touch-down (UTC)", "touch-down (s)", "number", *(_named(f, closed) for f in CYCLE), "rejected"]
+    names = [
+        "touch-down (UTC)",
+        "touch-down (s)",
+        "number",
+        *(_named(f, closed) for f in CYCLE),
+        "rejected",
+        "amplitudes",
+    ]
     if statistics is not None:
         fields = numbers(statistics)
         names += [f"{muscle} {_named(f, statistics)}" for muscle in specs["cycles"].channels for f in fields]
     return _line(names)
 
 
-def take_closed(held: Held, rows: Array, start_ns: int) -> bytes:
-    """Take events of cycles; returns the lines that are complete with them."""
+def take_closed(held: Held, rows: Array, start_ns: int, about: str) -> bytes:
+    """Take events of cycles; returns the lines that are complete with them. `about` says what amplitudes are normalised to."""
     lines = b""
     for i in range(len(rows)):
-        lines += release(held, start_ns)
+        lines += release(held, start_ns, about)
         held.number, held.came = int(rows["number"][i]), 0
         held.event[0] = rows[i]
         held.values[:] = np.nan
         if rows["rejected"][i] or not held.values.size:
-            lines += release(held, start_ns)
+            lines += release(held, start_ns, about)
     return lines
 
 
-def take_statistics(held: Held, rows: Array, fields: Sequence[str], start_ns: int) -> bytes:
+def take_statistics(held: Held, rows: Array, fields: Sequence[str], start_ns: int, about: str) -> bytes:
     """Take numbers of muscles; returns the line of the held cycle, if they were the last that it lacked."""
     mine = rows[rows["number"] == held.number]
     for i, name in enumerate(fields):
         held.values[i, mine["muscle"]] = mine[name]
     held.came += len(mine)
-    return release(held, start_ns) if held.came >= held.values.shape[1] else b""
+    return release(held, start_ns, about) if held.came >= held.values.shape[1] else b""
 
 
-def release(held: Held, start_ns: int) -> bytes:
+def release(held: Held, start_ns: int, about: str) -> bytes:
     """The line of the held cycle, with what has come of it; nothing if none is held."""
     if held.number == NONE:
         return b""
@@ -72,7 +79,7 @@ def release(held: Held, start_ns: int) -> bytes:
     onset = int(event["onset"])
     values: list[Any] = [f"{np.datetime64(onset, 'ns')}Z", f"{(onset - start_ns) / NS:.6f}", held.number]
     values += [float(event[name]) for name in CYCLE]
-    values += [str(event["rejected"]), *held.values.T.ravel().tolist()]
+    values += [str(event["rejected"]), about, *held.values.T.ravel().tolist()]
     held.number = NONE
     return _line(values)
 

@@ -167,6 +167,7 @@ def test_a_session_leaves_a_page_and_a_table(tmp_path: Path) -> None:
         assert float(row["duration_s"]) == walk.closed["duration_s"][i]
         assert row["TA peak (uV)"] == (repr(float(walk.curves[i, :, 0].max())) if taken else "nan")
         assert row["GM peak_pct"] == (repr(float(walk.peak_pct[i, 2])) if taken else "nan")
+    assert {row["amplitudes"] for row in rows} == {"not normalised"}
     assert rows[1]["touch-down (UTC)"] == "2026-01-01T00:00:01.050000000Z"
 
 

@@ -19,6 +19,7 @@ from devices.cycle_rows import Held, header, nothing_held, release, take_closed,
 from devices.report.compose import compose
 from devices.report.data import Curves, Report, save
 from devices.report.tally import GAIT, Tally, hear, nothing_yet, numbers
+from devices.report.words import relative_to
 from stream.chunk import Array, Chunk, Specs
 from stream.errors import DeviceError, InputError, ParameterError
 from stream.graph import Graph
@@ -48,6 +49,7 @@ class _Desk:
 
     def __init__(self, specs: Specs) -> None:
         self.specs = specs
+        self.about = relative_to(specs["cycles"].meta)
         self.graph: Graph | None = None
         self.table: AppendFile | None = None
         self.claim: FileLock | None = None
@@ -132,7 +134,7 @@ class SessionReport(_Reporter):
         desk, state = self.desk, self.state
         try:
             if desk.table:
-                desk.table.write(release(state.held, state.tally.started))
+                desk.table.write(release(state.held, state.tally.started, desk.about))
             if desk.drawing:
                 desk.drawing.kill()
                 desk.drawing.wait()
@@ -163,9 +165,9 @@ class SessionReport(_Reporter):
         desk, state = self.desk, self.state
         start = state.tally.started
         if port == "closed":
-            lines = take_closed(state.held, rows, start)
+            lines = take_closed(state.held, rows, start, desk.about)
         else:
-            lines = take_statistics(state.held, rows, numbers(desk.specs[port]), start)
+            lines = take_statistics(state.held, rows, numbers(desk.specs[port]), start, desk.about)
         if lines and desk.table:
             desk.table.write(lines)
 
