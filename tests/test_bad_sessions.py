@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import pty
 import re
+import select
+import shutil
 import signal
 import subprocess
 import time
@@ -144,6 +148,24 @@ def test_sigterm_ends_a_session_in_every_phase(moment: str, tmp_path: Path) -> N
         with Recording.open(tmp_path / "s") as recording:
             assert recording.finished
     assert not list(tmp_path.glob("s/.*")), "no lock and no trial file is left"
+
+
+@pytest.mark.skipif(shutil.which("setsid") is None, reason="no setsid here (Linux has it: util-linux)")
+def test_a_terminal_that_goes_away_leaves_a_whole_session(tmp_path: Path) -> None:
+    """As when its window is closed: a hang-up is told, and nothing can be read or written there any more."""
+    (tmp_path / "g.yaml").write_text((BOARD % 0).replace("realtime: false, ", ""))
+    ours, theirs = pty.openpty()
+    command = ["setsid", "-c", str(KINEGRAPH), "run", "g.yaml", "-o", "s"]
+    process = subprocess.Popen(command, cwd=tmp_path, stdin=theirs, stdout=theirs, stderr=theirs)
+    os.close(theirs)
+    end = time.monotonic() + 60
+    while time.monotonic() < end and not any((tmp_path / "s").glob("session.*")):
+        if select.select([ours], [], [], 0.05)[0]:
+            os.read(ours, 65536)
+    os.close(ours)
+    assert process.wait(60) == 0
+    with Recording.open(tmp_path / "s") as recording:
+        assert recording.finished
 
 
 @pytest.mark.parametrize("ignored", [False, True])

@@ -155,9 +155,12 @@ def _screen(view: str, graph: Any) -> Any:
 def _signals(session: Session) -> Iterator[None]:
     """Within: Ctrl-C, SIGTERM and a closed terminal (unless under `nohup`) end the session cleanly; a second Ctrl-C breaks off."""
     asked = 0
+    terminals = [file for file in (0, 1, 2) if os.isatty(file)]
 
     def stop(number: int, _frame: object) -> None:
         nonlocal asked
+        if number == HANG_UP:
+            _forget(terminals)
         asked += number != HANG_UP  # a shell that is closed may well say it twice
         if asked > 1:
             raise KeyboardInterrupt
@@ -172,6 +175,14 @@ def _signals(session: Session) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _forget(terminals: list[int]) -> None:
+    """Read and write nowhere from now on: a terminal that is gone answers with errors."""
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    for file in terminals:
+        os.dup2(nowhere, file)
+    os.close(nowhere)
 
 
 def _tell_end(outcome: Outcome) -> None:
