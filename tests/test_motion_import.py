@@ -141,6 +141,8 @@ def test_bvh_against_rotations_of_scipy(tmp_path):
         ("OFFSET 0 10 0", "OFFSET 0 ten 0", "line 8: OFFSET needs 3 numbers, not '0 ten 0'"),
         ("CHANNELS 3 Z", "CHANNELS 4 Z", "line 9: CHANNELS is followed by their number"),
         ("CHANNELS 3 Zrotation", "CHANNELS 3 Zrotatoin", "line 9: 'Zrotatoin' is no channel; did you mean 'Zrotation'"),
+        (BVH[BVH.index("Frames") :], "Frames: 0\nFrame Time: 1\n", "line 17: there is a skeleton, but not one frame"),
+        ("CHANNELS 3 Zrotation", "CHANNELS 3 Xrotation", "line 9: a joint has each channel once"),
         ("Frames: 3", "Frames: 4", "line 17: 4 frames are announced, 3 are there"),
         ("Frame Time: 0.0083333", "Frame Time: 0", "line 18: a frame time of 0 s"),
         ("10 20 30 40", "10 20 x 40", "line 20: a frame needs 9 numbers, not '1 2 3 10 20 x"),
@@ -157,6 +159,13 @@ def test_bvh_cut_anywhere_is_read_or_refused(tmp_path):
     for end in range(0, len(BVH) - 1, 7):
         with pytest.raises(RecordingError, match=r"cut\.bvh"):
             read_bvh(written(tmp_path, "cut.bvh", BVH[:end]))
+
+
+def test_a_joint_of_a_bvh_file_may_end_several_limbs_and_channels_may_be_in_capitals(tmp_path):
+    two = BVH.replace("    End Site", "    End Site\n    {\n      OFFSET 0 0 0\n    }\n    End Site")
+    (joints, _) = read_bvh(written(tmp_path, "walk.bvh", two.replace("Xposition", "XPOSITION")))
+    assert joints.spec.channels == ("Hips", "Chest", "Chest_end", "Chest_end2")
+    assert np.allclose(joints.data[0, 3], [1, 15, 2]) and joints.data[1, 0, 0] == 1.0
 
 
 @needs_data
@@ -233,7 +242,7 @@ def test_the_joints_of_a_real_acclaim_recording_follow_from_its_turns():
     assert np.abs(turns[names.index("lfemur")] - expected[: len(joints)]).max() < 1e-5
 
 
-def c3d_file(path, frames=40):
+def c3d_file(path, frames=40, more=()):
     ezc3d = pytest.importorskip("ezc3d")
     rng = np.random.default_rng(1)
     made = ezc3d.c3d()
@@ -251,6 +260,8 @@ def c3d_file(path, frames=40):
     made.add_event([0.0, 0.15], context="Right", label="Foot Strike")
     made.add_event([0.0, 0.05], context="Right", label="Foot Strike")
     made.add_event([0.0, 0.10], context="Left", label="Foot Off")
+    for label in more:
+        made.add_event([0.0, 0.10], context="Right", label=label)
     made.write(str(path))
     return points, made["data"]["analogs"]
 
@@ -278,6 +289,21 @@ def test_broken_c3d_files_are_refused(tmp_path):
             read_c3d(tmp_path / "cut.c3d")
     with pytest.raises(RecordingError, match="no such file"):
         read_c3d(tmp_path / "none.c3d")
+
+
+def test_c3d_events_of_names_that_are_written_alike_are_told_apart(tmp_path):
+    c3d_file(tmp_path / "gait.c3d", more=("Foot-Strike",))
+    names = [one.name for one in read_c3d(tmp_path / "gait.c3d")]
+    assert names[2:] == ["gait.right_foot_strike", "gait.left_foot_off", "gait.right_foot_strike_2"]
+
+
+def test_a_c3d_file_longer_than_its_header_can_say_is_not_cut_in_silence(tmp_path):
+    c3d_file(tmp_path / "long.c3d", frames=65_535)
+    assert len(read_c3d(tmp_path / "long.c3d")[0].time) == 65_535
+    with (tmp_path / "long.c3d").open("ab") as file:
+        file.write(bytes(100 * 4 * (2 * 4 + 2 * 5)))
+    with pytest.raises(RecordingError, match=r"long\.c3d: holds 656\d\d frames, of which 65535 can be read"):
+        read_c3d(tmp_path / "long.c3d")
 
 
 @needs_data
@@ -341,3 +367,46 @@ def test_the_command_makes_one_recording_of_all_kinds(tmp_path):
         cli.call("import", [str(files[2]), "-o", str(tmp_path / "other.mcap")])
     with pytest.raises(RecordingError, match="does not move"):
         cli.call("import", [str(files[1]), "-o", str(tmp_path / "other.mcap")])
+
+
+def test_streams_of_motion_files_get_the_names_that_a_graph_wants(tmp_path):
+    written(tmp_path, "walk.bvh", BVH)
+    c3d_file(tmp_path / "gait.c3d")
+    written(tmp_path, "a.csv", "t,x\n0,1\n0.1,2\n0.2,3\n")
+    chosen = (
+        "--stream",
+        "mocap.joints=walk",
+        "--stream",
+        "lab.markers=gait.markers",
+        "--stream",
+        "board.x=x",
+        "--time",
+        "board.x=t",
+    )
+    said = ("--unit", "mocap.joints=cm", "--scale", "walk=2", "--meta", "lab.markers:who=S1", "--unit", "board.x=V")
+    files = [tmp_path / name for name in ("a.csv", "walk.bvh", "gait.c3d")]
+    kinegraph("import", *files, *chosen, *said, "-o", tmp_path / "all.mcap")
+    with Recording.open(tmp_path / "all.mcap") as recording:
+        specs = {name: stream.spec for name, stream in recording.streams.items()}
+    assert set(specs) == {"mocap.joints", "lab.markers", "board.x"}
+    assert specs["mocap.joints"].units == ("cm",) and specs["lab.markers"].meta == {"who": "S1"}
+    assert specs["board.x"].units == ("V",)
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        (
+            ("--stream", "mocap.joints=wlak"),
+            "--stream mocap.joints=wlak: there is no such stream in these files; did you mean 'walk'",
+        ),
+        (("--unit", "wlak=cm"), "--unit wlak=...: no such stream is made; did you mean 'walk'"),
+        (("--meta", "wlak:who=S1"), "--meta wlak=...: no such stream is made"),
+        (("--rate", "walk=60"), r"--rate walk=...: walk\.bvh says this itself"),
+        (("--rate", "60"), "--rate: files of motion say this themselves"),
+        (("--time", "t"), "--time: files of motion say this themselves"),
+    ],
+)
+def test_what_is_said_of_motion_files_in_vain_is_refused(tmp_path, said, message):
+    with pytest.raises(RecordingError, match=message):
+        cli.call("import", [str(written(tmp_path, "walk.bvh", BVH)), *said, "-o", str(tmp_path / "walk.mcap")])

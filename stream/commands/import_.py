@@ -36,7 +36,8 @@ def import_(
     stream: Annotated[
         Many,
         typer.Option(
-            metavar="NAME=COLUMNS", help="a stream from an array, from columns (a,b,c), or from a stream of an XDF file"
+            metavar="NAME=COLUMNS",
+            help="a stream from an array, from columns (a,b,c), or from a stream of an XDF or motion file",
         ),
     ] = None,
     events: Annotated[Many, typer.Option(metavar="NAME=COLUMN", help="an event stream from a column of times")] = None,
@@ -123,13 +124,13 @@ def _read(files: Sequence[File], wishes: Wishes, xdf: dict[str, Any], *, kinect:
     others = [file for file in files if file not in motion]
     tables = [file for file in others if file.suffix.lower() not in (".xdf", ".xdfz")]
     series: list[Series] = []
-    for file in others:
-        if file not in tables:
-            series += _from_xdf(file, wishes, **xdf, alone=not tables)
     if motion:
         from stream.convert.motion import read_motion
 
-        series += read_motion(motion, wishes)
+        series, wishes = read_motion(motion, wishes, alone=not others)
+    for file in others:
+        if file not in tables:
+            series += _from_xdf(file, wishes, **xdf, alone=not tables)
     return series + (_from_tables(tables, wishes) if tables else [])
 
 

@@ -94,7 +94,7 @@ def _hierarchy(path: Path, lines: list[str]) -> tuple[list[Joint], int]:
             if (word == "ROOT") != (not open_ones) or (word == "ROOT" and joints):
                 raise RecordingError(f"{where}: {words[0]} cannot stand here; one ROOT holds all joints")
             parent = open_ones[-1] if open_ones else -1
-            name = " ".join(words[1:]) if word != "END" else f"{joints[parent].name}_end"
+            name = " ".join(words[1:]) if word != "END" else _end(joints, parent)
             if not name or any(joint.name == name for joint in joints):
                 raise RecordingError(f"{where}: every joint needs a name of its own, {name!r} is not")
             joints.append(Joint(name, parent))
@@ -119,6 +119,15 @@ def _hierarchy(path: Path, lines: list[str]) -> tuple[list[Joint], int]:
     raise RecordingError(f"{path}: line {len(lines)}: the file ends before MOTION; it was cut off")
 
 
+def _end(joints: list[Joint], parent: int) -> str:
+    """What the end of a limb is called; where a joint has several, by number from the second on."""
+    ends = sum(
+        joint.parent == parent and not joint.channels and joint.name.startswith(f"{joints[parent].name}_end")
+        for joint in joints
+    )
+    return f"{joints[parent].name}_end{ends + 1 if ends else ''}"
+
+
 def _complete(where: str, joint: Joint) -> None:
     if not joint.offset:
         raise RecordingError(f"{where}: joint {joint.name!r} has no OFFSET")
@@ -129,10 +138,13 @@ def _channels(where: str, words: list[str]) -> list[str]:
         raise RecordingError(
             f"{where}: CHANNELS is followed by their number and as many names, not by {' '.join(words)!r}"
         )
-    for word in words[1:]:
-        if word not in CHANNELS:
+    named = [word.capitalize() for word in words[1:]]
+    for word, name in zip(words[1:], named, strict=True):
+        if name not in CHANNELS:
             raise RecordingError(f"{where}: {word!r} is no channel; {nearest(word, CHANNELS)}")
-    return words[1:]
+    if len(set(named)) < len(named):
+        raise RecordingError(f"{where}: a joint has each channel once, not {' '.join(words[1:])!r}")
+    return named
 
 
 def _numbers(where: str, words: list[str], count: int, what: str) -> list[float]:
@@ -171,6 +183,8 @@ def _timing(path: Path, lines: list[str], at: int) -> tuple[float, int]:
         raise RecordingError(
             f"{path}: line {said['frames'][1]}: {said['frames'][0]:g} frames are announced, {count} are there"
         )
+    if not count:
+        raise RecordingError(f"{path}: line {said['frames'][1]}: there is a skeleton, but not one frame of motion")
     return snapped(1.0 / period), at
 
 

@@ -26,6 +26,8 @@ UNITS = {
     "v": "V",
 }
 SIDES = ("left", "right")
+MOST_FRAMES = 0xFFFF
+"""A C3D header counts frames in 16 bits: longer recordings say so elsewhere, each program in its own place."""
 INTEL, DEC = 84, 85
 """How a C3D file marks processors that put the low byte first."""
 
@@ -48,6 +50,11 @@ def read_c3d(path: Path, start_ns: int = 0) -> list[Series]:
     held = max(points.shape[2], analogue.shape[2] // max(1, _per_frame(header)))
     if frames > 0 and held < frames:
         raise RecordingError(f"{path}: {frames} frames are announced, {held} are there; the file was cut off")
+    there = _there(path, header, parameters)
+    if there > held:
+        raise RecordingError(
+            f"{path}: holds {there} frames, of which {held} can be read; save it in parts of less than {MOST_FRAMES} frames"
+        )
     if rate <= 0.0:
         raise RecordingError(f"{path}: the frame rate is {rate:g} Hz; it must be positive")
     start = start_ns + round(first / rate * NS)
@@ -81,6 +88,18 @@ def _announced(path: Path) -> int:
         file.seek((head[0] - 1) * 512 + 3)
         kind = file.read(1)
     return max(0, last - first + 1) if kind and kind[0] in (INTEL, DEC) and last < 0xFFFF else 0
+
+
+def _there(path: Path, header: Mapping[str, Any], parameters: Any) -> int:
+    """How many frames a file holds whose header can count no further, by its length; 0 for all others."""
+    turns = np.asarray(parameters.get("ROTATION", {}).get("USED", {}).get("value", 0)).any()
+    if turns or header["points"]["last_frame"] - header["points"]["first_frame"] < MOST_FRAMES - 1:
+        return 0
+    numbers = 4 * int(header["points"]["size"]) + int(header["analogs"]["size"]) * _per_frame(header)
+    begin = (int(parameters["POINT"]["DATA_START"]["value"][0]) - 1) * 512
+    size = 4 if float(parameters["POINT"]["SCALE"]["value"][0]) < 0.0 else 2
+    frames = (path.stat().st_size - begin) // (size * numbers) if numbers else 0
+    return frames if frames - 512 // (size * numbers or 1) > MOST_FRAMES else 0
 
 
 def _per_frame(header: Mapping[str, Any]) -> int:
@@ -118,7 +137,7 @@ def _events(path: Path, parameters: Any, start_ns: int) -> list[Series]:
         )
     onsets = start_ns + np.round((times[0] * 60.0 + times[1]) * 1e6).astype(np.int64) * 1000
     contexts += [""] * (len(labels) - len(contexts))
-    made = []
+    made, taken = [], ["markers", "analog"]
     for context, label in dict.fromkeys(zip(contexts, labels, strict=False)):
         mine = np.array([c == context and k == label for c, k in zip(contexts, labels, strict=False)])
         onset = np.sort(onsets[mine])
@@ -127,7 +146,9 @@ def _events(path: Path, parameters: Any, start_ns: int) -> list[Series]:
         side = context.lower() if context.lower() in SIDES else ""
         spec = StreamSpec((), data.dtype, units=("ns",), meta={"label": label, "side": side})
         name = re.sub(r"\W+", "_", f"{context} {label}".strip()).lower()
-        made.append(Series(f"{path.stem}.{name}", spec, onset, data))
+        again = f"_{taken.count(name) + 1}" if name in taken else ""
+        made.append(Series(f"{path.stem}.{name}{again}", spec, onset, data))
+        taken.append(name)
     return made
 
 
