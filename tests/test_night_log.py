@@ -13,6 +13,7 @@ from typing import Any
 import night_made
 import numpy as np
 import pytest
+from browser import Browser, needs_browser
 from night_made import EVENING, LATE, SPECS, STEP, Night, feed, opened, states
 
 from devices.night import shelf
@@ -52,6 +53,14 @@ def test_a_night_takes_less_than_a_megabyte(drawn: tuple[Path, Night]) -> None:
     folder, _ = drawn
     assert {path.name for path in folder.iterdir()} == {shelf.FACTS, shelf.EPOCHS, shelf.MAP, *shelf.DRAWN}
     assert shelf.bytes_of(folder) < 1_000_000
+
+
+@needs_browser
+def test_a_browser_shows_the_report_and_prints_it_on_two_sheets(drawn: tuple[Path, Night], tmp_path: Path) -> None:
+    page, browser = drawn[0] / "report.html", Browser(tmp_path)
+    assert "Night of Wednesday" in browser.shown(page)
+    assert browser.fits_a_phone(page)
+    assert browser.sheets(page) == 2
 
 
 def test_the_report_says_what_must_be_said(drawn: tuple[Path, Night]) -> None:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 import sys
-from html import escape
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
-import pytest
+from browser import Browser, needs_browser
 
 from devices.report.data import Column, Curves, Muscle, Rejected, Report, Setting, Stream, Value, load, save
 from devices.report.page import quality_sentence, render, write
@@ -171,29 +169,13 @@ def test_what_is_saved_is_what_is_drawn(tmp_path: Path) -> None:
     Page((tmp_path / "page.html").read_text())
 
 
-PHONE = """<!doctype html><title>?</title><iframe width=375 height=800 srcdoc="%s"
-onload="document.title = this.contentDocument.documentElement.scrollWidth + ' of ' + this.contentWindow.innerWidth"></iframe>"""
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-
-
-@pytest.mark.skipif(CHROMIUM is None, reason="no chromium here (Debian: apt-get install chromium)")
+@needs_browser
 def test_a_browser_shows_it_and_prints_it_on_few_sheets(tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     report, curves = sample(tuple(f"M{i}" for i in range(13)))
     report.settings.append(Setting("ensemble", "operators.gait.ensemble.CycleEnsemble", "repeatable_below: 0.65", 0.0))
     write(page, report, curves)
-    quiet = ["disable-gpu", "disable-quic", "no-first-run", "disable-background-networking", "disable-component-update"]
-    flags = [f"--{flag}" for flag in ("headless", "no-sandbox", *quiet, "disable-sync", "no-pdf-header-footer")]
-    command = [str(CHROMIUM), *flags, f"--user-data-dir={tmp_path / 'profile'}"]
-
-    def browse(page: Path, *what: str) -> bytes:
-        return subprocess.run([*command, *what, page.as_uri()], check=True, capture_output=True, timeout=120).stdout
-
-    assert b"M12 right" in browse(page, "--dump-dom")
-    phone = tmp_path / "phone.html"
-    phone.write_text(PHONE % escape(page.read_text()))
-    told = re.search(rb"<title>(\d+) of (\d+)</title>", browse(phone, "--dump-dom", "--virtual-time-budget=10000"))
-    assert told and int(told[1]) <= int(told[2]), "on a phone nothing sticks out to the right"
-    browse(page, f"--print-to-pdf={tmp_path / 'page.pdf'}")
-    sheets = re.findall(rb"/Type\s*/Page\b", (tmp_path / "page.pdf").read_bytes())
-    assert 2 <= len(sheets) <= 4
+    browser = Browser(tmp_path)
+    assert "M12 right" in browser.shown(page)
+    assert browser.fits_a_phone(page)
+    assert 2 <= browser.sheets(page) <= 4
