@@ -207,5 +207,5 @@ def test_one_stream_alone_passes():
 def test_what_cannot_be_joined_is_refused():
     with pytest.raises(InputError, match=r"input 'b' is 4 x 3 .*; it must be a signal of channels"):
         Align().open({"a": StreamSpec((1,), rate_hz=9.0), "b": StreamSpec((4, 3), rate_hz=9.0)})
-    with pytest.raises(ParameterError, match=r"max_distance_s is None; it must be given, as input 'b' is irregular"):
+    with pytest.raises(ParameterError, match=r"max_distance_s is empty; it must be given, as input 'b' is irregular"):
         Align().open({"a": StreamSpec((1,), rate_hz=9.0), "b": StreamSpec((1,))})

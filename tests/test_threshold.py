@@ -91,5 +91,5 @@ def test_bad_samples_change_nothing():
 def test_what_cannot_be_is_refused():
     with pytest.raises(ParameterError, match=r"release is 30\.0; it must be at most level, which is 20"):
         Threshold(level=20.0, release=30.0).open({"in": SPEC})
-    with pytest.raises(ParameterError, match=r"channel is None; it must be one of 'left', 'right'"):
+    with pytest.raises(ParameterError, match=r"channel is empty; it must be one of 'left', 'right'"):
         Threshold(level=20.0).open({"in": StreamSpec((2,), channels=("left", "right"))})
