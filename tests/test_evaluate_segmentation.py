@@ -203,9 +203,55 @@ def test_the_command_writes_table_and_pictures(tmp_path, capsys):
         ("start_s,end_s,label\n0,2,walk\n1,3,run\n", "actions overlap"),
         ("begin,end_s,label\n0,2,walk\n", "line 2: start_s, end_s"),
         ("start_s,end_s,label\n", "holds no annotations"),
+        ("start_s,end_s,label\n0,5,\n", "holds no annotations"),
+        ("start_s,end_s,label\nnan,,\n", "line 2: start_s is nan"),
+        ("start_s,end_s,label,repetitions\n0,5,walk,-3\n", "line 2: -3 repetitions cannot be"),
     ],
 )
 def test_broken_annotations_are_named_by_their_line(tmp_path, text, message):
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(KinegraphError, match=r"a\.csv: " + message):
         read_truth(tmp_path / "a.csv")
+
+
+LABEL = np.repeat([0, -1, 1], 10)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "message"),
+    [
+        ({"label": LABEL, "rate": 0.0}, "`rate` is 0.0; it must be a positive number of Hz"),
+        ({"label": LABEL, "rate": np.zeros(2)}, "`rate` is"),
+        ({"label": LABEL * 0.5, "rate": 30.0}, "`label` must be a row of whole numbers"),
+        (
+            {"label": LABEL, "rate": 30.0, "label_names": np.array(["walk"])},
+            "`label` goes up to 1, but `label_names` holds 1",
+        ),
+        ({"label": LABEL, "t_us": np.arange(9)}, "must be of one length"),
+        ({"label": LABEL, "t_us": np.full(30, np.nan)}, "`t_us` must be a row of times that grow"),
+        ({"tag_frame": np.array([3, -4]), "rate": 30.0}, "`tag_frame` names frames that are not there"),
+        ({"label": np.full(30, -1), "rate": 30.0}, "holds no annotations"),
+        ({"x": LABEL}, "there are none of them"),
+    ],
+)
+def test_archives_that_cannot_be_annotations_are_refused(tmp_path, arrays, message):
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(KinegraphError, match=r"a\.npz: .*" + message):
+        read_truth(tmp_path / "a.npz")
+
+
+def test_annotations_of_another_time_are_not_scored(tmp_path):
+    made, annotated = recording(tmp_path / "walk.mcap"), tmp_path / "walk.csv"
+    annotated.write_text("start_s,end_s,label\n100,105,walk\n")
+    with pytest.raises(
+        KinegraphError, match=r"walk\.csv: annotates 100 to 105 s, but the segments of .* end at 9\.967 s; --offset"
+    ):
+        cli.call("evaluate", ["segmentation", str(made), str(annotated)])
+    with pytest.raises(SystemExit) as ended:
+        cli.call("evaluate", ["segmentation", str(made), str(annotated), "--offset", "-100"])
+    assert not ended.value.code
+    with pytest.raises(KinegraphError, match="--offset nan: must be a number of seconds"):
+        cli.call("evaluate", ["segmentation", str(made), str(annotated), "--offset", "nan"])
+    (tmp_path / "all.csv").write_text("result,truth,offset_s\nwalk.mcap,walk.csv,inf\n")
+    with pytest.raises(KinegraphError, match=r"all\.csv: line 2: must name result and truth"):
+        cli.call("evaluate", ["segmentation", "--table", str(tmp_path / "all.csv")])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from dataclasses import asdict
+from math import isfinite
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,7 +13,9 @@ import typer
 from stream.errors import KinegraphError
 
 if TYPE_CHECKING:
+    from operators.segmentation.found import Found
     from operators.segmentation.scores import Scores
+    from operators.segmentation.truth import Truth
 
 SHOWN = {
     "f1": "boundary F1 within 1 s",
@@ -57,6 +60,8 @@ def segmentation(
     from operators.segmentation.scores import score
     from operators.segmentation.truth import read_truth
 
+    if not isfinite(offset):
+        raise KinegraphError(f"--offset {offset}: must be a number of seconds")
     if (table is None) == (result is None) or (result is None) != (truth is None):
         raise KinegraphError("give RESULT and TRUTH, or --table TABLE.csv")
     rows = _rows(table) if table else [(File(str(result)), File(str(truth)), offset)]
@@ -64,6 +69,7 @@ def segmentation(
     scores = {}
     for name, (made, annotated, late) in zip(names, rows, strict=True):
         found, known = read_found(made, node, features), read_truth(annotated, late)
+        _meet(made, found, annotated, known)
         scores[name] = score(found, known)
         if output:
             _save(output, f"{name}.png", force)
@@ -73,6 +79,17 @@ def segmentation(
         _save(output, "scores.csv", force)
         _sheet(output / "scores.csv", scores)
         typer.echo(str(output))
+
+
+def _meet(made: File, found: Found, annotated: File, known: Truth) -> None:
+    """Raises where nothing that is annotated lies within the recording."""
+    end = max([*found.activities[:, 1], *found.primitives[:, 1], *found.time[-1:]], default=0.0)
+    marks = [*known.start, *known.end, *known.keys]
+    if end and (min(marks) >= end or max(marks) <= 0.0):
+        raise KinegraphError(
+            f"{annotated}: annotates {min(marks):.4g} to {max(marks):.4g} s, but the segments of {made} end at {end:.4g} s; "
+            "--offset shifts the annotations"
+        )
 
 
 def _names(paths: list[File]) -> list[str]:
@@ -128,6 +145,8 @@ def _rows(table: File) -> list[tuple[File, File, float]]:
     for line, row in enumerate(rows, 2):
         try:
             made.append((table.parent / row["result"], table.parent / row["truth"], float(row.get("offset_s") or 0.0)))
+            if not isfinite(made[-1][2]):
+                raise ValueError
         except (KeyError, TypeError, ValueError):
             raise KinegraphError(
                 f"{table}: line {line}: must name result and truth, and if needed offset_s (a number)"

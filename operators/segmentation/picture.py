@@ -20,6 +20,8 @@ MOST_LINES = 24
 """Signals with more channels are shown by as many of them."""
 NEAREST = 0.06
 """The share of pairs of frames that are shown as near where the radius is not known."""
+LETTER = 0.011
+"""The share of the picture's width that a letter of a name takes."""
 TRANSITION, NONE = "#202020", "#d0d0d0"
 """Colours of transitions in annotations, and of what is in no cluster."""
 
@@ -47,6 +49,7 @@ def draw(name: str, found: Found, truth: Truth | None, radius: float = np.nan) -
         side, matrix = figure.add_subplot(inside[0]), figure.add_subplot(inside[1])
         _matrix(matrix, found, radius if radius == radius else found.radius, length)
         _bar(side, _truth_bars(truth), length, upright=True)
+        _name(side, truth, length, upright=True)
         side.set(ylabel="annotated (s)" if truth else "s")
     below = outer[-1].subgridspec(len(rows), 1, height_ratios=rows, hspace=0.05)
     axes = [figure.add_subplot(below[i]) for i in range(len(rows))]
@@ -64,6 +67,7 @@ def draw(name: str, found: Found, truth: Truth | None, radius: float = np.nan) -
     for axis, (label, bars) in zip(axes[-3:], kinds, strict=True):
         _bar(axis, bars, length)
         axis.set_ylabel(label, rotation=0, ha="right", va="center", fontsize=8)
+    _name(axes[-3], truth, length)
     for key in truth.keys if truth else []:
         axes[-1].axvline(key, color="red", linewidth=1.0)
     axes[-1].set(xlabel="s", xticks=np.arange(0.0, length, _ticks(length)))
@@ -158,6 +162,14 @@ def _bar(axes: Axes, bars: Bars, length: float, *, upright: bool = False) -> Non
         axes.set(ylim=(length, 0), xticks=[])
     else:
         axes.set(xlim=(0, length), xticks=[], yticks=[])
+
+
+def _name(axes: Axes, truth: Truth | None, length: float, *, upright: bool = False) -> None:
+    """Write the annotated actions' names into their bars, where there is room."""
+    for start, end, label in zip(truth.start, truth.end, truth.label, strict=True) if truth else ():
+        if (end - start) / length >= LETTER * len(label):
+            x, y = (0.5, (start + end) / 2.0) if upright else ((start + end) / 2.0, 0.5)
+            axes.text(x, y, label, rotation=90 if upright else 0, ha="center", va="center", fontsize=7, color="white")
 
 
 def _ticks(length: float) -> float:

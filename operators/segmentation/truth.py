@@ -70,6 +70,8 @@ def read_truth(path: Path, offset_s: float = 0.0) -> Truth:
     if not path.is_file():
         raise KinegraphError(f"{path}: there is no such file")
     rows, keys, cuts = _npz(path) if path.suffix.lower() == ".npz" else (*_csv(path), None)
+    if not rows and not len(keys):
+        raise KinegraphError(f"{path}: holds no annotations")
     rows.sort()
     for (_, end, _, _), (start, *_) in pairwise(rows):
         if start < end - 1e-9:
@@ -102,6 +104,8 @@ def _csv(path: Path) -> tuple[Rows, Samples]:
     for line, row in enumerate(table, 2):
         try:
             start = float(row["start_s"])
+            if not np.isfinite(start):
+                raise KinegraphError(f"{path}: line {line}: start_s is {start}; it must be a time in seconds")
             if not (row.get("end_s") or "").strip():
                 keys.append(start)
                 continue
@@ -113,10 +117,10 @@ def _csv(path: Path) -> tuple[Rows, Samples]:
             ) from None
         if not start < end < np.inf:
             raise KinegraphError(f"{path}: line {line}: an action from {start:g} to {end:g} s cannot be")
+        if count < 0:
+            raise KinegraphError(f"{path}: line {line}: {count:g} repetitions cannot be")
         if label.strip().lower() not in TRANSITIONS:
             rows.append((start, end, label.strip(), count))
-    if not rows and not keys:
-        raise KinegraphError(f"{path}: holds no annotations")
     return rows, np.array(keys)
 
 
@@ -134,6 +138,7 @@ def _npz(path: Path) -> tuple[Rows, Samples, Samples | None]:
         raise KinegraphError(
             f"{path}: `label` or `tag_frame` is needed, and `rate` or `t_us`; there are {', '.join(found) or 'none of them'}"
         )
+    _check(path, found)
     clock = (found["t_us"] - found["t_us"][0]) / 1e6 if "t_us" in found else None
     keys = _seconds(found["tag_frame"], clock, found) if "tag_frame" in found else np.empty(0)
     rows: Rows = []
@@ -149,7 +154,30 @@ def _npz(path: Path) -> tuple[Rows, Samples, Samples | None]:
     return rows, keys, None if hard is None else _seconds(np.flatnonzero(np.diff(hard)) + 1, clock, found)
 
 
+def _check(path: Path, found: dict[str, Array]) -> None:
+    """Raises where an array is not what it must be."""
+    for name in {"label", "label_cut", "tag_frame"} & found.keys():
+        if found[name].ndim != 1 or found[name].dtype.kind not in "iu":
+            raise KinegraphError(f"{path}: `{name}` must be a row of whole numbers, one per frame")
+    clock = found.get("t_us")
+    if clock is not None and (clock.ndim != 1 or clock.dtype.kind not in "iuf" or not (np.diff(clock) > 0).all()):
+        raise KinegraphError(f"{path}: `t_us` must be a row of times that grow")
+    if clock is None and (found["rate"].size != 1 or not 0.0 < float(found["rate"].ravel()[0]) < np.inf):
+        raise KinegraphError(f"{path}: `rate` is {found['rate']}; it must be a positive number of Hz")
+    frames = len(found.get("label", found.get("t_us", ())))
+    if any(name in found and len(found[name]) != frames for name in ("t_us", "label_cut")) and "label" in found:
+        raise KinegraphError(f"{path}: `label`, `label_cut` and `t_us` must be of one length, where they are there")
+    keys = found.get("tag_frame", np.empty(0))
+    if (keys < 0).any() or (frames and (keys > frames).any()):
+        raise KinegraphError(f"{path}: `tag_frame` names frames that are not there")
+    names = found.get("label_names")
+    if names is not None and "label" in found and found["label"].max(initial=-1) >= names.size:
+        raise KinegraphError(f"{path}: `label` goes up to {found['label'].max()}, but `label_names` holds {names.size}")
+
+
 def _seconds(frames: Array, clock: Samples | None, found: dict[str, Array]) -> Samples:
     """When frames began, by the recording's clock, or by its rate."""
-    made: Samples = frames / float(found["rate"]) if clock is None else clock[np.minimum(frames, len(clock) - 1)]
+    made: Samples = (
+        frames / float(found["rate"].ravel()[0]) if clock is None else clock[np.minimum(frames, len(clock) - 1)]
+    )
     return made
