@@ -362,6 +362,7 @@ def test_memory_does_not_grow() -> None:
         ({}, None, InputError, "regular"),
         ({}, 500.0, InputError, "at most 200 Hz"),
         ({"settle_s": 9.0}, 30.0, ParameterError, "at most firm_s"),
+        ({"mass_s": 11.0}, 30.0, ParameterError, r"at most cycle_s \(10\)"),
         ({"band_s": (0.5, 0.3)}, 30.0, ParameterError, "below half of cycle_s"),
     ],
 )

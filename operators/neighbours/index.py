@@ -188,9 +188,12 @@ class Index:
 
 def set_weights(state: IndexState, weights: Samples | Sequence[float]) -> None:
     """Set the weights of the features; raises NeighbourError where one is negative or not finite."""
-    row = np.asarray(weights, np.float32)
+    with np.errstate(over="ignore"):
+        row = np.asarray(weights, np.float64).astype(np.float32)
     if not (np.isfinite(row).all() and (row >= 0).all()):
-        raise NeighbourError(f"weights are {row}; they must be finite and not negative")
+        raise NeighbourError(
+            f"weights are {list(weights)}; they must be finite in float32 (up to 3.4e38) and not negative"
+        )
     start = int(state.books[AT_WEIGHTS])
     state.floats[start : start + len(row)] = row
     state.books[WEIGHTED] = bool((row != 1.0).any())

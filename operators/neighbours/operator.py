@@ -28,6 +28,8 @@ WITHIN = np.dtype(
         ("reaches", "?"),
     ]
 )
+LARGEST = float(np.finfo(np.float32).max)
+"""A weight or a radius beyond this is none that float32 can hold."""
 Found: TypeAlias = list[tuple[Times, Array]]
 """Pieces of the output `within`: stamps (m,) and events (m,)."""
 
@@ -94,6 +96,8 @@ class Neighbours(Operator[NeighboursState]):
         if self.weights is not None:
             if len(self.weights) != spec.shape[0]:
                 raise ParameterError("weights", self.weights, f"{spec.shape[0]} numbers, one per feature")
+            if max(self.weights) > LARGEST:
+                raise ParameterError("weights", self.weights, f"at most {LARGEST:.3g} each")
             set_weights(index, self.weights)
         state = NeighboursState(
             **watch(spec, reset_gap_s=self.reset_gap_s),
@@ -155,7 +159,7 @@ class Neighbours(Operator[NeighboursState]):
         """The newest good weights or radius hold from now on."""
         s = self.state
         for row in rows(data, s.width if port == "weights" else 1)[::-1]:
-            if np.isfinite(row).all() and (row >= 0.0).all():
+            if ((row >= 0.0) & (row <= LARGEST)).all():
                 if port == "weights":
                     set_weights(s.index, row)
                 else:

@@ -148,6 +148,8 @@ class Segment(Operator[SegmentState]):
             )
         if self.settle_s > self.firm_s:
             raise ParameterError("settle_s", self.settle_s, f"at most firm_s ({self.firm_s:g})")
+        if self.mass_s > self.cycle_s:
+            raise ParameterError("mass_s", self.mass_s, f"at most cycle_s ({self.cycle_s:g}), of which it is a part")
         if len(self.band_s) != 2 or not self.band_s[0] <= self.band_s[1] < self.cycle_s / 2:
             raise ParameterError("band_s", list(self.band_s), "two numbers, not falling, below half of cycle_s")
         seconds = {
