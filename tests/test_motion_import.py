@@ -197,9 +197,36 @@ def test_asf_and_amc_against_rotations_of_scipy(tmp_path):
     assert angles.spec.channels[-1] == "shank.rx" and angles.data[1, -1] == 70.0
 
 
+def test_turns_in_radians_are_what_the_same_turns_are_in_degrees(tmp_path):
+    def radians(line):
+        return " ".join([line.split()[0], *(str(np.radians(float(word))) for word in line.split()[1:])])
+
+    skeleton = read_asf(written(tmp_path, "a.asf", ASF))
+    (ends, angles) = read_amc(written(tmp_path, "a_01.amc", AMC), skeleton)
+    axes = {
+        line: f"{radians(line[:-4])} XYZ"
+        for line in ASF.split("\n")
+        if line.strip().startswith("axis ") and line.endswith(" XYZ")
+    }
+    asf = ASF.replace("angle deg", "angle rad")
+    for old, new in axes.items():
+        asf = asf.replace(old, new)
+    amc = "\n".join(radians(line) if line.startswith(("thigh", "shank")) else line for line in AMC.split("\n"))
+    amc = amc.replace("10 20 30", " ".join(str(np.radians(x)) for x in (10, 20, 30)))
+    turned = read_asf(written(tmp_path, "r.asf", asf))
+    for skeleton_, text in (
+        (turned, amc.replace(":DEGREES\n", "")),
+        (skeleton, amc.replace(":DEGREES", ":RADIANS")),
+        (turned, AMC),
+    ):
+        for one, other in zip(read_amc(written(tmp_path, "r_01.amc", text), skeleton_), (ends, angles), strict=True):
+            assert np.allclose(one.data, other.data)
+
+
 @pytest.mark.parametrize(
     ("file", "old", "new", "message"),
     [
+        ("amc", "shank 0\n", "shank 0\nshank 1\n", r"a_01\.amc: line 7: frame 1 speaks of 'shank' for the second time"),
         ("asf", "length 0.5", "length -1", r"a\.asf: line 5: a unit of length of -1"),
         ("asf", "dof rx\n", "dof rw\n", r"a\.asf: line 30: 'rw' is no degree of freedom"),
         ("asf", "direction 0 0 1", "direction 0 0", r"a\.asf: line 35: 3 numbers are needed here, not '0 0'"),

@@ -363,12 +363,12 @@ def test_weights_that_float32_cannot_hold_are_passed_over():
     _, (_, plain), _ = play(Neighbours(window_s=5.0, k=4), x)
     _, (_, steered), _ = play(Neighbours(window_s=5.0, k=4), x, weights=bad)
     assert steered.tobytes() == plain.tobytes()
-    with pytest.raises(NeighbourError, match=r"finite in float32"):
+    with pytest.raises(NeighbourError, match="finite in float32"):
         Index(3, 300).weigh(np.full(3, 1e39))
 
 
 def test_operator_says_what_it_cannot_take():
-    with pytest.raises(ParameterError, match="weights is .* at most 3.4e"):
+    with pytest.raises(ParameterError, match=r"weights is .* at most 3\.4e"):
         Neighbours(weights=(1.0, 1e39, 1.0)).open({"in": StreamSpec((3,), rate_hz=30.0)})
     with pytest.raises(ParameterError, match="one per feature"):
         Neighbours(weights=(1.0, 2.0)).open({"in": StreamSpec((3,), rate_hz=30.0)})

@@ -15,6 +15,7 @@ from stream.convert.timing import grid_of
 from stream.errors import RecordingError, nearest
 
 TURNS = {"rx": "x", "ry": "y", "rz": "z"}
+UNITS = {":RADIANS": True, ":DEGREES": False}
 MOVES = {"tx": 0, "ty": 1, "tz": 2}
 CMU_CM = 2.54
 """What lengths stand for once divided by the file's unit of length, as at CMU: inches."""
@@ -46,10 +47,11 @@ def read_amc(path: Path, skeleton: Skeleton, rate_hz: float = 120.0, start_ns: i
     channels, turns in degrees.
 
     AMC files do not say their rate: 120 Hz, as at CMU, unless told otherwise. Lengths are taken for inches over the unit that the
-    skeleton states, as at CMU. Raises RecordingError with file and line.
+    skeleton states, as at CMU. Turns are in degrees or radians as the file says, else as its skeleton says. Raises RecordingError with
+    file and line.
     """
-    names, rows = _motion(path, skeleton)
-    degrees = rows * np.array([np.degrees(1.0) if skeleton.radians and c[1] in TURNS else 1.0 for c in names])
+    names, rows, radians = _motion(path, skeleton)
+    degrees = rows * np.array([np.degrees(1.0) if radians and c[1] in TURNS else 1.0 for c in names])
     cm = CMU_CM / skeleton.length_unit
     degrees *= np.array([cm if c[1] not in TURNS else 1.0 for c in names])
     steps, turns = [], []
@@ -111,6 +113,9 @@ def read_asf(path: Path) -> Skeleton:
             f"{path}: line {len(lines)}: no bones, or no hierarchy; this is no ASF file, or was cut off"
         )
     _link(made, bones, links)
+    if made.radians:
+        for bone in made.bones:
+            bone.axis = [float(np.degrees(angle)) for angle in bone.axis]
     return made
 
 
@@ -120,7 +125,7 @@ def _units(where: str, made: Skeleton, words: list[str]) -> None:
         if made.length_unit <= 0.0:
             raise RecordingError(f"{where}: a unit of length of {made.length_unit:g} cannot be")
     elif words[0] == "angle":
-        made.radians = words[1:2] == ["rad"]
+        made.radians = words[1:2] in (["rad"], ["radians"])
 
 
 def _bone(where: str, bone: Bone, words: list[str]) -> None:
@@ -168,16 +173,17 @@ def _link(made: Skeleton, bones: dict[str, Bone], links: list[tuple[int, list[st
             made.parents.append(at[parent])
 
 
-def _motion(path: Path, skeleton: Skeleton) -> tuple[list[tuple[str, str]], Samples]:
-    """The channels (bone, degree of freedom), and their values (frames, channels)."""
+def _motion(path: Path, skeleton: Skeleton) -> tuple[list[tuple[str, str]], Samples, bool]:
+    """The channels (bone, degree of freedom), their values (frames, channels), and whether turns are in radians."""
     names = [(bone.name, dof) for bone in skeleton.bones for dof in bone.dof]
     first = {bone.name: names.index((bone.name, bone.dof[0])) for bone in skeleton.bones if bone.dof}
     width = {bone.name: len(bone.dof) for bone in skeleton.bones}
     rows: list[Samples] = []
-    begun, count = 0, 0
+    begun, count, radians = 0, 0, skeleton.radians
     for number, line in enumerate(read_text(path, "AMC").split("\n"), 1):
         words = line.partition("#")[0].split()
         if not words or words[0].startswith(":"):
+            radians = UNITS.get(words[0].upper() if words else "", radians)
             continue
         where = f"{path}: line {number}"
         if len(words) == 1 and words[0].isdecimal():
@@ -194,11 +200,13 @@ def _motion(path: Path, skeleton: Skeleton) -> tuple[list[tuple[str, str]], Samp
             )
         else:
             start = first[words[0]]
+            if not np.isnan(rows[-1][start]):
+                raise RecordingError(f"{where}: frame {count} speaks of {words[0]!r} for the second time")
             rows[-1][start : start + width[words[0]]] = _numbers(where, words[1:], width[words[0]])
     if not rows:
         raise RecordingError(f"{path}: holds no frames")
     _whole(path, begun, rows, names)
-    return names, np.array(rows)
+    return names, np.array(rows), radians
 
 
 def _whole(path: Path, begun: int, rows: list[Samples], names: list[tuple[str, str]]) -> None:
