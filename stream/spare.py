@@ -21,12 +21,13 @@ class Spare:
     width   numbers per row
     """
 
-    __slots__ = ("_rows", "_stamps", "_width")
+    __slots__ = ("_both", "_rows", "_stamps", "_width")
 
     def __init__(self, width: int) -> None:
         self._width = width
         self._rows: Samples = np.empty((0, width))
         self._stamps: Times = np.empty(0, STAMP)
+        self._both = 0  # their common length; -1: they differ
 
     def rows(self, n: int) -> Samples:
         """An array (n, width) that nobody else holds; what is in it is left over."""
@@ -34,15 +35,16 @@ class Spare:
         if getrefcount(rows) == ALONE and len(rows) == n:
             return rows
         rows = self._rows = np.empty((n, self._width))
+        self._both = -1
         return rows
 
     def both(self, n: int) -> tuple[Samples, Times]:
         """As `rows`, with stamps (n,)."""
         rows, stamps = self._rows, self._stamps
-        if getrefcount(rows) != ALONE or len(rows) != n:
-            rows = self._rows = np.empty((n, self._width))
-        if getrefcount(stamps) != ALONE or len(stamps) != n:
-            stamps = self._stamps = np.empty(n, STAMP)
+        if n == self._both and getrefcount(rows) == ALONE and getrefcount(stamps) == ALONE:
+            return rows, stamps
+        self._both = n
+        rows, stamps = self._rows, self._stamps = np.empty((n, self._width)), np.empty(n, STAMP)
         return rows, stamps
 
 

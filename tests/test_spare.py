@@ -56,7 +56,9 @@ def test_another_length_is_another_array() -> None:
     spare = Spare(2)
     assert spare.rows(4).shape == (4, 2)
     assert spare.rows(3).shape == (3, 2)
-    assert [array.shape for array in spare.both(4)] == [(4, 2), (4,)]
+    for n in (4, 4, 0, 3):
+        assert spare.rows(n + 1).shape == (n + 1, 2)
+        assert [array.shape for array in spare.both(n)] == [(n, 2), (n,)]
     assert spare.rows(0).shape == (0, 2)
 
 
