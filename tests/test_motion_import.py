@@ -11,6 +11,7 @@ from operators.features.skeleton import SETS, find_joints
 from stream import cli
 from stream.convert.asf_read import read_amc, read_asf
 from stream.convert.bvh_read import read_bvh
+from stream.convert.c3d_check import broken_at
 from stream.convert.c3d_read import read_c3d
 from stream.convert.kinect_read import ONE, read_kinect
 from stream.convert.kinematics import in_turn, place
@@ -316,6 +317,21 @@ def test_broken_c3d_files_are_refused(tmp_path):
             read_c3d(tmp_path / "cut.c3d")
     with pytest.raises(RecordingError, match="no such file"):
         read_c3d(tmp_path / "none.c3d")
+
+
+def test_a_c3d_file_whose_parameters_do_not_hold_together_is_refused_before_the_library_sees_it(tmp_path):
+    c3d_file(tmp_path / "gait.c3d")
+    whole = (tmp_path / "gait.c3d").read_bytes()
+    assert broken_at(tmp_path / "gait.c3d") == -1
+    at = whole.index(b"LABELS") + len(
+        b"LABELS"
+    )  # then: where the next record begins, the type, the number of dimensions, these
+    for byte, value in ((at + 1, 0x80), (at + 2, 9), (at + 3, 60), (at + 4, 255), (at - 8, 90)):
+        (tmp_path / "broken.c3d").write_bytes(whole[:byte] + bytes([value]) + whole[byte + 1 :])
+        with pytest.raises(
+            RecordingError, match=r"broken\.c3d: cannot be read as a C3D file \(its parameters break off"
+        ):
+            read_c3d(tmp_path / "broken.c3d")
 
 
 def test_c3d_events_of_names_that_are_written_alike_are_told_apart(tmp_path):

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from stream.chunk import NS, Array, StreamSpec
+from stream.convert.c3d_check import DEC, INTEL, broken_at
 from stream.convert.series import Series
 from stream.convert.timing import grid_of
 from stream.errors import RecordingError
@@ -28,8 +29,6 @@ UNITS = {
 SIDES = ("left", "right")
 MOST_FRAMES = 0xFFFF
 """A C3D header counts frames in 16 bits: longer recordings say so elsewhere, each program in its own place."""
-INTEL, DEC = 84, 85
-"""How a C3D file marks processors that put the low byte first."""
 
 
 def read_c3d(path: Path, start_ns: int = 0) -> list[Series]:
@@ -73,6 +72,8 @@ def _open(path: Path) -> Any:
 
     if not path.is_file():
         raise RecordingError(f"{path}: there is no such file")
+    if (byte := broken_at(path)) >= 0:
+        raise RecordingError(f"{path}: cannot be read as a C3D file (its parameters break off at byte {byte})")
     try:
         return ezc3d.c3d(str(path))
     except (OSError, RuntimeError, ValueError, IndexError, KeyError, TypeError, MemoryError) as error:

@@ -1,0 +1,66 @@
+"""Whether the head of a C3D file holds together: of one that does not, the library that reads them may crash, or ask for all memory."""
+
+from __future__ import annotations
+
+import struct
+from math import prod
+from pathlib import Path
+
+BLOCK = 512
+"""A C3D file counts in blocks of so many bytes, from 1."""
+INTEL, DEC, MIPS = 84, 85, 86
+"""Processors, as a C3D file marks them: the first two put the low byte first."""
+TYPES = {-1: 1, 1: 1, 2: 2, 4: 4}
+"""Bytes of a parameter's values: characters, bytes, whole numbers, floating point numbers."""
+WIDEST = 128
+"""Characters of a name, at the most."""
+
+
+def broken_at(path: Path) -> int:
+    """The byte at which the description of the parameters breaks off; -1 where there is none.
+
+    The parameters are records one behind another: the length of a name, a group's number, the name, where the next record begins, and
+    of a parameter the type of its values, their dimensions and the values themselves, which must lie before the next record.
+    """
+    with path.open("rb") as file:
+        first = file.read(BLOCK)
+        if len(first) < BLOCK or first[0] == 0:
+            return 0
+        begin = (first[0] - 1) * BLOCK
+        file.seek(begin)
+        data = file.read(256 * BLOCK)
+    if len(data) < 4 or data[3] not in (INTEL, DEC, MIPS):
+        return begin
+    order = ">" if data[3] == MIPS else "<"
+    at = 4
+    while at + 2 <= len(data) and data[at]:
+        after = _record(data, at, order)
+        if after < 0:
+            return begin + at
+        if after == 0:
+            return -1
+        at = after
+    return -1
+
+
+def _record(data: bytes, at: int, order: str) -> int:
+    """Where the record after this one begins; 0: this is the last; -1: it cannot be."""
+    length, group = struct.unpack_from("bb", data, at)
+    name = at + 2
+    offset = name + abs(length)
+    if group == 0 or abs(length) > WIDEST or offset + 2 > len(data) or not data[name:offset].isascii():
+        return -1
+    (step,) = struct.unpack_from(f"{order}h", data, offset)
+    end = offset + step if step else len(data)
+    if step < 0 or end > len(data):
+        return -1
+    if group > 0:
+        if offset + 4 > end:
+            return -1
+        kind, dimensions = struct.unpack_from("bB", data, offset + 2)
+        if kind not in TYPES or dimensions > 7 or offset + 4 + dimensions > end:
+            return -1
+        size = prod(data[offset + 4 : offset + 4 + dimensions]) * TYPES[kind]
+        if offset + 4 + dimensions + size > end:
+            return -1
+    return end if step else 0
