@@ -6,22 +6,20 @@ import json
 import uuid
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import tzinfo
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import structlog
-from filelock import FileLock
 
 from devices.claim import check_path, claim, let_go
-from devices.night import shelf
-from devices.night.draughtsman import Draughtsman
-from devices.night.shelf import Facts, clock, iso, nanoseconds
+from devices.night import rows, shelf
+from devices.night.desk import Desk, LogState
+from devices.night.shelf import Facts, clock, nanoseconds
 from devices.night.writing import Night, readable, write_map
 from devices.report.words import settings, versions
 from stream.chunk import NEVER, NS, Array, Chunk, Specs
-from stream.errors import DeviceError, InputError, ParameterError
+from stream.errors import DeviceError, ParameterError
 from stream.graph import Graph
 from stream.operator import Outlet
 from stream.params import param
@@ -40,53 +38,9 @@ MOST_WAITING = 3000
 log = structlog.get_logger(__name__)
 
 
-@dataclass(slots=True)
-class LogState:
-    """
-    held   what is known of epochs that are not final yet, as JSON by onset
-    bed    what the bed is now
-    rests  the night is over, but somebody is still in bed: the next begins when the bed was left
-    run    which session this is, over all its restarts
-    """
-
-    held: str = "{}"
-    bed: str = ""
-    rests: bool = False
-    run: str = ""
-
-
-class _Desk:
-    """What belongs to a running outlet but not to its state: files, and the night that is being written."""
-
-    def __init__(self, specs: Specs) -> None:
-        self.specs = specs
-        self.graph: Graph | None = None
-        self.claim: FileLock | None = None
-        self.zone: tzinfo | None = None
-        self.night: Night | None = None
-        self.over: list[Night] = []
-        """Nights that are over, and not on the disk yet as they should be: it is full."""
-        self.deleted = NEVER
-        """Onset of the epoch before which the open night was deleted by somebody; its numbers are then of what is no more."""
-        self.former: Path | None = None
-        """The night that was closed last."""
-        self.former_end = NEVER
-        self.now = NEVER
-        """When this session began; NEVER in replay."""
-        self.held: dict[int, dict[str, Any]] = {}
-        """What is known of epochs that are not final yet, by onset."""
-        self.last = NEVER
-        """Onset of the newest epoch that stands in a log."""
-        self.waiting: list[dict[str, Any]] = []
-        """Rows of a night whose folder could not be made yet: the disk is full."""
-        self.switched: list[Any] = []
-        """When the lights were switched last, and to what."""
-        self.draughtsman = Draughtsman()
-
-
 class _Logger(Outlet[LogState]):
     __slots__ = ("desk",)
-    desk: _Desk
+    desk: Desk
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,18 +80,8 @@ class NightLog(_Logger):
             shelf.zone_of(self.timezone)
         except (KeyError, ValueError):
             raise ParameterError("timezone", self.timezone, "a time zone's name, like Europe/Berlin") from None
-        for port, needed in FIELDS.items():
-            if port in specs and not set(needed) <= set(specs[port].dtype.names or ()):
-                raise InputError(port, specs[port].describe(), f"events with the fields {', '.join(needed)}")
-        if not float(specs["epochs"].meta.get("epoch_s", 0.0)) > 0:
-            raise InputError("epochs", "without epoch_s in its meta", "scored epochs of a known length")
-        length = float(specs["epochs"].meta["epoch_s"])
-        for port in ("seen", "breathing"):
-            if port in specs and (other := float(specs[port].meta.get("epoch_s", length))) != length:
-                raise InputError(port, f"epochs of {other:g} s", f"epochs of {length:g} s, as the scored ones are")
-        if "map" in specs and len(specs["map"].dtype["map"].shape) != 2:
-            raise InputError("map", specs["map"].describe(), "events whose field `map` is a table (rows, columns)")
-        object.__setattr__(self, "desk", _Desk(specs))
+        rows.check(specs)
+        object.__setattr__(self, "desk", Desk(specs))
         self.hold(LogState())
         return {}
 
@@ -234,7 +178,7 @@ class NightLog(_Logger):
             if port == "bed":
                 self._bed(row)
             else:
-                self._hold(int(row["onset"]), _seen(row) if port == "seen" else _breathing(row))
+                self._hold(int(row["onset"]), rows.seen(row) if port == "seen" else rows.breathing(row))
 
     def _hold(self, onset: int, facts: dict[str, Any]) -> None:
         held = self.desk.held
@@ -251,10 +195,7 @@ class NightLog(_Logger):
         known = self.desk.held.pop(onset, {})
         if onset <= self.desk.last:
             return
-        facts = {**known,
-            "onset": iso(onset), "end": iso(int(row["end"])), "state": str(row["state"]), "rescored": int(row["rescored"]),
-            "score": _number(row["score"]), "activity": _number(row["activity"]),
-        }  # fmt: skip
+        facts = {**known, **rows.final(row)}
         self._settle()
         self._forget_deleted(onset)
         if self._begins_or_goes_on(onset, str(known.get("bed", "")), str(row["state"])):
@@ -341,10 +282,9 @@ class NightLog(_Logger):
     def _switched(self, row: Any, stamp: int) -> None:
         night = self.desk.night
         self.desk.switched = [stamp, "lights on" if row["on"] else "lights off"]
+        # a switch that says after a restart what it was before was not switched
         if night is not None and self.desk.switched[1] not in [what for _, what in night.facts.switched[-1:]]:
-            night.note(
-                night.facts.switched, self.desk.switched
-            )  # a switch that says after a restart what it was, was not switched
+            night.note(night.facts.switched, self.desk.switched)
 
     def _map(self, frame: Array) -> None:
         """The map comes with the night's numbers, before or after them."""
@@ -388,28 +328,3 @@ class NightLog(_Logger):
                 log.info("an old night was deleted", night=folder.name, keep_days=self.keep_days)
             except DeviceError as error:
                 log.error(str(error))
-
-
-FIELDS = {
-    "epochs": ("onset", "end", "state", "score", "activity", "final", "rescored"),
-    "nights": ("onset", "end", "tib", "tst", "convention", "estimated"),
-    "bed": ("onset", "sleeper", "state"),
-    "seen": ("onset", "sleeper", "moved_s", "seen", "bed"),
-    "breathing": ("onset", "sleeper", "rate", "confidence"),
-    "lights": ("on",),
-    "map": ("map",),
-}
-
-
-def _seen(row: Any) -> dict[str, Any]:
-    crosstalk = row["crosstalk"] if "crosstalk" in row.dtype.names else np.nan
-    told = {"moved_s": row["moved_s"], "seen": row["seen"], "crosstalk": crosstalk}
-    return {"bed": str(row["bed"]), **{name: _number(value) for name, value in told.items()}}
-
-
-def _breathing(row: Any) -> dict[str, Any]:
-    return {"breaths_per_min": _number(row["rate"]), "confidence": _number(row["confidence"])}
-
-
-def _number(value: Any) -> str:
-    return f"{float(value):.4g}" if np.isfinite(value) else ""
