@@ -1,9 +1,9 @@
 """Python's own stalls, and the rules against them. `bench/stalls.py` measures what each is worth.
 
 - Garbage collection: everything alive after the start is frozen (never looked at again), and the collector's first generation is made
-  somewhat larger, so that a collection is rare and yet short: 50 000 objects made pauses of tens of milliseconds beside a thread that makes
+  somewhat larger, so that a collection is rare and yet short: 50 000 objects made pauses of some milliseconds beside a thread that makes
   garbage. Chunks are freed by reference counting; nothing in the engine makes cycles per message.
-- The switch interval: another thread that computes in Python gives the lock up after 0.2 ms instead of 5 ms. Shorter gains nothing.
+- The switch interval: another thread that computes in Python gives the lock up after 0.2 ms instead of 5 ms. 0.1 ms gains little more.
 - Kernels keep the lock unless they take more than some 50 us (`@kernel(nogil=True)`): a short kernel that lets it go waits to get it back.
 """
 
