@@ -24,7 +24,7 @@ test-peers: .venv/installed-for-tests
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps bitalino
 	$(BIN)/python -m tests.compile_kernels
 	$(BIN)/pytest -n 2 --dist loadgroup tests/peers tests/test_oak.py tests/test_depthai_replay.py tests/test_simulators.py \
-		tests/test_export.py tests/test_night_log.py
+		tests/test_export.py tests/test_night_report.py
 
 bench: .venv/installed-for-bench
 	$(BIN)/python -m bench --readme

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from devices.night import NightLog
+from devices.night import NightLog, shelf
 from stream.chunk import NS, Array, Chunk, StreamSpec
 
 STEP = 30 * NS
@@ -173,3 +173,8 @@ def states(night: Night, begin: int = 0) -> list[str]:
 
 def as_array(values: Any) -> Array:
     return np.asarray(values)
+
+
+def logged(folder: Path) -> list[str]:
+    """The states in a night's log."""
+    return [str(s) for s in shelf.read_epochs(folder).texts["state"]]

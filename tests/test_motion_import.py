@@ -322,7 +322,7 @@ def test_broken_c3d_files_are_refused(tmp_path):
 def test_a_c3d_file_whose_parameters_do_not_hold_together_is_refused_before_the_library_sees_it(tmp_path):
     c3d_file(tmp_path / "gait.c3d")
     whole = (tmp_path / "gait.c3d").read_bytes()
-    assert broken_at(tmp_path / "gait.c3d") == -1
+    assert broken_at((tmp_path / "gait.c3d").read_bytes()) == -1
     at = whole.index(b"LABELS") + len(
         b"LABELS"
     )  # then: where the next record begins, the type, the number of dimensions, these

@@ -1,124 +1,22 @@
-"""The night's log: epoch by epoch on the disk, over kill -9, a full disk and a restart; and the morning's report of it."""
+"""The night's log: epoch by epoch on the disk, over kill -9, a full disk and a restart; nights begin, end and are deleted."""
 
 from __future__ import annotations
 
 import errno
-import json
 import os
 from itertools import chain
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import night_made
-import numpy as np
 import pytest
-from browser import Browser, needs_browser
-from night_made import EVENING, LATE, SPECS, STEP, Night, feed, opened, states
+from night_made import LATE, SPECS, Night, feed, logged, opened, states
 
 from devices.night import shelf
-from devices.night.numbers import CAVEATS, begun_anew, exits, quality, span, table, unseen
-from devices.night.page import render
+from devices.night.numbers import quality, table
 from stream.chunk import NS
 from stream.engine.clock import SessionClock
 from stream.errors import InputError, KinegraphError, ParameterError
-
-
-@pytest.fixture(scope="module")
-def drawn(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Night]:
-    """A whole night with its report: (folder of the night, what was told)."""
-    root = tmp_path_factory.mktemp("nights")
-    night = night_made.whole(root)
-    (folder,) = (path for path, _ in shelf.nights(root))
-    return folder, night
-
-
-def logged(folder: Path) -> list[str]:
-    return [str(s) for s in shelf.read_epochs(folder).texts["state"]]
-
-
-def test_what_is_logged_is_what_was_final(drawn: tuple[Path, Night]) -> None:
-    folder, night = drawn
-    epochs, facts = shelf.read_epochs(folder), shelf.Facts.load(folder)
-    assert folder.name == "2025-12-31" and facts.closed and facts.breaks == []
-    assert logged(folder) == states(night, night.inn)  # from the first epoch in bed on
-    assert epochs.onset.tolist() == [night.onset(k) for k in range(night.inn, night.n)]
-    assert epochs.texts["provisional"].tolist() == night.first[night.inn :].tolist()
-    assert epochs.texts["bed"].tolist() == night.bed[night.inn :].tolist()
-    np.testing.assert_allclose(epochs.numbers["breaths_per_min"], night.rate[night.inn :], rtol=1e-3)
-    np.testing.assert_allclose(epochs.numbers["activity"], night.moved[night.inn :], rtol=1e-3)
-
-
-def test_a_night_takes_less_than_a_megabyte(drawn: tuple[Path, Night]) -> None:
-    folder, _ = drawn
-    assert {path.name for path in folder.iterdir()} == {shelf.FACTS, shelf.EPOCHS, shelf.MAP, *shelf.DRAWN}
-    assert shelf.bytes_of(folder) < 1_000_000
-
-
-@needs_browser
-def test_a_browser_shows_the_report_and_prints_it_on_two_sheets(drawn: tuple[Path, Night], tmp_path: Path) -> None:
-    page, browser = drawn[0] / "report.html", Browser(tmp_path)
-    assert "Night of Wednesday" in browser.shown(page)
-    assert browser.fits_a_phone(page)
-    assert browser.sheets(page) == 2
-
-
-def test_the_report_says_what_must_be_said(drawn: tuple[Path, Night]) -> None:
-    folder, night = drawn
-    page = (folder / "report.html").read_text()
-    for words in (
-        *CAVEATS,
-        "Night of Wednesday, 31 December 2025",
-        "estimated",
-        "AASM",
-        ">not scored<",
-        "Hatched: not scored",
-        "Gaussian-weighted",
-    ):
-        assert words in page, words
-    assert "src=" not in page and "http://" not in page.replace("http://www.w3.org", "")  # needs nothing else
-    assert (folder / "report.png").read_bytes()[:4] == b"\x89PNG"
-    facts, epochs = shelf.Facts.load(folder), shelf.read_epochs(folder)
-    rows = {row.name: row for row in table(facts, epochs)}
-    tst = (night.state[night.inn : night.out] == "sleep").sum() / 2
-    assert rows["Total sleep time (TST)"].value == f"{int(tst // 60)} h {round(tst) % 60:02d} min"
-    assert rows["Total sleep time (TST)"].bounds and rows["Bed exits"].value == "1"
-    (left,) = exits(facts)
-    assert left.begin == night.onset(night.exit[0]) and left.end == night.onset(night.exit[-1] + 1)
-    told = dict(quality(facts, epochs))
-    assert "20 unknown" in told["Epochs"] and "(10 min)" in told["Not scored"]
-
-
-def test_edf_opens_in_other_programs(drawn: tuple[Path, Night]) -> None:
-    folder, night = drawn
-    pyedflib, mne = pytest.importorskip("pyedflib"), pytest.importorskip("mne")
-    path = str(folder / "hypnogram.edf")
-    with pyedflib.EdfReader(path) as edf:
-        assert edf.getSignalLabels() == ["Activity", "Breathing rate"]
-        assert edf.getSampleFrequency(0) == pytest.approx(1 / 30)
-        activity = edf.readSignal(0)
-        starts, lengths, texts = edf.readAnnotations()
-    begin = night.inn
-    moved = night.moved[begin : begin + len(activity)]
-    np.testing.assert_allclose(activity, np.where(np.isfinite(moved), moved, -1.0), atol=1e-3)
-    stages = [(t, x) for t, x in zip(starts, texts, strict=True) if x.startswith("Sleep stage")]
-    names = {"wake": "Sleep stage W", "sleep": "Sleep stage S", "unknown": "Sleep stage ?"}
-    assert [x for _, x in stages] == [names[s] for s in states(night, begin)[: len(stages)]]
-    assert [t for t, _ in stages[:3]] == [0.0, 30.0, 60.0] and set(lengths[: len(stages)]) <= {30.0, 360.0}
-    assert "Out of bed" in texts
-    raw = mne.io.read_raw_edf(path, verbose="error")
-    assert raw.info["sfreq"] == pytest.approx(1 / 30) and raw.n_times == len(activity)
-    assert sum(text.startswith("Sleep stage") for text in raw.annotations.description) == len(stages)
-    assert raw.info["meas_date"].strftime("%Y-%m-%d %H:%M") == "2025-12-31 23:20"  # EDF's times are the wall clock's
-
-
-def test_our_own_evaluation_reads_the_log_and_the_edf(drawn: tuple[Path, Night]) -> None:
-    from operators.sleep.reference import read_hypnogram
-
-    folder, _ = drawn
-    of_csv, of_edf = read_hypnogram(folder / "epochs.csv"), read_hypnogram(folder / "hypnogram.edf")
-    n = len(of_edf.state)
-    assert of_csv.state[:n].tolist() == of_edf.state.tolist() and of_csv.dated
 
 
 @pytest.mark.parametrize("at", [170, 241, 465])
@@ -194,20 +92,6 @@ def test_a_night_that_is_ahead_of_the_clock_is_left_as_it_is(tmp_path: Path) -> 
     (first, _), (second, facts) = shelf.nights(tmp_path)
     assert logged(first) == states(Night(), night.inn) and logged(second) == states(night, night.inn)
     assert (second.name, facts.closed) == ("2025-12-31-2", True)
-
-
-def test_epochs_of_which_there_is_no_row_were_not_seen(drawn: tuple[Path, Night]) -> None:
-    folder, night = drawn
-    epochs, facts = shelf.read_epochs(folder), shelf.Facts.load(folder)
-    there = np.ones(len(epochs), np.bool_)
-    there[20:30] = False
-    texts, numbers = ({n: c[there] for n, c in columns.items()} for columns in (epochs.texts, epochs.numbers))
-    holed = shelf.Epochs(epochs.onset[there], epochs.end[there], texts, numbers)
-    assert [(s.begin, s.end) for s in unseen(holed)] == [
-        (night.onset(night.inn + 20), night.onset(night.inn + 30)),
-        (night.onset(night.gone[0]), night.onset(night.gone[-1] + 1)),
-    ]
-    assert "(5 min)" in dict(quality(facts, holed))["Not scored"]
 
 
 def test_what_was_final_is_never_changed(tmp_path: Path) -> None:
@@ -332,54 +216,6 @@ def test_actigraphy_alone_makes_a_night(tmp_path: Path) -> None:
     assert logged(folder) == states(night) and shelf.Facts.load(folder).closed
 
 
-def test_the_report_of_a_night_that_goes_on(tmp_path: Path) -> None:
-    night, log = Night(), opened(tmp_path, report=False)
-    log.begin()
-    feed(log, night.told(0, 300))
-    log.close()
-    folder = tmp_path / "2025-12-31"
-    facts, epochs = shelf.Facts.load(folder), shelf.read_epochs(folder)
-    assert "not over" in render(facts, epochs, None, [])
-    facts.closed = True  # another night has begun meanwhile
-    assert "broken off" in (page := render(facts, epochs, None, [])) and "not over" not in page
-
-
-@pytest.mark.parametrize(("dark", "told"), [(None, True), (30, True), (100, True), (270, False)])
-def test_numbers_of_a_new_session_do_not_pass_for_those_of_the_night(
-    tmp_path: Path, dark: int | None, told: bool
-) -> None:
-    """kinegraph was stopped in order and started again; who was in bed is noticed three minutes later. `dark`: lights off at this epoch."""
-    night, switched = Night(), SPECS["lights"].dtype
-    for begin, end, first in ((0, 250, 0), (262, night.n, 256)):
-        log = opened(tmp_path, report=False)
-        log.keep_time(SimpleNamespace(utc_ns=night.onset(first)))
-        log.begin()
-        cut = dark if dark and begin <= dark < end else end
-        feed(log, night.told(begin, cut))
-        if cut < end:
-            log.process("lights", night_made.event(switched, night.onset(cut), False))
-        if begin and dark and dark < begin:  # what the switch had been is said again
-            log.process("lights", night_made.event(switched, night.onset(begin), False))
-        feed(log, night.told(cut, end))
-        if begin:
-            for port, chunk in night.end():
-                if port == "nights":
-                    chunk.data["onset"] = night.onset(dark if dark and dark > 262 else 262)
-                    chunk.data["bed"] = "detected" if dark is None else "lights"
-                feed(log, iter([(port, chunk)]))
-        log.close()
-    ((folder, facts),) = shelf.nights(tmp_path)
-    epochs = shelf.read_epochs(folder)
-    assert bool(begun_anew(facts, epochs)) == told == ("Numbers" in dict(quality(facts, epochs)))
-    assert [what for _, what in facts.switched] == (["lights off"] if dark else [])
-    if dark == 30:
-        assert facts.switched == [[night.onset(30), "lights off"]]  # just before anybody was in bed
-        facts.switched, facts.numbers["onset"] = [], night.onset(257)  # the switch says what it had been before
-        assert begun_anew(facts, epochs)
-    assert ("of a night that began at 23:20" in render(facts, epochs, None, [])) == told
-    assert span(facts, epochs)[0] == (facts.begun if told else night.onset(270) - 15 * 60 * NS)
-
-
 def test_the_command_lists_draws_and_deletes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from stream.cli import call
 
@@ -458,27 +294,6 @@ def test_what_cannot_be_is_refused(
         NightLog(**given).open({port: SPECS[port] for port in ports})
     with pytest.raises(InputError):
         NightLog(path=str(tmp_path)).open({"epochs": SPECS["bed"], "nights": SPECS["nights"]})
-
-
-def test_the_facts_are_plain_json(drawn: tuple[Path, Night]) -> None:
-    told = json.loads((drawn[0] / shelf.FACTS).read_text())
-    assert told["begun"] == EVENING + 40 * STEP and told["numbers"]["convention"] == "AASM"
-
-
-def test_an_edf_of_any_length_can_be_written(tmp_path: Path) -> None:
-    """edfio compares lengths in seconds as floating-point numbers, which for some numbers of epochs differ in the last digit."""
-    import edfio
-
-    from devices.night.edf import write_edf
-
-    for n in (1, 2, 7, 165, 333, 959, 960, 1201):
-        onset = EVENING + np.arange(n) * STEP
-        texts = {"state": np.full(n, "sleep"), "bed": np.full(n, "in"), "provisional": np.full(n, "sleep")}
-        numbers = {"activity": np.linspace(0, 1, n), "breaths_per_min": np.full(n, np.nan)}
-        epochs = shelf.Epochs(onset, onset + STEP, texts, numbers)
-        write_edf(tmp_path / "n.edf", shelf.Facts("n", EVENING, 30.0, "UTC"), epochs)
-        edf = edfio.read_edf(tmp_path / "n.edf")
-        assert n <= len(edf.signals[0].data) <= n + 50 and len(edf.annotations) == n
 
 
 def test_the_lights_end_a_night_though_somebody_stays_in_bed(tmp_path: Path) -> None:

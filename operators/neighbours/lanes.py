@@ -19,7 +19,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, models, register_model
 
-LANES = 16
+from operators.neighbours.layout import LANES
 
 _f32: Any = ir.FloatType()
 _i64: Any = ir.IntType(64)

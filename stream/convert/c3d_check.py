@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import struct
 from math import prod
-from pathlib import Path
 
 BLOCK = 512
 """A C3D file counts in blocks of so many bytes, from 1."""
+MOST_BLOCKS = 256
+"""So many blocks the parameters may take: one byte counts them."""
+HEAD = (254 + MOST_BLOCKS) * BLOCK
+"""So many bytes hold the parameters, wherever they begin: one byte says where."""
 INTEL, DEC, MIPS = 84, 85, 86
 """Processors, as a C3D file marks them: the first two put the low byte first."""
 TYPES = {-1: 1, 1: 1, 2: 2, 4: 4}
@@ -16,19 +19,16 @@ WIDEST = 128
 """Characters of a name, at the most."""
 
 
-def broken_at(path: Path) -> int:
-    """The byte at which the description of the parameters breaks off; -1 where there is none.
+def broken_at(head: bytes) -> int:
+    """The byte at which the description of the parameters breaks off; -1 where it does not. `head` is a file's first HEAD bytes.
 
     The parameters are records one behind another: the length of a name, a group's number, the name, where the next record begins, and
     of a parameter the type of its values, their dimensions and the values themselves, which must lie before the next record.
     """
-    with path.open("rb") as file:
-        first = file.read(BLOCK)
-        if len(first) < BLOCK or first[0] == 0:
-            return 0
-        begin = (first[0] - 1) * BLOCK
-        file.seek(begin)
-        data = file.read(256 * BLOCK)
+    if len(head) < BLOCK or head[0] == 0:
+        return 0
+    begin = (head[0] - 1) * BLOCK
+    data = head[begin : begin + MOST_BLOCKS * BLOCK]
     if len(data) < 4 or data[3] not in (INTEL, DEC, MIPS):
         return begin
     order = ">" if data[3] == MIPS else "<"

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from stream.chunk import NS, Array, StreamSpec
-from stream.convert.c3d_check import DEC, INTEL, broken_at
+from stream.convert.c3d_check import DEC, HEAD, INTEL, broken_at
 from stream.convert.series import Series
 from stream.convert.timing import grid_of
 from stream.errors import RecordingError
@@ -72,7 +72,9 @@ def _open(path: Path) -> Any:
 
     if not path.is_file():
         raise RecordingError(f"{path}: there is no such file")
-    if (byte := broken_at(path)) >= 0:
+    with path.open("rb") as file:
+        head = file.read(HEAD)
+    if (byte := broken_at(head)) >= 0:
         raise RecordingError(f"{path}: cannot be read as a C3D file (its parameters break off at byte {byte})")
     try:
         return ezc3d.c3d(str(path))
