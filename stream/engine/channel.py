@@ -26,29 +26,27 @@ class Channel:
     limit     how many chunks may wait
     policy    what a full queue does: `block` its writer, `drop_oldest`, or `fail`
     on_drop   told (first, n) of every drop: the dropped samples' running index in this channel and their number
-    at_once   asked first where nothing waits: whether the reader has worked through the chunk on the writer's own thread
-    long      so often in a row that took long
-    queue_until   it is not to be asked before (ns of session time)
+    waiting   what waits: chunks, their arrivals, and the running index of their first samples
+    owed      how many samples were dropped before the next chunk that is taken
+    index     how many samples have come by, ever
+    chunks    and in how many chunks
     """
 
     __slots__ = (
-        "_index",
-        "_items",
         "_lock",
-        "_owed",
         "_room",
-        "at_once",
         "bell",
         "chunks",
         "closed",
         "dropped",
+        "index",
         "limit",
-        "long",
         "name",
         "on_drop",
+        "owed",
         "owner",
         "policy",
-        "queue_until",
+        "waiting",
     )
 
     def __init__(
@@ -56,39 +54,32 @@ class Channel:
     ) -> None:
         self.name, self.bell, self.limit, self.policy, self.on_drop = name, bell, limit, policy, on_drop
         self.owner: Any = None
-        self.at_once: Callable[[Channel, Chunk, int], bool] | None = None
-        self.long = self.queue_until = 0
         self.dropped = 0
         self.closed = False
-        self.chunks = 0
-        self._items: deque[tuple[Chunk, int, int]] = deque()
+        self.chunks = self.index = 0
+        self.waiting: deque[tuple[Chunk, int, int]] = deque()
+        self.owed = 0
         self._lock = threading.Lock()
         self._room = threading.Event()
-        self._owed = 0
-        self._index = 0
 
     def put(self, chunk: Chunk, arrival: int = 0) -> None:
         """Leave a chunk; waits, drops or fails as the policy says where the queue is full."""
-        if self.at_once and not self._items and not self._owed and self.at_once(self, chunk, arrival):
-            self._index += len(chunk.time)
-            self.chunks += 1
-            return
-        if len(self._items) >= self.limit:
+        if len(self.waiting) >= self.limit:
             self._make_room()
-        self._items.append((chunk, arrival, self._index))  # one thread writes, so this needs no lock
-        self._index += len(chunk.time)
+        self.waiting.append((chunk, arrival, self.index))  # one thread writes, so this needs no lock
+        self.index += len(chunk.time)
         self.chunks += 1
         self.bell.put(self)
 
     def take(self) -> tuple[Chunk, int] | None:
         """The oldest chunk and its arrival, with the drops before it added to its `lost`; None if it was dropped meanwhile."""
         with self._lock:
-            if not self._items:
+            if not self.waiting:
                 return None
-            chunk, arrival, _ = self._items.popleft()
-            if self._owed:
-                chunk = Chunk(chunk.time, chunk.data, chunk.until, add_lost(self._owed, chunk.lost))
-                self._owed = 0
+            chunk, arrival, _ = self.waiting.popleft()
+            if self.owed:
+                chunk = Chunk(chunk.time, chunk.data, chunk.until, add_lost(self.owed, chunk.lost))
+                self.owed = 0
         if not self._room.is_set():
             self._room.set()
         return chunk, arrival
@@ -101,35 +92,26 @@ class Channel:
     @property
     def depth(self) -> int:
         """How many chunks wait now."""
-        return len(self._items)
-
-    @property
-    def index(self) -> int:
-        """How many samples have been put, ever."""
-        return self._index
-
-    def start_at(self, index: int) -> None:
-        """Continue the running sample index of a resumed session."""
-        self._index = index
+        return len(self.waiting)
 
     def _make_room(self) -> None:
         if self.policy == "fail":
             raise RunError(f"the queue of {self.name} is full ({self.limit} chunks) and its policy is 'fail'")
-        while len(self._items) >= self.limit and not self.closed:
+        while len(self.waiting) >= self.limit and not self.closed:
             if self.policy == "drop_oldest":
                 self._drop()
             else:
                 self._room.clear()
-                if len(self._items) >= self.limit:
+                if len(self.waiting) >= self.limit:
                     self._room.wait(0.5)
 
     def _drop(self) -> None:
         with self._lock:
-            if not self._items:
+            if not self.waiting:
                 return
-            chunk, _, index = self._items.popleft()
+            chunk, _, index = self.waiting.popleft()
             n = len(chunk.time)
-            self._owed = add_lost(self._owed, add_lost(chunk.lost, n))
+            self.owed = add_lost(self.owed, add_lost(chunk.lost, n))
             self.dropped += n
         if n and self.on_drop:
             self.on_drop(index, n)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -67,17 +68,19 @@ class Journal:
     """Everything that is written while a session runs. Without a folder it writes nothing, and everything else is as ever.
 
     sequence   the number of the input log's last chunk
+    arrival    when it came (ns of session time)
+    recorder   what records; None without a folder
     """
 
     def __init__(self, folder: Path | None, graph: Graph, clock: SessionClock, former: Former | None) -> None:
         self.folder, self._graph, self._clock, self._former = folder, graph, clock, former
         self.sequence = -1
-        self._arrival = 0
-        self._recorder: Recorder | None = None
+        self.arrival = 0
+        self.recorder: Recorder | None = None
         self._keeper: Keeper | None = None
         if folder is not None:
-            self._recorder = Recorder(folder, self._header(), graph.recording, resume=former is not None)
-            self._keeper = Keeper(folder, self._recorder.flush)
+            self.recorder = Recorder(folder, self._header(), graph.recording, resume=former is not None)
+            self._keeper = Keeper(folder, self.recorder.flush)
 
     def _header(self) -> dict[str, Any]:
         return {
@@ -93,27 +96,27 @@ class Journal:
 
     def add_input(self, stream: str, spec: StreamSpec, first: int) -> int:
         """Declare a stream of the input log; returns its number. Images are kept only if the graph names them under `record`."""
-        if self._recorder is None:
+        if self.recorder is None:
             return -1
         outline = is_picture(spec) and stream not in map(str, self._graph.record)
         if outline:
             log.info("images are not recorded; name the stream under `record` to keep them", stream=stream)
-        return self._recorder.add_stream(stream, spec, "input", first, outline=outline)
+        return self.recorder.add_stream(stream, spec, "input", first, outline=outline)
 
     def tap_edges(self, pipeline: Pipeline) -> None:
         """Record the edges that the graph asks for; what the input log holds anyway is not doubled."""
-        if self._recorder is None:
+        if self.recorder is None:
             return
         for edge in map(str, self._graph.record):
             if edge not in pipeline.entries:
                 wire = pipeline.wires[edge]
                 done = self._former.recorded(edge) if self._former else 0
-                number = self._recorder.add_stream(edge, wire.spec, "edge", max(done, wire.samples))
+                number = self.recorder.add_stream(edge, wire.spec, "edge", max(done, wire.samples))
                 wire.taps.append(self._tap(number, max(0, done - wire.samples)))
 
     def _tap(self, number: int, skip: int) -> Callable[[Chunk], None]:
         """Record an edge, but not again the `skip` samples that are recorded already."""
-        recorder = self._recorder
+        recorder = self.recorder
         assert recorder
 
         def tap(chunk: Chunk) -> None:
@@ -124,32 +127,31 @@ class Journal:
                 if skip or n == len(chunk.time):
                     return
                 chunk = chunk.part(n, len(chunk.time))
-            recorder.write(number, chunk, self._arrival, self.sequence)
+            recorder.write(number, chunk, self.arrival, self.sequence)
 
         return tap
+
+    def writer(self, number: int) -> Callable[[Chunk, int, int], None] | None:
+        """What writes an input's chunk, its arrival and its place in the input log; None where nothing is recorded."""
+        return partial(self.recorder.write, number) if self.recorder else None
 
     def enter(self, number: int, chunk: Chunk, arrival: int) -> None:
         """A chunk enters the graph: its place in the input log."""
         self.sequence += 1
-        self._arrival = arrival
-        if self._recorder:
-            self._recorder.write(number, chunk, arrival, self.sequence)
-
-    def lull(self) -> None:
-        """A chunk has been worked through."""
-        if self._recorder and self._recorder.patient:
-            self._recorder.lull()
+        self.arrival = arrival
+        if self.recorder:
+            self.recorder.write(number, chunk, arrival, self.sequence)
 
     def report(self, kind: str, **facts: Any) -> None:
         """Something worth knowing happened: to the log, and into the recording."""
         tell = log.error if "failed" in kind else log.info if kind in QUIET else log.warning
         tell(kind, **facts)
-        if self._recorder:
-            self._recorder.log(kind, self._clock.now(), **facts)
+        if self.recorder:
+            self.recorder.log(kind, self._clock.now(), **facts)
 
     def metrics(self, table: dict[str, Any]) -> None:
-        if self._recorder:
-            self._recorder.metrics(self._clock.now(), table)
+        if self.recorder:
+            self.recorder.metrics(self._clock.now(), table)
 
     @property
     def wants_checkpoint(self) -> bool:
@@ -160,7 +162,7 @@ class Journal:
         assert self._keeper
         now, graph = self._clock.now(), fingerprint(self._graph.text)
         kept = Checkpoint(self.sequence, now, graph, promised, indices, pipeline.snapshot())
-        part = self._recorder.part if self._recorder and self._graph.recording.rolling else 0
+        part = self.recorder.part if self.recorder and self._graph.recording.rolling else 0
         self._keeper.keep(kept, lambda: self._forget(part))
 
     def _forget(self, part: int) -> None:
@@ -171,14 +173,14 @@ class Journal:
 
     @property
     def status(self) -> RecorderStatus | None:
-        return self._recorder.status if self._recorder else None
+        return self.recorder.status if self.recorder else None
 
     def close(self, *, well: bool) -> None:
         """End the recording. After a session that ended `well` there is nothing to resume."""
         if self._keeper:
             self._keeper.wait()
-        if self._recorder:
-            self._recorder.close()
+        if self.recorder:
+            self.recorder.close()
         if self._keeper and well:
             self._keeper.discard()
             if self._graph.recording.rolling and self.folder is not None:

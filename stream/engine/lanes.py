@@ -97,7 +97,7 @@ class Lanes:
         """From now on, leave out what a log says was dropped; `indices` says how far each queue had come. Nothing: the log ends here."""
         for name, index in indices.items():
             if name in self.channels:
-                self.channels[name].start_at(index)
+                self.channels[name].index = index
             drops.setdefault(name, Drops()).index = index
         self._repeated = drops
 

@@ -9,7 +9,6 @@ the graph a function of that.
 
 from __future__ import annotations
 
-import threading
 import time
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -17,9 +16,10 @@ from time import perf_counter_ns
 
 import structlog
 
-from stream.chunk import FOREVER, NEVER, NS, Chunk, empty
+from stream.chunk import FOREVER, NEVER, Chunk, empty
 from stream.engine.channel import Channel, Doorbell
 from stream.engine.clock import SessionClock
+from stream.engine.door import Turn, door
 from stream.engine.drops import KIND as DROPPED
 from stream.engine.intake import CommonStart, Intake, promises
 from stream.engine.journal import Former, Journal
@@ -38,9 +38,6 @@ from stream.operator import Outlet
 from stream.source import Source
 
 TICK_S = 0.2
-LONG_NS = 1_000_000
-LONG_OFTEN = 3
-"""Work longer than LONG_NS so often in a row would keep a source from its device: for a second, its chunks are queued."""
 METRICS_S = 1.0
 
 log = structlog.get_logger(__name__)
@@ -69,8 +66,8 @@ class Session:
         self.clock = SessionClock(after=self._former.last_time if self._former else NEVER)
         self._bell: Doorbell = SimpleQueue()
         self._put_aside: list[Channel] = []
-        self._turn = threading.Lock()
-        self._stopping = self._over = self._closing = False
+        self._turn = Turn()
+        self._stopping = self._over = self._ending = False
         self._error: Exception | None = None
         self._down = False
         self._ran_s = 0.0
@@ -154,7 +151,7 @@ class Session:
         done = self._former.recorded(channel.name) if self._former else 0
         intake = Intake(channel.name, runner, output, wire, self.journal.add_input(channel.name, wire.spec, done))
         channel.owner = intake
-        channel.at_once = self._at_once
+        runner.doors[output] = door(intake, self.journal, self._turn, self._bell, self._fail)
         channel.on_drop = lambda _, n: self.journal.report("source queue dropped", stream=channel.name, samples=n)
         return intake
 
@@ -177,7 +174,7 @@ class Session:
             if now < tick:
                 continue
             tick = now + TICK_S
-            with self._turn:
+            with self._turn.lock:
                 self._look_after(now)
                 if now >= metrics:
                     metrics = now + METRICS_S
@@ -206,7 +203,7 @@ class Session:
             if not isinstance(token, Channel):
                 return
             channel = token
-        with self._turn:
+        with self._turn.lock:
             if (item := channel.take()) is None:
                 return
             if not isinstance(channel.owner, Intake):
@@ -214,28 +211,13 @@ class Session:
             elif self._start.done:
                 self._enter(channel.owner, *item)
             else:
-                for held in self._start.pass_on(channel.owner, *item):
-                    self._enter(*held)
+                self._let_in(self._start.pass_on(channel.owner, *item))
 
-    def _at_once(self, channel: Channel, chunk: Chunk, arrival: int) -> bool:
-        """On a source's thread: work through what it brings, if nothing waits and nobody has the turn; else it must queue."""
-        if arrival < channel.queue_until or not self._bell.empty() or not self._turn.acquire(False):
-            return False
-        try:
-            if not self._start.done or self._closing or self._error:
-                return False
-            self._enter(channel.owner, chunk, arrival)
-        except Exception as error:  # noqa: BLE001 - it is the graph's, not the source's: it ends the run
-            self._fail(error)
-        finally:
-            self._turn.release()
-        if self._over:
-            self._bell.put(None)
-        self.journal.lull()
-        channel.long = channel.long + 1 if self.clock.now() - arrival > LONG_NS else 0
-        if channel.long == LONG_OFTEN:
-            channel.long, channel.queue_until = 0, arrival + NS
-        return True
+    def _let_in(self, held: list[tuple[Intake, Chunk, int]]) -> None:
+        """What may enter before and at the common start; from then on sources have doors of their own."""
+        for entry in held:
+            self._enter(*entry)
+        self._turn.open = self._start.done and not self._ending
 
     def _enter(self, intake: Intake, chunk: Chunk, arrival: int) -> None:
         """A source's chunk enters the graph, and all that it leads to is done."""
@@ -266,8 +248,7 @@ class Session:
         self.pipeline.fold()
         if not self._start.done:
             self._start.check_deadlines()
-            for held in self._start.release():
-                self._enter(*held)
+            self._let_in(self._start.release())
         for runner in self._runners:
             runner.watch()
         if self._start.done:
@@ -300,6 +281,7 @@ class Session:
     def _fail(self, error: Exception) -> None:
         """From any thread: the run ends with this error."""
         self._error = self._error or error
+        self._ending, self._turn.open = True, False
         self._bell.put(None)
 
     def _lane_dropped(self, queue: str, first: int, samples: int) -> None:
@@ -310,8 +292,8 @@ class Session:
     def _finish(self) -> None:
         """Stop the sources, work through what had arrived, close every operator and file; each even if another fails."""
         self._down = any(r.state == "failed" or (r.error and not r.ready) for r in self._runners)
-        with self._turn:
-            self._closing = True
+        with self._turn.lock:
+            self._ending, self._turn.open = True, False
         for runner in self._runners:
             runner.stop()
         if self._error is None:

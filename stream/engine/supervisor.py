@@ -7,12 +7,12 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import structlog
 
-from stream.chunk import FOREVER, NEVER, NS, STAMP, Chunk, Times, empty, utc
+from stream.chunk import FOREVER, NS, STAMP, Chunk, empty, utc
 from stream.engine.channel import Channel, Doorbell
 from stream.engine.clock import SessionClock
 from stream.errors import DeviceError, KinegraphError, RunError
@@ -29,24 +29,15 @@ GRACE_S = 2.0
 State = Literal["starting", "running", "failed", "ended", "stopped"]
 Report = Callable[..., None]
 """report(kind, **facts): something that belongs into the log and the recording."""
+Door: TypeAlias = Callable[[Chunk], bool]
+"""Whether a chunk has gone into the graph and all that it leads to is done; else nothing has been done."""
 
 log = structlog.get_logger(__name__)
 
 
-FEW = 64
-
-
-def _newest(times: Times) -> int | None:
-    """The newest of some stamps; None where they decrease anywhere. A few are looked at in Python, which after a pause, when numpy has
-    left the processor's caches, is much faster."""
-    if len(times) > FEW:
-        return None if 1 in (times[1:] < times[:-1]).tobytes() else times.item(-1)
-    newest = NEVER
-    for stamp in times.tolist():
-        if stamp < newest:
-            return None
-        newest = stamp
-    return newest
+def closed(chunk: Chunk) -> bool:
+    """The door of a source that nobody has opened a graph for."""
+    return False
 
 
 class _StopReadingError(Exception):
@@ -96,15 +87,19 @@ class _Feed:
     def emit(self, chunk: Chunk, output: str = "out") -> None:
         if self._over:
             raise _StopReadingError
+        if self._unmarked or not self._runner.doors[output](chunk):
+            self._queue(chunk, output)
+
+    def _queue(self, chunk: Chunk, output: str) -> None:
+        """The long way: the chunk is put in order and waits for the graph's thread."""
         now = time.monotonic_ns()
         runner = self._runner
         chunk = runner.normal(chunk, output)
-        if self._unmarked and len(chunk.time) and output in self._unmarked:
+        if len(chunk.time) and output in self._unmarked:
             self._unmarked.discard(output)
             chunk.lost = chunk.lost or -1
         runner.last_alive = now / NS
-        if not runner.ready or runner.state == "starting":
-            runner.came_alive()
+        runner.came_alive()
         runner.channels[output].put(chunk, runner.clock.at(now))
 
 
@@ -112,6 +107,7 @@ class Runner:
     """A source node at work.
 
     channels   per output, the queue to the graph's thread
+    doors      per output, the short way past it
     problems   what the source counted, by kind
     openings   how often the source was opened
     """
@@ -128,6 +124,7 @@ class Runner:
             output: Channel(str(Edge(node.name, output)), bell, options.queue, options.policy or "block")
             for output in node.specs
         }
+        self.doors: dict[str, Door] = dict.fromkeys(node.specs, closed)
         self.mailbox: SimpleQueue[str | None] = SimpleQueue()
         self.problems: Counter[str] = Counter()
         self.state: State = "starting"
@@ -199,21 +196,16 @@ class Runner:
         """The chunk as operators expect it: declared shape and dtype, contiguous, writable, times not decreasing."""
         spec = self.node.specs[output]
         times, data = chunk.time, chunk.data
-        if times.__class__ is not np.ndarray or times.dtype is not STAMP or not times.flags.carray:
-            times = np.require(times, STAMP, ["C", "A", "W"])
-        if data.__class__ is not np.ndarray or data.dtype is not spec.dtype or not data.flags.carray:
-            data = np.require(data, spec.dtype, ["C", "A", "W"])
+        times = np.require(times, STAMP, ["C", "A", "W"])
+        data = np.require(data, spec.dtype, ["C", "A", "W"])
         n = len(times)
         if data.shape != (n, *spec.shape):
             raise DeviceError(
                 f"source {self.node.name!r} gave samples of shape {data.shape[1:]}; its spec says {spec.shape}"
             )
-        until = chunk.until
-        newest = _newest(times)
-        if newest is None:
+        if n and (np.diff(times) < 0).any():
             times, data = self._in_order(times, data)
-            newest = int(times[-1])
-        return Chunk(times, data, until if until > newest else newest, chunk.lost)
+        return Chunk(times, data, max(chunk.until, int(times[-1])) if n else chunk.until, chunk.lost)
 
     def _in_order(self, times: Any, data: Any) -> tuple[Any, Any]:
         keep = times >= np.maximum.accumulate(times)

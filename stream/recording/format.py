@@ -36,6 +36,7 @@ Kept: TypeAlias = Literal["whole", "image", "packed", "outline"]
 
 HEAD = struct.Struct("<IIq")
 """Chunks, samples, cumulative index of the first sample."""
+INT = np.dtype("<i8")
 COLUMNS = 5
 """Per chunk: samples, until, lost, arrival, sequence (int64 each)."""
 
@@ -48,28 +49,28 @@ class Entry(NamedTuple):
     sequence: int
 
 
-def encode(spec: StreamSpec, entries: Sequence[Entry], first: int, kept: Kept = "whole") -> bytes:
+Logged: TypeAlias = tuple[Chunk, int, int]
+"""The same as a plain tuple, which the recorder's writers make."""
+
+
+def encode(spec: StreamSpec, entries: Sequence[Logged], first: int, kept: Kept = "whole") -> bytes:
     """One message: HEAD, the table (chunks, 5), the stamps (n,), the samples (n, *shape) as the spec's dtype lays them out.
 
     Depth frames are messages of their own, before this one, and are left out here; so is what is not kept.
     """
-    rows = [(len(e.chunk.time), e.chunk.until, e.chunk.lost, e.arrival, e.sequence) for e in entries]
+    rows = [(len(chunk.time), chunk.until, chunk.lost, arrival, sequence) for chunk, arrival, sequence in entries]
     head = HEAD.pack(len(rows), sum(row[0] for row in rows), first)
-    parts: list[Any] = [head, np.array(rows, "<i8")]
-    parts += [np.ascontiguousarray(e.chunk.time, "<i8") for e in entries]
+    table, stamps = np.array(rows, INT), np.concatenate([chunk.time for chunk, _, _ in entries])
+    parts: list[Any] = [head, table, stamps.astype(INT, copy=False)]
     if kept == "outline":
         return b"".join(parts)
-    dtype, shape = spec.dtype, spec.shape
-    for e in entries:
-        data = e.chunk.data
-        if len(data) != len(e.chunk.time) or data.shape[1:] != shape:
-            raise ValueError(f"samples of shape {data.shape[1:]} in a stream of shape {shape}")
-        if kept != "whole":
-            continue
-        if dtype.names:
-            parts.append(data.astype(dtype, copy=False).tobytes())
-        else:
-            parts.append(np.ascontiguousarray(data, dtype))
+    for (chunk, _, _), row in zip(entries, rows, strict=True):
+        if len(chunk.data) != row[0] or chunk.data.shape[1:] != spec.shape:
+            raise ValueError(f"samples of shape {chunk.data.shape[1:]} in a stream of shape {spec.shape}")
+    if kept == "whole":
+        samples = np.concatenate([chunk.data for chunk, _, _ in entries]) if len(entries) > 1 else entries[0][0].data
+        samples = samples.astype(spec.dtype, copy=False)
+        parts.append(samples.tobytes() if spec.dtype.names else np.ascontiguousarray(samples))
     return b"".join(parts)
 
 
@@ -86,9 +87,9 @@ class Table(NamedTuple):
 def table(body: bytes | memoryview) -> Table:
     """The tables of a message, without its samples. The arrays are views of `body`."""
     chunks, samples, first = HEAD.unpack_from(body)
-    rows = np.frombuffer(body, "<i8", chunks * COLUMNS, HEAD.size).reshape(chunks, COLUMNS)
+    rows = np.frombuffer(body, INT, chunks * COLUMNS, HEAD.size).reshape(chunks, COLUMNS)
     start = HEAD.size + rows.nbytes
-    return Table(rows, np.frombuffer(body, "<i8", samples, start), first, start + 8 * samples)
+    return Table(rows, np.frombuffer(body, INT, samples, start), first, start + 8 * samples)
 
 
 def decode(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from stream.chunk import StreamSpec
-from stream.recording.format import Entry, Kept
+from stream.recording.format import Kept, Logged
 
 OVERHEAD = 400
 """Bytes that a waiting chunk takes beside its samples."""
@@ -46,7 +46,7 @@ class Lane:
     missed: int = 0
     got: int = 0
     index: int = 0
-    pending: list[Entry] = field(default_factory=list)
+    pending: list[Logged] = field(default_factory=list)
     first: int = 0
     kept: Kept = "whole"
     track: int = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Event, Thread
@@ -14,7 +15,7 @@ import structlog
 from stream.chunk import NS, Chunk, StreamSpec
 from stream.errors import RecordingError
 from stream.graph import RecordingOptions
-from stream.recording.format import LOG, METRICS, Entry, Kept, Role, dump, encode, encode_log
+from stream.recording.format import LOG, METRICS, Kept, Logged, Role, dump, encode, encode_log
 from stream.recording.image import encode_image, is_frames
 from stream.recording.lane import OVERHEAD, Lane, RecorderStatus
 from stream.recording.packed import Packer
@@ -27,14 +28,16 @@ SPOOL_BYTES = 4 << 20
 """Beyond this many bytes in memory the disk is written at once."""
 ROUND_BYTES = 1 << 20
 """Beyond this many bytes of samples the gathering ends early."""
-TURNS = 4
-"""So often within `flush_s` the recorder's thread wakes; what came is on the disk at the latest after so many turns."""
+TURN = 0.8
+"""So much of `flush_s` the recorder's thread sleeps, unless much comes; then it writes all that came."""
 PATIENCE_S = 0.02
 """How long the recorder waits for a moment at which the session has nothing to do."""
 SYNC_S = 2.0
 """How often the file is forced to the disk itself, for the case of a power cut."""
 NOTHING = np.empty(0)
 """Stands for samples that are not kept; a view of them would hold them in memory."""
+STREAMS = 2
+"""The number of the first stream, after the log and the metrics."""
 FLUSH = -1
 """Stands for a stream's number where everything must be written now."""
 GRACE_S = 5.0
@@ -64,9 +67,10 @@ class Recorder:
         (with `resume`, a further part is added to it).
         """
         self._path, self._options = path, options
-        self._wait, self._limit, self._share = wait, queue_bytes, queue_bytes
+        self._wait, self._limit = wait, queue_bytes
+        self._share = self._much = 0
         self._lanes = [Lane(LOG), Lane(METRICS)]
-        self._queue: SimpleQueue[tuple[int, Any, int, int, int]] = SimpleQueue()
+        self._queue: SimpleQueue[tuple[int, tuple[Any, int, int], int]] = SimpleQueue()
         self._latest = self._done = 0
         self._batch = self._opened = self._newest = self._gathered = 0
         self._error = ""
@@ -76,7 +80,9 @@ class Recorder:
         self._lock, number = claim(path, resume=resume)
         self._tape = Tape(path, number, header, options)
         self._due = self._sync_due = time.monotonic()
-        self._stop, self._lull = Event(), Event()
+        self._gather_ns = round(options.gather_s * NS)
+        self._stopping = False
+        self._wake, self._lull = Event(), Event()
         self.patient = False
         """Whether the recorder's work is due, and waits a little for a lull in the session's."""
         self._thread = Thread(target=self._run, name="recorder", daemon=True)
@@ -104,7 +110,8 @@ class Recorder:
         if kept == "packed" and self._packer is None:
             self._packer = Packer()
         self._lanes.append(lane)
-        self._share = self._limit // (len(self._lanes) - 2)
+        self._share = self._limit // (len(self._lanes) - STREAMS)
+        self._much = min(SPOOL_BYTES, self._share // 4)
         return len(self._lanes) - 1
 
     def write(self, stream: int, chunk: Chunk, arrival: int, sequence: int) -> None:
@@ -112,14 +119,14 @@ class Recorder:
         lane = self._lanes[stream]
         if lane.kept == "outline":
             chunk = Chunk(chunk.time, NOTHING, chunk.until, chunk.lost)
-        if lane.put - lane.got > self._share and self._is_full() and not self._wait_for_room():
+        if lane.put - lane.got > self._much and not self._has_room(lane):
             lane.dropped += 1
             lane.missed += len(chunk.time)
             return
         lane.put += chunk.data.nbytes + OVERHEAD
         if arrival > self._latest:
             self._latest = arrival
-        self._queue.put((stream, chunk, arrival, sequence, lane.missed))
+        self._queue.put((stream, (chunk, arrival, sequence), lane.missed))
         if lane.missed:
             lane.missed = 0
 
@@ -137,7 +144,12 @@ class Recorder:
             lane.dropped += 1
             return
         lane.put += OVERHEAD
-        self._queue.put((topic, what, time, 0, 0))
+        self._queue.put((topic, (what, time, 0), 0))
+
+    def _has_room(self, lane: Lane) -> bool:
+        """Much of a stream waits: the recorder is woken; whether there is still room for more."""
+        self._wake.set()
+        return lane.put - lane.got <= self._share or not self._is_full() or self._wait_for_room()
 
     def _is_full(self) -> bool:
         return sum(lane.put - lane.got for lane in self._lanes) > self._limit
@@ -174,12 +186,14 @@ class Recorder:
     def flush(self, timeout_s: float = 5.0) -> bool:
         """Wait until everything handed over so far is on the disk itself; returns whether it is. Not for the graph's thread."""
         done = Event()
-        self._queue.put((FLUSH, done, 0, 0, 0))
+        self._queue.put((FLUSH, (done, 0, 0), 0))
+        self._wake.set()
         return done.wait(timeout_s)
 
     def close(self) -> None:
         """Write what is left and the end, and wait for it; a disk that refuses is given up after some seconds."""
-        self._stop.set()
+        self._stopping = True
+        self._wake.set()
         self._thread.join()
         give_back(self._path, self._lock)
 
@@ -199,8 +213,10 @@ class Recorder:
     def _run(self) -> None:
         ended = False
         try:
-            while not self._stop.wait(0.01 if self._wait else self._options.flush_s / TURNS):
-                if not self._wait:
+            while not self._stopping:
+                self._wake.wait(0.01 if self._wait else self._options.flush_s * TURN)
+                self._wake.clear()
+                if not self._wait and not self._stopping:
                     self._await_lull()
                 self._turn()
             self._turn(last=True)
@@ -221,55 +237,66 @@ class Recorder:
 
     def _turn(self, *, last: bool = False) -> None:
         """Take what has come, make messages of it, and write when it is time."""
+        take, get = self._take, self._queue.get_nowait
         while True:
             try:
-                item = self._queue.get_nowait()
+                number, what, missed = get()
             except Empty:
                 break
-            self._take(*item)
-        if last or not self._wait:
+            take(number, what, missed)
+        if not self._wait or last:
             self._round()
         self._report_drops(over=last)
         now = time.monotonic()
-        if now >= self._due or last:
+        if not self._wait or last or now >= self._due:
             self._save()
-            self._due = now + self._options.flush_s * (1 - 1.5 / TURNS)
+            self._due = now + self._options.flush_s * TURN
 
-    def _take(self, number: int, what: Any, arrival: int, sequence: int, missed: int) -> None:
-        if number == FLUSH:
-            self._round()
-            self._sync_due = 0.0
-            self._save()
-            what.set()
+    def _take(self, number: int, what: tuple[Any, int, int], missed: int) -> None:
+        if number < STREAMS:
+            self._take_other(number, what)
             return
         lane = self._lanes[number]
-        if lane.spec is None:
-            lane.got += OVERHEAD
-            body = dump({"time": arrival, "table": what}) if number else encode_log(what[0], arrival, what[1])
-            self._tape.add(number, arrival, arrival, self._batch, body)
-            return
-        self._done = self._done or arrival  # until something is on the disk, all since the first chunk is behind
-        now = self._newest = max(arrival, self._newest)
-        if self._gathered and (now - self._opened >= self._options.gather_s * NS or self._gathered > ROUND_BYTES):
-            self._round()
+        chunk, arrival, _ = what
+        if arrival > self._newest:
+            self._newest = arrival
+        now = self._newest
         if not self._gathered:
+            self._opened = now
+            self._done = self._done or arrival  # until something is on the disk, all since the first chunk is behind
+        elif now - self._opened >= self._gather_ns or self._gathered > ROUND_BYTES:
+            self._round()
             self._opened = now
         if missed:
             self._message(number)
             lane.index += missed
-        if not lane.pending:
+        pending = lane.pending
+        if not pending:
             lane.first = lane.index
-        lane.pending.append(Entry(what, arrival, sequence))
-        lane.index += len(what.time)
-        size = what.data.nbytes + OVERHEAD
+        pending.append(what)
+        lane.index += len(chunk.time)
+        size = chunk.data.nbytes + OVERHEAD
         lane.got += size
         self._gathered += size
+
+    def _take_other(self, number: int, what: tuple[Any, int, int]) -> None:
+        """A line of the log, the metrics, or a wish that everything be written now."""
+        content, arrival, _ = what
+        if number == FLUSH:
+            self._round()
+            self._sync_due = 0.0
+            self._save()
+            content.set()
+            return
+        self._lanes[number].got += OVERHEAD
+        body = dump({"time": arrival, "table": content}) if number else encode_log(content[0], arrival, content[1])
+        self._tape.add(number, arrival, arrival, self._batch, body)
 
     def _round(self) -> None:
         """Make one message per stream of what was gathered; all of them bear one batch number, so that readers can sort them."""
         if not self._gathered:
             return
-        for number in range(2, len(self._lanes)):
+        for number in range(STREAMS, len(self._lanes)):
             self._message(number)
         self._gathered = 0
         self._batch += 1
@@ -288,12 +315,13 @@ class Recorder:
             self._note("not recorded", level="error", stream=lane.name, error=str(error))
             lane.refused += len(entries)
             return
-        stamp = int(entries[0].chunk.time[0]) if len(entries[0].chunk.time) else entries[0].arrival
+        chunk, arrival, _ = entries[0]
+        stamp = int(chunk.time[0]) if len(chunk.time) else arrival
         if lane.frames:
             self._frames(lane, entries)
-        self._tape.add(lane.track, entries[-1].arrival or self._newest, stamp, self._batch, body)
+        self._tape.add(lane.track, entries[-1][1] or self._newest, stamp, self._batch, body)
 
-    def _frames(self, lane: Lane, entries: list[Entry]) -> None:
+    def _frames(self, lane: Lane, entries: Sequence[Logged]) -> None:
         """Frames go before the table of their chunks."""
         index = lane.first
         for chunk, arrival, _ in entries:
@@ -313,10 +341,9 @@ class Recorder:
                 break
             except OSError as error:
                 self._fail(error)
-                if self._stop.is_set() and now > since + GRACE_S:
+                if self._stopping and now > since + GRACE_S:
                     raise
-            if self._stop.wait(pause):
-                time.sleep(0.1)
+            time.sleep(min(pause, 0.1) if self._stopping else pause)
             pause = min(pause * 1.5, 5.0)
         self._sync_due = now + SYNC_S if now >= self._sync_due else self._sync_due
         self._done = self._latest if self._queue.empty() else self._opened

@@ -43,22 +43,24 @@ class RecordedStream:
 
     def count(self, message: Table) -> None:
         """Take a further message into account."""
-        rows, times, first, _ = message
+        table, times, first, _ = message
+        rows = table.tolist()
         if self.chunks and first > self.end:
             self.dropped += first - self.end
             self.gaps += 1
         elif not self.chunks:
             self.begin = first
-        lost = rows[:, 2]
-        self.gaps += int((lost != 0).sum())
-        self.lost += int(lost[lost > 0].sum())
+        for _, _, lost, _, _ in rows:
+            if lost:
+                self.gaps += 1
+                self.lost += max(lost, 0)
         self.chunks += len(rows)
         self.samples += len(times)
         self.end = first + len(times)
         if len(times):
             self.first = int(times[0]) if self.first is None else self.first
             self.last = int(times[-1])
-        self.until, self.last_arrival, self.last_sequence = int(rows[-1, 1]), int(rows[-1, 3]), int(rows[-1, 4])
+        _, self.until, _, self.last_arrival, self.last_sequence = rows[-1]
 
     def follow(self, part: RecordedStream) -> None:
         """Take a further part of the recording into account."""
