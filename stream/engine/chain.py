@@ -11,6 +11,7 @@ as in a replay, times one passage in eight or so: after each that was timed, as 
 
 from __future__ import annotations
 
+from itertools import chain
 from time import perf_counter_ns
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ import numpy as np
 
 from stream.chunk import Chunk
 from stream.engine.link import Link, Push, failure
+from stream.engine.metrics import add
 
 if TYPE_CHECKING:
     from stream.engine.wire import Wire
@@ -57,9 +59,9 @@ class Chain:
                 continue
             taken = noted[:]
             del noted[: len(taken)]
-            durations = np.diff(np.array(taken, np.int64), axis=1)
-            for link, ns in zip(self._links, durations.T, strict=False):
-                link.timing.add(ns)
+            times = np.fromiter(chain.from_iterable(taken), np.int64).reshape(len(taken), -1)
+            durations = times[:, 1:] - times[:, :-1]
+            add(durations.T, [link.timing for link in self._links[: durations.shape[1]]])
 
     def _written(self) -> list[str]:
         lines = [

@@ -49,6 +49,7 @@ def door(intake: Intake, journal: Journal, turn: Turn, bell: Doorbell, fail: Cal
     dtype, shape = wire.spec.dtype, wire.spec.shape
     array, acquire, release, nothing_rings = np.ndarray, turn.lock.acquire, turn.lock.release, bell.empty
     write, recorder, offset = journal.writer(intake.number), journal.recorder, runner.clock.at(0)
+    awaited = intake.awaited
     whole: tuple[int, ...] = (0, *shape)
     long = queue_until = 0
 
@@ -83,6 +84,8 @@ def door(intake: Intake, journal: Journal, turn: Turn, bell: Doorbell, fail: Cal
                 return False
             runner.last_alive = intake.last = (arrival - offset) / NS
             intake.silent = intake.stale = False
+            if not (n or awaited or chunk.lost):
+                return True
             intake.promised = until
             channel.index += n
             channel.chunks += 1

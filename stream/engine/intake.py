@@ -42,12 +42,19 @@ class Intake:
     def ended(self) -> bool:
         return self.promised == FOREVER
 
+    @property
+    def awaited(self) -> bool:
+        """Whether anybody waits for what time brings here. Where nobody does, only samples are let in."""
+        return bool(self.wire.readers)
+
     def admit(self, chunk: Chunk, report: Callable[..., None]) -> Chunk | None:
         """The chunk as it may enter: without late samples, its `until` never going back; None if it says nothing new."""
         self.last = time.monotonic()
         self.silent = self.stale = False
         if len(chunk.time) and chunk.time.item(0) <= self.promised:
             chunk = self._without_late(chunk, report)
+        if not (len(chunk.time) or chunk.lost or self.awaited or chunk.until == FOREVER):
+            return None
         if self.owed and len(chunk.time):
             chunk.lost, self.owed = add_lost(self.owed, chunk.lost), 0
         if chunk.until <= self.promised:
@@ -67,7 +74,7 @@ class Intake:
             self.stale = True
             report("stream is stale", stream=self.stream, age_s=round(age_s, 2))
         until = now - int(options.patience_s * NS)
-        if not 0 < options.patience_s < age_s or until <= self.promised:
+        if not self.awaited or not 0 < options.patience_s < age_s or until <= self.promised:
             return None
         if not self.silent:
             self.silent = True

@@ -7,11 +7,12 @@ exact to 4.4 %. Where a graph runs without a rest, not every call is timed (`str
 from __future__ import annotations
 
 from array import array
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from stream.chunk import Array, Times
+from stream.chunk import Array
 
 BINS_PER_OCTAVE = 16
 BINS = 40 * BINS_PER_OCTAVE
@@ -22,17 +23,18 @@ FOLD_AT = 1024
 class Timing:
     """How long a node's calls took, as a histogram of ns.
 
-    durations   ns of calls that are not folded yet; links append to it
+    durations       ns of calls that are not folded yet; links append to it
+    recent, total   calls by duration, since the last reading and before it
     """
 
-    __slots__ = ("_recent", "_total", "calls", "durations", "longest_ns")
+    __slots__ = ("calls", "durations", "longest_ns", "recent", "total")
 
     def __init__(self) -> None:
         self.durations: array[int] = array("q")
         self.calls = 0
         self.longest_ns = 0
-        self._total = np.zeros(BINS, np.int64)
-        self._recent = np.zeros(BINS, np.int64)
+        self.total = np.zeros(BINS, np.int64)
+        self.recent = np.zeros(BINS, np.int64)
 
     def fold(self) -> None:
         """Move the durations into the histogram."""
@@ -40,38 +42,42 @@ class Timing:
             return
         taken = self.durations[:]
         del self.durations[: len(taken)]
-        self.add(np.frombuffer(taken, np.int64))
-
-    def add(self, ns: Times) -> None:
-        """Put durations into the histogram."""
-        self.calls += len(ns)
-        self.longest_ns = max(self.longest_ns, int(ns.max()))
-        bins = np.minimum((np.log2(np.maximum(ns, 1)) * BINS_PER_OCTAVE).astype(np.int64), BINS - 1)
-        self._recent += np.bincount(bins, minlength=BINS)
+        add(np.frombuffer(taken, np.int64)[None], [self])
 
     def read(self) -> dict[str, float]:
         """Quantiles in microseconds since the last reading (`p50_us`, `p99_us`) and since the start (`all_p50_us`, `all_p99_us`)."""
         self.fold()
-        self._total += self._recent
-        row = {
+        self.total += self.recent
+        p50, p99 = _quantiles(self.recent)
+        all_p50, all_p99 = _quantiles(self.total)
+        self.recent[:] = 0
+        return {
             "calls": self.calls,
-            "p50_us": _quantile(self._recent, 0.5),
-            "p99_us": _quantile(self._recent, 0.99),
-            "all_p50_us": _quantile(self._total, 0.5),
-            "all_p99_us": _quantile(self._total, 0.99),
+            "p50_us": p50,
+            "p99_us": p99,
+            "all_p50_us": all_p50,
+            "all_p99_us": all_p99,
             "longest_us": self.longest_ns / 1000,
         }
-        self._recent[:] = 0
-        return row
 
 
-def _quantile(histogram: Array, q: float) -> float:
-    """The upper middle of the bin that holds quantile `q`, in microseconds; 0 where nothing was measured."""
-    total = int(histogram.sum())
+def add(ns: Array, timings: Sequence[Timing]) -> None:
+    """Put durations (timings, calls) into the histograms of several nodes that were called as often."""
+    bins = np.minimum((np.log2(np.maximum(ns, 1)) * BINS_PER_OCTAVE).astype(np.int64), BINS - 1)
+    for timing, row, longest in zip(timings, bins, ns.max(axis=1).tolist(), strict=True):
+        timing.calls += len(row)
+        timing.longest_ns = max(timing.longest_ns, longest)
+        timing.recent += np.bincount(row, minlength=BINS)
+
+
+def _quantiles(histogram: Array) -> tuple[float, float]:
+    """The middle of the bins that hold the median and the 99th percentile, in microseconds; 0 where nothing was measured."""
+    below = np.cumsum(histogram)
+    total = int(below[-1])
     if not total:
-        return 0.0
-    i = int(np.searchsorted(np.cumsum(histogram), q * total))
-    return float(2 ** ((i + 0.5) / BINS_PER_OCTAVE) / 1000)
+        return 0.0, 0.0
+    p50, p99 = np.searchsorted(below, (0.5 * total, 0.99 * total)).tolist()
+    return 2 ** ((p50 + 0.5) / BINS_PER_OCTAVE) / 1000, 2 ** ((p99 + 0.5) / BINS_PER_OCTAVE) / 1000
 
 
 def rounded(row: dict[str, Any]) -> dict[str, Any]:

@@ -141,6 +141,8 @@ class Session:
             Runner(node, self._bell, self.clock, self.journal.report, self._fail) for node in self.graph.sources
         ]
         self._intakes = [self._intake(r, output) for r in self._runners for output in r.channels]
+        for runner in self._runners:
+            runner.awaited = any(i.awaited for i in self._intakes if i.runner is runner)
         for intake in self._intakes:
             intake.promised = checkpoint.promised.get(intake.stream, NEVER) if checkpoint else NEVER
         self.journal.tap_edges(self.pipeline)

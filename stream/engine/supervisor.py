@@ -23,6 +23,8 @@ FIRST_PAUSE_S = 0.25
 LONGEST_PAUSE_S = 10.0
 STEADY_S = 10.0
 """A source that ran for so long is given the first pause again."""
+UNAWAITED_S = 1.0
+"""A source that only listens for words need not say more often that there was none, where nobody waits for it."""
 GRACE_S = 2.0
 """How long a source that must stop may take before its thread is given up."""
 
@@ -74,7 +76,7 @@ class _Feed:
 
     def hear(self, timeout_s: float) -> str | None:
         try:
-            return self._runner.mailbox.get(timeout=timeout_s)
+            return self._runner.mailbox.get(timeout=timeout_s if self._runner.awaited else max(timeout_s, UNAWAITED_S))
         except Empty:
             return None
 
@@ -108,6 +110,7 @@ class Runner:
 
     channels   per output, the queue to the graph's thread
     doors      per output, the short way past it
+    awaited    whether anybody waits for what this source says
     problems   what the source counted, by kind
     openings   how often the source was opened
     """
@@ -125,6 +128,7 @@ class Runner:
             for output in node.specs
         }
         self.doors: dict[str, Door] = dict.fromkeys(node.specs, closed)
+        self.awaited = True
         self.mailbox: SimpleQueue[str | None] = SimpleQueue()
         self.problems: Counter[str] = Counter()
         self.state: State = "starting"
