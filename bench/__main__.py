@@ -1,4 +1,4 @@
-"""`python -m bench`, or `make bench`: all figures in one run, interleaved; the table goes into the README where it is asked for."""
+"""`python -m bench`, or `make bench`: all figures in one run, interleaved; they go into the README and the docs where asked for."""
 
 from __future__ import annotations
 
@@ -9,13 +9,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 from bench import depth, devices, lsl, mti, paced, recorder, replay, sleep, start, throughput
 from bench.engines import Field
-from bench.report import Section, into_page, whole
+from bench.report import Section, publish, whole
 
-README = Path(__file__).resolve().parent.parent / "README.md"
 BUSY = 0.5
 """Beyond this load average at the start, the report says that the machine was busy."""
 ENGINES = ("overhead", "chain", "sizes", "paced")
@@ -33,7 +31,9 @@ def main() -> None:
     parser.add_argument("--no-peers", action="store_true", help="kinegraph and the bare loops alone")
     parser.add_argument("--quick", action="store_true", help="tiny sizes: to see that it works, not for figures")
     parser.add_argument("--hours", type=float, default=10.0, help="of the replayed recording")
-    parser.add_argument("--readme", action="store_true", help="write the report into the README")
+    parser.add_argument(
+        "--readme", action="store_true", help="write the goals into the README, the tables into docs/performance.md"
+    )
     given = parser.parse_args()
     only = DEVICES if given.devices else given.only
     began, load = time.monotonic(), os.getloadavg()[0]
@@ -43,10 +43,10 @@ def main() -> None:
             if name in only:
                 print(f"{name} ...", file=sys.stderr, flush=True)
                 sections += measure()
-        text = whole(sections, about(field, load, time.monotonic() - began))
-    print(text)
+        told = about(field, load, time.monotonic() - began)
+    print(whole(sections, told))
     if given.readme:
-        into_page(README, text)
+        publish(sections, told, "performance.md")
 
 
 def measures(field: Field, *, quick: bool, hours: float) -> dict[str, Callable[[], list[Section]]]:

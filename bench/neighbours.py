@@ -15,13 +15,12 @@ import resource
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from llvmlite.binding import get_host_cpu_features
 
-from bench.report import Goal, Section, into_page, marks, short, whole
+from bench.report import Goal, Section, marks, publish, short, whole
 from operators.neighbours import Index
 from operators.neighbours.follow import follow
 from stream.chunk import Array
@@ -322,12 +321,9 @@ def main() -> None:
     given = parser.parse_args()
     section = measure(0.5 if given.quick else 4.0, quick=given.quick)
     name = "bench.neighbours"
-    text = whole([section], f"By `python -m {name}`.")
-    print(text)
+    print(whole([section], f"By `python -m {name}`."))
     if given.write:
-        house = Path(__file__).resolve().parent.parent
-        into_page(house / "README.md", text, *marks(name))
-        into_page(house / "docs" / "neighbours.md", section.markdown(), *marks(name))
+        publish([section], f"By `python -m {name}`.", "neighbours.md", *marks(name))
 
 
 if __name__ == "__main__":

@@ -1,10 +1,11 @@
-"""What a measure gives back, and how it is shown: Markdown, goals reached or not, between two marks in the README."""
+"""What a measure gives back, and how it is shown: goals, reached or not, in the README; all tables in a page of the docs."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
 
+HOUSE = Path(__file__).resolve().parent.parent
 BEGIN = "<!-- bench: begin (written by `make bench`) -->"
 END = "<!-- bench: end -->"
 
@@ -58,16 +59,26 @@ def short(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
+def goals(sections: list[Section], about: str) -> str:
+    """What was promised, and what was reached."""
+    rows = [goal.row() for section in sections for goal in section.goals]
+    return "\n\n".join([about, *([table(["goal", "reached", "promised", "kept"], rows)] if rows else [])])
+
+
+def tables(sections: list[Section]) -> str:
+    """All tables, one below the other."""
+    return "\n\n".join(section.markdown() for section in sections)
+
+
 def whole(sections: list[Section], about: str) -> str:
-    """The whole report: the goals first, then the tables, folded."""
-    goals = [goal.row() for section in sections for goal in section.goals]
-    parts = [about]
-    if goals:
-        parts.append(table(["goal", "reached", "promised", "kept"], goals))
-    tables = [section.markdown() for section in sections]
-    if goals:
-        tables = ["<details><summary>All tables</summary>", *tables, "</details>"]
-    return "\n\n".join([*parts, *tables])
+    """The whole report, for the terminal."""
+    return f"{goals(sections, about)}\n\n{tables(sections)}"
+
+
+def publish(sections: list[Section], about: str, page: str, begin: str = BEGIN, end: str = END) -> None:
+    """Write the goals into the README and all tables into a page of the docs."""
+    into_page(HOUSE / "README.md", goals(sections, about), begin, end)
+    into_page(HOUSE / "docs" / page, tables(sections), begin, end)
 
 
 def into_page(page: Path, text: str, begin: str = BEGIN, end: str = END) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from bench import batch
 from bench.bundling import bundling
 from bench.motion import RATE, Series, events, kinect, poses, regular, segment
-from bench.report import Goal, Section, into_page, marks, whole
+from bench.report import Goal, Section, marks, publish, whole
 from bench.segmentation_speed import speed
 from bench.sides import sides
 from bench.surrogates import surrogates
@@ -269,12 +269,9 @@ def main() -> None:
     given = parser.parse_args()
     sections = [speed(quick=given.quick)] if given.speed else accuracy(quick=given.quick)
     name = "bench.segmentation" + (" --speed" if given.speed else "")
-    text = whole(sections, f"By `python -m {name}`.")
-    print(text)
+    print(whole(sections, f"By `python -m {name}`."))
     if given.write:
-        into_page(HOUSE / "README.md", text, *marks(name))
-        tables = "\n\n".join(section.markdown() for section in sections)
-        into_page(HOUSE / "docs" / "segmentation.md", tables, *marks(name))
+        publish(sections, f"By `python -m {name}`.", "segmentation.md", *marks(name))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from bench.__main__ import MEASURES
-from bench.report import BEGIN, END, Goal, Section, into_page, short, whole
+from bench.report import BEGIN, END, Goal, Section, goals, into_page, short
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -42,7 +42,7 @@ def test_a_report_replaces_the_one_before(tmp_path: Path) -> None:
     readme = tmp_path / "README.md"
     readme.write_text("# kinegraph\n\nText.\n", encoding="utf-8")
     for reached in (3.0, 2.0):
-        into_page(readme, whole([Section("Title", goals=[Goal("speed", reached, 2.5, "us")])], "About."))
+        into_page(readme, goals([Section("Title", goals=[Goal("speed", reached, 2.5, "us")])], "About."))
     text = readme.read_text(encoding="utf-8")
     assert text.startswith("# kinegraph\n\nText.\n")
     assert (text.count(BEGIN), text.count(END)) == (1, 1)
