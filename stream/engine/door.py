@@ -1,6 +1,6 @@
 """A source's door into the graph: the short way, for what comes most.
 
-A chunk in normal arrays, in order and on time, is worked through on its source's own thread while nothing waits and nobody else has the
+A chunk in order and on time is worked through on its source's own thread while nothing waits and nobody else has the
 turn: to wake another thread for it would cost more than most graphs' work. One thread works on the graph at a time, and in the order in
 which chunks came.
 
@@ -45,7 +45,8 @@ class Turn:
 
 def door(intake: Intake, journal: Journal, turn: Turn, bell: Doorbell, fail: Callable[[Exception], None]) -> Door:
     """The door for one output of a source; `fail` is told what the graph's operators raise."""
-    runner, wire, channel = intake.runner, intake.wire, intake.runner.channels[intake.output]
+    runner, wire, output = intake.runner, intake.wire, intake.output
+    channel = runner.channels[output]
     dtype, shape = wire.spec.dtype, wire.spec.shape
     array, acquire, release, nothing_rings = np.ndarray, turn.lock.acquire, turn.lock.release, bell.empty
     write, recorder, offset = journal.writer(intake.number), journal.recorder, runner.clock.at(0)
@@ -56,10 +57,16 @@ def door(intake: Intake, journal: Journal, turn: Turn, bell: Doorbell, fail: Cal
     def enter(chunk: Chunk) -> bool:
         nonlocal whole, long, queue_until
         time, data = chunk.time, chunk.data
-        if time.__class__ is not array or time.dtype is not STAMP or not time.flags.carray:
-            return False
-        if data.__class__ is not array or data.dtype is not dtype or not data.flags.carray:
-            return False
+        if (
+            time.__class__ is not array
+            or time.dtype is not STAMP
+            or not time.flags.carray
+            or data.__class__ is not array
+            or data.dtype is not dtype
+            or not data.flags.carray
+        ):
+            chunk = runner.tidy(chunk, output)
+            time, data = chunk.time, chunk.data
         n = len(time)
         if n != whole[0]:
             whole = (n, *shape)

@@ -196,20 +196,25 @@ class Runner:
             if self.state == "starting":
                 self.state = "running"
 
-    def normal(self, chunk: Chunk, output: str) -> Chunk:
-        """The chunk as operators expect it: declared shape and dtype, contiguous, writable, times not decreasing."""
+    def tidy(self, chunk: Chunk, output: str) -> Chunk:
+        """The chunk in the arrays that operators expect: declared shape and dtype, contiguous, writable. Raises DeviceError."""
         spec = self.node.specs[output]
-        times, data = chunk.time, chunk.data
-        times = np.require(times, STAMP, ["C", "A", "W"])
-        data = np.require(data, spec.dtype, ["C", "A", "W"])
-        n = len(times)
-        if data.shape != (n, *spec.shape):
+        times = np.require(chunk.time, STAMP, ["C", "A", "W"])
+        data = np.require(chunk.data, spec.dtype, ["C", "A", "W"])
+        if data.shape != (len(times), *spec.shape):
             raise DeviceError(
                 f"source {self.node.name!r} gave samples of shape {data.shape[1:]}; its spec says {spec.shape}"
             )
-        if n and (np.diff(times) < 0).any():
-            times, data = self._in_order(times, data)
-        return Chunk(times, data, max(chunk.until, int(times[-1])) if n else chunk.until, chunk.lost)
+        return Chunk(times, data, chunk.until, chunk.lost)
+
+    def normal(self, chunk: Chunk, output: str) -> Chunk:
+        """The chunk as operators expect it: tidy, times not decreasing, complete up to its last sample."""
+        chunk = self.tidy(chunk, output)
+        if (chunk.time[1:] < chunk.time[:-1]).any():
+            chunk.time, chunk.data = self._in_order(chunk.time, chunk.data)
+        if len(chunk.time):
+            chunk.until = max(chunk.until, int(chunk.time[-1]))
+        return chunk
 
     def _in_order(self, times: Any, data: Any) -> tuple[Any, Any]:
         keep = times >= np.maximum.accumulate(times)

@@ -1,0 +1,131 @@
+"""A source's door: whatever comes, the short way into the graph and the long one give the same."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import parts
+import pytest
+from parts import START
+
+from stream.chunk import Array, Chunk, Specs, StreamSpec
+from stream.engine import session as sessions
+from stream.engine.outcome import Outcome
+from stream.engine.session import Session
+from stream.engine.supervisor import closed
+from stream.graph.load import load_text
+from stream.params import param
+from stream.recording import Recording
+from stream.source import Feed, Source
+
+SPEC = StreamSpec((2,), rate_hz=1000.0, channels=("number", "wave"))
+SHAPES = ("as it should be", "a view", "float32", "read-only", "a list")
+
+
+@dataclass(frozen=True, slots=True)
+class Untidy(Source):
+    """Chunks that are late, run backwards, say nothing, or come in other arrays than they should."""
+
+    seed: int = param(0)
+
+    @property
+    def live(self) -> bool:
+        return False
+
+    def specs(self) -> Specs:
+        return {"out": SPEC}
+
+    def read(self, feed: Feed) -> None:
+        feed.emit(Chunk(np.array([START]), np.zeros((1, 2)), START))
+        feed.wait(0.4)  # by then the session has begun, and doors open
+        for chunk in chunks(self.seed):
+            feed.emit(chunk)
+            feed.wait(0.002)
+
+
+def chunks(seed: int) -> list[Chunk]:
+    random = np.random.default_rng(seed)
+    made, now = [], START + 1
+    for i in range(120):
+        n = int(random.integers(0, 4)) if random.random() < 0.8 else 100
+        times = now + np.sort(random.integers(0, 5 * n + 1, n))
+        kind = random.choice(("in order", "in order", "in order", "late", "backwards", "gap"))
+        if kind == "late":
+            times -= 40
+        elif kind == "backwards" and n > 2:
+            times[n // 2] -= 30
+        until = int(times.max(initial=now)) + int(random.integers(-3, 3))
+        numbers = np.stack([np.full(n, i), np.arange(n)], axis=1).astype(float)
+        made.append(Chunk(times, shaped(numbers, random.choice(SHAPES)), until, 5 if kind == "gap" else 0))
+        now = max(now, until + 1, *times.tolist())
+    return made
+
+
+def shaped(data: Array, shape: str) -> Any:
+    if shape == "a view":
+        return np.repeat(data, 2, axis=1)[:, ::2]
+    if shape == "read-only":
+        data.flags.writeable = False
+    return (
+        {"float32": data.astype(np.float32), "a list": data.reshape(-1, 2).tolist()}.get(shape, data)
+        if len(data)
+        else data
+    )
+
+
+NODES = """
+nodes:
+  board: {use: test_door.Untidy, seed: %d}
+  same: {use: parts.Identity, from: board}
+  out: {use: parts.Collect, from: same, policy: block}
+"""
+
+
+def run(seed: int, folder: Path) -> tuple[Outcome, list[tuple[Any, ...]]]:
+    """The outcome, and what entered the graph: every chunk with its place in the input log."""
+    parts.seen.clear()
+    outcome = Session(load_text(NODES % seed, path=str(Path(__file__))), folder).run()
+    with Recording.open(folder) as recording:
+        entered = [
+            (e.chunk.time.tolist(), e.chunk.data.tolist(), e.chunk.until, e.chunk.lost)
+            for e in recording.entries("board")
+        ]
+    return outcome, entered
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_both_ways_give_the_same(seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    taken: list[bool] = []
+    build = sessions.door
+
+    def watched(*of: Any) -> Any:
+        door = build(*of)
+
+        def enter(chunk: Chunk) -> bool:
+            taken.append(door(chunk))
+            return taken[-1]
+
+        return enter
+
+    monkeypatch.setattr(sessions, "door", watched)
+    short, by_doors = run(seed, tmp_path / "short")
+    seen = [(c.time.tolist(), c.data.tolist(), c.lost) for c in parts.seen["out"] if len(c)]
+    monkeypatch.setattr(sessions, "door", lambda *_: closed)
+    long, by_queues = run(seed, tmp_path / "long")
+    assert short.exit_code == long.exit_code == 0, (short.error, long.error)
+    assert 20 < sum(taken) < len(taken)
+    assert by_doors == by_queues
+    assert seen == [(c.time.tolist(), c.data.tolist(), c.lost) for c in parts.seen["out"] if len(c)]
+    for name in ("late", "lost", "gaps", "samples", "problems"):
+        assert short.table["board"][name] == long.table["board"][name]
+
+
+def test_where_nobody_waits_only_samples_enter(tmp_path: Path) -> None:
+    """The annotations of a session that nobody reads: no chunk of the input log says that nothing was typed."""
+    outcome, _ = run(0, tmp_path / "s")
+    assert outcome.exit_code == 0
+    with Recording.open(tmp_path / "s") as recording:
+        assert [e.chunk for e in recording.entries("annotations") if e.chunk.until < 2**62] == []
