@@ -65,7 +65,14 @@ def replay(
                 f"--verify: {recording} holds no output of a graph, so there is nothing to compare with; name some under `record`"
             )
         _tell_missing(run.stand_ins)
-        before = signal.signal(signal.SIGINT, lambda *_: run.stop())
+        before = signal.getsignal(signal.SIGINT)
+
+        def stop(*_: object) -> None:
+            """Cleanly; a second Ctrl-C breaks off."""
+            run.stop()
+            signal.signal(signal.SIGINT, before)
+
+        signal.signal(signal.SIGINT, stop)
         try:
             result = _with_progress(run, source.duration_ns / 1e9, quiet)
         finally:

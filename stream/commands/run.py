@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import sys
 import threading
 import time
@@ -20,12 +19,8 @@ import typer
 from stream.errors import KinegraphError, RecordingError
 from stream.source import Source
 
-HANG_UP: signal.Signals | None = getattr(signal, "SIGHUP", None)
-"""What a terminal that is closed says to those in it; Windows has no such thing."""
-
 if TYPE_CHECKING:
     from stream.engine.outcome import Outcome
-    from stream.engine.session import Session
     from stream.graph import Graph
 
 
@@ -58,7 +53,7 @@ def run(
     """Run a graph on live devices, and record the session.
 
     While it runs: a word and Enter annotates this moment; a digit or the space bar marks it at once; name=number changes a value node.
-    Ctrl-C ends the session cleanly.
+    Ctrl-C ends the session cleanly; a second one breaks off what does not come back.
 
     Exit codes: 0 well; 2 the graph or an argument is wrong; 3 a device was missing; 4 an operator stopped the graph; 5 an outlet or the
     recording lost something.
@@ -93,12 +88,16 @@ def conduct(
 ) -> NoReturn:
     """Run a session from start to end, with its view and its console, and exit with its code."""
     from stream.commands.console import Console
+    from stream.commands.ending import Ending
     from stream.engine.session import Session
 
     with _simulated(graph) if simulate else nullcontext():
         screen = _screen(view, graph)
         session = Session(graph, folder, resume=resume, duration_s=duration_s, view=screen)
-        with _signals(session), Console(session).listening(), screen or nullcontext():
+        ending = Ending(session, _tell_end)
+        with ending, ending.shown as shown:
+            shown.enter_context(Console(session).listening())
+            shown.enter_context(screen or nullcontext())
             outcome = session.run()
     _tell_end(outcome)
     _leave(outcome.exit_code)
@@ -149,40 +148,6 @@ def _screen(view: str, graph: Any) -> Any:
         return entry.load()(graph)
     names = ", ".join(sorted(e.name for e in entry_points(group="kinegraph.views")))
     raise KinegraphError(f"there is no view {view!r}; valid are auto, none, {names}")
-
-
-@contextmanager
-def _signals(session: Session) -> Iterator[None]:
-    """Within: Ctrl-C, SIGTERM and a closed terminal (unless under `nohup`) end the session cleanly; a second Ctrl-C breaks off."""
-    asked = 0
-    terminals = [file for file in (0, 1, 2) if os.isatty(file)]
-
-    def stop(number: int, _frame: object) -> None:
-        nonlocal asked
-        if number == HANG_UP:
-            _forget(terminals)
-        asked += number != HANG_UP  # a shell that is closed may well say it twice
-        if asked > 1:
-            raise KeyboardInterrupt
-        session.stop()
-
-    heard = [signal.SIGINT, signal.SIGTERM]
-    if HANG_UP is not None and signal.getsignal(HANG_UP) is not signal.SIG_IGN:
-        heard.append(HANG_UP)
-    before = {number: signal.signal(number, stop) for number in heard}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _forget(terminals: list[int]) -> None:
-    """Read and write nowhere from now on: a terminal that is gone answers with errors."""
-    nowhere = os.open(os.devnull, os.O_RDWR)
-    for file in terminals:
-        os.dup2(nowhere, file)
-    os.close(nowhere)
 
 
 def _tell_end(outcome: Outcome) -> None:

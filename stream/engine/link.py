@@ -51,12 +51,15 @@ class Link:
 
 def failure(node: str, error: Exception | SystemExit, port: str = "", chunk: Chunk | None = None) -> RunError:
     """What an operator's exception means to the person at the screen: which node, at which sample's time."""
-    where = ""
-    if chunk is not None:
-        stamp = int(chunk.time[0]) if len(chunk.time) else chunk.until
-        where = f" at sample time {utc(stamp)} (input {port!r}, {len(chunk.time)} samples)"
+    where = "" if chunk is None else given(port, chunk)
     text = str(error) if isinstance(error, KinegraphError) else explain(error)
     return RunError(f"node {node!r}: {text}{where}")
+
+
+def given(port: str, chunk: Chunk) -> str:
+    """What an operator was given when it failed, for the end of a sentence."""
+    stamp = int(chunk.time[0]) if len(chunk.time) else chunk.until
+    return f" at sample time {utc(stamp)} (input {port!r}, {len(chunk.time)} samples)"
 
 
 def nonsense(node: str, emitted: object, outputs: Iterable[str], error: Exception) -> RunError:

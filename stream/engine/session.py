@@ -21,6 +21,7 @@ from stream.engine.channel import Channel, Doorbell
 from stream.engine.clock import SessionClock
 from stream.engine.door import Turn, door
 from stream.engine.drops import KIND as DROPPED
+from stream.engine.in_hand import Call, longest
 from stream.engine.intake import CommonStart, Intake, promises
 from stream.engine.journal import Former, Journal
 from stream.engine.lanes import Lanes
@@ -29,7 +30,7 @@ from stream.engine.pipeline import Pipeline
 from stream.engine.resume import catch_up
 from stream.engine.stalls import calm
 from stream.engine.status import Table, recording_row, table_of
-from stream.engine.supervisor import Runner
+from stream.engine.supervisor import GRACE_S, Runner
 from stream.engine.warmup import Compilations, warm_up
 from stream.errors import KinegraphError
 from stream.graph import Graph
@@ -67,10 +68,10 @@ class Session:
         self._bell: Doorbell = SimpleQueue()
         self._put_aside: list[Channel] = []
         self._turn = Turn()
-        self._stopping = self._over = self._ending = False
+        self._stopping = self._over = self._ending = self._broken_off = False
         self._error: Exception | None = None
         self._down = False
-        self._ran_s = 0.0
+        self._began = self._ran_s = 0.0
         self.table: Table = {}
         waits = not any(s.live for s in graph.parts(Source) if not s.background)
         self._lanes = Lanes(self._bell, waits, self._fail, self._lane_dropped)
@@ -108,23 +109,44 @@ class Session:
         try:
             with calm():
                 self._begin()
-                began = time.monotonic()
+                self._began = time.monotonic()
                 try:
                     self._loop()
                 finally:
-                    self._ran_s = time.monotonic() - began
+                    self._ran_s = time.monotonic() - self._began
         except Exception as error:  # noqa: BLE001 - told to the caller in the outcome, after everything is closed
             self._error = error
         finally:
             compilations.stop()
-            self._finish()
+            try:
+                self._finish()
+            except BaseException:  # broken off by a second Ctrl-C: what is recorded is closed all the same
+                self.journal.close(well=False)
+                raise
+        return self._outcome(compilations.names)
+
+    def in_hand(self) -> Call | None:
+        """The call of a node that has been under way for longest, or None; may be asked from any thread."""
+        return longest(pipeline) if (pipeline := getattr(self, "pipeline", None)) else None
+
+    def break_off(self, error: KinegraphError, stuck: str) -> Outcome:
+        """From another thread than the graph's, which does not come back out of the node `stuck`: close everything else without it."""
+        self._fail(error)
+        self._ran_s = self._ran_s or (time.monotonic() - self._began if self._began else 0.0)
+        self._broken_off = True
+        for runner in self._runners:
+            runner.stop()
+        self._close(stuck)
+        return self._outcome([])
+
+    def _outcome(self, compiled: list[str]) -> Outcome:
         files = {s.node.name: s.operator.file for s in self.pipeline.outlets if isinstance(s.operator, Outlet)}
         return Outcome(
             self._error,
             self._exit_code(),
             self.table,
             self.folder,
-            compilations.names,
+            compiled,
             self._ran_s,
             {node: file for node, file in files.items() if file},
         )
@@ -303,15 +325,21 @@ class Session:
                 self._drain()
             except Exception as error:  # noqa: BLE001 - told in the outcome; what is open must be closed first
                 self._error = error
+        if not self._broken_off:
+            self._close()
+
+    def _close(self, stuck: str = "") -> None:
+        """Close what is open; where a node is `stuck`, the threads that wait for it are not waited for."""
         if self._error:
             self.journal.report("session failed", error=str(self._error))
             for stage in self.pipeline.outlets:
-                stage.close()
+                if stage.node.name != stuck:
+                    stage.close()
         self._measure(last=True)
         for runner in self._runners:
-            if not runner.join():
+            if not runner.join() and not stuck:
                 self.journal.report("source does not stop", node=runner.node.name)
-        for lane in self._lanes.stop():
+        for lane in self._lanes.stop(GRACE_S) if stuck else self._lanes.stop():
             self.journal.report("lane does not stop", lane=lane)
         self.journal.close(well=self._error is None)
         if (status := self.journal.status) is not None:
