@@ -102,6 +102,26 @@ def test_samples_that_cannot_be_recorded_are_counted(kinegraph: Command, tmp_pat
     refused(kinegraph("run", "g.yaml", *QUIET, "-o", "s"), "a chunk could not be recorded", '"dropped_chunks"', code=5)
 
 
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("replace(chunk, data=chunk.data.astype('f4'))", "float32"),
+        ("replace(chunk, time=chunk.time[::-1].copy())", "stamps that run backwards"),
+        ("replace(chunk, time=chunk.time - 100_000_000)", "after it had said that all up to"),
+    ],
+)
+def test_what_breaks_a_promise_after_the_warm_up_is_found_by_verify(
+    given: str, words: str, kinegraph: Command, tmp_path: Path
+) -> None:
+    module = re.sub(r"\W", "", given)[:40]
+    text = RAISES.replace('raise ZeroDivisionError("division by zero")', f"return {given}")
+    (tmp_path / f"{module}.py").write_text("from msgspec.structs import replace\n" + text.lstrip())
+    (tmp_path / "g.yaml").write_text(BOARD % 2 + f"  bad: {{use: {module}.Raises, from: board.emg}}\nrecord: [bad]\n")
+    assert kinegraph("run", "g.yaml", *QUIET, "-o", "s")[0] == 0
+    code, said, _ = kinegraph("replay", "g.yaml", "s", "--verify", "-q")
+    assert code == 1 and "bad: BREAKS ITS PROMISE" in said and words in said, said
+
+
 def test_two_sessions_on_one_output(kinegraph: Command, made: Path, tmp_path: Path) -> None:
     text = (BOARD % 0).replace("realtime: false, ", "")
     text += "  out: {use: devices.csv_file.CsvFile, from: board.emg, path: out.csv}\n"

@@ -33,7 +33,11 @@ def replay(
         list[str] | None, typer.Option("--speak", metavar="OUTLET", help="let this outlet speak; 'all': every one")
     ] = None,
     verify: Annotated[
-        bool, typer.Option("--verify", help="exit with 1 unless every recorded edge is reproduced bit for bit")
+        bool,
+        typer.Option(
+            "--verify",
+            help="exit with 1 unless every recorded edge is reproduced bit for bit, and every node keeps what its spec promises",
+        ),
     ] = False,
     quiet: Annotated[bool, typer.Option("-q", "--quiet", help="no progress bar")] = False,
 ) -> None:
@@ -58,7 +62,8 @@ def replay(
             )
             print(", ".join(f"{name} {value}" for name, value in graph.session.items()))
         graph.session = _facts(graph.session, known, asked)
-        run = Replay(graph, source, speaking=_speaking(graph, speak or []), speed=speed or None, output=out)
+        speaking = _speaking(graph, speak or [])
+        run = Replay(graph, source, speaking=speaking, speed=speed or None, output=out, strict=verify)
         recorded = [name for name, stream in source.streams.items() if stream.role == "edge"]
         if verify and not recorded:
             raise KinegraphError(
@@ -81,7 +86,7 @@ def replay(
     unseen = _not_compared(recorded, result, run.stand_ins) if verify else []
     for name in unseen:
         print(f"  {name}: NOT COMPARED, for this graph has no such output")
-    if verify and (result.differing or result.stopped or unseen):
+    if verify and (result.differing or result.stopped or result.broken or unseen):
         sys.exit(1)
     if failed := [stage for stage in run.pipeline.outlets if stage.failed]:
         raise OutletFailed(", ".join(f"{stage.node.name!r}: {stage.failed}" for stage in failed))
@@ -153,3 +158,5 @@ def _tell(result: Replayed) -> None:
         print(
             f"  {name}: {'identical to the recording' if recorded == replayed else 'DIFFERS from the recording'} ({replayed})"
         )
+    for name, what in result.broken.items():
+        print(f"  {name}: BREAKS ITS PROMISE: gave {what}")

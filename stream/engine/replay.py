@@ -14,6 +14,7 @@ from stream.chunk import FOREVER, NS, Chunk, empty
 from stream.engine.drops import recorded_drops
 from stream.engine.link import Push
 from stream.engine.pipeline import Pipeline, Stage
+from stream.engine.promise import Promise
 from stream.engine.stand_in import StandIns
 from stream.engine.warmup import Compilations, warm_up
 from stream.engine.wire import Tap
@@ -61,6 +62,7 @@ class Replayed:
     digests    per recorded edge that the graph computes: (recorded, replayed) digest of the samples that the recording holds
     seconds    of session time that were replayed
     took_s     how long that took
+    broken     per edge of a node that did not keep what its spec promises: what came first; only of a replay that looks for it
     """
 
     digests: dict[str, tuple[str, str]] = field(default_factory=dict)
@@ -69,6 +71,7 @@ class Replayed:
     took_s: float = 0.0
     compiled: list[str] = field(default_factory=list)
     stopped: bool = False
+    broken: dict[str, str] = field(default_factory=dict)
 
     @property
     def differing(self) -> list[str]:
@@ -82,6 +85,7 @@ class Replay:
     speaking   names of the outlets that take part; the others stay silent
     speed      how many times real time; None: as fast as it goes
     output     record the graph's edges again, into this file or folder
+    strict     look at every chunk whether it keeps its node's promises
     """
 
     def __init__(
@@ -92,6 +96,7 @@ class Replay:
         speaking: Container[str] = (),
         speed: float | None = None,
         output: Path | None = None,
+        strict: bool = False,
     ) -> None:
         self.stand_ins = StandIns.of(graph, recording.streams)
         self.graph, self.recording, self._speed = self.stand_ins.reduced(graph), recording, speed
@@ -101,6 +106,8 @@ class Replay:
         self._output = output
         self._joins = speed is None and output is None and not self._drops
         self._stopping = False
+        wires = {name: wire for name, wire in self.pipeline.wires.items() if name not in self.pipeline.entries}
+        self._promises = {name: Promise(wire) for name, wire in wires.items()} if strict else {}
 
     def _bridge(self, stage: Stage, port: str, edge: Edge, push: Push) -> Push:
         """Lanes run on this thread, in order; what their queues dropped live is left out again."""
@@ -135,6 +142,7 @@ class Replay:
         result.took_s = time.monotonic() - began
         result.compiled = compilations.names
         result.samples = {name: wire.samples for name, wire in self.pipeline.wires.items()}
+        result.broken = {name: promise.broken for name, promise in self._promises.items() if promise.broken}
         result.digests = {name: (recorded[name].hexdigest(), digest.hexdigest()) for name, digest in computed.items()}
         return result
 
