@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import structlog
 
 from bench import contacts as bench
 from operators.gait.acceleration import AccelerationContacts
@@ -256,6 +257,24 @@ def test_markers_as_columns_in_millimetres() -> None:
     np.testing.assert_allclose(onsets(told, "touchdown"), onsets(expected, "touchdown"), atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("unit", "factor", "reference", "warned"),
+    [
+        *(("m", 1.0, "HIP", False), ("m", 1.0, "", False), ("m", 1000.0, "HIP", True), ("m", 1000.0, "", True)),
+        *(("m", 100.0, "HIP", True), ("mm", 1.0, "HIP", True), ("cm", 1.0, "HIP", True), ("cm", 1000.0, "HIP", True)),
+    ],
+)
+def test_positions_in_another_unit_than_they_say_are_warned_of_once(
+    unit: str, factor: float, reference: str, warned: bool
+) -> None:
+    path = factor * walker(1200, 100.0, speed_m_s=1.2, cadence_hz=0.9)
+    operator = MarkerContacts(marker="ANK", reference=reference)
+    with structlog.testing.capture_logs() as said:
+        told = feed(operator, MARKERS.derive(units=(unit,)), path, lost=dict.fromkeys(range(100, 1200, 100), 0))
+    assert [entry["taken_for"] for entry in said] == [unit] * warned
+    assert warned or len(onsets(told, "touchdown")) > 8
+
+
 def test_lost_markers_are_filled_up_to_the_limit() -> None:
     path = walker(1200, 100.0, speed_m_s=1.2, cadence_hz=0.9)
     expected = onsets(feed(MarkerContacts(marker="ANK", reference="HIP"), MARKERS, path), "touchdown")
@@ -435,7 +454,9 @@ def test_overground_markers_agree_with_an_offline_method(recordings: Path) -> No
         sides = {}
         for side in "LR":
             operator = MarkerContacts(marker=f"{side}TOE", reference=f"{side}HIP")
-            told = bench.run(operator, spec, np.arange(len(path)) / 100.0, path)
+            with structlog.testing.capture_logs() as said:
+                told = bench.run(operator, spec, np.arange(len(path)) / 100.0, path)
+            assert not said
             truth = bench.zeni(path, names.index(f"{side}TOE"), names.index(f"{side}HIP"))
             down.add(*told["touchdown"], truth[0], 0.15)
             up.add(*told["liftoff"], truth[1], 0.15)

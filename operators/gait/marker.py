@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import structlog
 
 from operators.gait.contacts import Contacts, Followed
 from operators.gait.legs import LEGS
@@ -19,9 +20,14 @@ from stream.operator import Case, grid
 from stream.params import param
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+UNITS = {factor: unit for unit, factor in METRES.items()}
 ORDER = 2
 SWING_M, STANCE_M, REVERSE_M = 0.15, 0.08, 0.03
 STILL_NS = 300_000_000
+STRANGE = 200
+"""So many samples where no leg can be, more than others, are told of; the warm-up shows far fewer."""
+
+log = structlog.get_logger(__name__)
 
 
 @dataclass(slots=True)
@@ -38,6 +44,7 @@ class MarkerState(Followed):
     limits: Samples
     memory: Array
     motion: Array
+    told: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +59,8 @@ class MarkerContacts(Contacts[MarkerState]):
 
     Positions are smoothed by a causal Butterworth of order 2 at `cutoff_hz` (the thesis: 10 Hz; it names no order), whose delay the
     onsets make up for. Samples that are missing, not finite, or exactly 0, 0, 0 are filled on a straight line up to
-    `fill_gap_s`; a longer gap, and a jump that no limb makes (30 m/s), start anew.
+    `fill_gap_s`; a longer gap, and a jump that no limb makes (30 m/s), start anew. Positions that go on making such jumps, or lie less than
+    0.1 m or more than 2.5 m from the reference, are warned of once: their unit is not what it is taken for.
     Decided: touch-down some 70 to 120 ms after its onset, lift-off some 150 ms; a walker who stops within 0.3 s, the declared delay.
     """
 
@@ -104,6 +112,7 @@ class MarkerContacts(Contacts[MarkerState]):
             limits=np.array([SWING_M, STANCE_M, REVERSE_M, STILL_NS, 0.0]),
             memory=np.zeros(1, LEGS),
             motion=np.zeros(1, WALK),
+            told=False,
         )
         state.motion["last"] = NEVER
         self.hold(state, delay_s=1e-9 * STILL_NS + delay_s + 2 * spec.period_ns / NS)
@@ -113,7 +122,7 @@ class MarkerContacts(Contacts[MarkerState]):
     def follow(self, time: Times, data: Array, found: Times) -> tuple[int, int]:
         s = self.state
         place = np.ascontiguousarray(data.reshape(len(data), -1)[:, s.columns], np.float64) * s.metres
-        return follow(
+        counts = follow(
             time,
             place,
             s.period_ns,
@@ -128,6 +137,18 @@ class MarkerContacts(Contacts[MarkerState]):
             s.motion,
             found,
         )
+        if not s.told and s.motion["strange"][0] > STRANGE:
+            self._warn()
+        return counts
+
+    def _warn(self) -> None:
+        """Once: these numbers cannot be in the unit that is taken for theirs."""
+        self.state.told = True
+        apart = {} if self.state.alone else {"apart_m": round(float(self.state.motion["apart"][0]), 4)}
+        log.warning(
+            "markers leap, or are not a leg apart: contacts will be missing or wrong; is their unit right? `unit` sets it",
+            marker=self.marker, reference=self.reference, taken_for=UNITS[self.state.metres], **apart,
+        )  # fmt: skip
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

@@ -10,6 +10,8 @@ from stream.kernel import kernel
 
 DEAD_M_S, FASTEST_M_S = 0.05, 30.0
 MEMORY_S, BODY_S = 4.0, 1.0
+NEAREST_M, FARTHEST_M = 0.1, 2.5
+"""A marker on the foot or leg is no nearer to one on hip or sacrum, and no farther from it, whoever walks."""
 
 WALK = np.dtype(
     [
@@ -24,11 +26,14 @@ WALK = np.dtype(
         ("drift", "<f8", (2,)),
         ("spread", "<f8", (3,)),
         ("axis", "<f8", (2,)),
+        ("apart", "<f8"),
+        ("strange", "<i8"),
     ]
 )
 """The last stamp and the middle of the last interval, in ns; the speed along the way; decaying sums of time
 (long, and for the body), and of the speed's cube; raw and smooth positions of foot and body; decaying sums of the body's
-velocity and of the relative velocity's second moment xx, xy, yy; the way's direction."""
+velocity and of the relative velocity's second moment xx, xy, yy; the way's direction; how far foot and body are apart; how many more
+samples lay where no leg can be than where one can."""
 
 
 @kernel
@@ -79,6 +84,16 @@ def jumps(walk: np.void, place: Samples, elapsed_ns: int) -> bool:
     for c in range(6):
         farthest = max(farthest, abs(place[c] - walk["raw"][c]))
     return farthest > FASTEST_M_S * 1e-9 * elapsed_ns
+
+
+@kernel
+def stretched(walk: np.void, place: Samples) -> bool:
+    """Whether foot and body are nearer to each other, or farther apart, than a leg is long."""
+    apart = 0.0
+    for c in range(3):
+        apart += (place[c] - place[3 + c]) * (place[c] - place[3 + c])
+    walk["apart"] = np.sqrt(apart)
+    return bool(walk["apart"] < NEAREST_M or walk["apart"] > FARTHEST_M)
 
 
 @kernel
@@ -169,7 +184,10 @@ def follow(
         if not seen(place[i]) or at == since:
             continue
         walk["last"] = at
-        if since == NEVER or at - since - period_ns > fill_ns or jumps(walk, place[i], at - since):
+        leaps = since != NEVER and jumps(walk, place[i], at - since)
+        strange = leaps or (not alone and stretched(walk, place[i]))
+        walk["strange"] = walk["strange"] + 1 if strange else max(0, walk["strange"] - 1)
+        if since == NEVER or at - since - period_ns > fill_ns or leaps:
             start(walk, legs, place[i], sos, steady, z)
             continue
         parts = max(1, round((at - since) / period_ns))
