@@ -377,6 +377,31 @@ def test_kinect_tables_with_and_without_a_header(tmp_path):
     assert np.array_equal(named.time, t * 1000)
 
 
+def test_kinect_tables_with_frame_numbers(tmp_path):
+    """As UTKinect's: no time, only numbers, here 60 a second, of which a camera of 30 Hz takes every second one."""
+    frames, x = np.array([190, 194, 196, 198, 206]), np.random.default_rng(3).normal(size=(5, 20, 3)).round(4)
+    lines = [f"{n}  " + " ".join(map(str, rows.ravel())) for n, rows in zip(frames, x, strict=True)]
+    path = written(tmp_path, "joints.txt", "\n".join(lines))
+    kinegraph("import", path, "--kinect", "--rate", "60", "-o", tmp_path / "one.mcap")
+    with Recording.open(tmp_path / "one.mcap") as recording:
+        time, data = recording.read("joints")
+        assert recording.streams["joints"].lost == 1 + 3 and recording.streams["joints"].spec.channels == ONE
+    assert np.array_equal(data, x) and np.array_equal(time, np.round((frames - 190) * 1e9 / 60))
+    header = "Frame," + ",".join(f"{n}_{a}" for n in ("WristLeft", "Head") for a in "xyz")
+    named = written(tmp_path, "named.csv", "\n".join([header, "7,1,2,3,4,5,6", "8,1,2,3,4,5,6"]))
+    assert read_kinect(named, rate_hz=25.0)[0].time.tolist() == [0, 40_000_000]
+    with pytest.raises(
+        RecordingError, match=r"joints\.txt: line 1: times 3 apart.* if they are frame numbers, say --rate"
+    ):
+        read_kinect(path)
+    for text, message in (("7.5", "line 3: 7.5 is no frame number"), ("7", "line 3: the time 0 s is repeated")):
+        again = written(tmp_path, "again.csv", "\n".join([header, "7,1,2,3,4,5,6", f"{text},1,2,3,4,5,6"]))
+        with pytest.raises(RecordingError, match=message):
+            read_kinect(again, rate_hz=25.0)
+    with pytest.raises(RecordingError, match="no column of frame numbers"):
+        read_kinect(written(tmp_path, "t.csv", header.replace("Frame", "t") + "\n7,1,2,3,4,5,6"), rate_hz=25.0)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

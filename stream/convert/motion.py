@@ -22,7 +22,7 @@ RATE_HZ = 120.0
 OPTIONS = ("rate", "time", "time_unit", "counter", "names", "unit", "scale")
 TAKES = {".bvh": ("unit", "scale"), ".c3d": (), ".amc": ("rate",), ".asf": ()}
 """What must be said of each kind of file, or may be; all else stands in it. Of Kinect tables it is what TABLE holds."""
-TABLE = ("unit", "scale")
+TABLE = ("rate", "unit", "scale")
 
 
 def read_motion(files: Sequence[Path], wishes: Wishes, *, alone: bool = True) -> tuple[list[Series], Wishes]:
@@ -107,10 +107,11 @@ def _read(file: Path, skeletons: dict[str, Skeleton], wishes: Wishes) -> list[Se
         return read_bvh(file, unit, scale, wishes.start_ns)
     if kind == ".c3d":
         return read_c3d(file, wishes.start_ns)
+    said = _said(wishes.rate, file, wishes)
+    rate = _number(said or str(RATE_HZ), f"--rate {file.stem}")
     if kind == ".amc":
-        rate = _number(_said(wishes.rate, file, wishes) or str(RATE_HZ), f"--rate {file.stem}")
         return read_amc(file, _skeleton_of(file, skeletons), rate, wishes.start_ns)
-    return read_kinect(file, unit, scale, wishes.start_ns)
+    return read_kinect(file, unit, scale, wishes.start_ns, rate if said else None)
 
 
 def _skeleton_of(file: Path, skeletons: dict[str, Skeleton]) -> Skeleton:
