@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from functools import wraps
 from importlib.metadata import entry_points, version
 from io import TextIOWrapper
-from typing import Any
+from typing import Any, NoReturn
 
 from stream.errors import KinegraphError, nearest
 
@@ -41,12 +41,24 @@ A real-time engine for motion and biosignal devices: graphs in YAML, live or rep
 """
 
 
+class Terminated(KeyboardInterrupt):
+    """SIGTERM came. No SystemExit, for that would be taken for one of the operator at work, which must not end the program."""
+
+
 def main() -> None:
     """The entry point: errors that a user can act on are printed without a traceback; the exit code tells what kind they were."""
     arguments = sys.argv[1:]
     _make_sure_of_outputs()
-    with _terminable():
-        _main(arguments)
+    try:
+        with _terminable():
+            _main(arguments)
+    except Terminated as end:
+        _stop(end)
+
+
+def _stop(end: KeyboardInterrupt) -> NoReturn:
+    print("kinegraph: stopped", file=sys.stderr)
+    sys.exit(143 if isinstance(end, Terminated) else 130)
 
 
 def _main(arguments: list[str]) -> None:
@@ -83,8 +95,7 @@ def _terminable() -> Iterator[None]:
     """Within: SIGTERM ends the program in order, so that drafts are removed and locks given back. (A session has its own, cleaner end.)"""
 
     def end(_number: int, _frame: object) -> None:
-        print("kinegraph: stopped", file=sys.stderr)
-        sys.exit(143)
+        raise Terminated
 
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -118,15 +129,14 @@ def call(name: str, arguments: list[str]) -> None:
 
 
 def _interruptible(function: Any) -> Any:
-    """The command, which Ctrl-C ends with exit code 130 and a reader that left with 141; click would hide both, and any EOFError."""
+    """The command. Ctrl-C ends it with 130, SIGTERM with 143, a reader that left with 141; click would hide these, and any EOFError."""
 
     @wraps(function)
     def command(*args: Any, **options: Any) -> Any:
         try:
             return function(*args, **options)
-        except KeyboardInterrupt:
-            print("kinegraph: stopped", file=sys.stderr)
-            sys.exit(130)
+        except KeyboardInterrupt as end:
+            _stop(end)
         except BrokenPipeError:  # click would end with 1, which says that a comparison found a difference
             _forget_output()
             sys.exit(141)

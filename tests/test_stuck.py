@@ -40,6 +40,11 @@ def in_a_library():
     c.pthread_mutex_lock(mutex)
 
 
+def long():
+    Path("closing").touch()
+    time.sleep(600)
+
+
 def alone():
     """Lets no other thread run."""
     sum(repeat(0))
@@ -186,9 +191,10 @@ def test_where_nothing_else_can_run_a_quit_tells_where_it_is_stuck(tmp_path: Pat
         assert not recording.finished and recording.streams["board.emg"].samples > 0
 
 
-def test_a_second_signal_breaks_off_a_replay(made: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", ["long", "closing"])
+def test_signals_break_off_a_replay(how: str, made: Path, tmp_path: Path) -> None:
     (tmp_path / "stuck.py").write_text(NODE)
-    (tmp_path / "g.yaml").write_text(BOARD % 2 + "  stuck: {use: stuck.Node, from: board.emg, how: closing}\n")
+    (tmp_path / "g.yaml").write_text(BOARD % 2 + f"  stuck: {{use: stuck.Node, from: board.emg, how: {how}}}\n")
     process = subprocess.Popen([KINEGRAPH, "replay", "g.yaml", made / "s"], cwd=tmp_path, stdin=subprocess.DEVNULL)
     wait_for((tmp_path / "closing").exists)
     process.send_signal(signal.SIGINT)
@@ -196,3 +202,10 @@ def test_a_second_signal_breaks_off_a_replay(made: Path, tmp_path: Path) -> None
         process.wait(0.5)
     process.send_signal(signal.SIGINT)
     assert process.wait(60) == 130
+    (tmp_path / "closing").unlink()
+    command = [KINEGRAPH, "replay", "g.yaml", made / "s"]
+    process = subprocess.Popen(command, cwd=tmp_path, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    wait_for((tmp_path / "closing").exists)
+    process.send_signal(signal.SIGTERM)
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode == 143 and said == b"kinegraph: stopped\n", said
