@@ -141,7 +141,7 @@ def test_a_full_disk_and_full_memory_drop_and_count(tmp_path: Path, disk: Disk) 
 def test_closing_on_a_disk_that_stays_full_ends_and_leaves_a_readable_file(
     tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("stream.recording.recorder.GRACE_S", 0.3)
+    monkeypatch.setattr("stream.recording.scribe.GRACE_S", 0.3)
     disk.room = 20_000
     recorder = counted_recorder(tmp_path / "s")
     feed(recorder, 0, 20, pause=0.01)

@@ -6,7 +6,10 @@ from dataclasses import dataclass, field
 
 from stream.chunk import StreamSpec
 from stream.recording.format import Kept, Logged
+from stream.recording.packed import Packer
 
+STREAMS = 2
+"""The number of the first stream's lane, after those of the log and the metrics."""
 OVERHEAD = 400
 """Bytes that a waiting chunk takes beside its samples."""
 
@@ -36,6 +39,7 @@ class Lane:
     pending, first         of the recorder's thread: the chunks of the next message, and the index of their first sample
     kept                   how its samples are kept
     track, frames          where on the tape its chunks go, and its frames if it has any
+    packer                 packs its frames; None: they are kept as images, or not at all
     """
 
     name: str
@@ -51,3 +55,4 @@ class Lane:
     kept: Kept = "whole"
     track: int = 0
     frames: int = 0
+    packer: Packer | None = None
