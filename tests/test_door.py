@@ -12,7 +12,7 @@ import pytest
 from parts import START
 
 from stream.chunk import Array, Chunk, Specs, StreamSpec
-from stream.engine import session as sessions
+from stream.engine import entrance
 from stream.engine.outcome import Outcome
 from stream.engine.session import Session
 from stream.engine.supervisor import closed
@@ -99,7 +99,7 @@ def run(seed: int, folder: Path) -> tuple[Outcome, list[tuple[Any, ...]]]:
 @pytest.mark.parametrize("seed", range(3))
 def test_both_ways_give_the_same(seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     taken: list[bool] = []
-    build = sessions.door
+    build = entrance.door
 
     def watched(*of: Any) -> Any:
         door = build(*of)
@@ -110,10 +110,10 @@ def test_both_ways_give_the_same(seed: int, tmp_path: Path, monkeypatch: pytest.
 
         return enter
 
-    monkeypatch.setattr(sessions, "door", watched)
+    monkeypatch.setattr(entrance, "door", watched)
     short, by_doors = run(seed, tmp_path / "short")
     seen = [(c.time.tolist(), c.data.tolist(), c.lost) for c in parts.seen["out"] if len(c)]
-    monkeypatch.setattr(sessions, "door", lambda *_: closed)
+    monkeypatch.setattr(entrance, "door", lambda *_: closed)
     long, by_queues = run(seed, tmp_path / "long")
     assert short.exit_code == long.exit_code == 0, (short.error, long.error)
     assert 20 < sum(taken) < len(taken)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -97,11 +97,15 @@ class CommonStart:
     since   when that was (monotonic s), or when the waiting began
     """
 
-    def __init__(self, runners: list[Runner]) -> None:
+    def __init__(self, runners: Sequence[Runner]) -> None:
         self._required = [r for r in runners if r.node.options.required and not r.source.background]
         self._held: list[tuple[Intake, Chunk, int]] = []
         self._began = self.since = time.monotonic()
         self.done = False
+
+    def begin(self) -> None:
+        """The sources are started now."""
+        self._began = self.since = time.monotonic()
 
     def pass_on(self, intake: Intake, chunk: Chunk, arrival: int) -> list[tuple[Intake, Chunk, int]]:
         """What may enter now that this chunk has come: it and all that was held, or nothing yet."""

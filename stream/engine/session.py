@@ -11,18 +11,17 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from queue import Empty, SimpleQueue
-from time import perf_counter_ns
+from queue import SimpleQueue
 
 import structlog
 
-from stream.chunk import FOREVER, NEVER, Chunk, empty
-from stream.engine.channel import Channel, Doorbell
+from stream.chunk import NEVER
+from stream.engine.channel import Doorbell
 from stream.engine.clock import SessionClock
-from stream.engine.door import Turn, door
 from stream.engine.drops import KIND as DROPPED
+from stream.engine.entrance import Entrance
 from stream.engine.in_hand import Call, longest
-from stream.engine.intake import CommonStart, Intake, promises
+from stream.engine.intake import promises
 from stream.engine.journal import Former, Journal
 from stream.engine.lanes import Lanes
 from stream.engine.outcome import Outcome, View
@@ -66,9 +65,7 @@ class Session:
         self._former = Former(folder, graph) if resume and folder else None
         self.clock = SessionClock(after=self._former.last_time if self._former else NEVER)
         self._bell: Doorbell = SimpleQueue()
-        self._put_aside: list[Channel] = []
-        self._turn = Turn()
-        self._stopping = self._over = self._ending = self._broken_off = False
+        self._stopping = self._broken_off = False
         self._error: Exception | None = None
         self._down = False
         self._began = self._ran_s = 0.0
@@ -162,43 +159,33 @@ class Session:
         self._runners = [
             Runner(node, self._bell, self.clock, self.journal.report, self._fail) for node in self.graph.sources
         ]
-        self._intakes = [self._intake(r, output) for r in self._runners for output in r.channels]
-        for runner in self._runners:
-            runner.awaited = any(i.awaited for i in self._intakes if i.runner is runner)
-        for intake in self._intakes:
-            intake.promised = checkpoint.promised.get(intake.stream, NEVER) if checkpoint else NEVER
+        self._entrance = Entrance(
+            self._bell, self._runners, self.pipeline, self.journal, self.clock, self._former, self._fail
+        )
         self.journal.tap_edges(self.pipeline)
 
-    def _intake(self, runner: Runner, output: str) -> Intake:
-        channel = runner.channels[output]
-        wire = self.pipeline.entries[channel.name]
-        done = self._former.recorded(channel.name) if self._former else 0
-        intake = Intake(channel.name, runner, output, wire, self.journal.add_input(channel.name, wire.spec, done))
-        channel.owner = intake
-        runner.doors[output] = door(intake, self.journal, self._turn, self._bell, self._fail)
-        channel.on_drop = lambda _, n: self.journal.report("source queue dropped", stream=channel.name, samples=n)
-        return intake
-
     def _begin(self) -> None:
-        self._start = CommonStart(self._runners)
         if self._former:
-            catch_up(self._former, self.pipeline, self._intakes, self._lanes, self.journal, self.clock, self._pump)
+            catch_up(
+                self._former, self.pipeline, self._entrance.intakes, self._lanes, self.journal, self.clock, self._pump
+            )
         else:
             self.pipeline.begin(self.clock)
             self._checkpoint()
+        self._entrance.begin()
         for runner in self._runners:
             runner.start(again=self._former is not None)
 
     def _loop(self) -> None:
         began = time.monotonic()
         now, tick, metrics, checkpoint = began, began + TICK_S, began + METRICS_S, began + self.graph.checkpoint_s
-        while not self._stopping and self._error is None and not self._over:
-            self._serve(tick - now)
+        while not self._stopping and self._error is None and not self._entrance.over:
+            self._entrance.serve(tick - now)
             now = time.monotonic()
             if now < tick:
                 continue
             tick = now + TICK_S
-            with self._turn.lock:
+            with self._entrance.turn.lock:
                 self._look_after(now)
                 if now >= metrics:
                     metrics = now + METRICS_S
@@ -209,86 +196,23 @@ class Session:
             if 0 < self._duration_s <= now - began:
                 return
 
-    def _ended(self) -> bool:
-        lasting = [i for i in self._intakes if not i.runner.source.background]
-        return bool(lasting) and all(i.ended for i in lasting)
-
-    # what comes in ---------------------------------------------------------------------------------------------------
-
-    def _serve(self, timeout_s: float) -> None:
-        """Take the next chunk, whoever it comes from; waits at most `timeout_s` for one."""
-        if self._put_aside:
-            channel = self._put_aside.pop(0)
-        else:
-            try:
-                token = self._bell.get(timeout=timeout_s)
-            except Empty:
-                return
-            if not isinstance(token, Channel):
-                return
-            channel = token
-        with self._turn.lock:
-            if (item := channel.take()) is None:
-                return
-            if not isinstance(channel.owner, Intake):
-                channel.owner(item[0], perf_counter_ns())
-            elif self._start.done:
-                self._enter(channel.owner, *item)
-            else:
-                self._let_in(self._start.pass_on(channel.owner, *item))
-
-    def _let_in(self, held: list[tuple[Intake, Chunk, int]]) -> None:
-        """What may enter before and at the common start; from then on sources have doors of their own."""
-        for entry in held:
-            self._enter(*entry)
-        self._turn.open = self._start.done and not self._ending
-
-    def _enter(self, intake: Intake, chunk: Chunk, arrival: int) -> None:
-        """A source's chunk enters the graph, and all that it leads to is done."""
-        admitted = intake.admit(chunk, self.journal.report)
-        if admitted is not None:
-            self.journal.enter(intake.number, admitted, arrival)
-            intake.wire.send(admitted, perf_counter_ns())
-            if admitted.until == FOREVER:
-                self._over = self._ended()
-
-    def _pump(self) -> None:
-        """Take what lanes send home; chunks of sources are put aside until the lanes are at rest."""
-        while True:
-            try:
-                token = self._bell.get_nowait()
-            except Empty:
-                break
-            if isinstance(token, Channel):
-                if isinstance(token.owner, Intake):
-                    self._put_aside.append(token)
-                elif (item := token.take()) is not None:
-                    token.owner(item[0], perf_counter_ns())
-        if self._error:
-            raise self._error
-
     def _look_after(self, now: float) -> None:
         """Several times a second: reopen failed sources, say what time has passed on silent ones, keep the timings short."""
         self.pipeline.fold()
-        if not self._start.done:
-            self._start.check_deadlines()
-            self._let_in(self._start.release())
         for runner in self._runners:
             runner.watch()
-        if self._start.done:
-            for intake in self._intakes:
-                self._check_silence(intake, now - max(intake.last, self._start.since))
+        self._entrance.look_after(now)
 
-    def _check_silence(self, intake: Intake, age_s: float) -> None:
-        """After the stated patience, say that nothing happened, so that nobody waits; after `stale_s`, raise the alarm."""
-        if (chunk := intake.nothing_for(age_s, self.clock.now(), self.journal.report)) is not None:
-            self.journal.enter(intake.number, chunk, self.clock.now())
-            intake.wire.send(chunk, perf_counter_ns())
+    def _pump(self) -> None:
+        """Take what lanes send home."""
+        self._entrance.pump()
+        if self._error:
+            raise self._error
 
     def _measure(self, *, last: bool = False) -> None:
         """Read the metrics; the `last` ones keep the rates from when samples still came."""
         before = self.table
-        self.table = table_of(self.pipeline, self._intakes, self._lanes, self.journal.status, before)
+        self.table = table_of(self.pipeline, self._entrance.intakes, self._lanes, self.journal.status, before)
         if last:
             for name in self.table.keys() & before.keys():
                 self.table[name] |= {k: v for k, v in before[name].items() if k == "rate_hz"}
@@ -300,12 +224,12 @@ class Session:
         """Take the state between two chunks, with the lanes at rest."""
         if self.journal.wants_checkpoint:
             self._lanes.settle(self._pump)
-            self.journal.checkpoint(promises(self._intakes), self._lanes.indices, self.pipeline)
+            self.journal.checkpoint(promises(self._entrance.intakes), self._lanes.indices, self.pipeline)
 
     def _fail(self, error: Exception) -> None:
         """From any thread: the run ends with this error."""
         self._error = self._error or error
-        self._ending, self._turn.open = True, False
+        self._entrance.close()
         self._bell.put(None)
 
     def _lane_dropped(self, queue: str, first: int, samples: int) -> None:
@@ -316,8 +240,8 @@ class Session:
     def _finish(self) -> None:
         """Stop the sources, work through what had arrived, close every operator and file; each even if another fails."""
         self._down = any(r.state == "failed" or (r.error and not r.ready) for r in self._runners)
-        with self._turn.lock:
-            self._ending, self._turn.open = True, False
+        with self._entrance.turn.lock:
+            self._entrance.close()
         for runner in self._runners:
             runner.stop()
         if self._error is None:
@@ -347,12 +271,9 @@ class Session:
 
     def _drain(self) -> None:
         """Everything that had arrived is worked through, then every operator emits what is pending."""
-        while not self._bell.empty() or self._put_aside:
-            self._serve(0.0)
+        self._entrance.serve_all()
         self._lanes.settle(self._pump)
-        for intake in self._intakes:
-            if not intake.ended:
-                intake.wire.send(empty(intake.wire.spec, FOREVER), perf_counter_ns())
+        self._entrance.end()
         self._lanes.settle(self._pump)
         if any(isinstance(s.operator, Outlet) and s.operator.file for s in self.pipeline.outlets):
             log.info("finishing: outlets write what is left")
