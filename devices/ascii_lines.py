@@ -11,14 +11,14 @@ from typing import ClassVar, Literal
 import numpy as np
 import structlog
 
-from devices.clock_log import ClockLog
-from devices.device_clock import ClockState
-from devices.handshake import all_there, shown
-from devices.packet_clock import Packets
+from devices.clocks.clock_log import ClockLog
+from devices.clocks.device_clock import ClockState
+from devices.clocks.packet_clock import Packets
+from devices.clocks.stamps import Stamps, runs
+from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols.ascii_lines import Decoder
-from devices.stamps import Stamps, runs
-from devices.timing import timing_chunk, timing_spec
-from devices.transport import Transport, connect
+from devices.talk.handshake import all_there, shown
+from devices.talk.transport import Transport, connect
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param

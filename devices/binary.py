@@ -10,15 +10,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import structlog
 
-from devices.clock_log import ClockLog
-from devices.device_clock import ClockState, DeviceClock
-from devices.device_time import DeviceTime
-from devices.handshake import all_there, shown
-from devices.packet_clock import Packets
+from devices.clocks.clock_log import ClockLog
+from devices.clocks.device_clock import ClockState, DeviceClock
+from devices.clocks.device_time import DeviceTime
+from devices.clocks.packet_clock import Packets
+from devices.clocks.stamps import REPEATED, Losses, Stamps, runs
+from devices.clocks.timing import TIMING, timing_spec
 from devices.protocols.declared import NS_PER, Decoder, Found, Frame, Layout, hex_bytes
-from devices.stamps import REPEATED, Losses, Stamps, runs
-from devices.timing import TIMING, timing_spec
-from devices.transport import Transport, connect
+from devices.talk.handshake import all_there, shown
+from devices.talk.transport import Transport, connect
 from stream.chunk import NS, Array, Chunk, Specs, StreamSpec, Times
 from stream.errors import DeviceError, ParameterError
 from stream.params import param

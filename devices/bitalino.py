@@ -11,14 +11,14 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 import structlog
 
-from devices.clock_log import ClockLog
-from devices.handshake import all_there, answer, quiet, shown
+from devices.clocks.clock_log import ClockLog
+from devices.clocks.short_counter import ShortCounter
+from devices.clocks.stamps import runs
+from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import bitalino as protocol
 from devices.protocols.bitalino import GAINS, Decoder, Frames, Sensor
-from devices.short_counter import ShortCounter
-from devices.stamps import runs
-from devices.timing import timing_chunk, timing_spec
-from devices.transport import Transport, connect
+from devices.talk.handshake import all_there, answer, quiet, shown
+from devices.talk.transport import Transport, connect
 from stream.chunk import Chunk, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
@@ -54,7 +54,7 @@ class Bitalino(Source):
     timing    an event per frame: counter, device time by the counter, arrival, stamp
 
     The first four inputs have 10 bits, a fifth and sixth 6 (in ascending order). The sequence number has 4 bits, so that at 1000 Hz it
-    runs over every 16 ms. Less than that is known to be missing at once; whole turns show within a second (`devices.short_counter`).
+    runs over every 16 ms. Less than that is known to be missing at once; whole turns show within a second (`devices.clocks.short_counter`).
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("analog", "digital", "timing")

@@ -10,14 +10,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from devices.clock_log import ClockLog
-from devices.handshake import all_there, answer, quiet, shown
-from devices.packet_clock import PacketClock, Packets
+from devices.clocks.clock_log import ClockLog
+from devices.clocks.packet_clock import PacketClock, Packets
+from devices.clocks.stamps import runs
+from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import cyton as protocol
 from devices.protocols.cyton import ChannelSetting, Decoder, Frames
-from devices.stamps import runs
-from devices.timing import timing_chunk, timing_spec
-from devices.transport import Transport, connect
+from devices.talk.handshake import all_there, answer, quiet, shown
+from devices.talk.transport import Transport, connect
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import DeviceError, ParameterError
 from stream.params import param

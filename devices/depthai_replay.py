@@ -12,9 +12,9 @@ import structlog
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
+from devices.clocks.timing import timing_chunk, timing_spec
 from devices.oak.adapter import Frames, Message
 from devices.protocols.depthai_frames import RAW16, SCHEMA, Recorded, decode
-from devices.timing import timing_chunk, timing_spec
 from stream.chunk import NS, Specs, StreamSpec
 from stream.errors import DeviceError, RecordingError, nearest
 from stream.params import param

@@ -10,17 +10,17 @@ from typing import ClassVar, Literal
 
 import structlog
 
-from devices import tick_clock
-from devices.clock_log import ClockLog
-from devices.handshake import all_there, shown
-from devices.packet_clock import Packets
+from devices.clocks import tick_clock
+from devices.clocks.clock_log import ClockLog
+from devices.clocks.packet_clock import Packets
+from devices.clocks.stamps import runs
+from devices.clocks.tick_clock import TickClock
+from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import xbus, xbus_numbers
 from devices.protocols.xbus import Layout, Run
-from devices.stamps import runs
-from devices.tick_clock import TickClock
-from devices.timing import timing_chunk, timing_spec
-from devices.transport import Transport, connect
-from devices.xbus_talk import Talk, reason
+from devices.talk.handshake import all_there, shown
+from devices.talk.transport import Transport, connect
+from devices.talk.xbus import Talk, reason
 from stream.chunk import NS, Chunk, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param

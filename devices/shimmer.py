@@ -11,16 +11,16 @@ from typing import Literal
 import numpy as np
 import structlog
 
-from devices.clock_log import ClockLog
-from devices.handshake import all_there, shown
+from devices.clocks.clock_log import ClockLog
+from devices.clocks.stamps import Stamps, runs
+from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import shimmer as protocol
 from devices.protocols import shimmer_units as units
 from devices.protocols.shimmer import TICKS_HZ, Decoder, Inquiry
 from devices.protocols.shimmer_units import Chips
-from devices.shimmer_talk import Talk
-from devices.stamps import Stamps, runs
-from devices.timing import timing_chunk, timing_spec
-from devices.transport import Transport, connect
+from devices.talk.handshake import all_there, shown
+from devices.talk.shimmer import Talk
+from devices.talk.transport import Transport, connect
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param

@@ -10,13 +10,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from devices.clock_log import ClockLog
-from devices.handshake import answer, shown
-from devices.pace import Pace
+from devices.clocks.clock_log import ClockLog
+from devices.clocks.pace import Pace
+from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import trigno as protocol
 from devices.protocols.trigno import ENDING, PORTS, SENSORS, Layout, Rows
-from devices.timing import timing_chunk, timing_spec
-from devices.transport import TcpTransport, Transport
+from devices.talk.handshake import answer, shown
+from devices.talk.transport import TcpTransport, Transport
 from stream.chunk import Chunk, Samples, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param

@@ -8,14 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.ascii_lines import AsciiLines
-from devices.device_time import DeviceTime
+from devices.clocks.device_time import DeviceTime
+from devices.clocks.stamps import Stamps
 from devices.protocols.ascii_lines import Decoder
 from devices.simulators.ascii_lines import AsciiLines as Simulated
 from devices.simulators.ascii_lines import LinesBrain
 from devices.simulators.lines import line_at
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from devices.simulators.serve import Server
-from devices.stamps import Stamps
 from stream.chunk import NS
 from stream.errors import DeviceError, ParameterError
 from stream.params import build

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.bitalino import Bitalino, Channel
+from devices.clocks.short_counter import ShortCounter
 from devices.protocols import bitalino as protocol
 from devices.protocols.bitalino import Decoder, Frames, crc_of, frame, size_of, widths
-from devices.short_counter import ShortCounter
 from devices.simulators.bitalino import BitalinoBrain
 from devices.simulators.lines import line_at
 from devices.simulators.misbehaviour import GOOD, Misbehaviour

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from devices.device_clock import Counter, DeviceClock
+from devices.clocks.device_clock import Counter, DeviceClock
 from stream.chunk import NS, Times
 
 

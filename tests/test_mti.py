@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from devices.clocks.tick_clock import TickClock
 from devices.mti import Mti
 from devices.protocols import xbus
 from devices.simulators.lines import line_at
@@ -21,7 +22,6 @@ from devices.simulators.mti import Mti as Simulated
 from devices.simulators.mti import MtiBrain
 from devices.simulators.serve import Server
 from devices.simulators.walking_limb import Limb
-from devices.tick_clock import TickClock
 from stream.chunk import NS
 from stream.errors import DeviceError, ParameterError
 from stream.params import build
@@ -217,7 +217,7 @@ class Answers(MtiBrain):
 def test_a_wrong_answer_is_told(
     words: dict[int, bytes], given: dict[str, object], told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("devices.xbus_talk.ANSWER_S", 0.3)
+    monkeypatch.setattr("devices.talk.xbus.ANSWER_S", 0.3)
     brain = Answers(words)
     brain._measuring = False
     with served(brain) as server:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from devices.clock_log import ClockLog
-from devices.device_clock import ClockState
-from devices.packet_clock import PacketClock
+from devices.clocks.clock_log import ClockLog
+from devices.clocks.device_clock import ClockState
+from devices.clocks.packet_clock import PacketClock
 from stream.chunk import NS, Times
 
 RATE = 250.0
@@ -95,8 +95,8 @@ def test_jitter_of_twenty_milliseconds_and_a_drift_of_fifty_ppm() -> None:
 
 def test_the_clocks_state_is_logged_once_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
     now, told = [0.0], []
-    monkeypatch.setattr("devices.clock_log.time.monotonic", lambda: now[0])
-    monkeypatch.setattr("devices.clock_log.log.info", lambda *_, **facts: told.append(facts), raising=False)
+    monkeypatch.setattr("devices.clocks.clock_log.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("devices.clocks.clock_log.log.info", lambda *_, **facts: told.append(facts), raising=False)
     states: list[ClockState | None] = [None, ClockState(1.5, 20.0, 0.001, 60), ClockState(1.5, 21.0, 0.001, 60)]
     clock_log = ClockLog("board", lambda: states.pop(0))
     for now[0] in (10.0, 61.0, 62.0, 63.0, 122.0, 123.0):

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.pace import Pace
+from devices.clocks.pace import Pace
 from devices.protocols import trigno as protocol
 from devices.protocols.trigno import Rows
 from devices.simulators.misbehaviour import GOOD, Misbehaviour

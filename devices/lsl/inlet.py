@@ -8,12 +8,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
+from devices.clocks.timing import timing_spec
 from devices.lsl.connection import Connection, opened
 from devices.lsl.find import Wanted, find
 from devices.lsl.metadata import TEXT, describe, differences, marker_spec, signal_spec
 from devices.lsl.network import ANY, MACHINE, Network, library, unsettled
 from devices.lsl.pull import Pull
-from devices.timing import timing_spec
 from stream.chunk import Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param

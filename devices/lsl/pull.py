@@ -7,11 +7,11 @@ import time
 import numpy as np
 import structlog
 
+from devices.clocks.timing import timing_chunk
 from devices.lsl.clock import zero_ns
 from devices.lsl.connection import Connection
 from devices.lsl.find import is_there
 from devices.lsl.stamps import Mapped, Stamps
-from devices.timing import timing_chunk
 from stream.chunk import NS, Array, Chunk, Samples, StreamSpec
 from stream.errors import DeviceError
 from stream.source import Feed

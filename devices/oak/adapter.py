@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from devices.clocks.stamps import Losses, runs
 from devices.oak.library import ns
-from devices.stamps import Losses, runs
 from stream.chunk import Array, Chunk, StreamSpec
 from stream.errors import DeviceError
 

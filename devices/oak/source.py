@@ -12,10 +12,10 @@ from typing import Any, Literal
 import numpy as np
 import structlog
 
+from devices.clocks.timing import timing_chunk, timing_spec
 from devices.oak.adapter import Frames, Motion, message_of
 from devices.oak.camera import Camera, Link, opened
 from devices.oak.library import library, zero_ns
-from devices.timing import timing_chunk, timing_spec
 from stream.chunk import NS, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param

@@ -15,8 +15,8 @@ from filelock import FileLock
 
 from devices.append_file import AppendFile
 from devices.claim import check_path, claim, let_go
-from devices.cycle_rows import Held, header, nothing_held, release, take_closed, take_statistics
 from devices.report.compose import compose
+from devices.report.cycle_rows import Held, header, nothing_held, release, take_closed, take_statistics
 from devices.report.data import Curves, Report, save
 from devices.report.tally import GAIT, Tally, hear, nothing_yet, numbers
 from devices.report.words import relative_to

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from devices.device_clock import ClockState, DeviceClock
+from devices.clocks.device_clock import ClockState, DeviceClock
 from stream.chunk import NS, Times
 
 WATCHED_NS = NS

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from devices.device_clock import ClockState, DeviceClock
-from devices.packet_clock import Packets
+from devices.clocks.device_clock import ClockState, DeviceClock
+from devices.clocks.packet_clock import Packets
 from stream.chunk import NS, Array, Times
 
 WATCHED_NS = NS

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.device_clock import ClockState, DeviceClock
+from devices.clocks.device_clock import ClockState, DeviceClock
 from stream.chunk import NS, Array, Times
 
 Flags = NDArray[np.bool_]

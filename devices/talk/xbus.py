@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 
-from devices.handshake import shown
 from devices.protocols import xbus
 from devices.protocols.xbus import Decoder, Run
-from devices.transport import Transport
+from devices.talk.handshake import shown
+from devices.talk.transport import Transport
 from stream.errors import DeviceError
 from stream.source import Feed
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import structlog
 
-from devices.device_clock import ClockState
+from devices.clocks.device_clock import ClockState
 
 EVERY_S = 60.0
 

@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from devices.device_clock import ClockState, Counter, DeviceClock
-from devices.device_time import DeviceTime
-from devices.packet_clock import PacketClock, Packets
+from devices.clocks.device_clock import ClockState, Counter, DeviceClock
+from devices.clocks.device_time import DeviceTime
+from devices.clocks.packet_clock import PacketClock, Packets
 from stream.chunk import NS, Array, Times
 
 REPEATED = -2

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 
-from devices.handshake import quiet, shown
 from devices.protocols import shimmer as protocol
-from devices.transport import Transport
+from devices.talk.handshake import quiet, shown
+from devices.talk.transport import Transport
 from stream.errors import DeviceError
 from stream.source import Feed
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from devices.transport import Transport
+from devices.talk.transport import Transport
 from stream.errors import DeviceError
 from stream.source import Feed
 
