@@ -37,18 +37,34 @@ def test_several_csv_files_into_one_recording(tmp_path: Path) -> None:
     (tmp_path / "steps.csv").write_text("time\n0.25\n0.75\n")
     files = [tmp_path / "emg.csv", tmp_path / "steps.csv"]
     refused(
-        tmp_path,
-        "'time' stands in several files; name one of emg:time, steps:time",
-        *files,
-        "--stream",
-        "b.emg=TA,GM",
-        "--time",
-        "time",
+        tmp_path, "'time' stands in several files; name one of emg:time, steps:time", *files, "--events", "b.steps=time"
     )
     told = ["--stream", "b.emg=TA,GM", "--time", "emg:time", "--events", "b.steps=steps:time"]
     with imported(tmp_path, *files, *told) as recording:
         assert recording.read("b.steps")[1]["onset"].tolist() == [250_000_000, 750_000_000]
         assert recording.streams["b.emg"].spec.channels == ("TA", "GM")
+
+
+def test_each_stream_takes_the_times_of_its_own_file(tmp_path: Path) -> None:
+    (tmp_path / "emg.csv").write_text(
+        "time;TA [mV];GM [mV]\n" + "\n".join(f"{i / 100};{i};1".replace(".", ",") for i in range(100))
+    )
+    (tmp_path / "force.csv").write_text(
+        "time;Fz [N]\n" + "\n".join(f"{i / 50};{i}".replace(".", ",") for i in range(50))
+    )
+    files = [tmp_path / "emg.csv", tmp_path / "force.csv"]
+    with imported(tmp_path, *files, "--stream", "b.emg=TA,GM", "--stream", "b.force=Fz", "--time", "time") as recording:
+        assert [recording.streams[name].spec.rate_hz for name in ("b.emg", "b.force")] == [100.0, 50.0]
+    (tmp_path / "plate.csv").write_text((tmp_path / "force.csv").read_text().replace("Fz", "Fx"))
+    files.append(tmp_path / "plate.csv")
+    refused(tmp_path, "'time' stands in several files", *files, "--stream", "b.both=Fx,Fz", "--time", "time")
+
+
+def test_a_micro_sign_is_spelt_as_everywhere(tmp_path: Path) -> None:
+    header = "t_ms,TA [\u00b5V],GM [\u03bcV],SO [uV]\n"
+    (tmp_path / "a.csv").write_text(header + "\n".join(f"{i},{i},1,2" for i in range(100)), encoding="utf-8")
+    with imported(tmp_path, tmp_path / "a.csv") as recording:
+        assert recording.streams["a"].spec.units == ("uV",)
 
 
 @pytest.mark.parametrize(

@@ -63,7 +63,9 @@ def import_(
     scale: Annotated[Many, typer.Option(metavar="[NAME=]FACTOR", help="multiply the samples")] = None,
     meta: Annotated[Many, typer.Option(metavar="NAME:KEY=VALUE", help="a fact about a stream, e.g. side=right")] = None,
     fact: Annotated[Many, typer.Option(metavar="KEY=VALUE", help="a fact about the session, e.g. subject=S01")] = None,
-    start: Annotated[str, typer.Option(metavar="ISO", help="when time 0 was, e.g. 2024-05-01T09:30:00+02:00")] = "",
+    start: Annotated[
+        str, typer.Option(metavar="ISO", help="when time 0 was, e.g. 2024-05-01T09:30:00+02:00 (UTC without an offset)")
+    ] = "",
     chunk_ms: Annotated[
         float, typer.Option(min=1.0, max=1000.0, help="samples arrive in windows of so many ms")
     ] = 20.0,

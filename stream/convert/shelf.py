@@ -56,7 +56,10 @@ class Shelf:
                 self._twice.add(name)
             self.columns[name] = self.columns[f"{file.stem}:{name}"] = column
 
-    def find(self, name: str, option: str) -> Column:
+    def find(self, name: str, option: str, near: Path | None = None) -> Column:
+        """An array by its name; where several files have it, that of the file `near`."""
+        if name in self._twice and near is not None and (own := self.columns.get(f"{near.stem}:{name}")):
+            return own
         if name in self._twice:
             choices = ", ".join(sorted(k for k in self.columns if k.endswith(f":{name}")))
             raise RecordingError(f"{option}: {name!r} stands in several files; name one of {choices}")
@@ -64,12 +67,12 @@ class Shelf:
             raise RecordingError(f"{option}: there is no column or array {name!r}; {nearest(name, self.columns)}")
         return self.columns[name]
 
-    def part(self, name: str, option: str) -> Column:
+    def part(self, name: str, option: str, near: Path | None = None) -> Column:
         """A whole array, or with `name:2` its column number 2."""
         array, colon, number = name.rpartition(":")
         if not colon or name in self.columns or not number.isdigit():
-            return self.find(name, option)
-        whole = self.find(array, option)
+            return self.find(name, option, near)
+        whole = self.find(array, option, near)
         if whole.data.ndim < 2 or int(number) >= whole.data.shape[1]:
             raise RecordingError(f"{option}: {array!r} of shape {whole.data.shape} has no column {number}")
         return Column(whole.data[:, int(number)], whole.file, whole.row, whole.unit)
@@ -123,7 +126,8 @@ def _signal(shelf: Shelf, wishes: Wishes, name: str, parts: Sequence[str]) -> Se
     first = columns[0]
     data = _joined(name, parts, columns)
     channels = _channels(shelf, wishes, name, data, parts)
-    time, rate, lost = _timing(shelf, wishes, name, first, len(data))
+    near = first.file if all(column.file == first.file for column in columns) else None
+    time, rate, lost = _timing(shelf, wishes, name, near, len(data))
     if scale := wishes.of(wishes.scale, name):
         data = data * _number(scale, f"--scale {name}")
     spec = StreamSpec(
@@ -138,9 +142,15 @@ def _signal(shelf: Shelf, wishes: Wishes, name: str, parts: Sequence[str]) -> Se
 
 
 def _units(given: str, found: list[str], channels: int) -> tuple[str, ...]:
+    """One unit for all channels or one for each; a micro sign, of either kind, is spelt as graphs and references do: uV."""
+    given, found = _plain(given), [_plain(unit) for unit in found]
     if given or len(set(found)) == 1:
         return (given or found[0],)
     return tuple(found) if len(found) == channels else ("",)
+
+
+def _plain(unit: str) -> str:
+    return f"u{unit[1:]}" if unit.startswith(("\u00b5", "\u03bc")) else unit
 
 
 def _joined(name: str, parts: Sequence[str], columns: list[Column]) -> Array:
@@ -176,18 +186,20 @@ def _channels(shelf: Shelf, wishes: Wishes, name: str, data: Array, parts: Seque
     return channels
 
 
-def _timing(shelf: Shelf, wishes: Wishes, name: str, like: Column, n: int) -> tuple[Times, float | None, Array | None]:
-    """Stamps, rate, and lost samples of a signal of `n` samples."""
+def _timing(
+    shelf: Shelf, wishes: Wishes, name: str, near: Path | None, n: int
+) -> tuple[Times, float | None, Array | None]:
+    """Stamps, rate, and lost samples of a signal of `n` samples, whose columns are all of the file `near`."""
     rate = _rate(shelf, wishes, name)
     counter = wishes.of(wishes.counter, name)
     lost = None
     if counter:
-        found = shelf.part(counter, f"--counter {name}")
+        found = shelf.part(counter, f"--counter {name}", near)
         _same_length(found.data, n, f"--counter {name}")
         lost = lost_by_counter(found.data, found.where)
     named = wishes.of(wishes.time, name)
     if named:
-        return _timed(shelf, wishes, name, named, n, rate, lost)
+        return _timed(shelf, wishes, name, named, near, n, rate, lost)
     if rate is None:
         raise RecordingError(
             f"stream {name!r}: when its samples were taken is not known; give --rate {name}=HZ or --time {name}=COLUMN"
@@ -201,9 +213,16 @@ def _timing(shelf: Shelf, wishes: Wishes, name: str, like: Column, n: int) -> tu
 
 
 def _timed(
-    shelf: Shelf, wishes: Wishes, name: str, named: str, n: int, rate: float | None, lost: Array | None
+    shelf: Shelf,
+    wishes: Wishes,
+    name: str,
+    named: str,
+    near: Path | None,
+    n: int,
+    rate: float | None,
+    lost: Array | None,
 ) -> tuple[Times, float | None, Array | None]:
-    column = shelf.part(named, f"--time {name}")
+    column = shelf.part(named, f"--time {name}", near)
     _same_length(column.data, n, f"--time {name}")
     time = _times(wishes, name, named, column, rate)
     check_order(time, column.where, column.row, repeated=wishes.repeated)
