@@ -84,6 +84,15 @@ def test_rest_is_the_mean_and_the_baseline_noise(walked, tmp_path):
     assert "rest (uV)" in told and "noise (uV)" in told
 
 
+@pytest.mark.parametrize("kind", ["rest", "mvc"])
+def test_muscles_that_do_the_same_throughout_are_no_baseline_noise(tmp_path, kind):
+    spec = StreamSpec((2,), rate_hz=1000.0, channels=NAMES, units=("uV",))
+    noise = np.random.default_rng(0).standard_normal((8000, 2)) * 3.0
+    steady = recorded(tmp_path / "steady.mcap", {"emg": (spec, stamps(8000), noise)})
+    told = run(kind, steady, "-o", str(tmp_path / "made.json"))
+    assert "good" in told and "doubtful" not in told
+
+
 def test_task_is_peak_and_mean_of_the_mean_cycle(walked, tmp_path):
     run("task", walked, "-o", str(tmp_path / "task.json"))
     found = AmplitudeReference.read(tmp_path / "task.json")

@@ -84,7 +84,7 @@ def reference(
     )
     spec = recording.stream(name).spec
     time, data, out = settled_envelope(envelope, spec, recording.chunks(name))
-    flags, noise = quality(spec, recording.chunks(name))
+    flags, noise = quality(spec, recording.chunks(name), steady=kind != "task")
     note = f"{len(time) / (out.rate_hz or 1):.1f} s of {name}"
     if kind == "mvc":
         values = {"mvc": highest_mean(time, data, out, window_s)}

@@ -77,9 +77,12 @@ def mean_cycle(
     return np.asarray(np.nanmean(cycles, axis=0)), len(cycles)
 
 
-def quality(spec: StreamSpec, chunks: Iterable[Chunk]) -> tuple[list[str], Samples]:
-    """Per channel the verdict on the whole recording ("good", "bad: mains hum"), and its baseline noise (channels,)."""
-    operator = SignalQuality()
+def quality(spec: StreamSpec, chunks: Iterable[Chunk], *, steady: bool = False) -> tuple[list[str], Samples]:
+    """Per channel the verdict on the whole recording ("good", "bad: mains hum"), and its baseline noise (channels,).
+
+    steady   the muscles do the same throughout (rest, a held contraction), so that no contrast is no fault
+    """
+    operator = SignalQuality(least_contrast=1.0) if steady else SignalQuality()
     operator.open({"in": spec})
     found = np.concatenate([operator.process("in", chunk).data for chunk in chunks])
     if not len(found):
