@@ -84,6 +84,10 @@ class CsvFile(_Writer):
         self.hold(CsvState())
         return {}
 
+    @property
+    def file(self) -> str:
+        return str(Path(self.path).with_name(Path(self.state.path).name)) if self.state.path else self.path
+
     def begin(self) -> None:
         desk = self.desk
         desk.claim = claim(Path(self.path).absolute())

@@ -102,7 +102,7 @@ def test_an_existing_file_is_kept(tmp_path: Path) -> None:
     for name in ("emg-2.csv", "emg-3.csv"):
         outlet = begun(path)
         outlet.close()
-        assert read(tmp_path / name)[0][0] == "time (UTC)"
+        assert read(tmp_path / name)[0][0] == "time (UTC)" and outlet.file == str(tmp_path / name)
     with pytest.raises(DeviceError, match="exists already"):
         begun(path, existing="refuse")
     assert path.read_text() == "precious"

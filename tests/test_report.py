@@ -233,10 +233,12 @@ def test_a_crash_leaves_an_interim_page(tmp_path: Path, monkeypatch: pytest.Monk
 def test_nothing_is_overwritten_and_a_second_instance_is_refused(tmp_path: Path) -> None:
     (tmp_path / "s.csv").write_text("precious")
     first, second = opened(tmp_path / "s.html"), opened(tmp_path / "s.html")
+    assert first.file == str(tmp_path / "s.html")
     first.begin()
     with pytest.raises(DeviceError, match="another session"):
         second.begin()
     first.close()
+    assert first.file == str(tmp_path / "s-2.html")
     assert (tmp_path / "s.csv").read_text() == "precious" and (tmp_path / "s-2.html").exists()
     assert (tmp_path / "s-2.csv").exists()
 

@@ -103,6 +103,10 @@ class SessionReport(_Reporter):
         self.hold(ReportState(nothing_yet(specs), nothing_held(specs)))
         return {}
 
+    @property
+    def file(self) -> str:
+        return str(Path(self.path).with_name(f"{Path(self.state.stem).name}.html")) if self.state.stem else self.path
+
     def meet(self, graph: Graph) -> None:
         self.desk.graph = graph
 
