@@ -135,7 +135,7 @@ def _figures(report: Report) -> list[dict[str, str]]:
         figures.append(
             {"text": text, "spread": spread, "label": f"{value.label} ({value.unit})" if value.unit else value.label}
         )
-    minutes, seconds = divmod(max(0, report.ended - report.started) // NS, 60)
+    minutes, seconds = divmod(round(max(0, report.ended - report.started) / NS), 60)
     figures.append({"text": f"{minutes}:{seconds:02d}", "spread": "", "label": "session (min:s)"})
     return figures
 

@@ -53,6 +53,7 @@ REASONS = {
 UNITS = {
     "m_s": "m/s",
     "km_h": "km/h",
+    "kmh": "km/h",
     "kg": "kg",
     "cm": "cm",
     "mm": "mm",
@@ -123,15 +124,24 @@ def sites(session: Mapping[str, Any], meta: Mapping[str, Any]) -> dict[str, str]
     return {}
 
 
+def replayed(graph: Graph | None) -> Iterator[tuple[str, str]]:
+    """Where a replay's samples come from."""
+    if graph and graph.replays:
+        yield "Recording", graph.replays + (f" (from {', '.join(graph.imported)})" if graph.imported else "")
+
+
 def settings(graph: Graph) -> Iterator[Setting]:
-    """Every source and operator with all its parameters, given or not."""
+    """Every source and operator with all its parameters, given or not. What was imported in a source's place has none of these."""
     for node in graph.nodes.values():
         if isinstance(node.part, Outlet) or getattr(node.part, "background", False):
             continue
         parameters = [(f.name, getattr(node.part, f.name)) for f in fields(node.part)]  # type: ignore[arg-type]
         text = ", ".join(f"{name}: {_plain(value)}" for name, value in parameters if value not in (None, "", ()))
         delay = node.part.delay_s * 1000 if isinstance(node.part, Operator) else float("nan")
-        yield Setting(node.name, node.use, text, delay)
+        if graph.imported and node.is_source:
+            yield Setting(node.name, "recording", f"{graph.replays}, in place of {node.use}", delay)
+        else:
+            yield Setting(node.name, node.use, text, delay)
 
 
 def _plain(value: Any) -> str:

@@ -60,8 +60,11 @@ def replay(
             print(
                 "the recording holds no facts about its session; what the graph says of it is taken instead:", end=" "
             )
-            print(", ".join(f"{name} {value}" for name, value in graph.session.items()))
-        graph.session = _facts(graph.session, known, asked)
+            print(_listed(graph.session))
+        written, graph.session = graph.session, _facts(graph.session, known, asked)
+        if not quiet and (passed_over := {n: v for n, v in written.items() if graph.session.get(n) != v}):
+            print("what the recording says of its session is taken, not what the graph says:", end=" ")
+            print(f"{_listed(passed_over)} (--set session.NAME=VALUE says otherwise)")
         speaking = _speaking(graph, speak or [])
         run = Replay(graph, source, speaking=speaking, speed=speed or None, output=out, strict=verify)
         recorded = [name for name, stream in source.streams.items() if stream.role == "edge"]
@@ -86,6 +89,10 @@ def replay(
     unseen = _not_compared(recorded, result, run.stand_ins) if verify else []
     for name in unseen:
         print(f"  {name}: NOT COMPARED, for this graph has no such output")
+    if verify and (result.differing or unseen) and source.header.get("graph") != graph.text:
+        print(
+            f"this graph is not the one that made the recording: `kinegraph info {recording} --graph` prints that one"
+        )
     if verify and (result.differing or result.stopped or result.broken or unseen):
         sys.exit(1)
     if failed := [stage for stage in run.pipeline.outlets if stage.failed]:
@@ -99,6 +106,10 @@ class OutletFailed(KinegraphError):
 
     def __init__(self, failures: str) -> None:
         super().__init__(f"not everything was written: {failures}")
+
+
+def _listed(facts: dict[str, Any]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in facts.items())
 
 
 def _facts(written: dict[str, Any], recorded: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:

@@ -100,6 +100,8 @@ class Replay:
     ) -> None:
         self.stand_ins = StandIns.of(graph, recording.streams)
         self.graph, self.recording, self._speed = self.stand_ins.reduced(graph), recording, speed
+        self.graph.replays = recording.path.name
+        self.graph.imported = tuple((recording.header.get("imported") or {}).get("files", ()))
         self._drops = recorded_drops(recording.log)
         self.pipeline = Pipeline(self.graph, speaking=speaking, bridge=self._bridge)
         self.sequence, self._arrival = -1, 0
@@ -225,6 +227,8 @@ class Replay:
         header: dict[str, Any] = {
             **self.recording.header,
             "graph": self.graph.text,
+            "graph_path": self.graph.path,
+            "name": self.graph.name,
             "replayed": True,
             "versions": versions(),
         }

@@ -89,6 +89,11 @@ class Graph:
     session: dict[str, Any] = field(default_factory=dict)
     """Free facts about the session that stand in its recording: subject code, speed, side, electrode sites."""
 
+    replays: str = ""
+    """The recording that stands in for the sources; "" where they are live."""
+    imported: tuple[str, ...] = ()
+    """The files that this recording was imported from; none if a session left it."""
+
     def spec(self, edge: Edge) -> StreamSpec:
         return self.nodes[edge.node].specs[edge.output]
 
