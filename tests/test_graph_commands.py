@@ -13,7 +13,7 @@ from test_load import GOOD, NODE_ERRORS, TOP_ERRORS, nodes
 
 from stream.commands.check import check
 from stream.commands.draw import Format, draw
-from stream.commands.parts import parts
+from stream.commands.parts import parts, reflowed
 from stream.commands.schema import schema
 from stream.errors import GraphError, KinegraphError
 from stream.graph.load import load_text
@@ -193,3 +193,18 @@ def test_parts_lists_what_there_is_and_shows_one(capsys: pytest.CaptureFixture[s
     assert "graph_parts.Cycles (operator)" in " ".join(capsys.readouterr().out.split())
     with pytest.raises(KinegraphError, match="nothing is called 'Lowpas5'; did you mean 'Lowpass'"):
         parts("Lowpas5")
+    with pytest.raises(KinegraphError, match=r"nothing is called 'Xyz'; `kinegraph parts` lists all there is$"):
+        parts("Xyz")
+
+
+def test_a_description_is_laid_out_anew_for_a_narrow_terminal() -> None:
+    ports = "in     what comes in, in a line that goes on\n       here\nout    what goes out\n- an item\n  of two lines"
+    text = f"One sentence that\ngoes on.\n\n{ports}"
+    assert reflowed(text, 30).split("\n") == [
+        "One sentence that goes on.",
+        "",
+        "in     what comes in, in a",
+        "       line that goes on here",
+        "out    what goes out",
+        "- an item of two lines",
+    ]

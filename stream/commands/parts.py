@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import inspect
+import re
 import sys
+import textwrap
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -11,8 +14,14 @@ import typer
 from stream.errors import KinegraphError, nearest
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from stream.graph.parts import Part
 
+WIDE = 110
+"""Columns from which the list is a table."""
+WIDEST = 130
+"""Columns beyond which no line of text goes."""
 BOUNDS = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
 
 
@@ -38,7 +47,9 @@ def parts(
     exact = [path for path in found if name in (path, path.rpartition(".")[2])]
     hits = exact or [path for path, part in found.items() if name.lower() in f"{path} {_first_line(part)}".lower()]
     if not hits:
-        raise KinegraphError(f"nothing is called {name!r}; {nearest(name, {p.rpartition('.')[2] for p in found})}")
+        classes = {path.rpartition(".")[2] for path in found}
+        hint = nearest(name, classes) if get_close_matches(name, classes) else "`kinegraph parts` lists all there is"
+        raise KinegraphError(f"nothing is called {name!r}; {hint}")
     if len(hits) == 1:
         _show(hits[0], found[hits[0]])
     else:
@@ -46,25 +57,72 @@ def parts(
 
 
 def _list(found: dict[str, Part]) -> None:
-    from rich.console import Console
+    """A line on each, as a table where there is room for one, else below its name."""
     from rich.table import Table
     from rich.text import Text
 
     from stream.graph.parts import kind_of
 
+    console = _console()
     table = Table(box=None, pad_edge=False)
     table.add_column("use", no_wrap=True, overflow="fold")
     table.add_column()
     table.add_column("what it does")
     for kind in ("source", "operator", "outlet"):
         for path, part in found.items():
-            if kind_of(part) == kind:
+            if kind_of(part) != kind:
+                continue
+            if console.width >= WIDE:
                 table.add_row(Text(path, style="bold"), kind, Text(_first_line(part)))
-    Console().print(table)
+            else:
+                console.print(Text.assemble((path, "bold"), f"  ({kind})"))
+                console.print(Text(textwrap.indent(reflowed(_first_line(part), console.width - 4), "    ")))
+    if table.row_count:
+        console.print(table)
+
+
+def _console() -> Console:
+    """The terminal; what is no terminal (a pipe, a file) is as wide as it takes."""
+    from rich.console import Console
+
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = 200
+    return console
+
+
+def reflowed(text: str, width: int) -> str:
+    """A docstring's paragraphs and lists of names in lines of at most `width` characters."""
+    return "\n\n".join(
+        "\n".join(
+            textwrap.fill(entry, width, subsequent_indent=" " * _column(entry), break_on_hyphens=False)
+            for entry in _entries(paragraph)
+        )
+        for paragraph in text.split("\n\n")
+    )
+
+
+def _entries(paragraph: str) -> list[str]:
+    """A paragraph as one line; of a list, in which names stand before two spaces or items behind a dash, one line for each."""
+    lines = paragraph.split("\n")
+    if not any(_column(line) for line in lines):
+        return [" ".join(lines)]
+    entries: list[str] = []
+    for line in lines:
+        if entries and line.startswith("  "):
+            entries[-1] += " " + line.strip()
+        else:
+            entries.append(line)
+    return entries
+
+
+def _column(line: str) -> int:
+    """Where an entry's text begins, which its further lines are indented to; 0 of a line that is no entry of a list."""
+    match = re.match(r"\S+(?: \S+)*  +|[-*] ", line)
+    return match.end() if match else 0
 
 
 def _show(path: str, part: Part) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
@@ -72,9 +130,10 @@ def _show(path: str, part: Part) -> None:
     from stream.operator import Operator
     from stream.params import schema
 
-    console = Console(highlight=False)
+    console = _console()
     described = schema(part)
-    console.print(Text.assemble((path, "bold"), f"  ({kind_of(part)})\n\n", inspect.getdoc(part) or "", "\n"))
+    says = reflowed(inspect.getdoc(part) or "", min(console.width, WIDEST))
+    console.print(Text.assemble((path, "bold"), f"  ({kind_of(part)})\n\n", says, "\n"))
     if issubclass(part, Operator):
         ports = [*(f"{p} (optional)" if p in part.optional else p for p in part.inputs)]
         console.print(Text(f"inputs   {'any number' if part.variadic else ', '.join(ports)}"))

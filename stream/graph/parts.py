@@ -166,6 +166,8 @@ def _similar(use: str) -> str:
         return f"; did you mean {close[0]!r}?"
     mine = sorted({f.stem for d in _beside for f in Path(d).glob("*.py")})
     close = get_close_matches(top, mine, n=1, cutoff=0.6)
+    if close == [use]:
+        return f", as in '{use}.MyClass'"
     if close:
         return f"; did you mean {'.'.join([close[0], *use.split('.')[1:]])!r}?"
     own = f"; your own files beside the graph are {', '.join(mine)}" if mine else ""
