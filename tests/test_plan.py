@@ -8,7 +8,7 @@ from test_load import nodes
 from stream.errors import GraphError
 from stream.graph import Graph
 from stream.graph.load import load_text
-from stream.graph.plan import plan
+from stream.graph.plan import duration, plan
 
 TWO_WAYS = """
     slow: {use: graph_parts.Low, from: board, order: 10}
@@ -35,6 +35,12 @@ def test_a_source_adds_the_time_that_its_chunks_cover() -> None:
     text = nodes("low: {use: graph_parts.Low, from: board}").replace("Board", "Board\n    covers_s: 0.02")
     (path,) = plan(load_text(text)).paths
     assert path.explain() == "board 20 ms + low 4 ms = 24 ms"
+    assert [duration(seconds) for seconds in (0.2393, 9.9, 31.03, 7200.0)] == [
+        "239.3 ms",
+        "9900 ms",
+        "31.03 s",
+        "7200 s",
+    ]
 
 
 def test_what_meets_a_slower_input_waits_for_it() -> None:

@@ -164,8 +164,12 @@ def quality(facts: Facts, epochs: Epochs) -> list[tuple[str, str]]:
     seen = epochs.numbers["seen"]
     if np.isfinite(seen).any():
         poor = int((seen < LEAST_SEEN).sum())
+        below = f"below one half in {poor} epoch{'' if poor == 1 else 's'}"
         told.append(
-            ("Frames seen and valid", f"{_share(float(np.nanmean(seen)))} on average; below one half in {poor} epochs")
+            (
+                "Frames seen and valid",
+                f"{_share(float(np.nanmean(seen)))} on average; {below}",
+            )
         )
     first = epochs.texts["provisional"]
     both = (first != "") & (first != "unknown") & (epochs.texts["state"] != "unknown")
@@ -196,7 +200,8 @@ def runs(which: np.ndarray) -> list[tuple[int, int]]:
 def _when(stretch: Stretch, zone: object) -> str:
     begin, end = clock(stretch.begin, zone), clock(stretch.end, zone)  # type: ignore[arg-type]
     seconds = (stretch.end - stretch.begin) / NS
-    return f"{begin:%H:%M}–{end:%H:%M} ({f'{seconds:.0f} s' if seconds < 90 else f'{seconds / 60:.3g} min'})"
+    span = f"{begin:%H:%M}–{end:%H:%M}" if f"{begin:%H:%M}" != f"{end:%H:%M}" else f"{begin:%H:%M}"
+    return f"{span} ({f'{seconds:.0f} s' if seconds < 90 else f'{seconds / 60:.3g} min'})"
 
 
 def _bounds(numbers: dict[str, object], name: str, write: object) -> str:

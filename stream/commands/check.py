@@ -13,7 +13,7 @@ from rich.table import Table
 from stream.graph import Edge, Graph, Node, overrides
 from stream.graph.drawing import shown
 from stream.graph.load import load
-from stream.graph.plan import Plan, plan, refuse_late
+from stream.graph.plan import Plan, duration, plan, refuse_late
 
 
 def check(
@@ -75,9 +75,7 @@ def _paths(planned: Plan) -> Table:
     table.add_column("where from", overflow="fold")
     table.add_column("memory", justify="right")
     for path in planned.paths:
-        table.add_row(
-            escape(str(path)), f"{path.delay_s * 1e3:.4g} ms", escape(path.explain()), size(path.memory_bytes)
-        )
+        table.add_row(escape(str(path)), duration(path.delay_s), escape(path.explain()), size(path.memory_bytes))
     return table
 
 
@@ -95,7 +93,7 @@ def _unread(graph: Graph) -> list[str]:
 
 def _verdict(graph: Graph, planned: Plan) -> str:
     slowest = planned.slowest
-    delay = f"{slowest.delay_s * 1e3:.4g} ms" if slowest else "0 ms"
+    delay = duration(slowest.delay_s) if slowest else "0 ms"
     budget = f" (budget {graph.latency_budget_ms:g} ms)" if graph.latency_budget_ms else ""
     return f"[bold green]OK[/bold green]: delay at most {delay}{budget}, memory about {size(planned.memory_bytes)}"
 

@@ -65,9 +65,9 @@ class Path:
         """Where the delay comes from: "board 10 ms + envelope 24 ms = 34 ms"."""
         parts: list[str] = []
         for step in self.steps:
-            parts += [f"{step.node} waits {_ms(step.wait_s)}"] if step.wait_s > 1e-9 else []
-            parts += [f"{step.node} {_ms(step.delay_s)}"] if step.delay_s else []
-        return f"{' + '.join(parts) or 'nothing'} = {_ms(self.delay_s)}"
+            parts += [f"{step.node} waits {duration(step.wait_s)}"] if step.wait_s > 1e-9 else []
+            parts += [f"{step.node} {duration(step.delay_s)}"] if step.delay_s else []
+        return f"{' + '.join(parts) or 'nothing'} = {duration(self.delay_s)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,5 +145,6 @@ def _chunk_bytes(spec: StreamSpec, chunk_s: float) -> int:
     return _CHUNK_BYTES + samples * (spec.sample_bytes + 8)
 
 
-def _ms(seconds: float) -> str:
-    return f"{seconds * 1e3:.4g} ms"
+def duration(seconds: float) -> str:
+    """A delay for people."""
+    return f"{seconds * 1e3:.4g} ms" if seconds < 9.9995 else f"{seconds:.4g} s"
