@@ -53,6 +53,32 @@ def test_a_sound_operator_passes(tmp_path: Path) -> None:
     assert "case 1 of 1: every law held, 10 random tries" in found.stdout
 
 
+def test_inputs_of_several_rates_are_no_fault_of_the_operator(tmp_path: Path) -> None:
+    """Where the case is played again, a stream that is over earlier begins after a gap; it must say so."""
+    text = OPERATOR.replace("BODY", "x * self.factor").replace(
+        """    def open(self, specs):
+        self.hold(None)
+        return {"out": specs["in"]}
+""",
+        """    inputs = ("in", "slow")
+
+    def open(self, specs):
+        self.hold(None)
+        return {"out": specs["in"]}
+""",
+    )
+    text = text.replace(
+        "(self, port, chunk):", "(self, port, chunk):\n        if port == 'slow':\n            return None"
+    )
+    text = text.replace(
+        "grid(100.0, 300), data)}", "grid(100.0, 300), data), 'slow': (spec_slow, grid(7.0, 22), data[:22])}"
+    )
+    text = text.replace("        data = np", "        spec_slow = StreamSpec((2,), rate_hz=7.0)\n        data = np")
+    (tmp_path / "my_ops.py").write_text(text.replace("dataclass(frozen=True, slots=True)", "dataclass(frozen=True)"))
+    found = attempt(tmp_path, "my_ops.Gain", "--examples", "10")
+    assert found.returncode == 0, found.stderr
+
+
 def test_a_broken_one_is_told_which_law_where_and_what_to_do(tmp_path: Path) -> None:
     (tmp_path / "my_ops.py").write_text(OPERATOR.replace("BODY", "x - x[:1]"))
     found = attempt(tmp_path, "my_ops.Gain")

@@ -62,16 +62,30 @@ def span(tapes: Tapes) -> tuple[int, int]:
 
 
 def repeat(tapes: Tapes, times: int) -> Tapes:
-    """The same samples again and again, each time with later stamps."""
-    first, last = span(tapes)
-    shift = last - first + max([1_000_000, *(t.spec.period_ns for t in tapes.values())])
+    """The same samples again and again, each time with later stamps.
+
+    A regular stream that is over before another one is told to lack samples where it begins anew.
+    """
+    first, _ = span(tapes)
+    shift = max(int(t.time[-1]) - first + (t.spec.period_ns or 1_000_000) for t in tapes.values() if len(t))
     again = {}
     for port, tape in tapes.items():
         parts = [_later(tape, first, k * shift) for k in range(times)]
+        if len(tape) and (missing := _missing(tape, shift)):
+            for part in parts[1:]:
+                part.lost[0] = add_lost(int(part.lost[0]), missing)
         again[port] = Tape(
             tape.spec, *(np.concatenate([getattr(p, name) for p in parts]) for name in ("time", "data", "lost"))
         )
     return again
+
+
+def _missing(tape: Tape, shift: int) -> int:
+    """How many samples lack between a regular stream's last and its first, `shift` later; -1: a broken number of them."""
+    if not tape.spec.period_ns:
+        return 0
+    periods = (int(tape.time[0]) + shift - int(tape.time[-1])) * (tape.spec.rate_hz or 0.0) / NS
+    return round(periods) - 1 if abs(periods - round(periods)) < 1e-3 else -1
 
 
 def _later(tape: Tape, since: int, shift: int) -> Tape:
@@ -80,7 +94,9 @@ def _later(tape: Tape, since: int, shift: int) -> Tape:
     for name in tape.spec.dtype.names or ():
         if tape.spec.unit_of(name) == "ns":
             data[name] = np.where(data[name] >= since, data[name] + shift, data[name])
-    return replace(tape, time=np.where(tape.time >= since, tape.time + shift, tape.time), data=data)
+    return replace(
+        tape, time=np.where(tape.time >= since, tape.time + shift, tape.time), data=data, lost=tape.lost.copy()
+    )
 
 
 def pause(tapes: Tapes, at: int, shift: int, *, known: bool = False, told: bool = False) -> Tapes:
