@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from rich.table import Table
 
-from devices.report.words import relative_to
+from devices.report.words import decimals, relative_to
 from devices.terminal import View
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError, ParameterError, nearest
@@ -106,8 +106,9 @@ def cycle_table(title: str, rows: Array, fields: tuple[str, ...], spec: StreamSp
     table.add_column("muscle")
     for field in fields:
         table.add_column(f"{_short(field)} {spec.unit_of(field)}".strip(), justify="right")
-    for row in rows:
-        table.add_row(str(row["name"]), *(_number(field, float(row[field])) for field in fields))
+    written = [[str(name) for name in rows["name"]], *(_numbers(field, rows[field]) for field in fields)]
+    for cells in zip(*written, strict=True):
+        table.add_row(*cells)
     return table
 
 
@@ -115,9 +116,10 @@ def cycle_line(event: Array, rows: Array, fields: tuple[str, ...], spec: StreamS
     """The cycle, then the first number of each muscle, its unit and, if it is shown, where the peak lies: "TA 91.2@76%"."""
     first = next((field for field in fields if field != "peak_pct"), "")
     parts = []
-    for row in rows:
+    numbers = _numbers(first, rows[first]) if first else [""] * len(rows)
+    for row, number in zip(rows, numbers, strict=True):
         place = f"@{row['peak_pct']:.0f}%" if "peak_pct" in fields and np.isfinite(row["peak_pct"]) else ""
-        parts.append(f"{row['name']} {_number(first, float(row[first])) if first else ''}{place}")
+        parts.append(f"{row['name']} {number}{place}")
     if not first:
         return f"{_what(event)}  {'peak at' if fields else ''}: {', '.join(parts)}"
     unit = spec.unit_of(first)
@@ -135,9 +137,11 @@ def _short(field: str) -> str:
     return {"peak_pct": "peak at", "integrated": "iEMG"}.get(field, field.replace("_", " "))
 
 
-def _number(field: str, value: float) -> str:
-    decimals = 0 if field.endswith("_pct") else 2 if field == "deviation" or field.startswith("integrated") else 1
-    return f"{value:.{decimals}f}" if np.isfinite(value) else "–"
+def _numbers(field: str, values: Array) -> list[str]:
+    """A field of all muscles, with as many decimals for each."""
+    least = 0 if field.endswith("_pct") else 2 if field == "deviation" or field.startswith("integrated") else 1
+    places = decimals(field, least, values)
+    return [f"{value:.{places}f}" if np.isfinite(value) else "–" for value in values.tolist()]
 
 
 def _show(notice: Any, line: str) -> None:

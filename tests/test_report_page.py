@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 from browser import Browser, needs_browser
 
+from devices.report.curves import draw
 from devices.report.data import Column, Curves, Muscle, Rejected, Report, Setting, Stream, Value, load, save
 from devices.report.page import quality_sentence, render, write
+from devices.report.words import decimals
 
 NAN = float("nan")
 VOID = {"meta", "br", "link", "img", "input", "hr"}
@@ -130,6 +132,17 @@ def test_a_long_unit_does_not_stick_out_of_its_panel() -> None:
         )
         assert place and float(place[2]) >= 0
         assert place[1] == ("start" if unit[0] == "%" else "end")
+
+
+def test_amplitudes_in_millivolts_keep_their_figures() -> None:
+    """The numbers beside the axis are the marks' own, and the table is not all zeros."""
+    _, curves = sample()
+    svg = draw(Curves(curves.mean / 1000, curves.sd / 1000, curves.single / 1000), 63.0, "mV", ["TA", "SO"])[0]
+    marks = [float(text) for text in re.findall(r"<text[^>]*>(\d\.\d+)</text>", svg)]
+    assert len(marks) >= 3 and np.allclose(np.diff(marks), np.diff(marks)[0], atol=1e-9), marks
+    assert decimals("peak", 1, np.array([0.0675, NAN, 0.0636])) == 4
+    assert decimals("peak", 1, np.array([67.5])) == decimals("peak", 1, np.full(2, NAN)) == 1
+    assert decimals("deviation", 2, np.array([0.41])) == 2
 
 
 def test_a_session_without_a_single_cycle_has_a_page() -> None:

@@ -110,6 +110,7 @@ def _fill_table(report: Report, tally: Tally, specs: Specs, sites: Mapping[str, 
     table: list[tuple[Samples, Samples]] = []
     for name, running in zip(numbers(specs.get("statistics")), tally.fields, strict=True):
         if column := words.column(name, specs["statistics"]):
+            column.decimals = words.decimals(name, column.decimals, running.centre())
             report.columns.append(column)
             table.append((running.centre(), running.spread()))
     for name, values in zip(numbers(specs.get("muscles")), tally.overall, strict=True):

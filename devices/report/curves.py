@@ -96,14 +96,21 @@ def _top(mean: Samples, sd: Samples, single: Samples) -> float:
     return float(1.05 * max(band.max() if len(band) else 0.0, np.quantile(values, 0.95), 1e-9))
 
 
+def _shorter(number: re.Match[str]) -> str:
+    return f"{float(number.group()):.2f}"
+
+
 def _svg(figure: Figure, title: str) -> str:
-    """The figure as an SVG element without prologue, with coordinates of two decimals and a title for screen readers."""
+    """The figure as an SVG element without prologue, with coordinates of two decimals and a title for screen readers.
+
+    What is written beside the axes keeps its decimals: it is the text between the tags.
+    """
     text = io.StringIO()
     figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     body = text.getvalue()
     body = body[body.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
-    body = re.sub(r"-?\d+\.\d{3,}", lambda match: f"{float(match.group()):.2f}", body)
+    body = re.sub(r"<[^>]*>", lambda tag: re.sub(r"-?\d+\.\d{3,}", _shorter, tag.group()), body)
     mark = re.sub(r"\W", "", title)
     body = re.sub(r'(id="|href="#|url\(#)', rf"\g<1>{mark}-", body)
     return re.sub(r"<svg([^>]*)>", rf'<svg\1 role="img" aria-label="{escape(title)}">', body, count=1)

@@ -6,10 +6,13 @@ import platform
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from importlib.metadata import version
+from math import floor, log10
 from typing import Any
 
+import numpy as np
+
 from devices.report.data import Column, Setting
-from stream.chunk import StreamSpec
+from stream.chunk import Samples, StreamSpec
 from stream.graph import Graph
 from stream.operator import Operator, Outlet
 
@@ -64,6 +67,17 @@ UNITS = {
     "years": "years",
 }
 SITES = ("sites", "electrodes", "electrode_sites")
+
+
+AMPLITUDES = ("peak", "mean", "integrated", "mean_stance", "mean_swing", "integrated_stance", "integrated_swing")
+"""The fields in the signal's unit."""
+
+
+def decimals(field: str, least: int, values: Samples) -> int:
+    """How many decimals a field's `values` are written with: `least`, or as many as leave three figures to amplitudes below 1 (mV)."""
+    amounts = np.abs(values[np.isfinite(values)])
+    largest = float(amounts.max(initial=0.0))
+    return max(least, 2 - floor(log10(largest))) if field in AMPLITUDES and 0 < largest < 1 else least
 
 
 def column(field: str, spec: StreamSpec) -> Column | None:
