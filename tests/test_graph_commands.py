@@ -11,13 +11,14 @@ import jsonschema
 import pytest
 from test_load import GOOD, NODE_ERRORS, TOP_ERRORS, nodes
 
-from stream.commands.check import check
+from stream.commands.check import _narrow, check
 from stream.commands.draw import Format, draw
 from stream.commands.parts import parts, reflowed
 from stream.commands.schema import schema
 from stream.errors import GraphError, KinegraphError
 from stream.graph.load import load_text
 from stream.graph.parts import catalogue
+from stream.graph.plan import plan
 from stream.graph.schema import graph_schema, unit_of
 from stream.graph.yaml_lines import parse
 
@@ -40,6 +41,14 @@ def test_check_shows_nodes_and_paths(good: Path, capsys: pytest.CaptureFixture[s
     assert "board -> low -> cycles -> screen" in shown and "low 4 ms + cycles 50 ms = 54 ms" in shown
     assert "OK: delay at most 54 ms (budget 200 ms)" in shown
     assert "annotations" not in shown
+
+
+def test_check_fits_a_narrow_terminal(good: Path) -> None:
+    graph = load_text(good.read_text(), path=str(good))
+    told = _narrow(graph, plan(graph), 50)
+    assert max(map(len, told.splitlines())) <= 50
+    assert all(f"\n{name}  {node.use}" in told for name, node in graph.nodes.items() if name != "annotations")
+    assert "\n  delay " in told and "; memory " in " ".join(told.split())
 
 
 def test_check_points_at_what_nobody_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

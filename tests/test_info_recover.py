@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from rich.console import Console
 from test_recording import assert_recorded, killed
 
 from stream import cli
 from stream.chunk import NS, Chunk, StreamSpec
+from stream.commands.info import _show
 from stream.errors import RecordingError
 from stream.graph import RecordingOptions
 from stream.operator import grid
@@ -50,6 +53,21 @@ def test_info(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert facts["annotations"] == [{"time": int(times[9]), "onset": int(times[7]), "text": "stumbled"}]
     kinegraph("info", tmp_path / "s", "--graph")
     assert capsys.readouterr().out == "nodes: {}\n"
+
+
+def test_info_fits_a_narrow_terminal(tmp_path: Path) -> None:
+    name, fields = "ensemble.muscles", [(f"field_{i}", "<f8") for i in range(12)]
+    with Recorder(tmp_path / "s", {}, RecordingOptions(), wait=True) as recorder:
+        recorder.add_stream(name, StreamSpec((), np.dtype(fields)), "edge")
+        recorder.add_stream("emg", StreamSpec((1,), rate_hz=100.0, units=("uV",)), "input")
+    shown = io.StringIO()
+    with Recording.open(tmp_path / "s") as recording:
+        _show(Console(file=shown, width=80, highlight=False), recording, None)
+    lines = shown.getvalue().splitlines()
+    assert [
+        line for line in lines if line.startswith(f"{name}  ")
+    ] and "emg: 1 channel float64 at 100 Hz in uV" in lines
+    assert f"{name}: events (field_0, field_1, " in shown.getvalue() and max(map(len, lines)) <= 80
 
 
 def test_recover(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path as File
+from textwrap import fill
 from typing import Annotated
 
 import typer
@@ -14,6 +15,9 @@ from stream.graph import Edge, Graph, Node, overrides
 from stream.graph.drawing import shown
 from stream.graph.load import load
 from stream.graph.plan import Plan, duration, plan, refuse_late
+
+WIDE = 120
+"""Columns from which nodes and paths are tables."""
 
 
 def check(
@@ -37,12 +41,33 @@ def check(
     console = Console(highlight=False)
     if not console.is_terminal:
         console.width = 200
-    console.print(_nodes(graph))
-    console.print(_paths(planned))
+    if console.width >= WIDE:
+        console.print(_nodes(graph))
+        console.print(_paths(planned))
+    else:
+        console.print(escape(_narrow(graph, planned, console.width)))
     for hint in _unread(graph):
         console.print(f"[dim]note: {escape(hint)}[/dim]")
     refuse_late(graph, planned.paths)
     console.print(_verdict(graph, planned))
+
+
+def _narrow(graph: Graph, planned: Plan, width: int) -> str:
+    """Nodes and paths below one another, for a terminal that has no room for tables."""
+    lines = [f"{graph.name}: {len(shown(graph))} nodes"]
+    for node in shown(graph):
+        lines.append(f"{node.name}  {node.use}")
+        for word, text in (("reads", _reads(graph, node)), ("gives", _gives(node))):
+            for line in filter(None, text.split("\n")):
+                lines.append(
+                    fill(line, width, initial_indent=f"  {word} ", subsequent_indent=" " * 10, break_on_hyphens=False)
+                )
+    lines += ["", "paths"]
+    for path in planned.paths:
+        lines.append(fill(str(path), width, subsequent_indent="    ", break_on_hyphens=False))
+        told = f"{path.explain()}; memory {size(path.memory_bytes)}"
+        lines.append(fill(told, width, initial_indent="  delay ", subsequent_indent=" " * 10, break_on_hyphens=False))
+    return "\n".join(lines)
 
 
 def _nodes(graph: Graph) -> Table:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from pathlib import Path as File
+from textwrap import fill
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 ANNOTATIONS = "annotations"
 """The stream of marks that a session always has."""
+WIDE = 120
+"""Columns from which the table says what a stream holds; in fewer it stands below."""
 SHOWN = 20
 """Lines of the log, and annotations, that are shown; --all shows the rest."""
 
@@ -109,14 +112,17 @@ def _show(console: Console, recording: Recording, most: int | None) -> None:
         console.print(f"begins {_when(first)}")
     for title in ("session", "imported", "versions"):
         if header.get(title):
-            console.print(f"{title}: " + escape(", ".join(f"{k} {v}" for k, v in header[title].items())))
+            console.print(f"{title}: " + escape(", ".join(f"{k} {_listed(v)}" for k, v in header[title].items())))
     if header.get("graph"):
         console.print(f"graph: {escape(str(header.get('name') or header.get('graph_path') or ''))} (--graph prints it)")
     for node, known in devices(recording).items():
         console.print(
             escape(f"device {node}: " + ", ".join(f"{k} {v}" if k != "device" else str(v) for k, v in known.items()))
         )
-    console.print(_streams(recording))
+    wide = console.width >= WIDE
+    console.print(_streams(recording, wide))
+    for name, stream in recording.streams.items() if not wide else ():
+        console.print(escape(fill(f"{name}: {_what(stream)}", console.width, subsequent_indent="    ")))
     _list(console, "annotations", [_line(a) for a in marks(recording)], most)
     log = recording.log
     _list(console, "log", [_line(entry) for entry in log], most)
@@ -126,13 +132,13 @@ def _show(console: Console, recording: Recording, most: int | None) -> None:
         )
 
 
-def _streams(recording: Recording) -> Table:
+def _streams(recording: Recording, wide: bool) -> Table:
     from rich.table import Table
 
     table = Table(box=None, padding=(0, 2, 0, 0))
     for heading, justify in (
         *(("stream", "left"), ("role", "left"), ("samples", "right"), ("duration", "right"), ("measured Hz", "right")),
-        *(("gaps", "right"), ("lost", "right"), ("dropped", "right"), ("what", "left")),
+        *(("gaps", "right"), ("lost", "right"), ("dropped", "right"), *([("what", "left")] if wide else [])),
     ):
         table.add_column(heading, justify="right" if justify == "right" else "left", overflow="fold")
     for name, s in recording.streams.items():
@@ -147,10 +153,18 @@ def _streams(recording: Recording) -> Table:
                 str(s.gaps),
                 str(s.lost),
                 str(s.dropped),
-                s.spec.describe() + (" (not recorded, only when they came)" if s.kept == "outline" else ""),
+                *([_what(s)] if wide else []),
             )
         )
     return table
+
+
+def _listed(value: Any) -> str:
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+def _what(stream: RecordedStream) -> str:
+    return stream.spec.describe() + (" (not recorded, only when they came)" if stream.kept == "outline" else "")
 
 
 def _list(console: Console, title: str, lines: list[str], most: int | None) -> None:
