@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 from itertools import chain
 from pathlib import Path
@@ -216,7 +217,9 @@ def test_actigraphy_alone_makes_a_night(tmp_path: Path) -> None:
     assert logged(folder) == states(night) and shelf.Facts.load(folder).closed
 
 
-def test_the_command_lists_draws_and_deletes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_lists_draws_and_deletes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     from stream.cli import call
 
     def run(*words: str, code: int = 0) -> str:
@@ -232,6 +235,9 @@ def test_the_command_lists_draws_and_deletes(tmp_path: Path, capsys: pytest.Capt
         call("nights", ["delete", "2025-12-30", "--path", str(tmp_path)])
     with pytest.raises(KinegraphError, match="name the night"):
         call("nights", ["delete", "--path", str(tmp_path)])
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    with pytest.raises(KinegraphError, match="nobody is there to be asked, so 2025-12-31 stays; --yes"):
+        call("nights", ["delete", "last", "--path", str(tmp_path)])
     assert (tmp_path / "2025-12-31").is_dir()
     run("delete", "last", "--yes")
     assert not (tmp_path / "2025-12-31").exists()

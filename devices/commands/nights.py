@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -53,6 +54,8 @@ def nights(
             raise KinegraphError(
                 f"the night {folder.name} is not over; stop kinegraph first, or delete what there is of it with --yes"
             )
+        if not yes and not sys.stdin.isatty():
+            raise KinegraphError(f"nobody is there to be asked, so {folder.name} stays; --yes deletes without asking")
         if yes or typer.confirm(f"Delete the night {folder.name} with all its files?"):
             shelf.remove(folder)
             typer.echo(f"deleted {folder}")
