@@ -91,6 +91,13 @@ def test_csv_export_keeps_every_digit_and_comes_back(tmp_path: Path) -> None:
         cli.call("export", [str(tmp_path / "r.mcap"), "--stream", "emgs"])
 
 
+def test_csv_export_wants_a_folder(tmp_path: Path) -> None:
+    mixed(tmp_path / "r.mcap")
+    with pytest.raises(RecordingError, match=r"a table of its own; name a folder, as in -o emg$"):
+        kinegraph("export", tmp_path / "r.mcap", "-o", tmp_path / "emg.csv")
+    assert not (tmp_path / "emg.csv").exists()
+
+
 def test_xdf_export_is_read_by_pyxdf(tmp_path: Path) -> None:
     truth = mixed(tmp_path / "r.mcap")
     kinegraph("export", tmp_path / "r.mcap", "-o", tmp_path / "r.xdf", "--format", "xdf")

@@ -51,6 +51,10 @@ def export(
         to_xdf = format is Format.xdf or (format is None and output is not None and output.suffix.lower() == ".xdf")
         whole = recording.absolute()
         place = output or whole.with_name(whole.stem + (".xdf" if to_xdf else "_csv"))
+        if not to_xdf and place.suffix.lower() == ".csv" and not place.is_dir():
+            raise RecordingError(
+                f"--out {place}: each stream becomes a table of its own; name a folder, as in -o {place.stem}"
+            )
         written = (
             _xdf(opened, names, place, total, overwrite)
             if to_xdf
