@@ -67,6 +67,15 @@ def test_a_micro_sign_is_spelt_as_everywhere(tmp_path: Path) -> None:
         assert recording.streams["a"].spec.units == ("uV",)
 
 
+@pytest.mark.parametrize("unit", ["us", "\u00b5s", "\u03bcs", "usec"])
+def test_times_are_in_the_unit_of_the_header(tmp_path: Path, unit: str) -> None:
+    (tmp_path / "a.csv").write_text(
+        f"time [{unit}],x\n" + "\n".join(f"{i * 1000},1" for i in range(100)), encoding="utf-8"
+    )
+    with imported(tmp_path, tmp_path / "a.csv") as recording:
+        assert recording.streams["a"].spec.rate_hz == 1000.0
+
+
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
@@ -77,6 +86,10 @@ def test_a_micro_sign_is_spelt_as_everywhere(tmp_path: Path) -> None:
         ("time,a\n0,1\n0.2,2\n0.1,3\n", "bad.csv: line 4: time runs backwards, from 0.2 s to 0.1 s"),
         ("time,a\n0,1\n0.1,2\n0.1,3\n", "bad.csv: line 4: the time 0.1 s is repeated"),
         ("time,a\n0,1\n,2\n", "bad.csv: line 3: .*time' holds no time"),
+        (
+            "time [frames],a\n0,1\n1,2\n",
+            "bad.csv: 'bad:time' is in 'frames', which is no unit of time; .* --time-unit bad=UNIT",
+        ),
         ("0,1\n0.1,2\n", "bad.csv: line 1: the first line must name the columns, but holds the number 0"),
         ("time,a,a\n0,1,2\n", "bad.csv: line 1: every column needs a name of its own"),
         ("", "bad.csv: the file is empty"),

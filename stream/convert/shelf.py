@@ -19,6 +19,7 @@ from stream.convert.timing import (
     check_order,
     grid_of,
     lost_by_counter,
+    plain_unit,
     regular,
     to_ns,
     unit_in,
@@ -143,14 +144,10 @@ def _signal(shelf: Shelf, wishes: Wishes, name: str, parts: Sequence[str]) -> Se
 
 def _units(given: str, found: list[str], channels: int) -> tuple[str, ...]:
     """One unit for all channels or one for each; a micro sign, of either kind, is spelt as graphs and references do: uV."""
-    given, found = _plain(given), [_plain(unit) for unit in found]
+    given, found = plain_unit(given), [plain_unit(unit) for unit in found]
     if given or len(set(found)) == 1:
         return (given or found[0],)
     return tuple(found) if len(found) == channels else ("",)
-
-
-def _plain(unit: str) -> str:
-    return f"u{unit[1:]}" if unit.startswith(("\u00b5", "\u03bc")) else unit
 
 
 def _joined(name: str, parts: Sequence[str], columns: list[Column]) -> Array:
@@ -239,7 +236,8 @@ def _timed(
 
 def _times(wishes: Wishes, name: str, named: str, column: Column, rate: float | None) -> Times:
     """A column of times in ns; with the unit "samples" it counts samples at the stream's rate."""
-    unit = wishes.of(wishes.time_unit, name) or unit_in(named, column.unit)
+    told = wishes.of(wishes.time_unit, name)
+    unit = told or unit_in(named, column.unit)
     if unit == "samples":
         if rate is None:
             raise RecordingError(f"--time-unit {name}=samples: give the rate of these samples, --rate {name}=HZ")
@@ -249,6 +247,10 @@ def _times(wishes: Wishes, name: str, named: str, column: Column, rate: float | 
         ):
             raise RecordingError(f"--time-unit {name}=samples: {named!r} does not hold numbers of samples")
         return grid_of(rate, column.data, 0)
+    if not told and unit not in UNITS:
+        raise RecordingError(
+            f"{column.file}: {named!r} is in {unit!r}, which is no unit of time; say what it is with --time-unit {name}=UNIT"
+        )
     if unit not in UNITS:
         raise RecordingError(f"--time-unit {name}: {unit!r} is no unit of time; valid are samples, {', '.join(UNITS)}")
     try:

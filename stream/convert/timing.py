@@ -10,6 +10,8 @@ from stream.chunk import NS, Array, Times
 from stream.errors import RecordingError
 
 UNITS = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": NS, "min": 60 * NS}
+SPELT = {"sec": "s", "second": "s", "seconds": "s", "msec": "ms", "milliseconds": "ms", "usec": "us"}
+"""Units of time as other programs write them into a table's header."""
 TOLERANCE = 0.3
 """How far a stamp may be from the regular grid, in periods, for the grid's own stamps to be put in its place."""
 MOST_NS = 1 << 62
@@ -20,10 +22,19 @@ SNAP = 1e-4
 """A measured rate within this share of a whole number (or of a tenth) is that number."""
 
 
+def plain_unit(unit: str) -> str:
+    """A unit with `u` for a micro sign, of either kind: as graphs and references spell it."""
+    return f"u{unit[1:]}" if unit.startswith(("\u00b5", "\u03bc")) else unit
+
+
 def unit_in(name: str, unit: str = "") -> str:
-    """The unit of a column or array of times: as given in brackets, or by the name's ending (`t_ms`, `t_ms:0`), else seconds."""
-    if unit in UNITS:
-        return unit
+    """The unit of a column or array of times: as given in brackets (be it one of time or not), or by the name's ending, else seconds.
+
+    Endings are those of `t_ms` and `t_ms:0`.
+    """
+    if unit:
+        unit = plain_unit(unit)
+        return SPELT.get(unit.lower().rstrip("."), unit)
     ending = re.search(r"_([a-z]+)(:\d+)?$", name)
     return ending[1] if ending and ending[1] in UNITS else "s"
 
