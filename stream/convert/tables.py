@@ -6,6 +6,7 @@ import csv
 import re
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -63,9 +64,14 @@ def read_csv(path: Path) -> dict[str, Column]:
             f"{path}: line {at + 1}: the first line must name the columns, but holds the number {next(filter(_is_number, header))}"
         )
     names = [_split(name) for name in header]
-    if len({name for name, _ in names}) != len(names) or not all(name for name, _ in names):
+    if nameless := [str(i + 1) for i, (name, _) in enumerate(names) if not name]:
         raise RecordingError(
-            f"{path}: line {at + 1}: every column needs a name of its own, got {', '.join(map(repr, header))}"
+            f"{path}: line {at + 1}: every column needs a name of its own; number {', '.join(nameless)} has none"
+        )
+    if twice := sorted(name for name, count in Counter(name for name, _ in names).items() if count > 1):
+        raise RecordingError(
+            f"{path}: line {at + 1}: every column needs a name of its own beside its unit;"
+            f" {', '.join(map(repr, twice))} stands there more than once"
         )
     while not lines[-1].strip():
         lines.pop()
