@@ -102,6 +102,28 @@ class Misspelt(Identity):
         return Chunk(chunk.time, chunk.dat, chunk.until)  # type: ignore[attr-defined]
 
 
+@dataclass(frozen=True, slots=True)
+class Slips(Source):
+    """A source of one's own with a slip in it."""
+
+    outputs: ClassVar[tuple[str, ...]] = ("emg",)
+
+    slip: str = param()
+
+    def specs(self) -> Specs:
+        return {"emg": StreamSpec((1,), rate_hz=1000.0)}
+
+    def read(self, feed: Feed) -> None:
+        if self.slip == "another output":
+            feed.emit(Chunk(np.array([feed.now()]), np.zeros((1, 1)), feed.now()), "egm")
+        if self.slip == "a type":
+            feed.emit(Chunk(np.array([feed.now()]), np.zeros((1, 1)) + "1", 0), "emg")  # type: ignore[operator]
+        feed.emit(Chunk(np.array([feed.now()]), np.zeros((1, 1)), feed.now()), "emg")
+        while not feed.wait(0.05):
+            second = feed.now() // NS  # seconds, where nanoseconds are wanted
+            feed.emit(Chunk(np.array([second]), np.zeros((1, 1)), second), "emg")
+
+
 @dataclass(slots=True)
 class SumState:
     total: Array

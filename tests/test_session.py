@@ -192,6 +192,20 @@ def test_a_silent_source_does_not_stop_a_merge_and_what_comes_late_is_dropped(tm
     assert {"silent source advanced", "stream is stale", "late samples dropped"} <= kinds
 
 
+@pytest.mark.parametrize(
+    ("slip", "kind", "told"),
+    [
+        ("another output", "source failed", "an output 'egm', which it has not: did you mean 'emg'"),
+        ("a type", "source failed", "parts.py, line "),
+        ("seconds", "late samples dropped", "nanoseconds since 1970"),
+    ],
+)
+def test_a_slip_in_ones_own_source_is_told(slip: str, kind: str, told: str, tmp_path: Path) -> None:
+    nodes = f"  own: {{use: parts.Slips, slip: {slip}}}\n  out: {{use: parts.Collect, from: own.emg}}\n"
+    run(nodes, tmp_path / "s", duration_s=1.0)
+    assert any(told in str(entry) for entry in recorded(tmp_path / "s").log if entry["kind"] == kind)
+
+
 def test_an_operator_that_raises_stops_the_graph_and_leaves_the_recording_readable(tmp_path: Path) -> None:
     nodes = """
   board: {use: parts.Counting, samples: 5000}

@@ -104,6 +104,9 @@ class Oak(Source):
         """The camera; a simulated one gives its own."""
         return opened(dai, self, link)
 
+    def prepare(self) -> None:
+        library()  # where it is missing, waiting for it would be in vain
+
     def read(self, feed: Feed) -> None:
         dai, link = library(), Link()
         with self.open(dai, link) as camera:

@@ -14,6 +14,9 @@ from stream.engine.supervisor import Runner
 from stream.engine.wire import Wire
 from stream.errors import DeviceError
 
+LONG_AGO = 10**8 * NS
+"""In 1973: a live sample's stamp that lies before is rather one in other units."""
+
 
 @dataclass(slots=True)
 class Intake:
@@ -86,7 +89,10 @@ class Intake:
         keep = chunk.time > self.promised
         n = int((~keep).sum())
         self.late += n
-        report("late samples dropped", stream=self.stream, samples=n, at=utc(int(chunk.time[0])))
+        hint = (
+            {"hint": "stamps are nanoseconds since 1970, as Feed.now() gives them"} if chunk.time[-1] < LONG_AGO else {}
+        )
+        report("late samples dropped", stream=self.stream, samples=n, at=utc(int(chunk.time[0])), **hint)
         times, data = np.ascontiguousarray(chunk.time[keep]), np.ascontiguousarray(chunk.data[keep])
         return Chunk(times, data, chunk.until, add_lost(chunk.lost, n))
 

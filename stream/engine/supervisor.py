@@ -15,7 +15,7 @@ import structlog
 from stream.chunk import FOREVER, NS, STAMP, Chunk, empty, utc
 from stream.engine.channel import Channel, Doorbell
 from stream.engine.clock import SessionClock
-from stream.errors import DeviceError, KinegraphError, RunError
+from stream.errors import DeviceError, KinegraphError, RunError, explain, nearest
 from stream.graph import Edge, Node
 from stream.source import Source
 
@@ -89,7 +89,7 @@ class _Feed:
     def emit(self, chunk: Chunk, output: str = "out") -> None:
         if self._over:
             raise _StopReadingError
-        if self._unmarked or not self._runner.doors[output](chunk):
+        if self._unmarked or not self._runner.doors.get(output, closed)(chunk):
             self._queue(chunk, output)
 
     def _queue(self, chunk: Chunk, output: str) -> None:
@@ -198,6 +198,10 @@ class Runner:
 
     def tidy(self, chunk: Chunk, output: str) -> Chunk:
         """The chunk in the arrays that operators expect: declared shape and dtype, contiguous, writable. Raises DeviceError."""
+        if output not in self.node.specs:
+            raise DeviceError(
+                f"source {self.node.name!r} gave samples for an output {output!r}, which it has not: {nearest(output, self.node.specs)}"
+            )
         spec = self.node.specs[output]
         times = np.require(chunk.time, STAMP, ["C", "A", "W"])
         data = np.require(chunk.data, spec.dtype, ["C", "A", "W"])
@@ -234,10 +238,13 @@ class Runner:
         except KinegraphError as error:
             if not feed.stopped:
                 self._failed(str(error))
+        except OSError as error:
+            if not feed.stopped:
+                self._failed(f"{type(error).__name__}: {error}")
         except Exception as error:
             if not feed.stopped:
                 log.debug("source failed", node=self.node.name, exc_info=True)
-                self._failed(f"{type(error).__name__}: {error}")
+                self._failed(explain(error))
 
     def _end(self) -> None:
         self.ready = True
