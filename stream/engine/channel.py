@@ -1,6 +1,7 @@
 """A bounded queue of chunks before a thread, with a declared policy; every drop is counted and marked in the next chunk.
 
-Many channels share one doorbell, the only thing their thread waits on: it rings once per chunk, with the channel to look into.
+Many channels share one doorbell, the only thing their thread waits on: it rings once per chunk that waits, with the
+channel to look into.
 """
 
 from __future__ import annotations
@@ -64,15 +65,15 @@ class Channel:
 
     def put(self, chunk: Chunk, arrival: int = 0) -> None:
         """Leave a chunk; waits, drops or fails as the policy says where the queue is full."""
-        if len(self.waiting) >= self.limit:
-            self._make_room()
+        if len(self.waiting) >= self.limit and self._is_in_place_of_another(chunk, arrival):
+            return
         self.waiting.append((chunk, arrival, self.index))  # one thread writes, so this needs no lock
         self.index += len(chunk.time)
         self.chunks += 1
         self.bell.put(self)
 
     def take(self) -> tuple[Chunk, int] | None:
-        """The oldest chunk and its arrival, with the drops before it added to its `lost`; None if it was dropped meanwhile."""
+        """The oldest chunk and its arrival, with the drops before it added to its `lost`; None where nothing waits."""
         with self._lock:
             if not self.waiting:
                 return None
@@ -94,24 +95,31 @@ class Channel:
         """How many chunks wait now."""
         return len(self.waiting)
 
-    def _make_room(self) -> None:
+    def _is_in_place_of_another(self, chunk: Chunk, arrival: int) -> bool:
+        """What the policy says of a full queue; whether the chunk waits now, in the place of an older one that was dropped for it."""
         if self.policy == "fail":
             raise RunError(f"the queue of {self.name} is full ({self.limit} chunks) and its policy is 'fail'")
+        if self.policy == "drop_oldest":
+            return not self.closed and self._replace(chunk, arrival)
         while len(self.waiting) >= self.limit and not self.closed:
-            if self.policy == "drop_oldest":
-                self._drop()
-            else:
-                self._room.clear()
-                if len(self.waiting) >= self.limit:
-                    self._room.wait(0.5)
+            self._room.clear()
+            if len(self.waiting) >= self.limit:
+                self._room.wait(0.5)
+        return False
 
-    def _drop(self) -> None:
+    def _replace(self, chunk: Chunk, arrival: int) -> bool:
+        """Drop the oldest for this one, which needs no further ring: so a bell never holds more than what waits, however long its
+        thread is behind. False where there is room by now."""
         with self._lock:
-            if not self.waiting:
-                return
-            chunk, _, index = self.waiting.popleft()
-            n = len(chunk.time)
-            self.owed = add_lost(self.owed, add_lost(chunk.lost, n))
+            if len(self.waiting) < self.limit:
+                return False
+            oldest, _, index = self.waiting.popleft()
+            self.waiting.append((chunk, arrival, self.index))
+            self.index += len(chunk.time)
+            self.chunks += 1
+            n = len(oldest.time)
+            self.owed = add_lost(self.owed, add_lost(oldest.lost, n))
             self.dropped += n
         if n and self.on_drop:
             self.on_drop(index, n)
+        return True

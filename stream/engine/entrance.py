@@ -36,6 +36,7 @@ class Entrance:
     ) -> None:
         """`bell` rings for what waits, also for what lanes send home; `fail` is told what operators raise on a source's thread."""
         self._bell, self._journal, self._clock = bell, journal, clock
+        self._runners = runners
         self._put_aside: list[Channel] = []
         self._closed = self.over = False
         self.turn = Turn()
@@ -125,6 +126,13 @@ class Entrance:
                     self._put_aside.append(token)
                 elif (item := token.take()) is not None:
                     token.owner(item[0], perf_counter_ns())
+
+    def forgive(self, now: float, held_s: float) -> None:
+        """The graph was held up for so long: that is no silence of the sources, whose chunks may come just after."""
+        for runner in self._runners:
+            runner.last_alive = min(runner.last_alive + held_s, now)
+        for intake in self.intakes:
+            intake.last = min(intake.last + held_s, now)
 
     def look_after(self, now: float) -> None:
         """At `now` (monotonic s), on the graph's turn: the common start's deadlines, and what time has passed on silent sources."""

@@ -69,9 +69,9 @@ class Intake:
 
     def nothing_for(self, age_s: float, now: int, report: Callable[..., None]) -> Chunk | None:
         """Told at `now` (ns) that nothing has come for `age_s`. Once that is longer than the stated patience: the chunk that says that
-        nothing happened, so that nobody waits; the alarm is raised after `stale_s`."""
+        nothing happened, so that nobody waits; the alarm is raised after `stale_s`. What waits in the queue has come."""
         options = self.runner.node.options
-        if self.ended:
+        if self.ended or self.runner.channels[self.output].waiting:
             return None
         if 0 < options.stale_s < age_s and not self.stale:
             self.stale = True
@@ -150,4 +150,4 @@ class CommonStart:
 
 def promises(intakes: list[Intake]) -> dict[str, Any]:
     """Up to when each stream is complete."""
-    return {intake.stream: intake.promised for intake in intakes}
+    return {intake.stream: int(intake.promised) for intake in intakes}  # a source may have said it in numpy's integers

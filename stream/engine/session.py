@@ -184,8 +184,11 @@ class Session:
             now = time.monotonic()
             if now < tick:
                 continue
-            tick = now + TICK_S
             with self._entrance.turn.lock:
+                now = time.monotonic()
+                if now - tick > TICK_S:
+                    self._entrance.forgive(now, now - tick)
+                tick = now + TICK_S
                 self._look_after(now)
                 if now >= metrics:
                     metrics = now + METRICS_S

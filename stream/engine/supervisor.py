@@ -183,6 +183,8 @@ class Runner:
             self.report("source reopened", node=self.node.name, opening=self.openings + 1)
             self.start()
         elif self.state in ("starting", "running") and 0 < self.node.options.silence_s < now - self.last_alive:
+            if any(channel.waiting for channel in self.channels.values()):
+                return  # not the source is silent, but the graph behind
             assert self._feed
             self._feed.stop()
             self._failed(f"silent for {now - self.last_alive:.1f} s")
