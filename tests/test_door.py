@@ -13,6 +13,7 @@ from parts import START
 
 from stream.chunk import Array, Chunk, Specs, StreamSpec
 from stream.engine import entrance
+from stream.engine.checkpoint import Checkpoint
 from stream.engine.outcome import Outcome
 from stream.engine.session import Session
 from stream.engine.supervisor import closed
@@ -76,6 +77,8 @@ def shaped(data: Array, shape: str) -> Any:
     )
 
 
+save = Checkpoint.save
+
 NODES = """
 nodes:
   board: {use: test_door.Untidy, seed: %d}
@@ -129,3 +132,45 @@ def test_where_nobody_waits_only_samples_enter(tmp_path: Path) -> None:
     assert outcome.exit_code == 0
     with Recording.open(tmp_path / "s") as recording:
         assert [e.chunk for e in recording.entries("annotations") if e.chunk.until < 2**62] == []
+
+
+@dataclass(frozen=True, slots=True)
+class Wrong(parts.Counting):
+    """Says once, when doors are open, up to when it is complete in a way that is no time."""
+
+    def read(self, feed: Feed) -> None:
+        first = not parts.openings
+        parts.openings["wrong"] = 1
+        feed.emit(Chunk(np.array([feed.now()]), np.zeros((1, 2)), feed.now()))
+        feed.wait(0.5)
+        now = feed.now()
+        feed.emit(Chunk(np.array([now]), np.zeros((1, 2)), "now" if first else now))  # type: ignore[arg-type]
+
+
+def test_a_chunk_that_is_no_chunk_fails_its_source_not_the_session(tmp_path: Path) -> None:
+    parts.openings.clear()
+    graph = load_text(NODES.replace("test_door.Untidy, seed: %d", "test_door.Wrong, realtime: true"), path=__file__)
+    outcome = Session(graph, tmp_path / "s").run()
+    assert outcome.exit_code == 0, outcome.error
+    with Recording.open(tmp_path / "s") as recording:
+        assert [line["kind"] for line in recording.log] == ["source failed", "source reopened", "source ended"]
+        assert recording.streams["board"].samples == 3
+
+
+@dataclass(frozen=True, slots=True)
+class NumpyTimes(parts.Counting):
+    """Says up to when it is complete in numpy's integers."""
+
+    def read(self, feed: Feed) -> None:
+        for _ in range(100):
+            now = np.array([feed.now()])
+            feed.emit(Chunk(now, np.zeros((1, 2)), now[-1]))
+            feed.wait(0.01)
+
+
+def test_times_in_numpys_integers_can_be_checkpointed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept: list[Checkpoint] = []
+    monkeypatch.setattr(Checkpoint, "save", lambda self, folder: (save(self, folder), kept.append(self)))
+    text = "checkpoint_s: 0.2" + NODES.replace("test_door.Untidy, seed: %d", "test_door.NumpyTimes, realtime: true")
+    assert Session(load_text(text, path=__file__), tmp_path / "s").run().exit_code == 0
+    assert any(checkpoint.promised["board"] > 0 for checkpoint in kept)

@@ -75,6 +75,7 @@ def door(intake: Intake, journal: Journal, turn: Turn, bell: Doorbell, fail: Cal
             return False
         if channel.waiting or channel.owed or not turn.open or not nothing_rings() or not acquire(False):
             return False
+        entered = False
         try:
             newest = intake.promised + 1
             if n > FEW:
@@ -93,6 +94,7 @@ def door(intake: Intake, journal: Journal, turn: Turn, bell: Doorbell, fail: Cal
             intake.silent = intake.stale = False
             if not (n or awaited or chunk.lost):
                 return True
+            entered = True
             intake.promised = until
             channel.index += n
             channel.chunks += 1
@@ -102,7 +104,9 @@ def door(intake: Intake, journal: Journal, turn: Turn, bell: Doorbell, fail: Cal
                 write(chunk, arrival, sequence)
             start = perf_counter_ns()
             end = wire.send(chunk, start)
-        except Exception as error:  # noqa: BLE001 - it is the graph's, not the source's: it ends the run
+        except Exception as error:
+            if not entered:
+                raise  # the chunk itself is wrong: the source's own fault, and it alone fails
             fail(error)
             return True
         finally:
