@@ -170,6 +170,38 @@ def test_killed_while_resuming(after_s: float, config: Path, tmp_path: Path) -> 
     check_whole(folder, config)
 
 
+DROPPING = """
+checkpoint_s: CHECKPOINT
+record: [slow]
+recording: {flush_s: 0.2}
+nodes:
+  board: {use: parts.Counting, samples: 1000000, realtime: true}
+  other: {use: parts.Counting, samples: 1000000, realtime: true, key: other, chunk: 3}
+  both: {use: parts.Beside, from: {a: board, b: other}}
+  slow: {use: parts.RunningSum, from: both, lane: side, slow_s: 0.01, queue: 1, policy: drop_oldest}
+"""
+
+
+@pytest.mark.parametrize("checkpoint_s", [0.3, 60])
+def test_killed_while_a_lane_drops(checkpoint_s: float, config: Path, tmp_path: Path) -> None:
+    """What a queue drops after the session was resumed stands in the log by its place in all that ever came."""
+    config.write_text(DROPPING.replace("CHECKPOINT", str(checkpoint_s)))
+    folder = tmp_path / "s"
+    process = live(config, folder)
+    wait_for(process, folder, 500)
+    kill(process)
+    with Recording.open(folder) as recording:
+        before = recording.last_samples("board")
+    process = live(config, folder, "--resume")
+    wait_for(process, folder, before + 500)
+    end(process)
+    with Recording.open(folder) as recording:
+        kinds = [entry["kind"] for entry in recording.log]
+        assert "queue dropped" in kinds[: (resumed := kinds.index("session resumed"))]
+        assert "queue dropped" in kinds[resumed:]
+        assert Replay(load(config), recording).run().differing == []
+
+
 def test_another_graph_cannot_resume_a_session(config: Path, tmp_path: Path) -> None:
     folder = tmp_path / "s"
     process = live(config, folder)

@@ -16,17 +16,18 @@ KIND = "queue dropped"
 
 @dataclass(slots=True)
 class Drops:
-    """What was dropped before one lane: ranges of the running sample index, and how far the stream has come."""
+    """What was dropped before one lane: ranges of the running sample index, how far the stream has come, and how many samples were left out
+    since the last that was not."""
 
     ranges: list[tuple[int, int]] = field(default_factory=list)
     index: int = 0
-    _owed: int = 0
+    owed: int = 0
 
     def repeat(self, chunk: Chunk) -> Chunk:
         """The chunk without the samples that were dropped, which are added to the next sample's `lost`."""
         n = len(chunk.time)
         first, self.index = self.index, self.index + n
-        if not self.ranges and not self._owed:
+        if not self.ranges and not self.owed:
             return chunk
         gone = np.zeros(n, bool)
         for start, count in self.ranges:
@@ -34,13 +35,13 @@ class Drops:
         self.ranges = [(s, c) for s, c in self.ranges if s + c > self.index]
         if not gone.any():
             return self._marked(chunk)
-        self._owed = add_lost(self._owed, add_lost(chunk.lost, int(gone.sum())))
+        self.owed = add_lost(self.owed, add_lost(chunk.lost, int(gone.sum())))
         return self._marked(Chunk(chunk.time[~gone], chunk.data[~gone], chunk.until, 0))
 
     def _marked(self, chunk: Chunk) -> Chunk:
-        if not self._owed or not len(chunk.time):
+        if not self.owed or not len(chunk.time):
             return chunk
-        lost, self._owed = add_lost(self._owed, chunk.lost), 0
+        lost, self.owed = add_lost(self.owed, chunk.lost), 0
         return Chunk(chunk.time, chunk.data, chunk.until, lost)
 
 

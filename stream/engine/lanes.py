@@ -63,6 +63,7 @@ class Lanes:
         self.lanes: dict[str, Lane] = {}
         self.channels: dict[str, Channel] = {}
         self._repeated: dict[str, Drops] = {}
+        self._policies: dict[str, Policy] = {}
 
     def bridge(self, stage: Stage, port: str, edge: Edge, push: Push) -> Push:
         """A queue before `stage`'s port; the stage runs on its lane."""
@@ -94,12 +95,18 @@ class Lanes:
         return {name: channel.index for name, channel in self.channels.items()}
 
     def repeat(self, drops: dict[str, Drops], indices: dict[str, int]) -> None:
-        """From now on, leave out what a log says was dropped; `indices` says how far each queue had come. Nothing: the log ends here."""
-        for name, index in indices.items():
-            if name in self.channels:
-                self.channels[name].index = index
-            drops.setdefault(name, Drops()).index = index
-        self._repeated = drops
+        """Until `go_on`, leave out what a log says was dropped, and nothing else; `indices` says how far each queue had come."""
+        for name, channel in self.channels.items():
+            self._repeated[name] = drops.get(name, Drops())
+            self._repeated[name].index = indices.get(name, 0)
+            self._policies[name], channel.policy = channel.policy, "block"
+
+    def go_on(self) -> None:
+        """The log ends here: from now on queues drop by themselves, where they are in the running count of all that came."""
+        for name, repeated in self._repeated.items():
+            channel = self.channels[name]
+            channel.index, channel.owed, channel.policy = repeated.index, repeated.owed, self._policies[name]
+        self._repeated = {}
 
     def settle(self, pump: Callable[[], None]) -> None:
         """Wait until every lane has worked through what it has; `pump` meanwhile takes their results on the graph's thread."""

@@ -55,7 +55,7 @@ def catch_up(
             intake.promised = clock.utc_ns - 1  # it had ended then; now it begins again
         intake.owed = -1  # also where the first chunks, which say so, come before the common start
     _hush(pipeline, lambda outlet: False)
-    lanes.repeat({}, {})
+    lanes.go_on()
     recording.close()
     journal.report("session resumed", sequence=journal.sequence)
 
