@@ -91,6 +91,13 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
     return made
 
 
+def test_what_is_behind_counts_from_the_first_chunk(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "s", {}, RecordingOptions(flush_s=60.0)) as recorder:
+        recorder.add_stream("board", COUNTED, "input")
+        feed(recorder, 0, 3, n=500)
+        assert recorder.status.behind_s == 1.0  # nothing is on the disk yet
+
+
 @pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO])
 def test_a_full_disk_costs_nothing_while_memory_lasts(tmp_path: Path, disk: Disk, error: int) -> None:
     disk.room, disk.error = 20_000, error

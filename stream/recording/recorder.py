@@ -58,7 +58,7 @@ class Recorder:
         self._share = self._much = 0
         self._lanes = [Lane(LOG), Lane(METRICS)]
         self._queue: SimpleQueue[tuple[int, tuple[Any, int, int], int]] = SimpleQueue()
-        self._latest = 0
+        self._first = self._latest = 0
         self._lock, number = claim(path, resume=resume)
         self._tape = Tape(path, number, header, options)
         self._stop, self._wake, self._lull = Event(), Event(), Event()
@@ -105,6 +105,7 @@ class Recorder:
             return
         lane.put += chunk.data.nbytes + OVERHEAD
         if arrival > self._latest:
+            self._first = self._first or arrival
             self._latest = arrival
         self._queue.put((stream, (chunk, arrival, sequence), lane.missed))
         if lane.missed:
@@ -154,7 +155,7 @@ class Recorder:
     def status(self) -> RecorderStatus:
         return RecorderStatus(
             bytes=self._tape.saved,
-            behind_s=max(self._latest - self._scribe.done, 0) / NS if self._latest else 0.0,
+            behind_s=max(self._latest - (self._scribe.done or self._first), 0) / NS,
             dropped={lane.name: lost for lane in self._lanes if (lost := lane.dropped + lane.refused)},
             error=self._scribe.error,
         )
