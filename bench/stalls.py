@@ -37,7 +37,6 @@ class Variant:
     first      how many new objects set off a collection
     switch_ms  the switch interval
     nogil      the chain's kernels give up the interpreter's lock
-    large      memory is gathered into large pages
     """
 
     name: str
@@ -45,15 +44,12 @@ class Variant:
     first: int = FIRST_GENERATION
     switch_ms: float = SWITCH_INTERVAL_S * 1000
     nogil: bool = False
-    large: bool = True
     due: dict[str, list[int]] = field(default_factory=dict)
-    cpu: dict[str, list[float]] = field(default_factory=dict)
 
 
 VARIANTS = [
     Variant("as kinegraph sets it"),
-    Variant("Python's own settings", freeze=False, first=700, switch_ms=5.0, large=False),
-    Variant("memory in pages of 4 KB", large=False),
+    Variant("Python's own settings", freeze=False, first=700, switch_ms=5.0),
     Variant("nothing frozen", freeze=False),
     Variant("a collection every 700 new objects", first=700),
     Variant("a collection every 5 000 new objects", first=5_000),
@@ -92,35 +88,28 @@ def measure(seconds: float, rounds: int, only: str, neighbours: Sequence[str]) -
                     "first": v.first,
                     "switch_ms": v.switch_ms,
                     "nogil": v.nogil,
-                    "large": v.large,
                     "beside": beside,
                     "seconds": seconds,
                 }
-                answer = _ask(order)
-                v.due.setdefault(beside, []).extend(answer["due_ns"])
-                v.cpu.setdefault(beside, []).append(answer["cpu"])
-    header = ["", *(f"{name}: p50 / p99 / max ms{'; CPU %' * (name == 'nothing')}" for name in neighbours)]
-    rows = [[v.name, *(_cell(v, beside) for beside in neighbours)] for v in variants]
+                v.due.setdefault(beside, []).extend(_ask(order))
+    header = ["", *(f"{name}: p50 / p99 / max ms" for name in neighbours)]
+    rows = [[v.name, *(_cell(v.due[beside]) for beside in neighbours)] for v in variants]
     return table(header, rows)
 
 
-def _cell(v: Variant, beside: str) -> str:
-    """Latencies; and the processor's share, where nothing else takes some of it."""
-    latencies = " / ".join(f"{ms:.2f}" for ms in np.percentile(np.array(v.due[beside]) / 1e6, [50, 99, 100]))
-    return latencies + (f"; {100 * np.median(v.cpu[beside]):.2f}" if beside == "nothing" else "")
+def _cell(due: list[int]) -> str:
+    return " / ".join(f"{ms:.2f}" for ms in np.percentile(np.array(due) / 1e6, [50, 99, 100]))
 
 
-def _ask(order: dict[str, Any]) -> dict[str, Any]:
+def _ask(order: dict[str, Any]) -> list[int]:
     command = [sys.executable, "-m", "bench.stalls", "--one", json.dumps(order)]
     quiet = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     done = subprocess.run(command, cwd=ROOT, env=quiet, stdout=subprocess.PIPE, text=True, check=True)
-    answer: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return answer
+    due: list[int] = json.loads(done.stdout.splitlines()[-1])
+    return due
 
 
-def _one(
-    *, freeze: bool, first: int, switch_ms: float, nogil: bool, large: bool, beside: str, seconds: float
-) -> dict[str, Any]:
+def _one(*, freeze: bool, first: int, switch_ms: float, nogil: bool, beside: str, seconds: float) -> list[int]:
     """One run in this process."""
     import structlog
 
@@ -134,14 +123,13 @@ def _one(
     stalls.FIRST_GENERATION = first  # type: ignore[misc]
     if not freeze:
         gc.freeze = lambda: None
-    if not large:
-        stalls.gather = lambda: 0
     if nogil:
         _release_the_lock()
     order = {"style": SESSION, "chunk": 10, "paced": True}
     run(Kinegraph(), order | {"count": 20})
     with _neighbour(beside):
-        return run(Kinegraph(), order | {"count": round(seconds * RATE_HZ / 10)})
+        due: list[int] = run(Kinegraph(), order | {"count": round(seconds * RATE_HZ / 10)})["due_ns"]
+    return due
 
 
 def _release_the_lock() -> None:

@@ -4,7 +4,6 @@
   somewhat larger, so that a collection is rare and yet short: 50 000 objects made pauses of some milliseconds beside a thread that makes
   garbage. Chunks are freed by reference counting; nothing in the engine makes cycles per message.
 - The switch interval: another thread that computes in Python gives the lock up after 0.2 ms instead of 5 ms. 0.1 ms gains little more.
-- Memory: what is there at the start is gathered into large pages (`stream/engine/pages.py`).
 - Kernels keep the lock unless they take more than some 50 us (`@kernel(nogil=True)`): a short kernel that lets it go waits to get it back.
 """
 
@@ -15,19 +14,16 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from stream.engine.pages import gather
-
 SWITCH_INTERVAL_S = 0.0002
 FIRST_GENERATION = 5_000
 
 
 @contextmanager
 def calm() -> Iterator[None]:
-    """Within: garbage collection frozen and rare, threads switched fast, memory in large pages. Restores what can be restored."""
+    """Within: garbage collection frozen and rare, threads switched fast. Restores what was set before."""
     thresholds, interval = gc.get_threshold(), sys.getswitchinterval()
     gc.collect()
     gc.freeze()
-    gather()
     gc.set_threshold(FIRST_GENERATION, *thresholds[1:])
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     try:
