@@ -129,7 +129,8 @@ class Recorder:
 
     def _has_room(self, lane: Lane) -> bool:
         """Much of a stream waits: the recorder is woken; whether there is still room for more."""
-        self._wake.set()
+        if not self._wake.is_set():
+            self._wake.set()
         return lane.put - lane.got <= self._share or not self._is_full() or self._wait_for_room()
 
     def _is_full(self) -> bool:
