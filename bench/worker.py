@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 from bench.work import POOL, Feed, Sink, kernel_steps, outcome, samples, scipy_steps, stamped_steps
 
-KERNELS, STAMPED, PROFILED, SCIPY, OWN, FED, SESSION = (
+KERNELS, STAMPED, PROFILED, SCIPY, OWN, FED, SESSION, UNRECORDED = (
     "kernels",
     "stamped",
     "profiled",
@@ -25,9 +25,10 @@ KERNELS, STAMPED, PROFILED, SCIPY, OWN, FED, SESSION = (
     "own",
     "fed",
     "session",
+    "unrecorded",
 )
 """What a contender's operators run: our kernels on bare arrays, or on all that we carry, stamps too (also with a profiler), scipy, its own
-operators; and kinegraph's two ways in."""
+operators; and kinegraph's ways in: a session records, or, like the peers, does not."""
 
 
 class Driver(Protocol):

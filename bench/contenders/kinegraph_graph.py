@@ -1,5 +1,6 @@
 """kinegraph: graphs from YAML. "fed" goes through the pipeline as replay does; "session" is a whole live session with a source in its own
-thread. Metrics are always on; the recorder writes the input log and, in the overhead's graphs, the last edge."""
+thread, "unrecorded" the same without a recording. Metrics are always on; the recorder writes the input log and, in the overhead's graphs,
+the last edge."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ import structlog
 
 from bench.parts import TRIAL, feed_all
 from bench.work import CUTOFF_HZ, EVERY, ORDER, RATE_HZ, WINDOW, Feed, Sink, Step
-from bench.worker import SESSION, serve
+from bench.worker import SESSION, UNRECORDED, serve
 from stream.engine.pipeline import Pipeline
 from stream.engine.session import Session
 from stream.engine.stalls import calm
@@ -50,16 +51,16 @@ class Kinegraph:
     def drive(self, style: str, steps: Sequence[Step | None], feed: Feed, sink: Sink) -> tuple[int, int]:
         TRIAL.feed, TRIAL.sink = feed, sink
         graph = load_text(graph_of(steps, feed.paced))
-        if style == SESSION:
-            self._session(graph)
+        if style in (SESSION, UNRECORDED):
+            self._session(graph, recorded=style == SESSION)
         else:
             self._fed(graph, feed, sink, recorded=not any(steps))
         return EVERY, 0
 
-    def _session(self, graph: object) -> None:
+    def _session(self, graph: object, *, recorded: bool) -> None:
         folder = Path(tempfile.mkdtemp(prefix="kinegraph-bench-"))
         try:
-            outcome = Session(graph, folder / "session").run()  # type: ignore[arg-type]
+            outcome = Session(graph, folder / "session" if recorded else None).run()  # type: ignore[arg-type]
         finally:
             shutil.rmtree(folder, ignore_errors=True)
         if outcome.error:
