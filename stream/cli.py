@@ -50,8 +50,15 @@ def main() -> None:
     arguments = sys.argv[1:]
     _make_sure_of_outputs()
     try:
-        with _terminable():
-            _main(arguments)
+        with _terminable() as terminated:
+            try:
+                _main(arguments)
+            except SystemExit as end:
+                if (
+                    terminated and end.code == 130
+                ):  # what click makes of an interruption while it looks at the arguments
+                    raise Terminated from None
+                raise
     except Terminated as end:
         _stop(end)
 
@@ -91,18 +98,23 @@ def _make_sure_of_outputs() -> None:
 
 
 @contextmanager
-def _terminable() -> Iterator[None]:
-    """Within: SIGTERM ends the program in order, so that drafts are removed and locks given back. (A session has its own, cleaner end.)"""
+def _terminable() -> Iterator[list[int]]:
+    """Within: SIGTERM ends the program in order, so that drafts are removed and locks given back. (A session has its own, cleaner end.)
 
-    def end(_number: int, _frame: object) -> None:
+    Gives a list that holds the signal once it has come.
+    """
+    came: list[int] = []
+
+    def end(number: int, _frame: object) -> None:
+        came.append(number)
         raise Terminated
 
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield came
         return
     before = signal.signal(signal.SIGTERM, end)
     try:
-        yield
+        yield came
     finally:
         signal.signal(signal.SIGTERM, before)
 
