@@ -54,9 +54,7 @@ def main() -> None:
             try:
                 _main(arguments)
             except SystemExit as end:
-                if (
-                    terminated and end.code == 130
-                ):  # what click makes of an interruption while it looks at the arguments
+                if terminated and end.code == 130:  # which is what click makes of any interruption
                     raise Terminated from None
                 raise
     except Terminated as end:

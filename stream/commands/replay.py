@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +14,7 @@ import typer
 from stream.errors import KinegraphError, nearest
 
 if TYPE_CHECKING:
-    from stream.engine.replay import Replayed
+    from stream.engine.replay import Replay, Replayed
     from stream.engine.stand_in import StandIns
     from stream.graph import Graph
 
@@ -55,16 +57,7 @@ def replay(
     with Recording.open(recording) as source:
         asked = read(settings or [])
         graph = load(config, recorded={n: s.spec for n, s in source.streams.items()}, overrides=asked)
-        known = source.header.get("session") or {}
-        if graph.session and not known and not quiet:
-            print(
-                "the recording holds no facts about its session; what the graph says of it is taken instead:", end=" "
-            )
-            print(_listed(graph.session))
-        written, graph.session = graph.session, _facts(graph.session, known, asked)
-        if not quiet and (passed_over := {n: v for n, v in written.items() if graph.session.get(n) != v}):
-            print("what the recording says of its session is taken, not what the graph says:", end=" ")
-            print(f"{_listed(passed_over)} (--set session.NAME=VALUE says otherwise)")
+        _take_facts(graph, source.header.get("session") or {}, asked, quiet=quiet)
         speaking = _speaking(graph, speak or [])
         run = Replay(graph, source, speaking=speaking, speed=speed or None, output=out, strict=verify)
         recorded = [name for name, stream in source.streams.items() if stream.role == "edge"]
@@ -73,18 +66,8 @@ def replay(
                 f"--verify: {recording} holds no output of a graph, so there is nothing to compare with; name some under `record`"
             )
         _tell_missing(run.stand_ins)
-        before = signal.getsignal(signal.SIGINT)
-
-        def stop(*_: object) -> None:
-            """Cleanly; a second Ctrl-C breaks off."""
-            run.stop()
-            signal.signal(signal.SIGINT, before)
-
-        signal.signal(signal.SIGINT, stop)
-        try:
+        with _interruptible(run):
             result = _with_progress(run, source.duration_ns / 1e9, quiet)
-        finally:
-            signal.signal(signal.SIGINT, before)
     _tell(result)
     unseen = _not_compared(recorded, result, run.stand_ins) if verify else []
     for name in unseen:
@@ -110,6 +93,35 @@ class OutletFailed(KinegraphError):
 
 def _listed(facts: dict[str, Any]) -> str:
     return ", ".join(f"{name} {value}" for name, value in facts.items())
+
+
+def _take_facts(graph: Graph, known: dict[str, Any], asked: dict[str, Any], *, quiet: bool) -> None:
+    """Let the graph say of its session what its recording says, and tell where that is something else."""
+    written, graph.session = graph.session, _facts(graph.session, known, asked)
+    if quiet:
+        return
+    if written and not known:
+        print("the recording holds no facts about its session; what the graph says of it is taken instead:", end=" ")
+        print(_listed(written))
+    if passed_over := {name: value for name, value in written.items() if graph.session.get(name) != value}:
+        print("what the recording says of its session is taken, not what the graph says:", end=" ")
+        print(f"{_listed(passed_over)} (--set session.NAME=VALUE says otherwise)")
+
+
+@contextmanager
+def _interruptible(run: Replay) -> Iterator[None]:
+    """Within: Ctrl-C stops the replay cleanly; a second one breaks it off."""
+    before = signal.getsignal(signal.SIGINT)
+
+    def stop(*_: object) -> None:
+        run.stop()
+        signal.signal(signal.SIGINT, before)
+
+    signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _facts(written: dict[str, Any], recorded: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
