@@ -118,6 +118,9 @@ class Slips(Source):
             feed.emit(Chunk(np.array([feed.now()]), np.zeros((1, 1)), feed.now()), "egm")
         if self.slip == "a type":
             feed.emit(Chunk(np.array([feed.now()]), np.zeros((1, 1)) + "1", 0), "emg")  # type: ignore[operator]
+        if self.slip == "local time":
+            local = feed.now() + 3600 * NS
+            feed.emit(Chunk(np.array([local]), np.zeros((1, 1)), local), "emg")
         feed.emit(Chunk(np.array([feed.now()]), np.zeros((1, 1)), feed.now()), "emg")
         while not feed.wait(0.05):
             second = feed.now() // NS  # seconds, where nanoseconds are wanted

@@ -104,8 +104,10 @@ def test_what_is_there_is_not_replaced(kinegraph: Command, made: Path, tmp_path:
     refused(kinegraph("export", whole, "-o", "rows"), "rows: is a file; name a folder")
     assert kinegraph("import", table, "-o", "t.mcap")[0] == 0
     before = (tmp_path / "t.mcap").read_bytes()
-    refused(kinegraph("import", table, "-o", "t.mcap"), "t.mcap: holds a recording already")
+    refused(kinegraph("import", table, "-o", "t.mcap"), "t.mcap: holds a recording already", "--overwrite")
     assert (tmp_path / "t.mcap").read_bytes() == before
+    assert kinegraph("import", table, "-o", "t.mcap", "--unit", "mV", "--overwrite")[0] == 0
+    assert "mV" in kinegraph("info", "t.mcap")[1]
     refused(kinegraph("recover", whole, "-o", "t.mcap"), "holds a recording already")
     refused(kinegraph("replay", made / "graph.yaml", whole, "-o", "t.mcap"), "holds a recording already")
 

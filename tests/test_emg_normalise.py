@@ -190,9 +190,9 @@ def test_what_is_no_reference_is_refused(tmp_path):
 def test_calibrate_says_what_is_wrong(walked, tmp_path):
     target = str(tmp_path / "a.json")
     run("mvc", walked, "-o", target)
-    with pytest.raises(KinegraphError, match="exists; --force"):
+    with pytest.raises(KinegraphError, match="exists; --overwrite"):
         run("mvc", walked, "-o", target)
-    run("mvc", walked, "-o", target, "--force")
+    run("mvc", walked, "-o", target, "--overwrite")
     spec, time, data = emg()
     silent = data.copy()
     silent[:, 1] = 0.0

@@ -178,7 +178,7 @@ def test_the_command_writes_table_and_pictures(tmp_path, capsys):
     assert [float(row["f1"]) for row in rows] == [1.0, 1.0]
     assert [float(row["repetitions"]) for row in rows] == [0.0, 1.0]
     assert (tmp_path / "out" / "walk.png").stat().st_size > 10_000
-    with pytest.raises(KinegraphError, match="--force replaces it"):
+    with pytest.raises(KinegraphError, match="--overwrite replaces it"):
         cli.call("evaluate", arguments)
     with pytest.raises(SystemExit):
         cli.call(

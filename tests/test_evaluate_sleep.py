@@ -192,7 +192,7 @@ def test_thirty_one_real_hypnograms_against_a_spoilt_copy(tmp_path: Path, capsys
     assert "quiet wakefulness is commonly scored as sleep" in " ".join(shown.split())
     assert (tmp_path / "out" / "agreement.png").read_bytes()[:4] == b"\x89PNG"
     assert len((tmp_path / "out" / "nights.csv").read_text().splitlines()) == len(lines)
-    with pytest.raises(KinegraphError, match="--force"):
+    with pytest.raises(KinegraphError, match="--overwrite"):
         sleep(nights=tmp_path / "nights.csv", output=tmp_path / "out")
 
 

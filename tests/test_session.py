@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import parts
 import pytest
+from structlog.testing import capture_logs
 
 from stream.chunk import Chunk, empty
 from stream.engine.outcome import Outcome
@@ -198,12 +199,24 @@ def test_a_silent_source_does_not_stop_a_merge_and_what_comes_late_is_dropped(tm
         ("another output", "source failed", "an output 'egm', which it has not: did you mean 'emg'"),
         ("a type", "source failed", "parts.py, line "),
         ("seconds", "late samples dropped", "nanoseconds since 1970"),
+        ("local time", "stamps lie ahead of the clock", "'ahead_s': 3600.0"),
     ],
 )
 def test_a_slip_in_ones_own_source_is_told(slip: str, kind: str, told: str, tmp_path: Path) -> None:
     nodes = f"  own: {{use: parts.Slips, slip: {slip}}}\n  out: {{use: parts.Collect, from: own.emg}}\n"
     run(nodes, tmp_path / "s", duration_s=1.0)
     assert any(told in str(entry) for entry in recorded(tmp_path / "s").log if entry["kind"] == kind)
+
+
+def test_losses_with_every_chunk_are_told_once_and_all_recorded(tmp_path: Path) -> None:
+    nodes = "  own: {use: parts.Slips, slip: seconds}\n  out: {use: parts.Collect, from: own.emg}\n"
+    with capture_logs() as told:
+        run(nodes, tmp_path / "s", duration_s=1.0)
+    losses = [entry for entry in told if entry["event"] == "late samples dropped"]
+    kept = [entry for entry in recorded(tmp_path / "s").log if entry["kind"] == "late samples dropped"]
+    assert len(kept) > len(losses) == 2  # at once, and the rest at the end
+    assert sum(entry["samples"] for entry in losses) == sum(entry["samples"] for entry in kept)
+    assert losses[1]["times"] == len(kept) - 1
 
 
 def test_an_operator_that_raises_stops_the_graph_and_leaves_the_recording_readable(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ def calibrate(
     window_s: Annotated[
         float, typer.Option(min=0.05, max=10.0, help="for mvc: over how long the strongest mean is taken")
     ] = 0.5,
-    force: Annotated[bool, typer.Option(help="replace a reference that exists")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a reference that exists")] = False,
 ) -> None:
     """Make the reference for amplitude normalisation (operators.emg.normalise.Normalise): mvc, rest or task.
 
@@ -59,8 +59,8 @@ def calibrate(
         about = opened.header.get("session") or {}
         who = subject or str(about.get("subject", ""))
         target = output or File(f"{who or recording.stem}.{kind.value}.json")
-        if target.exists() and not force:
-            raise KinegraphError(f"{target} exists; --force replaces it, --out names another file")
+        if target.exists() and not overwrite:
+            raise KinegraphError(f"{target} exists; --overwrite replaces it, --out names another file")
         text = _text(config) if config else str(opened.header.get("graph") or "")
         envelope = envelope_of(text, str(config or "the recording's graph"))
         found, flags = reference(opened, kind.value, envelope, emg=emg, touchdown=touchdown, window_s=window_s)

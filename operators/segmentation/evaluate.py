@@ -47,7 +47,7 @@ def segmentation(
         float, typer.Option(min=0.0, help="of the matrix, in the features' unit [default: as it was found]")
     ] = 0.0,
     output: Annotated[File | None, typer.Option("-o", "--out", help="folder for the pictures and scores.csv")] = None,
-    force: Annotated[bool, typer.Option(help="replace files that exist")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace files that exist")] = False,
 ) -> None:
     """Boundary F1, covering, accuracy and repetitions against annotations, with a picture of each recording.
 
@@ -72,11 +72,11 @@ def segmentation(
         _meet(made, found, annotated, known)
         scores[name] = score(found, known)
         if output:
-            _save(output, f"{name}.png", force)
+            _save(output, f"{name}.png", overwrite)
             draw(name, found, known, radius or float("nan")).savefig(output / f"{name}.png", dpi=120)
     Console(highlight=False).print(_summary(scores))
     if output:
-        _save(output, "scores.csv", force)
+        _save(output, "scores.csv", overwrite)
         _sheet(output / "scores.csv", scores)
         typer.echo(str(output))
 
@@ -124,10 +124,10 @@ def _sheet(path: File, scores: dict[str, Scores]) -> None:
             sheet.writerow([name, *(f"{value:.6g}" if value == value else "" for value in asdict(one).values())])
 
 
-def _save(folder: File, name: str, force: bool) -> None:
+def _save(folder: File, name: str, overwrite: bool) -> None:
     """Make the folder; raises where the file is there already."""
-    if (folder / name).exists() and not force:
-        raise KinegraphError(f"{folder / name} exists; --force replaces it, --out names another folder")
+    if (folder / name).exists() and not overwrite:
+        raise KinegraphError(f"{folder / name} exists; --overwrite replaces it, --out names another folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

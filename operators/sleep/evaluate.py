@@ -34,7 +34,7 @@ def sleep(
         float, typer.Option(min=1.0, max=300.0, help="epoch length of CSV tables that do not say")
     ] = 30.0,
     output: Annotated[File | None, typer.Option("-o", "--out", help="folder for agreement.png and nights.csv")] = None,
-    force: Annotated[bool, typer.Option(help="replace files that exist")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace files that exist")] = False,
 ) -> None:
     """Sensitivity, specificity, kappa, and Bland-Altman limits of TST, SOL and WASO, against a reference hypnogram.
 
@@ -56,7 +56,7 @@ def sleep(
         console.print()
     console.print(NOTE)
     if output:
-        _write(pairs, output, force)
+        _write(pairs, output, overwrite)
 
 
 def _pair(estimate: File, reference: File, person: str, offset_s: float, stream: str, epoch_s: float) -> Pair:
@@ -100,14 +100,14 @@ def _rows(table: File) -> list[tuple[File, File, str, float]]:
     return made
 
 
-def _write(pairs: list[Pair], folder: File, force: bool) -> None:
+def _write(pairs: list[Pair], folder: File, overwrite: bool) -> None:
     from operators.sleep.evaluation import write_table
     from operators.sleep.pictures import draw
 
     picture, sheet = folder / "agreement.png", folder / "nights.csv"
     for path in (picture, sheet):
-        if path.exists() and not force:
-            raise KinegraphError(f"{path} exists; --force replaces it, --out names another folder")
+        if path.exists() and not overwrite:
+            raise KinegraphError(f"{path} exists; --overwrite replaces it, --out names another folder")
     folder.mkdir(parents=True, exist_ok=True)
     draw(pairs).savefig(picture, dpi=130)
     write_table(pairs, sheet)

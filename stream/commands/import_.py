@@ -76,6 +76,7 @@ def import_(
     dejitter: Annotated[bool, typer.Option(help="XDF: remove the jitter of regular streams' times")] = True,
     kinect: Annotated[bool, typer.Option(help="CSV: x, y and z of a skeleton's joints, as points")] = False,
     clock_sync: Annotated[bool, typer.Option(help="XDF: apply the clock offsets that were measured")] = True,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a recording that is there already")] = False,
 ) -> None:
     """Turn CSV, NPZ, XDF, BVH, C3D or AMC files into one recording.
 
@@ -115,7 +116,7 @@ def import_(
         "versions": versions(),
     }
     with bar(f"importing {', '.join(file.name for file in files)}") as progress:
-        write_recording(output, series, header, chunk_s=chunk_ms / 1000, progress=progress)
+        write_recording(output, series, header, chunk_s=chunk_ms / 1000, overwrite=overwrite, progress=progress)
     for one in series:
         typer.echo(f"{one.name}: {len(one.time)} samples, {one.spec.describe()}")
 

@@ -14,7 +14,7 @@ from stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec, Times
 from stream.errors import RecordingError
 from stream.graph import RecordingOptions
 from stream.recording import Recorder
-from stream.recording.place import claim, discard, draft_of, give_back, publish
+from stream.recording.place import claim, discard, draft_of, give_back, parts_of, publish
 
 
 @dataclass(slots=True)
@@ -39,17 +39,20 @@ def write_recording(
     header: dict[str, Any],
     *,
     chunk_s: float = 0.02,
+    overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
     """Write `series` as the input log of a session in which samples came in windows of `chunk_s`, all streams side by side.
 
     Each window gives every stream a chunk, empty where it has no sample, with `until` at the window's last nanosecond; the last ones
     say that the streams have ended. Windows in which nothing at all happens are left out. The recording appears under its name when it
-    is complete, and not at all if something fails. Raises RecordingError.
+    is complete, and not at all if something fails; with `overwrite` it takes the place of one that is there. Raises RecordingError.
     """
     if not series or not any(len(s.time) for s in series):
         raise RecordingError("there are no samples to record")
-    held, _ = claim(path, resume=False)
+    if parts_of(path) and not overwrite:
+        raise RecordingError(f"{path}: holds a recording already; choose another --out, or replace it with --overwrite")
+    held, _ = claim(path, taken=overwrite)
     draft = draft_of(path)
     try:
         discard(draft)  # of an import that was killed

@@ -20,7 +20,7 @@ import numpy as np
 
 from stream.chunk import FOREVER, NS, STAMP, Chunk
 from stream.engine.channel import Doorbell
-from stream.engine.intake import Intake
+from stream.engine.intake import AHEAD_NS, Intake
 from stream.engine.journal import Journal
 from stream.engine.supervisor import Door
 
@@ -89,6 +89,8 @@ def door(intake: Intake, journal: Journal, turn: Turn, bell: Doorbell, fail: Cal
                     newest = stamp
             until = chunk.until
             if until < newest or until == FOREVER or intake.owed or not turn.open:
+                return False
+            if until > arrival + AHEAD_NS and intake.watched:
                 return False
             runner.last_alive = intake.last = (arrival - offset) / NS
             intake.silent = intake.stale = False

@@ -103,7 +103,7 @@ class Entrance:
 
     def _enter(self, intake: Intake, chunk: Chunk, arrival: int) -> None:
         """A source's chunk enters the graph, and all that it leads to is done."""
-        admitted = intake.admit(chunk, self._journal.report)
+        admitted = intake.admit(chunk, arrival, self._journal.report)
         if admitted is not None:
             self._journal.enter(intake.number, admitted, arrival)
             intake.wire.send(admitted, perf_counter_ns())

@@ -18,6 +18,10 @@ LONG_AGO = 10**8 * NS
 """In 1973: a live sample's stamp that lies before is rather one in other units."""
 
 
+AHEAD_NS = NS
+"""A live sample's stamp may lie so far after its arrival, by what a device's clock is wrong; beyond that it is told."""
+
+
 @dataclass(slots=True)
 class Intake:
     """One output of a source, as the graph sees it.
@@ -27,6 +31,7 @@ class Intake:
     last       when its last chunk came (monotonic s)
     late       samples dropped because they came too late
     owed       what is missing before the next sample, beyond what its chunk says
+    watched    whether it is still to be seen to that stamps do not lie ahead of the session's clock
     """
 
     stream: str
@@ -40,6 +45,10 @@ class Intake:
     owed: int = 0
     silent: bool = False
     stale: bool = False
+    watched: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.watched = self.runner.source.live
 
     @property
     def ended(self) -> bool:
@@ -50,10 +59,17 @@ class Intake:
         """Whether anybody waits for what time brings here. Where nobody does, only samples are let in."""
         return bool(self.wire.readers)
 
-    def admit(self, chunk: Chunk, report: Callable[..., None]) -> Chunk | None:
+    def admit(self, chunk: Chunk, arrival: int, report: Callable[..., None]) -> Chunk | None:
         """The chunk as it may enter: without late samples, its `until` never going back; None if it says nothing new."""
         self.last = time.monotonic()
         self.silent = self.stale = False
+        if self.watched and arrival + AHEAD_NS < chunk.until < FOREVER:
+            self.watched = False
+            ahead_s, hint = (
+                round((chunk.until - arrival) / NS, 1),
+                "Feed.now() and devices.clocks give stamps of the session's clock",
+            )
+            report("stamps lie ahead of the clock", stream=self.stream, ahead_s=ahead_s, hint=hint)
         if len(chunk.time) and chunk.time.item(0) <= self.promised:
             chunk = self._without_late(chunk, report)
         if not (len(chunk.time) or chunk.lost or self.awaited or chunk.until == FOREVER):

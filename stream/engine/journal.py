@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from threading import Lock
+from time import monotonic
 from typing import Any
 
 import structlog
@@ -12,6 +15,7 @@ import structlog
 from stream.chunk import FOREVER, NEVER, Chunk, StreamSpec, utc
 from stream.engine.checkpoint import Checkpoint, Keeper, fingerprint
 from stream.engine.clock import SessionClock
+from stream.engine.drops import KIND as QUEUE_DROPPED
 from stream.engine.pipeline import Pipeline
 from stream.errors import KinegraphError, RecordingError
 from stream.graph import Graph
@@ -21,8 +25,37 @@ from stream.recording.place import is_running, parts_of
 
 QUIET = {"device", "source ended", "session resumed", "source reopened"}
 """Reports that are news, not warnings."""
+LOSSES = {"late samples dropped", "source queue dropped", QUEUE_DROPPED}
+"""Reports that may come with every chunk."""
+TOLD_EVERY_S = 10.0
+"""On the screen, a stream's or queue's losses are told at once, and then so often; the recording keeps each."""
 
 log = structlog.get_logger(__name__)
+
+
+@dataclass(slots=True)
+class Loss:
+    """What a stream or queue has lost since it was last told on the screen.
+
+    next    when it may be told again (monotonic s)
+    facts   of the first of these losses
+    """
+
+    next: float = 0.0
+    times: int = 0
+    samples: int = 0
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    def add(self, facts: dict[str, Any]) -> None:
+        self.facts = self.facts if self.times else facts
+        self.times += 1
+        self.samples += facts["samples"]
+
+    def told(self, now: float) -> dict[str, Any]:
+        """The facts to be told now, with all samples lost; from here on it is counted anew."""
+        facts = self.facts | {"samples": self.samples} | ({"times": self.times} if self.times > 1 else {})
+        self.next, self.times, self.samples = now + TOLD_EVERY_S, 0, 0
+        return facts
 
 
 class Former:
@@ -78,6 +111,8 @@ class Journal:
         self.arrival = 0
         self.recorder: Recorder | None = None
         self._keeper: Keeper | None = None
+        self._losses: dict[tuple[str, str], Loss] = {}
+        self._losing = Lock()
         if folder is not None:
             self.recorder = Recorder(folder, self._header(), graph.recording, resume=former is not None)
             self._keeper = Keeper(folder, self.recorder.flush)
@@ -144,12 +179,26 @@ class Journal:
 
     def report(self, kind: str, **facts: Any) -> None:
         """Something worth knowing happened: to the log, and into the recording."""
-        tell = log.error if "failed" in kind else log.info if kind in QUIET else log.warning
-        tell(kind, **facts)
+        if kind in LOSSES:
+            with self._losing:  # what a source's queue drops is told on its own thread
+                self._losses.setdefault((kind, facts.get("stream") or facts["queue"]), Loss()).add(facts)
+            self._tell_losses(monotonic())
+        else:
+            tell = log.error if "failed" in kind else log.info if kind in QUIET else log.warning
+            tell(kind, **facts)
         if self.recorder:
             self.recorder.log(kind, self._clock.now(), **facts)
 
+    def _tell_losses(self, now: float) -> None:
+        with self._losing:
+            due = [
+                (kind, loss.told(now)) for (kind, _), loss in self._losses.items() if loss.times and now >= loss.next
+            ]
+        for kind, facts in due:
+            log.warning(kind, **facts)
+
     def metrics(self, table: dict[str, Any]) -> None:
+        self._tell_losses(monotonic())
         if self.recorder:
             self.recorder.metrics(self._clock.now(), table)
 
@@ -177,6 +226,7 @@ class Journal:
 
     def close(self, *, well: bool) -> None:
         """End the recording. After a session that ended `well` there is nothing to resume."""
+        self._tell_losses(FOREVER)
         if self._keeper:
             self._keeper.wait()
         if self.recorder:

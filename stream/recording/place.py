@@ -80,8 +80,11 @@ def refuse_taken(path: Path) -> None:
         )
 
 
-def claim(path: Path, *, resume: bool) -> tuple[FileLock, int]:
-    """Lock the place, and prove that it can be written. Returns the lock and the number of the part to begin with."""
+def claim(path: Path, *, taken: bool = False) -> tuple[FileLock, int]:
+    """Lock the place, and prove that it can be written. Returns the lock and the number of the part to begin with.
+
+    `taken` says that a recording may lie there already.
+    """
     folder = path.parent if path.suffix == SUFFIX else path
     try:
         if folder.exists() and not folder.is_dir():
@@ -96,7 +99,7 @@ def claim(path: Path, *, resume: bool) -> tuple[FileLock, int]:
     held = lock(path)
     try:
         parts = parts_of(path)
-        if not resume:
+        if not taken:
             refuse_taken(path)
         number = 0 if not parts else 1 if parts[-1] == path else _number(parts[-1]) + 1
         _probe(part_path(path, number))
@@ -117,9 +120,12 @@ def draft_of(path: Path) -> Path:
 
 
 def publish(draft: Path, path: Path) -> None:
-    """Give a complete draft its name. Raises OSError."""
-    for number, part in enumerate(parts_of(draft)):
-        part.replace(part_path(path, number))
+    """Give a complete draft its name, in the place of a recording that lies there. Raises OSError."""
+    old = parts_of(path)
+    fresh = [part.replace(part_path(path, number)) for number, part in enumerate(parts_of(draft))]
+    for part in old:
+        if part not in fresh:
+            part.unlink()
 
 
 def discard(path: Path) -> None:

@@ -59,7 +59,7 @@ class Recorder:
         self._lanes = [Lane(LOG), Lane(METRICS)]
         self._queue: SimpleQueue[tuple[int, tuple[Any, int, int], int]] = SimpleQueue()
         self._first = self._latest = 0
-        self._lock, number = claim(path, resume=resume)
+        self._lock, number = claim(path, taken=resume)
         self._tape = Tape(path, number, header, options)
         self._stop, self._wake, self._lull = Event(), Event(), Event()
         self._scribe = Scribe(path, self._lanes, self._tape, options, self._stop, live=not wait)
