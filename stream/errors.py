@@ -43,11 +43,12 @@ class InputError(KinegraphError):
 
 
 class GraphError(KinegraphError):
-    """A graph that cannot run, with the file and line of what is wrong."""
+    """A graph that cannot run, with the file and line of what is wrong; `text` says it without these."""
 
     def __init__(self, text: str, *, path: str = "", line: int | None = None, node: str = "") -> None:
         where = f"{path}:{line}: " if path and line else f"{path}: " if path else ""
-        super().__init__(f"{where}{f'node {node!r}: ' if node else ''}{text}")
+        self.text = f"node {node!r}: {text}" if node else text
+        super().__init__(where + self.text)
         self.line, self.node = line, node
 
 

@@ -149,6 +149,13 @@ class Greedy(Low):
     queue: int = param(1)
 
 
+@dataclass(frozen=True, slots=True)
+class Shadow(Low):
+    """Takes for itself a name by which the engine asks every operator for something else."""
+
+    outputs: int = param(1)  # type: ignore[assignment,misc]
+
+
 class NoDataclass(Operator[Nothing]):
     def open(self, specs: Specs) -> Specs:
         return {}

@@ -160,7 +160,12 @@ def test_images_are_kept_only_if_it_is_said_in_as_many_words(store: bool, tmp_pa
         (["devices.cyton.Cyton"], "port is missing", 2),
         (["devices.cyton.Cyton", "port=/dev/ttyNOTTHERE", "deadline_s=1"], "does not exist", 3),
         (["devices.cyton.Cyton", "port=/dev/ttyUSB0", "--store-frames"], "none of these sources gives images", 2),
-        (["devices.cyton.Cyton", "prot=/dev/ttyUSB0"], "did you mean 'port'", 2),
+        (["devices.cyton.Cyton", "port=/dev/ttyNOTTHERE", "--for", "1"], '{"error": "serial port', 3),
+        (
+            ["devices.cyton.Cyton", "prot=/dev/ttyUSB0"],
+            "kinegraph: node 'cyton': Cyton has no parameter 'prot'; did you mean 'port'",
+            2,
+        ),
     ],
 )
 def test_what_is_wrong_is_told(arguments: list[str], told: str, code: int, tmp_path: Path) -> None:

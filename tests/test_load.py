@@ -170,6 +170,11 @@ NODE_ERRORS = [
     ("a: {use: graph_parts.Broken, from: board, fault: state}", 4, ["must call hold"]),
     ("a: {use: graph_parts.Greedy, from: board}", 4, ["has a parameter 'queue'", "must be renamed"]),
     (
+        "a: {use: graph_parts.Shadow, from: board}",
+        4,
+        ["has a parameter 'outputs'", "to every Operator", "must be renamed"],
+    ),
+    (
         "a: {use: graph_parts.Low, from: c}\nb: {use: graph_parts.Low, from: a}\nc: {use: graph_parts.Low, from: b}",
         4,
         ["circle: a -> b -> c -> a"],

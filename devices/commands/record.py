@@ -49,16 +49,14 @@ def record(
     """
     from stream.commands import logs
     from stream.commands.run import conduct, session_folder
-    from stream.graph.load import load_text
 
     logs.set_up(json=json_log, verbose=verbose)
     if simulate:
         sources = with_ports(sources)
-    text, name = written(sources)
-    graph = load_text(text, name)
+    graph = loaded(sources)
     if images := pictures(graph):
         if store_frames:
-            graph = load_text(written(sources, images)[0], name)
+            graph = loaded(sources, images)
         else:
             print(
                 f"images of {', '.join(images)} are not kept, only when they came; --store-frames keeps them",
@@ -67,6 +65,17 @@ def record(
     elif store_frames:
         raise KinegraphError("--store-frames: none of these sources gives images")
     conduct(graph, session_folder(graph, out), duration_s=duration_s, view=view, simulate=simulate)
+
+
+def loaded(arguments: list[str], record: Sequence[str] = ()) -> Graph:
+    """The graph of these sources. Raises GraphError, without the lines of a file that nobody wrote."""
+    from stream.errors import GraphError
+    from stream.graph.load import load_text
+
+    try:
+        return load_text(*written(arguments, record))
+    except GraphError as error:
+        raise GraphError(error.text) from error
 
 
 def pictures(graph: Graph) -> list[str]:

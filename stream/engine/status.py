@@ -71,7 +71,7 @@ def _source_row(intake: Intake, now: float) -> dict[str, Any]:
         "lost": wire.lost,
         "openings": runner.openings,
         "problems": dict(runner.problems) if channel is next(iter(runner.channels.values())) else {},
-        "error": runner.error if runner.state == "failed" else "",
+        "error": runner.error if runner.state == "failed" or not runner.ready else "",
     }
 
 

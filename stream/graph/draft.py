@@ -73,9 +73,15 @@ def _fill(draft: Draft, given: dict[str, Located], problems: Problems) -> None:
     allowed = SOURCE_OPTIONS if issubclass(draft.kind, Source) else OPERATOR_OPTIONS
     parameters = parameters_of(draft.kind)
     every = [f.name for f in fields(NodeOptions)]
-    twice = [p for p in parameters if p in every or p in ("use", "from")]
-    if twice:
-        text = f"{draft.kind.__name__} has a parameter {twice[0]!r}, which is a key of every node; it must be renamed"
+    ours = Source if issubclass(draft.kind, Source) else Outlet if issubclass(draft.kind, Outlet) else Operator
+    for name in parameters:
+        if name in every or name in ("use", "from"):
+            taken = "which is a key of every node"
+        elif hasattr(ours, name):
+            taken = f"which means something else to every {ours.__name__}"
+        else:
+            continue
+        text = f"{draft.kind.__name__} has a parameter {name!r}, {taken}; it must be renamed"
         problems.add(text, draft.entry, draft.name)
         return
     for key, at in given.items():

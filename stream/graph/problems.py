@@ -12,7 +12,7 @@ class GraphErrors(GraphError):
     def __init__(self, errors: list[GraphError]) -> None:
         self.errors = tuple(errors)
         super().__init__("\n".join(map(str, errors)))
-        self.line, self.node = errors[0].line, errors[0].node
+        self.line, self.node, self.text = errors[0].line, errors[0].node, "\n".join(error.text for error in errors)
 
 
 class Problems:
