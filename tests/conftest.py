@@ -25,7 +25,9 @@ settings.register_profile(
 settings.load_profile("kinegraph")
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
-"""A shell that starts the tests in the background has interrupts ignored, also by the commands that tests start and interrupt."""
+if hasattr(signal, "SIGQUIT"):
+    signal.signal(signal.SIGQUIT, signal.SIG_DFL)
+"""A shell that starts the tests in the background has these two ignored, also by the commands that tests start and send them to."""
 
 os.environ["KINEGRAPH_LSL"] = f"machine:tests-{os.getpid()}"
 """No test looks for LSL streams, or shows any, beyond this computer and its own process (and those that it starts)."""
