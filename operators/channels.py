@@ -11,7 +11,7 @@ import numpy as np
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
 from stream.kernel import kernel
-from stream.operator import Case, Operator, grid
+from stream.operator import Case, Operator, Step, grid
 from stream.params import param
 
 
@@ -80,6 +80,10 @@ class Select(Operator[SelectState]):
         else:
             data = np.ascontiguousarray(chunk.data.take(state.wanted, axis=state.axis))
         return Chunk(chunk.time, data, chunk.until, chunk.lost)
+
+    def kernel_step(self) -> Step | None:
+        state = self.state
+        return Step(gather, state, len(state.wanted)) if state.plain else None
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

@@ -9,14 +9,15 @@ The rule for bad samples. NaN in gives NaN out and holds the state, channel by c
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, StreamSpec, Times
 from stream.errors import InputError, ParameterError
-from stream.operator import Operator
+from stream.operator import Operator, Step
 from stream.spare import Spare
 
 
@@ -29,7 +30,7 @@ class Continuity:
     period_ns   nominal time between samples
     limit_ns    the longest gap that leaves the state as it is
     delay_ns    what is subtracted from stamps
-    last        stamp of the newest sample seen
+    last        (1,) stamp of the newest sample seen
     spare       arrays for what goes out
     """
 
@@ -38,12 +39,12 @@ class Continuity:
     period_ns: int
     limit_ns: int
     delay_ns: int
-    last: int
+    last: Times
     spare: Spare
 
     def gap_ns(self, chunk: Chunk) -> int:
         """How much time is missing before a chunk that holds samples."""
-        return int(chunk.time[0]) - int(self.last) - self.period_ns
+        return chunk.time.item(0) - self.last.item(0) - self.period_ns
 
     def breaks(self, chunk: Chunk) -> bool:
         """Whether the gap before this chunk is long enough to reset the state. Only for chunks with `lost`."""
@@ -61,11 +62,17 @@ class Filter(Operator[C]):
     """A filter of one numeric stream: one sample out per sample in, later by the declared delay.
 
     Takes signals (channels,) and any other numeric samples, such as markers (points, 3): every number of a sample is filtered for itself.
-    Subclasses give `rest` and `work`, or their own `process`.
+    Subclasses give `rest` and `work`, or their own `process`; and `kernel`, the one that `work` calls, if its parameters are what a
+    `Step` may have.
     """
 
     __slots__ = ()
     contiguous = True
+    kernel: ClassVar[Callable[..., None] | None] = None
+
+    def kernel_step(self) -> Step | None:
+        state, kernel = self.state, type(self).kernel
+        return Step(kernel, state, state.width, last=state.last) if kernel and state.plain else None
 
     def rest(self) -> None:
         """Forget all samples: back to the state at the start."""
@@ -82,7 +89,7 @@ class Filter(Operator[C]):
             return nothing(chunk, state)
         if chunk.lost and state.breaks(chunk):
             self.rest()
-        state.last = time[-1]
+        state.last[0] = time[-1]
         x = chunk.data
         out, stamps = state.spare.both(n)
         made = out
@@ -102,7 +109,7 @@ def watch(spec: StreamSpec, *, delay_s: float = 0.0, reset_gap_s: float = 0.0) -
         "period_ns": spec.period_ns,
         "limit_ns": round(reset_gap_s * NS),
         "delay_ns": round(delay_s * NS),
-        "last": NEVER,
+        "last": np.array([NEVER]),
         "spare": Spare(width),
     }
 

@@ -12,7 +12,7 @@ import numpy as np
 from operators.continuity import Continuity, numeric, regular, rows, watch
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from stream.kernel import kernel
-from stream.operator import Case, Operator, grid
+from stream.operator import Case, Operator, Step, grid
 from stream.params import param
 
 
@@ -26,10 +26,19 @@ def thin_out(x: Samples, first: int, every: int, time: Times, out: Samples, stam
             out[k, c] = x[i, c] if abs(x[i, c]) < math.inf else math.nan
 
 
+@kernel
+def thin_on(x: Samples, skip: Times, every: int, time: Times, out: Samples, stamps: Times) -> None:
+    """`thin_out` after `skip[0]` samples, which is then moved on."""
+    first = skip[0]
+    thin_out(x, first, every, time, out, stamps)
+    skip[0] = first + out.shape[0] * every - x.shape[0]
+
+
 @dataclass(slots=True)
 class DecimateState(Continuity):
-    skip: int
-    """How many samples pass before the next one is kept."""
+    every: int
+    skip: Times
+    """(1,) how many samples pass before the next one is kept."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +58,17 @@ class Decimate(Operator[DecimateState]):
     def open(self, specs: Specs) -> Specs:
         spec = numeric(specs["in"])
         rate_hz = regular(spec)
-        self.hold(DecimateState(**watch(specs["in"], reset_gap_s=self.reset_gap_s), skip=0))
+        seen = watch(specs["in"], reset_gap_s=self.reset_gap_s)
+        self.hold(DecimateState(**seen, every=self.every, skip=np.zeros(1, np.int64)))
         return {"out": spec.derive(rate_hz=rate_hz / self.every)}
+
+    def kernel_step(self) -> Step | None:
+        state = self.state
+        return Step(thin_on, state, state.width, self._kept, state.last) if state.plain else None
+
+    def _kept(self, n: int) -> int:
+        """How many of the next `n` samples are kept."""
+        return (n - self.state.skip.item(0) + self.every - 1) // self.every
 
     def process(self, port: str, chunk: Chunk) -> Chunk | None:
         state = self.state
@@ -59,29 +77,24 @@ class Decimate(Operator[DecimateState]):
         lost = 0
         if chunk.lost:
             lost = -1
-            state.skip = 0 if state.breaks(chunk) else (state.skip - state.missing(chunk)) % self.every
-        first = state.skip
-        if first >= n:
-            state.skip = first - n
-            if not n or lost:
-                return self._nothing(chunk, lost)
-            state.last = time[-1]
-            return None
-        state.last = time[-1]
-        m = 1 + (n - first - 1) // self.every
-        state.skip = first + m * self.every - n
+            state.skip[0] = 0 if state.breaks(chunk) else (state.skip[0] - state.missing(chunk)) % self.every
+        if not n:
+            return self._nothing(chunk, lost)
+        m = self._kept(n)
+        state.last[0] = time[-1]
+        if not m:
+            state.skip[0] -= n
+            return self._nothing(chunk, lost) if lost else None
         x = chunk.data
         out, stamps = state.spare.both(m)
         made = out
         if not state.plain:
             x, made = rows(x, state.width), out.reshape((m, *x.shape[1:]))
-        thin_out(x, first, self.every, time, out, stamps)
+        thin_on(x, state.skip, self.every, time, out, stamps)
         return Chunk(stamps, made, chunk.until, lost)
 
     def _nothing(self, chunk: Chunk, lost: int) -> Chunk:
         """Nothing is kept of this chunk. Told only where no sample is soon to be kept that tells it, or something is lost."""
-        if len(chunk.time):
-            self.state.last = int(chunk.time[-1])
         return Chunk(np.empty(0, np.int64), np.empty((0, *chunk.data.shape[1:])), chunk.until, lost)
 
     @classmethod

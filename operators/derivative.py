@@ -76,7 +76,7 @@ class Derivative(Filter[DerivativeState]):
             return nothing(chunk, state)
         if chunk.lost and state.breaks(chunk):
             state.known = 0
-        state.last = chunk.time[-1]
+        state.last[0] = chunk.time[-1]
         skip = min(n, POINTS - 1 - state.known)
         state.known += skip
         out: Samples = np.empty((n - skip, *chunk.data.shape[1:]))

@@ -60,6 +60,7 @@ def moving_extreme(
 
 @dataclass(slots=True)
 class ExtremeState(Continuity):
+    sign: float
     queue: Samples
     numbers: Times
     places: Times
@@ -69,6 +70,7 @@ class Extreme(Filter[ExtremeState]):
     """The largest or smallest value of a moving window."""
 
     __slots__ = ()
+    kernel = staticmethod(moving_extreme)
     sign: ClassVar[float]
     window_s: float
     reset_gap_s: float
@@ -81,7 +83,11 @@ class Extreme(Filter[ExtremeState]):
         seen = watch(specs["in"], delay_s=delay_s, reset_gap_s=self.reset_gap_s)
         c = seen["width"]
         state = ExtremeState(
-            **seen, queue=np.zeros((w, c)), numbers=np.zeros((w, c), np.int64), places=np.zeros((3, c), np.int64)
+            **seen,
+            sign=self.sign,
+            queue=np.zeros((w, c)),
+            numbers=np.zeros((w, c), np.int64),
+            places=np.zeros((3, c), np.int64),
         )
         self.hold(state, delay_s=delay_s)
         return {"out": spec.derive(settling_s=spec.settling_s + (w - 1) / rate_hz)}

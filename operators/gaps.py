@@ -137,8 +137,8 @@ class FillGaps(Operator[FillState]):
             time = np.concatenate([state.stamps, time])
         furthest = state.limit_ns + state.period_ns
         linear = self.method == "linear"
-        keep = fill(x, time[waiting:], state.last, furthest, state.most, linear, state.left, state.runs, work)
-        state.last = int(time[-1])
+        keep = fill(x, time[waiting:], state.last.item(0), furthest, state.most, linear, state.left, state.runs, work)
+        state.last[0] = time[-1]
         lost = state.lost
         data = work if state.plain else work.reshape(total, *chunk.data.shape[1:])
         if keep or waiting:
@@ -151,13 +151,17 @@ class FillGaps(Operator[FillState]):
     def _wait(self, chunk: Chunk) -> Chunk:
         """Time has passed without samples: what waits goes on waiting, unless the gap is now too long to be filled."""
         state = self.state
-        if len(state.stamps) and chunk.until - state.last > state.limit_ns + state.period_ns and chunk.until != FOREVER:
+        if (
+            len(state.stamps)
+            and chunk.until - state.last.item(0) > state.limit_ns + state.period_ns
+            and chunk.until != FOREVER
+        ):
             return self._give_up(chunk.until)
         return Chunk(chunk.time, np.empty(chunk.data.shape), self._promise(chunk.until))
 
     def _put_back(self, time: Times, x: Samples, missing: int) -> tuple[Times, Samples]:
         """The samples with `missing` bad ones before them, evenly between the stamps on both sides."""
-        before, after = self.state.last, int(time[0])
+        before, after = self.state.last.item(0), int(time[0])
         stamps = [before + (after - before) * k // (missing + 1) for k in range(1, missing + 1)]
         bad = np.full((missing, self.state.width), np.nan)
         return np.concatenate([np.array(stamps, np.int64), time]), np.concatenate([bad, x])
@@ -177,8 +181,8 @@ class FillGaps(Operator[FillState]):
         state = self.state
         if len(state.stamps):
             return int(state.stamps[0]) - 1
-        if until != FOREVER and until - state.last <= state.limit_ns + state.period_ns:
-            return min(until, state.last)
+        if until != FOREVER and until - state.last.item(0) <= state.limit_ns + state.period_ns:
+            return min(until, state.last.item(0))
         return until
 
     def close(self) -> Emitted:

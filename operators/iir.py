@@ -23,7 +23,7 @@ from operators.remembered import remembered
 from stream.chunk import Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
 from stream.kernel import kernel
-from stream.operator import Case, grid
+from stream.operator import Case, Step, grid
 from stream.params import param
 
 SETTLED = 0.01
@@ -93,6 +93,7 @@ class Sections(Filter[SectionsState]):
     """Second-order sections over a regular stream; subclasses design them."""
 
     __slots__ = ()
+    kernel = staticmethod(late_sections)
     start: Literal["zero", "first"]
     reset_gap_s: float
 
@@ -125,6 +126,9 @@ class Sections(Filter[SectionsState]):
         self.hold(state, delay_s=delay_s)
         self.rest()
         return {"out": spec.derive(settling_s=spec.settling_s + settling(sos) / rate_hz)}
+
+    def kernel_step(self) -> Step | None:
+        return super().kernel_step() if self.start == "zero" else None
 
     def rest(self) -> None:
         state = self.state

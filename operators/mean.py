@@ -13,7 +13,7 @@ from operators.continuity import Continuity, Filter, nothing, numeric, regular, 
 from operators.moving import slide, two_sum
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from stream.kernel import kernel
-from stream.operator import Case, grid
+from stream.operator import Case, Step, grid
 from stream.params import param
 
 
@@ -85,6 +85,10 @@ class RemoveMean(Filter[RemoveMeanState]):
         self.hold(state)
         return {"out": spec.derive(settling_s=spec.settling_s + (w - 1) / rate_hz)}
 
+    def kernel_step(self) -> Step | None:
+        state, kernel = self.state, less_moving_mean if self.mean == "moving" else less_running_mean
+        return Step(kernel, state, state.width, last=state.last) if state.plain else None
+
     def rest(self) -> None:
         self.state.sums[:] = 0.0
         self.state.places[:] = 0
@@ -95,7 +99,7 @@ class RemoveMean(Filter[RemoveMeanState]):
             return nothing(chunk, state)
         if chunk.lost and state.breaks(chunk):
             self.rest()
-        state.last = chunk.time[-1]
+        state.last[0] = chunk.time[-1]
         x = chunk.data
         made: Samples = np.empty(x.shape)
         out = made

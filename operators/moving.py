@@ -145,6 +145,7 @@ class MovingMean(Moving):
 
     window_s: float = param(above=0.0, help="length of the window")
     reset_gap_s: float = param(0.1, least=0.0, help="a longer gap empties the window")
+    kernel = staticmethod(moving_mean)
 
     def work(self, x: Samples, time: Times, out: Samples, stamps: Times) -> None:
         state = self.state
@@ -161,6 +162,7 @@ class MovingRms(Moving):
 
     window_s: float = param(above=0.0, help="length of the window")
     reset_gap_s: float = param(0.1, least=0.0, help="a longer gap empties the window")
+    kernel = staticmethod(moving_rms)
 
     def work(self, x: Samples, time: Times, out: Samples, stamps: Times) -> None:
         state = self.state

@@ -11,7 +11,7 @@ import numpy as np
 from operators.continuity import Continuity, Filter, numeric, rows, watch
 from stream.chunk import Chunk, Samples, Specs, StreamSpec
 from stream.kernel import kernel
-from stream.operator import Case, grid
+from stream.operator import Case, Step, grid
 
 
 @kernel
@@ -31,6 +31,10 @@ class Rectify(Filter[Continuity]):
         out = numeric(specs["in"])
         self.hold(Continuity(**watch(specs["in"])))
         return {"out": out}
+
+    def kernel_step(self) -> Step | None:
+        state = self.state
+        return Step(magnitudes, state, state.width) if state.plain else None
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
         state = self.state

@@ -164,7 +164,7 @@ class Resample(Filter[ResampleState]):
                     self.rest()
                 else:
                     time, x = self._bridge(time, x, state.missing(chunk))
-            state.last = chunk.time[-1]
+            state.last[0] = chunk.time[-1]
         ahead = len(time) * state.up - int(state.places[1])
         m = -(-ahead // state.down) if ahead > 0 else 0
         out: Samples = np.empty((m, *chunk.data.shape[1:]))
@@ -177,7 +177,7 @@ class Resample(Filter[ResampleState]):
     def _bridge(self, time: Times, x: Array, missing: int) -> tuple[Times, Array]:
         """The samples with `missing` ones before them, of each channel's last value, evenly between the stamps on both sides."""
         state = self.state
-        before, after = int(state.last), int(time[0])
+        before, after = state.last.item(0), int(time[0])
         stamps = [before + (after - before) * k // (missing + 1) for k in range(1, missing + 1)]
         made = np.repeat(state.held[None], missing, axis=0)
         return np.concatenate([np.array(stamps, np.int64), time]), np.concatenate([made, x])
@@ -185,8 +185,8 @@ class Resample(Filter[ResampleState]):
     def _promise(self, until: int) -> int:
         """No later output lies at or before this; a gap that has begun may yet be bridged, so nothing is promised inside it."""
         state = self.state
-        if until - int(state.last) - state.period_ns < state.limit_ns:
-            until = min(until, int(state.last))
+        if until - state.last.item(0) - state.period_ns < state.limit_ns:
+            until = min(until, state.last.item(0))
         return max(back(until, state.delay_ns), int(state.places[2]))
 
     @classmethod

@@ -12,7 +12,7 @@ from operators.continuity import Continuity, Filter, numeric, rows, watch
 from stream.chunk import Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.kernel import kernel
-from stream.operator import Case, grid
+from stream.operator import Case, Step, grid
 from stream.params import param
 
 
@@ -60,6 +60,10 @@ class Scale(Filter[ScaleState]):
             raise ParameterError(parameter, getattr(self, parameter), "finite")
         self.hold(ScaleState(**seen, line=line))
         return {"out": out if self.unit is None else out.derive(units=(self.unit,))}
+
+    def kernel_step(self) -> Step | None:
+        state = self.state
+        return Step(straight_line, state, state.width) if state.plain else None
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
         state = self.state

@@ -84,6 +84,8 @@ class Binomial(Filter[BinomialState]):
     def rest(self) -> None:
         self.state.places[:] = 0
 
+    kernel = staticmethod(weigh)
+
     def work(self, x: Samples, time: Times, out: Samples, stamps: Times) -> None:
         s = self.state
         weigh(x, s.weights, s.ring, s.places, time, s.delay_ns, out, stamps)

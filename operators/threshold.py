@@ -144,7 +144,7 @@ class Threshold(Operator[ThresholdState]):
                 lost = -1
                 if state.breaks(chunk):
                     state.now[:] = UNKNOWN, 0, NEVER
-            state.last = time[-1]
+            state.last[0] = time[-1]
         x = chunk.data if state.plain else rows(chunk.data, state.width)
         events, peaks = np.empty((2 * n, 3), np.int64), np.empty(2 * n)
         made = crossings(x, time, state.channel, state.levels, state.waits, state.now, state.peak, events, peaks)

@@ -8,12 +8,14 @@ opens a new folder; folders that were not used for a month are removed.
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import inspect
 import os
 import shutil
+import sys
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, overload
@@ -55,13 +57,55 @@ def _compile(function: Callable[P, R], nogil: bool) -> Callable[P, R]:
     folder = cache_folder(package)
     if package:  # what is kept names the module it came from, and a file of one's own may be imported by several names
         folder /= function.__module__
+    with _kept_in(folder):
+        compiled: Callable[P, R] = numba.njit(cache=True, nogil=nogil, error_model="numpy")(function)
+    return compiled
+
+
+def is_kernel(candidate: object) -> bool:
+    """Whether it is a kernel that other compiled code can call by its name, and that keeps the interpreter's lock."""
+    if not isinstance(candidate, numba.core.dispatcher.Dispatcher) or candidate.targetoptions.get("nogil"):
+        return False
+    return getattr(sys.modules.get(candidate.__module__), candidate.py_func.__name__, None) is candidate
+
+
+def compile_written(name: str, signature: str, source: str, kernels: Sequence[Callable[..., Any]]) -> Any:
+    """Compile the function `name` of a source that calls these kernels as step0, step1, ...; source and code are kept for the next time."""
+    imports = "".join(f"from {k.__module__} import {k.__name__} as step{i}\n" for i, k in enumerate(kernels))
+    folders = {str(cache_folder(_package_of(k.py_func))) for k in kernels}  # type: ignore[attr-defined]
+    digest = hashlib.sha256("\n".join([*sorted(folders), imports, source]).encode()).hexdigest()[:20]
+    module_name = f"kinegraph_row_{digest}"
+    module = sys.modules.get(module_name)
+    if module is None:
+        folder = cache_folder() / "rows"
+        path = folder / f"{module_name}.py"
+        folder.mkdir(exist_ok=True)
+        if not path.exists():
+            draft = path.with_suffix(f".{os.getpid()}")
+            draft.write_text(imports + source)
+            draft.replace(path)
+        spec = importlib.util.spec_from_file_location(module_name, path)
+        assert spec and spec.loader
+        module = sys.modules[module_name] = importlib.util.module_from_spec(spec)
+        try:
+            spec.loader.exec_module(module)
+            with _kept_in(cache_folder()):
+                setattr(module, name, numba.njit(signature, cache=True, error_model="numpy")(getattr(module, name)))
+        except BaseException:
+            del sys.modules[module_name]
+            raise
+    return getattr(module, name)
+
+
+@contextmanager
+def _kept_in(folder: Path) -> Iterator[None]:
+    """Within: what numba compiles is kept in this folder."""
     before = config.CACHE_DIR
     config.CACHE_DIR = str(folder)
     try:
-        compiled: Callable[P, R] = numba.njit(cache=True, nogil=nogil, error_model="numpy")(function)
+        yield
     finally:
         config.CACHE_DIR = before
-    return compiled
 
 
 @cache

@@ -11,7 +11,7 @@ import numpy as np
 from stream.chunk import FOREVER, NS, Array, Chunk, Samples, Specs
 from stream.chunk import StreamSpec as Spec
 from stream.kernel import kernel
-from stream.operator import Case, Emitted, Operator, grid
+from stream.operator import Case, Emitted, Operator, Step, grid
 from stream.params import param
 
 SPEC = Spec((3,), rate_hz=100.0, channels=("a", "b", "c"), units=("uV",))
@@ -166,6 +166,36 @@ class Impure(Smooth):
 
 
 _secret: dict[int, float] = {}
+
+
+@kernel
+def doubled_but_once(x: Samples, times: Samples, out: Samples) -> None:
+    """Twice `x`; the first time it is called, once."""
+    for i in range(x.shape[0]):
+        for c in range(x.shape[1]):
+            out[i, c] = x[i, c] * times[0]
+    times[0] = 2.0
+
+
+@dataclass(slots=True)
+class TimesState(SmoothState):
+    times: Samples = field(default_factory=lambda: np.ones(1))
+
+
+@dataclass(frozen=True, slots=True)
+class StepsElsewhere(Smooth):
+    """breaks: step"""
+
+    def open(self, specs: Specs) -> Specs:
+        self.hold(TimesState(np.zeros(specs["in"].shape)))
+        return {"out": specs["in"]}
+
+    def kernel_step(self) -> Step:
+        return Step(doubled_but_once, self.state, 3)
+
+    def process(self, port: str, chunk: Chunk) -> Chunk:
+        data = np.where(np.isfinite(chunk.data), chunk.data * 2.0, np.nan)
+        return Chunk(chunk.time, data, chunk.until, chunk.lost)
 
 
 @dataclass(frozen=True, slots=True)

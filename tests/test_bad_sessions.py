@@ -116,7 +116,9 @@ def test_what_breaks_a_promise_after_the_warm_up_is_found_by_verify(
     module = re.sub(r"\W", "", given)[:40]
     text = RAISES.replace('raise ZeroDivisionError("division by zero")', f"return {given}")
     (tmp_path / f"{module}.py").write_text("from msgspec.structs import replace\n" + text.lstrip())
-    board = (BOARD % 2).replace("realtime: false, ", "")  # at its pace, so that it is recorded in several pieces, and replayed so
+    board = (BOARD % 2).replace(
+        "realtime: false, ", ""
+    )  # at its pace, so that it is recorded in several pieces, and replayed so
     (tmp_path / "g.yaml").write_text(board + f"  bad: {{use: {module}.Raises, from: board.emg}}\nrecord: [bad]\n")
     assert kinegraph("run", "g.yaml", *QUIET, "-o", "s")[0] == 0
     code, said, _ = kinegraph("replay", "g.yaml", "s", "--verify", "-q")

@@ -96,7 +96,7 @@ class Bundle(Operator[BundleState]):
         if n:
             if chunk.lost and s.breaks(chunk):
                 clear(s.index)
-            s.last = int(chunk.time[-1])
+            s.last[0] = chunk.time[-1]
             x = chunk.data if s.plain else rows(chunk.data, s.width)
             furthest = APART * s.period_ns
             made = bundle_frames(
@@ -109,7 +109,7 @@ class Bundle(Operator[BundleState]):
         """No later frame comes out with a stamp at or before this: not before the oldest that still waits."""
         s = self.state
         waiting = min(int(s.places[0]), self.ahead)
-        if until == FOREVER or not waiting or until - s.last > APART * s.period_ns:
+        if until == FOREVER or not waiting or until - s.last.item(0) > APART * s.period_ns:
             return until
         return min(until, int(s.past[0, self.ahead + 1 - waiting]) - 1)
 

@@ -60,7 +60,7 @@ class SkipRest(Operator[RestState]):
         if chunk.lost and s.breaks(chunk):
             s.places[:] = 0
             s.seen = 0
-        s.last = int(chunk.time[-1])
+        s.last[0] = chunk.time[-1]
         x = rows(chunk.data, s.width)
         passes = ~self._at_rest(x, chunk.time)
         lost = np.zeros(len(chunk), np.int64)

@@ -153,7 +153,7 @@ class Stack(Operator[StackState]):
         out, when = np.empty((n, len(s.offsets) * s.width)), np.empty((2, n), np.int64)
         made = 0
         if n:
-            s.last = int(chunk.time[-1])
+            s.last[0] = chunk.time[-1]
             x = chunk.data if s.plain else rows(chunk.data, s.width)
             furthest = s.limit_ns + s.period_ns
             made = stack(x, s.ring, s.places, s.offsets, chunk.time, chunk.lost, furthest, s.past, out, when)
@@ -165,7 +165,7 @@ class Stack(Operator[StackState]):
         span, ahead = len(s.ring) - 1, s.past.shape[1] - 1
         known = min(int(s.places[1]), span)
         behind = known - 1 - (span - ahead)
-        if until == FOREVER or behind < 0 or until - s.last > s.limit_ns + s.period_ns:
+        if until == FOREVER or behind < 0 or until - s.last.item(0) > s.limit_ns + s.period_ns:
             return until
         return min(until, int(s.past[0, ahead - behind]) - 1)
 

@@ -123,7 +123,7 @@ class Neighbours(Operator[NeighboursState]):
         nearest: Array = np.empty((len(chunk), self.k), NEAREST)
         found: Found = []
         if len(chunk):
-            s.last = int(chunk.time[-1])
+            s.last[0] = chunk.time[-1]
             self._follow(rows(chunk.data, s.width), chunk.time, nearest, found)
         return self._emitted(chunk, nearest, found)
 

@@ -185,10 +185,11 @@ class Segment(Operator[SegmentState]):
             if len(chunk):
                 s.mirrored, s.mirrored_at = rows(chunk.data, s.width)[-1].copy(), int(chunk.time[-1])
             return []
+        last = s.last.item(0)
         if not len(chunk):
-            return self._emitted([], chunk.until if s.last == NEVER else min(chunk.until, s.last - 1), 0)
-        gap = bool(chunk.lost) and s.last != NEVER and s.breaks(chunk)
-        s.last = int(chunk.time[-1])
+            return self._emitted([], chunk.until if last == NEVER else min(chunk.until, last - 1), 0)
+        gap = bool(chunk.lost) and last != NEVER and s.breaks(chunk)
+        s.last[0] = chunk.time[-1]
         x = rows(chunk.data, s.width)
         images = np.full((len(x) if len(s.mirrored) else 0, s.width), np.nan)
         if len(images):
@@ -199,12 +200,12 @@ class Segment(Operator[SegmentState]):
             memory = s.memory.with_room(4 * ROOM)
             done = follow(memory, x, images, chunk.time, done, gap and not done)
             tables.append(s.memory.told(memory))
-        return self._emitted(tables, min(chunk.until, s.last - 1), -1 if chunk.lost else 0)
+        return self._emitted(tables, min(chunk.until, s.last.item(0) - 1), -1 if chunk.lost else 0)
 
     def close(self) -> list[tuple[str, Chunk]]:
         s = self.state
         s.memory.books[EVENTS] = 0
-        s.memory.books[NOW] = s.last
+        s.memory.books[NOW] = s.last[0]
         memory = s.memory.with_room(ROOM)
         end(memory)
         return self._emitted([s.memory.told(memory)], FOREVER, 0)

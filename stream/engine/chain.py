@@ -3,7 +3,8 @@
 Where an operator is the only reader of a wire and has one input, nothing is left to decide while a graph runs: the calls of all
 operators in a row are written one below the other and compiled once. That costs a fraction of a loop that asks each time what comes
 next. Only what comes most is written out: a chunk in normal arrays and without `lost`, one chunk given back for it. At anything else the
-function is left for `Wire.carry` or `Stage.emit`, which do the same step by step.
+function is left for `Wire.carry` or `Stage.emit`, which do the same step by step. Neighbours whose work is a kernel each are one call, of
+machine code that runs one kernel after the other (`stream.engine.row`), unless somebody listens to a wire between them.
 
 Timing reads the clock once per operator. Reading it may cost more than an operator that does little, so a chain that runs without a rest,
 as in a replay, times one passage in eight or so: after each that was timed, as many follow untimed as fit into seven times its length.
@@ -11,43 +12,73 @@ as in a replay, times one passage in eight or so: after each that was timed, as 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import chain
 from time import perf_counter_ns
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stream.chunk import Chunk
+from stream.chunk import FOREVER, Array, Chunk
 from stream.engine.link import Link, Push, failure
 from stream.engine.metrics import add
+from stream.engine.row import Row, step_of
+from stream.operator import Step
 
 if TYPE_CHECKING:
     from stream.engine.wire import Wire
 
 REST = 7
 """So many times the length of a passage that was timed pass untimed."""
+CALLS = ("given = process", "t", "run", "n = rows")
+"""How lines begin in which a call is made."""
+
+
+@dataclass(slots=True)
+class Call:
+    """One call of the function: of an operator, or of a row of them.
+
+    before  the number of the wire that it reads
+    after   the number of the wire that it feeds
+    """
+
+    links: list[Link]
+    row: Row | None
+    before: int
+
+    @property
+    def after(self) -> int:
+        return self.before + len(self.links)
 
 
 class Chain:
     """The operators in a row behind a wire.
 
     wires   before, between and after them
+    calls   in order
     send    takes a chunk and the time at which the caller ended; returns the time at which the work ended (ns, perf_counter)
     """
 
     def __init__(self, wire: Wire) -> None:
-        self._links, self.wires = _in_a_row(wire)
-        self._timed: list[list[tuple[int, ...]]] = [[] for _ in self._links]
+        links, self.wires = _in_a_row(wire)
+        self.calls = list(_calls(links, self.wires))
+        self._timed: list[list[tuple[int, ...]]] = [[] for _ in self.calls]
         self._at: dict[int, int] = {}
-        """By line of the function: the link whose operator is called there."""
+        """By line of the function: the call that is made there."""
         lines = self._written()
         names: dict[str, Any] = {"clock": perf_counter_ns, "Chunk": Chunk, "due": 0, "trouble": self._trouble}
+        names["FOREVER"] = FOREVER
         for i, wire in enumerate(self.wires):
             names |= {f"wire{i}": wire, f"carry{i}": wire.carry}
             names |= {f"tap{i}_{k}": tap for k, tap in enumerate(wire.taps)}
-        for i, link in enumerate(self._links):
-            names |= {f"process{i}": link.process, f"port{i}": link.port, f"emit{i}": link.emit}
+        for i, call in enumerate(self.calls):
+            link = call.links[0]
+            names |= {f"process{i}": link.process, f"port{i}": link.port, f"emit{i}": link.emit, f"link{i}": link}
             names |= {f"note{i}": self._timed[i].append}
+            if row := call.row:
+                names |= {f"row{i}": row, f"run{i}": row.run, f"table{i}": row.table, f"spare{i}": row.spare.both}
+                names |= {f"rows{i}": row.rows}
         names |= {f"push{k}": push for k, push in enumerate(self.wires[-1].readers)}
         exec(compile("\n".join(lines), f"<chain behind {wire.edge}>", "exec"), names)
         self.send: Push = names["send"]
@@ -60,8 +91,18 @@ class Chain:
             taken = noted[:]
             del noted[: len(taken)]
             times = np.fromiter(chain.from_iterable(taken), np.int64).reshape(len(taken), -1)
-            durations = times[:, 1:] - times[:, :-1]
-            add(durations.T, [link.timing for link in self._links[: durations.shape[1]]])
+            self._add(times)
+        for call in self.calls:
+            if call.row:
+                call.row.fold([link.timing for link in call.links], least)
+
+    def _add(self, times: Array) -> None:
+        """Times (passages, k + 1) at which the first k calls began and ended. What is within a row, the row itself measures."""
+        durations = (times[:, 1:] - times[:, :-1]).T
+        alone = [i for i, call in enumerate(self.calls[: len(durations)]) if call.row is None]
+        add(durations[alone], [self.calls[i].links[0].timing for i in alone])
+
+    # what is written ---------------------------------------------------------------------------------------------------
 
     def _written(self) -> list[str]:
         lines = [
@@ -72,7 +113,7 @@ class Chain:
             *self._passed(0, "    "),
             "    try:",
         ]
-        if self._links:
+        if self.calls:
             lines.append("        if t0 >= due:")
             self._write_out(lines, " " * 12, timed=True)
         self._write_out(lines, " " * 8, timed=False)
@@ -81,31 +122,66 @@ class Chain:
 
     def _write_out(self, lines: list[str], indent: str, *, timed: bool) -> None:
         """All calls, one below the other, and what ends the passage."""
-        last = len(self._links)
-        for i in range(last):
-            end = f"t{i + 1}" if timed else "clock()"
-            noted = self._noted(i) if timed else []
-            self._at[len(lines) + 1] = i
-            lines.append(f"{indent}c{i + 1} = process{i}(port{i}, c{i})")
-            lines += [f"{indent}t{i + 1} = clock()"] if timed else []
-            untidy = "" if self._links[i].contiguous else f" or not c{i + 1}.data.flags.carray"
-            body = [
-                f"if c{i + 1}.__class__ is not Chunk:",
-                *(f"    {line}" for line in noted),
-                f"    return {end} if c{i + 1} is None else emit{i}(c{i + 1}, {end})",
-                f"if c{i + 1}.lost or wire{i + 1}.owed{untidy}:",
-                *(f"    {line}" for line in noted),
-                f"    return carry{i + 1}(c{i + 1}, {end})",
-                f"n = len(c{i + 1}.time)",
-            ]
-            lines.append(f"{indent}if c{i + 1} is not c{i} or wire{i + 1}.owed:")
-            lines += [f"{indent}    {line}" for line in body]
-            lines += self._passed(i + 1, indent, counted=True)
+        for i, call in enumerate(self.calls):
+            written = (
+                self._operator(i, call, timed=timed) if call.row is None else self._row(i, call, call.row, timed=timed)
+            )
+            for line in written:
+                lines.append(indent + line)
+                if line.startswith(CALLS):
+                    self._at[len(lines)] = i
+            lines += self._passed(call.after, indent, counted=True)
+        count, last = len(self.calls), len(self.wires) - 1
         if timed:
-            lines += [indent + line for line in self._noted(last - 1)]
-        lines.append(f"{indent}t = t{last}" if timed else f"{indent}t = clock()")
+            lines += [indent + line for line in self._noted(count - 1)]
+        lines.append(f"{indent}t = t{count}" if timed else f"{indent}t = clock()")
         lines += [f"{indent}t = push{k}(c{last}, t)" for k in range(len(self.wires[-1].readers))]
         lines.append(f"{indent}return t")
+
+    def _operator(self, i: int, call: Call, *, timed: bool) -> list[str]:
+        """The call of an operator."""
+        a, b = call.before, call.after
+        end, noted = (f"t{i + 1}", self._noted(i)) if timed else ("clock()", [])
+        untidy = "" if call.links[0].contiguous else f" or not c{b}.data.flags.carray"
+        return [
+            f"given = process{i}(port{i}, c{a})",
+            *([f"t{i + 1} = clock()"] if timed else []),
+            f"if given is not c{a} or wire{b}.owed:",
+            "    if given.__class__ is not Chunk:",
+            *(f"        {line}" for line in noted),
+            f"        return {end} if given is None else emit{i}(given, {end})",
+            f"    if given.lost or wire{b}.owed{untidy.replace(f'c{b}', 'given')}:",
+            *(f"        {line}" for line in noted),
+            f"        return carry{b}(given, {end})",
+            "    n = len(given.time)",
+            f"c{b} = given",
+        ]
+
+    def _row(self, i: int, call: Call, row: Row, *, timed: bool) -> list[str]:
+        """The call of a row, unless something about the chunk is unusual: then its first operator is called, and so on from there."""
+        a, b = call.before, call.after
+        owed = "".join(f" or wire{k}.owed" for k in range(a + 1, b))
+        before = self._noted(i - 1) if timed and i else []
+        end, noted = (f"t{i + 1}", self._noted(i)) if timed else ("clock()", [])
+        kept = b if row.thinning is None else a + 1 + row.thinning
+        given = f"c{a}.data, c{a}.time, out, stamps, table{i}"
+        return [
+            f"if not n or c{a}.until == FOREVER{owed}:",
+            *(f"    {line}" for line in before),
+            f"    return link{i}(c{a}, {f't{i}' if timed else 'clock()'})",
+            f"if n > row{i}.room:",
+            f"    row{i}.grow(n)",
+            *(f"wire{k}.samples += n" for k in range(a + 1, kept)),
+            *([f"n = rows{i}(n)"] if row.rows else []),
+            *(f"wire{k}.samples += n" for k in range(kept, b)),
+            f"out, stamps = spare{i}(n)",
+            f"t{i + 1} = run{i}({given}, t{i})" if timed else f"run{i}({given}, 0)",
+            *(["if not n:", *(f"    {line}" for line in noted), f"    return {end}"] if row.rows else []),
+            f"c{b} = Chunk({'stamps' if row.moves else f'c{a}.time'}, out, c{a}.until - {row.delay_ns}, 0)",
+            f"if wire{b}.owed:",
+            *(f"    {line}" for line in noted),
+            f"    return carry{b}(c{b}, {end})",
+        ]
 
     def _passed(self, i: int, indent: str, *, counted: bool = False) -> list[str]:
         """What a wire does with a chunk that passes it."""
@@ -114,7 +190,7 @@ class Chain:
         return lines + [f"{indent}tap{i}_{k}(c{i})" for k in range(len(self.wires[i].taps))]
 
     def _noted(self, i: int) -> list[str]:
-        """A timed passage ends with link `i`."""
+        """A timed passage ends with call `i`."""
         times = ", ".join(f"t{k}" for k in range(i + 2))
         return [f"note{i}(({times}))", f"due = t{i + 1} + {REST} * (t{i + 1} - t0)"]
 
@@ -123,8 +199,9 @@ class Chain:
         trace = error.__traceback__
         i = self._at.get(trace.tb_lineno) if trace else None
         if i is not None:
-            link = self._links[i]
-            raise failure(link.name, error, link.port, found[f"c{i}"]) from error
+            call = self.calls[i]
+            link = call.links[0]
+            raise failure(link.name, error, link.port, found[f"c{call.before}"]) from error
 
 
 def _in_a_row(wire: Wire) -> tuple[list[Link], list[Wire]]:
@@ -136,3 +213,18 @@ def _in_a_row(wire: Wire) -> tuple[list[Link], list[Wire]]:
         links.append(link)
         wires.append(wire)
     return links, wires
+
+
+def _calls(links: list[Link], wires: list[Wire]) -> Iterator[Call]:
+    """Each link by itself, but neighbours that have steps, and whose wires nobody listens to, together; one of them may thin out."""
+    i = 0
+    while i < len(links):
+        steps: list[Step] = []
+        for k, link in enumerate(links[i:], i):
+            step = step_of(link.operator)
+            if step is None or (steps and wires[k].taps) or (step.rows and any(s.rows for s in steps)):
+                break
+            steps.append(step)
+        together = max(1, len(steps))
+        yield Call(links[i : i + together], Row(steps) if together > 1 else None, i)
+        i += together

@@ -25,7 +25,7 @@ class Link:
     emit    sends whatever the operator gives back
     """
 
-    __slots__ = ("contiguous", "emit", "name", "out", "port", "process", "timing")
+    __slots__ = ("contiguous", "emit", "name", "operator", "out", "port", "process", "timing")
 
     def __init__(
         self,
@@ -36,7 +36,13 @@ class Link:
         out: Wire | None,
         emit: Callable[[Emitted, int], int],
     ) -> None:
-        self.name, self.port, self.process, self.contiguous = name, port, operator.process, operator.contiguous
+        self.name, self.port, self.operator, self.process, self.contiguous = (
+            name,
+            port,
+            operator,
+            operator.process,
+            operator.contiguous,
+        )
         self.timing, self.out, self.emit = timing, out, emit
 
     def __call__(self, chunk: Chunk, start: int) -> int:

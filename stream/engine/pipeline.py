@@ -181,10 +181,7 @@ class Pipeline:
 
     def begin(self, clock: SessionClock | None = None) -> None:
         """Let the outlets touch the world; `clock` is a live session's. What taps a wire has been added before."""
-        self.loosen()
-        for wire in self.wires.values():
-            if not any(wire in w.chain.wires for w in self.wires.values() if w.chain):
-                wire.fasten()
+        self.fasten()
         for stage in self.outlets:
             assert isinstance(stage.operator, Outlet)
             stage.operator.meet(self.graph)
@@ -196,8 +193,15 @@ class Pipeline:
     def outlets(self) -> list[Stage]:
         return [s for s in self.stages.values() if s.node.is_outlet]
 
+    def fasten(self) -> None:
+        """Write the chains of operators, and compile their rows. What taps a wire has been added before."""
+        self.loosen()
+        for wire in self.wires.values():
+            if not any(wire in w.chain.wires for w in self.wires.values() if w.chain):
+                wire.fasten()
+
     def loosen(self) -> None:
-        """Taps or readers were changed: chains of operators are written anew."""
+        """Taps, readers or the operators' memory were changed: chains of operators are written anew."""
         for wire in self.wires.values():
             wire.loosen()
 
@@ -229,6 +233,7 @@ class Pipeline:
                 stage.merge.restore(_under(arrays, f"{name}/merge/"))
         for name, wire in self.wires.items():
             wire.owed, wire.samples, wire.gaps, wire.lost = (int(v) for v in arrays[f"{name}/wire"])
+        self.loosen()
 
 
 def lane_of(graph: Graph, node: Node) -> str:

@@ -163,6 +163,7 @@ class Session:
             self._bell, self._runners, self.pipeline, self.journal, self.clock, self._former, self._fail
         )
         self.journal.tap_edges(self.pipeline)
+        self.pipeline.fasten()
 
     def _begin(self) -> None:
         if self._former:

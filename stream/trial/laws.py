@@ -14,7 +14,7 @@ from stream.errors import KinegraphError
 from stream.operator import Case, Operator
 from stream.trial.broken import RULES, Broken
 from stream.trial.cut import Delivery, anyhow, describe, steps, whole
-from stream.trial.play import Player, differ
+from stream.trial.play import Player, Stepping, differ, row_of
 from stream.trial.tape import Draw, Tapes, repeat, span, tapes_of, with_faults
 from stream.trial.watch import compiling
 
@@ -38,6 +38,7 @@ class Trial:
         self.reference = self.play(whole(self.tapes))
         self._enough()
         self.operator: Operator[Any] = self.reference.operator
+        row_of(self.operator)
         limits = [v for name, v in _parameters(case.operator).items() if name.endswith("gap_s") and v is not None]
         self.limit_s = float(max([1.0, *limits]))
 
@@ -53,9 +54,9 @@ class Trial:
         if count < least:
             raise Broken("cases", f"{count} samples came out, the case promises at least {least}")
 
-    def player(self) -> Player:
+    def player(self, kind: type[Player] = Player) -> Player:
         """A fresh instance under watch."""
-        return Player(self.case, _jitter_ns(self.tapes), frozenset(self.excused))
+        return kind(self.case, _jitter_ns(self.tapes), frozenset(self.excused))
 
     def play(self, delivery: Delivery, tapes: Tapes | None = None) -> Player:
         """A run from the beginning to the end; afterwards the inputs must be as they were."""
@@ -79,7 +80,7 @@ class Trial:
             raise Broken("compile", f"met for the first time: {'; '.join(kernels)}", how)
 
     def attempt(self, draw: Draw) -> None:
-        """Laws 1 and 3: faults and a cutting drawn by chance, once straight through, once through snapshots."""
+        """Laws 1 to 3: faults and a cutting drawn by chance, once straight through, and through snapshots, by steps too."""
         tapes, faults = with_faults(draw, self.tapes, self.limit_s)
         delivery = anyhow(draw, tapes)
         places = {draw(0, len(delivery) - 1) for _ in range(draw(1, 3))}
@@ -91,11 +92,17 @@ class Trial:
                 raise Broken("cuts", difference)
         how = f"{cutting}\nsnapshot before chunk {sorted(places)}, {'through a file' if by_file else 'in memory'}"
         with self.warm(how):
-            if difference := differ(straight, self._play_with_snapshots(delivery, places, by_file)):
+            resumed = self._play_with_snapshots(delivery, places, by_file)
+            if difference := differ(straight, resumed):
                 raise Broken("state", difference)
+            stepping = self._play_with_snapshots(delivery, places, by_file, Stepping)
+            if difference := differ(straight, stepping) or resumed.unlike(stepping):
+                raise Broken("step", difference)
 
-    def _play_with_snapshots(self, delivery: Delivery, places: set[int], by_file: bool) -> Player:
-        player = self.player()
+    def _play_with_snapshots(
+        self, delivery: Delivery, places: set[int], by_file: bool, kind: type[Player] = Player
+    ) -> Player:
+        player = self.player(kind)
         for k, (port, chunk) in enumerate(delivery):
             if k in places:
                 player.hand_over(by_file=by_file)

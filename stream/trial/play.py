@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from stream.chunk import NEVER, Array, Chunk, Specs, StreamSpec, add_lost, utc
+from stream.chunk import FOREVER, NEVER, Array, Chunk, Specs, StreamSpec, add_lost, utc
 from stream.engine.merge import Merge
+from stream.engine.row import Row, step_of
 from stream.errors import KinegraphError
 from stream.operator import Case, Emitted, Operator
 from stream.trial.broken import Broken
@@ -88,12 +89,15 @@ class Player:
                 self.newest = max(self.newest, int(piece.time[-1]))
             self.reached = max(self.reached, self.newest, piece.until)
             try:
-                emitted = self.operator.process(name, piece)
+                emitted = self._process(name, piece)
             except Exception as error:
                 where = utc(int(piece.time[0])) if len(piece) else f"until {utc(piece.until)}"
                 raise _raised(f"process('{name}', {piece}) at {where}", error) from error
             self._singly = len(piece) == 1
             self._accept(emitted, at_close=False)
+
+    def _process(self, port: str, chunk: Chunk) -> Emitted:
+        return self.operator.process(port, chunk)
 
     def close(self) -> None:
         try:
@@ -131,6 +135,18 @@ class Player:
             if not isinstance(array, np.ndarray) or array.dtype.hasobject:
                 raise Broken("state", f"snapshot()[{name!r}] is no plain array: {array!r:.80}")
         return arrays
+
+    def unlike(self, other: Player) -> str:
+        """The first part of the state in which another run ended differently; "" if none."""
+        mine, others = self._snapshot(), other._snapshot()
+        return next(
+            (
+                f"the state's {name!r} ends differently"
+                for name in mine
+                if mine[name].tobytes() != others[name].tobytes()
+            ),
+            "",
+        )
 
     @property
     def state_bytes(self) -> int:
@@ -212,6 +228,30 @@ class Player:
             output.last = int(time[-1])
             if self._singly and not at_close:
                 output.lag_ns = max(output.lag_ns, self.newest - int(time[0]))
+
+
+class Stepping(Player):
+    """A run in which the operator's step, where it has one, does whatever it may, as in a chain of operators."""
+
+    def hand_over(self, *, by_file: bool) -> None:
+        super().hand_over(by_file=by_file)
+        self._row = row_of(self.operator)
+
+    def _open(self) -> tuple[Operator[Any], Specs]:
+        operator, outputs = super()._open()
+        self._row = row_of(operator)
+        return operator, outputs
+
+    def _process(self, port: str, chunk: Chunk) -> Emitted:
+        if self._row is None or not len(chunk) or chunk.lost or chunk.until == FOREVER:
+            return super()._process(port, chunk)
+        return self._row.through(chunk)
+
+
+def row_of(operator: Operator[Any]) -> Row | None:
+    """An operator's step by itself."""
+    step = step_of(operator)
+    return Row([step]) if step else None
 
 
 def through_file(arrays: dict[str, Array]) -> dict[str, Array]:
