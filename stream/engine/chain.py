@@ -20,11 +20,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stream.chunk import FOREVER, Array, Chunk
+from stream.chunk import FOREVER, Chunk
 from stream.engine.link import Link, Push, failure
 from stream.engine.metrics import add
 from stream.engine.row import Row, step_of
 from stream.operator import Step
+from stream.spare import Spare
 
 if TYPE_CHECKING:
     from stream.engine.wire import Wire
@@ -78,7 +79,7 @@ class Chain:
             names |= {f"note{i}": self._timed[i].append}
             if row := call.row:
                 names |= {f"row{i}": row, f"run{i}": row.run, f"table{i}": row.table, f"spare{i}": row.spare.both}
-                names |= {f"rows{i}": row.rows}
+                names |= {f"rows{i}": row.rows, f"nothing{i}": Spare(row.width).both(0)}
         names |= {f"push{k}": push for k, push in enumerate(self.wires[-1].readers)}
         exec(compile("\n".join(lines), f"<chain behind {wire.edge}>", "exec"), names)
         self.send: Push = names["send"]
@@ -91,16 +92,12 @@ class Chain:
             taken = noted[:]
             del noted[: len(taken)]
             times = np.fromiter(chain.from_iterable(taken), np.int64).reshape(len(taken), -1)
-            self._add(times)
+            for i, call in enumerate(self.calls[: times.shape[1] - 1]):
+                if not call.row:
+                    add(times, i, call.links[0].timing)
         for call in self.calls:
             if call.row:
                 call.row.fold([link.timing for link in call.links], least)
-
-    def _add(self, times: Array) -> None:
-        """Times (passages, k + 1) at which the first k calls began and ended. What is within a row, the row itself measures."""
-        durations = (times[:, 1:] - times[:, :-1]).T
-        alone = [i for i, call in enumerate(self.calls[: len(durations)]) if call.row is None]
-        add(durations[alone], [self.calls[i].links[0].timing for i in alone])
 
     # what is written ---------------------------------------------------------------------------------------------------
 
@@ -174,7 +171,7 @@ class Chain:
             *(f"wire{k}.samples += n" for k in range(a + 1, kept)),
             *([f"n = rows{i}(n)"] if row.rows else []),
             *(f"wire{k}.samples += n" for k in range(kept, b)),
-            f"out, stamps = spare{i}(n)",
+            f"out, stamps = spare{i}(n) if n else nothing{i}" if row.rows else f"out, stamps = spare{i}(n)",
             f"t{i + 1} = run{i}({given}, t{i})" if timed else f"run{i}({given}, 0)",
             *(["if not n:", *(f"    {line}" for line in noted), f"    return {end}"] if row.rows else []),
             f"c{b} = Chunk({'stamps' if row.moves else f'c{a}.time'}, out, c{a}.until - {row.delay_ns}, 0)",
@@ -190,9 +187,10 @@ class Chain:
         return lines + [f"{indent}tap{i}_{k}(c{i})" for k in range(len(self.wires[i].taps))]
 
     def _noted(self, i: int) -> list[str]:
-        """A timed passage ends with call `i`."""
+        """A timed passage ends with call `i`. What is within a row, the row notes itself."""
         times = ", ".join(f"t{k}" for k in range(i + 2))
-        return [f"note{i}(({times}))", f"due = t{i + 1} + {REST} * (t{i + 1} - t0)"]
+        noted = [f"note{i}(({times}))"] if any(call.row is None for call in self.calls[: i + 1]) else []
+        return [*noted, f"due = t{i + 1} + {REST} * (t{i + 1} - t0)"]
 
     def _trouble(self, error: Exception | SystemExit, found: dict[str, Any]) -> None:
         """Raise what an operator's exception means; nothing, where no operator of this chain raised it."""

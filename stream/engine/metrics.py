@@ -6,13 +6,14 @@ exact to 4.4 %. Where a graph runs without a rest, not every call is timed (`str
 
 from __future__ import annotations
 
+import math
 from array import array
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from stream.chunk import Array
+from stream.chunk import Times
+from stream.kernel import kernel
 
 BINS_PER_OCTAVE = 16
 BINS = 40 * BINS_PER_OCTAVE
@@ -42,15 +43,14 @@ class Timing:
             return
         taken = self.durations[:]
         del self.durations[: len(taken)]
-        add(np.frombuffer(taken, np.int64)[None], [self])
+        times = np.ones((len(taken), 2), np.int64)
+        times[:, 1] += np.frombuffer(taken, np.int64)
+        add(times, 0, self)
 
     def read(self) -> dict[str, float]:
         """Quantiles in microseconds since the last reading (`p50_us`, `p99_us`) and since the start (`all_p50_us`, `all_p99_us`)."""
         self.fold()
-        self.total += self.recent
-        p50, p99 = _quantiles(self.recent)
-        all_p50, all_p99 = _quantiles(self.total)
-        self.recent[:] = 0
+        p50, p99, all_p50, all_p99 = map(_middle, take_stock(self.recent, self.total))
         return {
             "calls": self.calls,
             "p50_us": p50,
@@ -61,23 +61,55 @@ class Timing:
         }
 
 
-def add(ns: Array, timings: Sequence[Timing]) -> None:
-    """Put durations (timings, calls) into the histograms of several nodes that were called as often."""
-    bins = np.minimum((np.log2(np.maximum(ns, 1)) * BINS_PER_OCTAVE).astype(np.int64), BINS - 1)
-    for timing, row, longest in zip(timings, bins, ns.max(axis=1).tolist(), strict=True):
-        timing.calls += len(row)
-        timing.longest_ns = max(timing.longest_ns, longest)
-        timing.recent += np.bincount(row, minlength=BINS)
+def add(times: Times, k: int, timing: Timing) -> None:
+    """Put into a node's histogram how long its calls took, which lasted from `times[:, k]` to `times[:, k + 1]` (calls, ...) in ns; a call
+    whose end is 0 was not made."""
+    calls, longest = tally(times, k, timing.recent)
+    timing.calls += calls
+    timing.longest_ns = max(timing.longest_ns, longest)
 
 
-def _quantiles(histogram: Array) -> tuple[float, float]:
-    """The middle of the bins that hold the median and the 99th percentile, in microseconds; 0 where nothing was measured."""
-    below = np.cumsum(histogram)
-    total = int(below[-1])
-    if not total:
-        return 0.0, 0.0
-    p50, p99 = np.searchsorted(below, (0.5 * total, 0.99 * total)).tolist()
-    return 2 ** ((p50 + 0.5) / BINS_PER_OCTAVE) / 1000, 2 ** ((p99 + 0.5) / BINS_PER_OCTAVE) / 1000
+@kernel
+def tally(times: Times, k: int, histogram: Times) -> tuple[int, int]:
+    """Count durations in their bins; returns how many there were, and the longest."""
+    calls = longest = 0
+    for i in range(times.shape[0]):
+        if times[i, k + 1]:
+            ns = max(times[i, k + 1] - times[i, k], 1)
+            histogram[min(int(math.log2(ns) * BINS_PER_OCTAVE), BINS - 1)] += 1
+            calls += 1
+            longest = max(longest, ns)
+    return calls, longest
+
+
+@kernel
+def take_stock(recent: Times, total: Times) -> tuple[int, int, int, int]:
+    """Count the recent calls among all; returns the bins that hold the median and the 99th percentile of both."""
+    p50, p99 = quantiles(recent)
+    for k in range(len(recent)):
+        total[k] += recent[k]
+        recent[k] = 0
+    all_p50, all_p99 = quantiles(total)
+    return p50, p99, all_p50, all_p99
+
+
+@kernel
+def quantiles(histogram: Times) -> tuple[int, int]:
+    """The bins that hold the median and the 99th percentile; -1 where the histogram is empty."""
+    calls = histogram.sum()
+    below, p50, p99 = 0, -1, -1
+    for k in range(len(histogram)):
+        below += histogram[k]
+        if p50 < 0 and below and below >= 0.5 * calls:
+            p50 = k
+        if p99 < 0 and below and below >= 0.99 * calls:
+            p99 = k
+    return p50, p99
+
+
+def _middle(k: int) -> float:
+    """The middle of a bin in microseconds; 0 where nothing was measured."""
+    return 2 ** ((k + 0.5) / BINS_PER_OCTAVE) / 1000 if k >= 0 else 0.0
 
 
 def rounded(row: dict[str, Any]) -> dict[str, Any]:

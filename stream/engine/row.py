@@ -70,6 +70,7 @@ class Row:
     rows      told n, how many samples it keeps of so many
     moves     whether stamps that come out are others than those that came in
     delay_ns  by how much they are earlier
+    width     numbers in a sample that comes out
     spare     arrays for what comes out
     """
 
@@ -83,7 +84,8 @@ class Row:
         self.rows = None if self.thinning is None else steps[self.thinning].rows
         self.moves = any("stamps" in _parameters(step.kernel) for step in steps)
         self.delay_ns = sum(step.state.delay_ns for step in steps if "delay_ns" in _parameters(step.kernel))
-        self.spare = Spare(steps[-1].width)
+        self.width = steps[-1].width
+        self.spare = Spare(self.width)
         source = HEAD + "\n".join(self._written()) + "\n"
         self.run: Callable[..., int] = compile_written("run", SIGNATURE, source, [step.kernel for step in steps])
         self.table = np.array(self._cells, np.int64)
@@ -115,10 +117,8 @@ class Row:
             return
         times = self._times[:count].copy()
         self.table[COUNT] = 0
-        ended = times[:, -1] > 0
-        add_differences(times[ended], timings)
-        if self.thinning is not None:
-            add_differences(times[~ended][:, : self.thinning + 2], timings)
+        for k, timing in enumerate(timings):
+            add(times, k, timing)
 
     # what is written ---------------------------------------------------------------------------------------------------
 
@@ -179,10 +179,3 @@ class Row:
         address = self._cell(value.ctypes.data)
         shape = "".join(f"table[{self._cell(length)}], " for length in value.shape)
         return f"carray({kind}(table[{address}]), ({shape}))"
-
-
-def add_differences(times: Array, timings: Sequence[Timing]) -> None:
-    """Times (passages, k + 1) at which each of k operators began and ended, into the operators' timings."""
-    if len(times):
-        durations = times[:, 1:] - times[:, :-1]
-        add(durations.T, timings[: durations.shape[1]])
