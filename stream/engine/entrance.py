@@ -134,6 +134,10 @@ class Entrance:
         for intake in self.intakes:
             intake.last = min(intake.last + held_s, now)
 
+    def at_ease(self, now: float) -> bool:
+        """Whether no source needs to be looked at soon."""
+        return self._start.done and all(i.runner.at_ease(now) and i.at_ease(now - i.last) for i in self.intakes)
+
     def look_after(self, now: float) -> None:
         """At `now` (monotonic s), on the graph's turn: the common start's deadlines, and what time has passed on silent sources."""
         if not self._start.done:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from stream.chunk import FOREVER, NEVER, NS, Chunk, add_lost, empty, utc
-from stream.engine.supervisor import Runner
+from stream.engine.supervisor import REST_S, Runner
 from stream.engine.wire import Wire
 from stream.errors import DeviceError
 
@@ -100,6 +100,12 @@ class Intake:
             report("silent source advanced", stream=self.stream, to=utc(until))
         self.promised = until
         return empty(self.wire.spec, until)
+
+    def at_ease(self, age_s: float) -> bool:
+        """Whether nothing becomes due within `REST_S`, after nothing has come for `age_s`."""
+        options = self.runner.node.options
+        waits_s = (options.patience_s if self.awaited else 0.0, 0.0 if self.stale else options.stale_s)
+        return self.ended or all(age_s + REST_S < wait_s for wait_s in waits_s if wait_s)
 
     def _without_late(self, chunk: Chunk, report: Callable[..., None]) -> Chunk:
         keep = chunk.time > self.promised

@@ -9,6 +9,7 @@ the graph a function of that.
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 from queue import SimpleQueue
@@ -29,7 +30,7 @@ from stream.engine.pipeline import Pipeline
 from stream.engine.resume import catch_up
 from stream.engine.stalls import calm
 from stream.engine.status import Table, recording_row, table_of
-from stream.engine.supervisor import GRACE_S, Runner
+from stream.engine.supervisor import GRACE_S, REST_S, Runner
 from stream.engine.warmup import Compilations, warm_up
 from stream.errors import KinegraphError
 from stream.graph import Graph
@@ -38,6 +39,7 @@ from stream.operator import Outlet
 from stream.source import Source
 
 TICK_S = 0.2
+"""The graph is looked after so often, while something is about to happen; else every `REST_S`."""
 METRICS_S = 1.0
 
 log = structlog.get_logger(__name__)
@@ -180,6 +182,7 @@ class Session:
     def _loop(self) -> None:
         began = time.monotonic()
         now, tick, metrics, checkpoint = began, began + TICK_S, began + METRICS_S, began + self.graph.checkpoint_s
+        ends = began + self._duration_s if self._duration_s > 0 else math.inf
         while not self._stopping and self._error is None and not self._entrance.over:
             self._entrance.serve(tick - now)
             now = time.monotonic()
@@ -189,15 +192,15 @@ class Session:
                 now = time.monotonic()
                 if now - tick > TICK_S:
                     self._entrance.forgive(now, now - tick)
-                tick = now + TICK_S
                 self._look_after(now)
+                tick = min(now + (REST_S if self._entrance.at_ease(now) else TICK_S), ends)
                 if now >= metrics:
                     metrics = now + METRICS_S
                     self._measure()
                 if now >= checkpoint:
                     checkpoint = now + self.graph.checkpoint_s
                     self._checkpoint()
-            if 0 < self._duration_s <= now - began:
+            if now >= ends:
                 return
 
     def _look_after(self, now: float) -> None:

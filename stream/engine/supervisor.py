@@ -37,6 +37,10 @@ Door: TypeAlias = Callable[[Chunk], bool]
 log = structlog.get_logger(__name__)
 
 
+REST_S = 0.5
+"""A source that nothing is the matter with is looked at so often, any other more often."""
+
+
 def closed(chunk: Chunk) -> bool:
     """The door of a source that nobody has opened a graph for."""
     return False
@@ -190,6 +194,11 @@ class Runner:
             self._failed(f"silent for {now - self.last_alive:.1f} s")
         elif dead and self.state in ("starting", "running"):
             self._failed("its thread has ended without a word")
+
+    def at_ease(self, now: float) -> bool:
+        """Whether nothing becomes due within `REST_S`."""
+        silence_s = self.node.options.silence_s
+        return self.state not in ("starting", "failed") and not 0 < silence_s < now - self.last_alive + REST_S
 
     def came_alive(self) -> None:
         """The device is there."""
