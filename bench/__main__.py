@@ -77,7 +77,7 @@ def _single(field: Field, *, quick: bool, hours: float) -> dict[str, Callable[[]
         "overhead": lambda: throughput.overhead(field, 9, 0.1),
         "chain": lambda: throughput.chain(field, 7, 0.1),
         "sizes": lambda: throughput.every_chunk_size(field, list(range(1, 1001)), 6000),
-        "paced": lambda: paced.paced(field, 4, 4.5),
+        "paced": lambda: paced.paced(field, 8, 2.5),
         "recorder": lambda: recorder.recorder(20_000),
         "depth": lambda: depth.depth(100),
         "lsl": lambda: lsl.latency(5, 4.0),

@@ -92,12 +92,12 @@ class Device(source.Source):
     def read(self, feed: source.Feed) -> None:
         trial = TRIAL.feed
         assert trial
-        start = feed.now()
-        step = NS // RATE_HZ
+        n, step = trial.chunk, NS // RATE_HZ
+        stamps = feed.now() + np.arange(trial.count * n) * step
+        until = stamps[n - 1 :: n].tolist()
         feed.ready()
         for i, x in enumerate(trial):
-            first = start + i * trial.period_ns
-            feed.emit(Chunk(np.arange(first, first + trial.period_ns, step), x, first + trial.period_ns - step))
+            feed.emit(Chunk(stamps[i * n : i * n + n], x, until[i]))
 
 
 def feed_all(pipeline: Pipeline, feed: Feed) -> None:

@@ -17,8 +17,9 @@ from typing import Any, Protocol
 
 from bench.work import POOL, Feed, Sink, kernel_steps, outcome, samples, scipy_steps, stamped_steps
 
-KERNELS, STAMPED, PROFILED, SCIPY, OWN, FED, SESSION, UNRECORDED = (
+KERNELS, RECORDED, STAMPED, PROFILED, SCIPY, OWN, FED, SESSION, UNRECORDED = (
     "kernels",
+    "recorded",
     "stamped",
     "profiled",
     "scipy",
@@ -27,8 +28,8 @@ KERNELS, STAMPED, PROFILED, SCIPY, OWN, FED, SESSION, UNRECORDED = (
     "session",
     "unrecorded",
 )
-"""What a contender's operators run: our kernels on bare arrays, or on all that we carry, stamps too (also with a profiler), scipy, its own
-operators; and kinegraph's ways in: a session records, or, like the peers, does not."""
+"""What a contender's operators run: our kernels on bare arrays (also recording what comes in), or on all that we carry, stamps too (with a
+profiler, too), scipy, its own operators; and kinegraph's ways in: a session records, or, like the peers, does not."""
 
 
 class Driver(Protocol):

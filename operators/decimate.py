@@ -63,8 +63,13 @@ class Decimate(Operator[DecimateState]):
         return {"out": spec.derive(rate_hz=rate_hz / self.every)}
 
     def kernel_step(self) -> Step | None:
-        state = self.state
-        return Step(thin_on, state, state.width, self._kept, state.last) if state.plain else None
+        state, every = self.state, self.every
+        skip = state.skip.item
+
+        def kept(n: int) -> int:
+            return (n - skip(0) + every - 1) // every
+
+        return Step(thin_on, state, state.width, kept, state.last) if state.plain else None
 
     def _kept(self, n: int) -> int:
         """How many of the next `n` samples are kept."""
