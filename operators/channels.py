@@ -81,9 +81,8 @@ class Select(Operator[SelectState]):
             data = np.ascontiguousarray(chunk.data.take(state.wanted, axis=state.axis))
         return Chunk(chunk.time, data, chunk.until, chunk.lost)
 
-    def kernel_step(self) -> Step | None:
-        state = self.state
-        return Step(gather, state, len(state.wanted)) if state.plain else None
+    def kernel_step(self) -> Step:
+        return Step(gather, self.state)
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

@@ -72,7 +72,7 @@ class Filter(Operator[C]):
 
     def kernel_step(self) -> Step | None:
         state, kernel = self.state, type(self).kernel
-        return Step(kernel, state, state.width, last=state.last) if kernel and state.plain else None
+        return Step(kernel, state, last=state.last) if kernel else None
 
     def rest(self) -> None:
         """Forget all samples: back to the state at the start."""

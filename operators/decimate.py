@@ -62,14 +62,14 @@ class Decimate(Operator[DecimateState]):
         self.hold(DecimateState(**seen, every=self.every, skip=np.zeros(1, np.int64)))
         return {"out": spec.derive(rate_hz=rate_hz / self.every)}
 
-    def kernel_step(self) -> Step | None:
+    def kernel_step(self) -> Step:
         state, every = self.state, self.every
         skip = state.skip.item
 
         def kept(n: int) -> int:
             return (n - skip(0) + every - 1) // every
 
-        return Step(thin_on, state, state.width, kept, state.last) if state.plain else None
+        return Step(thin_on, state, kept, state.last)
 
     def _kept(self, n: int) -> int:
         """How many of the next `n` samples are kept."""

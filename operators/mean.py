@@ -85,9 +85,9 @@ class RemoveMean(Filter[RemoveMeanState]):
         self.hold(state)
         return {"out": spec.derive(settling_s=spec.settling_s + (w - 1) / rate_hz)}
 
-    def kernel_step(self) -> Step | None:
+    def kernel_step(self) -> Step:
         state, kernel = self.state, less_moving_mean if self.mean == "moving" else less_running_mean
-        return Step(kernel, state, state.width, last=state.last) if state.plain else None
+        return Step(kernel, state, last=state.last)
 
     def rest(self) -> None:
         self.state.sums[:] = 0.0

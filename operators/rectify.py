@@ -32,9 +32,8 @@ class Rectify(Filter[Continuity]):
         self.hold(Continuity(**watch(specs["in"])))
         return {"out": out}
 
-    def kernel_step(self) -> Step | None:
-        state = self.state
-        return Step(magnitudes, state, state.width) if state.plain else None
+    def kernel_step(self) -> Step:
+        return Step(magnitudes, self.state)
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
         state = self.state

@@ -61,9 +61,8 @@ class Scale(Filter[ScaleState]):
         self.hold(ScaleState(**seen, line=line))
         return {"out": out if self.unit is None else out.derive(units=(self.unit,))}
 
-    def kernel_step(self) -> Step | None:
-        state = self.state
-        return Step(straight_line, state, state.width) if state.plain else None
+    def kernel_step(self) -> Step:
+        return Step(straight_line, self.state)
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
         state = self.state

@@ -29,21 +29,19 @@ Emitted: TypeAlias = Chunk | Sequence[tuple[str, Chunk]] | None
 class Step:
     """What an operator does to a chunk, for machine code in which operators in a row follow one another (`stream.engine.row`).
 
-    Only chunks of which nothing is unusual come that way: float64 samples of one axis, at least one, none lost before them, and more to
-    come. For those, the kernel does to the state and gives out what `process` does, to the last bit; the laws look.
+    Only chunks of which nothing is unusual come that way: signals of float64, at least one sample, none lost before it, and more to come.
+    To those, the kernel does what `process` does, in what comes out and in the state, to the last bit; the laws look.
 
-    kernel  its parameters are `x` (n, width), `time` (n,), `out`, `stamps` (left out where stamps pass unchanged), and fields of `state`:
-            arrays of float64 and int64 that nothing ever replaces, only writes in place, and numbers that never change; above all
-            `delay_ns`, by which stamps are moved back. Not for a kernel that gives up the interpreter
+    kernel  its parameters are `x` (n, c), `time` (n,), `out` (n, d), `stamps` (n,), which is left out where stamps pass unchanged, and
+            fields of `state`: arrays of float64 and int64 that nothing ever replaces, only writes in place, and numbers that never change,
+            above all `delay_ns`, by which stamps are moved back. Not one that gives up the interpreter
     state   of the operator
-    width   numbers in a sample that is given out
     rows    told n, how many samples come out of so many; left out: all
     last    (1,) where the newest stamp is noted
     """
 
     kernel: Callable[..., None]
     state: Any
-    width: int
     rows: Callable[[int], int] | None = None
     last: Array | None = None
 

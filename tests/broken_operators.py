@@ -191,7 +191,7 @@ class StepsElsewhere(Smooth):
         return {"out": specs["in"]}
 
     def kernel_step(self) -> Step:
-        return Step(doubled_but_once, self.state, 3)
+        return Step(doubled_but_once, self.state)
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
         data = np.where(np.isfinite(chunk.data), chunk.data * 2.0, np.nan)

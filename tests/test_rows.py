@@ -15,7 +15,7 @@ from operators.decimate import Decimate
 from operators.iir import Lowpass
 from operators.moving import MovingMean
 from operators.rectify import Rectify
-from stream.chunk import FOREVER, Array, Chunk, empty
+from stream.chunk import FOREVER, Array, Chunk, StreamSpec, empty
 from stream.engine import row
 from stream.engine.pipeline import Pipeline
 from stream.engine.warmup import Compilations
@@ -148,9 +148,8 @@ def test_nothing_compiles_once_a_pipeline_is_fastened(monkeypatch: pytest.Monkey
 def test_what_has_no_place_in_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     spec = load_text(GRAPH).nodes["board"].specs["emg"]
 
-    def opened(operator: Rectify | Lowpass | Decimate | MovingMean, spec: object = spec) -> Step | None:
-        operator.open({"in": spec})  # type: ignore[dict-item]
-        return row.step_of(operator)
+    def opened(operator: Rectify | Lowpass | Decimate | MovingMean, spec: StreamSpec = spec) -> Step | None:
+        return row.step_of(operator, spec, operator.open({"in": spec})["out"])
 
     assert opened(Rectify()) and opened(Decimate(2)) and opened(MovingMean(0.1))
     assert opened(Lowpass(20.0, start="first")) is None, "it needs Python for its first sample"

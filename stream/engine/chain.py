@@ -219,10 +219,11 @@ def _calls(links: list[Link], wires: list[Wire]) -> Iterator[Call]:
     while i < len(links):
         steps: list[Step] = []
         for k, link in enumerate(links[i:], i):
-            step = step_of(link.operator)
+            step = step_of(link.operator, wires[k].spec, wires[k + 1].spec)
             if step is None or (steps and wires[k].taps) or (step.rows and any(s.rows for s in steps)):
                 break
             steps.append(step)
         together = max(1, len(steps))
-        yield Call(links[i : i + together], Row(steps) if together > 1 else None, i)
+        widths = [wire.spec.shape[0] for wire in wires[i + 1 : i + together + 1]] if together > 1 else []
+        yield Call(links[i : i + together], Row(steps, widths) if widths else None, i)
         i += together

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from stream.chunk import Array, Chunk
+from stream.chunk import Array, Chunk, StreamSpec
 from stream.engine.metrics import Timing, add
 from stream.kernel import compile_written, is_kernel
 from stream.operator import Operator, Step
@@ -39,13 +39,14 @@ from stream.engine.machine import clock, floats_at, longs_at
 """
 
 
-def step_of(operator: Operator[Any]) -> Step | None:
-    """What an operator can contribute to a row; None if it cannot."""
-    step = operator.kernel_step() if POSSIBLE else None
+def step_of(operator: Operator[Any], taken: StreamSpec, given: StreamSpec) -> Step | None:
+    """What an operator that takes and gives such streams can contribute to a row; None if it cannot."""
+    plain = all(spec.is_signal and spec.dtype == np.float64 for spec in (taken, given))
+    step = operator.kernel_step() if POSSIBLE and plain else None
     if step is None or not is_kernel(step.kernel):
         return None
-    given = [getattr(step.state, name) for name in _parameters(step.kernel) if name not in FLOW]
-    return step if all(map(_has_a_place, given)) else None
+    fields = [getattr(step.state, name) for name in _parameters(step.kernel) if name not in FLOW]
+    return step if all(map(_has_a_place, fields)) else None
 
 
 def _has_a_place(value: object) -> bool:
@@ -74,8 +75,9 @@ class Row:
     spare     arrays for what comes out
     """
 
-    def __init__(self, steps: Sequence[Step]) -> None:
-        self._steps = steps
+    def __init__(self, steps: Sequence[Step], widths: Sequence[int]) -> None:
+        """`widths`: how many numbers a sample has that each step gives out."""
+        self._steps, self._widths = steps, widths
         self._times = np.zeros((TIMED, len(steps) + 1), np.int64)
         self._kept: list[Array] = [np.zeros(2, np.int64)]  # whatever the table has the address of
         self._cells = [0] * FIRST
@@ -84,7 +86,7 @@ class Row:
         self.rows = None if self.thinning is None else steps[self.thinning].rows
         self.moves = any("stamps" in _parameters(step.kernel) for step in steps)
         self.delay_ns = sum(step.state.delay_ns for step in steps if "delay_ns" in _parameters(step.kernel))
-        self.width = steps[-1].width
+        self.width = widths[-1]
         self.spare = Spare(self.width)
         source = HEAD + "\n".join(self._written()) + "\n"
         self.run: Callable[..., int] = compile_written("run", SIGNATURE, source, [step.kernel for step in steps])
@@ -105,7 +107,7 @@ class Row:
 
     def grow(self, n: int) -> None:
         """Make room for chunks of `n` samples."""
-        most = max(step.width for step in self._steps)
+        most = max(self._widths)
         self._buffers = [np.zeros((n, most)) for _ in range(2)] + [np.zeros(n, np.int64) for _ in range(2)]
         self.table[SAMPLES:FIRST] = [buffer.ctypes.data for buffer in self._buffers]
         self.room = n
@@ -136,7 +138,7 @@ class Row:
             moves = "stamps" in _parameters(step.kernel)
             if i < last:
                 flow["out"], flow["stamps"] = f"x{i + 1}", f"time{i + 1}"
-                shape = f"({rows}, table[{self._cell(step.width)}])"
+                shape = f"({rows}, table[{self._cell(self._widths[i])}])"
                 lines.append(f"    x{i + 1} = carray(floats_at(table[{SAMPLES + i % 2}]), {shape})")
                 if moves:
                     lines.append(f"    time{i + 1} = carray(longs_at(table[{STAMPS + moved % 2}]), ({rows},))")

@@ -38,7 +38,7 @@ class Trial:
         self.reference = self.play(whole(self.tapes))
         self._enough()
         self.operator: Operator[Any] = self.reference.operator
-        row_of(self.operator)
+        row_of(self.operator, self.reference.specs, {name: o.spec for name, o in self.reference.outputs.items()})
         limits = [v for name, v in _parameters(case.operator).items() if name.endswith("gap_s") and v is not None]
         self.limit_s = float(max([1.0, *limits]))
 

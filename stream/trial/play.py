@@ -233,13 +233,9 @@ class Player:
 class Stepping(Player):
     """A run in which the operator's step, where it has one, does whatever it may, as in a chain of operators."""
 
-    def hand_over(self, *, by_file: bool) -> None:
-        super().hand_over(by_file=by_file)
-        self._row = row_of(self.operator)
-
     def _open(self) -> tuple[Operator[Any], Specs]:
         operator, outputs = super()._open()
-        self._row = row_of(operator)
+        self._row = row_of(operator, self.specs, outputs)
         return operator, outputs
 
     def _process(self, port: str, chunk: Chunk) -> Emitted:
@@ -248,10 +244,13 @@ class Stepping(Player):
         return self._row.through(chunk)
 
 
-def row_of(operator: Operator[Any]) -> Row | None:
+def row_of(operator: Operator[Any], taken: Specs, given: Specs) -> Row | None:
     """An operator's step by itself."""
-    step = step_of(operator)
-    return Row([step]) if step else None
+    if len(taken) > 1 or not given:
+        return None
+    (spec,), out = taken.values(), next(iter(given.values()))
+    step = step_of(operator, spec, out)
+    return Row([step], out.shape) if step else None
 
 
 def through_file(arrays: dict[str, Array]) -> dict[str, Array]:
