@@ -188,6 +188,20 @@ def test_rows_are_kept_for_the_next_start(tmp_path: Path) -> None:
     assert [text.split() for text in told] == [["0", "1"], ["1", "0"]]
 
 
+@pytest.mark.parametrize("how", ["apart", "read-only"])
+def test_arrays_that_no_kernel_takes_are_made_normal_first(how: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    plain, joined = (pipeline(monkeypatch, rows=rows) for rows in (False, True))
+    width = plain.entries["board.emg"].spec.shape[0]
+    time, data = START + np.arange(80) * 10**6, np.random.default_rng(2).normal(size=(80, width))
+    if how == "apart":
+        time, data = time[::2], data[::2]
+    else:
+        time.flags.writeable = data.flags.writeable = False
+    for made in (plain, joined):
+        made.feed("board.emg", Chunk(time, data, int(time[-1])))
+    assert states(plain) == states(joined)
+
+
 def test_time_alone_passes_a_row_step_by_step(monkeypatch: pytest.MonkeyPatch) -> None:
     made = pipeline(monkeypatch, rows=True)
     got = fed(made, [empty(made.entries["board.emg"].spec, START)])

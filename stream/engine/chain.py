@@ -105,7 +105,7 @@ class Chain:
         lines = [
             "def send(c0, t0):",
             "    global due",
-            "    if c0.lost or wire0.owed or not c0.data.flags.carray:",
+            f"    if c0.lost or wire0.owed{self._untidy(0, 'c0')}:",
             "        return carry0(c0, t0)",
             *self._passed(0, "    "),
             "    try:",
@@ -139,7 +139,7 @@ class Chain:
         """The call of an operator."""
         a, b = call.before, call.after
         end, noted = (f"t{i + 1}", self._noted(i)) if timed else ("clock()", [])
-        untidy = "" if call.links[0].contiguous else f" or not c{b}.data.flags.carray"
+        untidy = "" if call.links[0].contiguous else self._untidy(i + 1, "given")
         return [
             f"given = process{i}(port{i}, c{a})",
             *([f"t{i + 1} = clock()"] if timed else []),
@@ -147,7 +147,7 @@ class Chain:
             "    if given.__class__ is not Chunk:",
             *(f"        {line}" for line in noted),
             f"        return {end} if given is None else emit{i}(given, {end})",
-            f"    if given.lost or wire{b}.owed{untidy.replace(f'c{b}', 'given')}:",
+            f"    if given.lost or wire{b}.owed{untidy}:",
             *(f"        {line}" for line in noted),
             f"        return carry{b}(given, {end})",
             "    n = len(given.time)",
@@ -179,6 +179,11 @@ class Chain:
             *(f"    {line}" for line in noted),
             f"    return carry{b}(c{b}, {end})",
         ]
+
+    def _untidy(self, i: int, chunk: str) -> str:
+        """The condition that a chunk's arrays are not what call `i` must be given; a row minds the stamps, too."""
+        minds = i < len(self.calls) and self.calls[i].row
+        return f" or not {chunk}.data.flags.carray" + (f" or not {chunk}.time.flags.carray" if minds else "")
 
     def _passed(self, i: int, indent: str, *, counted: bool = False) -> list[str]:
         """What a wire does with a chunk that passes it."""

@@ -58,7 +58,7 @@ class Wire:
         if chunk.lost or self.owed:
             chunk = self._with_lost(chunk)
         self.samples += len(chunk.time)
-        if not chunk.data.flags.carray:
+        if not (chunk.data.flags.carray and chunk.time.flags.carray):
             chunk = _normal(chunk)
         for tap in self.taps:
             tap(chunk)
@@ -80,5 +80,5 @@ class Wire:
 
 def _normal(chunk: Chunk) -> Chunk:
     """The chunk with arrays that are contiguous, aligned and writable."""
-    data = np.require(chunk.data, requirements=["C", "A", "W"])
-    return Chunk(np.ascontiguousarray(chunk.time), data, chunk.until, chunk.lost)
+    time, data = (np.require(array, requirements=["C", "A", "W"]) for array in (chunk.time, chunk.data))
+    return Chunk(time, data, chunk.until, chunk.lost)
