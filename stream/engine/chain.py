@@ -61,9 +61,10 @@ class Chain:
     send    takes a chunk and the time at which the caller ended; returns the time at which the work ended (ns, perf_counter)
     """
 
-    def __init__(self, wire: Wire) -> None:
+    def __init__(self, wire: Wire, *, rows: bool = True) -> None:
+        """`rows`: make one call of neighbours that have steps; that may have to be compiled."""
         links, self.wires = _in_a_row(wire)
-        self.calls = list(_calls(links, self.wires))
+        self.calls = list(_calls(links, self.wires, rows=rows))
         self._timed: list[list[tuple[int, ...]]] = [[] for _ in self.calls]
         self._at: dict[int, int] = {}
         """By line of the function: the call that is made there."""
@@ -218,13 +219,13 @@ def _in_a_row(wire: Wire) -> tuple[list[Link], list[Wire]]:
     return links, wires
 
 
-def _calls(links: list[Link], wires: list[Wire]) -> Iterator[Call]:
-    """Each link by itself, but neighbours that have steps, and whose wires nobody listens to, together; one of them may thin out."""
+def _calls(links: list[Link], wires: list[Wire], *, rows: bool) -> Iterator[Call]:
+    """Each link by itself; with `rows`, neighbours that have steps, and whose wires nobody listens to, together; one may thin out."""
     i = 0
     while i < len(links):
         steps: list[Step] = []
         for k, link in enumerate(links[i:], i):
-            step = step_of(link.operator, wires[k].spec, wires[k + 1].spec)
+            step = step_of(link.operator, wires[k].spec, wires[k + 1].spec) if rows else None
             if step is None or (steps and wires[k].taps) or (step.rows and any(s.rows for s in steps)):
                 break
             steps.append(step)

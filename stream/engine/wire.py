@@ -43,14 +43,15 @@ class Wire:
         self.chain: Chain | None = None
         self.send: Push = self._first
 
-    def fasten(self) -> None:
-        """Write the chain, so that the first chunk need not."""
-        self.chain = Chain(self)
+    def fasten(self, *, rows: bool = True) -> None:
+        """Write the chain, so that the first chunk need not; `rows`: with what may have to be compiled."""
+        self.chain = Chain(self, rows=rows)
         self.send = self.chain.send
 
     def _first(self, chunk: Chunk, start: int) -> int:
+        """Only what is unusual comes upon a wire within a chain: for that, nothing is compiled while a graph runs."""
         if not self.chain:
-            self.fasten()
+            self.fasten(rows=False)
         return self.send(chunk, start)
 
     def carry(self, chunk: Chunk, start: int) -> int:
