@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -10,11 +11,15 @@ import numpy as np
 
 from bench.work import CHANNELS, RATE_HZ, Feed, Sink, cycled, stamps
 from stream import source
-from stream.chunk import NS, Chunk, Specs, StreamSpec
+from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
 from stream.engine.pipeline import Pipeline
 from stream.engine.replay import FOLD_EVERY
 from stream.operator import Operator
 from stream.params import param
+
+
+def leave(rows: Samples) -> None:
+    """Nothing is done with them."""
 
 
 @dataclass(slots=True)
@@ -23,6 +28,8 @@ class Trial:
 
     feed: Feed | None = None
     sink: Sink | None = None
+    take: Callable[[Samples], None] = leave
+    """Where rows go: nowhere before the feed begins, for the warm-up sends some."""
 
 
 TRIAL = Trial()
@@ -54,8 +61,7 @@ class Count(Operator[Nothing]):
         return {"out": specs["in"]}
 
     def process(self, port: str, chunk: Chunk) -> None:
-        if TRIAL.feed and TRIAL.feed.began and TRIAL.sink:  # the warm-up comes before
-            TRIAL.sink(chunk.data)
+        TRIAL.take(chunk.data)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +97,8 @@ class Device(source.Source):
 
     def read(self, feed: source.Feed) -> None:
         trial = TRIAL.feed
-        assert trial
+        assert trial and TRIAL.sink
+        TRIAL.take = TRIAL.sink
         n, step = trial.chunk, NS // RATE_HZ
         stamps = feed.now() + np.arange(trial.count * n) * step
         until = stamps[n - 1 :: n].tolist()
@@ -104,6 +111,8 @@ def feed_all(pipeline: Pipeline, feed: Feed) -> None:
     """Push a whole feed into a pipeline, chunk by chunk, as replay does; like a peer's list of values, the chunks are there before."""
     push = pipeline.entries["device"].send
     chunks = [Chunk(t, x, int(t[-1])) for t, x in zip(stamps(feed), cycled(feed), strict=True)]
+    assert TRIAL.sink
+    TRIAL.take = TRIAL.sink
     feed.begin()
     for i, chunk in enumerate(chunks):
         push(chunk, time.perf_counter_ns())

@@ -14,7 +14,7 @@ from time import perf_counter_ns
 
 import structlog
 
-from bench.parts import TRIAL, feed_all
+from bench.parts import TRIAL, feed_all, leave
 from bench.work import CUTOFF_HZ, EVERY, ORDER, RATE_HZ, WINDOW, Feed, Sink, Step
 from bench.worker import SESSION, UNRECORDED, serve
 from stream.engine.pipeline import Pipeline
@@ -49,7 +49,7 @@ class Kinegraph:
         return {"kinegraph": version("kinegraph")}
 
     def drive(self, style: str, steps: Sequence[Step | None], feed: Feed, sink: Sink) -> tuple[int, int]:
-        TRIAL.feed, TRIAL.sink = feed, sink
+        TRIAL.feed, TRIAL.sink, TRIAL.take = feed, sink, leave
         graph = load_text(graph_of(steps, feed.paced))
         if style in (SESSION, UNRECORDED):
             self._session(graph, recorded=style == SESSION)

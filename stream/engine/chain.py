@@ -182,8 +182,8 @@ class Chain:
         ]
 
     def _untidy(self, i: int, chunk: str) -> str:
-        """The condition that a chunk's arrays are not what call `i` must be given; a row minds the stamps, too."""
-        minds = i < len(self.calls) and self.calls[i].row
+        """The condition that a chunk's arrays are not what call `i` must be given; at the entry, and before a row, stamps count."""
+        minds = i == 0 or (i < len(self.calls) and self.calls[i].row)
         return f" or not {chunk}.data.flags.carray" + (f" or not {chunk}.time.flags.carray" if minds else "")
 
     def _passed(self, i: int, indent: str, *, counted: bool = False) -> list[str]:

@@ -60,10 +60,8 @@ def door(intake: Intake, journal: Journal, turn: Turn, bell: Doorbell, fail: Cal
         if (
             time.__class__ is not array
             or time.dtype is not STAMP
-            or not time.flags.carray
             or data.__class__ is not array
             or data.dtype is not dtype
-            or not data.flags.carray
         ):
             chunk = runner.tidy(chunk, output)
             time, data = chunk.time, chunk.data

@@ -59,6 +59,11 @@ class Intake:
         """Whether anybody waits for what time brings here. Where nobody does, only samples are let in."""
         return bool(self.wire.readers)
 
+    @property
+    def minded(self) -> bool:
+        """Whether it matters that nothing comes: not of people's words that nobody waits for."""
+        return not self.ended and (self.awaited or not self.runner.source.background)
+
     def admit(self, chunk: Chunk, arrival: int, report: Callable[..., None]) -> Chunk | None:
         """The chunk as it may enter: without late samples, its `until` never going back; None if it says nothing new."""
         self.last = time.monotonic()
@@ -87,7 +92,7 @@ class Intake:
         """Told at `now` (ns) that nothing has come for `age_s`. Once that is longer than the stated patience: the chunk that says that
         nothing happened, so that nobody waits; the alarm is raised after `stale_s`. What waits in the queue has come."""
         options = self.runner.node.options
-        if self.ended or self.runner.channels[self.output].waiting:
+        if not self.minded or self.runner.channels[self.output].waiting:
             return None
         if 0 < options.stale_s < age_s and not self.stale:
             self.stale = True
@@ -105,7 +110,7 @@ class Intake:
         """Whether nothing becomes due within `REST_S`, after nothing has come for `age_s`."""
         options = self.runner.node.options
         waits_s = (options.patience_s if self.awaited else 0.0, 0.0 if self.stale else options.stale_s)
-        return self.ended or all(age_s + REST_S < wait_s for wait_s in waits_s if wait_s)
+        return not self.minded or all(age_s + REST_S < wait_s for wait_s in waits_s if wait_s)
 
     def _without_late(self, chunk: Chunk, report: Callable[..., None]) -> Chunk:
         keep = chunk.time > self.promised

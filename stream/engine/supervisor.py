@@ -23,7 +23,7 @@ FIRST_PAUSE_S = 0.25
 LONGEST_PAUSE_S = 10.0
 STEADY_S = 10.0
 """A source that ran for so long is given the first pause again."""
-UNAWAITED_S = 1.0
+UNAWAITED_S = 60.0
 """A source that only listens for words need not say more often that there was none, where nobody waits for it."""
 GRACE_S = 2.0
 """How long a source that must stop may take before its thread is given up."""
