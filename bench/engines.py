@@ -8,6 +8,7 @@ import select
 import subprocess
 import sys
 import venv
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
@@ -24,6 +25,8 @@ MODULES = {
     "ezmsg": "ezmsg_system",
 }
 OURS = ("bare", "kinegraph")
+LIFE = 2
+"""After so many rounds contenders are started anew."""
 
 
 class EngineError(Exception):
@@ -134,6 +137,26 @@ class Field:
     def __exit__(self, *_: object) -> None:
         for engine in self.engines.values():
             engine.stop()
+
+    def rounds(self, count: int) -> Iterator[bool]:
+        """So many rounds, and whether each counts: two do not, in which everyone warms up.
+
+        Now and then all are started anew, for how fast a process is hangs on where its memory happens to lie, as long as it lives.
+        """
+        for i in range(count):
+            if i % LIFE == 0:
+                if i:
+                    self._renew()
+                yield from (False, False)
+            yield True
+
+    def _renew(self) -> None:
+        for name, engine in list(self.engines.items()):
+            engine.stop()
+            try:
+                engine.start()
+            except EngineError as error:
+                self.drop(name, error)
 
     def drop(self, name: str, error: Exception) -> None:
         """Go on without an engine that failed; our own must not."""

@@ -56,16 +56,16 @@ def paced(field: Field, rounds: int, seconds: float) -> Section:
     """Every round gives every contender `seconds` of real time, one after the other."""
     taking = entries()
     count = max(20, round(seconds * RATE_HZ / CHUNK))
-    for turn in range(-1, rounds):
+    for counted in field.rounds(rounds):
         for e in [e for e in taking if e.engine in field.engines]:
             try:
                 answer = field.engines[e.engine].ask(
-                    style=e.style, chunk=CHUNK, count=count if turn >= 0 else 20, paced=True, timeout_s=seconds + 60
+                    style=e.style, chunk=CHUNK, count=count if counted else 20, paced=True, timeout_s=seconds + 60
                 )
             except EngineError as error:
                 field.drop(e.engine, error)
                 continue
-            if turn >= 0:
+            if counted:
                 e.due += answer["due_ns"]
                 e.made += answer["made_ns"]
                 e.cpu.append(answer["cpu"])

@@ -131,18 +131,18 @@ def _measure(
 ) -> list[Entry]:
     """Microseconds per chunk: every round asks every entry for every key (a chunk size, or a number of operators) in turn."""
     counts: dict[tuple[int, int], int] = {}
-    for turn in range(-2, rounds):  # one to warm up, one to find out how many chunks fill a block
+    for counted in field.rounds(rounds):
         for key in keys:
             for e in [e for e in entries if e.engine in field.engines]:
                 order = {"operators": key, "chunk": 10} if operators else {"chunk": key}
-                count = (200 if operators else 200 + 1600 // key) if turn < 0 else counts[id(e), key]
+                count = counts[id(e), key] if counted else 200 if operators else 200 + 1600 // key
                 try:
                     answer = field.engines[e.engine].ask(style=e.style, count=count, **order)
                 except EngineError as error:
                     field.drop(e.engine, error)
                     continue
                 us = answer["seconds"] / count * 1e6
-                if turn < 0:
+                if not counted:  # how many chunks fill a block
                     counts[id(e), key] = int(min(max(block_s * 1e6 / us, 200 if operators else 1000 // key), MOST))
                 else:
                     e.rounds.setdefault(key, []).append(us)
