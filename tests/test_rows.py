@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,12 @@ from operators.decimate import Decimate
 from operators.iir import Lowpass
 from operators.moving import MovingMean
 from operators.rectify import Rectify
+from operators.scale import straight_line
 from stream.chunk import FOREVER, Array, Chunk, StreamSpec, empty
 from stream.engine import row
 from stream.engine.pipeline import Pipeline
 from stream.engine.warmup import Compilations
+from stream.errors import RunError
 from stream.graph.load import load_text
 from stream.kernel import is_kernel, kernel
 from stream.operator import Step
@@ -51,8 +54,8 @@ def pipeline(monkeypatch: pytest.MonkeyPatch, *, rows: bool, tapped: str = "") -
 
 
 def rows_in(made: Pipeline) -> list[list[str]]:
-    calls = [call for wire in made.wires.values() if wire.chain for call in wire.chain.calls if call.row]
-    return [[link.name for link in call.links] for call in calls]
+    spans = [span for wire in made.wires.values() if wire.chain for span in wire.chain.spans if span.row]
+    return [[link.name for link in span.links] for span in spans]
 
 
 def delivery(seed: int, width: int) -> list[Chunk]:
@@ -163,6 +166,22 @@ def test_what_has_no_place_in_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     assert opened(Lowpass(20.0, start="first")) is None, "it needs Python for its first sample"
     assert opened(Rectify(), spec.derive(dtype=np.dtype(np.float32))) is None, "samples must be converted first"
     assert not is_kernel(opened) and not is_kernel(_nested()) and not is_kernel(kernel(nogil=True)(_twice))
+
+
+@dataclass(frozen=True, slots=True)
+class Slip(Rectify):
+    """Names a kernel that wants more than the state has."""
+
+    def kernel_step(self) -> Step:
+        return Step(straight_line, self.state)
+
+
+def test_a_slip_in_a_step_names_the_node() -> None:
+    text = GRAPH.replace("operators.rectify.Rectify", "tests.test_rows.Slip")
+    with pytest.raises(
+        RunError, match="node 'rectify': its step's kernel is to be given 'line', which its state has not"
+    ):
+        Pipeline(load_text(text)).fasten()
 
 
 def _twice(x: Array, out: Array) -> None:

@@ -32,13 +32,11 @@ if TYPE_CHECKING:
 
 REST = 7
 """So many times the length of a passage that was timed pass untimed."""
-CALLS = ("given = process", "t", "run", "n = rows")
-"""How lines begin in which a call is made."""
 
 
 @dataclass(slots=True)
-class Call:
-    """One call of the function: of an operator, or of a row of them.
+class Span:
+    """What one call does: an operator, or a row of them.
 
     before  the number of the wire that it reads
     after   the number of the wire that it feeds
@@ -57,28 +55,28 @@ class Chain:
     """The operators in a row behind a wire.
 
     wires   before, between and after them
-    calls   in order
+    spans   what is called, in order
     send    takes a chunk and the time at which the caller ended; returns the time at which the work ended (ns, perf_counter)
     """
 
     def __init__(self, wire: Wire, *, rows: bool = True) -> None:
         """`rows`: make one call of neighbours that have steps; that may have to be compiled."""
         links, self.wires = _in_a_row(wire)
-        self.calls = list(_calls(links, self.wires, rows=rows))
-        self._timed: list[list[tuple[int, ...]]] = [[] for _ in self.calls]
+        self.spans = list(_spans(links, self.wires, rows=rows))
+        self._timed: list[list[tuple[int, ...]]] = [[] for _ in self.spans]
         self._at: dict[int, int] = {}
-        """By line of the function: the call that is made there."""
+        """By line of the function: the span that is called there."""
         lines = self._written()
         names: dict[str, Any] = {"clock": perf_counter_ns, "Chunk": Chunk, "due": 0, "trouble": self._trouble}
         names["FOREVER"] = FOREVER
         for i, wire in enumerate(self.wires):
             names |= {f"wire{i}": wire, f"carry{i}": wire.carry}
             names |= {f"tap{i}_{k}": tap for k, tap in enumerate(wire.taps)}
-        for i, call in enumerate(self.calls):
-            link = call.links[0]
+        for i, span in enumerate(self.spans):
+            link = span.links[0]
             names |= {f"process{i}": link.process, f"port{i}": link.port, f"emit{i}": link.emit, f"link{i}": link}
             names |= {f"note{i}": self._timed[i].append}
-            if row := call.row:
+            if row := span.row:
                 names |= {f"row{i}": row, f"run{i}": row.run, f"table{i}": row.table, f"spare{i}": row.spare.both}
                 names |= {f"rows{i}": row.rows, f"nothing{i}": Spare(row.width).both(0)}
         names |= {f"push{k}": push for k, push in enumerate(self.wires[-1].readers)}
@@ -93,12 +91,12 @@ class Chain:
             taken = noted[:]
             del noted[: len(taken)]
             times = np.fromiter(chain.from_iterable(taken), np.int64).reshape(len(taken), -1)
-            for i, call in enumerate(self.calls[: times.shape[1] - 1]):
-                if not call.row:
-                    add(times, i, call.links[0].timing)
-        for call in self.calls:
-            if call.row:
-                call.row.fold([link.timing for link in call.links], least)
+            for i, span in enumerate(self.spans[: times.shape[1] - 1]):
+                if not span.row:
+                    add(times, i, span.links[0].timing)
+        for span in self.spans:
+            if span.row:
+                span.row.fold([link.timing for link in span.links], least)
 
     # what is written ---------------------------------------------------------------------------------------------------
 
@@ -111,7 +109,7 @@ class Chain:
             *self._passed(0, "    "),
             "    try:",
         ]
-        if self.calls:
+        if self.spans:
             lines.append("        if t0 >= due:")
             self._write_out(lines, " " * 12, timed=True)
         self._write_out(lines, " " * 8, timed=False)
@@ -120,27 +118,27 @@ class Chain:
 
     def _write_out(self, lines: list[str], indent: str, *, timed: bool) -> None:
         """All calls, one below the other, and what ends the passage."""
-        for i, call in enumerate(self.calls):
+        for i, span in enumerate(self.spans):
             written = (
-                self._operator(i, call, timed=timed) if call.row is None else self._row(i, call, call.row, timed=timed)
+                self._operator(i, span, timed=timed) if span.row is None else self._row(i, span, span.row, timed=timed)
             )
             for line in written:
                 lines.append(indent + line)
-                if line.startswith(CALLS):
+                if any(f"{called}{i}(" in line for called in ("process", "run", "rows")):
                     self._at[len(lines)] = i
-            lines += self._passed(call.after, indent, counted=True)
-        count, last = len(self.calls), len(self.wires) - 1
+            lines += self._passed(span.after, indent, counted=True)
+        count, last = len(self.spans), len(self.wires) - 1
         if timed:
             lines += [indent + line for line in self._noted(count - 1)]
         lines.append(f"{indent}t = t{count}" if timed else f"{indent}t = clock()")
         lines += [f"{indent}t = push{k}(c{last}, t)" for k in range(len(self.wires[-1].readers))]
         lines.append(f"{indent}return t")
 
-    def _operator(self, i: int, call: Call, *, timed: bool) -> list[str]:
+    def _operator(self, i: int, span: Span, *, timed: bool) -> list[str]:
         """The call of an operator."""
-        a, b = call.before, call.after
+        a, b = span.before, span.after
         end, noted = (f"t{i + 1}", self._noted(i)) if timed else ("clock()", [])
-        untidy = "" if call.links[0].contiguous else self._untidy(i + 1, "given")
+        untidy = "" if span.links[0].contiguous else self._untidy(i + 1, "given")
         return [
             f"given = process{i}(port{i}, c{a})",
             *([f"t{i + 1} = clock()"] if timed else []),
@@ -155,9 +153,9 @@ class Chain:
             f"c{b} = given",
         ]
 
-    def _row(self, i: int, call: Call, row: Row, *, timed: bool) -> list[str]:
+    def _row(self, i: int, span: Span, row: Row, *, timed: bool) -> list[str]:
         """The call of a row, unless something about the chunk is unusual: then its first operator is called, and so on from there."""
-        a, b = call.before, call.after
+        a, b = span.before, span.after
         owed = "".join(f" or wire{k}.owed" for k in range(a + 1, b))
         before = self._noted(i - 1) if timed and i else []
         end, noted = (f"t{i + 1}", self._noted(i)) if timed else ("clock()", [])
@@ -182,8 +180,8 @@ class Chain:
         ]
 
     def _untidy(self, i: int, chunk: str) -> str:
-        """The condition that a chunk's arrays are not what call `i` must be given; at the entry, and before a row, stamps count."""
-        minds = i == 0 or (i < len(self.calls) and self.calls[i].row)
+        """The condition that a chunk's arrays are not what span `i` must be given; at the entry, and before a row, stamps count."""
+        minds = i == 0 or (i < len(self.spans) and self.spans[i].row)
         return f" or not {chunk}.data.flags.carray" + (f" or not {chunk}.time.flags.carray" if minds else "")
 
     def _passed(self, i: int, indent: str, *, counted: bool = False) -> list[str]:
@@ -193,9 +191,9 @@ class Chain:
         return lines + [f"{indent}tap{i}_{k}(c{i})" for k in range(len(self.wires[i].taps))]
 
     def _noted(self, i: int) -> list[str]:
-        """A timed passage ends with call `i`. What is within a row, the row notes itself."""
+        """A timed passage ends with span `i`. What is within a row, the row notes itself."""
         times = ", ".join(f"t{k}" for k in range(i + 2))
-        noted = [f"note{i}(({times}))"] if any(call.row is None for call in self.calls[: i + 1]) else []
+        noted = [f"note{i}(({times}))"] if any(span.row is None for span in self.spans[: i + 1]) else []
         return [*noted, f"due = t{i + 1} + {REST} * (t{i + 1} - t0)"]
 
     def _trouble(self, error: Exception | SystemExit, found: dict[str, Any]) -> None:
@@ -203,9 +201,9 @@ class Chain:
         trace = error.__traceback__
         i = self._at.get(trace.tb_lineno) if trace else None
         if i is not None:
-            call = self.calls[i]
-            link = call.links[0]
-            raise failure(link.name, error, link.port, found[f"c{call.before}"]) from error
+            span = self.spans[i]
+            link = span.links[0]
+            raise failure(link.name, error, link.port, found[f"c{span.before}"]) from error
 
 
 def _in_a_row(wire: Wire) -> tuple[list[Link], list[Wire]]:
@@ -219,17 +217,24 @@ def _in_a_row(wire: Wire) -> tuple[list[Link], list[Wire]]:
     return links, wires
 
 
-def _calls(links: list[Link], wires: list[Wire], *, rows: bool) -> Iterator[Call]:
+def _spans(links: list[Link], wires: list[Wire], *, rows: bool) -> Iterator[Span]:
     """Each link by itself; with `rows`, neighbours that have steps, and whose wires nobody listens to, together; one may thin out."""
     i = 0
     while i < len(links):
         steps: list[Step] = []
         for k, link in enumerate(links[i:], i):
-            step = step_of(link.operator, wires[k].spec, wires[k + 1].spec) if rows else None
+            step = _step(link, wires[k], wires[k + 1]) if rows else None
             if step is None or (steps and wires[k].taps) or (step.rows and any(s.rows for s in steps)):
                 break
             steps.append(step)
         together = max(1, len(steps))
         widths = [wire.spec.shape[0] for wire in wires[i + 1 : i + together + 1]] if together > 1 else []
-        yield Call(links[i : i + together], Row(steps, widths) if widths else None, i)
+        yield Span(links[i : i + together], Row(steps, widths) if widths else None, i)
         i += together
+
+
+def _step(link: Link, before: Wire, after: Wire) -> Step | None:
+    try:
+        return step_of(link.operator, before.spec, after.spec)
+    except Exception as error:
+        raise failure(link.name, error) from error

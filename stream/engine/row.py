@@ -20,6 +20,7 @@ import numpy as np
 
 from stream.chunk import Array, Chunk, StreamSpec
 from stream.engine.metrics import Timing, add
+from stream.errors import KinegraphError, nearest
 from stream.kernel import compile_written, is_kernel
 from stream.operator import Operator, Step
 from stream.spare import Spare
@@ -45,8 +46,13 @@ def step_of(operator: Operator[Any], taken: StreamSpec, given: StreamSpec) -> St
     step = operator.kernel_step() if POSSIBLE and plain else None
     if step is None or not is_kernel(step.kernel):
         return None
-    fields = [getattr(step.state, name) for name in _parameters(step.kernel) if name not in FLOW]
-    return step if all(map(_has_a_place, fields)) else None
+    wanted = [name for name in _parameters(step.kernel) if name not in FLOW]
+    for name in wanted:
+        if not hasattr(step.state, name):
+            raise KinegraphError(
+                f"its step's kernel is to be given {name!r}, which its state has not: {nearest(name, dir(step.state))}"
+            )
+    return step if all(_has_a_place(getattr(step.state, name)) for name in wanted) else None
 
 
 def _has_a_place(value: object) -> bool:
