@@ -46,6 +46,8 @@ def step_of(operator: Operator[Any], taken: StreamSpec, given: StreamSpec) -> St
     step = operator.kernel_step() if POSSIBLE and plain else None
     if step is None or not is_kernel(step.kernel):
         return None
+    if step.rows and "stamps" not in _parameters(step.kernel):
+        raise KinegraphError("its step keeps only some samples (`rows`), so its kernel must be given `stamps`")
     wanted = [name for name in _parameters(step.kernel) if name not in FLOW]
     for name in wanted:
         if not hasattr(step.state, name):
