@@ -15,7 +15,7 @@ import pytest
 from operators.decimate import Decimate
 from operators.iir import Lowpass
 from operators.moving import MovingMean
-from operators.rectify import Rectify
+from operators.rectify import Rectify, magnitudes
 from operators.scale import straight_line
 from stream.chunk import FOREVER, Array, Chunk, StreamSpec, empty
 from stream.engine import row
@@ -176,11 +176,24 @@ class Slip(Rectify):
         return Step(straight_line, self.state)
 
 
-def test_a_slip_in_a_step_names_the_node() -> None:
-    text = GRAPH.replace("operators.rectify.Rectify", "tests.test_rows.Slip")
-    with pytest.raises(
-        RunError, match="node 'rectify': its step's kernel is to be given 'line', which its state has not"
-    ):
+@dataclass(frozen=True, slots=True)
+class Stampless(Rectify):
+    """Thins out without stamps."""
+
+    def kernel_step(self) -> Step:
+        return Step(magnitudes, self.state, lambda n: n // 2)
+
+
+@pytest.mark.parametrize(
+    ("part", "told"),
+    [
+        ("Slip", "its step's kernel is to be given 'line', which its state has not"),
+        ("Stampless", "its step keeps only some samples .`rows`., so its kernel must be given `stamps`"),
+    ],
+)
+def test_a_slip_in_a_step_names_the_node(part: str, told: str) -> None:
+    text = GRAPH.replace("operators.rectify.Rectify", f"tests.test_rows.{part}")
+    with pytest.raises(RunError, match=f"node 'rectify': {told}"):
         Pipeline(load_text(text)).fasten()
 
 
