@@ -99,12 +99,12 @@ class Device(source.Source):
         trial = TRIAL.feed
         assert trial and TRIAL.sink
         TRIAL.take = TRIAL.sink
-        n, step = trial.chunk, NS // RATE_HZ
-        stamps = feed.now() + np.arange(trial.count * n) * step
-        until = stamps[n - 1 :: n].tolist()
+        start = feed.now()
+        step = NS // RATE_HZ
         feed.ready()
         for i, x in enumerate(trial):
-            feed.emit(Chunk(stamps[i * n : i * n + n], x, until[i]))
+            first = start + i * trial.period_ns
+            feed.emit(Chunk(np.arange(first, first + trial.period_ns, step), x, first + trial.period_ns - step))
 
 
 def feed_all(pipeline: Pipeline, feed: Feed) -> None:
