@@ -63,13 +63,7 @@ class Decimate(Operator[DecimateState]):
         return {"out": spec.derive(rate_hz=rate_hz / self.every)}
 
     def kernel_step(self) -> Step:
-        state, every = self.state, self.every
-        skip = state.skip.item
-
-        def kept(n: int) -> int:
-            return (n - skip(0) + every - 1) // every
-
-        return Step(thin_on, state, kept, state.last)
+        return Step(thin_on, self.state, self._kept, self.state.last)
 
     def _kept(self, n: int) -> int:
         """How many of the next `n` samples are kept."""

@@ -77,13 +77,7 @@ def compile_written(name: str, signature: str, source: str, kernels: Sequence[Ca
     module_name = f"kinegraph_row_{digest}"
     module = sys.modules.get(module_name)
     if module is None:
-        folder = cache_folder() / "rows"
-        path = folder / f"{module_name}.py"
-        folder.mkdir(exist_ok=True)
-        if not path.exists():
-            draft = path.with_suffix(f".{os.getpid()}")
-            draft.write_text(imports + source)
-            draft.replace(path)
+        path = _written_down(f"{module_name}.py", imports + source)
         spec = importlib.util.spec_from_file_location(module_name, path)
         assert spec and spec.loader
         module = sys.modules[module_name] = importlib.util.module_from_spec(spec)
@@ -95,6 +89,23 @@ def compile_written(name: str, signature: str, source: str, kernels: Sequence[Ca
             del sys.modules[module_name]
             raise
     return getattr(module, name)
+
+
+def _written_down(name: str, source: str) -> Path:
+    """The file in the cache that holds this source."""
+    folder = cache_folder() / "rows"
+    path = folder / name
+    try:
+        folder.mkdir(exist_ok=True)
+        if not path.exists():
+            draft = path.with_suffix(f".{os.getpid()}")
+            draft.write_text(source, encoding="utf-8")
+            draft.replace(path)
+    except OSError as error:
+        raise KinegraphError(
+            f"compiled kernels cannot be kept in {folder}: {error.strerror}; free some space there"
+        ) from None
+    return path
 
 
 @contextmanager

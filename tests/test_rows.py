@@ -20,8 +20,8 @@ from operators.scale import straight_line
 from stream.chunk import FOREVER, Array, Chunk, StreamSpec, empty
 from stream.engine import row
 from stream.engine.pipeline import Pipeline
-from stream.engine.warmup import Compilations
-from stream.errors import RunError
+from stream.engine.warmup import Compilations, warm_up
+from stream.errors import GraphError
 from stream.graph.load import load_text
 from stream.kernel import is_kernel, kernel
 from stream.operator import Step
@@ -156,6 +156,14 @@ def written() -> set[str]:
     return {name for name in sys.modules if name.startswith("kinegraph_row_")}
 
 
+def test_a_first_session_compiles_nothing_while_it_runs(tmp_path: Path) -> None:
+    (tmp_path / "g.yaml").write_text(GRAPH.replace("realtime: false", "duration_s: 1.5"))
+    command = [sys.executable, "-m", "stream", "run", "g.yaml", "--no-record", "--view", "lines"]
+    environment = {**os.environ, "KINEGRAPH_CACHE": str(tmp_path / "cache")}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "compiled while running" not in done.stderr, done.stderr
+
+
 def test_what_has_no_place_in_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     spec = load_text(GRAPH).nodes["board"].specs["emg"]
 
@@ -165,7 +173,7 @@ def test_what_has_no_place_in_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     assert opened(Rectify()) and opened(Decimate(2)) and opened(MovingMean(0.1))
     assert opened(Lowpass(20.0, start="first")) is None, "it needs Python for its first sample"
     assert opened(Rectify(), spec.derive(dtype=np.dtype(np.float32))) is None, "samples must be converted first"
-    assert not is_kernel(opened) and not is_kernel(_nested()) and not is_kernel(kernel(nogil=True)(_twice))
+    assert not is_kernel(opened) and not is_kernel(_nested()) and not is_kernel(letting_go)
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,12 +201,14 @@ class Stampless(Rectify):
 )
 def test_a_slip_in_a_step_names_the_node(part: str, told: str) -> None:
     text = GRAPH.replace("operators.rectify.Rectify", f"tests.test_rows.{part}")
-    with pytest.raises(RunError, match=f"node 'rectify': {told}"):
-        Pipeline(load_text(text)).fasten()
+    with pytest.raises(GraphError, match=f"node 'rectify': {told}"):
+        warm_up(load_text(text))
 
 
-def _twice(x: Array, out: Array) -> None:
-    out[:] = 2.0 * x
+@kernel(nogil=True)
+def letting_go(x: Array, out: Array) -> None:
+    """Gives up the interpreter, which a kernel in a row must not."""
+    out[:] = x
 
 
 def _nested() -> Callable[..., None]:

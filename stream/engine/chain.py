@@ -223,7 +223,7 @@ def _spans(links: list[Link], wires: list[Wire], *, rows: bool) -> Iterator[Span
     while i < len(links):
         steps: list[Step] = []
         for k, link in enumerate(links[i:], i):
-            step = _step(link, wires[k], wires[k + 1]) if rows else None
+            step = step_of(link.operator, wires[k].spec, wires[k + 1].spec) if rows else None
             if step is None or (steps and wires[k].taps) or (step.rows and any(s.rows for s in steps)):
                 break
             steps.append(step)
@@ -231,10 +231,3 @@ def _spans(links: list[Link], wires: list[Wire], *, rows: bool) -> Iterator[Span
         widths = [wire.spec.shape[0] for wire in wires[i + 1 : i + together + 1]] if together > 1 else []
         yield Span(links[i : i + together], Row(steps, widths) if widths else None, i)
         i += together
-
-
-def _step(link: Link, before: Wire, after: Wire) -> Step | None:
-    try:
-        return step_of(link.operator, before.spec, after.spec)
-    except Exception as error:
-        raise failure(link.name, error) from error

@@ -121,11 +121,11 @@ def draft_of(path: Path) -> Path:
 
 def publish(draft: Path, path: Path) -> None:
     """Give a complete draft its name, in the place of a recording that lies there. Raises OSError."""
-    old = parts_of(path)
-    fresh = [part.replace(part_path(path, number)) for number, part in enumerate(parts_of(draft))]
-    for part in old:
-        if part not in fresh:
-            part.unlink()
+    parts = parts_of(draft)
+    for old in parts_of(path)[len(parts) :]:  # first, so that at no moment parts of the two stand side by side
+        old.unlink()
+    for number, part in enumerate(parts):
+        part.replace(part_path(path, number))
 
 
 def discard(path: Path) -> None:
