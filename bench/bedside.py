@@ -109,6 +109,12 @@ class Run:
 
     def problem(self, kind: str, count: int = 1) -> None: ...
 
+    again = False
+
+    def tell(self, kind: str, **facts: str | float) -> None: ...
+
+    def device_clock(self, **facts: float) -> None: ...
+
 
 def kappa(a: Any, b: Any) -> float:
     """Cohen's kappa of two labellings."""

@@ -54,11 +54,12 @@ OURS = """
 import sys, threading, time
 from devices.cyton import Cyton
 class Feed:
-    stopped, samples, problems = False, 0, 0
+    stopped, again, samples, problems = False, False, 0, 0
     now = staticmethod(time.time_ns)
     def emit(self, chunk, output="out"): self.samples += len(chunk) if output == "emg" else 0
     def problem(self, kind, count=1): self.problems += count
     def identify(self, device, **facts): pass
+    def device_clock(self, **facts): pass
 feed = Feed()
 threading.Thread(target=Cyton(sys.argv[1]).read, args=(feed,), daemon=True).start()
 while not feed.samples: time.sleep(0.01)

@@ -44,6 +44,12 @@ class Idle:
     def problem(self, kind: str, count: int = 1) -> None:
         self.problems += count
 
+    again = False
+
+    def tell(self, kind: str, **facts: str | float) -> None: ...
+
+    def device_clock(self, **facts: float) -> None: ...
+
     def wait(self, seconds: float) -> bool:
         time.sleep(seconds)
         return self.stopped

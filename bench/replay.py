@@ -64,6 +64,12 @@ class Writing:
 
     def problem(self, kind: str, count: int = 1) -> None: ...
 
+    again = False
+
+    def tell(self, kind: str, **facts: str | float) -> None: ...
+
+    def device_clock(self, **facts: float) -> None: ...
+
 
 def make(path: Path, hours: float, piece_s: float) -> None:
     """A recording of `hours` at `path`."""

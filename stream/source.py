@@ -41,6 +41,16 @@ class Feed(Protocol):
     def problem(self, kind: str, count: int = 1) -> None:
         """Count something that went wrong without ending the stream: 'bad packet', 'lost packet', 'resync'."""
 
+    def tell(self, kind: str, **facts: str | float) -> None:
+        """Something rare that whoever reads the recording must know, with its size: into the log and the recording."""
+
+    def device_clock(self, **facts: float) -> None:
+        """What is known of the device's clock now (`offset_s`, `drift_ppm`, `uncertainty_s`, ...): into the metrics."""
+
+    @property
+    def again(self) -> bool:
+        """Whether the source was open before in this session."""
+
 
 class Source:
     """A device, file or simulator. Subclasses are frozen dataclasses of parameters.

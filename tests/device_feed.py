@@ -21,6 +21,9 @@ class Kept:
     def __init__(self) -> None:
         self.chunks: dict[str, list[Chunk]] = {}
         self.problems: Counter[str] = Counter()
+        self.told: list[tuple[str, dict[str, str | float]]] = []
+        self.clocks: list[dict[str, float]] = []
+        self.again = False
         self.error: Exception | None = None
         self.identity: dict[str, str | float] = {}
         self._stop = threading.Event()
@@ -52,6 +55,12 @@ class Kept:
 
     def problem(self, kind: str, count: int = 1) -> None:
         self.problems[kind] += count
+
+    def tell(self, kind: str, **facts: str | float) -> None:
+        self.told.append((kind, facts))
+
+    def device_clock(self, **facts: float) -> None:
+        self.clocks.append(facts)
 
     def count(self, output: str) -> int:
         return sum(len(c) for c in self.chunks.get(output, ()))

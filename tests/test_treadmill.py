@@ -60,6 +60,12 @@ class Recorder:
     def problem(self, kind: str, count: int = 1) -> None:
         self.problems[kind] += count
 
+    again = False
+
+    def tell(self, kind: str, **facts: str | float) -> None: ...
+
+    def device_clock(self, **facts: float) -> None: ...
+
     def all(self, output: str) -> tuple[np.ndarray, np.ndarray]:
         chunks = self.chunks[output]
         return np.concatenate([c.time for c in chunks]), np.concatenate([c.data for c in chunks])

@@ -58,6 +58,7 @@ def recording_row(recording: RecorderStatus) -> dict[str, Any]:
 def _source_row(intake: Intake, now: float) -> dict[str, Any]:
     runner, wire = intake.runner, intake.wire
     channel = runner.channels[intake.output]
+    first = channel is next(iter(runner.channels.values()))
     return {
         "kind": "source",
         "state": "stale" if intake.stale else runner.state,
@@ -70,7 +71,8 @@ def _source_row(intake: Intake, now: float) -> dict[str, Any]:
         "gaps": wire.gaps,
         "lost": wire.lost,
         "openings": runner.openings,
-        "problems": dict(runner.problems) if channel is next(iter(runner.channels.values())) else {},
+        "problems": dict(runner.problems) if first else {},
+        "clock": dict(runner.clock_facts) if first else {},
         "error": runner.error if runner.state == "failed" or not runner.ready else "",
     }
 

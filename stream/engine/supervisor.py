@@ -57,6 +57,7 @@ class _Feed:
         self._runner = runner
         self._stop = threading.Event()
         self._over = False
+        self.again = again
         self._unmarked = set(runner.channels) if again else set()
 
     @property
@@ -90,6 +91,12 @@ class _Feed:
     def problem(self, kind: str, count: int = 1) -> None:
         self._runner.problems[kind] += count
 
+    def tell(self, kind: str, **facts: str | float) -> None:
+        self._runner.report(kind, node=self._runner.node.name, **facts)
+
+    def device_clock(self, **facts: float) -> None:
+        self._runner.clock_facts = facts
+
     def emit(self, chunk: Chunk, output: str = "out") -> None:
         if self._over:
             raise _StopReadingError
@@ -116,6 +123,7 @@ class Runner:
     doors      per output, the short way past it
     awaited    whether anybody waits for what this source says
     problems   what the source counted, by kind
+    clock_facts   what it said last of its device's clock
     openings   how often the source was opened
     """
 
@@ -135,6 +143,7 @@ class Runner:
         self.awaited = True
         self.mailbox: SimpleQueue[str | None] = SimpleQueue()
         self.problems: Counter[str] = Counter()
+        self.clock_facts: dict[str, float] = {}
         self.state: State = "starting"
         self.ready = False
         self.error = ""
