@@ -25,6 +25,7 @@ COMMANDS = {
         "stream.commands.parts:parts",
         "List what a graph can use: sources, operators, outlets, their parameters.",
     ),
+    "configs": ("stream.commands.configs:configs", "List the graphs that come with kinegraph; copy them."),
     "schema": ("stream.commands.schema:schema", "Write the JSON Schema of graphs, for editors."),
     "info": ("stream.commands.info:info", "Show what a recording holds."),
     "recover": ("stream.commands.recover:recover", "Finish a recording that a killed process left."),

@@ -19,6 +19,7 @@ from stream.graph.opening import open_nodes
 from stream.graph.overrides import override, rewrite
 from stream.graph.parts import import_from
 from stream.graph.problems import Problems
+from stream.graph.shipped import resolve, shipped
 from stream.graph.wiring import Wiring
 from stream.graph.yaml_lines import Located, parse
 from stream.manual import Annotations
@@ -46,18 +47,19 @@ SECTIONS = ("session", "record", "recording", "nodes")
 def load(
     path: Path, *, recorded: Mapping[str, StreamSpec] | None = None, overrides: Mapping[str, Any] | None = None
 ) -> Graph:
-    """Read and check a graph; raises GraphError.
+    """Read and check a graph; raises GraphError. A bare name that is no file here is that of a shipped graph (`kinegraph configs`).
 
     recorded    specs of recorded streams by edge name ("board", "treadmill.emg"), which then stand in for the sources' own
     overrides   settings from the command line, {"envelope.cutoff_hz": 10}, which replace what the file says
     """
-    path = Path(path)
+    path = resolve(Path(path))
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise GraphError(f"this is no text in UTF-8 (byte {error.start})", path=str(path)) from None
     except OSError as error:
         there = [p.name for p in sorted(path.parent.glob("*.y*ml"))] if path.parent.is_dir() else []
+        there += shipped() if path.parent == Path() else ()
         hint = f"; {nearest(path.name, there)}" if there and not path.exists() else ""
         raise GraphError(f"the graph cannot be read: {error.strerror}{hint}", path=str(path)) from None
     return load_text(text, path.stem, path=str(path), recorded=recorded, overrides=overrides)

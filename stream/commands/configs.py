@@ -1,0 +1,41 @@
+"""`kinegraph configs`: the graphs that come with kinegraph, listed, or copied to be changed."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stream.errors import KinegraphError, nearest
+from stream.graph.shipped import shipped, summary
+
+
+def configs(
+    names: Annotated[list[str] | None, typer.Argument(metavar="[NAME]...", help="the graphs to copy")] = None,
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="where the copies go")] = Path(),
+) -> None:
+    """List the graphs that come with kinegraph; with names, copy these into a folder, to be changed there.
+
+    They run by name as they are: `kinegraph run treadmill_emg`. A file of that name in the current folder comes first.
+    """
+    there = shipped()
+    if not there:
+        raise KinegraphError("no graphs are installed with kinegraph; install it from a wheel, or work in a checkout")
+    if not names:
+        width = max(map(len, there))
+        for name, path in there.items():
+            print(f"{name:<{width}}  {summary(path)}")
+        return
+    for name in names:
+        if Path(name).stem not in there:
+            raise KinegraphError(f"there is no shipped graph {name!r}; {nearest(name, there)}")
+    copies = {there[Path(name).stem]: out / there[Path(name).stem].name for name in names}
+    for copy in copies.values():
+        if copy.exists():
+            raise KinegraphError(f"{copy} is there already; choose another --out, or delete it first")
+    out.mkdir(parents=True, exist_ok=True)
+    for path, copy in copies.items():
+        shutil.copyfile(path, copy)
+        print(copy)
