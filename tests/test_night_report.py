@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,10 +15,11 @@ import pytest
 from browser import Browser, needs_browser
 from night_made import EVENING, SPECS, STEP, Night, feed, logged, opened, states
 
-from devices.night import shelf
+from devices.night import figures, shelf
 from devices.night.numbers import CAVEATS, begun_anew, exits, quality, span, table, unseen
-from devices.night.page import render
+from devices.night.page import draw, render
 from stream.chunk import NS
+from stream.errors import DeviceError
 
 
 @pytest.fixture(scope="module")
@@ -178,17 +182,52 @@ def test_the_facts_are_plain_json(drawn: tuple[Path, Night]) -> None:
     assert told["begun"] == EVENING + 40 * STEP and told["numbers"]["convention"] == "AASM"
 
 
-def test_an_edf_of_any_length_can_be_written(tmp_path: Path) -> None:
-    """edfio compares lengths in seconds as floating-point numbers, which for some numbers of epochs differ in the last digit."""
-    import edfio
+# every product by itself ---------------------------------------------------------------------------------------------
 
-    from devices.night.edf import write_edf
 
-    for n in (1, 2, 7, 165, 333, 959, 960, 1201):
-        onset = EVENING + np.arange(n) * STEP
-        texts = {"state": np.full(n, "sleep"), "bed": np.full(n, "in"), "provisional": np.full(n, "sleep")}
-        numbers = {"activity": np.linspace(0, 1, n), "breaths_per_min": np.full(n, np.nan)}
-        epochs = shelf.Epochs(onset, onset + STEP, texts, numbers)
-        write_edf(tmp_path / "n.edf", shelf.Facts("n", EVENING, 30.0, "UTC"), epochs)
-        edf = edfio.read_edf(tmp_path / "n.edf")
-        assert n <= len(edf.signals[0].data) <= n + 50 and len(edf.annotations) == n
+@pytest.fixture
+def copied(drawn: tuple[Path, Night], tmp_path: Path) -> Path:
+    """A night's folder of one's own, nothing drawn yet."""
+    folder = tmp_path / "nights" / drawn[0].name
+    shutil.copytree(drawn[0], folder)
+    for name in shelf.DRAWN:
+        (folder / name).unlink()
+    return folder
+
+
+@pytest.mark.parametrize("lost", shelf.DRAWN)
+def test_a_product_that_cannot_be_written_takes_no_other_with_it(copied: Path, lost: str) -> None:
+    (copied / lost).mkdir()
+    with pytest.raises(shelf.NightError, match=lost):
+        draw(copied)
+    assert all((copied / name).is_file() for name in shelf.DRAWN if name != lost)
+    if lost != "report.html":
+        assert f"Could not be made: {lost}" in (copied / "report.html").read_text()
+    command = [str(Path(sys.executable).parent / "kinegraph"), "nights", "report", "last", "--path", str(copied.parent)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 2 and lost in done.stderr and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("name", ["night_svg", "map_svg", "page_png"])
+def test_a_figure_that_cannot_be_drawn_leaves_the_page_and_its_numbers(
+    copied: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    def broken(*_: object) -> str:
+        raise ValueError("no such font")
+
+    monkeypatch.setattr(figures, name, broken)
+    with pytest.raises(shelf.NightError, match="ValueError: no such font"):
+        draw(copied)
+    page = (copied / "report.html").read_text()
+    assert "Total sleep time" in page and "no such font" in page and (copied / "hypnogram.edf").is_file()
+
+
+def test_a_session_whose_report_is_not_whole_says_which_part_and_fails(tmp_path: Path) -> None:
+    night, log = Night(), opened(tmp_path)
+    log.begin()
+    feed(log, night.told())
+    (tmp_path / "2025-12-31" / "report.png").mkdir()
+    feed(log, night.end())
+    with pytest.raises(DeviceError, match=r"report\.png.*nights report 2025-12-31"):
+        log.close()
+    assert (tmp_path / "2025-12-31" / "report.html").is_file() and (tmp_path / "2025-12-31" / "hypnogram.edf").is_file()

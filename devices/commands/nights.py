@@ -45,8 +45,14 @@ def nights(
     if action is Action.report:
         from devices.night.page import draw
 
+        failed = []
         for folder in folders:
-            typer.echo(draw(folder))
+            try:
+                typer.echo(draw(folder))
+            except KinegraphError as error:
+                failed.append(str(error))
+        if failed:
+            raise KinegraphError("\n".join(failed))
         return
     broken = shelf.damaged(path)
     for folder in folders:

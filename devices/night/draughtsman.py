@@ -35,7 +35,7 @@ class Draughtsman:
             if process.poll() is None:
                 return
             self._at_work = None
-            if not _ended_well(process, folder) and folder.is_dir():
+            if _complaint(process, folder) and folder.is_dir():
                 self._due[folder] = time.monotonic() + AGAIN_S
         for folder, when in self._due.items():
             if time.monotonic() >= when:
@@ -43,7 +43,8 @@ class Draughtsman:
                 return
 
     def finish(self) -> None:
-        """Everything that was ordered, now and once. Raises DeviceError for the first that cannot be drawn."""
+        """Everything that was ordered, now and once. Raises DeviceError, which names every report that is not whole, and why."""
+        failed: list[str] = []
         while self._at_work or self._due:
             if not self._at_work:
                 self._begin(next(iter(self._due)))
@@ -56,10 +57,12 @@ class Draughtsman:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-            if not _ended_well(process, folder) and folder.is_dir():
-                raise DeviceError(
-                    f"no report of {folder}: try `kinegraph nights report {folder.name} --path {folder.parent}`"
-                )
+            complaint = _complaint(process, folder)
+            if complaint and folder.is_dir():
+                again = f"try `kinegraph nights report {folder.name} --path {folder.parent}`"
+                failed.append(f"the report of {folder} is not whole ({complaint}): {again}")
+        if failed:
+            raise DeviceError("\n".join(failed))
 
     def _begin(self, folder: Path) -> None:
         command = [sys.executable, "-m", "devices.night.page", str(folder)]
@@ -79,12 +82,14 @@ class Draughtsman:
             log.debug("report drawn at normal priority")
 
 
-def _ended_well(process: subprocess.Popen[bytes], folder: Path) -> bool:
-    complaint = process.stderr.read().decode(errors="replace").strip().splitlines()[-1:] if process.stderr else []
+def _complaint(process: subprocess.Popen[bytes], folder: Path) -> str:
+    """What the process that has ended says went wrong; "": nothing."""
+    lines = process.stderr.read().decode(errors="replace").strip().splitlines()[-1:] if process.stderr else []
     if process.stderr:
         process.stderr.close()
     if process.returncode:
-        log.error("report not drawn", night=folder.name, why=complaint[0] if complaint else "no reason given")
-        return False
+        complaint = lines[0] if lines else "no reason given"
+        log.error("report not whole", night=folder.name, why=complaint)
+        return complaint
     log.info("report written", page=str(folder / "report.html"))
-    return True
+    return ""

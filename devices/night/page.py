@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -19,7 +20,11 @@ from stream.errors import KinegraphError
 
 
 def draw(folder: Path) -> Path:
-    """Draw everything a night's folder holds; the page's path. Raises NightError, OSError."""
+    """Draw everything a night's folder holds; the page's path.
+
+    Every product is made by itself, so that one which cannot be made takes no other with it; what failed is named in the page.
+    Raises NightError, which names what failed and why, once all the others are written.
+    """
     facts, epochs = shelf.Facts.load(folder), shelf.read_epochs(folder)
     epochs = epochs.part(*span(facts, epochs))
     if not len(epochs):
@@ -27,17 +32,34 @@ def draw(folder: Path) -> Path:
     motion = shelf.read_map(folder)
     rows = table(facts, epochs)
     page, picture, edf = (folder / name for name in shelf.DRAWN)
-    _write(picture, _picture(facts, epochs, motion, rows))
-    write_edf(edf, facts, epochs)
-    _write(page, render(facts, epochs, motion, rows).encode())
+    failed: dict[str, str] = {}
+    _attempt(picture, failed, lambda: _write(picture, _picture(facts, epochs, motion, rows)))
+    _attempt(edf, failed, lambda: write_edf(edf, facts, epochs))
+    _attempt(page, failed, lambda: _write(page, render(facts, epochs, motion, rows, failed).encode()))
+    if failed:
+        why = "; ".join(f"{name}: {reason}" for name, reason in failed.items())
+        made = ", ".join(path.name for path in (page, picture, edf) if path.name not in failed)
+        raise shelf.NightError(
+            f"of the night {folder.name} not everything could be made: {why} (made: {made or 'nothing'})"
+        )
     return page
 
 
-def render(facts: Facts, epochs: Epochs, motion: Samples | None, rows: list[Row]) -> str:
-    """The page's HTML."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+def _attempt(product: Path, failed: dict[str, str], make: Callable[[], None]) -> None:
+    """Make one product; whatever goes wrong with it is kept in `failed`, and ends nothing else."""
+    try:
+        make()
+    except Exception as error:  # noqa: BLE001  (a fault of one product, a library's too, must leave the others; it is named)
+        failed[product.name] = (
+            f"{type(error).__name__}: {error}" if not isinstance(error, KinegraphError) else str(error)
+        )
 
-    from devices.night import figures
+
+def render(
+    facts: Facts, epochs: Epochs, motion: Samples | None, rows: list[Row], failed: dict[str, str] | None = None
+) -> str:
+    """The page's HTML; figures that cannot be drawn are named where they would stand, and added to `failed`."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined
@@ -52,12 +74,30 @@ def render(facts: Facts, epochs: Epochs, motion: Samples | None, rows: list[Row]
         caveats=CAVEATS,
         no_numbers=NO_NUMBERS[facts.closed],
         method=_method(facts),
-        night=figures.night_svg(facts, epochs),
-        map=figures.map_svg(motion) if motion is not None else "",
+        **_figures(facts, epochs, motion, {} if failed is None else failed),
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         epochs=shelf.EPOCHS,
         edf=shelf.DRAWN[2],
+        failed=failed or {},
     )
+
+
+def _figures(facts: Facts, epochs: Epochs, motion: Samples | None, failed: dict[str, str]) -> dict[str, str]:
+    """The figures of the page as SVG, each by itself; "" where there is none."""
+    from devices.night import figures
+
+    made = {"night": "", "map": ""}
+
+    def night() -> None:
+        made["night"] = figures.night_svg(facts, epochs)
+
+    def of_motion(motion: Samples) -> None:
+        made["map"] = figures.map_svg(motion)
+
+    _attempt(Path("hypnogram in report.html"), failed, night)
+    if motion is not None:
+        _attempt(Path("motion map in report.html"), failed, lambda: of_motion(motion))
+    return made
 
 
 HEADLINE = ("Total sleep", "Sleep efficiency", "Sleep onset", "Wake after", "Bed exits")
