@@ -1,7 +1,7 @@
 """Designs, remembered on the disk: scipy.signal takes a second to import, which the second start of a graph can do without.
 
-What a design function gave is kept beside the compiled kernels, in a folder named by a hash of all our sources, under a name made of the
-function, its arguments and the versions of numpy and scipy. It comes back bit for bit.
+What a design function gave is kept beside the compiled kernels, under a name made of the function's fingerprint, its arguments and the
+versions of numpy and scipy. It comes back bit for bit.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 
+from stream.fingerprint import fingerprint
 from stream.kernel import cache_folder
 
 P = ParamSpec("P")
@@ -60,11 +61,16 @@ def _plain(value: np.ndarray) -> Any:
 
 
 def _key(design: Callable[..., object], args: tuple[object, ...], kwargs: dict[str, object]) -> str:
-    digest = hashlib.sha256(f"{design.__module__}.{design.__qualname__}".encode())
+    digest = hashlib.sha256(f"{design.__module__}.{design.__qualname__} {_source(design)}".encode())
     for value in (*_versions(), *args, *sorted(kwargs.items())):
         digest.update(value.tobytes() if isinstance(value, np.ndarray) else b"")
         digest.update(f"{value.shape}{value.dtype}".encode() if isinstance(value, np.ndarray) else repr(value).encode())
     return digest.hexdigest()[:24]
+
+
+@cache
+def _source(design: Callable[..., object]) -> str:
+    return fingerprint(design)
 
 
 @cache

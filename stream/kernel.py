@@ -1,38 +1,41 @@
 """The one compiler: `@kernel` turns a function of arrays into machine code, cached so that no stale code is ever used.
 
-Numba's own disk cache watches one file, so an edit in a kernel that another file's kernel calls goes unseen. Here the cache's folder
-is named by a hash of all sources of the three packages (and of the package that a user's own kernel lives in), so that an edit anywhere
-opens a new folder; folders that were not used for a month are removed.
+Numba's own disk cache watches one file, so an edit in a kernel that another file's kernel calls goes unseen. Here the folder in which a
+kernel is kept is named by its fingerprint (`stream.fingerprint`): a hash of all that its code depends on, of ours and of a user's. An edit
+opens new folders for the kernels that it can change; folders that were not used for a month are removed.
 """
 
 from __future__ import annotations
 
 import hashlib
 import importlib.util
-import inspect
 import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from threading import Lock
 from typing import Any, ParamSpec, TypeVar, overload
 
 import numba
 import platformdirs
+from numba.core import caching
 from numba.core import config as numba_config
 
 from stream.errors import KinegraphError
+from stream.fingerprint import fingerprint
 
 config: Any = numba_config
+FunctionCache: Any = caching.FunctionCache
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_HOUSE = Path(__file__).resolve().parent.parent
-_PACKAGES = ("stream", "devices", "operators")
 _MONTH_S = 30 * 24 * 3600
+_choosing = Lock()
+"""Numba's folder is one setting for the whole process."""
 
 
 @overload
@@ -53,13 +56,31 @@ def kernel(function: Callable[P, R] | None = None, /, *, nogil: bool = False) ->
 
 
 def _compile(function: Callable[P, R], nogil: bool) -> Callable[P, R]:
-    package = _package_of(function)
-    folder = cache_folder(package)
-    if package:  # what is kept names the module it came from, and a file of one's own may be imported by several names
-        folder /= function.__module__
-    with _kept_in(folder):
-        compiled: Callable[P, R] = numba.njit(cache=True, nogil=nogil, error_model="numpy")(function)
-    return compiled
+    cache_folder()
+    compiled: Any = numba.njit(nogil=nogil, error_model="numpy")(function)
+    compiled._cache = _Kept(function)
+    return compiled  # type: ignore[no-any-return]
+
+
+class _Kept:
+    """Numba's cache of one kernel, opened at the first compilation: only then is all imported that the kernel depends on."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self._opened: Any = None
+
+    def __getattr__(self, name: str) -> Any:
+        if self._opened is None:
+            folder = cache_folder() / f"{self._function.__module__}-{fingerprint(self._function)}"
+            folder.mkdir(exist_ok=True)
+            os.utime(folder)
+            with _choosing:
+                before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
+                try:
+                    self._opened = FunctionCache(self._function)
+                finally:
+                    config.CACHE_DIR = before
+        return getattr(self._opened, name)
 
 
 def is_kernel(candidate: object) -> bool:
@@ -72,9 +93,7 @@ def is_kernel(candidate: object) -> bool:
 def compile_written(name: str, signature: str, source: str, kernels: Sequence[Callable[..., Any]]) -> Any:
     """Compile the function `name` of a source that calls these kernels as step0, step1, ...; source and code are kept for the next time."""
     imports = "".join(f"from {k.__module__} import {k.__name__} as step{i}\n" for i, k in enumerate(kernels))
-    folders = {str(cache_folder(_package_of(k.py_func))) for k in kernels}  # type: ignore[attr-defined]
-    digest = hashlib.sha256("\n".join([*sorted(folders), imports, source]).encode()).hexdigest()[:20]
-    module_name = f"kinegraph_row_{digest}"
+    module_name = f"kinegraph_row_{hashlib.sha256((imports + source).encode()).hexdigest()[:20]}"
     module = sys.modules.get(module_name)
     if module is None:
         path = _written_down(f"{module_name}.py", imports + source)
@@ -83,8 +102,10 @@ def compile_written(name: str, signature: str, source: str, kernels: Sequence[Ca
         module = sys.modules[module_name] = importlib.util.module_from_spec(spec)
         try:
             spec.loader.exec_module(module)
-            with _kept_in(cache_folder()):
-                setattr(module, name, numba.njit(signature, cache=True, error_model="numpy")(getattr(module, name)))
+            compiled: Any = _compile(getattr(module, name), nogil=False)
+            compiled.compile(signature)
+            compiled.disable_compile()
+            setattr(module, name, compiled)
         except BaseException:
             del sys.modules[module_name]
             raise
@@ -108,48 +129,18 @@ def _written_down(name: str, source: str) -> Path:
     return path
 
 
-@contextmanager
-def _kept_in(folder: Path) -> Iterator[None]:
-    """Within: what numba compiles is kept in this folder."""
-    before = config.CACHE_DIR
-    config.CACHE_DIR = str(folder)
-    try:
-        yield
-    finally:
-        config.CACHE_DIR = before
-
-
 @cache
-def _package_of(function: Callable[..., object]) -> Path | None:
-    """The folder of a user's own package, or of a file in none; None for ours."""
-    path = Path(inspect.getfile(function)).resolve()
-    if any(path.is_relative_to(_HOUSE / package) for package in _PACKAGES):
-        return None
-    folder = path.parent
-    while (folder / "__init__.py").exists() and (folder.parent / "__init__.py").exists():
-        folder = folder.parent
-    return folder
-
-
-@cache
-def cache_folder(user: Path | None = None) -> Path:
-    """Where compiled kernels are kept: named by a hash of all our sources and, if given, of a user's package (or folder of files)."""
-    digest = hashlib.sha256()
-    for root in [_HOUSE / package for package in _PACKAGES] + ([user] if user else []):
-        deep = root != user or (root / "__init__.py").exists()
-        for file in sorted(root.rglob("*.py") if deep else root.glob("*.py")):
-            digest.update(str(file.relative_to(root)).encode())
-            digest.update(file.read_bytes())
-    top = Path(os.environ.get("KINEGRAPH_CACHE", platformdirs.user_cache_dir("kinegraph"))) / "kernels"
-    folder = top / digest.hexdigest()[:20]
+def cache_folder() -> Path:
+    """Where compiled kernels are kept, each in a folder of its own."""
+    folder = Path(os.environ.get("KINEGRAPH_CACHE", platformdirs.user_cache_dir("kinegraph"))) / "kernels"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
     except OSError as error:
         raise KinegraphError(
-            f"compiled kernels cannot be kept in {top}: {error.strerror}; set KINEGRAPH_CACHE to a folder that can be written"
+            f"compiled kernels cannot be kept in {folder}: {error.strerror}; set KINEGRAPH_CACHE to a folder that can be written"
         ) from None
-    _forget_unused(top)
+    _forget_unused(folder)
     return folder
 
 

@@ -118,3 +118,56 @@ def test_sums_keep_their_order() -> None:
     for v in x:
         plain += v
     assert total(x) == plain
+
+
+LATE = """
+from stream.kernel import kernel
+from factors import FACTORS
+from inner_gain import inner
+
+@kernel
+def outer(x):
+    return below(x) + 1.0
+
+@kernel
+def below(x):
+    return inner(x) * FACTORS[0]
+"""
+
+
+def test_what_stands_further_down_and_constants_of_other_files_count(tmp_path: Path) -> None:
+    """A kernel may call what its file defines only later, which reaches into other files."""
+    cache = tmp_path / "cache"
+    write(tmp_path / "late_gain.py", LATE)
+    write(tmp_path / "inner_gain.py", INNER.format(factor=10.0))
+    write(tmp_path / "factors.py", "FACTORS = (1.0, 2.0)")
+    assert run(tmp_path, "late_gain", cache)[0] == 31.0
+    assert run(tmp_path, "late_gain", cache) == (31.0, 0)
+    write(tmp_path / "inner_gain.py", INNER.format(factor=20.0))
+    assert run(tmp_path, "late_gain", cache)[0] == 61.0, "a callee of a callee"
+    write(tmp_path / "factors.py", "FACTORS = (2.0, 2.0)")
+    assert run(tmp_path, "late_gain", cache)[0] == 121.0, "a constant of another file"
+
+
+def test_an_edit_elsewhere_compiles_nothing(tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    write(tmp_path / "outer_gain.py", OUTER.format(inner="inner_gain"))
+    write(tmp_path / "inner_gain.py", INNER.format(factor=10.0))
+    write(tmp_path / "beside.py", "x = 1")
+    assert run(tmp_path, "outer_gain", cache)[1] > 0
+    write(tmp_path / "beside.py", "x = 2")
+    assert run(tmp_path, "outer_gain", cache) == (31.0, 0)
+
+
+def test_every_process_takes_the_same_fingerprints() -> None:
+    """No address, order of a set or time of day may get into one: the cache would never be found again."""
+    code = (
+        "import operators.neighbours.operator as o, operators.iir as i\n"
+        "from stream.fingerprint import fingerprint as f\n"
+        "print([f(v.py_func) for m in (o, i) for n, v in sorted(vars(m).items()) if hasattr(v, 'py_func')])"
+    )
+    told = {
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+        for _ in range(2)
+    }
+    assert len(told) == 1 and len(told.pop()) > 60

@@ -1,0 +1,129 @@
+"""What a function depends on, as a hash: its own file, and what its code reaches in other files through global names.
+
+Kernels are cached under it, so an edit recompiles the kernels that it can change and no others. Names are followed to the values that they
+have when the fingerprint is taken: through functions, kernels, intrinsics and modules, of ours and of a user's; constants count by value.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+import sysconfig
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
+from typing import Any
+
+import numpy as np
+
+OURS = ("stream", "devices", "operators")
+_PLAIN = (int, float, complex, str, bytes, type(None), np.dtype, np.generic)
+_LIBRARIES = tuple(
+    str(Path(path).resolve()) for name, path in sysconfig.get_paths().items() if name in ("stdlib", "platstdlib")
+)
+
+
+def fingerprint(function: Callable[..., Any]) -> str:
+    """A hash of the sources and constants that `function` depends on. Take it when the function's module is imported whole."""
+    home = function.__module__.partition(".")[0]
+    facts: set[str] = set()
+    waiting: list[object] = [function]
+    seen: list[object] = []  # kept, so that no id is given out twice
+    known: set[int] = set()
+    while waiting:
+        thing = waiting.pop()
+        if id(thing) in known:
+            continue
+        known.add(id(thing))
+        seen.append(thing)
+        if isinstance(thing, FunctionType):
+            facts.add(_source(thing))
+            found = list(_reached(thing))
+        else:
+            found = [thing]
+        for value in found:
+            if constant := _constant(value):
+                facts.add(constant)
+            elif isinstance(value, tuple | list | frozenset | set):
+                waiting += value
+            elif _is_followed(value, home):
+                waiting += _inside(value)
+                facts.add(_file(_module_of(value)))
+    return hashlib.sha256("\n".join(sorted(facts)).encode()).hexdigest()[:20]
+
+
+def _reached(function: FunctionType) -> Iterator[object]:
+    """What the names in a function's code, defaults and closure stand for. A module's names are those that the code asks of modules."""
+    names = set(_names(function.__code__))
+    reached = [function.__globals__[name] for name in names if name in function.__globals__]
+    for value in reached:
+        yield value
+        if isinstance(value, ModuleType):
+            yield from (vars(value)[name] for name in names if name in vars(value) and not _is_library(value))
+    yield from function.__defaults__ or ()
+    for cell in function.__closure__ or ():
+        yield cell.cell_contents
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _names(constant)
+
+
+def _constant(value: object) -> str | None:
+    """A constant as it counts; None for what has to be followed."""
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
+    return f"{type(value).__name__} {value!r}" if isinstance(value, _PLAIN) else None
+
+
+def _inside(value: object) -> list[object]:
+    """The functions in a kernel or intrinsic, or the function itself; of any other object, the constants of its module."""
+    function = getattr(value, "py_func", None) or getattr(value, "_defn", None) or value
+    if isinstance(function, FunctionType):
+        return [function]
+    module = sys.modules.get(_module_of(value))
+    return [] if module is None else [v for v in vars(module).values() if isinstance(v, (*_PLAIN, np.ndarray))]
+
+
+def _module_of(value: object) -> str:
+    if isinstance(value, ModuleType):
+        return value.__name__
+    return str(getattr(value, "__module__", None) or type(value).__module__)
+
+
+def _is_followed(value: object, home: str) -> bool:
+    name = _module_of(value)
+    module = sys.modules.get(name)
+    return name.partition(".")[0] in (*OURS, home) or (module is not None and not _is_library(module))
+
+
+def _is_library(module: ModuleType) -> bool:
+    """Whether a module is Python's own or an installed package of somebody else's."""
+    if module.__name__.partition(".")[0] in OURS:
+        return False
+    path = getattr(module, "__file__", None)
+    return path is None or "site-packages" in path or "dist-packages" in path or path.startswith(_LIBRARIES)
+
+
+def _source(function: FunctionType) -> str:
+    """The hash of a function's file; of its code alone, where there is no file (a notebook's cell)."""
+    code = function.__code__
+    return _hash_of(code.co_filename) or f"{code.co_code.hex()} {code.co_consts!r}"
+
+
+def _file(name: str) -> str:
+    path = getattr(sys.modules.get(name), "__file__", None)
+    return _hash_of(path) if path else name
+
+
+@cache
+def _hash_of(path: str) -> str:
+    """The hash of a file, empty where it cannot be read."""
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError:
+        return ""
