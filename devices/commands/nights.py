@@ -78,7 +78,7 @@ def _list(root: Path) -> None:
     )
     found = shelf.nights(root)
     for folder, facts in found:
-        zone, n = shelf.zone_of(facts.timezone), facts.numbers
+        zone, n = shelf.night_zone(facts), facts.numbers
         begin = shelf.clock(int(n.get("onset", facts.begun)), zone)
         minutes = round(n.get("tst") or 0)
         asleep = f"{minutes // 60} h {minutes % 60:02d} min" if n else ""

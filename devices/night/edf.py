@@ -9,7 +9,7 @@ import numpy as np
 
 from devices.night.edf_plus import EdfSignal, Head, Note, encode
 from devices.night.numbers import exits
-from devices.night.shelf import Epochs, Facts, clock, zone_of
+from devices.night.shelf import Epochs, Facts, clock, night_zone
 from stream.chunk import NS, Samples
 
 STAGES = {"wake": "Sleep stage W", "sleep": "Sleep stage S", "unknown": "Sleep stage ?"}
@@ -23,7 +23,7 @@ def write_edf(path: Path, facts: Facts, epochs: Epochs) -> None:
     step = round(facts.epoch_s * NS)
     begin = int(epochs.onset[0])
     place = (epochs.onset - begin + step // 2) // step
-    head = Head(_word(str(facts.session.get("subject", "X"))), "kinegraph", clock(begin, zone_of(facts.timezone)))
+    head = Head(_word(str(facts.session.get("subject", "X"))), "kinegraph", clock(begin, night_zone(facts)))
     notes = [Note(max(0, t - begin), length, text) for t, length, text in _notes(facts, epochs) if t >= begin - step]
     signals = [_signal(name, unit, epochs.numbers[of], place) for name, of, unit in SIGNALS if _known(epochs, of)]
     content = encode(head, step, signals, notes)

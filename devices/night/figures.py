@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from devices.night.numbers import CAVEATS, NO_NUMBERS, Row, exits, runs, span, unseen
-from devices.night.shelf import Epochs, Facts, clock, zone_of
+from devices.night.shelf import Epochs, Facts, clock, night_zone
 from stream.chunk import NS, Array, Samples
 
 INK, SLEEP, WAKE, OUT, GONE, DOT = "#12395b", "#2f6690", "#d98a29", "#7a7a7a", "#e3e0d9", "#2f7d4f"
@@ -98,12 +98,12 @@ def _three(figure: Figure, facts: Facts, epochs: Epochs, place: tuple[float, flo
         top -= share * height
         panels.append(figure.add_axes((left, top, width, share * height), sharex=panels[0] if panels else None))
         top -= gap
-    x = _days(epochs.onset, facts), _days(epochs.end, facts)
+    x = days(epochs.onset, facts), days(epochs.end, facts)
     _hypnogram(panels[0], facts, epochs, x)
     _activity(panels[1], facts, epochs, x)
     if breathes:
         _breathing(panels[2], epochs, x)
-    begin, end = _days(np.array(span(facts, epochs)), facts)
+    begin, end = days(np.array(span(facts, epochs)), facts)
     for panel in panels:
         panel.set_xlim(begin, end)
         panel.tick_params(labelbottom=panel is panels[-1])
@@ -128,9 +128,9 @@ def _hypnogram(axes: Axes, facts: Facts, epochs: Epochs, x: tuple[Array, Array])
     if n:
         names = ("in bed", "out of bed") if n["estimated"] else ("lights off", "lights on")
         for name, key, side in ((names[0], "onset", "left"), (names[1], "end", "right")):
-            at = _days(np.array([n[key]]), facts)[0]
+            at = days(np.array([n[key]]), facts)[0]
             axes.axvline(at, color=INK, linewidth=0.7, linestyle=(0, (4, 2)))
-            text = f"{name} {clock(int(n[key]), zone_of(facts.timezone)):%H:%M}"
+            text = f"{name} {clock(int(n[key]), night_zone(facts)):%H:%M}"
             axes.annotate(
                 text,
                 (at, 2.72),
@@ -146,7 +146,7 @@ def _hypnogram(axes: Axes, facts: Facts, epochs: Epochs, x: tuple[Array, Array])
             handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False, borderpad=0, handlelength=1.6
         )
     for stretch in exits(facts):
-        at = _days(np.array([stretch.begin]), facts)[0]
+        at = days(np.array([stretch.begin]), facts)[0]
         axes.plot([at], [2.0], marker=7, color=INK, markersize=4, linewidth=0)
 
 
@@ -175,7 +175,7 @@ def _breathing(axes: Axes, epochs: Epochs, x: tuple[Array, Array]) -> None:
 
 def _unseen(axes: Axes, facts: Facts, epochs: Epochs) -> None:
     for stretch in unseen(epochs):
-        begin, end = _days(np.array([stretch.begin, stretch.end]), facts)
+        begin, end = days(np.array([stretch.begin, stretch.end]), facts)
         axes.axvspan(begin, end, facecolor=GONE, edgecolor="#9a978f", hatch="////", linewidth=0, zorder=0)
 
 
@@ -227,9 +227,9 @@ def _beside(figure: Figure, seen: list[tuple[str, str]], top: float) -> None:
         y -= 0.0165 + 0.0096 * len(lines)
 
 
-def _days(time: Array, facts: Facts) -> Array:
+def days(time: Array, facts: Facts) -> Array:
     """Times as matplotlib counts days, on the wall clock of the night's beginning (so that no hour is drawn twice)."""
-    shift = clock(facts.begun, zone_of(facts.timezone)).utcoffset() or timedelta()
+    shift = night_zone(facts).utcoffset(None) or timedelta()
     return (np.asarray(time, np.int64) + int(shift.total_seconds()) * NS) / (86_400 * NS)
 
 

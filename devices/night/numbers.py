@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from devices.night.shelf import Epochs, Facts, clock, zone_of
+from devices.night.shelf import Epochs, Facts, clock, night_zone
 from stream.chunk import NS
 
 CAVEATS = (
@@ -142,7 +142,7 @@ def unseen(epochs: Epochs) -> list[Stretch]:
 
 def quality(facts: Facts, epochs: Epochs) -> list[tuple[str, str]]:
     """What was seen of the night, and what was not."""
-    zone = zone_of(facts.timezone)
+    zone = night_zone(facts)
     n = len(epochs)
     if not n:
         return [("Epochs", "none")]

@@ -14,7 +14,7 @@ from pathlib import Path
 from devices.night import shelf
 from devices.night.edf import write_edf
 from devices.night.numbers import CAVEATS, NO_NUMBERS, Row, begun_anew, quality, span, table
-from devices.night.shelf import Epochs, Facts, clock, zone_of
+from devices.night.shelf import Epochs, Facts, clock, night_zone, zone_of
 from stream.chunk import Samples
 from stream.errors import KinegraphError
 
@@ -105,14 +105,14 @@ HEADLINE = ("Total sleep", "Sleep efficiency", "Sleep onset", "Wake after", "Bed
 
 def title(facts: Facts) -> str:
     """Which night it is: the evening's date, as in the folder's name."""
-    evening = shelf.evening(int(facts.numbers.get("onset", facts.begun)), zone_of(facts.timezone))
+    evening = shelf.evening(int(facts.numbers.get("onset", facts.begun)), night_zone(facts))
     whose = f", {facts.sleeper}" if facts.sleeper else ""
     return f"Night of {evening:%A}, {evening.day} {evening:%B %Y}{whose}"
 
 
 def line(facts: Facts, epochs: Epochs) -> str:
     """From when to when, by which convention, and whether anyone really slept there."""
-    zone, n = zone_of(facts.timezone), facts.numbers
+    zone, n = night_zone(facts), facts.numbers
     if not n:
         return f"Since {clock(facts.begun, zone):%H:%M}. {NO_NUMBERS[facts.closed]}"
     begin, end = clock(int(n["onset"]), zone), clock(int(n["end"]), zone)
@@ -121,7 +121,13 @@ def line(facts: Facts, epochs: Epochs) -> str:
     )
     made_up = "  ·  simulated" if facts.session.get("simulated_sources") or facts.meta.get("simulated") else ""
     anew = f", of a night that began at {clock(facts.begun, zone):%H:%M}" if begun_anew(facts, epochs) else ""
-    return f"{begin:%H:%M} to {end:%H:%M} {end:%Z}{anew}  ·  by {by}  ·  numbers by the definitions of {n['convention']}{made_up}"
+    new = clock(int(n["end"]), zone_of(facts.timezone))
+    changed = (
+        f" (the clocks changed that night: by the new time ({new:%Z}) it ended at {new:%H:%M})"
+        if new.utcoffset() != end.utcoffset()
+        else ""
+    )
+    return f"{begin:%H:%M} to {end:%H:%M} {end:%Z}{changed}{anew}  ·  by {by}  ·  numbers by the definitions of {n['convention']}{made_up}"
 
 
 def _method(facts: Facts) -> str:

@@ -14,7 +14,7 @@ import json
 import os
 import shutil
 from dataclasses import asdict, dataclass, field, fields
-from datetime import UTC, date, datetime, timedelta, tzinfo
+from datetime import UTC, date, datetime, timedelta, timezone, tzinfo
 from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
@@ -204,6 +204,12 @@ def bytes_of(folder: Path) -> int:
 def zone_of(name: str) -> tzinfo | None:
     """A time zone by its name; None, the computer's own, where none is named. Raises KeyError or ValueError."""
     return ZoneInfo(name) if name else None
+
+
+def night_zone(facts: Facts) -> tzinfo:
+    """The clock that a night began with, by which every time of it is told: no hour comes twice where the clocks change."""
+    begun = clock(facts.begun, zone_of(facts.timezone))
+    return timezone(begun.utcoffset() or timedelta(), begun.tzname() or "UTC")
 
 
 def clock(time: int, zone: tzinfo | None) -> datetime:
