@@ -58,9 +58,32 @@ def ns(hours: float) -> int:
         # a short rest is none
         ([(1, "in"), (1.5, "out"), (6, "in"), (12, "out"), (20, "unknown")], None, [(13.5, 6, 12, "detected")]),
         # the lights say when, though one reads in bed before and stays in it afterwards
-        ([(1, "in"), (9, "out"), (24, "unknown")], [(2, False), (8, True)], [(8, 2, 8, "lights")]),
+        ([(1, "in"), (9, "out"), (24, "unknown")], [(2, False), (8, True)], [(8.33, 2, 8, "lights")]),
         # the lights go off, then one goes to bed
-        ([(0, "out"), (2.2, "in"), (9, "out"), (24, "unknown")], [(2, False), (8, True)], [(8, 2, 8, "lights")]),
+        ([(0, "out"), (2.2, "in"), (9, "out"), (24, "unknown")], [(2, False), (8, True)], [(8.33, 2, 8, "lights")]),
+        # a light at three in the morning, in bed; the same, out of bed; the same, and the bed is taken again with the light on
+        ([(1, "in"), (9, "out"), (24, "unknown")], [(2, False), (5, True), (5.17, False), (8, True)], [(8.33, 2, 8, "lights")]),
+        (
+            [(1, "in"), (5.02, "out"), (5.17, "in"), (9, "out"), (24, "unknown")],
+            [(2, False), (5, True), (5.2, False), (8, True)],
+            [(8.33, 2, 8, "lights")],
+        ),
+        ([(1, "in"), (4.98, "out"), (5.17, "in"), (8, "out"), (24, "unknown")], [(2, False), (5, True)], [(9.5, 2, 8, "detected")]),
+        # the light stays on for half an hour: the night was over, and another one begins
+        (
+            [(1, "in"), (9, "out"), (24, "unknown")],
+            [(2, False), (5, True), (5.5, False), (8, True)],
+            [(5.33, 2, 5, "lights"), (8.33, 5.5, 8, "lights")],
+        ),
+        (
+            [(1, "in"), (5.02, "out"), (5.5, "in"), (9, "out"), (24, "unknown")],
+            [(2, False), (5, True)],
+            [(5.33, 2, 5, "lights"), (10.5, 5.5, 9, "detected")],
+        ),
+        # up for an hour and a half when the lights come on: the lights say when
+        ([(1, "in"), (7, "out"), (24, "unknown")], [(2, False), (8.3, True)], [(8.63, 2, 8.3, "lights")]),
+        # everything ends before it is known whether the bed is taken again
+        ([(1, "in"), (8.05, "out")], [(2, False), (8, True)], [(8.33, 2, 8, "lights")]),
         # nobody switched them on again
         ([(1, "in"), (8, "out"), (20, "unknown")], [(2, False)], [(9.5, 2, 8, "detected")]),
         # nobody ever leaves
@@ -75,6 +98,12 @@ def test_nights(
     bed: list[tuple[float, str]], lights: list[tuple[float, bool]] | None, nights: list[tuple[float, ...]]
 ) -> None:
     assert told(Nights(), bed, lights) == nights
+
+
+def test_with_rejoin_min_0_the_lights_end_a_night_at_once() -> None:
+    lights = [(2.0, False), (5.0, True), (5.1, False), (8.0, True)]
+    bed = [(1.0, "in"), (9.0, "out"), (24.0, "unknown")]
+    assert told(Nights(rejoin_min=0.0), bed, lights) == [(5, 2, 5, "lights"), (8, 5.1, 8, "lights")]
 
 
 def test_another_sleeper_has_other_nights() -> None:

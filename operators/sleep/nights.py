@@ -27,6 +27,7 @@ class NightsState:
     left    when the bed was left; NEVER: somebody is in it. begun, gone: the stamps at which onset and left became known
     state   of the bed, as it was told last
     dark    when the lights went off, while nobody is in bed; NEVER: they did not
+    lit     when the lights came on in a night by the lights, which they end unless it is joined; NEVER: they are off
     done    the lights came on and the night was told; the next begins after the bed was left
     exits   how often the bed was left in the open night; lost: what the next emission says is missing before it
     """
@@ -36,6 +37,7 @@ class NightsState:
     left: int
     state: str
     dark: int
+    lit: int
     done: bool
     exits: int
     begun: int
@@ -52,7 +54,9 @@ class Nights(Operator[NightsState]):
 
     A night begins when the lights go off (in bed, or at most `apart_h` before), else when somebody goes to bed. It ends when the lights
     come on, if they went off, else when the bed was left and nobody has come back for `apart_h`: with the moment at which it was left,
-    told that much later. `moving` counts the times that the bed was left. Shorter times than `shortest_h` are no night. A bed of which
+    told that much later. Lights that go off again within `rejoin_min`, or a bed that is left and taken again within that, make it one
+    night: a light at three in the morning is a part of it. So an end by the lights is told `rejoin_min` later.
+    `moving` counts the times that the bed was left. Shorter times than `shortest_h` are no night. A bed of which
     nothing is known (the camera is gone) counts as it was before; a night ends `longest_h` after its beginning at the latest. When
     everything ends while somebody is in bed, the night has no end, and is not told.
     """
@@ -62,6 +66,9 @@ class Nights(Operator[NightsState]):
     departures: ClassVar[dict[str, str]] = {}
 
     apart_h: float = param(1.5, above=0.0, most=8.0, help="so long out of bed ends a night")
+    rejoin_min: float = param(
+        20.0, least=0.0, most=90.0, help="lights off or the bed taken again within so long: the same night; 0: never"
+    )
     shortest_h: float = param(1.0, least=0.0, help="shorter times in bed are no night")
     longest_h: float = param(20.0, above=0.0, most=36.0, help="longer than this no night is")
     sleeper: str = param("", help="whose nights, where `bed` tells of several")
@@ -78,7 +85,7 @@ class Nights(Operator[NightsState]):
             raise ParameterError(
                 "longest_h", self.longest_h, f"above shortest_h, {self.shortest_h:g}: nothing else is a night"
             )
-        self.hold(NightsState(NEVER, "", NEVER, "", NEVER, False, 0, NEVER, NEVER, 0))
+        self.hold(NightsState(NEVER, "", NEVER, "", NEVER, NEVER, False, 0, NEVER, NEVER, 0))
         return {"out": StreamSpec((), NIGHTS, units=("ns", "ns", "min", "", ""), meta=dict(bed.meta))}
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
@@ -131,6 +138,8 @@ class Nights(Operator[NightsState]):
                 recent = s.dark != NEVER and stamp - s.dark <= self.apart_h * HOUR
                 s.onset, s.by = (s.dark, "lights") if recent else (onset, "")
                 s.dark, s.exits, s.begun = NEVER, 0, stamp
+            if s.left != NEVER:
+                s.lit = NEVER
             s.left = NEVER
         elif state == "out" and s.state != "out":
             s.left, s.gone, s.done, s.exits = onset, stamp, False, s.exits + 1
@@ -140,7 +149,7 @@ class Nights(Operator[NightsState]):
     def _lights(self, stamp: int, on: bool, made: Rows) -> None:
         s = self.state
         if not on:
-            s.done = False
+            s.done, s.lit = False, NEVER
             if s.onset != NEVER and s.by != "lights":
                 s.onset, s.by = stamp, "lights"
             elif s.onset == NEVER:
@@ -148,14 +157,19 @@ class Nights(Operator[NightsState]):
                 s.begun = stamp
         else:
             s.dark = NEVER
-            if s.onset != NEVER and s.by == "lights":
-                s.done = s.state == "in"
-                self._tell(stamp, stamp, made)
+            if s.onset != NEVER and s.by == "lights" and s.lit == NEVER:
+                s.lit = stamp
+                if not self.rejoin_min:
+                    self._tell_by_lights(made)
 
     def _pass(self, until: int, made: Rows) -> None:
         """End the night whose time has come."""
         s = self.state
         if s.onset == NEVER:
+            return
+        if s.lit != NEVER:  # which is decided first, whatever else has become due meanwhile
+            if until >= s.lit + round(self.rejoin_min * 60 * NS):
+                self._tell_by_lights(made)
             return
         away = s.gone + round(self.apart_h * HOUR) if s.left != NEVER else FOREVER
         latest = s.begun + round(self.longest_h * HOUR)
@@ -166,16 +180,24 @@ class Nights(Operator[NightsState]):
     def _end(self, made: Rows) -> None:
         """Nothing follows: whoever has left the bed does not come back. A night with somebody in bed has no end."""
         s = self.state
-        if s.onset != NEVER and s.left != NEVER:
+        if s.onset != NEVER and s.lit != NEVER:
+            self._tell_by_lights(made)
+        elif s.onset != NEVER and s.left != NEVER:
             s.by = ""
             self._tell(s.gone + round(self.apart_h * HOUR), s.left, made)
+
+    def _tell_by_lights(self, made: Rows) -> None:
+        """The lights stayed on: with them the night was over."""
+        s = self.state
+        s.done = s.state == "in"
+        self._tell(s.lit + round(self.rejoin_min * 60 * NS), s.lit, made)
 
     def _tell(self, stamp: int, end: int, made: Rows) -> None:
         s = self.state
         if end - s.onset >= self.shortest_h * HOUR:
             minutes = (end - s.onset) / (60 * NS)
             made.append((stamp, (s.onset, end, minutes, s.exits, s.by or "detected")))
-        s.onset, s.by, s.left, s.exits = NEVER, "", NEVER, 0
+        s.onset, s.by, s.left, s.lit, s.exits = NEVER, "", NEVER, NEVER, 0
 
     def _chunk(self, made: Rows, until: int) -> Chunk:
         s = self.state

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
+import structlog
 
 from operators.sleep.night import Convention, night
 from operators.sleep.periods import PERIOD, scored, some_epochs
@@ -50,6 +51,8 @@ UNITS = ("ns", "ns", "ns", "ns", "", "", "", "", "", *("min",) * (len(MINUTES) +
 BEDS = ("lights", "schedule", "detected", "recording")
 MOST_ASKED = 16
 
+log = structlog.get_logger(__name__)
+
 
 @dataclass(slots=True)
 class StatisticsState:
@@ -58,6 +61,7 @@ class StatisticsState:
     asked   (MOST_ASKED, 3)  times in bed whose last epoch is not final yet: begin, end, place in BEDS; the first `asks` hold
     dark    when the lights went off; NEVER: they are on. window (2,): the schedule's present night; NEVER: not known yet
     last    the newest stamp of any input. bed: what the time in bed is by
+    known   end of the newest epoch that was scored; NEVER: none was since the last row. parted: nothing counts until one is
     """
 
     epoch_ns: int
@@ -71,6 +75,8 @@ class StatisticsState:
     window: Times
     last: int
     bed: str
+    known: int
+    parted: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +87,7 @@ class SleepStatistics(Operator[StatisticsState]):
     lights     the port: 0 (or field `on` false) lights off, anything else lights on; a button, MQTT, `stream.manual.Value`
     schedule   the parameter, e.g. 22:30-07:00 in `timezone`
     periods    the port: of SleepPeriods, or of Nights (which knows of the lights where somebody switched them)
-    (nothing)  all that was recorded, at most `longest_h` a row
+    (nothing)  all that was recorded, at most `longest_h` a row; where nothing is known for `apart_h`, the next night begins
 
     `estimated` is true for the last two (and for lights that never came on again): then `tib` is only a "time in bed", `sol` an
     estimate.
@@ -89,7 +95,8 @@ class SleepStatistics(Operator[StatisticsState]):
     `se`, `movement`, `fragmentation`, `total_fragmentation` in %. Unknown epochs enter no numerator; `_low` and `_high` bound what they
     leave open. sleep_onset, sleep_end: 0 where there was no sleep. Epochs that were never told are unknown.
 
-    Memory: `longest_h` of epochs; of longer times in bed the beginning is unknown.
+    Lights that stay off longer than `longest_h` are no night, nor is a scheduled one of which nothing was scored: they have no row, and
+    the log says so. Memory: `longest_h` of epochs.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("epochs", "lights", "periods")
@@ -102,6 +109,7 @@ class SleepStatistics(Operator[StatisticsState]):
     schedule: str = param("", help="lights off and on every day, HH:MM-HH:MM")
     timezone: str = param("UTC", help="in which the schedule is meant, e.g. Europe/Berlin")
     longest_h: float = param(24.0, least=0.1, most=48.0, help="the longest time in bed")
+    apart_h: float = param(3.0, above=0.0, help="of a recording as a whole: so long without a score parts two nights")
 
     def open(self, specs: Specs) -> Specs:
         spec = scored(specs["epochs"], "epochs")
@@ -133,7 +141,7 @@ class SleepStatistics(Operator[StatisticsState]):
         self.hold(
             StatisticsState(
                 round(epoch_s * NS), np.zeros(n, np.int64), np.zeros(n, np.int8), np.zeros(n), 0,
-                np.zeros((MOST_ASKED, 3), np.int64), 0, NEVER, np.array([NEVER, NEVER]), NEVER, bed,
+                np.zeros((MOST_ASKED, 3), np.int64), 0, NEVER, np.array([NEVER, NEVER]), NEVER, bed, NEVER, False,
             )
         )  # fmt: skip
         meta = {**spec.meta, "convention": self.convention, "bed": bed}
@@ -147,7 +155,7 @@ class SleepStatistics(Operator[StatisticsState]):
             s.last = max(s.last, stamp)
             if port == "epochs":
                 if chunk.data[k]["final"]:
-                    self._epoch(chunk.data[k])
+                    self._epoch(chunk.data[k], made)
             elif port == "lights":
                 self._lights(stamp, bool(chunk.data[k]["on"]) if chunk.data.dtype.names else chunk.data[k].item(0) != 0)
             else:
@@ -219,10 +227,28 @@ class SleepStatistics(Operator[StatisticsState]):
                 return first, stop
         return onset, onset + 1
 
-    def _epoch(self, event: Array) -> None:
+    def _apart(self, onset: int, state: str, made: list[tuple[Any, ...]]) -> bool:
+        """End the row where nothing was known for `apart_h`; whether the epoch is one of those that lie between two nights."""
+        s = self.state
+        end = onset + s.epoch_ns
+        if (
+            s.count
+            and s.known != NEVER
+            and (onset if state != "unknown" else end) - s.known >= self.apart_h * 3600 * NS
+        ):
+            self._ask(int(s.onset[0]), s.known, "recording")
+            self._answer(made, ended=True)
+            s.count, s.known, s.parted = 0, NEVER, state == "unknown"
+        if state != "unknown":
+            s.known, s.parted = end, False
+        return s.parted
+
+    def _epoch(self, event: Array, made: list[tuple[Any, ...]]) -> None:
         """Keep one final epoch, and ask for what it completes."""
         s = self.state
         onset = int(event["onset"])
+        if s.bed == "recording" and self._apart(onset, str(event["state"]), made):
+            return
         if s.count == len(s.onset):
             for array in (s.onset, s.states, s.activity):
                 array[:-1] = array[1:]
@@ -251,6 +277,13 @@ class SleepStatistics(Operator[StatisticsState]):
     def _ask(self, begin: int, end: int, bed: str, *, estimated: bool = False) -> None:
         """From `begin` to `end` someone was in bed; more than MOST_ASKED that wait for their epochs are passed over."""
         s = self.state
+        if bed == "lights" and end - begin > self.longest_h * 3600 * NS:
+            hours = (end - begin) / (3600 * NS)
+            log.error(
+                "lights off for longer than longest_h: no night, and no numbers; were they switched on unseen?",
+                since=_utc(begin), until=_utc(end), hours=round(hours, 2), longest_h=self.longest_h,
+            )  # fmt: skip
+            return
         if end - begin >= s.epoch_ns and s.asks < MOST_ASKED:
             s.asked[s.asks] = begin, end, BEDS.index(bed) + len(BEDS) * (estimated or bed in ("detected", "recording"))
             s.asks += 1
@@ -260,11 +293,21 @@ class SleepStatistics(Operator[StatisticsState]):
         s = self.state
         while s.asks and s.count and (ended or s.onset[s.count - 1] + s.epoch_ns >= s.asked[0, 1]):
             begin, end, code = s.asked[0].tolist()
-            made.append(self._row(begin, end, BEDS[code % len(BEDS)], code >= len(BEDS)))
+            bed = BEDS[code % len(BEDS)]
+            if bed == "schedule" and not self._scored(begin, end):
+                log.warning("a scheduled night without any score: no numbers", since=_utc(begin), until=_utc(end))
+            else:
+                made.append(self._row(begin, end, bed, code >= len(BEDS)))
             s.asked[:-1] = s.asked[1:]
             s.asks -= 1
             if s.bed == "recording":
                 s.count = 0
+
+    def _scored(self, begin: int, end: int) -> bool:
+        """Whether anything is known of a time in bed."""
+        s = self.state
+        onset = s.onset[: s.count]
+        return bool((s.states[: s.count][(onset >= begin) & (onset < end)] != UNKNOWN).any())
 
     def _row(self, begin: int, end: int, bed: str, estimated: bool) -> tuple[Any, ...]:
         s = self.state
@@ -288,3 +331,7 @@ class SleepStatistics(Operator[StatisticsState]):
             "estimated": estimated,
         }
         return tuple(facts[name] for name in NIGHT.names or ())
+
+
+def _utc(time: int) -> str:
+    return f"{datetime.fromtimestamp(time // NS, UTC):%Y-%m-%d %H:%M} UTC"
