@@ -11,7 +11,7 @@ from rich.table import Table
 
 from devices.report.words import decimals, relative_to
 from devices.terminal import View
-from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec
+from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
 from stream.operator import Outlet
 from stream.params import param
@@ -21,13 +21,16 @@ CYCLE = ("number", "duration_s", "stance_pct", "cadence", "rejected")
 
 @dataclass(slots=True)
 class CycleTableState:
-    """The cycle whose numbers are awaited: its event (1,), the numbers (fields, m) so far; and counts of cycles."""
+    """The cycle whose numbers are awaited: its event (1,), the numbers (fields, m) so far; counts of cycles; and the latest, a ring:
+    their numbers, and whether they were accepted."""
 
     event: Array
     values: Samples
     came: int
     accepted: int
     rejected: int
+    numbers: Times
+    taken: Times
 
 
 class _Shown(Outlet[CycleTableState]):
@@ -62,7 +65,17 @@ class CycleTable(_Shown):
                 known = [name for name in statistics.channels if statistics.dtype[name].kind == "f"]
                 raise ParameterError("fields", field, f"a number of `statistics`; {nearest(field, known)}")
         object.__setattr__(self, "specs", specs)
-        self.hold(CycleTableState(np.zeros(0, closed.dtype), np.zeros((len(self.fields), 0)), 0, 0, 0))
+        self.hold(
+            CycleTableState(
+                np.zeros(0, closed.dtype),
+                np.zeros((len(self.fields), 0)),
+                0,
+                0,
+                0,
+                np.full(64, -1),
+                np.zeros(64, np.int64),
+            )
+        )
         return {}
 
     def process(self, port: str, chunk: Chunk) -> None:
@@ -70,9 +83,11 @@ class CycleTable(_Shown):
         if port == "closed":
             for i in range(len(chunk)):
                 event = chunk.data[i : i + 1]
+                again = _count(state, int(event["number"][0]), not event["rejected"][0])
+                if again and event["rejected"][0]:
+                    _show(headline(event, state), f"{rejection(event)} (taken back)")
+                    continue
                 state.event = event.copy()
-                state.accepted += not event["rejected"][0]
-                state.rejected += bool(event["rejected"][0])
                 if event["rejected"][0]:
                     _show(headline(event, state), rejection(event))
         elif len(chunk) and len(state.event):
@@ -81,6 +96,19 @@ class CycleTable(_Shown):
                 spec = self.specs["statistics"]
                 table = cycle_table(headline(state.event, state), rows, self.fields, spec)
                 _show(table, cycle_line(state.event, rows, self.fields, spec))
+
+
+def _count(state: CycleTableState, number: int, taken: bool) -> bool:
+    """Count a cycle; gives whether it had been told before, which then no longer counts."""
+    found = np.flatnonzero(state.numbers == number)
+    k = int(found[0]) if len(found) else (state.accepted + state.rejected) % len(state.numbers)
+    if len(found):
+        state.accepted -= int(state.taken[k])
+        state.rejected -= 1 - int(state.taken[k])
+    state.numbers[k], state.taken[k] = number, taken
+    state.accepted += taken
+    state.rejected += not taken
+    return bool(len(found))
 
 
 def headline(event: Array, state: CycleTableState) -> str:

@@ -382,6 +382,19 @@ def walks(recordings: Path) -> dict[str, list[bench.Walk]]:
     return {file.stem: list(bench.walks(file)) for file in bench.people(recordings)}
 
 
+def test_every_cycle_of_a_foot_worn_sensor_knows_its_stance(walks: dict[str, list[bench.Walk]]) -> None:
+    """The lift-off is told with the touch-down that ends its swing: no cycle may lose it."""
+    accepted = unknown = 0
+    for person in walks.values():
+        for walk in person[:2]:
+            told = feed(InertialContacts(), bench.FOOT, walk.samples, seconds=walk.seconds)
+            closed = cycles_of(told, InertialContacts().open({"in": bench.FOOT}), float(walk.seconds[-1]))
+            stance = closed["stance_pct"][closed["rejected"] == ""]
+            accepted, unknown = accepted + len(stance), unknown + int(np.isnan(stance).sum())
+    assert accepted > 400
+    assert unknown == 0
+
+
 def test_steps_of_foot_worn_sensors(walks: dict[str, list[bench.Walk]]) -> None:
     everyone = bench.Score(), bench.Score()
     for name, person in walks.items():

@@ -250,3 +250,75 @@ def test_what_cannot_be_is_said():
         drive(Cycles(shortest_s=4.0), {"signal": (spec, time, data), "touchdown": contacts(touch)})
     with pytest.raises(InputError, match=r"operators\.gait\.cycles\.Cycles"):
         CycleStatistics().open({"closed": contacts([1])[0], "cycles": spec})
+
+
+@pytest.mark.parametrize("order", [("signal", "touchdown", "liftoff"), ("liftoff", "signal", "touchdown")])
+def test_a_lift_off_told_with_the_closing_touch_down_counts_whatever_the_order_of_ports(order):
+    spec, time, data, touch = walk()
+    told = contacts(touch, late=0.03)
+    lift = touch[:-1] + 0.6 * np.diff(touch)
+    late = (told[0], told[1][1:], np.round(lift * 1e9).astype(np.int64).view(told[2].dtype))
+    inputs = {"signal": (spec, time, data), "touchdown": told, "liftoff": late}
+    for size in (1, 17, None):
+        found = drive(Cycles(), {port: inputs[port] for port in order}, size)["closed"][2]
+        np.testing.assert_allclose(found["stance_pct"], 60.0, atol=0.01)
+
+
+def test_the_first_cycles_are_judged_once_there_is_a_median_and_taken_back():
+    spec, time, data, touch = walk()
+    rows = closed_of(spec, time, data, np.delete(touch, 2))  # the second cycle is two
+    assert rows["number"].tolist()[:7] == [1, 2, 3, 4, 5, 2, 6]
+    assert rows["rejected"].tolist()[:7] == ["", "", "", "", "", "irregular", ""]
+    assert rows[5]["onset"] == rows[1]["onset"] and rows[5]["end"] == rows[1]["end"]
+    fifth = closed_of(spec, time, data, np.delete(touch, 5))
+    assert fifth["rejected"].tolist()[:6] == ["", "", "", "", "irregular", ""]
+
+
+@pytest.mark.parametrize(
+    ("lifts", "reason"),
+    [([0.08], "stance"), ([0.95], "stance"), ([0.2, 0.65], "order"), ([0.6, 0.62], ""), ([0.6], ""), ([], "")],
+)
+def test_impossible_stance_and_order_of_contacts_are_rejected(lifts, reason):
+    spec, time, data, touch = walk()
+    off = [a + share * (b - a) for k, (a, b) in enumerate(pairwise(touch)) for share in (lifts if k == 7 else [0.62])]
+    inputs = {"signal": (spec, time, data), "touchdown": contacts(touch), "liftoff": contacts(off)}
+    assert drive(Cycles(), inputs, 17)["closed"][2]["rejected"].tolist()[6:9] == ["", reason, ""]
+
+
+def test_the_declared_delay_covers_the_samples_that_a_cycle_waits_for():
+    spec, time, data, touch = walk(rate=120.0)
+    operator = Cycles().fresh()
+    operator.open({"signal": spec, "touchdown": contacts(touch)[0]})
+    found = drive(Cycles(), {"signal": (spec, time, data), "touchdown": contacts(touch)}, 1)["closed"]
+    waited = (found[1] - found[2]["end"]).max() / 1e9
+    assert 1 / 120 < waited <= operator.delay_s
+
+
+def test_a_cycle_that_is_taken_back_leaves_every_number_as_if_it_had_never_counted(session):
+    """The real recording's third cycle is taken back with the last, and comes again without its first muscle."""
+    row, (curves, closed) = session["closed"][2][2:3].copy(), (session["cycles"], session["closed"])
+    gone, back = row.copy(), row.copy()
+    gone["rejected"] = "irregular"
+    half = curves[2][2:3].copy()
+    half[:, :, 0] = np.nan
+
+    def told(*rows):
+        return (closed[0], np.append(closed[1], [closed[1][-1]] * len(rows)), np.concatenate([closed[2], *rows]))
+
+    left = np.delete(curves[2], 2, axis=0)
+    for events, samples in (
+        (told(gone), curves),
+        (told(gone, back), (curves[0], np.append(curves[1], curves[1][-1]), np.concatenate([curves[2], half]))),
+    ):
+        both = {"closed": events, "cycles": samples}
+        found, statistics = drive(CycleEnsemble(), both), drive(CycleStatistics(), both)["out"][2]
+        again = len(samples[1]) == 6
+        used = [left[:, :, m] if m == 0 or not again else curves[2][:, :, m] for m in range(13)]
+        np.testing.assert_allclose(found["mean"][2][-1], np.stack([u.mean(axis=0) for u in used], 1), **CLOSE)
+        np.testing.assert_allclose(found["sd"][2][-1], np.stack([u.std(axis=0, ddof=1) for u in used], 1), **CLOSE)
+        assert found["muscles"][2][-13:]["cycles"].tolist() == [4, *[5 if again else 4] * 12]
+        last = found["session"][2][-1]
+        assert (last["accepted"], last["rejected"]) == ((5, 0) if again else (4, 1))
+        durations = [c["duration_s"] for c in closed[2] if again or c["number"] != 3]
+        np.testing.assert_allclose(last["cadence"], 60 / np.mean(durations), **CLOSE)
+        assert len(statistics) == 13 * (6 if again else 5)

@@ -84,7 +84,7 @@ class Walk:
     def rows(self, i: int) -> dict[str, Array]:
         muscle = {dtype: np.zeros(3, dtype) for dtype in (NUMBERS, OVERALL)}
         for rows in muscle.values():
-            rows["number"], rows["muscle"], rows["name"] = i + 1, np.arange(3), MUSCLES
+            rows["number"], rows["muscle"], rows["name"] = self.closed["number"][i], np.arange(3), MUSCLES
         muscle[NUMBERS]["peak"], muscle[NUMBERS]["peak_pct"] = self.curves[i].max(0), self.peak_pct[i]
         muscle[NUMBERS]["deviation"] = np.nan if i == 0 else 0.5
         muscle[OVERALL]["cv_pct"], muscle[OVERALL]["variance_ratio"] = 30 + i, 0.1
@@ -267,6 +267,7 @@ def test_memory_stops_growing(tmp_path: Path) -> None:
     outlet.begin()
     for _ in range(60):
         walk.feed(outlet, 0, 12, tuple(SPECS))
+        walk.closed["number"] += 12
         sizes.append(size_of(outlet.state))
     assert outlet.state.tally.accepted == 540 and len(outlet.report()[1].single) <= 200
     assert len(set(sizes[1:])) == 1
@@ -296,3 +297,39 @@ def test_cycles_appear_as_lines_where_there_is_no_terminal(capsys: pytest.Captur
     assert re.match(r"cycle 4  1\.0\d\d s  rejected: gap$", last)
     with pytest.raises(ParameterError, match="did you mean 'peak'"):
         CycleTable(fields=("peek",)).open({port: SPECS[port] for port in ("closed", "statistics")})
+
+
+def test_a_cycle_that_is_told_again_replaces_what_was_told_first(tmp_path: Path) -> None:
+    """The second is taken back after the sixth; the fourth, rejected at first, counts after all."""
+    walk, ports = Walk(12), tuple(SPECS)
+    told = opened(tmp_path / "twice.html")
+    told.begin()
+    walk.feed(told, 0, 6, ports)
+    walk.closed["rejected"][1], walk.closed["rejected"][3] = "irregular", ""
+    walk.feed(told, 1, 2, ("closed", "cycles", "statistics"))
+    walk.feed(told, 3, 4, ("closed", "cycles", "statistics"))
+    walk.feed(told, 6, 12, ports)
+    once = opened(tmp_path / "once.html")
+    once.begin()
+    walk.feed(once, 0, 12, ports)
+    (report, curves), (expected, expected_curves) = told.report(), once.report()
+    assert (report.accepted, report.rejected) == (expected.accepted, expected.rejected) == (9, 3)
+    assert dict(report.reasons) == dict(expected.reasons)
+    np.testing.assert_allclose(curves.mean, expected_curves.mean, rtol=1e-12)
+    np.testing.assert_allclose(curves.sd, expected_curves.sd, rtol=1e-9)
+    assert sorted(curves.single[:, 0, 0]) == sorted(expected_curves.single[:, 0, 0])
+    for muscle, other in zip(report.muscles, expected.muscles, strict=True):
+        np.testing.assert_allclose(muscle.values[:3], other.values[:3], rtol=1e-9)
+    told.close()
+    once.close()
+    assert table(tmp_path / "twice.csv") == table(tmp_path / "once.csv")
+
+
+def test_a_cycle_that_is_taken_back_is_a_line_and_counts_no_more(capsys: pytest.CaptureFixture[str]) -> None:
+    walk, outlet = Walk(3), CycleTable(fields=("peak",))
+    outlet.open({port: SPECS[port] for port in ("closed", "statistics")})
+    walk.feed(outlet, 0, 3, ("closed", "statistics"))
+    walk.closed["rejected"][0] = "irregular"
+    walk.feed(outlet, 0, 1, ("closed", "statistics"))
+    assert "cycle 1 " in (last := capsys.readouterr().out.splitlines()[-1]) and "irregular (taken back)" in last
+    assert (outlet.state.accepted, outlet.state.rejected) == (2, 1)

@@ -11,6 +11,10 @@ import numpy as np
 import pytest
 
 from devices.treadmill import Treadmill, truth
+from stream.engine.replay import Replay
+from stream.graph.load import load
+from stream.graph.plan import plan
+from stream.recording import Recording
 
 pytestmark = pytest.mark.xdist_group("treadmill session")  # one process runs it, once
 
@@ -109,3 +113,20 @@ def test_a_replay_that_may_speak_writes_the_same_table(session: tuple[Path, str]
     kinegraph("replay", CONFIG, folder / "recording", *again)
     assert (folder / "again.csv").read_bytes() == (folder / "live.csv").read_bytes()
     assert "<svg" in (folder / "again.html").read_text()
+
+
+def test_no_cycle_is_told_later_than_the_plan_says(session: tuple[Path, str], tmp_path: Path) -> None:
+    """From the touch-down that closes a cycle to the newest sample that had come when it was told; not within lost samples."""
+    with Recording.open(session[0] / "recording") as recording:
+        graph = load(CONFIG, recorded={name: stream.spec for name, stream in recording.streams.items()})
+        replay = Replay(graph, recording, output=tmp_path / "again")
+        newest, waited = [0], []
+        for wire in replay.pipeline.entries.values():
+            wire.taps.append(lambda chunk: newest.append(max(newest[-1], *chunk.time[-1:].tolist(), 0)))
+        replay.pipeline.wires["cycles.closed"].taps.append(
+            lambda chunk: waited.extend((newest[-1] - chunk.data["end"])[chunk.data["rejected"] == ""].tolist())
+        )
+        replay.run()
+        slowest = plan(graph).slowest
+    assert len(waited) > 12 and slowest is not None
+    assert 0.239 < max(waited) / 1e9 <= slowest.delay_s

@@ -42,6 +42,19 @@ class Running:
         self.mean += off / np.maximum(self.n, 1)
         self.squares += np.where(seen, off * (x - self.mean), 0.0)
 
+    def remove(self, values: Array) -> None:
+        """Take out an array that was added."""
+        x = np.asarray(values, np.float64)
+        seen = np.isfinite(x)
+        self.n -= seen
+        if self.turn:
+            angle = 2 * np.pi * np.where(seen, x, 0.0) / self.turn
+            self.vector -= np.where(seen, np.stack([np.cos(angle), np.sin(angle)]), 0.0)
+            return
+        off = np.where(seen, x - self.mean, 0.0)
+        self.mean = np.where(self.n > 0, self.mean - off / np.maximum(self.n, 1), 0.0)
+        self.squares = np.where(self.n > 1, self.squares - off * np.where(seen, x - self.mean, 0.0), 0.0)
+
     def centre(self) -> Samples:
         """The means; NaN where nothing was seen."""
         if not self.turn:
@@ -67,25 +80,34 @@ class Choice:
     """
 
     kept: Array
+    numbers: Array
     count: int = 0
     step: int = 1
     seen: int = 0
 
     @staticmethod
     def of(room: int, shape: tuple[int, ...]) -> Choice:
-        return Choice(np.zeros((room, *shape), np.float32))
+        return Choice(np.zeros((room, *shape), np.float32), np.zeros(room, np.int64))
 
-    def add(self, values: Array) -> None:
-        """One more array of the shape."""
+    def add(self, values: Array, number: int = 0) -> None:
+        """One more array of the shape, by whose `number` it can be removed."""
         if self.seen % self.step == 0:
             if self.count == len(self.kept):
                 half = self.kept[::2].copy()
                 self.kept[: len(half)] = half
+                self.numbers[: len(half)] = self.numbers[::2].copy()
                 self.count, self.step = len(half), 2 * self.step
             if self.seen % self.step == 0:
-                self.kept[self.count] = values
+                self.kept[self.count], self.numbers[self.count] = values, number
                 self.count += 1
         self.seen += 1
+
+    def remove(self, number: int) -> None:
+        """Take out the array of this number, if it was chosen."""
+        stays = self.numbers[: self.count] != number
+        left = int(stays.sum())
+        self.kept[:left], self.numbers[:left] = self.kept[: self.count][stays], self.numbers[: self.count][stays]
+        self.count = left
 
     def chosen(self) -> Array:
         """The arrays kept (k, ...)."""

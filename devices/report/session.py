@@ -16,7 +16,7 @@ from filelock import FileLock
 from devices.append_file import AppendFile
 from devices.claim import check_path, claim, let_go
 from devices.report.compose import compose
-from devices.report.cycle_rows import Held, header, nothing_held, release, take_closed, take_statistics
+from devices.report.cycle_rows import Held, header, nothing_held, release, settle, take_closed, take_statistics
 from devices.report.data import Curves, Report, save
 from devices.report.tally import GAIT, Tally, hear, nothing_yet, numbers
 from devices.report.words import relative_to
@@ -72,7 +72,9 @@ class SessionReport(_Reporter):
     quality          of `operators.emg.quality.SignalQuality`: the verdict on each electrode
     emg              the raw signal: when the session began, its gaps and losses
 
-    The CSV file has one row per cycle, rejected ones with the reason, written as the cycle closes. Memory is bounded: running statistics
+    The CSV file has one row per cycle, rejected ones with the reason, written as the cycle closes. A cycle that is
+    told again (it was taken back, or counts after all) has two rows while the session runs, of which the last counts, and one at its end.
+    Memory is bounded: running statistics
     and at most 200 single curves. Every `interim_s` a page marked "interim" is drawn, so that a crash leaves one; pages are drawn by a
     process of their own and appear whole or not at all. Existing files are never overwritten: a second session gets name-2.html.
     """
@@ -147,6 +149,8 @@ class SessionReport(_Reporter):
             if desk.table:
                 table, desk.table = desk.table, None
                 table.close()
+                if state.tally.revised:
+                    settle(_table(state))
             if desk.claim:
                 let_go(desk.claim)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from devices.report.revisions import ACCEPTED, Revisable
 from devices.report.running import Choice, Running
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times, add_lost
 
@@ -34,6 +35,7 @@ class Tally:
     flags, remarks   per muscle, the electrode's flag over the whole session, and why
     windows          (2, m) how many windows were judged, and how many of them were not good; trouble: why the latest was not
     pairs            (p,) the latest co-contraction over all cycles; pair_names
+    recent           the latest cycles, which may be told again; revised: how often one was
     heard            (ports, 3) samples, gaps, samples lost (-1: not known) per port
     """
 
@@ -55,6 +57,8 @@ class Tally:
     trouble: list[str]
     pairs: list[float]
     pair_names: list[str]
+    recent: Revisable
+    revised: int
     heard: Times
 
     @property
@@ -93,6 +97,8 @@ def nothing_yet(specs: Specs) -> Tally:
         trouble=[""] * shape[1],
         pairs=[],
         pair_names=[],
+        recent=Revisable.none(len(GAIT), shape, len(fields)),
+        revised=0,
         heard=np.zeros((len(specs), 3), np.int64),
     )
 
@@ -111,12 +117,16 @@ def hear(tally: Tally, specs: Specs, port: str, chunk: Chunk) -> None:
         heard[1] += 1
         heard[2] = add_lost(int(heard[2]), chunk.lost)
     if port == "closed":
-        for row in chunk.data:
-            _closed(tally, row)
+        for stamp, row in zip(chunk.time.tolist(), chunk.data, strict=True):
+            _take_out(tally, int(row["number"]))
+            _closed(tally, row, stamp)
     elif port == "cycles":
-        for curve in chunk.data:
-            tally.curve.add(curve)
-            tally.single.add(curve)
+        for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
+            k = tally.recent.awaiting(stamp)
+            if k is not None:
+                tally.recent.curves[k] = curve
+                tally.curve.add(curve)
+                tally.single.add(curve, int(tally.recent.numbers[k]))
     elif port == "statistics":
         _statistics(tally, numbers(specs[port]), chunk.data)
     elif port == "muscles":
@@ -132,28 +142,56 @@ def hear(tally: Tally, specs: Specs, port: str, chunk: Chunk) -> None:
             _quality(tally, row, specs["cycles"].channels)
 
 
-def _closed(tally: Tally, row: Any) -> None:
+def _closed(tally: Tally, row: Any, stamp: int) -> None:
     reason = str(row["rejected"])
     if not reason:
+        k = tally.recent.note(row, stamp, ACCEPTED)
         tally.accepted += 1
-        tally.gait.add(np.array([row[name] for name in GAIT], np.float64))
+        tally.recent.gait[k] = [row[name] for name in GAIT]
+        tally.gait.add(tally.recent.gait[k])
         return
     if tally.rejected < LISTED:
         tally.rejections[tally.rejected] = (row["onset"], row["duration_s"], reason)
     if reason not in tally.reasons:
         tally.reasons.append(reason)
         tally.counts.append(0)
+    tally.recent.note(row, stamp, tally.reasons.index(reason))
     tally.counts[tally.reasons.index(reason)] += 1
+
+
+def _take_out(tally: Tally, number: int) -> None:
+    """A cycle is about to be told again: what was added up of it is taken out."""
+    recent = tally.recent
+    k = recent.find(number)
+    if k is None:
+        return
+    tally.revised += 1
+    reason = int(recent.reasons[k])
+    if reason != ACCEPTED:
+        listed = tally.rejections[: tally.rejected]
+        left = listed[listed["onset"] != recent.onsets[k]]
+        tally.rejections[: len(left)] = left
+        tally.counts[reason] -= 1
+        return
+    tally.accepted -= 1
+    tally.gait.remove(recent.gait[k])
+    tally.curve.remove(recent.curves[k])
+    tally.single.remove(number)
+    for running, values in zip(tally.fields, recent.fields[k], strict=True):
+        running.remove(values)
 
 
 def _statistics(tally: Tally, names: list[str], rows: Array) -> None:
     """One row per cycle and muscle; every cycle's rows are added at once, field by field."""
     for number in dict.fromkeys(rows["number"].tolist()):
         here = rows[rows["number"] == number]
-        for name, running in zip(names, tally.fields, strict=True):
+        k = tally.recent.find(number)
+        for i, (name, running) in enumerate(zip(names, tally.fields, strict=True)):
             values = np.full(len(running.n), np.nan)
             values[here["muscle"]] = here[name]
             running.add(values)
+            if k is not None:
+                tally.recent.fields[k, i] = values
 
 
 def _pair(tally: Tally, row: Any) -> None:
@@ -177,4 +215,6 @@ def _quality(tally: Tally, row: Any, muscles: tuple[str, ...]) -> None:
 
 def most_common(tally: Tally) -> list[tuple[str, int]]:
     """Reasons for rejection, the commonest first."""
-    return Counter(dict(zip(tally.reasons, tally.counts, strict=True))).most_common()
+    return [
+        (reason, n) for reason, n in Counter(dict(zip(tally.reasons, tally.counts, strict=True))).most_common() if n
+    ]

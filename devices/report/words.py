@@ -46,6 +46,8 @@ REASONS = {
     "gap": "gap in the signal or the contacts",
     "settling": "filters not settled",
     "incomplete": "signal missing at an end, or contact told too late",
+    "order": "a touch-down was missed between two lift-offs",
+    "stance": "impossible share of stance",
     "irregular": "duration far from that of its neighbours",
     "missing": "no valid sample",
     "too short": "too short for a stride",

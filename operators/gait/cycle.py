@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from operators.gait.cycle_kernel import maxima
 from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError
 
 POINTS = 100
-REASONS = ("too short", "too long", "gap", "settling", "incomplete", "irregular", "missing")
+REASONS = ("too short", "too long", "gap", "settling", "incomplete", "order", "stance", "irregular", "missing")
 """Why a cycle is rejected, in the order in which it is asked; see `Cycles`."""
 
 CLOSED = np.dtype(
@@ -25,7 +26,8 @@ CLOSED = np.dtype(
     ]
 )
 """A cycle that has ended: from touch-down `onset` to touch-down `end`, the `number`-th since the start (rejected ones counted);
-`stance_pct` is when the foot left the ground (NaN: not known); `cadence` is 60 / duration; `rejected` is "" or why it was."""
+`stance_pct` is when the foot left the ground (NaN: not known); `cadence` is 60 / duration; `rejected` is "" or why it was.
+A second event of the same number replaces the first: the cycle was taken back, or is to count after all."""
 CLOSED_UNITS = ("ns", "ns", "", "s", "%", "strides/min", "")
 
 MAXIMUM = np.dtype(
@@ -42,7 +44,7 @@ MAXIMUM = np.dtype(
 
 @dataclass(frozen=True, slots=True)
 class Closing:
-    """A cycle at the moment at which it is closed: `curve` (102, c) spans -1..100 %."""
+    """A cycle at the moment at which it is closed: `curve` (102, c) spans -1..100 %. `again`: its event has been told before."""
 
     stamp: int
     onset: int
@@ -51,10 +53,23 @@ class Closing:
     stance_pct: float
     rejected: str
     curve: Samples
+    again: bool = False
 
     def row(self) -> tuple[int, int, int, float, float, float, str]:
         duration = (self.end - self.onset) / NS
         return (self.onset, self.end, self.number, duration, self.stance_pct, 60.0 / duration, self.rejected)
+
+    def maxima(self, names: list[str]) -> Array:
+        """An event per local maximum."""
+        room = self.curve.shape[1] * POINTS // 2
+        place, height = np.empty((room, 2), np.int64), np.empty(room)
+        found = maxima(self.curve, place, height)
+        rows = np.empty(found, MAXIMUM)
+        muscle, at = place[:found, 0], place[:found, 1]
+        rows["onset"] = self.onset + (self.end - self.onset) * at // POINTS
+        rows["number"], rows["muscle"], rows["position_pct"], rows["height"] = self.number, muscle, at, height[:found]
+        rows["name"] = np.array(names)[muscle]
+        return rows
 
 
 @dataclass(slots=True)
@@ -108,7 +123,8 @@ def check_cycles(specs: Specs) -> StreamSpec:
 
 
 def some_cycles(count: int, muscles: int, seed: int) -> dict[str, tuple[StreamSpec, Array, Array]]:
-    """Made-up inputs `closed` and `cycles` for trying operators on: every fifth cycle is rejected, one muscle is missing once."""
+    """Made-up inputs `closed` and `cycles` for trying operators on: every fifth cycle is rejected, one muscle is missing once, the second
+    cycle is taken back with the fourth, and the third comes again, without its first muscle, with the seventh."""
     rng = np.random.default_rng(seed)
     names = ("TA", "SO", "GM", "BF")[:muscles]
     meta = {"side": "right", "normalisation": "mvc"}
@@ -124,6 +140,14 @@ def some_cycles(count: int, muscles: int, seed: int) -> dict[str, tuple[StreamSp
     phase = np.linspace(0, 2 * np.pi, POINTS, endpoint=False)[:, None]
     curves = 50 + 30 * np.sin(phase + np.arange(muscles)) + 5 * rng.standard_normal((int(taken.sum()), POINTS, muscles))
     curves[2, :, -1] = np.nan
+    again = closed[2:3].copy()
+    back = closed[1:2].copy()
+    back["rejected"] = "irregular"
+    closed = np.concatenate([closed[:4], back, closed[4:7], again, closed[7:]])
+    stamps = stamps[[0, 1, 2, 3, 3, 4, 5, 6, 6, *range(7, count)]]
+    taken = closed["rejected"] == ""
+    half = np.where(np.arange(muscles) == 0, np.nan, curves[2])[None]
+    curves = np.concatenate([curves[:6], half, curves[6:]])
     spec = StreamSpec((POINTS, muscles), channels=names, units=("% MVC",), channel_axis=1, meta=meta)
     return {
         "closed": (StreamSpec((), CLOSED, units=CLOSED_UNITS, meta=meta), stamps, closed),

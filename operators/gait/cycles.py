@@ -8,41 +8,39 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from operators.gait.cycle import CLOSED, CLOSED_UNITS, MAXIMUM, POINTS, Closing
-from operators.gait.cycle_kernel import maxima, normalise_time
+from operators.gait.cycle_kernel import normalise_time
 from operators.gait.panorama import Panorama
-from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
+from operators.gait.plausible import Durations, out_of_order, signal_reason
+from operators.gait.recent_samples import RecentSamples
+from stream.chunk import NEVER, NS, Array, Chunk, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
 from stream.params import param
 
-WAITING, LIFTS, RECENT = 16, 16, 11
+WAITING, LIFTS = 16, 16
+LOOK_AHEAD = 2
+"""Samples after a touch-down that a cycle's last points need."""
 
 
 @dataclass(slots=True)
 class CyclesState:
     """
-    time, data     the signal's newest `fill` samples; `keep` of them suffice for any cycle
-    began          the signal's first stamp
+    recent         the signal's newest samples
     touches        (16, 2) touch-downs whose cycle is not closed yet, onset and stamp; `waiting` of them
     lifts          (16,) the latest lift-offs' onsets, a ring; `lifted` in all
-    durations      (11,) the latest plausible cycles' durations in ns, a ring; `measured` in all
+    durations      of the latest plausible cycles
     start          the open cycle's touch-down; `broken`: contacts may have been missed since
     told           the newest `until` that has gone out; never, blanks: stamps and samples of nothing, by output
     """
 
-    time: Times
-    data: Samples
-    fill: int
-    keep: int
+    recent: RecentSamples
     period: int
     settling: int
-    began: int
     touches: Times
     waiting: int
     lifts: Times
     lifted: int
-    durations: Times
-    measured: int
+    durations: Durations
     start: int
     broken: bool
     number: int
@@ -64,15 +62,23 @@ class Cycles(Operator[CyclesState]):
     panorama   (200, channels) per accepted cycle, in order, -50..149 %: with the halves of its neighbours, NaN where a neighbour was
                rejected or there is none. It comes when the next cycle closes; a session's last cycle has none. (Thesis 6.4.1, outlook.)
 
-    A cycle is closed as soon as its second touch-down has been told and two samples after that are there; that is its events' stamp.
-    Rejected is what lasts less than `shortest_s` ("too short") or more than `longest_s` ("too long"), has a gap in signal or contacts
-    inside ("gap"; gaps up to `gap_s` are interpolated), begins before the signal has settled ("settling"), begins before the signal did
-    or was told more than `late_s` after it ended ("incomplete"), differs from the median of the last 11 cycles by more than `off_median`
-    of it ("irregular", from the sixth cycle on), or holds NaN ("missing"): in every channel, or with `missing: cycle` in any. With
-    `missing: muscle` the other channels are used, and the one is NaN throughout.
-    Of several lift-offs in a cycle the last counts. A touch-down at or before the previous one is passed over.
+    A cycle is closed as soon as its second touch-down has been told, two samples after that are there, and every input is complete up to
+    then, so that the order in which equal stamps arrive does not matter; that is its events' stamp. Rejected is what
+    - lasts less than `shortest_s` ("too short") or more than `longest_s` ("too long");
+    - has a gap in signal or contacts inside ("gap"; gaps up to `gap_s` are interpolated), begins before the signal has settled
+      ("settling"), begins before the signal did or was told more than `late_s` after it ended ("incomplete");
+    - holds two lift-offs that are further apart than a tenth of it ("order": a touch-down between them was missed), or stands for less
+      than `least_stance_pct` or more than `most_stance_pct` of it ("stance"). Of lift-offs close together the last counts; with none the
+      stance is not known, and the cycle counts;
+    - differs from the median duration of the last 11 cycles by more than `off_median` of it ("irregular");
+    - holds NaN ("missing"): in every channel, or with `missing: cycle` in any. With `missing: muscle` the other channels are used, and
+      the one is NaN throughout.
+    There is a median from the fifth cycle on. It judges the first five, too: one that was accepted before and is irregular is taken back
+    by a second event in `closed` of the same number, with the reason. Such an event replaces the first, for whoever reads `closed`.
+    A touch-down at or before the previous one is passed over.
 
-    Delay: none beyond the signal's own. Memory: the signal of `longest_s` + `late_s` and its settling time, twice.
+    Delay: the two samples after the touch-down, and up to one more until it is known that they are there. Memory: the signal of
+    `longest_s` + `late_s` and its settling time, twice.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("signal", "touchdown", "liftoff")
@@ -83,6 +89,12 @@ class Cycles(Operator[CyclesState]):
     longest_s: float = param(4.0, above=0.0, most=60.0, help="a longer cycle is rejected")
     off_median: float = param(
         0.5, least=0.0, help="rejected beyond this part of the recent median duration; 0: not asked"
+    )
+    least_stance_pct: float = param(
+        15.0, least=0.0, most=100.0, help="rejected if the foot stands for less of the cycle"
+    )
+    most_stance_pct: float = param(
+        90.0, least=0.0, most=100.0, help="rejected if the foot stands for more of the cycle"
     )
     gap_s: float = param(0.05, least=0.0, help="a longer gap inside rejects the cycle, a shorter one is interpolated")
     late_s: float = param(1.0, least=0.0, help="how long after it happened a touch-down may be told")
@@ -105,19 +117,14 @@ class Cycles(Operator[CyclesState]):
         names = list(spec.channels or [f"channel {i + 1}" for i in range(n)])
         keep = int((self.longest_s + self.late_s + spec.settling_s + self.gap_s) * spec.rate_hz * 1.1) + 8
         state = CyclesState(
-            time=np.zeros(2 * keep, np.int64),
-            data=np.zeros((2 * keep, n)),
-            fill=0,
-            keep=keep,
+            recent=RecentSamples.of(keep, n),
             period=spec.period_ns,
             settling=round(spec.settling_s * NS),
-            began=NEVER,
             touches=np.zeros((WAITING, 2), np.int64),
             waiting=0,
             lifts=np.zeros(LIFTS, np.int64),
             lifted=0,
-            durations=np.zeros(RECENT, np.int64),
-            measured=0,
+            durations=Durations.none(),
             start=NEVER,
             broken=False,
             number=0,
@@ -127,7 +134,7 @@ class Cycles(Operator[CyclesState]):
             never=np.empty(0, np.int64),
             blanks=[np.empty((0, POINTS, n)), np.empty(0, CLOSED), np.empty(0, MAXIMUM), np.empty((0, 2 * POINTS, n))],
         )
-        self.hold(state)
+        self.hold(state, delay_s=(LOOK_AHEAD + 1) / spec.rate_hz)
         meta = {**spec.meta, "side": touch.meta.get("side", spec.meta.get("side", ""))}
         unit = spec.units if len(spec.units) == 1 else ("",)
         curves = StreamSpec(
@@ -144,22 +151,20 @@ class Cycles(Operator[CyclesState]):
         s = self.state
         closings: list[Closing] = []
         if port == "signal":
-            for a in range(0, len(chunk.time), s.keep):
-                self._append(chunk.time[a : a + s.keep], chunk.data[a : a + s.keep])
-                self._close_due(closings)
-        elif port == "touchdown":
-            s.broken |= chunk.lost != 0
-            for stamp, onset in zip(chunk.time.tolist(), chunk.data["onset"].tolist(), strict=True):
-                if s.waiting == WAITING:
-                    closings.append(self._closing(int(s.touches[0, 0]), stamp))
-                    self._next_touch()
-                s.touches[s.waiting] = onset, stamp
-                s.waiting += 1
-                self._close_due(closings)
+            for a in range(0, len(chunk.time), s.recent.keep):
+                time = chunk.time[a : a + s.recent.keep]
+                s.recent.append(time, chunk.data[a : a + s.recent.keep])
+                self._close_due(closings, min(int(time[-1]) - 1, chunk.until))
         else:
-            for onset in chunk.data["onset"].tolist():
-                s.lifts[s.lifted % LIFTS] = onset
-                s.lifted += 1
+            for i, (stamp, onset) in enumerate(zip(chunk.time.tolist(), chunk.data["onset"].tolist(), strict=True)):
+                self._close_due(closings, stamp - 1)
+                if port == "touchdown":
+                    s.broken |= i == 0 and chunk.lost != 0
+                    self._touch(closings, stamp, onset)
+                else:
+                    s.lifts[s.lifted % LIFTS] = onset
+                    s.lifted += 1
+        self._close_due(closings, chunk.until)
         if closings or chunk.lost or chunk.until > s.told:
             s.told = max(s.told, int(chunk.until))
             return self._emitted(closings, chunk.until, -1 if chunk.lost else 0)
@@ -180,36 +185,37 @@ class Cycles(Operator[CyclesState]):
             "touchdown": (contact, touch + 30_000_000, touch.view(contact.dtype)),
         }
         both = {**inputs, "liftoff": (contact, lift + 50_000_000, lift.view(contact.dtype))}
-        return [Case(cls(), both, least=40), Case(cls(missing="cycle", gap_s=0.1, late_s=0.5), inputs, least=40)]
+        ties = {**inputs, "liftoff": (contact, touch[1:] + 30_000_000, lift.view(contact.dtype))}
+        return [
+            Case(cls(), both, least=40),
+            Case(cls(), ties, least=40),
+            Case(cls(missing="cycle", gap_s=0.1, late_s=0.5), inputs, least=40),
+        ]
 
-    def _append(self, time: Times, data: Array) -> None:
-        """Add up to `keep` samples; of what came before, `keep` stay."""
+    def _touch(self, closings: list[Closing], stamp: int, onset: int) -> None:
+        """A touch-down has been told. Where too many wait for samples that do not come, the first is closed without."""
         s = self.state
-        if not len(time):
-            return
-        if s.began == NEVER:
-            s.began = int(time[0])
-        if s.fill + len(time) > len(s.time):
-            s.time[: s.keep] = s.time[s.fill - s.keep : s.fill].copy()
-            s.data[: s.keep] = s.data[s.fill - s.keep : s.fill].copy()
-            s.fill = s.keep
-        s.time[s.fill : s.fill + len(time)] = time
-        s.data[s.fill : s.fill + len(time)] = np.where(np.isfinite(data), data, np.nan)
-        s.fill += len(time)
+        if s.waiting == WAITING:
+            self._close(closings, int(s.touches[0, 0]), stamp)
+            self._next_touch()
+        s.touches[s.waiting] = onset, stamp
+        s.waiting += 1
 
-    def _close_due(self, closings: list[Closing]) -> None:
-        """Close every cycle that has ended and whose samples are there."""
+    def _close_due(self, closings: list[Closing], until: int) -> None:
+        """Close every cycle that has ended, whose samples are there, and whose stamp every input has passed (`until`)."""
         s = self.state
         while s.waiting:
             onset, stamp = int(s.touches[0, 0]), int(s.touches[0, 1])
             if s.start == NEVER or onset <= s.start:
+                if stamp > until:
+                    return
                 if s.start == NEVER:
                     s.start, s.broken = onset, False
             else:
-                second = int(s.time[: s.fill].searchsorted(onset, "right")) + 1
-                if second >= s.fill:
+                second = s.recent.after(onset) + LOOK_AHEAD - 1
+                if second >= s.recent.fill or (due := max(stamp, int(s.recent.time[second]))) > until:
                     return
-                closings.append(self._closing(onset, max(stamp, int(s.time[second]))))
+                self._close(closings, onset, due)
             self._next_touch()
 
     def _next_touch(self) -> None:
@@ -217,53 +223,49 @@ class Cycles(Operator[CyclesState]):
         s.touches[:-1] = s.touches[1:].copy()
         s.waiting -= 1
 
-    def _closing(self, end: int, stamp: int) -> Closing:
+    def _close(self, closings: list[Closing], end: int, stamp: int) -> None:
         """Close the open cycle at the touch-down `end`, and open the next."""
         s = self.state
         s.number += 1
         onset, duration = s.start, end - s.start
-        a = max(int(s.time[: s.fill].searchsorted(onset - s.settling - s.period, "right")) - 2, 0)
-        b = min(int(s.time[: s.fill].searchsorted(end, "right")) + 2, s.fill)
-        time = s.time[a:b]
-        curve = np.full((POINTS + 2, s.data.shape[1]), np.nan)
-        rejected = self._plausible(duration) or self._complete(time, onset, end, stamp) or self._regular(duration)
+        a = max(s.recent.after(onset - s.settling - s.period) - 2, 0)
+        b = min(s.recent.after(end) + LOOK_AHEAD, s.recent.fill)
+        time, data = s.recent.time[a:b], s.recent.data[a:b]
+        curve = np.full((POINTS + 2, data.shape[1]), np.nan)
+        lifts = [lift for lift in s.lifts[: s.lifted].tolist() if onset < lift < end]
+        stance = (max(lifts) - onset) / duration * 100 if lifts else np.nan
+        rejected = self._plausible(duration, lifts, stance, self._complete(time, onset, end, stamp))
         if not rejected:
-            normalise_time(time, s.data[a:b], onset, duration, curve)
+            normalise_time(time, data, onset, duration, curve)
             bad = np.isnan(curve[1:-1]).any(axis=0)
             curve[:, bad] = np.nan
             if bad.all() or (self.missing == "cycle" and bad.any()):
                 rejected = "missing"
-        if rejected not in ("too short", "too long", "gap"):
-            s.durations[s.measured % RECENT] = duration
-            s.measured += 1
-        lifts = [lift for lift in s.lifts[: s.lifted].tolist() if onset < lift < end]
-        stance = (max(lifts) - onset) / duration * 100 if lifts else np.nan
+        closing = Closing(stamp, onset, end, s.number, stance, rejected, curve)
+        closings += s.durations.judge(closing, self.off_median)
         s.start, s.broken = end, False
-        return Closing(stamp, onset, end, s.number, stance, rejected, curve)
 
-    def _plausible(self, duration: int) -> str:
+    def _plausible(self, duration: int, lifts: list[int], stance: float, incomplete: str) -> str:
+        """Why a cycle cannot be one; "" if it can."""
+        s = self.state
         if duration < self.shortest_s * NS:
             return "too short"
-        return "too long" if duration > self.longest_s * NS else "gap" if self.state.broken else ""
+        if duration > self.longest_s * NS:
+            return "too long"
+        if s.broken or incomplete:
+            return "gap" if s.broken else incomplete
+        if out_of_order(lifts, duration):
+            return "order"
+        if stance < self.least_stance_pct or stance > self.most_stance_pct:
+            return "stance"
+        return "irregular" if s.durations.irregular(duration, self.off_median) else ""
 
     def _complete(self, time: Times, onset: int, end: int, stamp: int) -> str:
         s = self.state
-        gaps = time[1:][np.diff(time) > s.period + self.gap_s * NS]
-        if (gaps > onset).any():
-            return "gap"
-        if onset < s.began:
-            return "incomplete"
-        if (gaps > onset - s.settling).any() or onset < s.began + s.settling:
-            return "settling"
+        told_ns = round(self.late_s * NS)
+        reason = signal_reason(time, onset, s.recent.began, s.settling, round(s.period + self.gap_s * NS))
         enough = len(time) > 3 and int(time[1]) <= onset and int(time[-2]) > end
-        return "" if enough and stamp - end <= self.late_s * NS else "incomplete"
-
-    def _regular(self, duration: int) -> str:
-        s = self.state
-        if not self.off_median or s.measured < 5:
-            return ""
-        median = float(np.median(s.durations[: s.measured]))
-        return "irregular" if abs(duration - median) > self.off_median * median else ""
+        return reason or ("" if enough and stamp - end <= told_ns else "incomplete")
 
     def _emitted(self, closings: list[Closing], until: int, lost: int) -> list[tuple[str, Chunk]]:
         s = self.state
@@ -272,15 +274,15 @@ class Cycles(Operator[CyclesState]):
                 (name, Chunk(s.never, blank, until, lost)) for name, blank in zip(self.outputs, s.blanks, strict=True)
             ]
         accepted = [c for c in closings if not c.rejected]
-        curves = np.array([c.curve[1:-1] for c in accepted]).reshape(-1, POINTS, s.data.shape[1])
+        curves = np.array([c.curve[1:-1] for c in accepted]).reshape(-1, POINTS, len(s.names))
         closed = np.array([c.row() for c in closings], CLOSED)
-        peaks = [self._maxima(c) for c in accepted]
+        peaks = [c.maxima(s.names) for c in accepted]
         views = [
             (c.stamp, view)
             for c in closings
-            if (view := s.panorama.follow(None if c.rejected else c.curve[1:-1])) is not None
+            if not c.again and (view := s.panorama.follow(None if c.rejected else c.curve[1:-1])) is not None
         ]
-        panoramas = np.array([view for _, view in views]).reshape(-1, 2 * POINTS, s.data.shape[1])
+        panoramas = np.array([view for _, view in views]).reshape(-1, 2 * POINTS, len(s.names))
         when = _stamps([c.stamp for c in accepted])
         tops = np.concatenate([np.empty(0, MAXIMUM), *peaks])
         return [
@@ -289,22 +291,6 @@ class Cycles(Operator[CyclesState]):
             ("maxima", Chunk(when.repeat([len(p) for p in peaks]), tops, until, lost)),
             ("panorama", Chunk(_stamps([stamp for stamp, _ in views]), panoramas, until, lost)),
         ]
-
-    def _maxima(self, closing: Closing) -> Array:
-        room = closing.curve.shape[1] * POINTS // 2
-        place, height = np.empty((room, 2), np.int64), np.empty(room)
-        found = maxima(closing.curve, place, height)
-        rows = np.empty(found, MAXIMUM)
-        muscle, at = place[:found, 0], place[:found, 1]
-        rows["onset"] = closing.onset + (closing.end - closing.onset) * at // POINTS
-        rows["number"], rows["muscle"], rows["position_pct"], rows["height"] = (
-            closing.number,
-            muscle,
-            at,
-            height[:found],
-        )
-        rows["name"] = np.array(self.state.names)[muscle]
-        return rows
 
 
 def _stamps(values: list[int]) -> Times:

@@ -9,47 +9,14 @@ import numpy as np
 
 from operators.gait.cycle import POINTS, REASONS, Expected, check_cycles, some_cycles
 from operators.gait.deviation_kernel import deviations
+from operators.gait.ensemble_events import MUSCLE, PAIR, SESSION, rows_of
+from operators.gait.history import ACCEPTED, CycleHistory
+from operators.gait.running_curve import RunningCurve
 from stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
 from stream.operator import Case, Operator
 from stream.params import param
 
-WHEN = [("onset", "<i8"), ("end", "<i8"), ("number", "<i8")]
-MUSCLE = np.dtype(
-    [
-        *WHEN,
-        ("muscle", "<i4"),
-        ("name", "<U16"),
-        ("cycles", "<i8"),
-        ("peak", "<f8"),
-        ("peak_pct", "<f8"),
-        ("cv_pct", "<f8"),
-        ("variance_ratio", "<f8"),
-        ("verdict", "<U16"),
-        ("deviation", "<f8"),
-        ("mad", "<f8"),
-    ]
-)
-PAIR = np.dtype(
-    [
-        *WHEN,
-        ("first", "<U16"),
-        ("second", "<U16"),
-        ("co_contraction_pct", "<f8"),
-        ("mean_pct", "<f8"),
-        ("cycles", "<i8"),
-    ]
-)
-SESSION = np.dtype(
-    [
-        *WHEN,
-        ("cadence", "<f8"),
-        ("stance_pct", "<f8"),
-        ("accepted", "<i8"),
-        ("rejected", "<i8"),
-        *((reason.replace(" ", "_"), "<i8") for reason in REASONS),
-    ]
-)
 SCALES = ("none", "session", "cycle")
 RATIO_FROM = 10
 """The variance ratio is given from so many cycles on (Hershler and Milner 1978)."""
@@ -58,22 +25,25 @@ RATIO_FROM = 10
 @dataclass(slots=True)
 class EnsembleState:
     """
-    count (m,), mean (100, m), spread (100, m)   cycles per muscle, their mean, and the sum of squared differences from it (Welford)
-    kept (remember, 100, m)   the latest cycles, a ring; `seen` in all
-    strides, stances (over,)  durations in s and stance in % of the latest accepted cycles, rings
+    curve                     of all cycles
+    kept (remember, 100, m)   the latest cycles, a ring; `seen` in all; kept_numbers (remember,)
+    strides, stances (over,)  durations in s and stance in % of the latest accepted cycles, rings; stride_numbers (over,); `walked` in all
+    history                   what can still be revised
     accepted, reasons (7,)    counts
     told, never, blanks       the newest `until` that has gone out; stamps and samples of nothing, by output
     shared, pairs (p,)        sum of the co-contraction over cycles, and their number, per pair
     """
 
     expected: Expected
-    count: Samples
-    mean: Samples
-    spread: Samples
+    curve: RunningCurve
     kept: Samples
+    kept_numbers: Times
     seen: int
     strides: Samples
     stances: Samples
+    stride_numbers: Times
+    walked: int
+    history: CycleHistory
     accepted: int
     reasons: Array
     shared: Samples
@@ -103,7 +73,8 @@ class CycleEnsemble(Operator[EnsembleState]):
     session    one event per cycle, rejected ones too: cadence, 60 over the mean duration of the latest `over` accepted cycles in
                strides/min; mean stance; counts of accepted and rejected cycles, by reason
 
-    A muscle that is missing in a cycle keeps the numbers it had.
+    A muscle that is missing in a cycle keeps the numbers it had. A second event of one of the latest 64 cycles' numbers replaces the first:
+    what was added up of that cycle is taken out again, and its new sample, if it is accepted, comes in.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")
@@ -121,8 +92,9 @@ class CycleEnsemble(Operator[EnsembleState]):
         flat = self._muscles(spec)
         self.hold(
             EnsembleState(
-                Expected.none(), np.zeros(n), np.zeros((POINTS, n)), np.zeros((POINTS, n)), np.full((self.remember, POINTS, n), np.nan), 0,
-                np.full(self.over, np.nan), np.full(self.over, np.nan), 0, np.zeros(len(REASONS), np.int64),
+                Expected.none(), RunningCurve.none(POINTS, n), np.full((self.remember, POINTS, n), np.nan),
+                np.full(self.remember, -1), 0, np.full(self.over, np.nan), np.full(self.over, np.nan), np.full(self.over, -1), 0,
+                CycleHistory.none(POINTS, n), 0, np.zeros(len(REASONS), np.int64),
                 np.zeros(len(self.pairs)), np.zeros(len(self.pairs)), flat, list(spec.channels),
                 NEVER, np.empty(0, np.int64), [self._blank(name, (POINTS, n)) for name in self.outputs],
             )
@@ -135,7 +107,9 @@ class CycleEnsemble(Operator[EnsembleState]):
             "sd": spec,
             "muscles": StreamSpec((), MUSCLE, units=muscle, meta=meta),
             "pairs": StreamSpec((), PAIR, units=(*when, "", "", "%", "%", ""), meta=meta),
-            "session": StreamSpec((), SESSION, units=(*when, "strides/min", "%", *(9 * [""])), meta=meta),
+            "session": StreamSpec(
+                (), SESSION, units=(*when, "strides/min", "%", "", "", *(len(REASONS) * [""])), meta=meta
+            ),
         }
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]] | None:
@@ -151,17 +125,18 @@ class CycleEnsemble(Operator[EnsembleState]):
         made: dict[str, list[tuple[int, Array]]] = {name: [] for name in self.outputs}
         if port == "closed":
             s.expected.note(chunk)
-            for stamp, row in zip(chunk.time.tolist(), chunk.data, strict=True):
-                made["session"].append((stamp, self._session(row)))
+            for i, stamp in enumerate(chunk.time.tolist()):
+                row = chunk.data[i : i + 1]
+                if self._revised(row[0]) and row["rejected"][0]:
+                    self._summary(made, stamp, row)
+                made["session"].append((stamp, self._session(row[0])))
         else:
             for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
                 closed = s.expected.match(stamp)
                 if closed is not None:
                     curve = np.where(np.isfinite(curve), curve, np.nan)
-                    self._take(curve)
-                    made["mean"].append((stamp, np.where(s.count > 0, s.mean, np.nan)[None]))
-                    made["sd"].append((stamp, self._sd()[None]))
-                    made["muscles"].append((stamp, self._repeatability(closed)))
+                    self._take(int(closed["number"][0]), curve)
+                    self._summary(made, stamp, closed)
                     made["pairs"].append((stamp, self._co_contraction(closed, curve)))
         lost = -1 if chunk.lost else 0
         return [(name, self._chunk(name, parts, chunk.until, lost)) for name, parts in made.items()]
@@ -203,32 +178,53 @@ class CycleEnsemble(Operator[EnsembleState]):
         stamps = np.array([stamp for stamp, _ in parts], np.int64).repeat([len(part) for _, part in parts])
         return Chunk(stamps, np.concatenate([part for _, part in parts]), until, lost)
 
-    def _take(self, curve: Samples) -> None:
+    def _summary(self, made: dict[str, list[tuple[int, Array]]], stamp: int, closed: Array) -> None:
         s = self.state
-        there = ~np.isnan(curve).any(axis=0)
-        s.count[there] += 1
-        before = curve[:, there] - s.mean[:, there]
-        s.mean[:, there] += before / s.count[there]
-        s.spread[:, there] += before * (curve[:, there] - s.mean[:, there])
-        s.kept[s.seen % self.remember] = np.where(there, curve, np.nan)
-        s.seen += 1
+        made["mean"].append((stamp, s.curve.centre()[None]))
+        made["sd"].append((stamp, s.curve.sd()[None]))
+        made["muscles"].append((stamp, self._repeatability(closed)))
 
-    def _sd(self) -> Samples:
+    def _revised(self, closed: np.void) -> bool:
+        """Whether a cycle's event replaces one that accepted it; what was added up of it is then taken out."""
         s = self.state
-        return np.where(s.count > 1, np.sqrt(s.spread / np.maximum(s.count - 1, 1)), np.nan)
+        number, reason = int(closed["number"]), str(closed["rejected"])
+        before = s.history.note(number, REASONS.index(reason) if reason else ACCEPTED)
+        if before >= 0:
+            s.reasons[before] -= 1
+        if before != ACCEPTED:
+            return False
+        s.accepted -= 1
+        here = s.stride_numbers == number
+        s.strides[here], s.stances[here], s.stride_numbers[here] = np.nan, np.nan, -1
+        curve = s.history.take(number)
+        s.curve.remove(curve)
+        s.kept[s.kept_numbers == number] = np.nan
+        index = self._indices(curve)
+        known = np.isfinite(index)
+        s.shared[known] -= index[known]
+        s.pairs[known] -= 1
+        return True
+
+    def _take(self, number: int, curve: Samples) -> None:
+        s = self.state
+        s.history.put(number, curve)
+        there = s.curve.add(curve)
+        s.kept[s.seen % self.remember] = np.where(there, curve, np.nan)
+        s.kept_numbers[s.seen % self.remember] = number
+        s.seen += 1
 
     def _repeatability(self, closed: Array) -> Array:
         s = self.state
         n = len(s.names)
-        rows = _rows(MUSCLE, closed, n)
-        rows["muscle"], rows["name"], rows["cycles"] = np.arange(n), s.names, s.count
-        mean = np.where(s.count > 0, s.mean, np.nan)
-        peak = s.mean.argmax(axis=0)
+        rows = rows_of(MUSCLE, closed, n)
+        rows["muscle"], rows["name"], rows["cycles"] = np.arange(n), s.names, s.curve.count
+        mean = s.curve.centre()
+        peak = s.curve.mean.argmax(axis=0)
         rows["peak"] = mean[peak, np.arange(n)]
-        rows["peak_pct"] = np.where(s.count > 0, peak * (100 / POINTS), np.nan)
+        rows["peak_pct"] = np.where(s.curve.count > 0, peak * (100 / POINTS), np.nan)
         with np.errstate(invalid="ignore", divide="ignore"):
-            rows["cv_pct"] = 100 * np.sqrt((self._sd() ** 2).mean(axis=0)) / np.abs(mean).mean(axis=0)
-            rows["variance_ratio"] = self._variance_ratio()
+            rows["cv_pct"] = 100 * np.sqrt((s.curve.sd() ** 2).mean(axis=0)) / np.abs(mean).mean(axis=0)
+            rows["variance_ratio"] = np.where(s.curve.count >= RATIO_FROM, s.curve.variance_ratio(), np.nan)
         known = np.isfinite(rows["variance_ratio"])
         rows["verdict"] = np.where(
             known, np.where(rows["variance_ratio"] > self.repeatable_below, "not repeatable", "repeatable"), ""
@@ -236,31 +232,23 @@ class CycleEnsemble(Operator[EnsembleState]):
         rows["deviation"], rows["mad"] = self._deviations()
         return rows
 
-    def _variance_ratio(self) -> Samples:
-        s = self.state
-        within = s.spread.sum(axis=0)
-        between = s.count * ((s.mean - s.mean.mean(axis=0)) ** 2).sum(axis=0)
-        ratio = (within / (POINTS * (s.count - 1))) / ((within + between) / (POINTS * s.count - 1))
-        return np.where(s.count >= RATIO_FROM, ratio, np.nan)
-
     def _deviations(self) -> Samples:
         """Mean distance to the mean curve, and the mean absolute deviation of the distances, of the cycles kept (2, m); NaN below two."""
         s = self.state
         kept = s.kept[: min(s.seen, self.remember)]
-        points, n = s.mean.shape
+        points, n = s.curve.mean.shape
         out = np.empty((2, n))
         deviations(kept, SCALES.index(self.scale), np.empty((points, n)), np.empty((len(kept), n)), out)
         return out
 
     def _co_contraction(self, closed: Array, curve: Samples) -> Array:
         s = self.state
-        rows = _rows(PAIR, closed, len(self.pairs))
+        rows = rows_of(PAIR, closed, len(self.pairs))
         if not self.pairs:
             return rows
-        a, b = curve[:, s.muscles[::2]], curve[:, s.muscles[1::2]]
+        index = self._indices(curve)
+        known = np.isfinite(index)
         with np.errstate(invalid="ignore", divide="ignore"):
-            index = 200 * np.minimum(a, b).sum(axis=0) / (a + b).sum(axis=0)
-            known = np.isfinite(index)
             s.shared[known] += index[known]
             s.pairs[known] += 1
             rows["mean_pct"] = s.shared / s.pairs
@@ -268,28 +256,31 @@ class CycleEnsemble(Operator[EnsembleState]):
         rows["co_contraction_pct"], rows["cycles"] = np.where(known, index, np.nan), s.pairs
         return rows
 
+    def _indices(self, curve: Samples) -> Samples:
+        """The co-contraction (p,) of each pair in a cycle, in %."""
+        a, b = curve[:, self.state.muscles[::2]], curve[:, self.state.muscles[1::2]]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(200 * np.minimum(a, b).sum(axis=0) / (a + b).sum(axis=0))
+
     def _session(self, closed: Array) -> Array:
         s = self.state
         reason = str(closed["rejected"])
         if reason:
             s.reasons[REASONS.index(reason)] += 1
         else:
-            s.strides[s.accepted % self.over] = closed["duration_s"]
-            s.stances[s.accepted % self.over] = closed["stance_pct"]
+            k = s.walked % self.over
+            s.strides[k], s.stances[k], s.stride_numbers[k] = (
+                closed["duration_s"],
+                closed["stance_pct"],
+                closed["number"],
+            )
+            s.walked += 1
             s.accepted += 1
-        rows = _rows(SESSION, closed[None], 1)
-        stances = s.stances[np.isfinite(s.stances)]
-        rows["cadence"] = 60 / s.strides[: s.accepted].mean() if s.accepted else np.nan
+        rows = rows_of(SESSION, closed[None], 1)
+        strides, stances = s.strides[np.isfinite(s.strides)], s.stances[np.isfinite(s.stances)]
+        rows["cadence"] = 60 / strides.mean() if len(strides) else np.nan
         rows["stance_pct"] = stances.mean() if len(stances) else np.nan
         rows["accepted"], rows["rejected"] = s.accepted, s.reasons.sum()
         for name, count in zip(REASONS, s.reasons, strict=True):
             rows[name.replace(" ", "_")] = count
         return rows
-
-
-def _rows(kind: np.dtype[np.void], closed: Array, count: int) -> Array:
-    """`count` events about the cycle `closed` (1,)."""
-    rows = np.zeros(count, kind)
-    for name, _ in WHEN:
-        rows[name] = closed[name][0]
-    return rows

@@ -7,7 +7,9 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from operators.gait.cycle import Expected, check_cycles, some_cycles
+from operators.gait.cycle import REASONS, Expected, check_cycles, some_cycles
+from operators.gait.history import ACCEPTED, CycleHistory
+from operators.gait.running_curve import RunningCurve
 from stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.operator import Case, Operator
 from stream.params import param
@@ -35,15 +37,16 @@ STATISTICS = np.dtype(
 @dataclass(slots=True)
 class StatisticsState:
     """
-    mean   (100, muscles) mean curve of the cycles so far, in the space in which deviations are taken; count (muscles,) how many
+    curve  of the cycles so far, in the space in which deviations are taken
     top    (muscles,) highest value so far
+    history   what can still be revised, in the same space
     told   the newest `until` that has gone out; never, blank: stamps and samples of nothing
     """
 
     expected: Expected
-    mean: Samples
-    count: Samples
+    curve: RunningCurve
     top: Samples
+    history: CycleHistory
     names: list[str]
     told: int
     never: Times
@@ -68,6 +71,9 @@ class CycleStatistics(Operator[StatisticsState]):
     The deviation is one term of what the thesis's tables 6.1 and 6.2 average: their numbers fit the mean distance per cycle, not the
     root of summed squares that eq. 6.9 prints. There the mean curve is that of the whole session; live it can only be that of the
     cycles until now. `CycleEnsemble` gives the tables' own numbers. A muscle that is missing in a cycle has NaN throughout.
+
+    A second event in `closed` of one of the latest 64 cycles' numbers replaces the first. If it is accepted its numbers come again, from
+    its new sample; either way the mean that later deviations are taken from no longer holds what was told first.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")
@@ -80,9 +86,11 @@ class CycleStatistics(Operator[StatisticsState]):
         nothing = (NEVER, np.empty(0, np.int64), np.empty(0, STATISTICS))
         self.hold(
             StatisticsState(
-                Expected.none(), np.zeros((spec.shape[0], n)), np.zeros(n), np.zeros(n), list(spec.channels), *nothing
+                Expected.none(), RunningCurve.none(spec.shape[0], n),
+                np.zeros(n),
+                CycleHistory.none(spec.shape[0], n), list(spec.channels), *nothing,
             )
-        )
+        )  # fmt: skip
         unit = spec.units[0] if len(spec.units) == 1 else ""
         area, ratio = f"{unit} s".strip(), unit if self.scale == "none" else ""
         units = ("ns", "ns", "", "", "", unit, "%", unit, area, unit, unit, area, area, ratio)
@@ -99,13 +107,15 @@ class CycleStatistics(Operator[StatisticsState]):
         rows, stamps = [], []
         if port == "closed":
             s.expected.note(chunk)
+            for row in chunk.data:
+                self._revise(int(row["number"]), str(row["rejected"]))
         else:
             for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
                 closed = s.expected.match(stamp)
                 if closed is not None:
                     rows.append(self._rows(closed[0], curve))
                     stamps.append(stamp)
-        n = s.mean.shape[1]
+        n = len(s.names)
         data = np.concatenate(rows) if rows else s.blank
         return Chunk(np.array(stamps, np.int64).repeat(n), data, chunk.until, -1 if chunk.lost else 0)
 
@@ -133,21 +143,33 @@ class CycleStatistics(Operator[StatisticsState]):
             count = int(chosen.sum())
             rows[f"mean_{part}"] = total / count if count else np.nan
             rows[f"integrated_{part}"] = total * (duration / points)
-        rows["deviation"] = self._deviation(curve, absent)
+        rows["deviation"] = self._deviation(int(closed["number"]), curve, absent)
         return rows
 
-    def _deviation(self, curve: Samples, absent: Array) -> Samples:
+    def _revise(self, number: int, rejected: str) -> None:
+        """Take a cycle that is told again out of the mean."""
+        s = self.state
+        if s.history.note(number, REASONS.index(rejected) if rejected else ACCEPTED) != ACCEPTED:
+            return
+        curve = s.history.take(number)
+        there = ~np.isnan(curve).any(axis=0)
+        s.curve.remove(curve)
+        if self.scale != "cycle":
+            highest = there & (np.fmax.reduce(curve, axis=0) >= s.top)
+            s.top[highest] = s.history.highest()[highest]
+
+    def _deviation(self, number: int, curve: Samples, absent: Array) -> Samples:
         """This cycle's distance to the running mean, which then takes it in."""
         s = self.state
         there = ~absent
-        s.top[there] = np.maximum(np.where(s.count == 0, -np.inf, s.top), curve.max(axis=0))[there]
+        s.top[there] = np.maximum(np.where(s.curve.count == 0, -np.inf, s.top), curve.max(axis=0))[there]
         with np.errstate(invalid="ignore", divide="ignore"):
             if self.scale == "cycle":
                 curve = curve / curve.max(axis=0)
-            distance = np.asarray(np.sqrt(((curve - s.mean) ** 2).sum(axis=0)))
+            distance = np.asarray(np.sqrt(((curve - s.curve.mean) ** 2).sum(axis=0)))
             if self.scale == "session":
                 distance = distance / s.top
-        distance[s.count == 0] = np.nan
-        s.count[there] += 1
-        s.mean[:, there] += (curve[:, there] - s.mean[:, there]) / s.count[there]
+        distance[s.curve.count == 0] = np.nan
+        s.curve.add(np.where(there, curve, np.nan))
+        s.history.put(number, np.where(there, curve, np.nan))
         return distance
