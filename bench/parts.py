@@ -42,14 +42,14 @@ class Nothing:
 
 @dataclass(frozen=True, slots=True)
 class Identity(Operator[Nothing]):
-    """Passes on what it gets."""
+    """Passes on what it gets, in a chunk of its own."""
 
     def open(self, specs: Specs) -> Specs:
         self.hold(Nothing())
         return {"out": specs["in"]}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
-        return chunk
+        return Chunk(chunk.time, chunk.data, chunk.until, chunk.lost)
 
 
 @dataclass(frozen=True, slots=True)

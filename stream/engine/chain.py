@@ -14,15 +14,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain
 from time import perf_counter_ns
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stream.chunk import FOREVER, Chunk
+from stream.chunk import FOREVER, STAMP, Chunk
 from stream.engine.link import Link, Push, failure
 from stream.engine.metrics import add
+from stream.engine.promise import PromiseError
 from stream.engine.row import Row, step_of
 from stream.operator import Step
 from stream.spare import Spare
@@ -66,17 +68,21 @@ class Chain:
         self._timed: list[list[tuple[int, ...]]] = [[] for _ in self.spans]
         self._at: dict[int, int] = {}
         """By line of the function: the span that is called there."""
+        self._checks_at: dict[int, int] = {}
+        """And the wire whose promise is checked there."""
         lines = self._written()
         names: dict[str, Any] = {"clock": perf_counter_ns, "Chunk": Chunk, "due": 0, "trouble": self._trouble}
-        names["FOREVER"] = FOREVER
+        names |= {"FOREVER": FOREVER, "STAMP": STAMP, "hand0": wire.hand}
         for i, wire in enumerate(self.wires):
-            names |= {f"wire{i}": wire, f"carry{i}": wire.carry}
+            names |= {f"wire{i}": wire, f"carry{i}": wire.carry, f"dtype{i}": wire.spec.dtype}
             names |= {f"tap{i}_{k}": tap for k, tap in enumerate(wire.taps)}
         for i, span in enumerate(self.spans):
             link = span.links[0]
             names |= {f"process{i}": link.process, f"port{i}": link.port, f"emit{i}": link.emit, f"link{i}": link}
+            names["hand"] = link.hand
             names |= {f"note{i}": self._timed[i].append}
             if row := span.row:
+                names[f"stray{i}"] = partial(self._stray, span)
                 names |= {f"row{i}": row, f"run{i}": row.run, f"table{i}": row.table, f"spare{i}": row.spare.both}
                 names |= {f"rows{i}": row.rows, f"nothing{i}": Spare(row.width).both(0)}
         names |= {f"push{k}": push for k, push in enumerate(self.wires[-1].readers)}
@@ -104,8 +110,7 @@ class Chain:
         lines = [
             "def send(c0, t0):",
             "    global due",
-            f"    if c0.lost or wire0.owed{self._untidy(0, 'c0')}:",
-            "        return carry0(c0, t0)",
+            *self._entry(),
             *self._passed(0, "    "),
             "    try:",
         ]
@@ -124,6 +129,8 @@ class Chain:
             )
             for line in written:
                 lines.append(indent + line)
+                if "given.data.shape" in line or "len(given.time)" in line:
+                    self._checks_at[len(lines)] = span.after
                 if any(f"{called}{i}(" in line for called in ("process", "run", "rows")):
                     self._at[len(lines)] = i
             lines += self._passed(span.after, indent, counted=True)
@@ -139,18 +146,27 @@ class Chain:
         a, b = span.before, span.after
         end, noted = (f"t{i + 1}", self._noted(i)) if timed else ("clock()", [])
         untidy = "" if span.links[0].contiguous else self._untidy(i + 1, "given")
+        before, after = self.wires[a], self.wires[b]
+        passes = (before.spec.shape, before.spec.dtype) == (
+            after.spec.shape,
+            after.spec.dtype,
+        ) and not after.looks_at_ends
+        unlike = f"given is not c{a} or wire{b}.owed or given.until < wire{b}.told" if passes else "True"
         return [
+            f"hand.link = link{i}",
+            f"hand.chunk = c{a}",
             f"given = process{i}(port{i}, c{a})",
             *([f"t{i + 1} = clock()"] if timed else []),
-            f"if given is not c{a} or wire{b}.owed:",
+            f"if {unlike}:",
             "    if given.__class__ is not Chunk:",
             *(f"        {line}" for line in noted),
             f"        return {end} if given is None else emit{i}(given, {end})",
-            f"    if given.lost or wire{b}.owed{untidy}:",
+            "    n = len(given.time)",
+            f"    if given.lost or wire{b}.owed or {self._broken(b, 'given', f'c{a}.until')}{untidy}:",
             *(f"        {line}" for line in noted),
             f"        return carry{b}(given, {end})",
-            "    n = len(given.time)",
             f"c{b} = given",
+            f"wire{b}.told = c{b}.until",
         ]
 
     def _row(self, i: int, span: Span, row: Row, *, timed: bool) -> list[str]:
@@ -161,8 +177,9 @@ class Chain:
         end, noted = (f"t{i + 1}", self._noted(i)) if timed else ("clock()", [])
         kept = b if row.thinning is None else a + 1 + row.thinning
         given = f"c{a}.data, c{a}.time, out, stamps, table{i}"
+        out = f"c{a}.until - {row.delay_ns}" if row.delay_ns else f"c{a}.until"
         return [
-            f"if not n or c{a}.until == FOREVER{owed}:",
+            f"if not n or c{a}.until == FOREVER or {out} < wire{b}.told{owed}:",
             *(f"    {line}" for line in before),
             f"    return link{i}(c{a}, {f't{i}' if timed else 'clock()'})",
             f"if n > row{i}.room:",
@@ -171,13 +188,44 @@ class Chain:
             *([f"n = rows{i}(n)"] if row.rows else []),
             *(f"wire{k}.samples += n" for k in range(kept, b)),
             f"out, stamps = spare{i}(n) if n else nothing{i}" if row.rows else f"out, stamps = spare{i}(n)",
-            f"t{i + 1} = run{i}({given}, t{i})" if timed else f"run{i}({given}, 0)",
+            f"hand.link = link{i}",
+            f"hand.chunk = c{a}",
+            f"t{i + 1} = run{i}({given}, {f't{i}' if timed else 0})",
+            f"if t{i + 1} < 0:",
+            f"    stray{i}(-t{i + 1}, c{a})",
             *(["if not n:", *(f"    {line}" for line in noted), f"    return {end}"] if row.rows else []),
-            f"c{b} = Chunk({'stamps' if row.moves else f'c{a}.time'}, out, c{a}.until - {row.delay_ns}, 0)",
+            f"c{b} = Chunk({'stamps' if row.moves else f'c{a}.time'}, out, {out}, 0)",
             f"if wire{b}.owed:",
             *(f"    {line}" for line in noted),
             f"    return carry{b}(c{b}, {end})",
+            f"wire{b}.told = c{b}.until",
         ]
+
+    def _entry(self) -> list[str]:
+        """What is unusual at the chain's first wire is carried step by step."""
+        wire = self.wires[0]
+        lines = ["    n = len(c0.time)"] if wire.checked else []
+        broken = f" or {self._broken(0, 'c0', 'hand0.chunk.until')}" if wire.checked else ""
+        return [
+            *(["    if c0.__class__ is not Chunk:", "        wire0.check(c0)"] if wire.checked else []),
+            *lines,
+            f"    if c0.lost or wire0.owed{broken}{self._untidy(0, 'c0')}:",
+            "        return carry0(c0, t0)",
+            "    wire0.told = c0.until",
+        ]
+
+    def _broken(self, i: int, chunk: str, reached: str) -> str:
+        """The condition that a new chunk of `n` stamps may break what wire `i` promises: `Wire.check` decides."""
+        wire = self.wires[i]
+        shape = "".join(f", {length}" for length in wire.spec.shape)
+        says = (
+            f"{chunk}.until < wire{i}.told or {chunk}.data.shape != (n{shape or ','})"
+            f" or {chunk}.data.dtype is not dtype{i} or {chunk}.time.dtype is not STAMP"
+        )
+        if wire.looks_at_ends:
+            first, last = f"{chunk}.time.item(0)", f"{chunk}.time.item(-1)"
+            says += f" or {chunk}.time.ndim != 1 or n and not wire{i}.told < {first} <= {last} <= {reached}"
+        return says
 
     def _untidy(self, i: int, chunk: str) -> str:
         """The condition that a chunk's arrays are not what span `i` must be given; at the entry, and before a row, stamps count."""
@@ -196,11 +244,18 @@ class Chain:
         noted = [f"note{i}(({times}))"] if any(span.row is None for span in self.spans[: i + 1]) else []
         return [*noted, f"due = t{i + 1} + {REST} * (t{i + 1} - t0)"]
 
+    def _stray(self, span: Span, place: int, chunk: Chunk) -> None:
+        """A step of a row gave stamps that it must not give."""
+        edge = self.wires[span.before + place].edge
+        raise PromiseError(edge.node, edge.output, "stamps that run backwards, or ahead of its inputs", chunk)
+
     def _trouble(self, error: Exception | SystemExit, found: dict[str, Any]) -> None:
         """Raise what an operator's exception means; nothing, where no operator of this chain raised it."""
         trace = error.__traceback__
-        i = self._at.get(trace.tb_lineno) if trace else None
-        if i is not None:
+        line = trace.tb_lineno if trace else 0
+        if (checked := self._checks_at.get(line)) is not None:
+            self.wires[checked].check(found["given"])
+        if (i := self._at.get(line)) is not None:
             span = self.spans[i]
             link = span.links[0]
             raise failure(link.name, error, link.port, found[f"c{span.before}"]) from error

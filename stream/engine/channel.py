@@ -12,7 +12,7 @@ from collections.abc import Callable
 from queue import SimpleQueue
 from typing import Any, TypeAlias
 
-from stream.chunk import Chunk, add_lost
+from stream.chunk import NEVER, Chunk, add_lost
 from stream.errors import RunError
 from stream.graph import Policy
 
@@ -31,6 +31,7 @@ class Channel:
     owed      how many samples were dropped before the next chunk that is taken
     index     how many samples have come by, ever
     chunks    and in how many chunks
+    told      the watermark of what has been taken
     """
 
     __slots__ = (
@@ -47,6 +48,7 @@ class Channel:
         "owed",
         "owner",
         "policy",
+        "told",
         "waiting",
     )
 
@@ -60,6 +62,7 @@ class Channel:
         self.chunks = self.index = 0
         self.waiting: deque[tuple[Chunk, int, int]] = deque()
         self.owed = 0
+        self.told = NEVER
         self._lock = threading.Lock()
         self._room = threading.Event()
 
@@ -83,6 +86,7 @@ class Channel:
                 self.owed = 0
         if not self._room.is_set():
             self._room.set()
+        self.told = chunk.until
         return chunk, arrival
 
     def close(self) -> None:

@@ -18,10 +18,11 @@ from time import monotonic_ns, perf_counter_ns
 
 import numpy as np
 
-from stream.chunk import FOREVER, NS, STAMP, Chunk
+from stream.chunk import NS, STAMP, Chunk
 from stream.engine.channel import Doorbell
 from stream.engine.intake import AHEAD_NS, Intake
 from stream.engine.journal import Journal
+from stream.engine.promise import END, MOST_LOST
 from stream.engine.supervisor import Door
 
 FEW = 64
@@ -86,9 +87,9 @@ def door(intake: Intake, journal: Journal, turn: Turn, bell: Doorbell, fail: Cal
                         return False
                     newest = stamp
             until = chunk.until
-            if until < newest or until == FOREVER or intake.owed or not turn.open:
+            if until < newest or until >= END or intake.owed or not turn.open:
                 return False
-            if until > arrival + AHEAD_NS and intake.watched:
+            if (until > arrival + AHEAD_NS and intake.watched) or not -1 <= chunk.lost <= MOST_LOST:
                 return False
             runner.last_alive = intake.last = (arrival - offset) / NS
             intake.silent = intake.stale = False

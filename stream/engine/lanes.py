@@ -80,6 +80,7 @@ class Lanes:
             channel = Channel(name, self._home, UNLIMITED, "block")
         channel.owner = push
         self.channels[name] = channel
+        stage.limits.append(channel)
 
         def put(chunk: Chunk, start: int) -> int:
             if self._repeated and name in self._repeated:

@@ -6,9 +6,12 @@ from collections.abc import Callable, Iterable
 from time import perf_counter_ns
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from stream.chunk import Chunk, utc
+import numpy as np
+
+from stream.chunk import FOREVER, STAMP, Array, Chunk, utc
 from stream.engine.metrics import Timing
 from stream.errors import KinegraphError, RunError, explain
+from stream.graph import parts
 from stream.operator import Emitted, Operator
 
 if TYPE_CHECKING:
@@ -18,14 +21,59 @@ Push: TypeAlias = Callable[[Chunk, int], int]
 """Take a chunk and the time (ns, perf_counter) at which the caller ended; return the time at which the work ended."""
 
 
+NOTHING = Chunk(np.empty(0, STAMP), np.empty(0), FOREVER)
+"""What is in hand where an operator is given nothing: it closes."""
+
+
+class Hand:
+    """What a thread has in hand: its present or last call, and read-only views of what an operator from outside was given."""
+
+    __slots__ = ("chunk", "data", "data_view", "link", "time", "time_view")
+
+    def __init__(self) -> None:
+        self.link: Link | None = None
+        self.chunk = NOTHING
+        self.time: Array | None = None
+        self.data: Array | None = None
+
+    def read_only(self, process: Callable[[str, Chunk], Emitted]) -> Callable[[str, Chunk], Emitted]:
+        """The operator's `process` given views that it cannot write to; the arrays themselves where it gives them back."""
+
+        def guarded(port: str, chunk: Chunk) -> Emitted:
+            if chunk.time is not self.time:
+                self.time, self.time_view = chunk.time, view(chunk.time)
+            if chunk.data is not self.data:
+                self.data, self.data_view = chunk.data, view(chunk.data)
+            given = Chunk(self.time_view, self.data_view, chunk.until, chunk.lost)
+            emitted = process(port, given)
+            if emitted is given:
+                return chunk
+            if emitted.__class__ is Chunk:
+                if emitted.time is self.time_view:
+                    emitted.time = chunk.time
+                if emitted.data is self.data_view:
+                    emitted.data = chunk.data
+            return emitted
+
+        return guarded
+
+
+def view(array: Array) -> Array:
+    """The same numbers, for reading only."""
+    seen = array.view()
+    seen.setflags(write=False)
+    return seen
+
+
 class Link:
     """Brings chunks to an operator's input, and sends on what it gives back.
 
+    hand    of the thread that it runs on
     out     the wire of the operator's first output, if it has any
     emit    sends whatever the operator gives back
     """
 
-    __slots__ = ("contiguous", "emit", "name", "operator", "out", "port", "process", "timing")
+    __slots__ = ("contiguous", "emit", "hand", "name", "operator", "out", "port", "process", "timing")
 
     def __init__(
         self,
@@ -35,17 +83,15 @@ class Link:
         timing: Timing,
         out: Wire | None,
         emit: Callable[[Emitted, int], int],
+        hand: Hand,
     ) -> None:
-        self.name, self.port, self.operator, self.process, self.contiguous = (
-            name,
-            port,
-            operator,
-            operator.process,
-            operator.contiguous,
-        )
-        self.timing, self.out, self.emit = timing, out, emit
+        self.name, self.port, self.operator, self.contiguous = name, port, operator, operator.contiguous
+        self.process = operator.process if parts.is_ours(operator) else hand.read_only(operator.process)
+        self.timing, self.out, self.emit, self.hand = timing, out, emit, hand
 
     def __call__(self, chunk: Chunk, start: int) -> int:
+        hand = self.hand
+        hand.link, hand.chunk = self, chunk
         try:
             emitted = self.process(self.port, chunk)
         except (Exception, SystemExit) as error:  # no operator ends the program by itself, with a recording open
@@ -59,6 +105,8 @@ def failure(node: str, error: Exception | SystemExit, port: str = "", chunk: Chu
     """What an operator's exception means to the person at the screen: which node, at which sample's time."""
     where = "" if chunk is None else given(port, chunk)
     text = str(error) if isinstance(error, KinegraphError) else explain(error)
+    if isinstance(error, ValueError) and "read-only" in str(error):
+        text += "; an input must not be written to, for others read it: work on a copy"
     return RunError(f"node {node!r}: {text}{where}")
 
 

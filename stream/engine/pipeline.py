@@ -14,14 +14,16 @@ from typing import Any, TypeAlias
 import numpy as np
 import structlog
 
-from stream.chunk import FOREVER, Array, Chunk, empty
+from stream.chunk import FOREVER, NEVER, Array, Chunk, empty
+from stream.engine.channel import Channel
 from stream.engine.clock import SessionClock
-from stream.engine.link import Link, Push, failure, nonsense
+from stream.engine.link import NOTHING, Hand, Link, Push, failure, nonsense
 from stream.engine.merge import Merge
 from stream.engine.metrics import FOLD_AT, Timing
 from stream.engine.wire import Wire
 from stream.errors import KinegraphError
 from stream.graph import Edge, Graph, Node
+from stream.graph.parts import is_ours
 from stream.operator import Emitted, Operator, Outlet
 
 log = structlog.get_logger(__name__)
@@ -31,24 +33,38 @@ class Stage:
     """An operator or outlet while a graph runs.
 
     feeds    the wires it reads
+    limits   what says how far each input has come: the wire, or the queue behind it
+    hand     what its thread has in hand
     muted    an outlet that hears nothing for now
     failed   why an outlet was switched off
     """
 
-    __slots__ = ("failed", "feeds", "lane", "merge", "muted", "node", "operator", "timing", "wires")
+    __slots__ = ("failed", "feeds", "hand", "lane", "limits", "merge", "muted", "node", "operator", "timing", "wires")
 
-    def __init__(self, graph: Graph, node: Node, lane: str) -> None:
+    def __init__(self, graph: Graph, node: Node, lane: str, hand: Hand) -> None:
         assert isinstance(node.part, Operator)
-        self.node, self.lane = node, lane
+        self.node, self.lane, self.hand = node, lane, hand
         self.operator: Operator[Any] = node.part.fresh()
         specs = graph.input_specs(node)
-        self.wires = {name: Wire(Edge(node.name, name), spec) for name, spec in self.operator.open(specs).items()}
+        opened = self.operator.open(specs)
+        self.wires = {name: Wire(Edge(node.name, name), spec, hand, self.reached) for name, spec in opened.items()}
+        for wire in self.wires.values():
+            wire.strict = not is_ours(self.operator)
         merged = len(specs) > 1 and getattr(self.operator, "in_order", True)
         self.merge = Merge(specs, in_turn=self.operator.in_turn) if merged else None
         self.timing = Timing()
         self.feeds: list[Wire] = []
+        self.limits: list[Wire | Channel] = []
         self.muted = False
         self.failed = ""
+
+    def reached(self) -> int:
+        """How far the inputs are: no output is ahead of that."""
+        link, chunk = self.hand.link, self.hand.chunk
+        if chunk is NOTHING or link is None or link.operator is not self.operator:
+            return FOREVER  # it closes
+        newest = chunk.time.item(-1) if len(chunk.time) else NEVER
+        return max(newest, chunk.until, *(feed.told for feed in self.limits))
 
     def push(self, port: str) -> Push:
         """What brings a chunk to this operator's input `port`."""
@@ -68,16 +84,17 @@ class Stage:
         if self.node.is_outlet:
             return self._outlet_input(port)
         out = next(iter(self.wires.values()), None)
-        return Link(self.node.name, port, self.operator, self.timing, out, self.emit)
+        return Link(self.node.name, port, self.operator, self.timing, out, self.emit, self.hand)
 
     def _outlet_input(self, port: str) -> Push:
         """An outlet's failure ends the outlet, not the graph."""
+        process = self.operator.process if is_ours(self.operator) else self.hand.read_only(self.operator.process)
 
         def run(chunk: Chunk, start: int) -> int:
             if self.muted or self.failed:
                 return start
             try:
-                self.operator.process(port, chunk)
+                process(port, chunk)
             except Exception as error:  # noqa: BLE001 - whatever it was: the graph goes on without this outlet
                 self._switch_off(error)
             end = perf_counter_ns()
@@ -107,6 +124,9 @@ class Stage:
         except KinegraphError:
             raise
         except Exception as error:
+            for name, chunk in emitted if isinstance(emitted, list | tuple) else ():
+                if name in self.wires and isinstance(chunk, Chunk):
+                    self.wires[name].check(chunk)
             raise nonsense(self.node.name, emitted, self.wires, error) from error
         return start
 
@@ -114,6 +134,7 @@ class Stage:
         """Let the operator emit what is pending."""
         if self.node.is_outlet and (self.failed or self.muted):
             return
+        self.hand.chunk = NOTHING
         try:
             emitted = self.operator.close()
         except Exception as error:
@@ -141,10 +162,12 @@ class Pipeline:
         self.entries = {
             str(Edge(n.name, o)): Wire(Edge(n.name, o), s) for n in graph.sources for o, s in n.specs.items()
         }
+        self.hands: dict[str, Hand] = {}
         self.stages = {
-            name: Stage(graph, node, lane_of(graph, node))
+            name: Stage(graph, node, lane, self.hands.setdefault(lane, Hand()))
             for name, node in graph.nodes.items()
             if not node.is_source and (not node.is_outlet or name in speaking)
+            for lane in (lane_of(graph, node),)
         }
         self.wires = {str(w.edge): w for w in self._wires()}
         for wire in self.wires.values():
@@ -152,6 +175,7 @@ class Pipeline:
             for stage, port in readers:
                 wire.readers.append(self._bridged(wire, stage, port, stage.push(port), bridge))
                 stage.feeds.append(wire)
+                wire.strict = wire.strict or stage.node.is_outlet
 
     def _wires(self) -> Iterable[Wire]:
         yield from self.entries.values()
@@ -162,6 +186,7 @@ class Pipeline:
         """The push, behind a queue where the stage runs on another lane than what feeds it."""
         origin = self.stages.get(wire.edge.node)
         if bridge is None or stage.lane == (origin.lane if origin else ""):
+            stage.limits.append(wire)
             return push
         return bridge(stage, port, wire.edge, push)
 
@@ -233,6 +258,7 @@ class Pipeline:
                 stage.merge.restore(_under(arrays, f"{name}/merge/"))
         for name, wire in self.wires.items():
             wire.owed, wire.samples, wire.gaps, wire.lost = (int(v) for v in arrays[f"{name}/wire"])
+            wire.told = NEVER
         self.loosen()
 
 

@@ -14,7 +14,7 @@ from stream.chunk import FOREVER, NS, Chunk, empty
 from stream.engine.drops import recorded_drops
 from stream.engine.link import Push
 from stream.engine.pipeline import Pipeline, Stage
-from stream.engine.promise import Promise
+from stream.engine.promise import Inside
 from stream.engine.stand_in import StandIns
 from stream.engine.warmup import Compilations, warm_up
 from stream.engine.wire import Tap
@@ -109,7 +109,9 @@ class Replay:
         self._joins = speed is None and output is None and not self._drops
         self._stopping = False
         wires = {name: wire for name, wire in self.pipeline.wires.items() if name not in self.pipeline.entries}
-        self._promises = {name: Promise(wire) for name, wire in wires.items()} if strict else {}
+        self._inside = {name: Inside() for name in wires} if strict else {}
+        for name, inside in self._inside.items():
+            wires[name].taps.append(inside.look)
 
     def _bridge(self, stage: Stage, port: str, edge: Edge, push: Push) -> Push:
         """Lanes run on this thread, in order; what their queues dropped live is left out again."""
@@ -144,7 +146,7 @@ class Replay:
         result.took_s = time.monotonic() - began
         result.compiled = compilations.names
         result.samples = {name: wire.samples for name, wire in self.pipeline.wires.items()}
-        result.broken = {name: promise.broken for name, promise in self._promises.items() if promise.broken}
+        result.broken = {name: inside.broken for name, inside in self._inside.items() if inside.broken}
         result.digests = {name: (recorded[name].hexdigest(), digest.hexdigest()) for name, digest in computed.items()}
         return result
 

@@ -7,6 +7,7 @@ from time import perf_counter_ns
 
 import structlog
 
+from stream.chunk import NEVER
 from stream.engine.clock import SessionClock
 from stream.engine.drops import recorded_drops
 from stream.engine.intake import Intake
@@ -55,6 +56,8 @@ def catch_up(
             intake.promised = clock.utc_ns - 1  # it had ended then; now it begins again
         intake.owed = -1  # also where the first chunks, which say so, come before the common start
     _hush(pipeline, lambda outlet: False)
+    for wire in pipeline.wires.values():
+        wire.told = NEVER  # what had ended goes on
     lanes.go_on()
     recording.close()
     journal.report("session resumed", sequence=journal.sequence)

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from stream.chunk import Array, Chunk, StreamSpec
+from stream.chunk import NEVER, Array, Chunk, StreamSpec
 from stream.engine.metrics import Timing, add
 from stream.errors import KinegraphError, nearest
 from stream.kernel import compile_written, is_kernel
@@ -72,7 +72,8 @@ class Row:
     """The steps of several operators.
 
     run       the compiled function: given a chunk's samples (n, c) and stamps (n,), arrays for what comes out (m, width) and (m,), the
-              table, and the time now (ns, perf_counter; 0: not to be timed), it returns the time at which it ended, or 0
+              table, and the time now (ns, perf_counter; 0: not to be timed), it returns the time at which it ended, or 0; of a step whose
+              stamps cannot be, the negative of its place, which is counted from 1
     table     what it is to be given
     room      samples that a chunk may have; `grow` makes more room
     thinning  the place of the one step that keeps only some samples; None if there is none
@@ -108,7 +109,8 @@ class Row:
         if n > self.room:
             self.grow(n)
         out, stamps = self.spare.both(self.rows(n) if self.rows else n)
-        self.run(chunk.data, chunk.time, out, stamps, self.table, 0)
+        if self.run(chunk.data, chunk.time, out, stamps, self.table, 0) < 0:
+            raise ValueError("its step gives stamps that run backwards, or ahead of what it is given")
         if not len(out):
             return None
         return Chunk(stamps if self.moves else chunk.time, out, chunk.until - self.delay_ns)
@@ -157,6 +159,8 @@ class Row:
             lines.append(f"    step{i}({given})")
             if step.last is not None:
                 lines.append(f"    {self._place(step.last)}[0] = {newest}")
+            if moves:
+                lines += self._checked(i, flow["stamps"], rows)
             flow["x"], flow["time"] = flow["out"], flow["stamps"] if moves else flow["time"]
             lines.append(f"    t{i + 1} = clock(table[{DESK}]) if t0 else 0")
             if i == self.thinning and i < last:
@@ -164,6 +168,16 @@ class Row:
         if self.moves and flow["time"] != "stamps":
             lines += ["    for i in range(stamps.shape[0]):", f"        stamps[i] = {flow['time']}[i]"]
         return lines + self._noted(last + 1, "    ")
+
+    def _checked(self, i: int, stamps: str, rows: str) -> list[str]:
+        """The ends of a step's stamps, not before its last ones and not ahead of what came in; else the function returns -(i + 1)."""
+        last, given = f"table[{self._cell(NEVER)}]", f"{stamps}[{rows} - 1]"
+        return [
+            f"    if {rows} > 0:",
+            f"        if {stamps}[0] < {last} or {given} < {stamps}[0] or {given} > time[n - 1]:",
+            f"            return -{i + 1}",
+            f"        {last} = {given}",
+        ]
 
     def _noted(self, ended: int, indent: str) -> list[str]:
         """A passage ends after so many steps: its times are kept, if there is room."""

@@ -81,17 +81,26 @@ class StandIns:
             twins[name] = twin = Wire(wire.edge, wire.spec)
             _move(wire, twin)
             wire.taps, wire.readers = [], []
+        _read_instead(pipeline, {wire.edge: twins[name] for name, wire in pipeline.wires.items() if name in twins})
         pipeline.loosen()
         try:
             yield twins
         finally:
             for name, twin in twins.items():
                 _move(twin, pipeline.wires[name])
+            _read_instead(pipeline, {wire.edge: wire for wire in pipeline.wires.values()})
             pipeline.loosen()
 
 
+def _read_instead(pipeline: Pipeline, wires: Mapping[Edge, Wire]) -> None:
+    """Let every stage know these of its inputs by another wire."""
+    for stage in pipeline.stages.values():
+        stage.feeds = [wires.get(wire.edge, wire) for wire in stage.feeds]
+        stage.limits = [wires.get(at.edge, at) if isinstance(at, Wire) else at for at in stage.limits]
+
+
 def _move(of: Wire, to: Wire) -> None:
-    for slot in ("taps", "readers", "owed", "gaps", "lost", "samples"):
+    for slot in ("taps", "readers", "owed", "gaps", "lost", "samples", "told"):
         setattr(to, slot, getattr(of, slot))
 
 

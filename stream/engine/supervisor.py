@@ -15,6 +15,7 @@ import structlog
 from stream.chunk import FOREVER, NS, STAMP, Chunk, empty, utc
 from stream.engine.channel import Channel, Doorbell
 from stream.engine.clock import SessionClock
+from stream.engine.promise import PromiseError, impossible
 from stream.errors import DeviceError, KinegraphError, RunError, explain, nearest
 from stream.graph import Edge, Node
 from stream.source import Source
@@ -234,6 +235,8 @@ class Runner:
     def normal(self, chunk: Chunk, output: str) -> Chunk:
         """The chunk as operators expect it: tidy, times not decreasing, complete up to its last sample."""
         chunk = self.tidy(chunk, output)
+        if what := impossible(chunk):
+            raise PromiseError(self.node.name, output, what, chunk, kind="source")
         if (chunk.time[1:] < chunk.time[:-1]).any():
             chunk.time, chunk.data = self._in_order(chunk.time, chunk.data)
         if len(chunk.time):

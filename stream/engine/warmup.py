@@ -15,11 +15,12 @@ import numpy as np
 import structlog
 
 from stream.chunk import FOREVER, NS, Chunk, StreamSpec, empty
+from stream.engine.link import Hand
 from stream.engine.merge import Merge
 from stream.engine.metrics import Timing
 from stream.engine.row import step_of
 from stream.errors import GraphError, KinegraphError, explain
-from stream.graph import Graph, Node
+from stream.graph import Graph, Node, parts
 from stream.operator import Emitted, Operator, grid
 from stream.source import Source
 
@@ -66,7 +67,7 @@ def _run_cases(part: Operator[Any]) -> None:
         for port, piece in [*pieces, *ends]:
             for name, merged in merge.push(port, piece):
                 with suppress(KinegraphError):
-                    operator.process(name, merged)
+                    _process(operator, name, merged)
         operator.close()
 
 
@@ -78,16 +79,26 @@ def _run_made_up(graph: Graph, node: Node) -> None:
     promised = operator.open(specs)
     for port, spec in specs.items():
         if spec.is_event:
-            operator.process(port, empty(spec, NS))
+            _process(operator, port, empty(spec, NS))
             continue
         times, data = made_up(spec, SAMPLES)
         for piece in _pieces(spec, times, data):
-            check_promises(node, promised, operator.process(port, piece))
+            check_promises(node, promised, _process(operator, port, piece))
     if len(specs) == len(promised) == 1:
         try:
             step_of(operator, *specs.values(), *promised.values())
         except KinegraphError as error:
             raise GraphError(str(error), path=graph.path, line=node.line, node=node.name) from error
+
+
+def _process(operator: Operator[Any], port: str, chunk: Chunk) -> Emitted:
+    """Give an operator a chunk as the engine does; raises ValueError where it writes into it."""
+    process = operator.process if parts.is_ours(operator) else Hand().read_only(operator.process)
+    before = chunk.time.tobytes(), chunk.data.tobytes()
+    emitted = process(port, chunk)
+    if before != (chunk.time.tobytes(), chunk.data.tobytes()):
+        raise ValueError(f"it writes into its input {port!r}, which others read; let it work on a copy")
+    return emitted
 
 
 def _pieces(spec: StreamSpec, times: Any, data: Any) -> Iterable[Chunk]:

@@ -11,24 +11,51 @@ from typing import TypeAlias
 
 import numpy as np
 
-from stream.chunk import Chunk, StreamSpec, add_lost
+from stream.chunk import FOREVER, NEVER, Chunk, StreamSpec, add_lost
 from stream.engine.chain import Chain
-from stream.engine.link import Push
+from stream.engine.link import Hand, Push
+from stream.engine.promise import PromiseError, broken, ends
 from stream.graph import Edge
 
 Tap: TypeAlias = Callable[[Chunk], None]
 
 
 class Wire:
-    """One output of a node while a graph runs: carries `lost` to the next samples, keeps arrays normal, calls taps and readers.
+    """One output of a node while a graph runs: checks what it promises, carries `lost` to the next samples, keeps arrays normal, calls taps
+    and readers.
 
+    told     its watermark: the `until` of the newest chunk
+    checked  whether a node that may break its promise feeds it; a source's chunks have been looked at where they entered
+    strict   whether the ends of stamps are checked, too, whoever listens
+    hand     of the thread of the node that feeds it
+    reached  how far that node's inputs are
     send     brings a chunk to all who read the wire; changed taps or readers of it, or of a wire behind it, need `loosen` before the next
     chain    the operators behind the wire as one function; None until something is sent
     """
 
-    __slots__ = ("chain", "edge", "gaps", "lost", "owed", "readers", "samples", "send", "spec", "taps")
+    __slots__ = (
+        "chain",
+        "checked",
+        "edge",
+        "gaps",
+        "hand",
+        "hand",
+        "lost",
+        "owed",
+        "reached",
+        "readers",
+        "samples",
+        "send",
+        "spec",
+        "strict",
+        "taps",
+        "told",
+    )
 
-    def __init__(self, edge: Edge, spec: StreamSpec) -> None:
+    def __init__(
+        self, edge: Edge, spec: StreamSpec, hand: Hand | None = None, reached: Callable[[], int] = lambda: FOREVER
+    ) -> None:
+        """`hand` and `reached` of what a node feeds; None: what comes has been looked at."""
         self.edge, self.spec = edge, spec
         self.taps: list[Tap] = []
         self.readers: list[Push] = []
@@ -36,6 +63,10 @@ class Wire:
         self.gaps = 0
         self.lost = 0
         self.samples = 0
+        self.told = NEVER
+        self.checked, self.hand = hand is not None, hand
+        self.strict = False
+        self.reached = reached
         self.loosen()
 
     def loosen(self) -> None:
@@ -54,8 +85,24 @@ class Wire:
             self.fasten(rows=False)
         return self.send(chunk, start)
 
+    @property
+    def looks_at_ends(self) -> bool:
+        """Whether the ends of stamps are checked: at the recorder, at outlets and behind operators from outside."""
+        return self.checked and (self.strict or bool(self.taps))
+
+    def check(self, chunk: Chunk) -> None:
+        """Raise PromiseError where the node gave what its spec, its watermark or its inputs rule out."""
+        if self.checked:
+            what = broken(self.spec, chunk, self.told)
+            if not what and self.looks_at_ends:
+                what = ends(chunk, self.told, self.reached())
+            if what:
+                raise PromiseError(self.edge.node, self.edge.output, what, chunk)
+        self.told = max(self.told, int(chunk.until))
+
     def carry(self, chunk: Chunk, start: int) -> int:
         """What `send` does, for a chunk of any kind."""
+        self.check(chunk)
         if chunk.lost or self.owed:
             chunk = self._with_lost(chunk)
         self.samples += len(chunk.time)

@@ -21,6 +21,7 @@ from stream.operator import Operator, Outlet
 from stream.source import Source
 
 PACKAGES = ("operators", "devices", "stream.manual")
+OURS = ("stream", "devices", "operators")
 """Where `catalogue` looks if not told otherwise: by name, at run time, so that the engine depends on none of them."""
 
 Part: TypeAlias = type[Source] | type[Operator[Any]]
@@ -55,8 +56,12 @@ def import_from(folder: Path) -> None:
 def _is_beside(top: str, folder: Path) -> bool:
     """Whether the imported module or package `top` is one of `folder`'s own (never one of ours)."""
     file = getattr(sys.modules.get(top), "__file__", None)
-    ours = ("stream", "devices", "operators")
-    return bool(file) and top not in ours and Path(str(file)) in (folder / f"{top}.py", folder / top / "__init__.py")
+    return bool(file) and top not in OURS and Path(str(file)) in (folder / f"{top}.py", folder / top / "__init__.py")
+
+
+def is_ours(part: object) -> bool:
+    """Whether a part's class comes with kinegraph; whatever else a graph names is from outside, and trusted with less."""
+    return type(part).__module__.partition(".")[0] in OURS
 
 
 def find(use: str) -> Part:

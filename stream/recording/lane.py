@@ -38,6 +38,7 @@ class Lane:
     got, index, refused    of the recorder's thread: bytes taken; index of the next sample; chunks that were not of the stream's spec
     pending, first         of the recorder's thread: the chunks of the next message, and the index of their first sample
     kept                   how its samples are kept
+    copied                 whether chunks are copied when they are handed over: what sources gave, before any operator sees it
     track, frames          where on the tape its chunks go, and its frames if it has any
     packer                 packs its frames; None: they are kept as images, or not at all
     """
@@ -53,6 +54,7 @@ class Lane:
     pending: list[Logged] = field(default_factory=list)
     first: int = 0
     kept: Kept = "whole"
+    copied: bool = False
     track: int = 0
     frames: int = 0
     packer: Packer | None = None

@@ -85,7 +85,9 @@ class Recorder:
         if any(lane.name == name for lane in self._lanes):
             raise RecordingError(f"stream {name!r} is recorded already")
         kept: Kept = "outline" if outline else self._options.frames if is_frames(spec) else "whole"
-        lane = Lane(name, spec, index=first, kept=kept, track=self._tape.declare(name, spec, role, kept))
+        lane = Lane(
+            name, spec, index=first, kept=kept, copied=role == "input", track=self._tape.declare(name, spec, role, kept)
+        )
         if kept in ("image", "packed"):
             lane.frames = self._tape.declare_frames(name, kept)
             lane.packer = Packer() if kept == "packed" else None
@@ -95,10 +97,13 @@ class Recorder:
         return len(self._lanes) - 1
 
     def write(self, stream: int, chunk: Chunk, arrival: int, sequence: int) -> None:
-        """Hand over a chunk: its arrival (ns of session time) and its place in the input log. Its arrays are never written again."""
+        """Hand over a chunk: its arrival (ns of session time) and its place in the input log. An input is copied;
+        other arrays are never written again."""
         lane = self._lanes[stream]
         if lane.kept == "outline":
-            chunk = Chunk(chunk.time, NOTHING, chunk.until, chunk.lost)
+            chunk = Chunk(chunk.time.copy(), NOTHING, chunk.until, chunk.lost)
+        elif lane.copied:
+            chunk = Chunk(chunk.time.copy(), chunk.data.copy(), chunk.until, chunk.lost)
         if lane.put - lane.got > self._much and not self._has_room(lane):
             lane.dropped += 1
             lane.missed += len(chunk.time)
