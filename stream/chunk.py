@@ -20,6 +20,7 @@ FOREVER = np.iinfo(np.int64).max
 """The `until` of a stream that has ended."""
 NEVER = np.iinfo(np.int64).min
 """The `until` of a stream of which nothing is known yet."""
+MOST_AXES = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,12 +114,16 @@ class StreamSpec:
 
     @staticmethod
     def from_json(record: dict[str, Any]) -> StreamSpec:
+        """What `to_json` gave. Raises ValueError, KeyError or TypeError for what cannot be a spec."""
         descr = record["dtype"]
         if not isinstance(descr, str):
             descr = [tuple(tuple(part) if isinstance(part, list) else part for part in f) for f in descr]
+        dtype, shape = np.lib.format.descr_to_dtype(descr), tuple(record["shape"])
+        if dtype.hasobject or not all(isinstance(n, int) and n >= 0 for n in shape) or len(shape) > MOST_AXES:
+            raise ValueError(f"samples of shape {shape} and type {dtype} cannot be")
         return StreamSpec(
-            shape=tuple(record["shape"]),
-            dtype=np.lib.format.descr_to_dtype(descr),
+            shape=shape,
+            dtype=dtype,
             rate_hz=record["rate_hz"],
             channels=tuple(record["channels"]),
             units=tuple(record["units"]),

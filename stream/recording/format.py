@@ -85,9 +85,11 @@ class Table(NamedTuple):
 
 
 def table(body: bytes | memoryview) -> Table:
-    """The tables of a message, without its samples. The arrays are views of `body`."""
+    """The tables of a message, without its samples. The arrays are views of `body`. Raises ValueError or struct.error where it is damaged."""
     chunks, samples, first = HEAD.unpack_from(body)
     rows = np.frombuffer(body, INT, chunks * COLUMNS, HEAD.size).reshape(chunks, COLUMNS)
+    if not chunks or rows[:, 0].min() < 0 or int(rows[:, 0].sum()) != samples or first < 0:
+        raise ValueError(f"a message of {chunks} chunks and {samples} samples does not hold together")
     start = HEAD.size + rows.nbytes
     return Table(rows, np.frombuffer(body, INT, samples, start), first, start + 8 * samples)
 
@@ -193,9 +195,12 @@ def encode_log(kind: str, time: int, facts: dict[str, Any]) -> bytes:
 
 
 def decode_log(body: bytes | memoryview) -> dict[str, Any]:
-    """{"kind": ..., "time": ..., fact: value, ...}"""
+    """{"kind": ..., "time": ..., fact: value, ...}. Raises ValueError, KeyError or TypeError where it is damaged."""
     record = json.loads(bytes(body))
-    return {**record["facts"], "kind": record["kind"], "time": record["time"]}
+    kind, time, facts = record["kind"], record["time"], record["facts"]
+    if not (isinstance(kind, str) and isinstance(time, int) and isinstance(facts, dict)):
+        raise ValueError("a line of the log lacks its kind, time or facts")
+    return {**facts, "kind": kind, "time": time}
 
 
 def check_format(version: object, path: str) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from stream.bounded import check_size
 from stream.chunk import NS, Array, StreamSpec
 from stream.errors import RecordingError
 from stream.recording.packed import unpack
@@ -70,6 +71,9 @@ def decode_image(body: memoryview) -> tuple[int, memoryview]:
 
 def frames_of(spec: StreamSpec, first: int, n: int, images: Sequence[memoryview], *, packed: bool) -> Array:
     """Frames number `first` ... `first` + n - 1, (n, height, width) in fresh memory. Raises RecordingError if one is missing."""
+    if len(images) < n:
+        raise RecordingError(f"{n - len(images)} of {n} frames are missing; `kinegraph recover` leaves out what cannot be read")
+    check_size(n * spec.sample_bytes, sum(map(len, images)), "a message of frames")
     data = np.empty((n, *spec.shape), spec.dtype)
     missing = set(range(n))
     for body in images:
@@ -131,6 +135,8 @@ def _read_varint(body: memoryview, at: int) -> tuple[int, int]:
     while True:
         byte = body[at]
         at += 1
+        if shift > 63:
+            raise IndexError("a number of more than 64 bits")
         value |= (byte & 0x7F) << shift
         if byte < 0x80:
             return value, at

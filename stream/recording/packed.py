@@ -11,6 +11,7 @@ import struct
 import numpy as np
 import zstandard
 
+from stream.bounded import unpack_zstd
 from stream.chunk import Array
 from stream.errors import RecordingError
 
@@ -50,7 +51,7 @@ def unpack(body: memoryview) -> tuple[int, Array]:
 
     try:
         index, _, height, width = HEAD.unpack_from(body)
-        data = zstandard.decompress(body[HEAD.size :], max_output_size=2 * height * width)
+        data = unpack_zstd(body[HEAD.size :], 2 * height * width)
         planes = np.frombuffer(data, np.uint8).reshape(2, height * width).copy()
     except (struct.error, ValueError, MemoryError, zstandard.ZstdError) as error:
         raise RecordingError(f"a packed frame is damaged ({error})") from None

@@ -23,6 +23,7 @@ from stream.recording.format import (
 )
 from stream.recording.place import parts_of
 from stream.recording.recorded import RecordedPart
+from stream.recording.records import DAMAGE
 from stream.recording.tally import RecordedStream
 
 
@@ -130,13 +131,13 @@ class Recording:
         part: RecordedPart, name: str, body: memoryview, ends: dict[str, int], frames: list[memoryview]
     ) -> list[Entry]:
         """A message's chunks; samples that the recorder had to drop before them count as lost."""
-        _, samples, first = HEAD.unpack_from(body)
-        missed = max(first - ends.get(name, first), 0)
-        ends[name] = first + samples
         try:
+            _, samples, first = HEAD.unpack_from(body)
+            missed = max(first - ends.get(name, first), 0)
+            ends[name] = first + samples
             stream = part.streams[name]
             return decode(stream.spec, body, missed, frames, stream.kept)
-        except RecordingError as error:
+        except (RecordingError, *DAMAGE) as error:
             raise RecordingError(f"{part.file.path}: stream {name!r}: {error}") from None
 
     def chunks(self, name: str) -> Iterator[Chunk]:
@@ -154,7 +155,16 @@ class Recording:
     @property
     def log(self) -> list[dict[str, Any]]:
         """The session's log: {"kind": ..., "time": ns, fact: value, ...} in the order in which it was written."""
-        return [decode_log(body) for part in self.parts for _, _, body, _ in part.messages({LOG})]
+        return list(self.log_lines())
+
+    def log_lines(self) -> Iterator[dict[str, Any]]:
+        """The same, line by line. Raises RecordingError where one is damaged."""
+        for part in self.parts:
+            for _, _, body, _ in part.messages({LOG}):
+                try:
+                    yield decode_log(body)
+                except DAMAGE as error:
+                    raise RecordingError(f"{part.file.path}: a line of its log is damaged ({error})") from None
 
     def metrics(self) -> Iterator[dict[str, Any]]:
         """The nodes' metrics over time: {"time": ns, "table": {...}}."""

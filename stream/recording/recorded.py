@@ -11,8 +11,18 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from stream.errors import RecordingError
-from stream.recording.format import ENCODING, HEADER, LOG, METRICS, PROFILE, SUMMARY, check_format, spec_of, table
-from stream.recording.records import DAMAGE, Record, RecordFile, declared, messages
+from stream.recording.format import (
+    ENCODING,
+    HEADER,
+    LOG,
+    METRICS,
+    PROFILE,
+    SUMMARY,
+    check_format,
+    spec_of,
+    table,
+)
+from stream.recording.records import DAMAGE, RawMessage, Record, RecordFile, declared, messages
 from stream.recording.tally import RecordedStream
 
 
@@ -62,8 +72,8 @@ class RecordedPart:
         version = facts.get("format", "")
         check_format(int(version) if version.isdigit() else version, path)
         try:
-            header: dict[str, Any] = json.loads(facts["header"])
-        except (ValueError, KeyError):
+            header: dict[str, Any] = dict(json.loads(facts["header"]))
+        except DAMAGE:
             if not self._forgiving:
                 raise RecordingError(
                     f"{path}: its header is damaged; `kinegraph recover` rewrites what can be read"
@@ -108,22 +118,28 @@ class RecordedPart:
         """Count what an unfinished file holds; a damaged chunk at its very end is left out."""
         for record in list(self.chunks):
             try:
-                data = self.file.unpack(record)
+                self._count(record)
             except RecordingError:
                 if not self._forgiving and record != self.chunks[-1]:
                     raise
                 self.damaged += 1
                 self.chunks.remove(record)
-                continue
+
+    def _count(self, record: Record) -> None:
+        """Take a chunk into account, all of it or nothing. Raises RecordingError where it is damaged."""
+        data = self.file.unpack(record)
+        try:
             for item in declared(data):
                 if isinstance(item, Schema):
                     self._schemas[item.id] = item
                 elif item.id not in self.topics:
                     self._declare(item)
-            for message in messages(data):
-                name = self.topics.get(message.channel)
-                if name in self.streams:
-                    self.streams[name].count(table(message.body))
+            named = ((self.topics.get(message.channel), message.body) for message in messages(data))
+            found = [(self.streams[name], table(body)) for name, body in named if name in self.streams]
+        except DAMAGE as error:
+            raise self.file.damage(record, error) from None
+        for stream, message in found:
+            stream.count(message)
 
     def _declare(self, channel: Channel) -> None:
         if channel.message_encoding == ENCODING:
@@ -140,7 +156,7 @@ class RecordedPart:
         images = {number: topic for number, topic in self.images.items() if topic in topics}
         waiting: dict[str, list[memoryview]] = {topic: [] for topic in images.values()}
         for record in self.chunks[start:]:
-            for number, batch, _, _, body in messages(self.file.unpack(record)):
+            for number, batch, _, _, body in self._messages(record):
                 if number in wanted:
                     name = wanted[number]
                     yield name, batch, body, waiting.get(name, [])
@@ -172,7 +188,13 @@ class RecordedPart:
 
     def _first_batch(self, start: int) -> int:
         """The batch that a chunk of records begins with; it may have begun before."""
-        return next((message.batch for message in messages(self.file.unpack(self.chunks[start]))), -1)
+        return next((message.batch for message in self._messages(self.chunks[start])), -1)
+
+    def _messages(self, record: Record) -> Iterator[RawMessage]:
+        try:
+            yield from messages(self.file.unpack(record))
+        except DAMAGE as error:
+            raise self.file.damage(record, error) from None
 
 
 def _tail(records: list[Record]) -> int:

@@ -14,20 +14,16 @@ from io import BytesIO
 from pathlib import Path
 from typing import NamedTuple, Protocol, Self, TypeVar
 
-import lz4.frame
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, Metadata, Schema
 
+from stream import bounded
 from stream.errors import RecordingError
 
 MAGIC = b"\x89MCAP0\r\n"
-DAMAGE = (
-    *(ValueError, KeyError, TypeError, OverflowError, MemoryError, RuntimeError, EOFError),
-    *(struct.error, zstandard.ZstdError, McapError),
-)
+DAMAGE = (*bounded.DAMAGE, struct.error, McapError)
 """What reading a damaged record may raise."""
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
@@ -164,9 +160,11 @@ class RecordFile:
             chunk = Chunk.read(self.stream(record))
             data: bytes = chunk.data
             if chunk.compression == "zstd":
-                data = zstandard.decompress(chunk.data, chunk.uncompressed_size)
+                data = bounded.unpack_zstd(chunk.data, chunk.uncompressed_size)
             elif chunk.compression == "lz4":
-                data = lz4.frame.decompress(chunk.data)
+                data = bounded.unpack_lz4(chunk.data, chunk.uncompressed_size)
+            elif chunk.compression:
+                raise ValueError(f"it is packed by {chunk.compression!r}, which is not known")
             if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
                 raise ValueError("its checksum is wrong")
         except DAMAGE as error:
@@ -193,9 +191,12 @@ def messages(data: bytes) -> Iterator[RawMessage]:
 
 
 def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Every record in a chunk of them. Raises ValueError where they do not fit into it."""
     at, end, size = 0, len(data), _RECORD.size
     unpack = _RECORD.unpack_from
     while at < end:
-        opcode, length = unpack(data, at)
+        opcode, length = unpack(data, at) if at + size <= end else (0, 0)
+        if not opcode or at + size + length > end:
+            raise ValueError(f"its records break off at byte {at} of {end}")
         yield opcode, at + size, length
         at += size + length
