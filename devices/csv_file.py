@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from stream.chunk import NS, Array, Chunk, Specs, StreamSpec, Times, add_lost
 from stream.errors import InputError, ParameterError
 from stream.operator import Outlet
 from stream.params import param
+from stream.sheet import Sheet
 from stream.state import pack
 
 MOST_COLUMNS = 4096
@@ -165,7 +165,7 @@ def rows(spec: StreamSpec, chunk: Chunk, start_ns: int, lost: int) -> bytes:
     else:
         columns += _values(chunk.data.reshape(n, -1), "", start_ns)
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(zip(*columns, strict=True))
+    Sheet(text).writerows(zip(*columns, strict=True))
     return text.getvalue().encode()
 
 
@@ -220,5 +220,5 @@ def _seconds_of(stamp: int, start_ns: int) -> str:
 
 def _line(fields: list[str]) -> bytes:
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerow(fields)
+    Sheet(text).writerow(fields)
     return text.getvalue().encode()

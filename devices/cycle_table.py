@@ -15,6 +15,7 @@ from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
 from stream.operator import Outlet
 from stream.params import param
+from stream.plain import say
 
 CYCLE = ("number", "duration_s", "stance_pct", "cadence", "rejected")
 
@@ -175,6 +176,6 @@ def _numbers(field: str, values: Array) -> list[str]:
 def _show(notice: Any, line: str) -> None:
     if View.current is None:
         with suppress(BrokenPipeError):  # nobody reads on
-            print(line, flush=True)
+            say(line, flush=True)
     else:
         View.current.hang_out("cycle", notice, line)

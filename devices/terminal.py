@@ -11,12 +11,14 @@ from typing import Any, ClassVar, Self, TextIO
 
 import structlog
 from rich.columns import Columns
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
 from stream.graph import Graph
+from stream.plain import plain
+from stream.screen import Screen
 
 REFRESH_HZ = 2.0
 LINE_S = 10.0
@@ -73,7 +75,7 @@ class LiveView(View):
 
     def __init__(self, graph: Graph, file: TextIO | None = None) -> None:
         super().__init__(graph, file)
-        self._console = Console(file=file)
+        self._console = Screen(file=file)
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
@@ -126,7 +128,7 @@ class LineView(View):
     def _say(self, line: str) -> None:
         """Print a line; where nobody reads any more (`| head`, a full disk), the session goes on without being shown."""
         try:
-            print(line, file=self._file, flush=True)
+            print(plain(line), file=self._file, flush=True)
         except OSError as error:
             self._file = _nowhere(error)
 

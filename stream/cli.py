@@ -15,6 +15,7 @@ from io import TextIOWrapper
 from typing import Any, NoReturn
 
 from stream.errors import KinegraphError, nearest
+from stream.plain import say
 
 COMMANDS = {
     "run": ("stream.commands.run:run", "Run a graph on live devices; record the session."),
@@ -63,27 +64,27 @@ def main() -> None:
 
 
 def _stop(end: KeyboardInterrupt) -> NoReturn:
-    print("kinegraph: stopped", file=sys.stderr)
+    say("kinegraph: stopped", err=True)
     sys.exit(143 if isinstance(end, Terminated) else 130)
 
 
 def _main(arguments: list[str]) -> None:
     try:
         if not arguments or arguments[0] in ("-h", "--help", "help"):
-            print(overview(), file=sys.stdout if arguments else sys.stderr)
+            say(overview(), err=not arguments)
             sys.exit(0 if arguments else 2)
         if arguments[0] in ("-V", "--version"):
-            print(f"kinegraph {version('kinegraph')}")
+            say(f"kinegraph {version('kinegraph')}")
             return
         call(arguments[0], arguments[1:])
     except KinegraphError as error:
-        print(f"kinegraph: {error}", file=sys.stderr)
+        say(f"kinegraph: {error}", err=True)
         sys.exit(error.exit_code)
     except BrokenPipeError:
         _forget_output()
         sys.exit(141)
     except OSError as error:
-        print(f"kinegraph: {f'{error.filename}: ' if error.filename else ''}{error.strerror or error}", file=sys.stderr)
+        say(f"kinegraph: {f'{error.filename}: ' if error.filename else ''}{error.strerror or error}", err=True)
         sys.exit(2)
 
 

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import gzip
 import io
 import struct
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import lz4.frame
-import numpy as np
 import pytest
 import zstandard
 from mcap.opcode import Opcode
 
-from stream import bounded
-from stream.errors import RecordingError
-from tests.command_line import refused
-from tests.command_line import kinegraph, made  # noqa: F401
 from tests.measured import MOST_MB, measured
 
 HUGE = 4 << 30

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from stream.errors import KinegraphError, nearest
+from stream.plain import say
 
 if TYPE_CHECKING:
     from devices.discovery.found import Found
@@ -35,17 +35,17 @@ def devices(
         here, failed = look(finder)
         found += here
         if failed:
-            print(f"{kind}: could not be asked: {failed}", file=sys.stderr)
+            say(f"{kind}: could not be asked: {failed}", err=True)
     if as_json:
-        print(json.dumps([asdict(one) for one in found], indent=2))
+        say(json.dumps([asdict(one) for one in found], indent=2))
         return
     for one in found:
-        print(_shown(one))
+        say(_shown(one))
     if not found:
-        print(f"nothing is connected (looked for: {', '.join(chosen) or 'nothing'})")
-    print(
+        say(f"nothing is connected (looked for: {', '.join(chosen) or 'nothing'})")
+    say(
         "without a device: kinegraph simulate lists the simulated ones; kinegraph run CONFIG --simulate",
-        file=sys.stderr,
+        err=True,
     )
 
 

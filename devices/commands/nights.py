@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from stream.errors import KinegraphError
+from stream.plain import say
 
 
 class Action(StrEnum):
@@ -48,7 +49,7 @@ def nights(
         failed = []
         for folder in folders:
             try:
-                typer.echo(draw(folder))
+                say(draw(folder))
             except KinegraphError as error:
                 failed.append(str(error))
         if failed:
@@ -64,14 +65,14 @@ def nights(
             raise KinegraphError(f"nobody is there to be asked, so {folder.name} stays; --yes deletes without asking")
         if yes or typer.confirm(f"Delete the night {folder.name} with all its files?"):
             shelf.remove(folder)
-            typer.echo(f"deleted {folder}")
+            say(f"deleted {folder}")
 
 
 def _list(root: Path) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     from devices.night import shelf
+    from stream.screen import Screen
 
     table = Table(
         "night", "from", "to", "asleep", "efficiency", "epochs", "report", "size", box=None, header_style="bold"
@@ -87,7 +88,7 @@ def _list(root: Path) -> None:
             asleep, f"{n['se']:.0f} %" if n and n["se"] is not None else "", str(len(shelf.read_epochs(folder))),
             "yes" if (folder / shelf.DRAWN[0]).exists() else "no", f"{shelf.bytes_of(folder) / 1000:.0f} kB",
         )  # fmt: skip
-    console = Console(highlight=False)
+    console = Screen()
     console.print(table)
     for folder in shelf.damaged(root):
         console.print(f"{folder.name}: cannot be read; kinegraph nights delete {folder.name} removes it")

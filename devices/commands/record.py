@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-import sys
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from stream.errors import KinegraphError
+from stream.plain import say
 
 if TYPE_CHECKING:
     from stream.graph import Graph
@@ -58,9 +58,9 @@ def record(
         if store_frames:
             graph = loaded(sources, images)
         else:
-            print(
+            say(
                 f"images of {', '.join(images)} are not kept, only when they came; --store-frames keeps them",
-                file=sys.stderr,
+                err=True,
             )
     elif store_frames:
         raise KinegraphError("--store-frames: none of these sources gives images")

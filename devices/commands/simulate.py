@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from stream.errors import KinegraphError, ParameterError, nearest
+from stream.plain import say
 
 if TYPE_CHECKING:
     from devices.simulators.serve import Simulator
@@ -50,8 +50,8 @@ def simulate(
     except ParameterError as error:
         raise KinegraphError(f"{name}: {error}") from None
     with _interruptible(), device.serving(misbehaviour, at) as address:
-        print(address, flush=True)
-        print(f"a simulated {name} is there until Ctrl-C", file=sys.stderr)
+        say(address, flush=True)
+        say(f"a simulated {name} is there until Ctrl-C", err=True)
         threading.Event().wait(duration_s or None)
 
 
@@ -96,11 +96,12 @@ def _split(given: dict[str, Any], kind: type[Simulator], mishap: type[Any]) -> t
 
 
 def _list(simulators: dict[str, type[Simulator]]) -> None:
-    from rich.console import Console
     from rich.table import Table
+
+    from stream.screen import Screen
 
     table = Table("name", "what", "parameters", box=None)
     for name, kind in simulators.items():
         what = cleandoc(kind.__doc__ or "").partition("\n")[0]
         table.add_row(name, what, ", ".join(f.name for f in fields(kind)))  # type: ignore[arg-type]
-    Console().print(table)
+    Screen().print(table)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import os
 from collections.abc import Sequence
@@ -14,6 +13,7 @@ import numpy as np
 
 from devices.report.tally import numbers
 from stream.chunk import NS, Array, Samples, Specs, StreamSpec
+from stream.sheet import Sheet
 
 CYCLE = ("duration_s", "stance_pct", "cadence")
 NONE = -1
@@ -108,5 +108,5 @@ def _named(field: str, spec: StreamSpec) -> str:
 
 def _line(values: Sequence[Any]) -> bytes:
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerow(values)
+    Sheet(text).writerow(values)
     return text.getvalue().encode()

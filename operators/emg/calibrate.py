@@ -155,9 +155,9 @@ def _only(recording: Recording, what: str, fits: Any, ends: str = "") -> str:
 
 
 def _show(made: AmplitudeReference, flags: list[str], target: File) -> None:
-    from rich.console import Console
+    from stream.screen import Screen
 
-    console = Console(highlight=False)
+    console = Screen()
     console.print(_table(made, flags))
     console.print(
         f"{target}: {made.kind} of {made.subject or 'nobody named'}, {made.date or 'on an unknown day'}, {made.note}"

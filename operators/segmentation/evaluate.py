@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from stream.errors import KinegraphError
+from stream.plain import say
+from stream.sheet import Sheet
 
 if TYPE_CHECKING:
     from operators.segmentation.found import Found
@@ -53,12 +55,11 @@ def segmentation(
 
     kinegraph evaluate segmentation walk.mcap walk.csv --features stack -o scores
     """
-    from rich.console import Console
-
     from operators.segmentation.found import read_found
     from operators.segmentation.picture import draw
     from operators.segmentation.scores import score
     from operators.segmentation.truth import read_truth
+    from stream.screen import Screen
 
     if not isfinite(offset):
         raise KinegraphError(f"--offset {offset}: must be a number of seconds")
@@ -74,11 +75,11 @@ def segmentation(
         if output:
             _save(output, f"{name}.png", overwrite)
             draw(name, found, known, radius or float("nan")).savefig(output / f"{name}.png", dpi=120)
-    Console(highlight=False).print(_summary(scores))
+    Screen().print(_summary(scores))
     if output:
         _save(output, "scores.csv", overwrite)
         _sheet(output / "scores.csv", scores)
-        typer.echo(str(output))
+        say(str(output))
 
 
 def _meet(made: File, found: Found, annotated: File, known: Truth) -> None:
@@ -118,7 +119,7 @@ def _summary(scores: dict[str, Scores]) -> object:
 
 def _sheet(path: File, scores: dict[str, Scores]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
-        sheet = csv.writer(file, lineterminator="\n")
+        sheet = Sheet(file)
         sheet.writerow(["recording", *SHOWN])
         for name, one in scores.items():
             sheet.writerow([name, *(f"{value:.6g}" if value == value else "" for value in asdict(one).values())])

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from stream.errors import KinegraphError
+from stream.plain import say
 
 if TYPE_CHECKING:
     from operators.sleep.evaluation import Pair
@@ -42,15 +43,14 @@ def sleep(
 
     An EDF file says no time zone: both then go by the clock on the wall. epochs.csv and recordings are in UTC.
     """
-    from rich.console import Console
-
     from operators.sleep.evaluation import NOTE, tables
+    from stream.screen import Screen
 
     if (nights is None) == (estimate is None) or (estimate is None) != (reference is None):
         raise KinegraphError("give ESTIMATE and REFERENCE, or --nights TABLE.csv")
     rows = _rows(nights) if nights else [(estimate, reference, "", offset)]
     pairs = [_pair(File(str(e)), File(str(r)), person, late, stream, epoch_s) for e, r, person, late in rows]
-    console = Console(highlight=False)
+    console = Screen()
     for table in tables(pairs):
         console.print(table)
         console.print()
@@ -67,13 +67,13 @@ def _pair(estimate: File, reference: File, person: str, offset_s: float, stream:
     truth = read_hypnogram(reference, epoch_s=epoch_s)
     for path, read in ((estimate, found), (reference, truth)):
         if read.damage:
-            typer.echo(f"{path} is damaged, and what is whole of it was read: {read.damage}", err=True)
+            say(f"{path} is damaged, and what is whole of it was read: {read.damage}", err=True)
     if found.dated and truth.dated and found.zoned != truth.zoned:
         bare, shift = (reference, -3600) if found.zoned else (estimate, 3600)
         note = (
             f"no time zone stands in {bare}, and UTC is assumed; --offset {shift} if its clock was an hour ahead of UTC"
         )
-        typer.echo(note, err=True)
+        say(note, err=True)
     return pair(estimate.stem, person or estimate.stem, found, truth, offset_s)
 
 
@@ -111,4 +111,4 @@ def _write(pairs: list[Pair], folder: File, overwrite: bool) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     draw(pairs).savefig(picture, dpi=130)
     write_table(pairs, sheet)
-    typer.echo(f"{picture}\n{sheet}")
+    say(f"{picture}\n{sheet}")

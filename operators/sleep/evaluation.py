@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +14,7 @@ from operators.sleep.reference import Hypnogram
 from operators.sleep.rescoring import UNKNOWN, States
 from stream.chunk import NS, Times
 from stream.errors import KinegraphError
+from stream.sheet import Sheet
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -113,7 +113,7 @@ def tables(pairs: list[Pair]) -> list[Table]:
 def write_table(pairs: list[Pair], path: Path) -> None:
     """One row per night as CSV."""
     with path.open("w", newline="", encoding="utf-8") as file:
-        sheet = csv.writer(file, lineterminator="\n")
+        sheet = Sheet(file)
         sheet.writerow(
             ["night", "person", "epochs", "unknown", "sensitivity", "specificity", "kappa"]
             + [f"{key} {side} (min)" for key in NUMBERS for side in ("estimate", "reference")]

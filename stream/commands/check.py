@@ -7,14 +7,14 @@ from textwrap import fill
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from stream.graph import Edge, Graph, Node, overrides
 from stream.graph.drawing import shown
 from stream.graph.load import load
 from stream.graph.plan import Plan, duration, plan, refuse_late
+from stream.screen import Screen
 
 WIDE = 120
 """Columns from which nodes and paths are tables."""
@@ -38,16 +38,14 @@ def check(
             recorded = {name: stream.spec for name, stream in opened.streams.items()}
     graph = load(config, recorded=recorded, overrides=overrides.read(settings or ()))
     planned = plan(graph, enforce=False)
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = 200
+    console = Screen()
     if console.width >= WIDE:
         console.print(_nodes(graph))
         console.print(_paths(planned))
     else:
-        console.print(escape(_narrow(graph, planned, console.width)))
+        console.print(_narrow(graph, planned, console.width))
     for hint in _unread(graph):
-        console.print(f"[dim]note: {escape(hint)}[/dim]")
+        console.print(f"note: {hint}", style="dim")
     refuse_late(graph, planned.paths)
     console.print(_verdict(graph, planned))
 
@@ -77,7 +75,7 @@ def _nodes(graph: Graph) -> Table:
     for heading in ("node", "use", "reads", "gives"):
         table.add_column(heading, overflow="fold")
     for node in shown(graph):
-        table.add_row(*map(escape, (node.name, node.use, _reads(graph, node), _gives(node))))
+        table.add_row(node.name, node.use, _reads(graph, node), _gives(node))
     return table
 
 
@@ -100,7 +98,7 @@ def _paths(planned: Plan) -> Table:
     table.add_column("where from", overflow="fold")
     table.add_column("memory", justify="right")
     for path in planned.paths:
-        table.add_row(escape(str(path)), duration(path.delay_s), escape(path.explain()), size(path.memory_bytes))
+        table.add_row(str(path), duration(path.delay_s), path.explain(), size(path.memory_bytes))
     return table
 
 
@@ -116,11 +114,12 @@ def _unread(graph: Graph) -> list[str]:
     ]
 
 
-def _verdict(graph: Graph, planned: Plan) -> str:
+def _verdict(graph: Graph, planned: Plan) -> Text:
     slowest = planned.slowest
     delay = duration(slowest.delay_s) if slowest else "0 ms"
     budget = f" (budget {graph.latency_budget_ms:g} ms)" if graph.latency_budget_ms else ""
-    return f"[bold green]OK[/bold green]: delay at most {delay}{budget}, memory about {size(planned.memory_bytes)}"
+    told = f": delay at most {delay}{budget}, memory about {size(planned.memory_bytes)}"
+    return Text.assemble(("OK", "bold green"), told)
 
 
 def size(n: int) -> str:

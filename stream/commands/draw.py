@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from stream.graph import drawing, overrides
 from stream.graph.load import load
+from stream.plain import say
+from stream.screen import Screen
 
 
 class Format(StrEnum):
@@ -32,11 +33,8 @@ def draw(
     graph = load(config, overrides=overrides.read(settings or ()))
     match format:
         case Format.mermaid:
-            print(drawing.mermaid(graph), end="")
+            say(drawing.mermaid(graph), end="")
         case Format.dot:
-            print(drawing.dot(graph), end="")
+            say(drawing.dot(graph), end="")
         case Format.tree:
-            console = Console(highlight=False)
-            if not console.is_terminal:
-                console.width = 200
-            console.print(drawing.tree(graph))
+            Screen().print(drawing.tree(graph))

@@ -11,6 +11,7 @@ import typer
 
 from stream.complete import complete
 from stream.errors import RecordingError
+from stream.plain import say
 
 if TYPE_CHECKING:
     from stream.recording import Recording
@@ -61,7 +62,7 @@ def export(
             else _csv(opened, names, place, total, time, overwrite)
         )
     for name, path, rows in written:
-        typer.echo(f"{name}: {rows} samples to {path}")
+        say(f"{name}: {rows} samples to {path}")
 
 
 def _chosen(recording: Recording, wanted: list[str]) -> list[str]:
@@ -74,7 +75,7 @@ def _chosen(recording: Recording, wanted: list[str]) -> list[str]:
         except RecordingError as error:
             if wanted:
                 raise RecordingError(f"stream {name!r}: {error}") from None
-            typer.echo(f"{name}: left out ({error})", err=True)
+            say(f"{name}: left out ({error})", err=True)
             continue
         fit.append(name)
     if not fit:

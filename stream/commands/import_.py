@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from stream.errors import RecordingError
+from stream.plain import say
 
 if TYPE_CHECKING:
     from stream.convert.series import Series
@@ -118,7 +119,7 @@ def import_(
     with bar(f"importing {', '.join(file.name for file in files)}") as progress:
         write_recording(output, series, header, chunk_s=chunk_ms / 1000, overwrite=overwrite, progress=progress)
     for one in series:
-        typer.echo(f"{one.name}: {len(one.time)} samples, {one.spec.describe()}")
+        say(f"{one.name}: {len(one.time)} samples, {one.spec.describe()}")
 
 
 def _read(files: Sequence[File], wishes: Wishes, xdf: dict[str, Any], *, kinect: bool) -> list[Series]:

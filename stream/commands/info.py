@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections import Counter
 from pathlib import Path as File
 from textwrap import fill
@@ -11,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from rich.console import Console
     from rich.table import Table
 
     from stream.recording import RecordedStream, Recording
+    from stream.screen import Screen
 
 ANNOTATIONS = "annotations"
 """The stream of marks that a session always has."""
@@ -31,20 +32,18 @@ def info(
     graph: Annotated[bool, typer.Option("--graph", help="only the graph that made it, as YAML")] = False,
 ) -> None:
     """Show a recording's streams, rates, durations, gaps, drops, annotations, log, versions, and the graph that made it."""
-    from rich.console import Console
-
+    from stream.plain import plain
     from stream.recording import Recording
+    from stream.screen import Screen
 
     with Recording.open(recording) as opened:
         if graph:
-            typer.echo(opened.header.get("graph", ""), nl=False)
+            text = str(opened.header.get("graph", ""))
+            typer.echo(plain(text) if sys.stdout.isatty() else text, nl=False)
         elif as_json:
             typer.echo(json.dumps(facts(opened), indent=2))
         else:
-            console = Console(highlight=False)
-            if not console.is_terminal:
-                console.width = 200
-            _show(console, opened, None if everything else SHOWN)
+            _show(Screen(), opened, None if everything else SHOWN)
 
 
 def facts(recording: Recording) -> dict[str, Any]:
@@ -94,16 +93,15 @@ def marks(recording: Recording) -> list[dict[str, Any]]:
     ]
 
 
-def _show(console: Console, recording: Recording, most: int | None) -> None:
-    from rich.markup import escape
+def _show(console: Screen, recording: Recording, most: int | None) -> None:
+    from rich.text import Text
 
     header = recording.header
-    state = "" if recording.finished else " [yellow](not closed in order; `kinegraph recover` finishes it)[/yellow]"
+    state = "" if recording.finished else " (not closed in order; `kinegraph recover` finishes it)"
     size = sum(part.file.size for part in recording.parts) / 1e6
     parts = f", {len(recording.parts)} parts" if len(recording.parts) > 1 else ""
-    console.print(
-        f"[bold]{escape(str(recording.path))}[/bold]{state}: {_duration(recording.duration_ns / 1e9)}, {size:.1f} MB{parts}"
-    )
+    told = f": {_duration(recording.duration_ns / 1e9)}, {size:.1f} MB{parts}"
+    console.print(Text.assemble((str(recording.path), "bold"), (state, "yellow"), told))
     if (
         recording.streams
         and (first := min((s.first for s in recording.streams.values() if s.first is not None), default=None))
@@ -112,17 +110,15 @@ def _show(console: Console, recording: Recording, most: int | None) -> None:
         console.print(f"begins {_when(first)}")
     for title in ("session", "imported", "versions"):
         if header.get(title):
-            console.print(f"{title}: " + escape(", ".join(f"{k} {_listed(v)}" for k, v in header[title].items())))
+            console.print(f"{title}: " + ", ".join(f"{k} {_listed(v)}" for k, v in header[title].items()))
     if header.get("graph"):
-        console.print(f"graph: {escape(str(header.get('name') or header.get('graph_path') or ''))} (--graph prints it)")
+        console.print(f"graph: {header.get('name') or header.get('graph_path') or ''} (--graph prints it)")
     for node, known in devices(recording).items():
-        console.print(
-            escape(f"device {node}: " + ", ".join(f"{k} {v}" if k != "device" else str(v) for k, v in known.items()))
-        )
+        console.print(f"device {node}: " + ", ".join(f"{k} {v}" if k != "device" else str(v) for k, v in known.items()))
     wide = console.width >= WIDE
     console.print(_streams(recording, wide))
     for name, stream in recording.streams.items() if not wide else ():
-        console.print(escape(fill(f"{name}: {_what(stream)}", console.width, subsequent_indent="    ")))
+        console.print(fill(f"{name}: {_what(stream)}", console.width, subsequent_indent="    "))
     _list(console, "annotations", [_line(a) for a in marks(recording)], most)
     log = recording.log
     _list(console, "log", [_line(entry) for entry in log], most)
@@ -167,14 +163,12 @@ def _what(stream: RecordedStream) -> str:
     return stream.spec.describe() + (" (not recorded, only when they came)" if stream.kept == "outline" else "")
 
 
-def _list(console: Console, title: str, lines: list[str], most: int | None) -> None:
-    from rich.markup import escape
-
+def _list(console: Screen, title: str, lines: list[str], most: int | None) -> None:
     if not lines:
         return
     console.print(f"{title}: {len(lines)}")
     for line in lines[:most]:
-        console.print(f"  {escape(line)}")
+        console.print(f"  {line}")
     if most is not None and len(lines) > most:
         console.print(f"  ... and {len(lines) - most} more (--all)")
 

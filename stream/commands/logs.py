@@ -8,6 +8,8 @@ from typing import Any
 
 import structlog
 
+from stream.plain import plain_log
+
 
 def set_up(*, json: bool = False, verbose: bool = False) -> None:
     """Choose how log lines look: `json`, one object a line; else aligned text, in colours on a terminal."""
@@ -24,6 +26,7 @@ def set_up(*, json: bool = False, verbose: bool = False) -> None:
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso" if json else "%H:%M:%S", utc=json),
             structlog.processors.format_exc_info if json else structlog.processors.StackInfoRenderer(),
+            plain_log,
             renderer,
         ],
         wrapper_class=structlog.make_filtering_bound_logger(logging.DEBUG if verbose else logging.INFO),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import re
-import sys
 import textwrap
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from stream.errors import KinegraphError, nearest
+from stream.plain import say
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from stream.graph.parts import Part
+    from stream.screen import Screen
 
 WIDE = 110
 """Columns from which the list is a table."""
@@ -41,7 +40,7 @@ def parts(
     import_from(Path())
     found, failed = catalogue((*PACKAGES, *(package or ())))
     for module, reason in failed.items():
-        print(f"left out {module}: {reason}", file=sys.stderr)
+        say(f"left out {module}: {reason}", err=True)
     if "." in name and name not in found:
         found[name] = find(name)
     exact = [path for path in found if name in (path, path.rpartition(".")[2])]
@@ -81,14 +80,11 @@ def _list(found: dict[str, Part]) -> None:
         console.print(table)
 
 
-def _console() -> Console:
+def _console() -> Screen:
     """The terminal; what is no terminal (a pipe, a file) is as wide as it takes."""
-    from rich.console import Console
+    from stream.screen import Screen
 
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = 200
-    return console
+    return Screen()
 
 
 def reflowed(text: str, width: int) -> str:

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from stream.plain import say
+
 
 def recover(
     recording: Annotated[File, typer.Argument(help="the recording: a file or a session's folder", metavar="FILE")],
@@ -27,6 +29,6 @@ def recover(
         found = rewrite(recording, output, progress)
     for part in found:
         damage = f"; {part.damaged} damaged places were left out" if part.damaged else ""
-        typer.echo(f"{part.path}: {part.messages} messages, {part.samples} samples{damage}")
+        say(f"{part.path}: {part.messages} messages, {part.samples} samples{damage}")
     if not found:
-        typer.echo(f"{recording}: finished already, nothing to do")
+        say(f"{recording}: finished already, nothing to do")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from stream.errors import KinegraphError, nearest
+from stream.plain import say
 
 if TYPE_CHECKING:
     from stream.engine.replay import Replay, Replayed
@@ -71,9 +72,9 @@ def replay(
     _tell(result)
     unseen = _not_compared(recorded, result, run.stand_ins) if verify else []
     for name in unseen:
-        print(f"  {name}: NOT COMPARED, for this graph has no such output")
+        say(f"  {name}: NOT COMPARED, for this graph has no such output")
     if verify and (result.differing or unseen) and source.header.get("graph") != graph.text:
-        print(
+        say(
             f"this graph is not the one that made the recording: `kinegraph info {recording} --graph` prints that one"
         )
     if verify and (result.differing or result.stopped or result.broken or unseen):
@@ -101,11 +102,11 @@ def _take_facts(graph: Graph, known: dict[str, Any], asked: dict[str, Any], *, q
     if quiet:
         return
     if written and not known:
-        print("the recording holds no facts about its session; what the graph says of it is taken instead:", end=" ")
-        print(_listed(written))
+        say("the recording holds no facts about its session; what the graph says of it is taken instead:", end=" ")
+        say(_listed(written))
     if passed_over := {name: value for name, value in written.items() if graph.session.get(name) != value}:
-        print("what the recording says of its session is taken, not what the graph says:", end=" ")
-        print(f"{_listed(passed_over)} (--set session.NAME=VALUE says otherwise)")
+        say("what the recording says of its session is taken, not what the graph says:", end=" ")
+        say(f"{_listed(passed_over)} (--set session.NAME=VALUE says otherwise)")
 
 
 @contextmanager
@@ -141,20 +142,20 @@ def _speaking(graph: Graph, asked: list[str]) -> set[str]:
 def _tell_missing(of: StandIns) -> None:
     """What cannot be computed, for want of images, and what is taken from the recording instead."""
     if of.missing:
-        print(
+        say(
             f"the images of {', '.join(of.missing)} were not recorded (a graph that keeps them names them under `record`)"
         )
     if of.taken:
-        print(f"  taken from the recording: {', '.join(of.taken)}")
+        say(f"  taken from the recording: {', '.join(of.taken)}")
     if of.silent:
-        print(f"  not computed: {', '.join(of.silent)}")
+        say(f"  not computed: {', '.join(of.silent)}")
 
 
 def _with_progress(run: object, total_s: float, quiet: bool) -> Replayed:
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     from stream.engine.replay import Replay
+    from stream.screen import Screen
 
     assert isinstance(run, Replay)
     columns = (
@@ -163,7 +164,7 @@ def _with_progress(run: object, total_s: float, quiet: bool) -> Replayed:
         TextColumn("{task.completed:.0f} of {task.total:.0f} s"),
         TimeRemainingColumn(),
     )
-    console = Console(stderr=True)
+    console = Screen(stderr=True)
     with Progress(*columns, console=console, disable=quiet or not console.is_terminal) as bar:
         task = bar.add_task("replay", total=max(total_s, 1e-9))
         return run.run(lambda done_s: bar.update(task, completed=done_s))
@@ -176,10 +177,10 @@ def _not_compared(recorded: list[str], result: Replayed, of: StandIns) -> list[s
 
 def _tell(result: Replayed) -> None:
     pace = f", {result.seconds / result.took_s:.0f} times real time" if result.took_s > 0 else ""
-    print(f"replayed {result.seconds:.1f} s in {result.took_s:.2f} s{pace}{' (stopped)' if result.stopped else ''}")
+    say(f"replayed {result.seconds:.1f} s in {result.took_s:.2f} s{pace}{' (stopped)' if result.stopped else ''}")
     for name, (recorded, replayed) in result.digests.items():
-        print(
+        say(
             f"  {name}: {'identical to the recording' if recorded == replayed else 'DIFFERS from the recording'} ({replayed})"
         )
     for name, what in result.broken.items():
-        print(f"  {name}: BREAKS ITS PROMISE: gave {what}")
+        say(f"  {name}: BREAKS ITS PROMISE: gave {what}")

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 from stream.errors import KinegraphError, RecordingError
+from stream.plain import say
 from stream.source import Source
 
 if TYPE_CHECKING:
@@ -151,16 +152,16 @@ def _screen(view: str, graph: Any) -> Any:
 
 
 def _tell_end(outcome: Outcome) -> None:
-    print(f"session of {outcome.seconds:.1f} s ended{'' if outcome.error is None else ' by an error'}", file=sys.stderr)
+    say(f"session of {outcome.seconds:.1f} s ended{'' if outcome.error is None else ' by an error'}", err=True)
     for name, row in outcome.table.items():
         if row.get("error") and row.get("behind_s"):
-            print(f"  {name}: the last {row['behind_s']:.1f} s could not be written and are lost", file=sys.stderr)
+            say(f"  {name}: the last {row['behind_s']:.1f} s could not be written and are lost", err=True)
         troubles = {k: row[k] for k in ("dropped", "late", "gaps", "dropped_chunks", "error", "problems") if row.get(k)}
         if troubles:
-            print(f"  {name}: {json.dumps(troubles)}", file=sys.stderr)
+            say(f"  {name}: {json.dumps(troubles)}", err=True)
     for node, file in outcome.files.items():
-        print(f"{node}: {file}", file=sys.stderr)
+        say(f"{node}: {file}", err=True)
     if outcome.folder and any(outcome.folder.glob("*.mcap")):
-        print(f"recording: {outcome.folder}", file=sys.stderr)
+        say(f"recording: {outcome.folder}", err=True)
     if outcome.error:
-        print(f"kinegraph: {outcome.error}", file=sys.stderr)
+        say(f"kinegraph: {outcome.error}", err=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +12,7 @@ from stream.complete import write_complete
 from stream.errors import KinegraphError
 from stream.graph.parts import PACKAGES, catalogue, import_from
 from stream.graph.schema import graph_schema
+from stream.plain import say
 
 
 def schema(
@@ -30,13 +30,13 @@ def schema(
     import_from(Path())
     parts, failed = catalogue((*PACKAGES, *(package or ())))
     for module, reason in failed.items():
-        print(f"left out {module}: {reason}", file=sys.stderr)
+        say(f"left out {module}: {reason}", err=True)
     text = json.dumps(graph_schema(parts), indent=2, ensure_ascii=False) + "\n"
     if output is None:
-        print(text, end="")
+        say(text, end="")
         return
     try:
         write_complete(output, text)
     except OSError as error:
         raise KinegraphError(f"{output} cannot be written: {error.strerror}") from None
-    print(f"{output}: {len(parts)} sources, operators and outlets")
+    say(f"{output}: {len(parts)} sources, operators and outlets")

@@ -7,13 +7,12 @@ from time import perf_counter
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.markup import escape
 from rich.progress import Progress
 
 from stream.errors import KinegraphError
 from stream.graph.parts import find, import_from
 from stream.operator import Operator
+from stream.screen import Screen
 from stream.trial import Broken, Choices, Trial, checks, lags, smallest, trials
 
 
@@ -32,7 +31,7 @@ def try_(
     cls = find(operator)
     if not issubclass(cls, Operator):
         raise KinegraphError(f"{operator} is a source; the laws are for operators and outlets")
-    console = Console(highlight=False)
+    console = Screen()
     try:
         made = trials(cls)
         for k, make in enumerate(made):
@@ -47,7 +46,7 @@ def try_(
     except Broken as broken:
         raise LawBroken(operator, broken) from None
     for rule, reason in cls.departures.items():
-        console.print(f"[dim]not asked: rule '{escape(rule)}' ({escape(reason)})[/dim]")
+        console.print(f"not asked: rule '{rule}' ({reason})", style="dim")
 
 
 def _hint(output: str, seconds: float) -> str:
@@ -57,7 +56,7 @@ def _hint(output: str, seconds: float) -> str:
     )
 
 
-def _one_case(trial: Trial, examples: int, seed: int, title: str, console: Console) -> None:
+def _one_case(trial: Trial, examples: int, seed: int, title: str, console: Screen) -> None:
     """Every check, then the random tries; what fails is made as simple as it goes."""
     tried = checks(trial)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 
 from stream.chunk import NS, Array, Chunk, StreamSpec
 from stream.convert.columns import column_names, columns
+from stream.sheet import Sheet
 
 Clock = Literal["seconds", "iso", "ns"]
 
@@ -28,7 +28,7 @@ def write_csv(
     first = {"seconds": "time [s]", "iso": "time", "ns": "time [ns]"}[clock]
     rows = 0
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
+        writer = Sheet(file, lineterminator="\r\n")
         writer.writerow([first, *heads, "lost"])
         for chunk in chunks:
             n = len(chunk.time)

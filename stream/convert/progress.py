@@ -9,11 +9,13 @@ from contextlib import contextmanager
 @contextmanager
 def bar(title: str) -> Iterator[Callable[[int, int], None]]:
     """Within: call (done, total) every now and then."""
-    from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as shown:
+    from stream.screen import Screen
+
+    console = Screen(stderr=True)
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as shown:
         task = shown.add_task(title, total=None)
 
         def progress(done: int, total: int) -> None:

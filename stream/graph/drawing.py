@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rich.markup import escape
+from rich.text import Text
 from rich.tree import Tree
 
 from stream.graph import Edge, Graph, Node
@@ -10,7 +10,7 @@ from stream.graph import Edge, Graph, Node
 
 def tree(graph: Graph) -> Tree:
     """Sources at the left, and below each what reads it; a node with several inputs is drawn once and then pointed at."""
-    root = Tree(f"[bold]{escape(graph.name)}[/bold]", guide_style="dim")
+    root = Tree(Text(graph.name, "bold"), guide_style="dim")
     drawn: set[str] = set()
     for node in shown(graph):
         if node.is_source:
@@ -22,20 +22,20 @@ def _branch(graph: Graph, branch: Tree, node: Node, drawn: set[str]) -> None:
     drawn.add(node.name)
     for output, spec in node.specs.items():
         edge = Edge(node.name, output)
-        mark = " [red]●[/red] recorded" if edge in graph.record else ""
-        flow = branch.add(f"[dim]{escape(output)}: {escape(spec.describe())}[/dim]{mark}")
+        mark = (" ", ("●", "red"), " recorded") if edge in graph.record else ()
+        flow = branch.add(Text.assemble((f"{output}: {spec.describe()}", "dim"), *mark))
         for reader, port in graph.readers(edge):
-            into = f" [dim](into {escape(port)})[/dim]" if len(reader.inputs) > 1 else ""
+            into = Text(f" (into {port})" if len(reader.inputs) > 1 else "", "dim")
             if reader.name in drawn:
-                flow.add(f"{escape(reader.name)}{into} [dim]see above[/dim]")
+                flow.add(Text.assemble(reader.name, into, (" see above", "dim")))
             else:
                 _branch(graph, flow.add(_label(reader) + into), reader, drawn)
 
 
-def _label(node: Node) -> str:
-    lane = f" [yellow]lane {escape(node.options.lane)}[/yellow]" if node.options.lane else ""
+def _label(node: Node) -> Text:
+    lane = f" lane {node.options.lane}" if node.options.lane else ""
     given = ", ".join(f"{key}={value}" for key, value in node.given.items())
-    return f"[bold cyan]{escape(node.name)}[/bold cyan] {escape(node.use)}({escape(given)}){lane}"
+    return Text.assemble((node.name, "bold cyan"), f" {node.use}({given})", (lane, "yellow"))
 
 
 def mermaid(graph: Graph) -> str:

@@ -85,7 +85,7 @@ class Table(NamedTuple):
 
 
 def table(body: bytes | memoryview) -> Table:
-    """The tables of a message, without its samples. The arrays are views of `body`. Raises ValueError or struct.error where it is damaged."""
+    """The tables of a message, without its samples. The arrays are views of `body`. Raises ValueError or struct.error."""
     chunks, samples, first = HEAD.unpack_from(body)
     rows = np.frombuffer(body, INT, chunks * COLUMNS, HEAD.size).reshape(chunks, COLUMNS)
     if not chunks or rows[:, 0].min() < 0 or int(rows[:, 0].sum()) != samples or first < 0:
