@@ -12,6 +12,7 @@ import pytest
 import structlog
 
 from bench import contacts as bench
+from devices.treadmill import Treadmill
 from operators.gait.acceleration import AccelerationContacts
 from operators.gait.contacts import Contacts
 from operators.gait.cycles import Cycles
@@ -495,3 +496,69 @@ def test_overground_markers_give_cycles(recordings: Path) -> None:
         assert len(closed) == len(onsets(told, "touchdown")) - 1 >= 2, name
         stance = closed["stance_pct"][closed["rejected"] == ""]
         assert ((stance > 50.0) & (stance < 85.0)).all(), (name, stance)
+
+
+def _plates(seconds: int = 120) -> tuple[Array, Array, Array]:
+    """Force under the right foot of the simulated walk, under the left half a stride later (n,), and the right touch-downs in s."""
+    signal, n = Treadmill().signal(), seconds * 1000
+    right = signal.read(0, n)[1][:, 0]
+    truth = signal.gait.cycles(0, n)[:, 0] / 1000.0
+    return right, np.roll(right, round(0.5 * 60 / 57 * 1000)), truth[truth > 0.2]
+
+
+def _noise(sd: float) -> Array:
+    return np.random.default_rng(0).normal(0.0, sd, 120_000)
+
+
+def _ramp(to: float) -> Array:
+    return np.linspace(0.0, to, 120_000)
+
+
+PLATE_FAULTS: dict[str, tuple[Any, dict[str, Any], float]] = {
+    "as it is": (lambda right, left: [right], {}, 5.0),
+    "offset +30 N": (lambda right, left: [right + 30], {}, 5.0),
+    "offset -30 N": (lambda right, left: [right - 30], {}, 5.0),
+    "drift to 60 N": (lambda right, left: [right + _ramp(60)], {}, 5.0),
+    "drift to -60 N": (lambda right, left: [right - _ramp(60)], {}, 5.0),
+    "5 % of the other belt": (lambda right, left: [right + 0.05 * left], {}, 5.0),
+    "5 % of the other belt, which is there": (lambda right, left: [right + 0.05 * left, left], {"other": ("L",)}, 5.0),
+    "10 % of the other belt, which is there": (lambda right, left: [right + 0.1 * left, left], {"other": ("L",)}, 5.0),
+    "15 N rms of noise": (lambda right, left: [right + _noise(15)], {}, 12.0),
+    "25 N rms of noise": (lambda right, left: [right + _noise(25)], {}, 20.0),
+    "offset, drift, cross-talk and noise": (
+        lambda right, left: [right + 30 + _ramp(60) + 0.05 * left + _noise(10), left],
+        {"other": ("L",)},
+        10.0,
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", PLATE_FAULTS)
+def test_every_touchdown_on_a_plate_that_drifts_hums_or_hears_the_other(fault: str) -> None:
+    right, left, truth = _plates()
+    spoil, given, late_ms = PLATE_FAULTS[fault]
+    data = np.stack(spoil(right, left), axis=1)
+    spec = StreamSpec((data.shape[1],), rate_hz=1000.0, channels=("R", "L")[: data.shape[1]], units=("N",))
+    told = feed(ForceContacts(**given), spec, data)
+    score = bench.Score()
+    score.add(onsets(told, "touchdown"), onsets(told, "touchdown"), truth, 0.05)
+    assert (score.missed, score.extra <= 1) == (0, True), score
+    assert np.percentile(np.abs(score.errors_s), 95) * 1000 <= late_ms
+    lifted = onsets(told, "liftoff")
+    assert abs(len(lifted) - len(truth)) <= 2
+
+
+def test_a_plate_that_jumps_in_mid_session_is_found_again_within_three_strides() -> None:
+    right, _, truth = _plates()
+    jumped = right + np.where(np.arange(len(right)) < 60_000, 0.0, 40.0)
+    told = feed(ForceContacts(), StreamSpec((1,), rate_hz=1000.0, units=("N",)), jumped[:, None])
+    score = bench.Score()
+    score.add(onsets(told, "touchdown"), onsets(told, "touchdown"), truth, 0.05)
+    assert score.missed <= 3
+
+
+def test_channels_of_the_other_belt_are_not_this_ones() -> None:
+    spec = StreamSpec((2,), rate_hz=1000.0, channels=("R", "L"), units=("N",))
+    for given in ({"other": ("R", "L")}, {"other": ("L",), "channels": ("L",)}):
+        with pytest.raises(ParameterError, match="channels of the other belt"):
+            ForceContacts(**given).open({"in": spec})  # type: ignore[arg-type]

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from operators.gait.baseline import BLOCK_S, ZERO, zeroed
 from operators.gait.contacts import Contacts, Followed, signal_channels
 from stream.chunk import NEVER, NS, Array, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
@@ -73,6 +74,9 @@ class PressState(Followed):
     sign: float
     memory: Times
     load: Samples
+    others: Times
+    zero: Array
+    block: int
 
 
 class _Press(Contacts[PressState]):
@@ -84,7 +88,7 @@ class _Press(Contacts[PressState]):
     debounce_s: float
     reset_gap_s: float
 
-    def watch(self, spec: StreamSpec, gain: float) -> None:
+    def watch(self, spec: StreamSpec, gain: float, others: Sequence[int] = ()) -> None:
         picked = signal_channels(spec, self.channels, "channels")
         state = PressState(
             gap_ns=round(self.reset_gap_s * NS) + spec.period_ns,
@@ -93,6 +97,9 @@ class _Press(Contacts[PressState]):
             sign=-gain if self.inverted else gain,
             memory=np.array([UNKNOWN, 0, 0, 0, NEVER]),
             load=np.zeros(1),
+            others=np.array(others, np.int64),
+            zero=np.zeros(1, ZERO),
+            block=max(2, round(BLOCK_S * (spec.rate_hz or 100.0))),
         )
         self.hold(state, delay_s=self.debounce_s + spec.period_ns / NS)
 
@@ -111,11 +118,21 @@ class ForceContacts(_Press):
     through `threshold_n` and stays there for `debounce_s`; a lift-off where it falls through `threshold_n`, goes on to `threshold_n` less
     `hysteresis_n`, and stays below for as long. Both onsets lie between samples, on the straight line. What is there at the start, or
     after a gap, is no event. Decided `debounce_s` after the onset.
+
+    With `zero: swing` force counts from what the plate shows without the foot: tared by the first 0.15 s that are flat and within
+    `most_offset_n` of 0, then by every swing (the lowest flat 0.15 s of the latest 4 s, in which the load changes by five thresholds). So
+    offset and drift do not matter. Where the plate's noise, measured there, is above a quarter of `threshold_n`, a contact begins at four
+    of its standard deviations, and the hysteresis grows alike. `other`, the other belt's channels of the same stream, takes its
+    cross-talk out: the part of its load that this plate shows in swing, by least squares with a fading memory. `zero: none` takes the force
+    as it comes.
     """
 
     threshold_n: float = param(20.0, above=0.0, help="on the ground from this force up")
     hysteresis_n: float = param(5.0, least=0.0, help="a lift-off must fall this much further")
-    channels: tuple[str, ...] = param((), help="the channels to add up; empty: all")
+    channels: tuple[str, ...] = param((), help="the channels to add up; empty: all but `other`")
+    other: tuple[str, ...] = param((), help="the other belt's channels, whose cross-talk is taken out")
+    zero: Literal["swing", "none"] = param("swing", help="what force counts from: the plate's reading in swing, or 0")
+    most_offset_n: float = param(100.0, above=0.0, help="a higher reading is a load, not an offset")
     inverted: bool = param(False, help="the plate shows pressure as a negative force")
     debounce_s: float = param(0.03, least=0.0, most=0.5, help="how long a contact or a swing lasts at least")
     reset_gap_s: float = param(0.1, least=0.0, help="after a longer gap it is not known where the foot is")
@@ -123,25 +140,44 @@ class ForceContacts(_Press):
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
-        picked = signal_channels(spec, self.channels, "channels")
+        others = signal_channels(spec, self.other, "other") if self.other else []
+        named = self.channels or tuple(name for name in spec.channels if name not in self.other)
+        if set(named) & set(self.other) or (self.other and not named):
+            raise ParameterError("other", list(self.other), "channels of the other belt, not of this one")
+        picked = signal_channels(spec, named, "channels") + others
         units = {spec.units[0] if len(spec.units) == 1 else spec.units[i] for i in picked}
         if len(units) != 1 or not units <= set(NEWTONS):
             raise InputError("in", f"in {', '.join(sorted(units)) or 'no unit'}", f"in {' or '.join(NEWTONS)}: a force")
         if self.hysteresis_n >= self.threshold_n:
             raise ParameterError("hysteresis_n", self.hysteresis_n, f"below threshold_n, which is {self.threshold_n:g}")
-        self.watch(spec, NEWTONS[units.pop()])
+        self.watch(spec, NEWTONS[units.pop()], others)
+        self.state.picked = np.array(picked[: len(picked) - len(others)])
         return self.contacts(spec)
 
     def follow(self, time: Times, data: Array, found: Times) -> tuple[int, int]:
-        load = np.zeros(len(time))
-        for i in self.state.picked:
+        s = self.state
+        load, other = np.zeros(len(time)), np.zeros(len(time))
+        for i in s.picked:
             load += data[:, i]
-        return self.run(time, load * self.state.sign, self.threshold_n, self.hysteresis_n, found)
+        for i in s.others:
+            other += data[:, i]
+        load, other = load * s.sign, other * s.sign
+        if self.zero == "swing":
+            starts = np.diff(time, prepend=time[0] if s.last == NEVER else s.last) > s.gap_ns
+            zeroed(load, other, starts, s.block, self.threshold_n, self.most_offset_n, s.zero, load)
+        return self.run(time, load, self.threshold_n, self.hysteresis_n, found)
 
     @classmethod
     def cases(cls) -> Sequence[Case]:
         time, load = _footfalls(0.0, 700.0)
-        return [Case(cls(side="right"), {"in": (StreamSpec((1,), rate_hz=200.0, units=("N",)), time, load)}, least=12)]
+        _, other = _footfalls(0.0, 700.0, 0.2)
+        one, two = (StreamSpec((n,), rate_hz=200.0, channels=("R", "L")[:n], units=("N",)) for n in (1, 2))
+        both = np.hstack([load + 0.05 * other + 30.0, other])
+        return [
+            Case(cls(side="right"), {"in": (one, time, load)}, least=12),
+            Case(cls(zero="none"), {"in": (one, time, load)}, least=12),
+            Case(cls(other=("L",)), {"in": (two, time, both)}, least=12),
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,9 +219,9 @@ class SwitchContacts(_Press):
         ]
 
 
-def _footfalls(low: float, high: float) -> tuple[Array, Array]:
+def _footfalls(low: float, high: float, begins: float = 0.7) -> tuple[Array, Array]:
     """Eight strides of 1.1 s at 200 Hz, on the ground for 60 % of each, with noise: stamps (n,) and loads (n, 1)."""
     n, rng = 1760, np.random.default_rng(6)
-    phase = (np.arange(n) / 220.0 + 0.7) % 1.0
+    phase = (np.arange(n) / 220.0 + begins) % 1.0
     bump = np.clip(6.0 * np.minimum(phase, 0.6 - phase), 0.0, 1.0)
     return grid(200.0, n), (low + (high - low) * bump + rng.normal(0.0, 0.001 * high, n))[:, None]
