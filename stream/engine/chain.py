@@ -78,7 +78,12 @@ class Chain:
             names |= {f"tap{i}_{k}": tap for k, tap in enumerate(wire.taps)}
         for i, span in enumerate(self.spans):
             link = span.links[0]
-            names |= {f"process{i}": link.process, f"port{i}": link.port, f"emit{i}": link.emit, f"link{i}": link}
+            names |= {
+                f"process{i}": link.operator.process,
+                f"port{i}": link.port,
+                f"emit{i}": link.emit,
+                f"link{i}": link,
+            }
             names["hand"] = link.hand
             names |= {f"note{i}": self._timed[i].append}
             if row := span.row:
@@ -129,7 +134,7 @@ class Chain:
             )
             for line in written:
                 lines.append(indent + line)
-                if "given.data.shape" in line or "len(given.time)" in line:
+                if "given.time" in line and "hand" not in line:
                     self._checks_at[len(lines)] = span.after
                 if any(f"{called}{i}(" in line for called in ("process", "run", "rows")):
                     self._at[len(lines)] = i
@@ -146,27 +151,54 @@ class Chain:
         a, b = span.before, span.after
         end, noted = (f"t{i + 1}", self._noted(i)) if timed else ("clock()", [])
         untidy = "" if span.links[0].contiguous else self._untidy(i + 1, "given")
-        before, after = self.wires[a], self.wires[b]
-        passes = (before.spec.shape, before.spec.dtype) == (
-            after.spec.shape,
-            after.spec.dtype,
-        ) and not after.looks_at_ends
-        unlike = f"given is not c{a} or wire{b}.owed or given.until < wire{b}.told" if passes else "True"
+        carried = [*(f"        {line}" for line in noted), f"        return carry{b}(given, {end})"]
         return [
             f"hand.link = link{i}",
             f"hand.chunk = c{a}",
-            f"given = process{i}(port{i}, c{a})",
+            *self._called(i, span, a),
             *([f"t{i + 1} = clock()"] if timed else []),
-            f"if {unlike}:",
-            "    if given.__class__ is not Chunk:",
-            *(f"        {line}" for line in noted),
-            f"        return {end} if given is None else emit{i}(given, {end})",
+            "if given.__class__ is not Chunk:",
+            *(f"    {line}" for line in noted),
+            f"    return {end} if given is None else emit{i}(given, {end})",
+            f"p{b} = wire{b}.told",
+            *self._the_same(i, a, b, carried),
             "    n = len(given.time)",
-            f"    if given.lost or wire{b}.owed or {self._broken(b, 'given', f'c{a}.until')}{untidy}:",
-            *(f"        {line}" for line in noted),
-            f"        return carry{b}(given, {end})",
+            f"    if given.lost or wire{b}.owed or given.until < p{b} or {self._broken(b, 'given', f'c{a}.until')}{untidy}:",
+            *carried,
             f"c{b} = given",
             f"wire{b}.told = c{b}.until",
+        ]
+
+    def _called(self, i: int, span: Span, a: int) -> list[str]:
+        """The call itself; an operator from outside is given views that it cannot write to."""
+        if span.links[0].is_ours:
+            return [f"given = process{i}(port{i}, c{a})"]
+        return [
+            f"if c{a}.time is not hand.time or c{a}.data is not hand.data:",
+            f"    hand.show(c{a})",
+            f"shown = Chunk(hand.seen_time, hand.seen_data, c{a}.until, 0)",
+            f"given = process{i}(port{i}, shown)",
+            "if given is shown:",
+            f"    given = c{a}",
+            "elif given.__class__ is Chunk:",
+            "    if given.time is hand.seen_time:",
+            f"        given.time = c{a}.time",
+            "    if given.data is hand.seen_data:",
+            f"        given.data = c{a}.data",
+        ]
+
+    def _the_same(self, i: int, a: int, b: int, carried: list[str]) -> list[str]:
+        """Arrays that the wire before has passed need not be looked at once more; ends with what introduces the other case."""
+        before, after = self.wires[a].spec, self.wires[b].spec
+        if (before.shape, before.dtype) != (after.shape, after.dtype):
+            return ["if True:"]
+        behind = f" or p{b} > p{a} and n and given.time.item(0) <= p{b}" if self.wires[b].looks_at_ends else ""
+        untidy = " or not given.time.flags.carray" if i + 1 < len(self.spans) and self.spans[i + 1].row else ""
+        return [
+            f"if given.time is c{a}.time and given.data is c{a}.data:",
+            f"    if given.lost or wire{b}.owed or given.until < p{b}{behind}{untidy}:",
+            *carried,
+            "else:",
         ]
 
     def _row(self, i: int, span: Span, row: Row, *, timed: bool) -> list[str]:
@@ -198,6 +230,7 @@ class Chain:
             f"if wire{b}.owed:",
             *(f"    {line}" for line in noted),
             f"    return carry{b}(c{b}, {end})",
+            f"p{b} = wire{b}.told",
             f"wire{b}.told = c{b}.until",
         ]
 
@@ -205,10 +238,11 @@ class Chain:
         """What is unusual at the chain's first wire is carried step by step."""
         wire = self.wires[0]
         lines = ["    n = len(c0.time)"] if wire.checked else []
-        broken = f" or {self._broken(0, 'c0', 'hand0.chunk.until')}" if wire.checked else ""
+        broken = f" or c0.until < p0 or {self._broken(0, 'c0', 'hand0.chunk.until')}" if wire.checked else ""
         return [
             *(["    if c0.__class__ is not Chunk:", "        wire0.check(c0)"] if wire.checked else []),
             *lines,
+            "    p0 = wire0.told",
             f"    if c0.lost or wire0.owed{broken}{self._untidy(0, 'c0')}:",
             "        return carry0(c0, t0)",
             "    wire0.told = c0.until",
@@ -219,12 +253,12 @@ class Chain:
         wire = self.wires[i]
         shape = "".join(f", {length}" for length in wire.spec.shape)
         says = (
-            f"{chunk}.until < wire{i}.told or {chunk}.data.shape != (n{shape or ','})"
-            f" or {chunk}.data.dtype is not dtype{i} or {chunk}.time.dtype is not STAMP"
+            f"{chunk}.data.shape != (n{shape or ','}) or {chunk}.data.dtype is not dtype{i}"
+            f" or {chunk}.time.dtype is not STAMP or {chunk}.time.ndim != 1"
         )
         if wire.looks_at_ends:
             first, last = f"{chunk}.time.item(0)", f"{chunk}.time.item(-1)"
-            says += f" or {chunk}.time.ndim != 1 or n and not wire{i}.told < {first} <= {last} <= {reached}"
+            says += f" or n and not p{i} < {first} <= {last} <= {reached}"
         return says
 
     def _untidy(self, i: int, chunk: str) -> str:

@@ -28,7 +28,7 @@ NOTHING = Chunk(np.empty(0, STAMP), np.empty(0), FOREVER)
 class Hand:
     """What a thread has in hand: its present or last call, and read-only views of what an operator from outside was given."""
 
-    __slots__ = ("chunk", "data", "data_view", "link", "time", "time_view")
+    __slots__ = ("chunk", "data", "link", "seen_data", "seen_time", "time")
 
     def __init__(self) -> None:
         self.link: Link | None = None
@@ -40,29 +40,29 @@ class Hand:
         """The operator's `process` given views that it cannot write to; the arrays themselves where it gives them back."""
 
         def guarded(port: str, chunk: Chunk) -> Emitted:
-            if chunk.time is not self.time:
-                self.time, self.time_view = chunk.time, view(chunk.time)
-            if chunk.data is not self.data:
-                self.data, self.data_view = chunk.data, view(chunk.data)
-            given = Chunk(self.time_view, self.data_view, chunk.until, chunk.lost)
-            emitted = process(port, given)
-            if emitted is given:
+            if chunk.time is not self.time or chunk.data is not self.data:
+                self.show(chunk)
+            shown = Chunk(self.seen_time, self.seen_data, chunk.until, chunk.lost)
+            emitted = process(port, shown)
+            if emitted is shown:
                 return chunk
             if emitted.__class__ is Chunk:
-                if emitted.time is self.time_view:
+                if emitted.time is self.seen_time:
                     emitted.time = chunk.time
-                if emitted.data is self.data_view:
+                if emitted.data is self.seen_data:
                     emitted.data = chunk.data
             return emitted
 
         return guarded
 
-
-def view(array: Array) -> Array:
-    """The same numbers, for reading only."""
-    seen = array.view()
-    seen.setflags(write=False)
-    return seen
+    def show(self, chunk: Chunk) -> None:
+        """Make views of a chunk's arrays, for reading only."""
+        if chunk.time is not self.time:
+            self.time, self.seen_time = chunk.time, chunk.time.view()
+            self.seen_time.setflags(False)  # type: ignore[call-arg]  # by its name it costs twice as much
+        if chunk.data is not self.data:
+            self.data, self.seen_data = chunk.data, chunk.data.view()
+            self.seen_data.setflags(False)  # type: ignore[call-arg]
 
 
 class Link:
@@ -73,7 +73,7 @@ class Link:
     emit    sends whatever the operator gives back
     """
 
-    __slots__ = ("contiguous", "emit", "hand", "name", "operator", "out", "port", "process", "timing")
+    __slots__ = ("contiguous", "emit", "hand", "is_ours", "name", "operator", "out", "port", "process", "timing")
 
     def __init__(
         self,
@@ -86,7 +86,8 @@ class Link:
         hand: Hand,
     ) -> None:
         self.name, self.port, self.operator, self.contiguous = name, port, operator, operator.contiguous
-        self.process = operator.process if parts.is_ours(operator) else hand.read_only(operator.process)
+        self.is_ours = parts.is_ours(operator)
+        self.process = operator.process if self.is_ours else hand.read_only(operator.process)
         self.timing, self.out, self.emit, self.hand = timing, out, emit, hand
 
     def __call__(self, chunk: Chunk, start: int) -> int:
