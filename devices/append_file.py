@@ -8,6 +8,7 @@ from pathlib import Path
 
 import structlog
 
+from stream.complete import PRIVATE
 from stream.errors import DeviceError
 
 RETRY_S = 1.0
@@ -33,7 +34,7 @@ class AppendFile:
         self._failing = False
         self._retry_at = 0.0
         try:
-            self._handle = os.open(path, os.O_RDWR | os.O_CREAT | (os.O_EXCL if fresh else 0), 0o644)
+            self._handle = os.open(path, os.O_RDWR | os.O_CREAT | (os.O_EXCL if fresh else 0), PRIVATE)
         except FileExistsError:
             raise DeviceError(
                 f"{path} exists already; it is not overwritten unless told to (existing: replace)"

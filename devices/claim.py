@@ -7,6 +7,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
+from stream.complete import private_folder
 from stream.errors import DeviceError
 
 
@@ -16,7 +17,7 @@ def claim(path: Path) -> FileLock:
     Makes the folder. Raises DeviceError if another session writes to `path`, or its folder cannot be written.
     """
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        private_folder(path.parent)
         held = FileLock(path.with_name(f".{path.name}.lock"))
         held.acquire(blocking=False)
     except Timeout:

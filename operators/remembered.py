@@ -7,7 +7,6 @@ versions of numpy and scipy. It comes back bit for bit.
 from __future__ import annotations
 
 import hashlib
-import os
 import zipfile
 from collections.abc import Callable
 from functools import cache, wraps
@@ -17,6 +16,7 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 
+from stream.complete import complete, private_folder
 from stream.fingerprint import fingerprint
 from stream.kernel import cache_folder
 
@@ -47,11 +47,9 @@ def remembered(design: Callable[P, R]) -> Callable[P, R]:
 def _keep(path: Path, result: object) -> None:
     """Write under another name first: another process may read, or do the same. A folder that cannot be written is no fault."""
     named = {str(i): part for i, part in enumerate(result)} if isinstance(result, tuple) else {ONLY: result}
-    draft = path.with_name(f"{path.name}.{os.getpid()}.tmp")
     try:
-        with draft.open("wb") as file:
+        with complete(path, shared=True) as draft, draft.open("wb") as file:
             np.savez(file, **cast(Any, named))
-        draft.replace(path)
     except OSError:
         return
 
@@ -81,5 +79,5 @@ def _versions() -> tuple[str, ...]:
 @cache
 def _folder() -> Path:
     folder = cache_folder() / "designs"
-    folder.mkdir(exist_ok=True)
+    private_folder(folder)
     return folder

@@ -14,6 +14,7 @@ from importlib.metadata import entry_points, version
 from io import TextIOWrapper
 from typing import Any, NoReturn
 
+from stream.complete import be_private
 from stream.errors import KinegraphError, nearest
 from stream.plain import say
 
@@ -51,6 +52,7 @@ def main() -> None:
     """The entry point: errors that a user can act on are printed without a traceback; the exit code tells what kind they were."""
     arguments = sys.argv[1:]
     _make_sure_of_outputs()
+    be_private()
     try:
         with _terminable() as terminated:
             try:

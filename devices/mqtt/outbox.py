@@ -6,7 +6,6 @@ Nothing here knows a network. `flush` hands out what may be said now; `delivered
 from __future__ import annotations
 
 import json
-import os
 import threading
 import time
 from collections import deque
@@ -16,6 +15,8 @@ from itertools import islice
 from pathlib import Path
 
 import structlog
+
+from stream.complete import write_complete
 
 MOST_LETTERS = 6000
 """Two days of epochs. Beyond, the oldest are dropped and counted."""
@@ -201,12 +202,7 @@ class Outbox:
             return
         self._unwritten, self._written_at = False, now
         told = {"session": self._session, "arrived": dict(self._arrived)}
-        draft = self._ledger.with_name(f".{self._ledger.name}.draft")
         try:
-            with draft.open("w", encoding="utf-8") as file:
-                json.dump(told, file)
-                file.flush()
-                os.fsync(file.fileno())
-            draft.replace(self._ledger)
+            write_complete(self._ledger, json.dumps(told))
         except OSError as error:
             log.warning("what was sent cannot be written down", path=str(self._ledger), error=error.strerror)

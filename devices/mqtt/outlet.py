@@ -19,6 +19,7 @@ from devices.mqtt.discovery import OFF, ON, UNKNOWN, Device, Entity, Topics, ann
 from devices.mqtt.link import Broker, Link
 from devices.mqtt.outbox import Outbox, OutboxState
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Specs, StreamSpec, utc
+from stream.complete import private_folder
 from stream.errors import InputError, ParameterError, nearest
 from stream.operator import Outlet
 from stream.params import param
@@ -131,7 +132,7 @@ class MqttOutlet(_Sender):
         self.state.session = self.state.session or uuid.uuid4().hex
         ledger = Path(self.ledger).absolute() if self.ledger else None
         if ledger:
-            ledger.parent.mkdir(parents=True, exist_ok=True)
+            private_folder(ledger.parent)
         desk.outbox = Outbox(self.state, self._say, ledger)
         for history in self.history:
             if history.log:

@@ -11,6 +11,7 @@ from devices.night.edf_plus import EdfSignal, Head, Note, encode
 from devices.night.numbers import exits
 from devices.night.shelf import Epochs, Facts, clock, night_zone
 from stream.chunk import NS, Samples
+from stream.complete import write_complete
 
 STAGES = {"wake": "Sleep stage W", "sleep": "Sleep stage S", "unknown": "Sleep stage ?"}
 """`S` is sleep without saying which: movement tells no stages apart."""
@@ -27,12 +28,7 @@ def write_edf(path: Path, facts: Facts, epochs: Epochs) -> None:
     notes = [Note(max(0, t - begin), length, text) for t, length, text in _notes(facts, epochs) if t >= begin - step]
     signals = [_signal(name, unit, epochs.numbers[of], place) for name, of, unit in SIGNALS if _known(epochs, of)]
     content = encode(head, step, signals, notes)
-    draft = path.with_name(f".{path.stem}.draft.edf")
-    try:
-        draft.write_bytes(content)
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
+    write_complete(path, content)
 
 
 SIGNALS = (

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -16,6 +15,7 @@ from devices.night.edf import write_edf
 from devices.night.numbers import CAVEATS, NO_NUMBERS, Row, begun_anew, quality, span, table
 from devices.night.shelf import Epochs, Facts, clock, night_zone, zone_of
 from stream.chunk import Samples
+from stream.complete import write_complete
 from stream.errors import KinegraphError
 
 
@@ -33,9 +33,9 @@ def draw(folder: Path) -> Path:
     rows = table(facts, epochs)
     page, picture, edf = (folder / name for name in shelf.DRAWN)
     failed: dict[str, str] = {}
-    _attempt(picture, failed, lambda: _write(picture, _picture(facts, epochs, motion, rows)))
+    _attempt(picture, failed, lambda: write_complete(picture, _picture(facts, epochs, motion, rows)))
     _attempt(edf, failed, lambda: write_edf(edf, facts, epochs))
-    _attempt(page, failed, lambda: _write(page, render(facts, epochs, motion, rows, failed).encode()))
+    _attempt(page, failed, lambda: write_complete(page, render(facts, epochs, motion, rows, failed).encode()))
     if failed:
         why = "; ".join(f"{name}: {reason}" for name, reason in failed.items())
         made = ", ".join(path.name for path in (page, picture, edf) if path.name not in failed)
@@ -150,19 +150,6 @@ def _picture(facts: Facts, epochs: Epochs, motion: Samples | None, rows: list[Ro
     from devices.night import figures
 
     return figures.page_png(facts, epochs, motion, rows, quality(facts, epochs), title(facts), line(facts, epochs))
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Whole or not at all."""
-    draft = path.with_name(f".{path.name}.draft")
-    try:
-        with draft.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
 
 
 def main() -> None:

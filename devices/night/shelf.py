@@ -11,7 +11,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 import shutil
 from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, date, datetime, timedelta, timezone, tzinfo
@@ -22,6 +21,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 
 from stream.chunk import NS, Array, Samples
+from stream.complete import write_complete
 from stream.errors import DeviceError, KinegraphError
 
 FACTS, EPOCHS, MAP = "night.json", "epochs.csv", "map.npy"
@@ -72,12 +72,7 @@ class Facts:
 
     def save(self, folder: Path) -> None:
         """Write whole or not at all, durably. Raises OSError."""
-        draft = folder / f".{FACTS}.draft"
-        with draft.open("w", encoding="utf-8") as file:
-            json.dump(asdict(self), file, indent=1, default=_plain)
-            file.flush()
-            os.fsync(file.fileno())
-        draft.replace(folder / FACTS)
+        write_complete(folder / FACTS, json.dumps(asdict(self), indent=1, default=_plain))
 
     @staticmethod
     def load(folder: Path) -> Facts:

@@ -13,6 +13,7 @@ from devices.append_file import AppendFile
 from devices.night import shelf
 from devices.night.shelf import COLUMNS, EPOCHS, MAP, Facts
 from stream.chunk import Array
+from stream.complete import complete, private_folder
 from stream.errors import DeviceError
 
 MOST_LISTED = 500
@@ -34,7 +35,7 @@ class Night:
     @classmethod
     def begin(cls, folder: Path, facts: Facts) -> Night:
         """Make the folder and the table of epochs. Raises OSError or DeviceError."""
-        folder.mkdir(parents=True, exist_ok=True)
+        private_folder(folder)
         try:
             night = cls(folder, facts, AppendFile(folder / EPOCHS), facts.begun)
         except DeviceError:
@@ -107,11 +108,9 @@ def readable(folder: Path) -> shelf.Epochs:
 
 def write_map(folder: Path, frame: Array) -> bool:
     """The night's motion map, whole or not at all; whether it stands there."""
-    draft = folder / f".{MAP}.draft"
     try:
-        with draft.open("wb") as file:
+        with complete(folder / MAP) as draft, draft.open("wb") as file:
             np.save(file, frame)
-        draft.replace(folder / MAP)
     except OSError as error:
         log.error("cannot write the motion map", folder=str(folder), error=error.strerror)
         return False

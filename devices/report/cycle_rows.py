@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import csv
 import io
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +13,7 @@ import numpy as np
 
 from devices.report.tally import numbers
 from stream.chunk import NS, Array, Samples, Specs, StreamSpec
+from stream.complete import complete
 from stream.sheet import Sheet
 
 CYCLE = ("duration_s", "stance_pct", "cadence")
@@ -92,12 +93,8 @@ def settle(path: Path) -> None:
         head, *rows = csv.reader(file)
     where = head.index("number")
     last = {row[where]: row for row in rows}
-    draft = path.with_name(f".{path.name}.draft")
-    with draft.open("w", newline="", encoding="utf-8") as file:
+    with complete(path) as draft, draft.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file, lineterminator="\n").writerows([head, *last.values()])
-        file.flush()
-        os.fsync(file.fileno())
-    draft.replace(path)
 
 
 def _named(field: str, spec: StreamSpec) -> str:

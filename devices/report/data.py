@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from stream.chunk import Samples
+from stream.complete import complete
 from stream.params import adapter
 
 
@@ -123,13 +123,9 @@ class Curves:
 
 def save(path: Path, report: Report, curves: Curves) -> None:
     """Write both into one file, whole or not at all. Raises OSError."""
-    draft = path.with_name(f"{path.name}.draft")
-    with draft.open("wb") as file:
+    with complete(path) as draft, draft.open("wb") as file:
         head = np.frombuffer(json.dumps(asdict(report)).encode(), np.uint8)
         np.savez(file, report=head, mean=curves.mean, sd=curves.sd, single=curves.single.astype(np.float32))
-        file.flush()
-        os.fsync(file.fileno())
-    draft.replace(path)
 
 
 def load(path: Path) -> tuple[Report, Curves]:

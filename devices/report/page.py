@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 from devices.report.data import Curves, Muscle, Report, Stream, Value, load
 from devices.report.words import normalisation_text
 from stream.chunk import NS
+from stream.complete import write_complete
 
 AT_TIMES = 0.1
 """From this share of bad windows on, a channel that is good on the whole is named."""
@@ -24,15 +24,7 @@ MARKS = {"good": "✓ good", "doubtful": "! doubtful", "bad": "✗ bad"}
 
 def write(page: Path, report: Report, curves: Curves) -> None:
     """Draw the page, whole or not at all. Raises OSError."""
-    draft = page.with_name(f".{page.name}.draft")
-    try:
-        with draft.open("w", encoding="utf-8") as file:
-            file.write(render(report, curves))
-            file.flush()
-            os.fsync(file.fileno())
-        draft.replace(page)
-    finally:
-        draft.unlink(missing_ok=True)
+    write_complete(page, render(report, curves))
 
 
 def render(report: Report, curves: Curves) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from stream.complete import private_folder
 from stream.errors import KinegraphError
 from stream.plain import say
 from stream.sheet import Sheet
@@ -130,7 +131,7 @@ def _save(folder: File, name: str, overwrite: bool) -> None:
     if (folder / name).exists() and not overwrite:
         raise KinegraphError(f"{folder / name} exists; --overwrite replaces it, --out names another folder")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        private_folder(folder)
     except OSError as error:
         raise KinegraphError(f"{folder}: cannot be made: {error.strerror or error}") from None
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from stream.complete import private_folder
 from stream.errors import KinegraphError
 from stream.plain import say
 
@@ -108,7 +109,7 @@ def _write(pairs: list[Pair], folder: File, overwrite: bool) -> None:
     for path in (picture, sheet):
         if path.exists() and not overwrite:
             raise KinegraphError(f"{path} exists; --overwrite replaces it, --out names another folder")
-    folder.mkdir(parents=True, exist_ok=True)
+    private_folder(folder)
     draw(pairs).savefig(picture, dpi=130)
     write_table(pairs, sheet)
     say(f"{picture}\n{sheet}")

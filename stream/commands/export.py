@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stream.complete import complete
+from stream.complete import complete, private_folder
 from stream.errors import RecordingError
 from stream.plain import say
 
@@ -94,7 +94,7 @@ def _csv(
     origin = _origin(recording)
     paths = _tables(names, folder, overwrite)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        private_folder(folder)
         with bar(f"exporting {recording.path.name}") as progress:
 
             def more(rows: int) -> None:
@@ -146,7 +146,7 @@ def _xdf(
     _refuse_existing(path, overwrite)
     done = 0
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        private_folder(path.parent)
         with complete(path) as draft, draft.open("wb") as file, bar(f"exporting {recording.path.name}") as progress:
             writer = XdfWriter(file, _origin(recording))
             numbers = {name: writer.add_stream(name, recording.streams[name].spec) for name in names}

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import threading
 import zipfile
 from collections.abc import Callable
@@ -19,6 +18,7 @@ import numpy as np
 import structlog
 
 from stream.chunk import Array
+from stream.complete import complete
 from stream.errors import RecordingError
 
 NAME = "checkpoint.npz"
@@ -57,14 +57,9 @@ class Checkpoint:
             "indices": self.indices,
             "names": list(self.arrays),
         }
-        draft = folder / f"{NAME}.draft"
-        with draft.open("wb") as file:
+        with complete(folder / NAME) as draft, draft.open("wb") as file:
             numbered = {f"a{i}": array for i, array in enumerate(self.arrays.values())}
             np.savez(file, head=np.frombuffer(json.dumps(head).encode(), np.uint8), **numbered)  # type: ignore[arg-type]
-            file.flush()
-            os.fsync(file.fileno())
-        draft.replace(folder / NAME)
-        _sync_folder(folder)
 
     @staticmethod
     def load(folder: Path) -> Checkpoint | None:
@@ -128,11 +123,3 @@ class Keeper:
 def fingerprint(text: str) -> str:
     """A short hash of a graph's text."""
     return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def _sync_folder(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -10,6 +10,7 @@ from typing import IO, Any, cast
 from mcap.writer import CompressionType, Writer
 
 from stream.chunk import StreamSpec
+from stream.complete import PRIVATE
 from stream.recording import packed
 from stream.recording.format import (
     ENCODING,
@@ -42,7 +43,7 @@ class Part:
         self.saved = 0
         """Size of the file at the end of the last `save`."""
         self._spool = _Spool()
-        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o644)
+        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), PRIVATE)
         self._written = 0
         self._finished = False
         self._writer = Writer(cast("IO[bytes]", self._spool), compression=compression)

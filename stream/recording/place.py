@@ -8,6 +8,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
+from stream.complete import private_folder
 from stream.errors import RecordingError
 
 SUFFIX = ".mcap"
@@ -91,7 +92,7 @@ def claim(path: Path, *, taken: bool = False) -> tuple[FileLock, int]:
             raise RecordingError(f"{folder}: is a file; choose a folder, or another name")
         if path.suffix == SUFFIX and path.is_dir():
             raise RecordingError(f"{path}: is a folder; choose another name")
-        folder.mkdir(parents=True, exist_ok=True)
+        private_folder(folder)
     except OSError as error:
         raise RecordingError(
             f"{folder}: cannot be created ({error.strerror or error}); choose a folder that can be written"

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from mcap.writer import CompressionType
 
+from stream.complete import private_folder
 from stream.errors import RecordingError
 from stream.recording.format import LOG, METRICS, table
 from stream.recording.part import Part
@@ -49,9 +50,7 @@ def rewrite(path: Path, output: Path | None, progress: Callable[[int, int], None
         opened = RecordedPart(part, forgiving=True)
         try:
             if output is not None:
-                output.parent.mkdir(parents=True, exist_ok=True)
-                if output.suffix != ".mcap":
-                    output.mkdir(exist_ok=True)
+                private_folder(output.parent if output.suffix == ".mcap" else output)
                 done.append(_rewrite(opened, part_path(output, number), number, progress))
             elif not opened.finished or opened.damaged:
                 done.append(_replace(opened, number, progress))

@@ -11,6 +11,7 @@ import structlog
 from mcap.writer import CompressionType
 
 from stream.chunk import StreamSpec
+from stream.complete import private_folder
 from stream.graph import RecordingOptions
 from stream.recording.format import LOG, METRICS, Kept, Role, table
 from stream.recording.part import Part
@@ -120,7 +121,7 @@ class Tape:
         for gone in keep_quota(self._path, self._options.quota_mb):
             log.info("an old recording was deleted to keep the quota", path=str(gone), quota_mb=self._options.quota_mb)
         path = part_path(self._path, self._number)
-        path.parent.mkdir(parents=True, exist_ok=True)  # it may have been deleted since
+        private_folder(path.parent)  # it may have been deleted since
         part = Part(
             path,
             self._number,
