@@ -11,11 +11,11 @@ import numpy as np
 
 from operators.align_lane import METHODS, Lane
 from operators.channels import names_of
-from operators.continuity import numeric
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Emitted, Operator, grid
 from stream.params import param
+from stream.require import numeric
 
 
 @dataclass(slots=True)

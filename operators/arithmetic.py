@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from operators.channels import find_channel, names_of
-from operators.continuity import numeric, rows
-from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
+from stream.chunk import Samples, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
+from stream.filter import SampleWise
+from stream.finite import finite
 from stream.kernel import kernel
-from stream.operator import Case, Operator, grid
+from stream.operator import Case, grid
 from stream.params import param
 
 OPERATIONS = ("keep", "sum", "difference", "mean", "product", "ratio", "magnitude", "min", "max")
@@ -54,18 +55,17 @@ def combine(x: Samples, plan: Times, operands: Times, out: Samples) -> None:
                 v /= last - first
             elif operation == MAGNITUDE:
                 v = math.sqrt(v)
-            out[i, k] = v if fine and abs(v) < math.inf else math.nan
+            out[i, k] = finite(v) if fine else math.nan
 
 
 @dataclass(slots=True)
 class ArithmeticState:
     plan: Times
     operands: Times
-    plain: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Arithmetic(Operator[ArithmeticState]):
+class Arithmetic(SampleWise[ArithmeticState]):
     """New channels, each computed from some channels of the same sample. No delay; works at any rate, and passes gaps on as they are.
 
     compute  per new channel: the operation, then the channels it is done to, in order, as in `force: [sum, left, right]`
@@ -79,27 +79,33 @@ class Arithmetic(Operator[ArithmeticState]):
     compute: Mapping[str, tuple[str, ...]] = param(help="new channel: [operation, channel, channel, ...]")
     keep: bool = param(False, help="keep the input's channels too")
 
-    def open(self, specs: Specs) -> Specs:
-        spec = specs["in"]
-        out = numeric(spec)
+    kernel = combine
+
+    def begin(self, spec: StreamSpec) -> ArithmeticState:
         if not spec.is_signal:
             raise InputError("in", spec.describe(), "a signal of channels")
         if not self.compute:
             raise ParameterError("compute", self.compute, "at least one new channel: {name: [operation, channel, ...]}")
-        kept = names_of(spec) if self.keep else ()
+        kept = self._kept(spec)
         plan: list[tuple[int, int, int]] = []
         operands: list[int] = []
-        units = [spec.units[i % len(spec.units)] for i in range(len(kept))]
         for code, given in [(KEEP, [i]) for i in range(len(kept))] + [self._read(spec, name) for name in self.compute]:
             plan.append((code, len(operands), len(operands) + len(given)))
             operands += given
         for name in self.compute:
             if name in kept:
                 raise ParameterError("compute", name, "a name that no kept channel has")
-            units.append(self._unit(spec, name))
-        arrays = np.array(plan, np.int64), np.array(operands, np.int64)
-        self.hold(ArithmeticState(*arrays, spec.dtype == np.float64))
-        return {"out": out.derive(shape=(len(plan),), channels=(*kept, *self.compute), units=tuple(units))}
+        return ArithmeticState(np.array(plan, np.int64), np.array(operands, np.int64))
+
+    def gives(self, spec: StreamSpec) -> StreamSpec:
+        kept = self._kept(spec)
+        units = [spec.units[i % len(spec.units)] for i in range(len(kept))]
+        units += [self._unit(spec, name) for name in self.compute]
+        channels = (*kept, *self.compute)
+        return spec.derive(shape=(len(channels),), channels=channels, units=tuple(units))
+
+    def _kept(self, spec: StreamSpec) -> tuple[str, ...]:
+        return names_of(spec) if self.keep else ()
 
     def _read(self, spec: StreamSpec, name: str) -> tuple[int, list[int]]:
         """A new channel's operation, and the places of its operands."""
@@ -125,13 +131,6 @@ class Arithmetic(Operator[ArithmeticState]):
         if len(set(units)) > 1:
             raise ParameterError(f"compute.{name}", channels, f"channels of one unit, not {', '.join(units)}")
         return units[0]
-
-    def process(self, port: str, chunk: Chunk) -> Chunk:
-        state = self.state
-        x = chunk.data if state.plain else rows(chunk.data, chunk.data.shape[1])
-        out = np.empty((len(chunk.time), len(state.plan)))
-        combine(x, state.plan, state.operands, out)
-        return Chunk(chunk.time, out, chunk.until, chunk.lost)
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

@@ -8,15 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
+from stream.chunk import Array, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
+from stream.filter import SampleWise
 from stream.kernel import kernel
-from stream.operator import Case, Operator, Step, grid
+from stream.operator import Case, grid
 from stream.params import param
+from stream.require import width_of
 
 
 @kernel
-def gather(x: Samples, wanted: Times, out: Samples) -> None:
+def gather(x: Array, wanted: Times, out: Array) -> None:
     """Columns `wanted` (m,) of `x` (n, c) into `out` (n, m)."""
     for i in range(x.shape[0]):
         for k in range(wanted.shape[0]):
@@ -25,13 +27,13 @@ def gather(x: Samples, wanted: Times, out: Samples) -> None:
 
 @dataclass(slots=True)
 class SelectState:
+    """`wanted`: the places of the numbers that come out, in a sample laid flat."""
+
     wanted: Times
-    axis: int
-    plain: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Select(Operator[SelectState]):
+class Select(SampleWise[SelectState]):
     """Some of a stream's channels, in the order given, under new names if wanted. Values pass as they are, bad ones too; no delay.
 
     channels  names, or numbers from 0 where a stream has no names (then its channels are called "0", "1", ...); empty: all
@@ -42,22 +44,26 @@ class Select(Operator[SelectState]):
 
     channels: tuple[str | int, ...] = param((), help="names, or numbers from 0; empty: all")
     rename: Mapping[str, str] | None = param(None, help="new names by old ones")
+    kernel = gather
+    keeps_dtype = True
 
-    def open(self, specs: Specs) -> Specs:
-        spec = specs["in"]
+    def begin(self, spec: StreamSpec) -> SelectState:
         if spec.is_event or not spec.shape:
             raise InputError("in", spec.describe(), "a stream with channels (a signal or markers)")
-        names = names_of(spec)
-        wanted = [find_channel(spec, given, "channels") for given in self.channels] or list(range(len(names)))
+        places = np.arange(width_of(spec)).reshape(spec.shape)
+        return SelectState(places.take(self._wanted(spec), axis=spec.channel_axis).ravel())
+
+    def gives(self, spec: StreamSpec) -> StreamSpec:
+        names, wanted, axis = names_of(spec), self._wanted(spec), spec.channel_axis
+        shape = (*spec.shape[:axis], len(wanted), *spec.shape[axis + 1 :])
+        units = spec.units if len(spec.units) == 1 else tuple(spec.units[i] for i in wanted)
+        return spec.derive(shape=shape, channels=self._renamed(tuple(names[i] for i in wanted)), units=units)
+
+    def _wanted(self, spec: StreamSpec) -> list[int]:
+        wanted = [find_channel(spec, given, "channels") for given in self.channels]
         if len(set(wanted)) < len(wanted):
             raise ParameterError("channels", list(self.channels), "a list that names no channel twice")
-        axis = spec.channel_axis
-        shape = (*spec.shape[:axis], len(wanted), *spec.shape[axis + 1 :])
-        chosen = tuple(names[i] for i in wanted)
-        units = spec.units if len(spec.units) == 1 else tuple(spec.units[i] for i in wanted)
-        plain = spec.is_signal and spec.dtype == np.float64
-        self.hold(SelectState(np.array(wanted, np.int64), axis + 1, plain))
-        return {"out": spec.derive(shape=shape, channels=self._renamed(chosen), units=units)}
+        return wanted or list(range(len(names_of(spec))))
 
     def _renamed(self, chosen: tuple[str, ...]) -> tuple[str, ...]:
         new = self.rename or {}
@@ -71,18 +77,6 @@ class Select(Operator[SelectState]):
             if names.count(name) > 1:
                 raise ParameterError("rename", new, f"names that differ; {name!r} would be there twice")
         return names
-
-    def process(self, port: str, chunk: Chunk) -> Chunk:
-        state = self.state
-        if state.plain:
-            data = np.empty((len(chunk.time), len(state.wanted)))
-            gather(chunk.data, state.wanted, data)
-        else:
-            data = np.ascontiguousarray(chunk.data.take(state.wanted, axis=state.axis))
-        return Chunk(chunk.time, data, chunk.until, chunk.lost)
-
-    def kernel_step(self) -> Step:
-        return Step(gather, self.state)
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

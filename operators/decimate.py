@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
-from operators.continuity import Continuity, numeric, regular, rows, watch
-from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
+from stream.chunk import Chunk, Samples, StreamSpec, Times
+from stream.filter import Filter, FilterState
+from stream.finite import finite
 from stream.kernel import kernel
-from stream.operator import Case, Operator, Step, grid
+from stream.operator import Case, grid
 from stream.params import param
+from stream.require import regular
 
 
 @kernel
@@ -23,7 +23,7 @@ def thin_out(x: Samples, first: int, every: int, time: Times, out: Samples, stam
         i = first + k * every
         stamps[k] = time[i]
         for c in range(x.shape[1]):
-            out[k, c] = x[i, c] if abs(x[i, c]) < math.inf else math.nan
+            out[k, c] = finite(x[i, c])
 
 
 @kernel
@@ -35,14 +35,13 @@ def thin_on(x: Samples, skip: Times, every: int, time: Times, out: Samples, stam
 
 
 @dataclass(slots=True)
-class DecimateState(Continuity):
-    every: int
+class DecimateState(FilterState):
     skip: Times
     """(1,) how many samples pass before the next one is kept."""
 
 
 @dataclass(frozen=True, slots=True)
-class Decimate(Operator[DecimateState]):
+class Decimate(Filter[DecimateState]):
     """Every `every`-th sample, unchanged, beginning with the first. No delay.
 
     There is no filter in it: what lies above half of the new rate folds down, so a low-pass must come before it (or use Resample). In a
@@ -50,51 +49,24 @@ class Decimate(Operator[DecimateState]):
     are kept like others, infinity as NaN. While samples flow, `until` is told with every kept sample only.
     """
 
-    contiguous: ClassVar[bool] = True
-
     every: int = param(least=1, help="one sample in so many is kept")
-    reset_gap_s: float = param(0.1, least=0.0, help="the first sample after a longer gap is kept")
+    kernel = thin_on
 
-    def open(self, specs: Specs) -> Specs:
-        spec = numeric(specs["in"])
-        rate_hz = regular(spec)
-        seen = watch(specs["in"], reset_gap_s=self.reset_gap_s)
-        self.hold(DecimateState(**seen, every=self.every, skip=np.zeros(1, np.int64)))
-        return {"out": spec.derive(rate_hz=rate_hz / self.every)}
+    def begin(self, spec: StreamSpec) -> DecimateState:
+        regular(spec)
+        return DecimateState(skip=np.zeros(1, np.int64))
 
-    def kernel_step(self) -> Step:
-        return Step(thin_on, self.state, self._kept, self.state.last)
+    def gives(self, spec: StreamSpec) -> StreamSpec:
+        return spec.derive(rate_hz=regular(spec) / self.every)
 
-    def _kept(self, n: int) -> int:
-        """How many of the next `n` samples are kept."""
+    def rows(self, n: int) -> int:
         return (n - self.state.skip.item(0) + self.every - 1) // self.every
 
-    def process(self, port: str, chunk: Chunk) -> Chunk | None:
-        state = self.state
-        time = chunk.time
-        n = len(time)
-        lost = 0
-        if chunk.lost:
-            lost = -1
-            state.skip[0] = 0 if state.breaks(chunk) else (state.skip[0] - state.missing(chunk)) % self.every
-        if not n:
-            return self._nothing(chunk, lost)
-        m = self._kept(n)
-        state.last[0] = time[-1]
-        if not m:
-            state.skip[0] -= n
-            return self._nothing(chunk, lost) if lost else None
-        x = chunk.data
-        out, stamps = state.spare.both(m)
-        made = out
-        if not state.plain:
-            x, made = rows(x, state.width), out.reshape((m, *x.shape[1:]))
-        thin_on(x, state.skip, self.every, time, out, stamps)
-        return Chunk(stamps, made, chunk.until, lost)
-
-    def _nothing(self, chunk: Chunk, lost: int) -> Chunk:
-        """Nothing is kept of this chunk. Told only where no sample is soon to be kept that tells it, or something is lost."""
-        return Chunk(np.empty(0, np.int64), np.empty((0, *chunk.data.shape[1:])), chunk.until, lost)
+    def gap(self, chunk: Chunk) -> int:
+        """What is kept stays on its grid, or the grid begins with the next sample. How many of the kept are lost is not counted."""
+        skip = self.state.skip
+        skip[0] = 0 if self.breaks(chunk) else (skip[0] - self.missing(chunk)) % self.every
+        return -1
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

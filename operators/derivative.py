@@ -2,34 +2,36 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, back, nothing, numeric, regular, rows, watch
-from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
+from stream.chunk import Samples, StreamSpec, Times
+from stream.filter import Filter, FilterState, reset_gap
+from stream.finite import finite
 from stream.kernel import kernel
 from stream.operator import Case, grid
-from stream.params import param
+from stream.require import regular, width_of
 
 POINTS = 5
 
 
 @kernel
 def five_point(
-    x: Samples, rate_hz: float, past: Samples, skip: int, time: Times, delay_ns: int, out: Samples, stamps: Times
+    x: Samples, rate_hz: float, past: Samples, known: Times, time: Times, delay_ns: int, out: Samples, stamps: Times
 ) -> None:
-    """Derivatives per second at the middle of every five rows of `past` (4, c) and `x` (n, c), from row `skip` of `x` on.
+    """Derivatives per second at the middle of every five rows of `past` (4, c) and `x` (n, c) into `out` and `stamps`.
 
-    `out` (n - skip, c), `stamps` (n - skip,); `past` then holds the newest four rows. NaN where any of the five is not finite.
+    `known` (1,) says how many rows of `past` are filled; `past` then holds the newest four. NaN where any of the five is not finite.
     """
+    skip = x.shape[0] - out.shape[0]
+    known[0] += skip
     for i in range(x.shape[0]):
         if i >= skip:
             stamps[i - skip] = time[i] - delay_ns
         for c in range(x.shape[1]):
-            v = x[i, c] if abs(x[i, c]) < math.inf else math.nan
+            v = finite(x[i, c])
             if i >= skip:
                 near = past[3, c] - past[1, c]
                 far = v - past[0, c]
@@ -41,11 +43,10 @@ def five_point(
 
 
 @dataclass(slots=True)
-class DerivativeState(Continuity):
+class DerivativeState(FilterState):
     rate_hz: float
     past: Samples
-    known: int
-    """How many rows of `past` are filled."""
+    known: Times
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,35 +58,19 @@ class Derivative(Filter[DerivativeState]):
     hold the state and go on, would give wrong slopes). The nominal rate counts, not the jitter of the stamps.
     """
 
-    reset_gap_s: float = param(
-        0.0, least=0.0, help="a longer gap begins anew; samples around a shorter one count as neighbours"
-    )
+    reset_gap_s: float = reset_gap(0.0)
+    kernel = five_point
 
-    def open(self, specs: Specs) -> Specs:
-        spec = numeric(specs["in"])
+    def begin(self, spec: StreamSpec) -> DerivativeState:
         rate_hz = regular(spec)
-        seen = watch(specs["in"], delay_s=2 / rate_hz, reset_gap_s=self.reset_gap_s)
-        past = np.zeros((POINTS - 1, seen["width"]))
-        self.hold(DerivativeState(**seen, rate_hz=rate_hz, past=past, known=0), delay_s=2 / rate_hz)
-        return {"out": spec.derive(units=tuple(f"{unit}/s" if unit else "1/s" for unit in spec.units))}
+        past = np.zeros((POINTS - 1, width_of(spec)))
+        return DerivativeState(delay_s=2 / rate_hz, rate_hz=rate_hz, past=past, known=np.zeros(1, np.int64))
 
-    def process(self, port: str, chunk: Chunk) -> Chunk:
-        state = self.state
-        n = len(chunk.time)
-        if not n:
-            return nothing(chunk, state)
-        if chunk.lost and state.breaks(chunk):
-            state.known = 0
-        state.last[0] = chunk.time[-1]
-        skip = min(n, POINTS - 1 - state.known)
-        state.known += skip
-        out: Samples = np.empty((n - skip, *chunk.data.shape[1:]))
-        stamps = np.empty(n - skip, np.int64)
-        x, flat = chunk.data, out
-        if not state.plain:
-            x, flat = rows(x, state.width), out.reshape(n - skip, state.width)
-        five_point(x, state.rate_hz, state.past, skip, chunk.time, state.delay_ns, flat, stamps)
-        return Chunk(stamps, out, back(chunk.until, state.delay_ns), chunk.lost)
+    def gives(self, spec: StreamSpec) -> StreamSpec:
+        return spec.derive(units=tuple(f"{unit}/s" if unit else "1/s" for unit in spec.units))
+
+    def rows(self, n: int) -> int:
+        return n - min(n, POINTS - 1 - self.state.known.item(0))
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

@@ -6,18 +6,19 @@ removes from the queue's end what it surpasses, so that each value enters and le
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, numeric, regular, samples_in, watch
-from stream.chunk import Array, Samples, Specs, StreamSpec, Times
+from stream.chunk import Array, Samples, StreamSpec, Times
+from stream.filter import Filter, FilterState
+from stream.finite import finite
 from stream.kernel import kernel
 from stream.operator import Case, grid
 from stream.params import param
+from stream.require import regular, samples_in, width_of
 
 
 @kernel
@@ -42,9 +43,8 @@ def moving_extreme(
     for i in range(x.shape[0]):
         stamps[i] = time[i] - delay_ns
         for c in range(x.shape[1]):
-            v = sign * x[i, c]
-            if not abs(v) < math.inf:
-                out[i, c] = math.nan
+            v = out[i, c] = finite(sign * x[i, c])
+            if v != v:
                 continue
             head, size, number = places[0, c], places[1, c], places[2, c]
             if size > 0 and numbers[head, c] <= number - w:
@@ -59,49 +59,34 @@ def moving_extreme(
 
 
 @dataclass(slots=True)
-class ExtremeState(Continuity):
-    sign: float
+class ExtremeState(FilterState):
     queue: Samples
     numbers: Times
     places: Times
 
 
-class Extreme(Filter[ExtremeState]):
+class _Extreme(Filter[ExtremeState]):
     """The largest or smallest value of a moving window."""
 
     __slots__ = ()
-    kernel = staticmethod(moving_extreme)
+    kernel = moving_extreme
     sign: ClassVar[float]
     window_s: float
-    reset_gap_s: float
 
-    def open(self, specs: Specs) -> Specs:
-        spec = numeric(specs["in"])
-        rate_hz = regular(spec)
+    def begin(self, spec: StreamSpec) -> ExtremeState:
+        rate_hz, c = regular(spec), width_of(spec)
         w = samples_in("window_s", self.window_s, rate_hz)
-        delay_s = (w - 1) / 2 / rate_hz
-        seen = watch(specs["in"], delay_s=delay_s, reset_gap_s=self.reset_gap_s)
-        c = seen["width"]
-        state = ExtremeState(
-            **seen,
-            sign=self.sign,
+        return ExtremeState(
+            delay_s=(w - 1) / 2 / rate_hz,
+            settling_s=(w - 1) / rate_hz,
             queue=np.zeros((w, c)),
             numbers=np.zeros((w, c), np.int64),
             places=np.zeros((3, c), np.int64),
         )
-        self.hold(state, delay_s=delay_s)
-        return {"out": spec.derive(settling_s=spec.settling_s + (w - 1) / rate_hz)}
-
-    def rest(self) -> None:
-        self.state.places[:] = 0
-
-    def work(self, x: Samples, time: Times, out: Samples, stamps: Times) -> None:
-        s = self.state
-        moving_extreme(x, self.sign, s.queue, s.numbers, s.places, time, s.delay_ns, out, stamps)
 
 
 @dataclass(frozen=True, slots=True)
-class MovingMin(Extreme):
+class MovingMin(_Extreme):
     """The smallest value of the newest `window_s`; stamps are those of the window's centre, half a window earlier (the declared delay).
 
     The window holds a number of samples, `window_s` times the rate, rounded; until it is full, what has come. Bad samples do not enter it.
@@ -109,7 +94,6 @@ class MovingMin(Extreme):
 
     sign: ClassVar[float] = -1.0
     window_s: float = param(above=0.0, help="length of the window")
-    reset_gap_s: float = param(0.1, least=0.0, help="a longer gap empties the window")
 
     @classmethod
     def cases(cls) -> Sequence[Case]:
@@ -117,12 +101,11 @@ class MovingMin(Extreme):
 
 
 @dataclass(frozen=True, slots=True)
-class MovingMax(Extreme):
+class MovingMax(_Extreme):
     """The largest value of the newest `window_s`; window, stamps and delay as in MovingMin."""
 
     sign: ClassVar[float] = 1.0
     window_s: float = param(above=0.0, help="length of the window")
-    reset_gap_s: float = param(0.1, least=0.0, help="a longer gap empties the window")
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

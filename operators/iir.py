@@ -18,13 +18,15 @@ from typing import Literal
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, numeric, regular, watch
 from operators.remembered import remembered
-from stream.chunk import Samples, Specs, StreamSpec, Times
+from stream.chunk import Samples, StreamSpec, Times
 from stream.errors import ParameterError
+from stream.filter import Filter, FilterState, Kernel
+from stream.finite import finite
 from stream.kernel import kernel
-from stream.operator import Case, Step, grid
+from stream.operator import Case, grid
 from stream.params import param
+from stream.require import regular, width_of
 
 SETTLED = 0.01
 """A filter counts as settled when this share of its slowest transient is left."""
@@ -38,8 +40,7 @@ def sections(x: Samples, sos: Samples, z: Samples, out: Samples) -> None:
     """
     for i in range(x.shape[0]):
         for c in range(x.shape[1]):
-            v = x[i, c]
-            out[i, c] = v if abs(v) < math.inf else math.nan
+            out[i, c] = finite(x[i, c])
         for s in range(sos.shape[0]):
             b0, b1, b2, a1, a2 = sos[s, 0], sos[s, 1], sos[s, 2], sos[s, 4], sos[s, 5]
             for c in range(x.shape[1]):
@@ -63,89 +64,72 @@ def late_sections(
 
 
 @kernel
-def prime(x: Samples, steady: Samples, waiting: Times, z: Samples) -> int:
-    """Set the memory of channels that wait for it as if their first finite value in `x` (n, c) had always been there.
+def primed_sections(
+    x: Samples,
+    sos: Samples,
+    steady: Samples,
+    waiting: Times,
+    z: Samples,
+    out: Samples,
+    time: Times,
+    delay_ns: int,
+    stamps: Times,
+) -> None:
+    """`late_sections`, but a channel's first finite value counts as if it had always been there.
 
-    `steady` (s, 2) is the memory for a constant 1, `waiting` (c,) 1 where a channel waits. Returns how many still wait.
+    `steady` (s, 2) is the memory for a constant 1, `waiting` (c + 1,) 1 where a channel waits for a value, and at last how many do.
     """
-    left = 0
-    for c in range(x.shape[1]):
+    c = x.shape[1]
+    for k in range(c if waiting[c] else 0):
         for i in range(x.shape[0]):
-            if waiting[c] and abs(x[i, c]) < math.inf:
+            if waiting[k] and abs(x[i, k]) < math.inf:
                 for s in range(z.shape[0]):
-                    z[s, 0, c] = steady[s, 0] * x[i, c]
-                    z[s, 1, c] = steady[s, 1] * x[i, c]
-                waiting[c] = 0
-        left += waiting[c]
-    return left
+                    z[s, 0, k] = steady[s, 0] * x[i, k]
+                    z[s, 1, k] = steady[s, 1] * x[i, k]
+                waiting[k] = 0
+                waiting[c] -= 1
+    late_sections(x, sos, z, out, time, delay_ns, stamps)
 
 
 @dataclass(slots=True)
-class SectionsState(Continuity):
+class SectionsState(FilterState):
     sos: Samples
     z: Samples
     steady: Samples
     waiting: Times
-    unprimed: int
 
 
-class Sections(Filter[SectionsState]):
+class _Sections(Filter[SectionsState]):
     """Second-order sections over a regular stream; subclasses design them."""
 
     __slots__ = ()
-    kernel = staticmethod(late_sections)
     start: Literal["zero", "first"]
-    reset_gap_s: float
 
     def design(self, rate_hz: float) -> tuple[Samples, float]:
         """The sections (s, 6), and the frequency in Hz whose group delay the stamps make up for (NaN: none)."""
         raise NotImplementedError
 
-    def open(self, specs: Specs) -> Specs:
-        spec = numeric(specs["in"])
-        rate_hz = regular(spec)
+    def begin(self, spec: StreamSpec) -> tuple[SectionsState, Kernel]:
+        rate_hz, c = regular(spec), width_of(spec)
         sos, centre_hz = self.design(rate_hz)
         if slowest(sos) >= 1.0:
             raise ParameterError(
                 "order", getattr(self, "order", 2), f"lower: at {rate_hz:g} Hz this filter would not be stable"
             )
-        delay_s = 0.0 if math.isnan(centre_hz) else group_delay(sos, centre_hz / rate_hz) / rate_hz
-        seen = watch(specs["in"], delay_s=delay_s, reset_gap_s=self.reset_gap_s)
-        width = seen["width"]
-        steady = np.zeros((len(sos), 2))
-        if self.start == "first":
-            steady[:] = steady_memory(sos)
+        first = self.start == "first"
         state = SectionsState(
-            **seen,
+            delay_s=0.0 if math.isnan(centre_hz) else group_delay(sos, centre_hz / rate_hz) / rate_hz,
+            settling_s=settling(sos) / rate_hz,
             sos=sos,
-            z=np.zeros((len(sos), 2, width)),
-            steady=steady,
-            waiting=np.zeros(width, np.int64),
-            unprimed=0,
+            z=np.zeros((len(sos), 2, c)),
+            steady=steady_memory(sos) if first else np.zeros((len(sos), 2)),
+            waiting=np.append(np.ones(c, np.int64), c),
         )
-        self.hold(state, delay_s=delay_s)
-        self.rest()
-        return {"out": spec.derive(settling_s=spec.settling_s + settling(sos) / rate_hz)}
-
-    def kernel_step(self) -> Step | None:
-        return super().kernel_step() if self.start == "zero" else None
-
-    def rest(self) -> None:
-        state = self.state
-        state.z[:] = 0.0
-        if self.start == "first":
-            state.waiting[:] = 1
-            state.unprimed = state.width
-
-    def work(self, x: Samples, time: Times, out: Samples, stamps: Times) -> None:
-        state = self.state
-        if state.unprimed:
-            state.unprimed = prime(x, state.steady, state.waiting, state.z)
-        late_sections(x, state.sos, state.z, out, time, state.delay_ns, stamps)
+        return state, primed_sections if first else late_sections
 
 
 @dataclass(frozen=True, slots=True)
-class Lowpass(Sections):
+class Lowpass(_Sections):
     """Butterworth low-pass. Stamps are earlier by the group delay at 0 Hz, which is also the declared delay.
 
     The thesis smooths rectified EMG with order 4 at 20 Hz (section 6.2.3) and markers at 10 Hz (section 6.2.4); it names no direction of
@@ -155,7 +139,6 @@ class Lowpass(Sections):
     cutoff_hz: float = param(above=0.0, help="where the filter is 3 dB down")
     order: int = param(4, least=1, most=20, help="of the filter: each adds 6 dB per octave")
     start: Literal["zero", "first"] = param("zero", help="what came before: zeros, or the first sample's value")
-    reset_gap_s: float = param(0.1, least=0.0, help="a longer gap resets the filter")
 
     def design(self, rate_hz: float) -> tuple[Samples, float]:
         below_nyquist("cutoff_hz", self.cutoff_hz, rate_hz)
@@ -167,13 +150,12 @@ class Lowpass(Sections):
 
 
 @dataclass(frozen=True, slots=True)
-class Highpass(Sections):
+class Highpass(_Sections):
     """Butterworth high-pass: removes offset and drift, e.g. motion artefacts of EMG below 10-20 Hz. Stamps unchanged, no delay declared."""
 
     cutoff_hz: float = param(above=0.0, help="where the filter is 3 dB down")
     order: int = param(4, least=1, most=20, help="of the filter: each adds 6 dB per octave")
     start: Literal["zero", "first"] = param("zero", help="what came before: zeros, or the first sample's value")
-    reset_gap_s: float = param(0.1, least=0.0, help="a longer gap resets the filter")
 
     def design(self, rate_hz: float) -> tuple[Samples, float]:
         below_nyquist("cutoff_hz", self.cutoff_hz, rate_hz)
@@ -185,7 +167,7 @@ class Highpass(Sections):
 
 
 @dataclass(frozen=True, slots=True)
-class Bandpass(Sections):
+class Bandpass(_Sections):
     """Butterworth band-pass. `order` counts as in scipy: each flank has it, the whole filter twice as much.
 
     Stamps are earlier by the group delay at the geometric centre of the band, which is also the declared delay.
@@ -195,7 +177,6 @@ class Bandpass(Sections):
     high_hz: float = param(above=0.0, help="upper edge, 3 dB down")
     order: int = param(4, least=1, most=20, help="of each flank: each adds 6 dB per octave")
     start: Literal["zero", "first"] = param("zero", help="what came before: zeros, or the first sample's value")
-    reset_gap_s: float = param(0.1, least=0.0, help="a longer gap resets the filter")
 
     def design(self, rate_hz: float) -> tuple[Samples, float]:
         below_nyquist("high_hz", self.high_hz, rate_hz)
@@ -211,7 +192,7 @@ class Bandpass(Sections):
 
 
 @dataclass(frozen=True, slots=True)
-class Notch(Sections):
+class Notch(_Sections):
     """Second-order notches (scipy's `iirnotch`) at a frequency and, if wanted, its multiples: mains hum.
 
     Stamps unchanged, no delay declared.
@@ -221,7 +202,6 @@ class Notch(Sections):
     width_hz: float = param(2.0, above=0.0, help="width of each notch, 3 dB down to 3 dB down")
     harmonics: int = param(1, least=1, help="how many multiples of notch_hz are removed, itself included")
     start: Literal["zero", "first"] = param("zero", help="what came before: zeros, or the first sample's value")
-    reset_gap_s: float = param(0.1, least=0.0, help="a longer gap resets the filter")
 
     def design(self, rate_hz: float) -> tuple[Samples, float]:
         below_nyquist("notch_hz", self.notch_hz, rate_hz)
@@ -293,7 +273,7 @@ def settling(sos: Samples) -> float:
     return math.log(SETTLED) / math.log(left) if left > 0 else 0.0
 
 
-def _case(operator: Sections) -> Case:
+def _case(operator: _Sections) -> Case:
     data = np.random.default_rng(2).normal(size=(600, 3)) + 0.5
     spec = StreamSpec((3,), rate_hz=200.0, channels=("a", "b", "c"), units=("uV",))
     return Case(operator, {"in": (spec, grid(200.0, 600), data)}, least=600)

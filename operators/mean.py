@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, nothing, numeric, regular, rows, samples_in, watch
 from operators.moving import slide, two_sum
-from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
+from stream.chunk import Samples, StreamSpec, Times
+from stream.filter import Filter, FilterState, Kernel
+from stream.finite import finite
 from stream.kernel import kernel
-from stream.operator import Case, Step, grid
+from stream.operator import Case, grid
 from stream.params import param
+from stream.require import regular, samples_in, width_of
 
 
 @kernel
@@ -22,7 +23,7 @@ def less_moving_mean(x: Samples, ring: Samples, sums: Samples, places: Times, ou
     """`x` (n, c) less the mean of the newest values, the present one included; see `moving.slide` for the memory."""
     for i in range(x.shape[0]):
         for c in range(x.shape[1]):
-            out[i, c] = x[i, c] if abs(x[i, c]) < math.inf else math.nan
+            out[i, c] = finite(x[i, c])
         slide(out[i], ring, sums, places)
         for c in range(x.shape[1]):
             out[i, c] = x[i, c] - out[i, c]
@@ -36,9 +37,8 @@ def less_running_mean(x: Samples, most: int, sums: Samples, places: Times, out: 
     """
     for i in range(x.shape[0]):
         for c in range(x.shape[1]):
-            v = x[i, c]
-            if not abs(v) < math.inf:
-                out[i, c] = math.nan
+            v = out[i, c] = finite(x[i, c])
+            if v != v:
                 continue
             if most == 0 or places[1, c] < most:
                 sums[0, c], sums[1, c] = two_sum(sums[0, c], sums[1, c], v)
@@ -47,7 +47,7 @@ def less_running_mean(x: Samples, most: int, sums: Samples, places: Times, out: 
 
 
 @dataclass(slots=True)
-class RemoveMeanState(Continuity):
+class RemoveMeanState(FilterState):
     ring: Samples
     sums: Samples
     places: Times
@@ -67,49 +67,18 @@ class RemoveMean(Filter[RemoveMeanState]):
 
     mean: Literal["moving", "running", "initial"] = param("moving", help="which mean is removed")
     window_s: float = param(1.0, above=0.0, help="over how long the moving or initial mean is taken")
-    reset_gap_s: float = param(0.1, least=0.0, help="a longer gap makes all means begin anew")
 
-    def open(self, specs: Specs) -> Specs:
-        spec = numeric(specs["in"])
-        rate_hz = regular(spec)
+    def begin(self, spec: StreamSpec) -> tuple[RemoveMeanState, Kernel]:
+        rate_hz, c = regular(spec), width_of(spec)
         w = samples_in("window_s", self.window_s, rate_hz)
-        seen = watch(specs["in"], reset_gap_s=self.reset_gap_s)
-        c = seen["width"]
         state = RemoveMeanState(
-            **seen,
+            settling_s=(w - 1) / rate_hz,
             ring=np.zeros((w if self.mean == "moving" else 0, c)),
             sums=np.zeros((4, c)),
             places=np.zeros((2, c), np.int64),
             most=w if self.mean == "initial" else 0,
         )
-        self.hold(state)
-        return {"out": spec.derive(settling_s=spec.settling_s + (w - 1) / rate_hz)}
-
-    def kernel_step(self) -> Step:
-        state, kernel = self.state, less_moving_mean if self.mean == "moving" else less_running_mean
-        return Step(kernel, state, last=state.last)
-
-    def rest(self) -> None:
-        self.state.sums[:] = 0.0
-        self.state.places[:] = 0
-
-    def process(self, port: str, chunk: Chunk) -> Chunk:
-        state = self.state
-        if not len(chunk.time):
-            return nothing(chunk, state)
-        if chunk.lost and state.breaks(chunk):
-            self.rest()
-        state.last[0] = chunk.time[-1]
-        x = chunk.data
-        made: Samples = np.empty(x.shape)
-        out = made
-        if not state.plain:
-            x, out = rows(x, state.width), made.reshape(len(x), state.width)
-        if self.mean == "moving":
-            less_moving_mean(x, state.ring, state.sums, state.places, out)
-        else:
-            less_running_mean(x, state.most, state.sums, state.places, out)
-        return Chunk(chunk.time, made, chunk.until, chunk.lost)
+        return state, less_moving_mean if self.mean == "moving" else less_running_mean
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

@@ -13,11 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, numeric, regular, samples_in, watch
-from stream.chunk import Array, Samples, Specs, StreamSpec, Times
+from stream.chunk import Array, Samples, StreamSpec, Times
+from stream.filter import Filter, FilterState
+from stream.finite import finite
 from stream.kernel import kernel
 from stream.operator import Case, grid
 from stream.params import param
+from stream.require import regular, samples_in, width_of
 
 
 @kernel
@@ -87,7 +89,7 @@ def moving_mean(
     for i in range(x.shape[0]):
         stamps[i] = time[i] - delay_ns
         for c in range(x.shape[1]):
-            out[i, c] = x[i, c] if abs(x[i, c]) < math.inf else math.nan
+            out[i, c] = finite(x[i, c])
         slide(out[i], ring, sums, places)
 
 
@@ -99,44 +101,39 @@ def moving_rms(
     for i in range(x.shape[0]):
         stamps[i] = time[i] - delay_ns
         for c in range(x.shape[1]):
-            out[i, c] = x[i, c] * x[i, c] if abs(x[i, c]) < math.inf else math.nan
+            out[i, c] = finite(x[i, c]) * finite(x[i, c])
         slide(out[i], ring, sums, places)
         for c in range(x.shape[1]):
             out[i, c] = math.sqrt(max(out[i, c], 0.0)) if out[i, c] == out[i, c] else math.nan
 
 
 @dataclass(slots=True)
-class MovingState(Continuity):
+class MovingState(FilterState):
     ring: Samples
     sums: Samples
     places: Times
 
 
-class Moving(Filter[MovingState]):
+class _Moving(Filter[MovingState]):
     """A window that moves with every sample; subclasses say what is made of it."""
 
     __slots__ = ()
     window_s: float
-    reset_gap_s: float
 
-    def open(self, specs: Specs) -> Specs:
-        spec = numeric(specs["in"])
-        rate_hz = regular(spec)
+    def begin(self, spec: StreamSpec) -> MovingState:
+        rate_hz, c = regular(spec), width_of(spec)
         w = samples_in("window_s", self.window_s, rate_hz)
-        delay_s = (w - 1) / 2 / rate_hz
-        seen = watch(specs["in"], delay_s=delay_s, reset_gap_s=self.reset_gap_s)
-        c = seen["width"]
-        state = MovingState(**seen, ring=np.zeros((w, c)), sums=np.zeros((4, c)), places=np.zeros((2, c), np.int64))
-        self.hold(state, delay_s=delay_s)
-        return {"out": spec.derive(settling_s=spec.settling_s + (w - 1) / rate_hz)}
-
-    def rest(self) -> None:
-        self.state.sums[:] = 0.0
-        self.state.places[:] = 0
+        return MovingState(
+            delay_s=(w - 1) / 2 / rate_hz,
+            settling_s=(w - 1) / rate_hz,
+            ring=np.zeros((w, c)),
+            sums=np.zeros((4, c)),
+            places=np.zeros((2, c), np.int64),
+        )
 
 
 @dataclass(frozen=True, slots=True)
-class MovingMean(Moving):
+class MovingMean(_Moving):
     """The mean over the newest `window_s`; stamps are those of the window's centre, half a window earlier (the declared delay).
 
     The window holds a number of samples, `window_s` times the rate, rounded. Until it is full the mean is that of what has come. Bad
@@ -144,12 +141,7 @@ class MovingMean(Moving):
     """
 
     window_s: float = param(above=0.0, help="length of the window")
-    reset_gap_s: float = param(0.1, least=0.0, help="a longer gap empties the window")
-    kernel = staticmethod(moving_mean)
-
-    def work(self, x: Samples, time: Times, out: Samples, stamps: Times) -> None:
-        state = self.state
-        moving_mean(x, state.ring, state.sums, state.places, time, state.delay_ns, out, stamps)
+    kernel = moving_mean
 
     @classmethod
     def cases(cls) -> Sequence[Case]:
@@ -157,16 +149,11 @@ class MovingMean(Moving):
 
 
 @dataclass(frozen=True, slots=True)
-class MovingRms(Moving):
+class MovingRms(_Moving):
     """The root mean square over the newest `window_s`; window, stamps and delay as in MovingMean."""
 
     window_s: float = param(above=0.0, help="length of the window")
-    reset_gap_s: float = param(0.1, least=0.0, help="a longer gap empties the window")
-    kernel = staticmethod(moving_rms)
-
-    def work(self, x: Samples, time: Times, out: Samples, stamps: Times) -> None:
-        state = self.state
-        moving_rms(x, state.ring, state.sums, state.places, time, state.delay_ns, out, stamps)
+    kernel = moving_rms
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

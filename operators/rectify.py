@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, numeric, rows, watch
-from stream.chunk import Chunk, Samples, Specs, StreamSpec
+from stream.chunk import Samples, StreamSpec
+from stream.filter import SampleWise
+from stream.finite import finite
 from stream.kernel import kernel
-from stream.operator import Case, Step, grid
+from stream.operator import Case, grid
 
 
 @kernel
@@ -19,30 +19,17 @@ def magnitudes(x: Samples, out: Samples) -> None:
     """Absolute values of `x` (n, c) into `out` (n, c); what is not finite becomes NaN."""
     for i in range(x.shape[0]):
         for c in range(x.shape[1]):
-            v = abs(x[i, c])
-            out[i, c] = v if v < math.inf else math.nan
+            out[i, c] = finite(abs(x[i, c]))
 
 
 @dataclass(frozen=True, slots=True)
-class Rectify(Filter[Continuity]):
+class Rectify(SampleWise[None]):
     """Every number's absolute value, as float64. No delay; works at any rate, and passes gaps on as they are."""
 
-    def open(self, specs: Specs) -> Specs:
-        out = numeric(specs["in"])
-        self.hold(Continuity(**watch(specs["in"])))
-        return {"out": out}
+    kernel = magnitudes
 
-    def kernel_step(self) -> Step:
-        return Step(magnitudes, self.state)
-
-    def process(self, port: str, chunk: Chunk) -> Chunk:
-        state = self.state
-        x = chunk.data
-        made = out = state.spare.rows(len(x))
-        if not state.plain:
-            x, made = rows(x, state.width), out.reshape(x.shape)
-        magnitudes(x, out)
-        return Chunk(chunk.time, made, chunk.until, chunk.lost)
+    def begin(self, spec: StreamSpec) -> None:
+        """Nothing is remembered."""
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

@@ -11,13 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.continuity import Continuity, Filter, back, numeric, regular, rows, watch
+from operators.continuity import Continuity, back, rows, watch
 from operators.remembered import remembered
 from stream.chunk import NEVER, NS, STAMP, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
+from stream.filter import reset_gap
 from stream.kernel import kernel
-from stream.operator import Case, grid
+from stream.operator import Case, Operator, grid
 from stream.params import param
+from stream.require import numeric, regular
 
 MOST = 1000
 """The largest term of a ratio of rates."""
@@ -96,7 +98,7 @@ class ResampleState(Continuity):
 
 
 @dataclass(frozen=True, slots=True)
-class Resample(Filter[ResampleState]):
+class Resample(Operator[ResampleState]):
     """The same signal at another rate, low-passed at half the lower of both rates: scipy's `resample_poly(x, up, down)` to rounding.
 
     up / down   `rate_hz` over the input's rate as a ratio of whole numbers up to 1000, the nearest one where it is no such ratio; the
@@ -112,11 +114,12 @@ class Resample(Filter[ResampleState]):
     stands for what comes after the end: the last half filter is not emitted.
     """
 
+    contiguous = True
     rate_hz: float = param(above=0.0, help="rate that is wanted")
     half_length: int = param(
         10, least=1, most=100, help="half the filter in samples of the slower rate; fewer: less delay, softer cut"
     )
-    reset_gap_s: float = param(0.1, least=0.0, help="a longer gap begins anew")
+    reset_gap_s: float = reset_gap(0.1)
 
     def open(self, specs: Specs) -> Specs:
         spec = numeric(specs["in"])
@@ -146,7 +149,7 @@ class Resample(Filter[ResampleState]):
         settling_s = spec.settling_s + half / up / rate_hz
         return {"out": spec.derive(rate_hz=rate_hz * up / down, settling_s=settling_s)}
 
-    def rest(self) -> None:
+    def _rest(self) -> None:
         state = self.state
         for array in (state.held, state.bad, state.ring):
             array[...] = 0
@@ -161,7 +164,7 @@ class Resample(Filter[ResampleState]):
             if chunk.lost:
                 lost = -1
                 if state.breaks(chunk):
-                    self.rest()
+                    self._rest()
                 else:
                     time, x = self._bridge(time, x, state.missing(chunk))
             state.last[0] = chunk.time[-1]

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, numeric, rows, watch
-from stream.chunk import Chunk, Samples, Specs, StreamSpec
+from stream.chunk import Samples, StreamSpec
 from stream.errors import InputError, ParameterError
+from stream.filter import SampleWise
+from stream.finite import finite
 from stream.kernel import kernel
-from stream.operator import Case, Step, grid
+from stream.operator import Case, grid
 from stream.params import param
+from stream.require import width_of
 
 
 @kernel
@@ -21,18 +22,17 @@ def straight_line(x: Samples, line: Samples, out: Samples) -> None:
     """`x` (n, c) times `line[0]` (c,) plus `line[1]` (c,) into `out` (n, c); what is not finite becomes NaN."""
     for i in range(x.shape[0]):
         for c in range(x.shape[1]):
-            v = x[i, c]
-            out[i, c] = v * line[0, c] + line[1, c] if abs(v) < math.inf else math.nan
+            out[i, c] = finite(x[i, c]) * line[0, c] + line[1, c]
 
 
 @dataclass(slots=True)
-class ScaleState(Continuity):
+class ScaleState:
     line: Samples
     """(2, width): gain and offset of every number of a sample."""
 
 
 @dataclass(frozen=True, slots=True)
-class Scale(Filter[ScaleState]):
+class Scale(SampleWise[ScaleState]):
     """Every number times `gain` plus `offset`, as float64. No delay; works at any rate, and passes gaps on as they are.
 
     `gain` and `offset` are one number for all, or one per channel of a signal; `unit` names what comes out, if it changes.
@@ -42,11 +42,10 @@ class Scale(Filter[ScaleState]):
     offset: float | tuple[float, ...] = param(0.0, help="added after the gain; one number, or one per channel")
     unit: str | None = param(None, help="the unit of what comes out; left out: unchanged")
 
-    def open(self, specs: Specs) -> Specs:
-        spec = specs["in"]
-        out = numeric(spec)
-        seen = watch(spec)
-        line = np.empty((2, seen["width"]))
+    kernel = straight_line
+
+    def begin(self, spec: StreamSpec) -> ScaleState:
+        line = np.empty((2, width_of(spec)))
         for row, parameter in enumerate(("gain", "offset")):
             given = getattr(self, parameter)
             if isinstance(given, Sequence):
@@ -58,21 +57,10 @@ class Scale(Filter[ScaleState]):
         if not np.isfinite(line).all():
             parameter = "gain" if not np.isfinite(line[0]).all() else "offset"
             raise ParameterError(parameter, getattr(self, parameter), "finite")
-        self.hold(ScaleState(**seen, line=line))
-        return {"out": out if self.unit is None else out.derive(units=(self.unit,))}
+        return ScaleState(line)
 
-    def kernel_step(self) -> Step:
-        return Step(straight_line, self.state)
-
-    def process(self, port: str, chunk: Chunk) -> Chunk:
-        state = self.state
-        x = chunk.data
-        out = np.empty(x.shape)
-        if state.plain:
-            straight_line(x, state.line, out)
-        else:
-            straight_line(rows(x, state.width), state.line, out.reshape(len(x), state.width))
-        return Chunk(chunk.time, out, chunk.until, chunk.lost)
+    def gives(self, spec: StreamSpec) -> StreamSpec:
+        return spec if self.unit is None else spec.derive(units=(self.unit,))
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

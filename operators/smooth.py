@@ -8,11 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.continuity import Continuity, Filter, numeric, regular, watch
-from stream.chunk import Samples, Specs, StreamSpec, Times
+from stream.chunk import Samples, StreamSpec, Times
+from stream.filter import Filter, FilterState
+from stream.finite import finite
 from stream.kernel import kernel
 from stream.operator import Case, grid
 from stream.params import param
+from stream.require import regular, width_of
 
 
 @kernel
@@ -29,9 +31,8 @@ def weigh(
     for i in range(x.shape[0]):
         stamps[i] = time[i] - delay_ns
         for c in range(x.shape[1]):
-            v = x[i, c]
-            if not abs(v) < math.inf:
-                out[i, c] = math.nan
+            v = out[i, c] = finite(x[i, c])
+            if v != v:
                 continue
             at = places[0, c]
             ring[at, c] = v
@@ -47,7 +48,7 @@ def weigh(
 
 
 @dataclass(slots=True)
-class BinomialState(Continuity):
+class BinomialState(FilterState):
     weights: Samples
     ring: Samples
     places: Times
@@ -64,31 +65,17 @@ class Binomial(Filter[BinomialState]):
     """
 
     window: int = param(16, least=1, most=1000, help="how many samples are weighed")
-    reset_gap_s: float = param(0.1, least=0.0, help="a longer gap empties the window")
+    kernel = weigh
 
-    def open(self, specs: Specs) -> Specs:
-        spec = numeric(specs["in"])
-        rate_hz = regular(spec)
-        w = self.window
-        delay_s = (w - 1) / 2 / rate_hz
-        seen = watch(specs["in"], delay_s=delay_s, reset_gap_s=self.reset_gap_s)
-        state = BinomialState(
-            **seen,
+    def begin(self, spec: StreamSpec) -> BinomialState:
+        rate_hz, c, w = regular(spec), width_of(spec), self.window
+        return BinomialState(
+            delay_s=(w - 1) / 2 / rate_hz,
+            settling_s=(w - 1) / rate_hz,
             weights=np.array([math.comb(w - 1, k) / 2 ** (w - 1) for k in range(w)]),
-            ring=np.zeros((2 * w, seen["width"])),
-            places=np.zeros((2, seen["width"]), np.int64),
+            ring=np.zeros((2 * w, c)),
+            places=np.zeros((2, c), np.int64),
         )
-        self.hold(state, delay_s=delay_s)
-        return {"out": spec.derive(settling_s=spec.settling_s + (w - 1) / rate_hz)}
-
-    def rest(self) -> None:
-        self.state.places[:] = 0
-
-    kernel = staticmethod(weigh)
-
-    def work(self, x: Samples, time: Times, out: Samples, stamps: Times) -> None:
-        s = self.state
-        weigh(x, s.weights, s.ring, s.places, time, s.delay_ns, out, stamps)
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

@@ -10,12 +10,13 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from operators.channels import find_channel, names_of
-from operators.continuity import Continuity, numeric, rows, watch
+from operators.continuity import Continuity, rows, watch
 from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.kernel import kernel
 from stream.operator import Case, Operator, grid
 from stream.params import param
+from stream.require import numeric
 
 UNKNOWN, OUTSIDE, CANDIDATE, INSIDE = range(4)
 ONSET = np.dtype([("onset", "<i8")])

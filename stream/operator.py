@@ -6,7 +6,7 @@ so that a snapshot of the state is a snapshot of the operator. `docs/operators.m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeAlias, TypeVar
 
@@ -23,27 +23,6 @@ S = TypeVar("S")
 
 Emitted: TypeAlias = Chunk | Sequence[tuple[str, Chunk]] | None
 """What `process` gives back: a chunk for the first output, nothing, or (output, chunk) pairs in the order of emission."""
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """What an operator does to a chunk, for machine code in which operators in a row follow one another (`stream.engine.row`).
-
-    Only chunks of which nothing is unusual come that way: signals of float64, at least one sample, none lost before it, and more to come.
-    To those, the kernel does what `process` does, in what comes out and in the state, to the last bit; the laws look.
-
-    kernel  its parameters are `x` (n, c), `time` (n,), `out` (n, d), `stamps` (n,), which is left out where stamps pass unchanged, and
-            fields of `state`: arrays of float64 and int64 that nothing ever replaces, only writes in place, and numbers that never change,
-            above all `delay_ns`, by which stamps are moved back. Not one that gives up the interpreter
-    state   of the operator
-    rows    told n, how many samples come out of so many; left out: all
-    last    (1,) where the newest stamp is noted
-    """
-
-    kernel: Callable[..., None]
-    state: Any
-    rows: Callable[[int], int] | None = None
-    last: Array | None = None
 
 
 class Operator(Generic[S]):
@@ -91,10 +70,6 @@ class Operator(Generic[S]):
         Arrays that are emitted are C-contiguous and never written again.
         """
         raise NotImplementedError
-
-    def kernel_step(self) -> Step | None:
-        """What `process` does, as a kernel; None where it needs Python. Asked once the operator is open, by what wants to be faster."""
-        return None
 
     def close(self) -> Emitted:
         """Emit what is still pending; called once, when every input has ended."""

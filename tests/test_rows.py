@@ -8,23 +8,26 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from operators.decimate import Decimate
+from operators.derivative import Derivative
 from operators.iir import Lowpass
 from operators.moving import MovingMean
-from operators.rectify import Rectify, magnitudes
+from operators.rectify import Rectify
 from operators.scale import straight_line
 from stream.chunk import FOREVER, Array, Chunk, StreamSpec, empty
 from stream.engine import row
 from stream.engine.pipeline import Pipeline
-from stream.engine.warmup import Compilations, warm_up
+from stream.engine.warmup import Compilations
 from stream.errors import GraphError
+from stream.filter import KernelCall
 from stream.graph.load import load_text
 from stream.kernel import is_kernel, kernel
-from stream.operator import Step
+from stream.operator import Operator
 
 pytestmark = pytest.mark.skipif(not row.POSSIBLE, reason="this system has no rows")
 
@@ -167,11 +170,13 @@ def test_a_first_session_compiles_nothing_while_it_runs(tmp_path: Path) -> None:
 def test_what_has_no_place_in_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     spec = load_text(GRAPH).nodes["board"].specs["emg"]
 
-    def opened(operator: Rectify | Lowpass | Decimate | MovingMean, spec: StreamSpec = spec) -> Step | None:
+    def opened(operator: Operator[Any], spec: StreamSpec = spec) -> KernelCall | None:
         return row.step_of(operator, spec, operator.open({"in": spec})["out"])
 
     assert opened(Rectify()) and opened(Decimate(2)) and opened(MovingMean(0.1))
-    assert opened(Lowpass(20.0, start="first")) is None, "it needs Python for its first sample"
+    assert opened(Lowpass(20.0, start="first")) and opened(Derivative()) is None, (
+        "which would not tell that time passes"
+    )
     assert opened(Rectify(), spec.derive(dtype=np.dtype(np.float32))) is None, "samples must be converted first"
     assert not is_kernel(opened) and not is_kernel(_nested()) and not is_kernel(letting_go)
 
@@ -180,29 +185,28 @@ def test_what_has_no_place_in_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
 class Slip(Rectify):
     """Names a kernel that wants more than the state has."""
 
-    def kernel_step(self) -> Step:
-        return Step(straight_line, self.state)
+    kernel = straight_line
 
 
 @dataclass(frozen=True, slots=True)
 class Stampless(Rectify):
     """Thins out without stamps."""
 
-    def kernel_step(self) -> Step:
-        return Step(magnitudes, self.state, lambda n: n // 2)
+    def rows(self, n: int) -> int:
+        return n // 2
 
 
 @pytest.mark.parametrize(
     ("part", "told"),
     [
-        ("Slip", "its step's kernel is to be given 'line', which its state has not"),
-        ("Stampless", "its step keeps only some samples .`rows`., so its kernel must be given `stamps`"),
+        ("Slip", "the kernel of Slip is to be given 'line', which is no field of its state and no parameter"),
+        ("Stampless", "Stampless leaves samples out .`rows`., so its kernel must be given `stamps`"),
     ],
 )
-def test_a_slip_in_a_step_names_the_node(part: str, told: str) -> None:
+def test_a_slip_in_a_declaration_names_the_node(part: str, told: str) -> None:
     text = GRAPH.replace("operators.rectify.Rectify", f"tests.test_rows.{part}")
     with pytest.raises(GraphError, match=f"node 'rectify': {told}"):
-        warm_up(load_text(text))
+        load_text(text)
 
 
 @kernel(nogil=True)

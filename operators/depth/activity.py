@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from operators.continuity import numeric, regular
 from operators.depth.noise import Noise
 from operators.depth.presence import BED, IN, NAMES, OUT, UNKNOWN
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
@@ -17,6 +16,7 @@ from stream.errors import InputError, ParameterError
 from stream.kernel import kernel
 from stream.operator import Case, Operator, grid
 from stream.params import param
+from stream.require import numeric, regular
 
 EPOCH_SEEN = np.dtype(
     [

@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from operators.continuity import regular
 from operators.depth.breath import gather, peak, powers, straighten, vary
 from operators.depth.presence import BED
 from operators.depth.regions import REGION, block_of, region_spec, sleepers_of, take
@@ -18,6 +17,7 @@ from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Ti
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
 from stream.params import param
+from stream.require import regular
 
 BREATH = np.dtype(
     [

@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from operators.continuity import regular
 from operators.depth.blocks import Frame
 from operators.depth.change import Seen, Sums, change, conclude
 from operators.depth.regions import REGION, region_spec, sleepers_of, take
@@ -17,6 +16,7 @@ from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec, 
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
 from stream.params import param
+from stream.require import regular
 
 LONGEST_EPOCH = 60_000
 """Frames that an epoch may have: beyond, its sums could overflow."""

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.continuity import Continuity, numeric, regular, rows, samples_in, watch
+from operators.continuity import Continuity, rows, watch
 from operators.features.bundle_kernel import bundle_frames
 from operators.features.stack import pieces
 from operators.neighbours.index import LIMITS
@@ -17,6 +17,7 @@ from stream.chunk import FOREVER, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Emitted, Operator, grid
 from stream.params import param
+from stream.require import numeric, regular, samples_in
 
 APART = 4
 """Frames further apart than so many periods are not neighbours in time."""

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from operators.channels import names_of
-from operators.continuity import numeric, rows
+from operators.continuity import rows
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
 from stream.kernel import kernel
 from stream.operator import Case, Operator, grid
 from stream.params import param
+from stream.require import numeric
 
 STACKED = re.compile(r"\[[+-]\d+\]$")
 

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from operators.continuity import numeric, rows
+from operators.continuity import rows
 from operators.features.skeleton import SETS, find_joints, pairs
 from operators.marker_columns import marker_columns
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
@@ -17,6 +17,7 @@ from stream.errors import InputError
 from stream.kernel import kernel
 from stream.operator import Case, Operator, grid
 from stream.params import param
+from stream.require import numeric
 
 CM = {"m": 100.0, "cm": 1.0, "mm": 0.1, "": 1.0}
 FLAT = 0.2

@@ -8,12 +8,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.continuity import Continuity, numeric, regular, rows, samples_in, watch
+from operators.continuity import Continuity, rows, watch
 from operators.extremes import moving_extreme
 from operators.features.stack import pieces
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times, add_lost
 from stream.operator import Case, Emitted, Operator, grid
 from stream.params import param
+from stream.require import numeric, regular, samples_in
 
 
 @dataclass(slots=True)

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.continuity import Continuity, numeric, regular, rows, watch
+from operators.continuity import Continuity, rows, watch
 from stream.chunk import FOREVER, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
 from stream.kernel import kernel
 from stream.operator import Case, Emitted, Operator, grid
 from stream.params import param
+from stream.require import numeric, regular
 
 MOST = 64
 FARTHEST = 10_000

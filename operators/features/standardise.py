@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.continuity import numeric, regular, rows, samples_in
+from operators.continuity import rows
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from stream.kernel import kernel
 from stream.operator import Case, Operator, grid
 from stream.params import param
+from stream.require import numeric, regular, samples_in
 
 QUARTILES = 1.3489795003921634
 """The distance between a normal distribution's quartiles, in standard deviations."""

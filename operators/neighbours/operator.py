@@ -8,7 +8,7 @@ from typing import ClassVar, TypeAlias
 
 import numpy as np
 
-from operators.continuity import Continuity, numeric, regular, rows, samples_in, watch
+from operators.continuity import Continuity, rows, watch
 from operators.neighbours.follow import follow_within
 from operators.neighbours.index import LIMITS, set_weights
 from operators.neighbours.layout import NEXT, IndexState, allocate, clear
@@ -16,6 +16,7 @@ from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times, empty
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
 from stream.params import param
+from stream.require import numeric, regular, samples_in
 
 NEAREST = np.dtype([("frame", "<i8"), ("time", "<i8"), ("distance", "<f4")])
 WITHIN = np.dtype(

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from operators.channels import names_of
-from operators.continuity import Continuity, numeric, regular, rows, samples_in, watch
+from operators.continuity import Continuity, rows, watch
 from operators.features.mirror import STACKED
 from operators.segmentation.activities import ROOM, end, follow
 from operators.segmentation.final import SIDED, SYMMETRIC
@@ -32,6 +32,7 @@ from stream.chunk import FOREVER, NEVER, Array, Chunk, Samples, Specs, StreamSpe
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
 from stream.params import param
+from stream.require import numeric, regular, samples_in
 
 SPAN = [("onset", "<i8"), ("end", "<i8"), ("activity", "<i8")]
 ACTIVITY = np.dtype(

@@ -9,12 +9,13 @@ from typing import Literal
 
 import numpy as np
 
-from operators.continuity import numeric, rows
+from operators.continuity import rows
 from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.kernel import kernel
 from stream.operator import Case, Operator, grid
 from stream.params import param
+from stream.require import numeric
 
 
 @kernel

@@ -10,7 +10,6 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from operators.channels import find_channel, names_of
-from operators.continuity import numeric, regular
 from operators.sleep.calibration import Calibration
 from operators.sleep.methods import METHODS, MethodName, Rule, rule
 from operators.sleep.rescoring import NAMES, REACH_MIN, SLEEP, UNKNOWN, WAKE, States, rescored, settled
@@ -18,6 +17,7 @@ from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec, 
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
 from stream.params import param
+from stream.require import numeric, regular
 
 EPOCH = np.dtype(
     [

@@ -26,7 +26,7 @@ from stream.engine.link import Link, Push, failure
 from stream.engine.metrics import add
 from stream.engine.promise import PromiseError
 from stream.engine.row import Row, step_of
-from stream.operator import Step
+from stream.filter import KernelCall
 from stream.spare import Spare
 
 if TYPE_CHECKING:
@@ -310,7 +310,7 @@ def _spans(links: list[Link], wires: list[Wire], *, rows: bool) -> Iterator[Span
     """Each link by itself; with `rows`, neighbours that have steps, and whose wires nobody listens to, together; one may thin out."""
     i = 0
     while i < len(links):
-        steps: list[Step] = []
+        steps: list[KernelCall] = []
         for k, link in enumerate(links[i:], i):
             step = step_of(link.operator, wires[k].spec, wires[k + 1].spec) if rows else None
             if step is None or (steps and wires[k].taps) or (step.rows and any(s.rows for s in steps)):

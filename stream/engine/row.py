@@ -10,19 +10,17 @@ asks the C library, which is why there are rows on Linux only; on other systems 
 
 from __future__ import annotations
 
-import inspect
 import sys
 from collections.abc import Callable, Sequence
-from functools import cache
 from typing import Any
 
 import numpy as np
 
 from stream.chunk import NEVER, Array, Chunk, StreamSpec
 from stream.engine.metrics import Timing, add
-from stream.errors import KinegraphError, nearest
+from stream.filter import FLOW, KernelCall, SampleWise, arguments
 from stream.kernel import compile_written, is_kernel
-from stream.operator import Operator, Step
+from stream.operator import Operator
 from stream.spare import Spare
 
 POSSIBLE = sys.platform == "linux"
@@ -32,7 +30,6 @@ COUNT, TIMES, DESK, SAMPLES, STAMPS = 0, 1, 2, 3, 5
 """The table's first places: passages timed; the addresses of their times, of the clock's desk, and of two buffers each for samples and
 stamps between steps."""
 FIRST = 7
-FLOW = {"x", "time", "out", "stamps"}
 SIGNATURE = "int64(float64[:, ::1], int64[::1], float64[:, ::1], int64[::1], int64[::1], int64)"
 HEAD = """\
 from numba import carray
@@ -40,32 +37,19 @@ from stream.engine.machine import clock, floats_at, longs_at
 """
 
 
-def step_of(operator: Operator[Any], taken: StreamSpec, given: StreamSpec) -> Step | None:
+def step_of(operator: Operator[Any], taken: StreamSpec, given: StreamSpec) -> KernelCall | None:
     """What an operator that takes and gives such streams can contribute to a row; None if it cannot."""
     plain = all(spec.is_signal and spec.dtype == np.float64 for spec in (taken, given))
-    step = operator.kernel_step() if POSSIBLE and plain else None
+    step = operator.kernel_call() if POSSIBLE and plain and isinstance(operator, SampleWise) else None
     if step is None or not is_kernel(step.kernel):
         return None
-    if step.rows and "stamps" not in _parameters(step.kernel):
-        raise KinegraphError("its step keeps only some samples (`rows`), so its kernel must be given `stamps`")
-    wanted = [name for name in _parameters(step.kernel) if name not in FLOW]
-    for name in wanted:
-        if not hasattr(step.state, name):
-            raise KinegraphError(
-                f"its step's kernel is to be given {name!r}, which its state has not: {nearest(name, dir(step.state))}"
-            )
-    return step if all(_has_a_place(getattr(step.state, name)) for name in wanted) else None
+    return step if all(map(_has_a_place, step.given.values())) else None
 
 
 def _has_a_place(value: object) -> bool:
     if isinstance(value, np.ndarray):
         return value.dtype in (np.float64, np.int64) and value.flags.carray
     return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-@cache
-def _parameters(kernel: Callable[..., None]) -> tuple[str, ...]:
-    return tuple(inspect.signature(kernel).parameters)
 
 
 class Row:
@@ -84,7 +68,7 @@ class Row:
     spare     arrays for what comes out
     """
 
-    def __init__(self, steps: Sequence[Step], widths: Sequence[int]) -> None:
+    def __init__(self, steps: Sequence[KernelCall], widths: Sequence[int]) -> None:
         """`widths`: how many numbers a sample has that each step gives out."""
         self._steps, self._widths = steps, widths
         self._times = np.zeros((TIMED, len(steps) + 1), np.int64)
@@ -93,8 +77,8 @@ class Row:
         self._cells[TIMES], self._cells[DESK] = self._times.ctypes.data, self._kept[0].ctypes.data
         self.thinning = next((i for i, step in enumerate(steps) if step.rows), None)
         self.rows = None if self.thinning is None else steps[self.thinning].rows
-        self.moves = any("stamps" in _parameters(step.kernel) for step in steps)
-        self.delay_ns = sum(step.state.delay_ns for step in steps if "delay_ns" in _parameters(step.kernel))
+        self.moves = any("stamps" in arguments(step.kernel) for step in steps)
+        self.delay_ns = sum(step.delay_ns for step in steps)
         self.width = widths[-1]
         self.spare = Spare(self.width)
         source = HEAD + "\n".join(self._written()) + "\n"
@@ -145,7 +129,7 @@ class Row:
                 rows = "m"
                 lines.append("    m = stamps.shape[0]")
             flow["out"], flow["stamps"] = "out", "stamps"
-            moves = "stamps" in _parameters(step.kernel)
+            moves = "stamps" in arguments(step.kernel)
             if i < last:
                 flow["out"], flow["stamps"] = f"x{i + 1}", f"time{i + 1}"
                 shape = f"({rows}, table[{self._cell(self._widths[i])}])"
@@ -153,9 +137,7 @@ class Row:
                 if moves:
                     lines.append(f"    time{i + 1} = carray(longs_at(table[{STAMPS + moved % 2}]), ({rows},))")
                     moved += 1
-            given = ", ".join(
-                flow.get(name) or self._place(getattr(step.state, name)) for name in _parameters(step.kernel)
-            )
+            given = ", ".join(flow[n] if n in FLOW else self._place(step.given[n]) for n in arguments(step.kernel))
             lines.append(f"    step{i}({given})")
             if step.last is not None:
                 lines.append(f"    {self._place(step.last)}[0] = {newest}")

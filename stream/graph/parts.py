@@ -17,6 +17,7 @@ from types import ModuleType
 from typing import Any, TypeAlias, TypeGuard
 
 from stream.errors import KinegraphError, explain, nearest
+from stream.filter import SampleWise
 from stream.operator import Operator, Outlet
 from stream.source import Source
 
@@ -98,6 +99,8 @@ def is_part(candidate: object) -> TypeGuard[Part]:
         return False
     if issubclass(candidate, Source):
         return candidate.read is not Source.read
+    if issubclass(candidate, SampleWise):
+        return candidate.begin is not SampleWise.begin
     return issubclass(candidate, Operator) and candidate.open is not Operator.open
 
 

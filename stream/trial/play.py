@@ -12,7 +12,7 @@ from stream.chunk import FOREVER, NEVER, Array, Chunk, Specs, StreamSpec, add_lo
 from stream.engine.merge import Merge
 from stream.engine.row import Row, step_of
 from stream.errors import KinegraphError
-from stream.operator import Case, Emitted, Operator
+from stream.operator import Case, Emitted, Operator, Outlet
 from stream.trial.broken import Broken
 from stream.trial.cut import Delivery
 
@@ -70,9 +70,8 @@ class Player:
             raise Broken(
                 "spec", f"`open` returned specs of {[*opened]}, the class declares outputs {[*type(operator).outputs]}"
             )
-        begin = getattr(operator, "begin", None)
-        if begin is not None:
-            begin()
+        if isinstance(operator, Outlet):
+            operator.begin()
         return operator, opened
 
     def play(self, delivery: Delivery) -> Player:

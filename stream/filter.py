@@ -1,0 +1,296 @@
+"""A filter, declared once: a kernel, its parameters and its typed state.
+
+    @dataclass(frozen=True, slots=True)
+    class Smooth(Filter[SmoothState]):
+        tau_s: float = param(above=0.0)
+        kernel = smoothed                       # def smoothed(x, share, level, out), under @kernel
+
+        def begin(self, spec):
+            return SmoothState(share=1 / (self.tau_s * spec.rate_hz), level=np.zeros(spec.shape))
+
+`process` follows from that, and so does the call by which a compiled segment calls the kernel with no Python in between
+(`stream.engine.row`). A kernel's arguments are found by their names: what flows (`FLOW`), then fields of the state, then parameters. They
+are looked up once, when the operator is opened.
+
+The gap rule. A gap shows as `chunk.lost != 0`. Its length is the time from the last sample before it to the first one after it, less one
+period. Up to `reset_gap_s` the state is held, as if the samples on both sides were neighbours; beyond it the state is what `begin` made.
+`lost` is passed on at the same place either way, and the output's `settling_s` says for how long values are not settled after it.
+
+The rule for bad samples. NaN in gives NaN out and holds the state, channel by channel; infinity is treated as NaN (`stream.finite`).
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import Any, ClassVar, TypeAlias, TypeVar
+
+import numpy as np
+
+from stream.chunk import FOREVER, NEVER, NS, STAMP, Array, Chunk, Specs, StreamSpec, Times
+from stream.errors import KinegraphError, nearest
+from stream.operator import Operator
+from stream.params import param
+from stream.require import numeric, width_of
+from stream.spare import Spare
+from stream.state import pack, unpack
+
+S = TypeVar("S")
+Kernel: TypeAlias = Callable[..., None]
+Run: TypeAlias = Callable[[Array, Times, Array, Times], None]
+FLOW = ("x", "time", "out", "stamps")
+"""What a kernel may be given of a chunk: samples `x` (n, width) and their stamps `time` (n,), and where to write what comes out: samples
+`out` (m, width) and their stamps `stamps` (m,). One that has no `stamps` leaves them as they are."""
+
+
+@dataclass(frozen=True, slots=True)
+class KernelCall:
+    """A kernel and what it is given beside the flow: all that a compiled segment needs of an operator.
+
+    given  by name: arrays that are written in place and never replaced, and numbers that never change
+    rows   told n, how many samples come out of so many; None: as many
+    last   (1,) where the newest stamp is noted; None: nowhere
+    """
+
+    kernel: Kernel
+    given: Mapping[str, Any]
+    delay_ns: int
+    rows: Callable[[int], int] | None = None
+    last: Times | None = None
+
+
+@dataclass(slots=True, kw_only=True)
+class FilterState:
+    """What the state of a filter holds beside its own fields.
+
+    delay_s     how much earlier than its newest sample's stamp an output's is
+    settling_s  for how long values are not settled, after the start and after a reset
+    last        (1,) stamp of the newest sample
+    """
+
+    delay_s: float = 0.0
+    settling_s: float = 0.0
+    last: Times = field(default_factory=lambda: np.array([NEVER]))
+
+    @property
+    def delay_ns(self) -> int:
+        """What a kernel subtracts from stamps."""
+        return round(self.delay_s * NS)
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """What `process` needs, looked up once.
+
+    run       the kernel, to be called with the flow alone
+    both      samples and stamps to write to, of so many; `samples`: without stamps
+    width     numbers per sample that the kernel takes; `plain`: chunks are rows of these already
+    shape     of a sample that comes out, where that is not a row
+    last      (1,) where the newest stamp is noted; None: nowhere
+    moves     whether stamps that come out are others than those that came in
+    sparse    whether the rate changes: then a chunk of which nothing comes out says nothing
+    unusual   whether chunks need more than the kernel, all of them
+    nothing   no samples, and the stamps of none
+    rest      what the state is at the beginning
+    """
+
+    run: Run
+    call: KernelCall
+    both: Callable[[int], tuple[Array, Times]]
+    samples: Callable[[int], Array]
+    width: int
+    plain: bool
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...] | None
+    last: Times | None
+    moves: bool
+    unusual: bool
+    sparse: bool
+    period_ns: int
+    limit_ns: int
+    delay_ns: int
+    nothing: tuple[Array, Times]
+    rest: dict[str, Array]
+
+
+class SampleWise(Operator[S]):
+    """One kernel over a stream of numbers: signals (channels,), and others, such as markers (points, 3), each number for itself.
+
+    What is lost is passed on, and nothing else made of it; what has a memory that a gap resets is a `Filter`.
+
+    kernel       what is done; `begin` may choose another
+    keeps_dtype  whether the kernel takes samples of any dtype, and gives out the same; else it is given float64, and gives that
+    """
+
+    __slots__ = ("bound",)
+    contiguous = True
+    kernel: ClassVar[Kernel]
+    keeps_dtype: ClassVar[bool] = False
+    bound: Bound
+
+    def begin(self, spec: StreamSpec) -> S | tuple[S, Kernel]:
+        """Check the input's spec and make the state, a slotted dataclass; with it the kernel, where a parameter chooses one."""
+        raise NotImplementedError
+
+    def gives(self, spec: StreamSpec) -> StreamSpec:
+        """The spec of what comes out; `spec` is the input's, with the output's dtype and settling."""
+        return spec
+
+    def rows(self, n: int) -> int:
+        """How many samples come out of the next `n`. Where that is not as many, the kernel writes their stamps."""
+        return n
+
+    def gap(self, chunk: Chunk) -> int:
+        """Something is lost before this chunk: what becomes of the state. Returns the `lost` that is passed on."""
+        return chunk.lost
+
+    def open(self, specs: Specs) -> Specs:
+        spec = specs["in"]
+        dtype = spec.dtype if self.keeps_dtype else numeric(spec).dtype
+        begun = self.begin(spec)
+        state, kernel = begun if isinstance(begun, tuple) else (begun, type(self).kernel)
+        self.hold(state, delay_s=getattr(state, "delay_s", 0.0))
+        settling_s = spec.settling_s + getattr(state, "settling_s", 0.0)
+        out = self.gives(spec.derive(dtype=dtype, settling_s=settling_s))
+        run, call = self._bind(kernel)
+        spare, width = Spare(width_of(out)), width_of(out)
+        plain, flat = len(spec.shape) == 1 and spec.dtype == dtype, len(out.shape) == 1
+        bound = Bound(
+            run=run,
+            call=call,
+            both=spare.both,
+            samples=spare.rows if dtype == np.float64 else lambda n: np.empty((n, width), dtype),
+            width=width_of(spec),
+            plain=plain,
+            dtype=dtype,
+            shape=None if flat else out.shape,
+            last=call.last,
+            moves="stamps" in arguments(kernel),
+            unusual=not plain or not flat or call.rows is not None,
+            sparse=out.rate_hz != spec.rate_hz,
+            period_ns=spec.period_ns,
+            limit_ns=round(getattr(self, "reset_gap_s", 0.0) * NS),
+            delay_ns=round(self.delay_s * NS),
+            nothing=(np.empty((0, width), dtype), np.empty(0, STAMP)),
+            rest=pack(state),
+        )
+        object.__setattr__(self, "bound", bound)
+        return {"out": out}
+
+    def _bind(self, kernel: Kernel) -> tuple[Run, KernelCall]:
+        """The kernel with everything but the flow given, for Python and for a compiled segment."""
+        given = {name: self._given(kernel, name) for name in arguments(kernel) if name not in FLOW}
+        thins = type(self).rows is not SampleWise.rows
+        if thins and "stamps" not in arguments(kernel):
+            raise KinegraphError(
+                f"{type(self).__name__} leaves samples out (`rows`), so its kernel must be given `stamps`"
+            )
+        last = getattr(self.state, "last", None)
+        call = f"lambda {', '.join(FLOW)}: kernel({', '.join(arguments(kernel))})"
+        bare = KernelCall(kernel, given, round(self.delay_s * NS), self.rows if thins else None, last)
+        return eval(call, {"kernel": kernel, **given}), bare
+
+    def _given(self, kernel: Kernel, name: str) -> Any:
+        for owner in (self.state, self):
+            if hasattr(owner, name):
+                return getattr(owner, name)
+        known = [n for owner in (self.state, self) for n in getattr(owner, "__dataclass_fields__", ())]
+        raise KinegraphError(
+            f"the kernel of {type(self).__name__} is to be given {name!r}, which is no field of its state and no parameter:"
+            f" {nearest(name, known)}"
+        )
+
+    def kernel_call(self) -> KernelCall | None:
+        """What a compiled segment needs; None where it could not do all that `process` does."""
+        return self.bound.call if self.bound.sparse or not self.bound.call.rows else None
+
+    def restore(self, arrays: dict[str, Array]) -> None:
+        super().restore(arrays)
+        run, call = self._bind(self.bound.call.kernel)
+        object.__setattr__(self, "bound", replace(self.bound, run=run, call=call, last=call.last))
+
+    def process(self, port: str, chunk: Chunk) -> Chunk | None:
+        bound, time = self.bound, chunk.time
+        n = len(time)
+        if chunk.lost or not n or bound.unusual:
+            return self._process_any(chunk)
+        if bound.last is not None:
+            bound.last[0] = time[-1]
+        out, stamps = bound.both(n) if bound.moves else (bound.samples(n), time)
+        bound.run(chunk.data, time, out, stamps)
+        until = chunk.until
+        return Chunk(stamps, out, until if until == FOREVER else until - bound.delay_ns)
+
+    def _process_any(self, chunk: Chunk) -> Chunk | None:
+        """What `process` does, for a chunk of any kind."""
+        bound, time, n = self.bound, chunk.time, len(chunk.time)
+        lost = self.gap(chunk) if chunk.lost else 0
+        if not n:
+            return self._nothing(chunk, lost)
+        if bound.last is not None:
+            bound.last[0] = time[-1]
+        x = chunk.data
+        if not bound.plain:
+            x = np.ascontiguousarray(x, bound.dtype).reshape(n, bound.width)
+        m = n if bound.call.rows is None else bound.call.rows(n)
+        if not m:
+            out, stamps = bound.nothing
+        else:
+            out, stamps = bound.both(m) if bound.moves else (bound.samples(m), time)
+        bound.run(x, time, out, stamps)
+        if not m:
+            return None if bound.sparse and not lost else self._nothing(chunk, lost)
+        made = out if bound.shape is None else out.reshape(m, *bound.shape)
+        return Chunk(stamps, made, before(chunk.until, bound.delay_ns), lost)
+
+    def _nothing(self, chunk: Chunk, lost: int) -> Chunk:
+        """Nothing comes out, but time has passed."""
+        out, stamps = self.bound.nothing
+        made = out if self.bound.shape is None else out.reshape(0, *self.bound.shape)
+        return Chunk(stamps, made, before(chunk.until, self.bound.delay_ns), lost)
+
+
+def reset_gap(default: float) -> Any:
+    """The parameter `reset_gap_s`, by which an operator says after which gaps it forgets what was before."""
+    return param(
+        default, least=0.0, help="a longer gap resets the state; up to it, samples on both sides are neighbours"
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Filter(SampleWise[S]):
+    """What has a memory of the samples before: its state is a `FilterState`, and a gap longer than `reset_gap_s` resets it."""
+
+    reset_gap_s: float = reset_gap(0.1)
+
+    def gap(self, chunk: Chunk) -> int:
+        if self.breaks(chunk):
+            unpack(self.state, self.bound.rest)
+        return chunk.lost
+
+    def gap_ns(self, chunk: Chunk) -> int:
+        """How much time is missing before a chunk that holds samples."""
+        last = self.bound.last
+        assert last is not None
+        return chunk.time.item(0) - last.item(0) - self.bound.period_ns
+
+    def breaks(self, chunk: Chunk) -> bool:
+        """Whether the gap before this chunk is long enough to reset the state."""
+        return len(chunk.time) > 0 and self.gap_ns(chunk) > self.bound.limit_ns
+
+    def missing(self, chunk: Chunk) -> int:
+        """How many samples of the regular grid lie in the gap before this chunk, judged by its stamps."""
+        return max(0, round(self.gap_ns(chunk) / self.bound.period_ns))
+
+
+def before(until: int, delay_ns: int) -> int:
+    """A promise about the input, as a promise about an output whose stamps are `delay_ns` earlier."""
+    return until - delay_ns if NEVER < until < FOREVER else until
+
+
+@cache
+def arguments(kernel: Kernel) -> tuple[str, ...]:
+    """The names of what a kernel is given."""
+    return tuple(inspect.signature(kernel).parameters)
