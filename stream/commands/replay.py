@@ -74,9 +74,7 @@ def replay(
     for name in unseen:
         say(f"  {name}: NOT COMPARED, for this graph has no such output")
     if verify and (result.differing or unseen) and source.header.get("graph") != graph.text:
-        say(
-            f"this graph is not the one that made the recording: `kinegraph info {recording} --graph` prints that one"
-        )
+        say(f"this graph is not the one that made the recording: `kinegraph info {recording} --graph` prints that one")
     if verify and (result.differing or result.stopped or result.broken or unseen):
         sys.exit(1)
     if failed := [stage for stage in run.pipeline.outlets if stage.failed]:

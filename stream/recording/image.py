@@ -72,7 +72,9 @@ def decode_image(body: memoryview) -> tuple[int, memoryview]:
 def frames_of(spec: StreamSpec, first: int, n: int, images: Sequence[memoryview], *, packed: bool) -> Array:
     """Frames number `first` ... `first` + n - 1, (n, height, width) in fresh memory. Raises RecordingError if one is missing."""
     if len(images) < n:
-        raise RecordingError(f"{n - len(images)} of {n} frames are missing; `kinegraph recover` leaves out what cannot be read")
+        raise RecordingError(
+            f"{n - len(images)} of {n} frames are missing; `kinegraph recover` leaves out what cannot be read"
+        )
     check_size(n * spec.sample_bytes, sum(map(len, images)), "a message of frames")
     data = np.empty((n, *spec.shape), spec.dtype)
     missing = set(range(n))
