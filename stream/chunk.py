@@ -9,6 +9,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from stream.errors import InputError
+
 Samples: TypeAlias = NDArray[np.float64]
 Times: TypeAlias = NDArray[np.int64]
 Array: TypeAlias = NDArray[Any]
@@ -168,6 +170,28 @@ class Chunk(msgspec.Struct, eq=False, gc=False):
 def empty(spec: StreamSpec, until: int, lost: int = 0) -> Chunk:
     """A chunk without samples: only time passes."""
     return Chunk(np.empty(0, np.int64), np.empty((0, *spec.shape), spec.dtype), until, lost)
+
+
+def grid(rate_hz: float, n: int, start_ns: int = NS) -> Times:
+    """Stamps of `n` samples at `rate_hz`, from an index and an anchor, never by accumulation. Returns (n,) int64 ns."""
+    return start_ns + np.round(np.arange(n) * (1e9 / rate_hz)).astype(np.int64)
+
+
+def stamps(time: Any, name: str) -> Times:
+    """Times (n,) as stamps; raises InputError for what is not whole nanoseconds."""
+    array = np.asarray(time)
+    if array.dtype.kind == "M":
+        return array.astype("datetime64[ns]").astype(np.int64)
+    if array.dtype.kind == "f":
+        given = f"stamped in {array.dtype}, which cannot hold nanoseconds since 1970"
+        raise InputError(
+            name, given, "stamped in int64 ns; multiply seconds by 1e9: np.round(time * 1e9).astype(np.int64)"
+        )
+    if array.dtype.kind not in "iu" or array.ndim != 1:
+        raise InputError(
+            name, f"stamped with {array.dtype} of shape {array.shape}", "stamped in int64 ns, one per sample"
+        )
+    return array.astype(np.int64)
 
 
 def add_lost(first: int, then: int) -> int:

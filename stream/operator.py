@@ -12,7 +12,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeAlias, TypeV
 
 import numpy as np
 
-from stream.chunk import Array, Chunk, Specs, StreamSpec
+from stream.arrays import applied, series
+from stream.chunk import Array, Chunk, Specs, StreamSpec, stamps
+from stream.chunk import grid as grid
+from stream.params import check
 from stream.state import pack, size_of, unpack
 
 if TYPE_CHECKING:
@@ -56,6 +59,9 @@ class Operator(Generic[S]):
     delay_s: float
     """How much later than the newest input sample an output sample's stamp is reached (group delay, windows, look-ahead); set by `hold`."""
 
+    def __post_init__(self) -> None:
+        check(self)
+
     def open(self, specs: Specs) -> Specs:
         """Check the input specs (by port), allocate the state with `hold`, and return the output specs (by port).
 
@@ -96,6 +102,26 @@ class Operator(Generic[S]):
     def restore(self, arrays: dict[str, Array]) -> None:
         """Go on from a snapshot of an operator with the same parameters and input specs; `open` comes first."""
         unpack(self.state, arrays)
+
+    def __call__(
+        self,
+        data: Any,
+        *,
+        rate_hz: float | None = None,
+        time: Any = None,
+        channels: Sequence[str] = (),
+        units: Sequence[str] = ("",),
+    ) -> Any:
+        """What this operator makes of a whole array (n,), (n, channels) or (n, *shape): its output as an array, without stamps.
+
+        `rate_hz`, or `time` (n,) int64 ns, says when the samples were taken. Of an operator with several outputs: a mapping of arrays. For
+        stamps, and for operators with several inputs, put it into a `kinegraph.Graph`.
+        """
+        given = series(data, rate_hz=rate_hz, time=time, channels=channels, units=units)
+        made = applied(self, given)
+        flat = np.ndim(data) == 1 and not given.spec.is_event
+        out = {name: x[:, 0] if flat and x.ndim == 2 and x.shape[1] == 1 else x for name, x in made.items()}
+        return out if len(out) > 1 else next(iter(out.values()), None)
 
     @property
     def memory_bytes(self) -> int:
@@ -153,7 +179,6 @@ class Case:
     inputs: dict[str, tuple[StreamSpec, Array, Array]]
     least: int = 1
 
-
-def grid(rate_hz: float, n: int, start_ns: int = 1_000_000_000) -> Array:
-    """Stamps of `n` samples at `rate_hz`, from an index and an anchor, never by accumulation. Returns (n,) int64 ns."""
-    return start_ns + np.round(np.arange(n) * (1e9 / rate_hz)).astype(np.int64)
+    def __post_init__(self) -> None:
+        for port, (_, time, _) in self.inputs.items():
+            stamps(time, port)

@@ -1,7 +1,8 @@
-"""Parameters: fields of a frozen dataclass with bounds, checked from YAML without coercion, described to editors by JSON Schema.
+"""Parameters: fields of a frozen dataclass with bounds, checked without coercion, described to editors by JSON Schema.
 
-The unit stands in the name (`cutoff_hz`, `window_s`). Values come from YAML, are checked strictly (a text is no number, a number no
-switch), and whatever is wrong is raised as a `ParameterError` that names the parameter, the value and what would be accepted.
+The unit stands in the name (`cutoff_hz`, `window_s`). Values come from YAML or from Python and are checked alike where they are given,
+strictly (a text is no number, a number no switch); whatever is wrong is raised as a `ParameterError` that names the parameter, the value
+and what would be accepted.
 """
 
 from __future__ import annotations
@@ -11,7 +12,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, field, fields, is_dataclass
 from functools import cache
 from operator import ge, gt, le, lt
-from typing import TYPE_CHECKING, Any, TypeVar
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
+
+import numpy as np
 
 from stream.errors import ParameterError, nearest
 
@@ -42,26 +46,99 @@ def param(
 
 def build(cls: type[T], values: Mapping[str, Any]) -> T:
     """An instance of the dataclass `cls` with parameters from YAML; raises ParameterError for the first that is wrong."""
-    from pydantic import ValidationError
-
-    known = {f.name for f in fields(cls)}  # type: ignore[arg-type]
+    known = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
     for name in values:
         if name not in known:
             raise ParameterError(name, values[name], f"a parameter of {cls.__name__}; {nearest(name, known)}")
-    try:
-        text = json.dumps(values, allow_nan=False)
-    except (TypeError, ValueError):
-        bad = next(name for name, value in values.items() if not _is_plain(value))
-        raise ParameterError(bad, values[bad], "a finite number, a text, true or false, or a list of these") from None
-    try:
-        made: T = adapter(cls).validate_json(text, strict=True)
-    except ValidationError as error:
-        raise _explain(cls, values, error) from None
-    for f in fields(cls):  # type: ignore[arg-type]
-        if f.name in values:
-            _check_bounds(f.name, values[f.name], _facts(f))
-            _check_parts(f.name, values[f.name], getattr(made, f.name))
+    for name, f in known.items():
+        if name not in values and f.default is MISSING and f.default_factory is MISSING:
+            raise MissingParameter(name, cls.__name__)
+    return cls(**_checked(cls, values))
+
+
+def check(part: Any) -> None:
+    """Check the parameters of an instance, given in Python, as `build` checks those from YAML; raises the same ParameterErrors.
+
+    What passes is kept as YAML would have given it: a whole number for a float becomes one, a list for a tuple a tuple, numpy's numbers
+    plain ones. Fields of types that YAML cannot write (an array, a function) are left alone.
+    """
+    given = {f.name: getattr(part, f.name) for f in fields(part) if f.init}
+    for name, value in _checked(type(part), given).items():
+        if repr(value) != repr(given[name]):
+            object.__setattr__(part, name, value)
+
+
+def plain(value: Any) -> Any:
+    """A parameter's value as YAML writes it: a tuple is a list, numpy's numbers and arrays are plain ones, a dataclass is a mapping.
+
+    Raises TypeError for what YAML cannot write.
+    """
+    if value is None or value.__class__ in (bool, int, float, str):
+        return value
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.generic | np.ndarray) and value.dtype.kind in "biufU":
+        return value.tolist()
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in fields(value) if f.init}
+    if isinstance(value, PurePath):
+        return str(value)
+    raise TypeError(f"{type(value).__name__} cannot be written as YAML")
+
+
+def _checked(cls: Any, values: Mapping[str, Any]) -> dict[str, Any]:
+    """These parameters with the types that `cls` declares; raises ParameterError for the first that is wrong."""
+    made = dict(values)
+    hints = _hints(cls)
+    for name, value in values.items():
+        if _checkable(hints[name]):
+            made[name] = _typed(name, value, hints[name])
+    for f in fields(cls):
+        if f.name in values and _checkable(hints[f.name]):
+            written = plain(values[f.name])
+            _check_bounds(f.name, written, _facts(f))
+            _check_parts(f.name, written, made[f.name])
     return made
+
+
+def _typed(name: str, value: Any, hint: Any) -> Any:
+    """A parameter's value with its declared type; raises ParameterError."""
+    from pydantic import ValidationError
+
+    try:
+        written = plain(value)
+        text = json.dumps(written, allow_nan=False)
+    except (TypeError, ValueError):
+        accepts = "a finite number, a text, true or false, or a list of these"
+        raise ParameterError(name, value, accepts) from None
+    try:
+        return adapter(hint).validate_json(text, strict=True)
+    except ValidationError as error:
+        raise _explain(name, written, error) from None
+
+
+@cache
+def _hints(cls: Any) -> dict[str, Any]:
+    """The declared type of every field; Any where it is known to type checkers only."""
+    try:
+        return get_type_hints(cls)
+    except NameError:
+        return {f.name: Any for f in fields(cls)}
+
+
+def _checkable(hint: Any) -> bool:
+    """Whether a field of this type takes what YAML can write, and only that."""
+    from pydantic import PydanticUserError
+
+    if hint is Any:
+        return False
+    try:
+        adapter(hint)
+    except PydanticUserError:
+        return False
+    return True
 
 
 def schema(cls: type[Any]) -> dict[str, Any]:
@@ -85,16 +162,16 @@ def help_of(cls: type[Any], name: str) -> str:
     return next((str(_facts(f).get("description", "")) for f in fields(cls) if f.name == name), "")
 
 
-def adapter(cls: Any) -> TypeAdapter[Any]:
-    """Pydantic's validator of a dataclass, made once."""
-    return _adapter(cls)
+def adapter(hint: Any) -> TypeAdapter[Any]:
+    """Pydantic's validator of a type, made once."""
+    return _adapter(hint)
 
 
 @cache
-def _adapter(cls: Any) -> TypeAdapter[Any]:
+def _adapter(hint: Any) -> TypeAdapter[Any]:
     from pydantic import TypeAdapter
 
-    return TypeAdapter(cls)
+    return TypeAdapter(hint)
 
 
 def _facts(f: Field[Any]) -> Mapping[str, Any]:
@@ -156,14 +233,6 @@ def _tell_bounds(entry: Any, facts: Mapping[str, Any]) -> None:
                 _tell_bounds(inner, facts)
 
 
-def _is_plain(value: Any) -> bool:
-    try:
-        json.dumps(value, allow_nan=False)
-    except (TypeError, ValueError):
-        return False
-    return True
-
-
 WANTED = {
     "float_type": "a number",
     "int_type": "a whole number",
@@ -182,19 +251,19 @@ WANTED = {
 """Pydantic's kinds of complaint, in our words."""
 
 
-def _explain(cls: type[Any], values: Mapping[str, Any], error: Any) -> ParameterError:
+def _explain(name: str, value: Any, error: Any) -> ParameterError:
     """Pydantic's first complaint, and the others about the same value (a parameter may accept several types), in our words."""
     errors = error.errors(include_url=False, include_context=True)
-    where = [_locate(values, e["loc"]) for e in errors]
-    name, given = where[0]
+    where = [_locate({name: value}, (name, *e["loc"])) for e in errors]
+    place, given = where[0]
     if errors[0]["type"] == "missing":
-        return _within(name, MissingParameter(name, cls.__name__))
+        return _within(place, ParameterError(place, given, f"complete; {errors[0]['loc'][-1]!r} is missing"))
     wanted = [
         WANTED[e["type"]].format(**e.get("ctx", {})) if e["type"] in WANTED else _lower(e["msg"])
         for e, (other, _) in zip(errors, where, strict=True)
-        if other == name
+        if other == place
     ]
-    return _within(name, ParameterError(name, given, " or ".join(dict.fromkeys(wanted))))
+    return _within(place, ParameterError(place, given, " or ".join(dict.fromkeys(wanted))))
 
 
 def _within(path: str, error: ParameterError) -> ParameterError:

@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import ClassVar, Protocol, Self
 
 from stream.chunk import Chunk, Specs
+from stream.params import check
 
 
 class Feed(Protocol):
@@ -62,6 +63,9 @@ class Source:
     outputs: ClassVar[tuple[str, ...]] = ("out",)
     background: ClassVar[bool] = False
     """Whether a session may start and end without this source (a person's annotations)."""
+
+    def __post_init__(self) -> None:
+        check(self)
 
     @property
     def live(self) -> bool:

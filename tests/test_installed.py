@@ -67,6 +67,10 @@ def test_the_readme_works_from_a_wheel(site: Path, tmp_path: Path) -> None:
         assert copied.read_bytes() == original.read_bytes()
     run(site / "kinegraph", "run", "treadmill_emg", "--for", "2", "--view", "none", "-o", "session", cwd=tmp_path)
     run(site / "kinegraph", "replay", "treadmill_emg", "session", "--verify", "-q", cwd=tmp_path)
+    code = "import kinegraph as kg; print(kg.__file__); print(kg.replay('treadmill_emg', 'session').differing)"
+    printed = run(site / "python", "-c", code, cwd=tmp_path).splitlines()
+    assert Path(printed[0]).is_relative_to(site.parent)
+    assert printed[-1] == "()"
 
 
 def test_the_wheel_holds_the_service_file_of_the_bedside_too(site: Path) -> None:

@@ -7,10 +7,13 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import jsonschema
+import numpy as np
 import pytest
 
 from stream.errors import ParameterError
-from stream.params import MissingParameter, build, help_of, param, schema
+from stream.operator import Operator
+from stream.params import MissingParameter, build, check, help_of, param, schema
+from stream.source import Source
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +102,9 @@ def test_what_does_not_fit_is_refused_in_words(name: str, given: Any, complaint:
         made(**{name: given})
     assert str(caught.value).startswith(complaint)
     assert caught.value.parameter == name
+    with pytest.raises(ParameterError) as again:
+        check(Part(**{"port": "/dev/x", name: given}))
+    assert str(again.value) == str(caught.value)
     schema_of = schema(Part)
     if given != 2.0:  # JSON has one kind of number: to a schema 2.0 is whole
         with pytest.raises(jsonschema.ValidationError):
@@ -133,3 +139,48 @@ def test_the_schema_tells_bounds_help_and_what_is_required() -> None:
     assert properties["widths_s"]["items"]["exclusiveMinimum"] == 0.0
     assert properties["port"]["description"] == help_of(Part, "port") == "where it is plugged in"
     assert schema(Part)["required"] == ["port"]
+
+
+@dataclass(frozen=True, slots=True)
+class Gain(Operator[None]):
+    factor: float = param(1.0, above=0.0)
+    channels: tuple[str, ...] = param(())
+    table: Any = None
+
+
+@dataclass(frozen=True, slots=True)
+class Probe(Source):
+    rate_hz: float = param(above=0.0)
+    band: Band | None = param(None)
+
+
+@pytest.mark.parametrize(
+    ("make", "complaint"),
+    [
+        (lambda: Gain(-5), "factor is -5; it must be above 0"),
+        (lambda: Gain("abc"), "factor is 'abc'; it must be a number"),  # type: ignore[arg-type]
+        (lambda: Gain(channels="abc"), "channels is 'abc'; it must be a list"),  # type: ignore[arg-type]
+        (lambda: Gain(float("nan")), "factor is nan; it must be a finite number"),
+        (lambda: Probe(0.0), "rate_hz is 0.0; it must be above 0"),
+        (lambda: Probe(1.0, Band(1.0, 501.0)), "band.high_hz is 501.0; it must be at most 500"),
+        (lambda: Probe(1.0, object()), "band is <object"),  # type: ignore[arg-type]
+    ],
+)
+def test_what_is_given_in_python_is_checked_where_it_is_given(make: Any, complaint: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        make()
+    assert str(caught.value).startswith(complaint)
+
+
+def test_what_is_given_in_python_is_kept_as_yaml_would_have_given_it() -> None:
+    made = Gain(np.int64(2), ["a", "b"], table := [object()])  # type: ignore[arg-type]
+    assert repr(made.factor) == "2.0"
+    assert made.channels == ("a", "b")
+    assert made.table is table
+    assert Probe(3, Band(2)) == build(Probe, {"rate_hz": 3, "band": {"low_hz": 2}})
+    assert repr(Probe(3, Band(2))) == repr(build(Probe, {"rate_hz": 3, "band": {"low_hz": 2}}))
+
+
+def test_what_lacks_within_a_mapping_is_named() -> None:
+    with pytest.raises(ParameterError, match=r"band is .*; it must be complete; 'low_hz' is missing"):
+        made(band={"high_hz": 3})

@@ -92,7 +92,7 @@ def conduct(
     from stream.commands.ending import Ending
     from stream.engine.session import Session
 
-    with _simulated(graph) if simulate else nullcontext():
+    with simulated(graph) if simulate else nullcontext():
         screen = _screen(view, graph)
         session = Session(graph, folder, resume=resume, duration_s=duration_s, view=screen)
         ending = Ending(session, _tell_end)
@@ -114,7 +114,7 @@ def _leave(code: int) -> NoReturn:
 
 
 @contextmanager
-def _simulated(graph: Graph) -> Iterator[None]:
+def simulated(graph: Graph) -> Iterator[None]:
     """Within: every source that has a simulated device reads that one; the recording says which they are."""
     with ExitStack() as devices:
         for node in graph.sources:

@@ -13,7 +13,7 @@ from stream.errors import KinegraphError
 from stream.graph.parts import find, import_from
 from stream.operator import Operator
 from stream.screen import Screen
-from stream.trial import Broken, Choices, Trial, checks, lags, smallest, trials
+from stream.trial import Broken, Trial, checks, hold, lags, trials
 
 
 def try_(
@@ -57,21 +57,15 @@ def _hint(output: str, seconds: float) -> str:
 
 
 def _one_case(trial: Trial, examples: int, seed: int, title: str, console: Screen) -> None:
-    """Every check, then the random tries; what fails is made as simple as it goes."""
-    tried = checks(trial)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(title, total=len(tried) + examples)
-        for check in tried.values():
-            check()
-            progress.advance(task)
-        for k in range(examples):
-            choices = Choices(seed * 1_000_003 + k)
-            try:
-                trial.attempt(choices)
-            except Broken as broken:
+        task = progress.add_task(title, total=len(checks(trial)) + examples)
+
+        def done(failed: bool) -> None:
+            if failed:
                 progress.update(task, description="looking for the simplest case")
-                raise smallest(trial.attempt, choices, broken) from None
             progress.advance(task)
+
+        hold(trial, examples, seed, done)
 
 
 class LawBroken(KinegraphError):

@@ -1,36 +1,20 @@
-"""A whole stream from a file, and how several of them become a recording that replays as if it had been live."""
+"""How whole streams, from files or arrays, become a recording that replays as if it had been live."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec, Times
+from stream.chunk import FOREVER, NS, Chunk
 from stream.errors import RecordingError
 from stream.graph import RecordingOptions
 from stream.recording import Recorder
 from stream.recording.place import claim, discard, draft_of, give_back, parts_of, publish
-
-
-@dataclass(slots=True)
-class Series:
-    """A stream as a file holds it.
-
-    time   (n,) int64 ns, never decreasing
-    data   (n, *shape)
-    lost   (n,) int64: samples missing just before each (-1: an unknown number); None: none anywhere
-    """
-
-    name: str
-    spec: StreamSpec
-    time: Times
-    data: Array
-    lost: Array | None = None
+from stream.series import Series as Series
 
 
 def write_recording(

@@ -122,6 +122,10 @@ class Replay:
         """End after the chunk in hand, cleanly."""
         self._stopping = True
 
+    def observe(self, edge: str, observer: Tap) -> None:
+        """Give every chunk of an edge that the graph computes to `observer`; to be said before `run`."""
+        self.pipeline.wires[edge].taps.append(observer)
+
     def run(self, progress: Callable[[float], None] = lambda done_s: None) -> Replayed:
         """Feed the whole recording; `progress` is told the seconds of session time that are done."""
         warm_up(self.graph)

@@ -28,6 +28,13 @@ def open_nodes(
     return opening.nodes
 
 
+def open_node(draft: Draft, problems: Problems, nodes: Mapping[str, Node]) -> Node | None:
+    """One node that reads from `nodes`, opened; None, if something is wrong with it."""
+    opening = _Opening(problems, None, dict(nodes))
+    opening.node(draft)
+    return opening.nodes.get(draft.name)
+
+
 def _in_order(drafts: Mapping[str, Draft | None], problems: Problems) -> list[str]:
     reads = {
         name: {edge.node for edge, _ in draft.wires.values()} if draft and draft.wires else set()

@@ -52,8 +52,9 @@ class Recording:
                 whole.follow(stream)
 
     @classmethod
-    def open(cls, path: Path) -> Recording:
+    def open(cls, path: Path | str) -> Recording:
         """Open a file, a session's folder, or what a killed process left. Raises RecordingError, which says what to do."""
+        path = Path(path)
         if not path.exists():
             raise RecordingError(f"{path}: there is no such recording")
         paths = parts_of(path)

@@ -12,5 +12,6 @@ from stream.trial.chance import Choices, smallest
 from stream.trial.checks import checks
 from stream.trial.lag import lags
 from stream.trial.laws import Trial, trials
+from stream.trial.whole import hold
 
-__all__ = ["RULES", "Broken", "Choices", "Rule", "Trial", "checks", "lags", "smallest", "trials"]
+__all__ = ["RULES", "Broken", "Choices", "Rule", "Trial", "checks", "hold", "lags", "smallest", "trials"]

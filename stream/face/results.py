@@ -1,0 +1,30 @@
+"""What a graph gave: every kept output as a series, by name."""
+
+from __future__ import annotations
+
+from stream.errors import KinegraphError, nearest
+from stream.series import Series
+
+
+class Results(dict[str, Series]):
+    """The outputs of a graph that was run on arrays or a recording: {"smooth": Series, "active.interval": Series}.
+
+    A series has `time` (n,) int64 ns, `data` (n, *shape), `lost`, its `spec`, and `to_pandas()`.
+
+    differing   edges that the recording holds too, and that came out differently; of arrays none
+    """
+
+    differing: tuple[str, ...] = ()
+
+    def __missing__(self, name: str) -> Series:
+        raise NoSuchOutput(f"no output {name!r} was kept; {nearest(name, self)}")
+
+    def __repr__(self) -> str:
+        rows = [f"  {name}: {len(s.time)} samples of {s.spec.describe()}" for name, s in self.items()]
+        return "\n".join(["Results", *rows])
+
+
+class NoSuchOutput(KinegraphError, KeyError):
+    """A name that no output of the results has."""
+
+    __str__ = Exception.__str__

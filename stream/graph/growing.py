@@ -1,0 +1,31 @@
+"""A graph that grows node by node, each checked as it is added, by what checks a graph that is read from a file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from stream.errors import GraphError
+from stream.graph.draft import read_node
+from stream.graph.model import Node
+from stream.graph.opening import open_node
+from stream.graph.problems import Problems
+from stream.graph.wiring import Wiring
+from stream.graph.yaml_lines import locate
+
+
+def grown(nodes: Mapping[str, Node], name: str, entry: Mapping[str, Any]) -> Node:
+    """One more node, given as a graph's file writes it, which may read those that are there; raises GraphError."""
+    problems = Problems("")
+    if name in nodes:
+        raise GraphError("a node of this name is in the graph already", node=name)
+    draft = read_node(name, locate(dict(entry), 0), problems)
+    problems.stop()
+    assert draft is not None
+    wiring = Wiring({known: node.part.outputs for known, node in nodes.items()}, problems)
+    draft.wires = wiring.wires(name, draft.kind, draft.entry.items().get("from"), draft.entry)
+    problems.stop()
+    node = open_node(draft, problems, nodes)
+    problems.stop()
+    assert node is not None
+    return node
