@@ -160,3 +160,13 @@ def test_a_faulty_channel_does_not_repeat_and_a_good_one_does():
 def test_what_cannot_be_is_said():
     with pytest.raises(InputError, match="200 Hz or more"):
         SignalQuality().open({"in": StreamSpec((1,), rate_hz=100.0)})
+
+
+def test_hum_beneath_strong_bursts_is_baseline_noise_by_default():
+    """Eight times the noise of the sound channel, though the hum's share of the power is small."""
+    loud, t = bursts(seed=1) * 5, np.arange(6000) / 1000
+    noise = np.random.default_rng(3).standard_normal(6000)
+    quiet = np.where(t % 1.0 < 0.5, loud, 2 * noise)
+    hum = quiet + 20 * np.sin(2 * np.pi * 50 * t)
+    assert session(judged([quiet, hum])) == [("good", ""), ("doubtful", "baseline noise")]
+    assert session(judged([quiet, hum], operator=SignalQuality(most_noise=100.0))) == [("good", ""), ("good", "")]

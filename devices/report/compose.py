@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from devices.report import words
-from devices.report.data import Curves, Muscle, Rejected, Report, Stream, Value
+from devices.report.data import Curves, Muscle, Noticed, Rejected, Report, Stream, Value
 from devices.report.tally import Tally, most_common, numbers
 from stream.chunk import NS, Samples, Specs
 from stream.graph import Graph
@@ -37,6 +37,8 @@ def compose(tally: Tally, specs: Specs, graph: Graph | None, names: Mapping[str,
         rejected=tally.rejected,
         reasons=[(_reason(reason), n) for reason, n in most_common(tally)],
         rejections=_rejections(tally),
+        alarms=_alarms(tally),
+        alarmed=tally.alarmed,
         gait=[
             Value("cadence", float(centre[0]), "strides/min", float(spread[0])),
             Value("cycle", float(centre[1]), "s", float(spread[1]), 3),
@@ -71,6 +73,18 @@ def _rejections(tally: Tally) -> list[Rejected]:
     return [
         Rejected((int(row["onset"]) - tally.started) / NS, float(row["duration_s"]), _reason(str(row["reason"])))
         for row in tally.rejections[: tally.rejected]
+    ]
+
+
+def _alarms(tally: Tally) -> list[Noticed]:
+    return [
+        Noticed(
+            (int(row["onset"]) - tally.started) / NS,
+            (int(row["over"]) - int(row["onset"])) / NS if row["over"] else float("nan"),
+            str(row["subject"]),
+            str(row["what"]),
+        )
+        for row in tally.alarms[: tally.alarmed]
     ]
 
 

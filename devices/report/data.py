@@ -60,6 +60,16 @@ class Rejected:
 
 
 @dataclass(slots=True)
+class Noticed:
+    """An alarm of the session: since when, for how long (NaN: to the end), with whom, and what."""
+
+    time_s: float
+    lasted_s: float
+    subject: str
+    what: str
+
+
+@dataclass(slots=True)
 class Stream:
     """What came in by one stream, and what did not."""
 
@@ -95,6 +105,8 @@ class Report:
     rejected: int = 0
     reasons: list[tuple[str, int]] = field(default_factory=list)
     rejections: list[Rejected] = field(default_factory=list)
+    alarms: list[Noticed] = field(default_factory=list)
+    alarmed: int = 0
     gait: list[Value] = field(default_factory=list)
     columns: list[Column] = field(default_factory=list)
     muscles: list[Muscle] = field(default_factory=list)

@@ -70,6 +70,8 @@ class SessionReport(_Reporter):
     statistics       of `operators.gait.statistics.CycleStatistics`: the table's numbers per cycle
     muscles, pairs   of `operators.gait.ensemble.CycleEnsemble`: repeatability, co-contraction
     quality          of `operators.emg.quality.SignalQuality`: the verdict on each electrode
+    electrodes       of `operators.emg.electrode_watch.ElectrodeWatch`, and
+    contacts         of `operators.gait.cycle_watch.CycleWatch`: the alarms of the session, and how long each lasted
     emg              the raw signal: when the session began, its gaps and losses
 
     The CSV file has one row per cycle, rejected ones with the reason, written as the cycle closes. A cycle that is
@@ -79,8 +81,10 @@ class SessionReport(_Reporter):
     process of their own and appear whole or not at all. Existing files are never overwritten: a second session gets name-2.html.
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("emg", "closed", "cycles", "statistics", "muscles", "pairs", "quality")
-    optional: ClassVar[tuple[str, ...]] = ("emg", "statistics", "muscles", "pairs", "quality")
+    inputs: ClassVar[tuple[str, ...]] = (
+        "emg", "closed", "cycles", "statistics", "muscles", "pairs", "quality", "electrodes", "contacts",
+    )  # fmt: skip
+    optional: ClassVar[tuple[str, ...]] = ("emg", "statistics", "muscles", "pairs", "quality", "electrodes", "contacts")
     durable: ClassVar[bool] = True
 
     path: str = param("reports/session.html", help="the page; the CSV file lies beside it")
@@ -101,6 +105,8 @@ class SessionReport(_Reporter):
         _check_fields(specs, "muscles", ("muscle", "verdict"))
         _check_fields(specs, "pairs", ("first", "second", "mean_pct"))
         _check_fields(specs, "quality", ("name", "flag", "reason", "session_flag", "session_reason"))
+        for port in ("electrodes", "contacts"):
+            _check_fields(specs, port, ("onset", "subject", "state", "what"))
         object.__setattr__(self, "desk", _Desk(specs))
         self.hold(ReportState(nothing_yet(specs), nothing_held(specs)))
         return {}

@@ -13,6 +13,8 @@ from devices.report.running import Choice, Running
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times, add_lost
 
 REJECTION = np.dtype([("onset", "<i8"), ("duration_s", "<f8"), ("reason", "<U32")])
+NOTICED = np.dtype([("onset", "<i8"), ("over", "<i8"), ("subject", "<U16"), ("what", "<U64")])
+"""An alarm: since when, until when (0: it lasts), with whom, and what."""
 LISTED = 200
 """At most so many rejected cycles are listed, and so many single curves kept."""
 GAIT = ("cadence", "duration_s", "stance_pct")
@@ -36,6 +38,7 @@ class Tally:
     windows          (2, m) how many windows were judged, and how many of them were not good; trouble: why the latest was not
     pairs            (p,) the latest co-contraction over all cycles; pair_names
     recent           the latest cycles, which may be told again; revised: how often one was
+    alarms           (200,) the first alarms; alarmed: how many in all
     heard            (ports, 3) samples, gaps, samples lost (-1: not known) per port
     """
 
@@ -59,6 +62,8 @@ class Tally:
     pair_names: list[str]
     recent: Revisable
     revised: int
+    alarms: Array
+    alarmed: int
     heard: Times
 
     @property
@@ -99,6 +104,8 @@ def nothing_yet(specs: Specs) -> Tally:
         pair_names=[],
         recent=Revisable.none(len(GAIT), shape, len(fields)),
         revised=0,
+        alarms=np.zeros(LISTED, NOTICED),
+        alarmed=0,
         heard=np.zeros((len(specs), 3), np.int64),
     )
 
@@ -137,6 +144,9 @@ def hear(tally: Tally, specs: Specs, port: str, chunk: Chunk) -> None:
     elif port == "pairs":
         for row in chunk.data:
             _pair(tally, row)
+    elif port in ("electrodes", "contacts"):
+        for stamp, row in zip(chunk.time.tolist(), chunk.data, strict=True):
+            _alarm(tally, stamp, row)
     elif port == "quality":
         for row in chunk.data:
             _quality(tally, row, specs["cycles"].channels)
@@ -192,6 +202,16 @@ def _statistics(tally: Tally, names: list[str], rows: Array) -> None:
             running.add(values)
             if k is not None:
                 tally.recent.fields[k, i] = values
+
+
+def _alarm(tally: Tally, stamp: int, row: Any) -> None:
+    """An alarm, or the end of the one about the same."""
+    kept = tally.alarms[: min(tally.alarmed, LISTED)]
+    kept["over"][(kept["subject"] == row["subject"]) & (kept["over"] == 0) & (row["state"] != "on")] = stamp
+    if row["state"] == "on":
+        if tally.alarmed < LISTED:
+            tally.alarms[tally.alarmed] = (row["onset"], 0, row["subject"], row["what"])
+        tally.alarmed += 1
 
 
 def _pair(tally: Tally, row: Any) -> None:

@@ -46,6 +46,14 @@ LIMITS: dict[str, tuple[str, float, float]] = {
 DOUBTFUL, BAD = (np.array([[limits[k]] for limits in LIMITS.values()]) for k in (1, 2))
 FLAGS = np.array([*(["bad"] * len(LIMITS)), *(["doubtful"] * len(LIMITS)), "good"])
 REASONS = np.array([*(2 * [limits[0] for limits in LIMITS.values()]), ""])
+MOST_NOISE_UV = 10.0
+"""Baseline noise, rms, from which an electrode is doubtful in movement, where even the quietest 100 ms of a second are seldom at rest.
+At rest laboratories ask for less: a mean of 1 to 3.5 uV (Konrad 2005, The ABC of EMG), 5 uV rms."""
+BAD_NOISE = 3.0
+"""From this many times that noise on, an electrode is bad."""
+RISEN = (3.0, 6.0)
+"""A window whose noise is above the limit is doubtful, or bad, if it is also this many times the lowest of the session."""
+MICROVOLTS = {"uV": 1.0, "µV": 1.0, "mV": 1e-3, "V": 1e-6}
 ENOUGH = 3
 """Windows after which the session's contrast and noise are judged."""
 
@@ -60,6 +68,7 @@ class QualityState:
     counts (3, c)              over all windows: samples clipped, flat, missing; `windows` in all
     rails (2, c)               lowest and highest value so far
     rest (c,)                  baseline noise at rest; NaN: not known
+    floor (c,)                 the lowest noise of a window so far; most_noise: the limit, in the signal's unit
     """
 
     window: Samples
@@ -73,6 +82,8 @@ class QualityState:
     windows: int
     rails: Samples
     rest: Samples
+    floor: Samples
+    most_noise: float
     last: int
     limit: int
     names: list[str]
@@ -94,9 +105,11 @@ class SignalQuality(Operator[QualityState]):
 
     `flag` is good, doubtful or bad for this window, `session_flag` for all windows so far (powers and samples are added up, noise and
     contrast averaged); `reason` names the worst. The limits (doubtful, bad): missing 1 %, 20 %; flat 2 %, 20 %; clipped 0.1 %, 1 %;
-    hum 15 %, 30 %; artefact 60 %, 90 % (an envelope's high-pass removes most of it, so it takes much to be called bad). For the session
-    also "baseline noise", doubtful: contrast below `least_contrast` from the third window on (a muscle that never works looks the same),
-    noise above `most_noise`, or above three times that of the reference `rest` (a file by `kinegraph calibrate rest`).
+    hum 15 %, 30 %; artefact 60 %, 90 % (an envelope's high-pass removes most of it, so it takes much to be called bad). "baseline noise":
+    for the session, from the third window on, if the quietest window's noise is above `most_noise` (doubtful) or three times that (bad),
+    if contrast is below `least_contrast` (doubtful; a muscle that never works looks the same), or if noise is above three times that of the
+    reference `rest` (doubtful; a file by `kinegraph calibrate rest`); for a window, if its noise is above these limits and at least three
+    (six) times that of the quietest.
     The limits are ours, set on recordings with known faults; SENIAM and the thesis give none. Whether cycles repeat is another question,
     which `CycleEnsemble` answers ("not repeatable"); it says nothing about the electrode.
 
@@ -109,7 +122,9 @@ class SignalQuality(Operator[QualityState]):
         0.0, least=0.0, help="largest amount the amplifier can give, in the signal's unit; 0: not known"
     )
     least_contrast: float = param(2.0, least=1.0, help="less is baseline noise")
-    most_noise: float = param(0.0, least=0.0, help="more is baseline noise, in the signal's unit; 0: no limit")
+    most_noise: float = param(
+        0.0, least=0.0, help="more is baseline noise, in the signal's unit; 0: 10 uV, where the unit is one of voltage"
+    )
     rest: str = param("", help="a rest reference, whose baseline noise is compared")
     reset_gap_s: float = param(0.05, least=0.0, help="a longer gap begins a new window")
 
@@ -125,7 +140,8 @@ class SignalQuality(Operator[QualityState]):
         self.hold(
             QualityState(
                 np.zeros((n, c)), np.zeros(n, np.int64), 0, np.zeros(c), np.hanning(n), bands, np.zeros((7, c)), np.zeros((3, c)), 0,
-                np.outer([np.inf, -np.inf], np.ones(c)), self._rest(names), NEVER, spec.period_ns + round(self.reset_gap_s * NS), names,
+                np.outer([np.inf, -np.inf], np.ones(c)), self._rest(names), np.full(c, np.inf), self._most_noise(spec),
+                NEVER, spec.period_ns + round(self.reset_gap_s * NS), names,
             )
         )  # fmt: skip
         unit = spec.units[0] if len(spec.units) == 1 else ""
@@ -169,6 +185,11 @@ class SignalQuality(Operator[QualityState]):
         noise = dict(zip(found.channels, found.noise, strict=True))
         return np.array([noise.get(name, np.nan) for name in names])
 
+    def _most_noise(self, spec: StreamSpec) -> float:
+        """The limit in the signal's unit; infinite where that is no voltage and no limit is given."""
+        unit = spec.units[0] if len(set(spec.units)) == 1 else ""
+        return self.most_noise or MOST_NOISE_UV * MICROVOLTS.get(unit, np.inf)
+
     def _judge(self) -> Array:
         """One row per channel on the full window, which is also added to the session."""
         s = self.state
@@ -188,15 +209,25 @@ class SignalQuality(Operator[QualityState]):
         measures = _measures(sums, counts / n, 1)
         for name, values in measures.items():
             rows[name] = values
-        rows["flag"], rows["reason"] = _verdicts(measures)
+        noise, limit = measures["noise"], s.most_noise
+        s.floor = np.fmin(s.floor, np.where(noise > 0, noise, np.inf))
+        limits = [np.maximum(times * limit, k * s.floor) for times, k in zip((1.0, BAD_NOISE), RISEN, strict=True)]
+        rows["flag"], rows["reason"] = _noisy(*_verdicts(measures), noise > limits[0], noise > limits[1])
         session = _measures(s.sums, s.counts / (n * s.windows), s.windows)
         flag, reason = _verdicts(session)
         if s.windows >= ENOUGH:
-            loud = (session["noise"] > (self.most_noise or np.inf)) | (session["noise"] > 3 * s.rest)
-            noisy = (flag == "good") & (loud | (session["contrast"] < self.least_contrast))
-            flag, reason = np.where(noisy, "doubtful", flag), np.where(noisy, "baseline noise", reason)
+            still = np.where(np.isfinite(s.floor), s.floor, 0.0)
+            doubtful = (still > limit) | (session["noise"] > 3 * s.rest) | (session["contrast"] < self.least_contrast)
+            flag, reason = _noisy(flag, reason, doubtful, still > BAD_NOISE * limit)
         rows["session_flag"], rows["session_reason"] = flag, reason
         return rows
+
+
+def _noisy(flag: Array, reason: Array, doubtful: Array, bad: Array) -> tuple[Array, Array]:
+    """Flags and reasons (c,) with baseline noise, where nothing worse has been found."""
+    worse = bad & (flag != "bad")
+    noisy = worse | (doubtful & (flag == "good"))
+    return np.where(worse, "bad", np.where(noisy, "doubtful", flag)), np.where(noisy, "baseline noise", reason)
 
 
 def _weights(frequency: Samples, mains_hz: int) -> Samples:
