@@ -1,17 +1,28 @@
 # make demo: a treadmill session on a simulated signal, live in the terminal, with a report at the end.
+# make check: lint, types, and the laws on three operators, in under a minute (make check OPERATORS="Envelope or Cycles": on others).
 # make test: everything that is checked before a change goes in.
+# make mutants: 100 random changes to operators/ and stream/, of which the tests must notice at least 90 %; a while (SEED=2 draws others).
 # make test-peers: software written elsewhere reads what kinegraph writes; installed for the purpose.
 # Each needs Python >= 3.11 and nothing else; the environment is made in .venv.
 
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$p" && break; done)
 SECONDS_OF_DEMO ?= 30
+OPERATORS ?= iir.Lowpass or threshold.Threshold or align.Align
+SEED ?= 1
 BIN := .venv/bin
 
-.PHONY: demo test test-peers bench clean
+.PHONY: demo check test mutants test-peers bench clean
 
 demo: .venv/installed
 	$(BIN)/kinegraph run configs/treadmill_emg.yaml --set treadmill.duration_s=$(SECONDS_OF_DEMO)
+
+check: .venv/installed-for-tests
+	$(BIN)/ruff check .
+	$(BIN)/mypy & types=$$!; $(BIN)/pytest -q tests/test_laws.py -k "$(OPERATORS)"; laws=$$?; wait $$types && exit $$laws
+
+mutants: .venv/installed-for-tests
+	$(BIN)/python -m tests.mutants --seed $(SEED)
 
 test: .venv/installed-for-tests
 	$(BIN)/ruff check .

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from bench import depth, devices, lsl, mti, paced, recorder, replay, sleep, start, throughput
 from bench.engines import Field
-from bench.report import Section, publish, whole
+from bench.report import Section, headline, publish, whole
 
 BUSY = 0.5
 """Beyond this load average at the start, the report says that the machine was busy."""
@@ -32,7 +32,9 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="tiny sizes: to see that it works, not for figures")
     parser.add_argument("--hours", type=float, default=10.0, help="of the replayed recording")
     parser.add_argument(
-        "--readme", action="store_true", help="write the goals into the README, the tables into docs/performance.md"
+        "--readme",
+        action="store_true",
+        help="write goals and tables into docs/performance.md, five goals into the README",
     )
     given = parser.parse_args()
     only = DEVICES if given.devices else given.only
@@ -47,6 +49,7 @@ def main() -> None:
     print(whole(sections, told))
     if given.readme:
         publish(sections, told, "performance.md")
+        headline(sections, told)
 
 
 def measures(field: Field, *, quick: bool, hours: float) -> dict[str, Callable[[], list[Section]]]:

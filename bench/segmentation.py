@@ -2,7 +2,7 @@
 
 Accuracy needs the folder of recordings that the environment variable KINEGRAPH_DATA names. One set of defaults for all; intervals are 95 %,
 from drawing recordings again and again. `--speed`: how long a frame takes instead, beside other libraries. `--write` puts the tables into
-the README and docs/segmentation.md. `--quick`: to see that it works, not for figures.
+docs/segmentation.md. `--quick`: to see that it works, not for figures.
 """
 
 from __future__ import annotations
@@ -264,7 +264,7 @@ def main() -> None:
     parser.add_argument("--speed", action="store_true", help="how long a frame takes")
     parser.add_argument("--quick", action="store_true", help="no best radii, short windows, no other libraries")
     parser.add_argument(
-        "--write", action="store_true", help="write the tables into the README and docs/segmentation.md"
+        "--write", action="store_true", help="write goals and tables into docs/segmentation.md"
     )
     given = parser.parse_args()
     sections = [speed(quick=given.quick)] if given.speed else accuracy(quick=given.quick)

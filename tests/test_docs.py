@@ -21,10 +21,10 @@ from stream.graph import NodeOptions, RecordingOptions
 from stream.graph.load import SECTIONS, Settings, load_text
 
 HOUSE = Path(__file__).resolve().parent.parent
-PAGES = sorted([HOUSE / "README.md", *(HOUSE / "docs").rglob("*.md")])
+PAGES = sorted([*HOUSE.glob("*.md"), *(HOUSE / "docs").rglob("*.md")])
 BLOCK = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 EXPECT = re.compile(r"#\s*expect:\s*(\d+)")
-MAKE = re.compile(r"^make (demo|test|test-peers|bench)\b")
+MAKE = re.compile(r"^make (demo|check|test|mutants|test-peers|bench)\b")
 
 
 def blocks(page: Path) -> list[tuple[str, str, str]]:
