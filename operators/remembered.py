@@ -7,7 +7,6 @@ versions of numpy and scipy. It comes back bit for bit.
 from __future__ import annotations
 
 import hashlib
-import zipfile
 from collections.abc import Callable
 from functools import cache, wraps
 from importlib.metadata import version
@@ -16,6 +15,7 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 
+from stream.bounded import arrays
 from stream.complete import complete, private_folder
 from stream.fingerprint import fingerprint
 from stream.kernel import cache_folder
@@ -33,9 +33,8 @@ def remembered(design: Callable[P, R]) -> Callable[P, R]:
     def recall(*args: P.args, **kwargs: P.kwargs) -> R:
         path = _folder() / f"{design.__name__}-{_key(design, args, kwargs)}.npz"
         try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
-                parts = {name: _plain(kept[name]) for name in kept.files}
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+            parts = {name: _plain(array) for name, array in arrays(path).items()}
+        except (OSError, ValueError):
             result = design(*args, **kwargs)
             _keep(path, result)
             return result

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import gzip
 import math
+import sys
+import threading
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -22,11 +24,19 @@ import zstandard
 from stream.chunk import Array
 from stream.errors import KinegraphError, RecordingError
 
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None  # type: ignore[assignment]
+
 LEAST = 64 << 20
 """Bytes that any piece of a file may unpack to, however small it is."""
+ROOM = 192 << 20
+"""Bytes that reading any file may take, beside those that its size allows."""
 RATIO = 16
 """A larger piece may unpack to so many times its size."""
 _STEP = 1 << 20
+MOST_ROWS = 1 << 48
 _MANY_ARRAYS = 10_000
 
 
@@ -111,6 +121,8 @@ def _array(file: IO[bytes], size: int) -> Array:
     shape, fortran, dtype = read(file)
     if dtype.hasobject:
         raise ValueError("it holds Python objects, which are never loaded")
+    if min(shape, default=0) < 0 or max(shape, default=0) > MOST_ROWS:
+        raise ValueError(f"it claims the shape {shape}")
     count = math.prod(shape)
     if dtype.itemsize and count * dtype.itemsize > size:
         raise ValueError(f"it claims the shape {shape} of {dtype}, but holds {size} bytes")
@@ -135,13 +147,41 @@ def reading(path: Path, kind: str, error: type[KinegraphError] = RecordingError)
     A file that cannot be opened is told in the system's words. `kind` completes the sentence "cannot be read as ...".
     """
     try:
-        yield
-    except KinegraphError:
+        with _ceiling(path):
+            yield
+    except (KinegraphError, BrokenPipeError):
         raise
+    except MemoryError:
+        raise error(f"{path}: wants more memory than a file of its size may; it is damaged, or made to do so") from None
     except OSError as failed:
         raise error(f"{path}: cannot be read ({failed.strerror or failed})") from None
     except Exception as failed:  # noqa: BLE001 - the one place where whatever a damaged file brings up is met
         raise error(f"{path}: cannot be read as {kind}; it is damaged, or none ({_short(failed)})") from None
+
+
+@contextmanager
+def _ceiling(path: Path) -> Iterator[None]:
+    """Within: a command that does nothing else gets no more memory than a file of this size may take, whatever a library asks for."""
+    if resource is None or not sys.platform.startswith("linux") or threading.active_count() > 1 or not path.is_file():
+        yield
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    if soft != resource.RLIM_INFINITY:
+        yield
+        return
+    resource.setrlimit(resource.RLIMIT_DATA, (_data_bytes() + ROOM + RATIO * path.stat().st_size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
+
+
+def _data_bytes() -> int:
+    """What this process holds already."""
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith("VmData:"):
+            return int(line.split()[1]) << 10
+    return 0
 
 
 def _short(failed: Exception) -> str:

@@ -52,14 +52,15 @@ def test_a_broken_off_night_goes_on(tmp_path: Path) -> None:
     assert started(tmp_path, checkpoint=True) == (0, [RESUMED])
 
 
-def test_without_one_a_new_session_begins(tmp_path: Path) -> None:
-    assert started(tmp_path, checkpoint=False) == (0, [NEW])
-    assert not (tmp_path / "session" / "session.0000.mcap").exists()
+def test_one_without_a_checkpoint_goes_on_from_its_beginning(tmp_path: Path) -> None:
+    assert started(tmp_path, checkpoint=False) == (0, [RESUMED])
+    assert (tmp_path / "session" / "session.0000.mcap").exists()
 
 
-def test_one_that_cannot_go_on_is_put_aside(tmp_path: Path) -> None:
+def test_one_that_cannot_go_on_is_put_aside_and_nothing_is_deleted(tmp_path: Path) -> None:
+    (tmp_path / "session.1").mkdir()
     assert started(tmp_path, checkpoint=True, resumes=2) == (0, [RESUMED, NEW])
-    assert (tmp_path / "session.broken" / "checkpoint.npz").exists()
+    assert (tmp_path / "session.2" / "session.0000.mcap").exists() and (tmp_path / "session.1").exists()
 
 
 def test_a_camera_that_is_missing_is_tried_again_by_systemd(tmp_path: Path) -> None:
@@ -80,3 +81,12 @@ def test_systemd_accepts_the_unit() -> None:
     done = subprocess.run(["systemd-analyze", "verify", str(UNIT)], capture_output=True, text=True, timeout=60)
     mine = [line for line in done.stderr.splitlines() if UNIT.name in line]
     assert not mine, mine
+
+
+def test_the_unit_is_shut_in() -> None:
+    if not shutil.which("systemd-analyze"):
+        pytest.skip("no systemd here")
+    call = ["systemd-analyze", "security", "--offline=true", "--threshold=30", str(UNIT)]
+    done = subprocess.run(call, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stdout.splitlines()[-1:] or done.stderr
+    assert "UMask=0077" in UNIT.read_text() and "StateDirectoryMode=0700" in UNIT.read_text()

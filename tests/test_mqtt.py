@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from device_feed import check, reading
 from mosquitto import Listener, Mosquitto, broker, eventually, free_port, listening
+from paho.mqtt.client import MQTTMessage
 from structlog.testing import capture_logs
 
 from devices.mqtt import MqttOutlet, MqttSwitch
@@ -341,3 +343,37 @@ def test_a_broker_that_never_answers_holds_nobody_up() -> None:
 
 def _texts(made: MqttOutlet) -> dict[str, str]:
     return {name: str(array) for name, array in made.snapshot().items()}
+
+
+def test_a_long_message_costs_no_memory_and_the_next_one_arrives(tmp_path: Path) -> None:
+    """256 MB may come in one message: nothing of it is kept, it is confirmed, and the connection stands."""
+    from devices.mqtt.link import Broker, Link
+
+    heard: list[str] = []
+    with broker(tmp_path) as served, listening(served.port) as listener:
+        ready = threading.Event()
+        link = Link(
+            *(Broker(port=served.port), "bounded", "x/availability", ["x/set"]),
+            joined=ready.set,
+            heard=lambda topic, text, retained: heard.append(text),
+        )
+        link.start()
+        assert ready.wait(60)
+        try:
+            listener.client.unsubscribe("#")
+            for _ in range(25):  # more than a broker sends before some are confirmed
+                listener.client.publish("x/set", bytes(4 << 20), qos=1).wait_for_publish(60)
+            listener.client.publish("x/set", "ON", qos=1).wait_for_publish(60)
+            eventually(lambda: heard == ["ON"])
+            assert link._client is not None and link._client.dropped == 25
+        finally:
+            link.stop()
+
+
+def test_messages_that_come_too_fast_are_counted_and_dropped() -> None:
+    from devices.mqtt.link import MOST_NEWS, Broker, Link
+
+    link = Link(Broker(), "flood", "x/availability", ["x/set"], joined=lambda: None)
+    for _ in range(MOST_NEWS + 7):
+        link._take(MQTTMessage(topic=b"x/set"))
+    assert link.dropped == 7

@@ -18,6 +18,7 @@ from devices.night.numbers import quality, table
 from stream.chunk import NS
 from stream.engine.clock import SessionClock
 from stream.errors import InputError, KinegraphError, ParameterError
+from tests.command_line import Command
 
 
 @pytest.mark.parametrize("at", [170, 241, 465])
@@ -362,3 +363,18 @@ def test_a_night_that_begins_while_the_disk_is_full_is_written_later(
     feed(log, chain(night.told(120), night.end()))
     log.close()
     assert logged(tmp_path / "2025-12-31") == states(night, night.inn)
+
+
+def test_one_damaged_night_hides_no_other(kinegraph: Command, tmp_path: Path) -> None:
+    """A byte in a table, or in the facts, of one night: the others are listed all the same."""
+    for k, (name, damage) in enumerate((("2024-05-01", b""), ("2024-05-02", b"\xff"), ("2024-05-03", b""))):
+        folder = tmp_path / "nights" / name
+        folder.mkdir(parents=True)
+        facts = shelf.Facts(name, 1_714_600_000 * NS + k * 86_400 * NS, 30.0)
+        facts.save(folder)
+        row = b"2024-05-01T22:00:00Z,2024-05-01T22:00:30Z,sleep,sleep,0,0.5,1,in,2,1,,14,0.9\n"
+        (folder / shelf.EPOCHS).write_bytes((",".join(shelf.COLUMNS) + "\n").encode() + damage + row)
+    (tmp_path / "nights" / "2024-05-03" / shelf.FACTS).write_text('{"version": 1, "name": "x", "begun": "x", "epoch_s": 30}')
+    code, out, _ = kinegraph("nights")
+    assert code == 0 and "2024-05-01" in out and "2024-05-02" in out and "damaged" in out
+    assert "2024-05-03: cannot be read" in out

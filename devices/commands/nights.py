@@ -68,6 +68,16 @@ def nights(
             say(f"deleted {folder}")
 
 
+def _epochs(folder: Path) -> str:
+    """How many there are of a night; a damaged table does not hide the other nights."""
+    from devices.night import shelf
+
+    try:
+        return str(len(shelf.read_epochs(folder)))
+    except shelf.NightError:
+        return "damaged"
+
+
 def _list(root: Path) -> None:
     from rich.table import Table
 
@@ -85,7 +95,7 @@ def _list(root: Path) -> None:
         asleep = f"{minutes // 60} h {minutes % 60:02d} min" if n else ""
         table.add_row(
             folder.name, f"{begin:%H:%M}", f"{shelf.clock(int(n['end']), zone):%H:%M}" if n else "goes on" if not facts.closed else "",
-            asleep, f"{n['se']:.0f} %" if n and n["se"] is not None else "", str(len(shelf.read_epochs(folder))),
+            asleep, f"{n['se']:.0f} %" if n and n["se"] is not None else "", _epochs(folder),
             "yes" if (folder / shelf.DRAWN[0]).exists() else "no", f"{shelf.bytes_of(folder) / 1000:.0f} kB",
         )  # fmt: skip
     console = Screen()

@@ -16,11 +16,14 @@ import structlog
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
+from devices.mqtt.bounded_client import BoundedClient
 from stream.errors import ParameterError
 from stream.params import param
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 KEEPALIVE_S = 30
+MOST_NEWS = 1000
+"""So many messages may wait to be looked at; beyond, they are dropped and counted."""
 FAREWELL_S = 2.0
 """How long the last messages are given to reach the broker."""
 ONLINE, OFFLINE = "online", "offline"
@@ -91,7 +94,7 @@ class Link:
     ) -> None:
         self._broker, self._id, self._greeting, self._subscriptions = broker, client_id, greeting, list(subscriptions)
         self._joined, self._heard, self._delivered, self._left = joined, heard, delivered, left
-        self._client: Client | None = None
+        self._client: BoundedClient | None = None
         self._there = False
         self._stopping = threading.Event()
         self._news: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
@@ -99,6 +102,8 @@ class Link:
         self._trouble = ""
         self._refused = False
         """Whether the broker has refused this attempt: that the connection then ends is no second trouble."""
+        self.dropped = 0
+        """Messages that were too many."""
         self.failures = 0
         """Attempts that did not bring a connection."""
         self.pause_s = FIRST_PAUSE_S
@@ -169,8 +174,8 @@ class Link:
         else:
             self.failures += 1
 
-    def _made(self) -> Client:
-        client = Client(CallbackAPIVersion.VERSION2, self._id, reconnect_on_failure=False)
+    def _made(self) -> BoundedClient:
+        client = BoundedClient(CallbackAPIVersion.VERSION2, self._id, reconnect_on_failure=False)
         broker, tell = self._broker, self._news.put
         if broker.username:
             client.username_pw_set(broker.username, broker.password)
@@ -179,7 +184,7 @@ class Link:
         client.will_set(self._greeting, OFFLINE, qos=1, retain=True)
         client.on_connect = lambda c, d, flags, reason, p: tell(lambda: self._connected(client, reason))
         client.on_subscribe = lambda c, d, number, reasons, p: tell(lambda: self._subscribed(client, reasons))
-        client.on_message = lambda c, d, message: tell(lambda: self._message(message))
+        client.on_message = lambda c, d, message: self._take(message)
         client.on_publish = lambda c, d, number, reason, p: tell(lambda: self._delivered(number))
         client.on_disconnect = lambda c, d, flags, reason, p: tell(lambda: self._disconnected(reason)) or tell(None)
         return client
@@ -213,6 +218,15 @@ class Link:
         self._there = True
         client.publish(self._greeting, ONLINE, qos=1, retain=True)
         self._joined()
+
+    def _take(self, message: MQTTMessage) -> None:
+        """A message, in the library's thread: kept for ours where there is room for it."""
+        if self._news.qsize() < MOST_NEWS:
+            self._news.put(lambda: self._message(message))
+            return
+        self.dropped += 1
+        if self.dropped == 1:
+            log.warning("MQTT messages come faster than they are looked at; some are dropped", topic=message.topic[:200])
 
     def _message(self, message: MQTTMessage) -> None:
         self._heard(message.topic, message.payload.decode("utf-8", "replace"), bool(message.retain))

@@ -20,6 +20,7 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
+from stream.bounded import DAMAGE, reading
 from stream.chunk import NS, Array, Samples
 from stream.complete import write_complete
 from stream.errors import DeviceError, KinegraphError
@@ -74,6 +75,18 @@ class Facts:
         """Write whole or not at all, durably. Raises OSError."""
         write_complete(folder / FACTS, json.dumps(asdict(self), indent=1, default=_plain))
 
+    def check(self) -> None:
+        """Raises ValueError or TypeError where a value cannot be."""
+        lists = (self.breaks, self.switched, self.exits, self.settings, self.versions)
+        if not all(isinstance(part, list) for part in lists) or not isinstance(self.session, dict):
+            raise TypeError("a list or a mapping is none")
+        times = [self.begun, *(self.numbers.get(name, self.begun) for name in ("onset", "end"))]
+        if any(not abs(time) < 1 << 62 for time in times) or not 0 < self.epoch_s < 86400:
+            raise ValueError("a time or a length cannot be")
+        if self.numbers and not {"se", "end"} <= self.numbers.keys():
+            raise ValueError("its numbers are not whole")
+        float(self.numbers.get("se") or 0), float(self.numbers.get("tst") or 0), zone_of(self.timezone)
+
     @staticmethod
     def load(folder: Path) -> Facts:
         """Raises NightError."""
@@ -81,10 +94,12 @@ class Facts:
             told = json.loads((folder / FACTS).read_text(encoding="utf-8"))
             if told["version"] > VERSION:
                 raise NightError(f"{folder}: written by a newer kinegraph (format {told['version']}); update this one")
-            return Facts(**{f.name: told[f.name] for f in fields(Facts) if f.name in told})
+            facts = Facts(**{f.name: told[f.name] for f in fields(Facts) if f.name in told})
+            facts.check()
+            return facts
         except FileNotFoundError:
             raise NightError(f"{folder} holds no night") from None
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, *DAMAGE) as error:
             raise NightError(f"{folder / FACTS} cannot be read: {error}") from None
 
 
@@ -110,6 +125,11 @@ class Epochs:
 
 def read_epochs(folder: Path) -> Epochs:
     """All whole rows of a night; a last row that a power cut left unfinished is passed over. Raises NightError."""
+    with reading(folder / EPOCHS, "a night's table", NightError):
+        return _epochs(folder)
+
+
+def _epochs(folder: Path) -> Epochs:
     try:
         text = (folder / EPOCHS).read_text(encoding="utf-8")
     except OSError as error:

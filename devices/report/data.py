@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stream.bounded import arrays, reading
 from stream.chunk import Samples
 from stream.complete import complete
 from stream.params import adapter
@@ -142,6 +143,7 @@ def save(path: Path, report: Report, curves: Curves) -> None:
 
 def load(path: Path) -> tuple[Report, Curves]:
     """What `save` wrote."""
-    with np.load(path, allow_pickle=False) as file:
+    with reading(path, "a report's data"):
+        file = arrays(path)
         report: Report = adapter(Report).validate_json(file["report"].tobytes())
         return report, Curves(file["mean"], file["sd"], file["single"].astype(np.float64))

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stream.bounded import arrays, reading
 from stream.chunk import Array, Samples
 from stream.errors import KinegraphError
 
@@ -125,15 +126,8 @@ def _csv(path: Path) -> tuple[Rows, Samples]:
 
 
 def _npz(path: Path) -> tuple[Rows, Samples, Samples | None]:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            found = {
-                name: archive[name]
-                for name in ("label", "label_cut", "label_names", "rate", "tag_frame", "t_us")
-                if name in archive.files
-            }
-    except (OSError, ValueError, EOFError) as error:
-        raise KinegraphError(f"{path}: cannot be read as an NPZ file: {error}") from None
+    with reading(path, "an NPZ file", KinegraphError):
+        found = arrays(path, ("label", "label_cut", "label_names", "rate", "tag_frame", "t_us"))
     if not {"label", "tag_frame"} & found.keys() or not {"rate", "t_us"} & found.keys():
         raise KinegraphError(
             f"{path}: `label` or `tag_frame` is needed, and `rate` or `t_us`; there are {', '.join(found) or 'none of them'}"

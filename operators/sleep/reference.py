@@ -13,6 +13,7 @@ import numpy as np
 
 from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE, States
 from operators.sleep.scorer import EPOCH
+from stream.bounded import reading
 from stream.chunk import NS, Times
 from stream.errors import KinegraphError, RecordingError
 
@@ -28,6 +29,8 @@ STAGES = {
 """What stages are called, in small letters and without "sleep stage": Rechtschaffen-Kales, AASM, numbers (0 wake, 5 REM)."""
 
 ONSETS = {"onset", "time (utc)", "time", "onset (s)", "onset_s", "t", "t_s", "seconds", "seconds (s)"}
+FIRST_YEAR, LAST_YEAR = 1900, 2200
+"""Nobody slept outside of these, and int64 nanoseconds end in 2262."""
 LABELS = ("state", "stage", "sleep", "label", "annotation", "description")
 
 
@@ -66,11 +69,12 @@ def read_hypnogram(path: Path, *, stream: str = "", epoch_s: float = 30.0) -> Hy
     """
     if not path.exists():
         raise KinegraphError(f"{path}: there is no such file")
-    if path.suffix.lower() == ".edf":
-        return _edf(path)
-    if path.suffix.lower() in (".csv", ".tsv", ".txt"):
-        return _csv(path, epoch_s)
-    return _recording(path, stream)
+    with reading(path, "a hypnogram", KinegraphError):
+        if path.suffix.lower() == ".edf":
+            return _edf(path)
+        if path.suffix.lower() in (".csv", ".tsv", ".txt"):
+            return _csv(path, epoch_s)
+        return _recording(path, stream)
 
 
 def stage(text: str) -> int | None:
@@ -175,6 +179,8 @@ def _moment(text: str) -> tuple[int, bool]:
     moment = datetime.fromisoformat(whole if dot and rest.isdigit() else clock)
     moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
     below = int(rest.ljust(9, "0")[:9]) if dot and rest.isdigit() else moment.microsecond * 1000
+    if not FIRST_YEAR <= moment.year <= LAST_YEAR:
+        raise ValueError(f"the year {moment.year} lies outside {FIRST_YEAR} to {LAST_YEAR}")
     return round(moment.replace(microsecond=0).timestamp()) * NS + below, True
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from stream.bounded import reading
 from stream.complete import complete, private_folder
 from stream.errors import RecordingError
 from stream.plain import say
@@ -46,7 +47,7 @@ def export(
     """Write streams as CSV or XDF. Frames are left out: they do not fit into a table."""
     from stream.recording import Recording
 
-    with Recording.open(recording) as opened:
+    with reading(recording, "a recording"), Recording.open(recording) as opened:
         names = _chosen(opened, stream or [])
         total = sum(opened.streams[name].samples for name in names)
         to_xdf = format is Format.xdf or (format is None and output is not None and output.suffix.lower() == ".xdf")

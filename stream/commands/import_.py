@@ -110,6 +110,8 @@ def import_(
     xdf = {"width": text_width, "begin": begin, "dejitter": dejitter, "synchronize": clock_sync}
     series = _read(files, wishes, xdf, kinect=kinect)
     _check_names(series)
+    if not any(len(one.time) for one in series):
+        raise RecordingError(f"{', '.join(map(str, files))}: no samples to record are there")
     header = {
         "graph": "",
         "session": {key: _value(value) for key, value in _pairs("fact", fact, named=True).items()},
@@ -152,6 +154,7 @@ def _from_xdf(
 
 
 def _from_tables(files: Sequence[File], wishes: Wishes) -> list[Series]:
+    from stream.bounded import reading
     from stream.convert.shelf import Shelf, make
     from stream.convert.tables import read_csv, read_npz
 
@@ -162,7 +165,8 @@ def _from_tables(files: Sequence[File], wishes: Wishes) -> list[Series]:
         if file.suffix.lower() == ".npz":
             shelf.put(file, read_npz(file))
         elif file.suffix.lower() in TABLES:
-            shelf.put(file, read_csv(file))
+            with reading(file, "CSV"):
+                shelf.put(file, read_csv(file))
         else:
             raise RecordingError(
                 f"{file}: what kind of file this is cannot be told; its name must end in .csv, .tsv, .txt, .npz, .xdf, .bvh, .c3d or .amc"

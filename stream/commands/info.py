@@ -32,11 +32,12 @@ def info(
     graph: Annotated[bool, typer.Option("--graph", help="only the graph that made it, as YAML")] = False,
 ) -> None:
     """Show a recording's streams, rates, durations, gaps, drops, annotations, log, versions, and the graph that made it."""
+    from stream.bounded import reading
     from stream.plain import plain
     from stream.recording import Recording
     from stream.screen import Screen
 
-    with Recording.open(recording) as opened:
+    with reading(recording, "a recording"), Recording.open(recording) as opened:
         if graph:
             text = str(opened.header.get("graph", ""))
             typer.echo(plain(text) if sys.stdout.isatty() else text, nl=False)
@@ -183,6 +184,10 @@ def _when(ns: int) -> str:
     """A time as people read it; one near 1970 is that of a file without a date, and is shown in seconds."""
     from datetime import UTC, datetime
 
+    from stream.chunk import utc
+
+    if not abs(ns) < 1 << 62:
+        return utc(ns)
     if abs(ns) < 366 * 86_400 * 1_000_000_000:
         return f"{ns / 1e9:.3f} s"
     return f"{datetime.fromtimestamp(ns / 1e9, UTC):%Y-%m-%d %H:%M:%S.%f}"[:-3] + " UTC"

@@ -8,6 +8,9 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from stream.bounded import reading
 from stream.convert.asf_read import Skeleton, read_amc, read_asf
 from stream.convert.bvh_read import read_bvh
 from stream.convert.c3d_read import read_c3d
@@ -99,6 +102,11 @@ def _said(option: Mapping[str, str], file: Path, wishes: Wishes) -> str:
 
 
 def _read(file: Path, skeletons: dict[str, Skeleton], wishes: Wishes) -> list[Series]:
+    with reading(file, f"a file of motion ({file.suffix.lower()})"), np.errstate(all="ignore"):
+        return _of_kind(file, skeletons, wishes)
+
+
+def _of_kind(file: Path, skeletons: dict[str, Skeleton], wishes: Wishes) -> list[Series]:
     kind, unit = file.suffix.lower(), _said(wishes.unit, file, wishes)
     scale = _number(_said(wishes.scale, file, wishes) or "1", f"--scale {file.stem}")
     if kind == ".asf":

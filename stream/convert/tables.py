@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import csv
 import re
-import zipfile
-import zlib
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
+from stream.bounded import arrays, reading
 from stream.chunk import Array
 from stream.convert.shelf import Column
 from stream.errors import RecordingError
@@ -21,27 +20,8 @@ DELIMITERS = ",;\t|"
 
 def read_npz(path: Path) -> dict[str, Column]:
     """The arrays of an NPZ file. Raises RecordingError; nothing that would run code (pickles) is loaded."""
-    if path.is_file() and not zipfile.is_zipfile(path):
-        raise RecordingError(f"{path}: cannot be read as an NPZ file (it is none, or was cut off)")
-    name = ""
-    columns: dict[str, Column] = {}
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            for name in archive.files:
-                columns[name] = Column(archive[name], path)
-    except (
-        OSError,
-        ValueError,
-        EOFError,
-        KeyError,
-        zipfile.BadZipFile,
-        zlib.error,
-        NotImplementedError,
-        MemoryError,
-    ) as error:
-        where = f" (array {name!r})" if name else ""
-        raise RecordingError(f"{path}: cannot be read as an NPZ file{where}: {error}") from None
-    return columns
+    with reading(path, "an NPZ file"):
+        return {name: Column(array, path) for name, array in arrays(path).items()}
 
 
 def read_csv(path: Path) -> dict[str, Column]:
@@ -95,17 +75,17 @@ def read_rows(path: Path) -> Array | None:
     width = len(lines[0].split(cut))
     if not all(_is_number(cell) for cell in lines[0].split(cut)):
         return None
-    rows = []
+    made = np.empty((len(lines) if len(lines) * width <= sum(map(len, lines)) else 1, width))
     for number, line in enumerate(lines, 1):
         cells = line.split(cut)
         if len(cells) != width:
             raise RecordingError(f"{path}: line {number}: {len(cells)} numbers, but the first line has {width}")
-        try:
-            rows.append([float(cell) for cell in cells])
-        except ValueError:
-            bad = next(cell for cell in cells if not _is_number(cell))
-            raise RecordingError(f"{path}: line {number}: {bad!r} is no number") from None
-    return np.array(rows)
+        for i, cell in enumerate(cells):
+            try:
+                made[number - 1, i] = float(cell if cut == "," else cell.replace(",", "."))
+            except ValueError:
+                raise RecordingError(f"{path}: line {number}: {cell!r} is no number") from None
+    return made
 
 
 def read_text(path: Path, kind: str) -> str:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import structlog
 
+from stream.bounded import check_gzip, reading
 from stream.chunk import NS, Array, StreamSpec, Times
 from stream.convert.columns import assemble
 from stream.convert.series import Series
@@ -52,11 +53,9 @@ def read_xdf(
     else begin at the file's date. String streams become events with the fields `onset` and `text` (at most `text_width` characters).
     Raises RecordingError.
     """
-    found, head = _load(path, dejitter=dejitter, synchronize=synchronize)
-    try:
+    with reading(path, "an XDF file"):
+        found, head = _load(path, dejitter=dejitter, synchronize=synchronize)
         return _chosen(path, found, head, streams, text_width, start_ns)
-    except (ValueError, KeyError, IndexError, TypeError, OverflowError) as error:
-        raise RecordingError(f"{path}: damaged, or no XDF file as the format wants it ({error})") from None
 
 
 def _chosen(
@@ -87,6 +86,9 @@ def _load(path: Path, *, dejitter: bool, synchronize: bool) -> tuple[list[dict[s
         magic = file.read(4)
     if magic != b"XDF:" and magic[:2] != b"\x1f\x8b":
         raise RecordingError(f"{path}: cannot be read as an XDF file (it does not begin with XDF:)")
+    if magic[:2] == b"\x1f\x8b":
+        with reading(path, "a compressed XDF file"):
+            check_gzip(path)
     logger, complaints = logging.getLogger("pyxdf"), _Complaints(logging.ERROR)
     logger.setLevel(logging.ERROR)
     logger.propagate = False

@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import json
 import threading
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 import structlog
 
+from stream import bounded
 from stream.chunk import Array
 from stream.complete import complete
 from stream.errors import RecordingError
@@ -68,18 +68,20 @@ class Checkpoint:
         if not path.exists():
             return None
         try:
-            with np.load(path, allow_pickle=False) as file:
-                head: dict[str, Any] = json.loads(file["head"].tobytes())
-                arrays = {name: file[f"a{i}"] for i, name in enumerate(head["names"])}
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            file = bounded.arrays(path)
+            head: dict[str, Any] = json.loads(file["head"].tobytes())
+            version, names = int(head["version"]), list(head["names"])
+            arrays = {name: file[f"a{i}"] for i, name in enumerate(names)} if version <= VERSION else {}
+            kept = {name: head[name] for name in ("sequence", "time", "graph", "promised", "indices")}
+        except (OSError, *bounded.DAMAGE) as error:
             raise RecordingError(
                 f"{path} is damaged ({error}); remove it to resume from the start of the recording"
             ) from None
-        if head["version"] > VERSION:
+        if version > VERSION:
             raise RecordingError(
-                f"{path} has version {head['version']}; this kinegraph reads up to {VERSION}: update kinegraph"
+                f"{path} has version {version}; this kinegraph reads up to {VERSION}: update kinegraph"
             )
-        return Checkpoint(head["sequence"], head["time"], head["graph"], head["promised"], head["indices"], arrays)
+        return Checkpoint(**kept, arrays=arrays)
 
 
 class Keeper:
