@@ -120,7 +120,7 @@ def _array(file: IO[bytes], size: int) -> Array:
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, fortran, dtype = read(file)
     if dtype.hasobject:
-        raise ValueError("it holds Python objects, which are never loaded")
+        raise ValueError("Object arrays cannot be loaded: they could run code")
     if min(shape, default=0) < 0 or max(shape, default=0) > MOST_ROWS:
         raise ValueError(f"it claims the shape {shape}")
     count = math.prod(shape)

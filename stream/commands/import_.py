@@ -111,7 +111,7 @@ def import_(
     series = _read(files, wishes, xdf, kinect=kinect)
     _check_names(series)
     if not any(len(one.time) for one in series):
-        raise RecordingError(f"{', '.join(map(str, files))}: no samples to record are there")
+        raise RecordingError(f"{', '.join(map(str, files))}: there are no samples to record")
     header = {
         "graph": "",
         "session": {key: _value(value) for key, value in _pairs("fact", fact, named=True).items()},
