@@ -14,6 +14,7 @@ import structlog
 from devices.clocks.clock_log import ClockLog
 from devices.clocks.device_clock import ClockState
 from devices.clocks.packet_clock import Packets
+from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.stamps import Stamps, runs
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols.ascii_lines import Decoder
@@ -68,6 +69,7 @@ class AsciiLines(Source):
     latency_s: float = param(
         0.0, least=0, most=1, help="the constant delay from the measurement to the port, if you know it"
     )
+    rate_mismatch: Policy = param("fail", help=POLICY_HELP)
 
     @property
     def chunk_s(self) -> float:
@@ -134,7 +136,7 @@ class AsciiLines(Source):
     def _stream(self, link: Transport, feed: Feed) -> None:
         decoder = Decoder(self.columns, self.delimiter, self.header)
         stream = _Stream(self)
-        opened, clock_log = time.monotonic(), ClockLog(self.port, lambda: stream.clock)
+        opened, clock_log = time.monotonic(), ClockLog(self.port, feed, lambda: stream.clock)
         seen, came = False, b""
         while not feed.stopped:
             data = link.read(0.1)
@@ -186,6 +188,9 @@ class _Stream:
             wraps_ns=wraps,
             latency_s=of.latency_s,
         )
+        self._rate = RateCheck(
+            of.port, of.rate_hz, of.rate_mismatch, unit=of.time_unit if of.time else "", counted=bool(of.counter)
+        )
 
     @property
     def clock(self) -> ClockState | None:
@@ -202,6 +207,9 @@ class _Stream:
         counter = None if self._counter is None else rows[:, self._counter].astype(np.int64) % (1 << self._bits)
         packets = self._stamps.take(len(rows), arrival, device, counter)
         self._count(rows, packets, feed)
+        missing = int(packets.lost.clip(0).sum()) if counter is not None else 0
+        if hz := self._rate.see(len(packets.stamp), missing, arrival, feed, device):
+            self._stamps.follow(hz)
         if not len(packets.stamp):
             return
         data = rows[packets.kept][:, self._data] * self._scale + self._offset

@@ -14,6 +14,7 @@ from devices.clocks.clock_log import ClockLog
 from devices.clocks.device_clock import ClockState, DeviceClock
 from devices.clocks.device_time import DeviceTime
 from devices.clocks.packet_clock import Packets
+from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.stamps import REPEATED, Losses, Stamps, runs
 from devices.clocks.timing import TIMING, timing_spec
 from devices.protocols.declared import NS_PER, Decoder, Found, Frame, Layout, hex_bytes
@@ -61,6 +62,7 @@ class Binary(Source):
     latency_s: float = param(
         0.0, least=0, most=1, help="the constant delay from the measurement to the port, if you know it"
     )
+    rate_mismatch: Policy = param("fail", help=POLICY_HELP)
 
     @property
     def chunk_s(self) -> float:
@@ -166,7 +168,7 @@ class Binary(Source):
         layouts = self.layouts()
         decoder, stream = self._decoder(layouts), _Stream(self, layouts)
         opened, seen, came = time.monotonic(), False, b""
-        clock_log = ClockLog(self.port, lambda: stream.clock)
+        clock_log = ClockLog(self.port, feed, lambda: stream.clock)
         while not feed.stopped:
             data = self._taken(link, 0.1)
             found = decoder.feed(data)
@@ -193,7 +195,7 @@ class _Stream:
     def __init__(self, of: Binary, layouts: list[Layout]) -> None:
         self._layouts = layouts
         self._clock = DeviceClock(of.latency_s)
-        self._time = DeviceTime(of.wraps_ns)
+        self._time = DeviceTime(self._clock, of.wraps_ns)
         self._now: int | None = None
         """The device's time by the last frame that brought one."""
         self._timed = any(f.with_role("time") for f in of.frames)
@@ -201,6 +203,10 @@ class _Stream:
         self._losses = [Losses(f.rate_hz, b) for f, b in zip(of.frames, bits, strict=True)]
         self._stamps = [
             Stamps(f.rate_hz, counter_bits=b, latency_s=of.latency_s) for f, b in zip(of.frames, bits, strict=True)
+        ]
+        self._rates = [
+            RateCheck(of.port, f.rate_hz, of.rate_mismatch, setting=f"frames[{i}].rate_hz", counted=bool(b))
+            for i, (f, b) in enumerate(zip(of.frames, bits, strict=True))
         ]
         self._last = 0
 
@@ -223,15 +229,26 @@ class _Stream:
                 counters = self._layouts[kind].counters(table)
                 packets[kind] = self._stamps[kind].take(len(table), arrival, None, counters)
         for kind, table in tables.items():
+            self._check_rate(kind, table, packets[kind], arrival, feed)
             self._emit(kind, table, packets[kind], feed)
         self._tell_timing(packets, arrival, feed)
+
+    def _check_rate(self, kind: int, table: Array, packets: Packets, arrival: int, feed: Feed) -> None:
+        layout = self._layouts[kind]
+        counted = bool(layout.frame.with_role("counter"))
+        missing = int(packets.lost.clip(0).sum()) if counted else 0
+        hz = self._rates[kind].see(len(packets.stamp), missing, arrival, feed, layout.times_ns(table))
+        if hz:
+            self._stamps[kind].follow(hz)
+            self._losses[kind].follow(hz)
 
     def _by_time(self, kinds: Array, tables: dict[int, Array], arrival: int, feed: Feed) -> dict[int, Packets]:
         """Frames in the order in which they came get the device's time, all through one mapping."""
         raw = {kind: self._layouts[kind].times_ns(table) for kind, table in tables.items()}
         counters = {kind: self._layouts[kind].counters(table) for kind, table in tables.items()}
         seen = dict.fromkeys(tables, 0)
-        device, lost, number = np.full((3, len(kinds)), -1, np.int64)
+        device, lost, number, stamp = np.full((4, len(kinds)), -1, np.int64)
+        mapped = 0
         kept = np.zeros(len(kinds), bool)
         for i, kind in enumerate(kinds.tolist()):
             place, seen[kind] = seen[kind], seen[kind] + 1
@@ -240,8 +257,9 @@ class _Stream:
                 self._now = self._time.read(int(own[place]), arrival)
                 restarted = self._time.restarted
                 if restarted:
-                    kept[:i] = False  # by the old clock; nobody can say when that was
-                    self._clock.restart()
+                    self._clock.map(device[mapped:i], kept[mapped:i], arrival, stamp[mapped:i])
+                    self._clock.restart(self._time.jump_ns)
+                    mapped = i
                     feed.problem("device restarted")
             if self._now is None:
                 continue
@@ -250,10 +268,7 @@ class _Stream:
                 self._now, None if count is None else int(count[place]), arrival, restarted
             )
             device[i], number[i], kept[i] = self._now, self._losses[kind].number, lost[i] > REPEATED
-        if kept.any():
-            self._clock.see(int(device[kept][-1]), arrival)
-        stamp = np.full(len(kinds), -1, np.int64)
-        stamp[kept] = self._clock.stamps(device[kept])
+        self._clock.map(device[mapped:], kept[mapped:], arrival, stamp[mapped:])
         packets = {}
         for kind in tables:
             here = kinds == kind

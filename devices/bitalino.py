@@ -12,6 +12,7 @@ import numpy as np
 import structlog
 
 from devices.clocks.clock_log import ClockLog
+from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.short_counter import ShortCounter
 from devices.clocks.stamps import runs
 from devices.clocks.timing import timing_chunk, timing_spec
@@ -67,6 +68,7 @@ class Bitalino(Source):
     latency_s: float = param(
         0.0, least=0, most=1, help="the constant delay from the electrode to the port, if you know it"
     )
+    rate_mismatch: Policy = param("fail", help=POLICY_HELP)
 
     @property
     def chunk_s(self) -> float:
@@ -140,7 +142,7 @@ class Bitalino(Source):
     def _stream(self, link: Transport, feed: Feed) -> None:
         decoder, stream = Decoder(len(self.channels)), _Stream(self)
         patience = SILENCE_S + 2 * protocol.AGREE / self.rate_hz
-        heard, clock_log = time.monotonic(), ClockLog(self.port, lambda: stream.counter.state)
+        heard, clock_log = time.monotonic(), ClockLog(self.port, feed, lambda: stream.counter.state)
         strange = b""
         while not feed.stopped:
             data = link.read(0.1)
@@ -172,6 +174,7 @@ class _Stream:
         self.counter = ShortCounter(4, of.rate_hz, of.latency_s)
         parts = [GAINS[channel.sensor] for channel in of.ordered]
         self._scale, self._zero = np.array([p[0] for p in parts]), np.array([p[1] for p in parts])
+        self._rate = RateCheck(of.port, float(of.rate_hz), of.rate_mismatch, counted=True)
         self._full = np.array([1 << bits for bits in protocol.widths(len(parts))], float)
 
     def pass_on(self, frames: Frames, feed: Feed) -> None:
@@ -180,6 +183,8 @@ class _Stream:
         packets = self.counter.take(frames.sequence, arrival)
         if missing := int(packets.lost.sum()):
             feed.problem("lost frame", missing)
+        if hz := self._rate.see(len(packets.stamp), missing, arrival, feed):
+            self.counter.follow(hz)
         analog = (frames.counts / self._full - self._zero) * self._scale
         digital = frames.digital.astype(np.float64)
         for start, stop in runs(packets.lost):

@@ -12,6 +12,7 @@ import numpy as np
 
 from devices.clocks.clock_log import ClockLog
 from devices.clocks.packet_clock import PacketClock, Packets
+from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.stamps import runs
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import cyton as protocol
@@ -28,6 +29,7 @@ ACCEL_HZ = 25.0
 SILENCE_S = 2.0
 """A board that was streaming and says nothing for so long is asked anew."""
 ANSWER_S = 5.0
+BOARD_RATE = "set the board's firmware back (command '~6')"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,7 @@ class Cyton(Source):
     latency_s: float = param(
         0.0, least=0, most=1, help="the constant delay from the electrode to the port, if you know it"
     )
+    rate_mismatch: Policy = param("fail", help=POLICY_HELP)
 
     @property
     def chunk_s(self) -> float:
@@ -133,7 +136,7 @@ class Cyton(Source):
     def _stream(self, link: Transport, feed: Feed) -> None:
         decoder, stream = Decoder(), _Stream(self)
         link.write(protocol.START)
-        heard, clock_log = time.monotonic(), ClockLog(self.port, lambda: stream.clock.state)
+        heard, clock_log = time.monotonic(), ClockLog(self.port, feed, lambda: stream.clock.state)
         strange = b""
         while not feed.stopped:
             data = link.read(0.1)
@@ -159,6 +162,7 @@ class _Stream:
 
     def __init__(self, of: Cyton) -> None:
         self.clock = PacketClock(8, PACKETS_HZ, of.latency_s)
+        self._rate = RateCheck(of.port, PACKETS_HZ, of.rate_mismatch, setting=BOARD_RATE, counted=True)
         self._daisy = of.daisy
         gains = {setting.channel: setting.gain for setting in of.settings}
         self._uv = np.array([protocol.uv_per_count(gains.get(i + 1, 24)) for i in range(16 if of.daisy else 8)])
@@ -178,6 +182,9 @@ class _Stream:
         if not len(packets.number):
             return
         gaps = bool(packets.lost.any())
+        missing = int(packets.lost.clip(0).sum()) if gaps else 0
+        if hz := self._rate.see(len(packets.number), missing, arrival, feed):
+            self.clock.follow(hz)
         if gaps:
             self._tell_gaps(packets, feed)
         self._emg(packets, frames.counts[packets.kept] if repeated else frames.counts, gaps, feed)

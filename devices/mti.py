@@ -13,6 +13,7 @@ import structlog
 from devices.clocks import tick_clock
 from devices.clocks.clock_log import ClockLog
 from devices.clocks.packet_clock import Packets
+from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.stamps import runs
 from devices.clocks.tick_clock import TickClock
 from devices.clocks.timing import timing_chunk, timing_spec
@@ -96,6 +97,7 @@ class Mti(Source):
     latency_s: float = param(
         0.0, least=0, most=1, help="the constant delay from the measurement to the port, if you know it"
     )
+    rate_mismatch: Policy = param("fail", help=POLICY_HELP)
 
     @property
     def chunk_s(self) -> float:
@@ -196,7 +198,7 @@ class Mti(Source):
     def _stream(self, link: Transport, talk: Talk, feed: Feed) -> None:
         stream = _Stream(self)
         stream.pass_on(talk.behind, feed)
-        heard, clock_log = time.monotonic(), ClockLog(self.port, lambda: stream.clock.state)
+        heard, clock_log = time.monotonic(), ClockLog(self.port, feed, lambda: stream.clock.state)
         strange = b""
         while not feed.stopped:
             data = link.read(0.1)
@@ -243,6 +245,7 @@ class _Stream:
             rate_hz=of.rate_hz,
             latency_s=of.latency_s,
         )
+        self._rate = RateCheck(of.port, of.rate_hz, of.rate_mismatch, counted=True)
         self._kinds = tuple(identifier for identifier, _ in of.wanted[2:])
         self._needed = [identifier for identifier, _ in of.wanted]
         self._layout: Layout | None = None
@@ -258,6 +261,8 @@ class _Stream:
                 packets = self.clock.take(
                     run.integers(xbus.PACKET_COUNTER), run.integers(xbus.SAMPLE_TIME_FINE), arrival
                 )
+                missing = 0 if packets.clean else int(packets.lost.clip(0).sum())
+                self._rate.see(len(packets.stamp), missing, arrival, feed)
                 self._emit(run, packets, arrival, feed)
                 n += len(packets.stamp)
             elif run.mid == xbus.MEASUREMENT and run.has(xbus.PACKET_COUNTER):

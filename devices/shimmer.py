@@ -12,6 +12,7 @@ import numpy as np
 import structlog
 
 from devices.clocks.clock_log import ClockLog
+from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.stamps import Stamps, runs
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import shimmer as protocol
@@ -81,6 +82,7 @@ class Shimmer(Source):
     latency_s: float = param(
         0.0, least=0, most=1, help="the constant delay from the measurement to the port, if you know it"
     )
+    rate_mismatch: Policy = param("fail", help=POLICY_HELP)
 
     @property
     def chunk_s(self) -> float:
@@ -195,7 +197,7 @@ class Shimmer(Source):
     def _stream(self, link: Transport, feed: Feed, stream: _Stream) -> None:
         link.write(bytes([protocol.START]))
         heard = asked = time.monotonic()
-        clock_log, strange = ClockLog(self.port, lambda: stream.stamps.state), b""
+        clock_log, strange = ClockLog(self.port, feed, lambda: stream.stamps.state), b""
         patience = SILENCE_S + 2 * protocol.AGREE / self.true_hz
         while not feed.stopped:
             data = link.read(0.1)
@@ -224,6 +226,7 @@ class _Stream:
         self.decoder = Decoder(inquiry.channels, inquiry.divider)
         wraps = round(protocol.TICKS * NS / TICKS_HZ)
         self.stamps = Stamps(of.true_hz, has_time=True, wraps_ns=wraps, latency_s=of.latency_s)
+        self._rate = RateCheck(of.port, of.true_hz, of.rate_mismatch)
         self._channels, self._port = inquiry.channels, of.port
         ranges = (inquiry.wide_range, inquiry.gyro_range, chips)
         self._motion = {name: units.calibration(calibration, name, *ranges) for name in of.motion}
@@ -251,6 +254,8 @@ class _Stream:
         arrival = feed.now()
         raw = np.round(found.ticks * (NS / TICKS_HZ)).astype(np.int64)
         packets = self.stamps.take(len(found), arrival, raw)
+        if hz := self._rate.see(len(found), 0, arrival, feed, raw):
+            self.stamps.follow(hz)
         if not packets.kept.all():
             feed.problem("wrong time", int((~packets.kept).sum()))
         if not len(packets.stamp):

@@ -12,6 +12,7 @@ import numpy as np
 
 from devices.clocks.clock_log import ClockLog
 from devices.clocks.pace import Pace
+from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import trigno as protocol
 from devices.protocols.trigno import ENDING, PORTS, SENSORS, Layout, Rows
@@ -35,7 +36,13 @@ class Electrode:
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
 
     sensor: int = param(least=1, most=SENSORS, help="its place in the base station, 1 to 16")
-    name: str = param("", help="the channel's name; left out: emg1, emg2, ...")
+    name: str = param("", help="the channel's name; left out: emg1, emg2, ...; of a second channel emg1.2")
+    channel: int = param(1, least=1, most=4, help="which of its EMG channels: a Duo has 2, a Quattro 4")
+
+    @property
+    def called(self) -> str:
+        """The channel's name."""
+        return self.name or f"emg{self.sensor}" + (f".{self.channel}" if self.channel > 1 else "")
 
 
 class _Outputs:
@@ -73,6 +80,7 @@ class Trigno(Source):
         most=1,
         help="the constant delay from the electrode to the port, if you know it (Delsys states 48 ms)",
     )
+    rate_mismatch: Policy = param("fail", help=POLICY_HELP)
 
     @property
     def chunk_s(self) -> float:
@@ -81,13 +89,16 @@ class Trigno(Source):
     @property
     def names(self) -> tuple[str, ...]:
         """Of the sensors, in the order of the graph."""
-        return tuple(one.name or f"emg{one.sensor}" for one in self.sensors)
+        return tuple(one.called for one in self.sensors)
 
     def specs(self) -> Specs:
         numbers = [one.sensor for one in self.sensors]
-        different = len(set(numbers)) == len(set(self.names)) == len(numbers)
+        places = {(one.sensor, one.channel) for one in self.sensors}
+        different = len(places) == len(set(self.names)) == len(numbers)
         if not numbers or not different or not all(1 <= n <= SENSORS for n in numbers):
-            raise ParameterError("sensors", numbers, "1 to 16 different sensors, with different names")
+            raise ParameterError(
+                "sensors", numbers, "1 to 16 different sensors or channels of them, with different names"
+            )
         if not self.port.startswith("tcp://"):
             raise ParameterError("port", self.port, "tcp://host:port")
         meta = {"device": "Delsys Trigno"}
@@ -114,13 +125,13 @@ class Trigno(Source):
     def read(self, feed: Feed) -> None:
         with ExitStack() as links:
             control = links.enter_context(TcpTransport(self.port))
-            self._greet(control, feed)
+            columns = self._greet(control, feed)
             ports = PORTS[self.layout]
             emg = links.enter_context(TcpTransport(self._behind(ports.emg)))
             aux = links.enter_context(TcpTransport(self._behind(ports.aux))) if self.aux else None
             self._ask(control, feed, protocol.START)
             try:
-                self._stream(emg, aux, feed)
+                self._stream(emg, aux, columns, feed)
             finally:
                 with suppress(DeviceError):
                     control.write(protocol.command(protocol.STOP))
@@ -130,25 +141,46 @@ class Trigno(Source):
         head, _, port = self.port.rpartition(":")
         return f"{head}:{int(port) + step}"
 
-    def _greet(self, control: Transport, feed: Feed) -> None:
-        """Ask who is there, and what; raises DeviceError if it is another server, or a sensor is missing."""
+    def _greet(self, control: Transport, feed: Feed) -> list[int]:
+        """Ask who is there, and what; returns the channels' columns. Raises DeviceError if it is another server, or a sensor is missing."""
         expected = "the greeting of a Trigno server (is Trigno Control Utility or the SDK server running?)"
         banner = answer(control, feed, until=ENDING, within_s=ANSWER_S, expected=expected)
         if protocol.BANNER not in banner:
             raise DeviceError(f"expected {expected} from {self.port}; came {shown(banner)}")
         version = banner.decode("ascii", "replace").split()[-1]
         known: dict[str, str] = {}
+        columns: list[int] = []
         for one, name in zip(self.sensors, self.names, strict=True):
             if self._aside(control, feed, f"SENSOR {one.sensor} PAIRED?") == "NO":
                 raise DeviceError(
                     f"{self.port}: sensor {one.sensor} is not paired with the base station; pair it, or leave it out"
                 )
+            columns.append(self._column(one, control, feed))
+            stated = self._aside(control, feed, f"SENSOR {one.sensor} CHANNEL {one.channel} RATE?")
+            if stated:
+                known[f"{name}_hz"] = stated
             for what in ("serial", "firmware"):
                 if text := self._aside(control, feed, f"SENSOR {one.sensor} {what.upper()}?"):
                     known[f"{name}_{what}"] = text
         feed.identify("Delsys Trigno", port=self.port, server=version, **known)
         for setting in ("ENDIAN LITTLE", "TRIGGER START OFF", "TRIGGER STOP OFF"):
             self._aside(control, feed, setting)
+        return columns
+
+    def _column(self, one: Electrode, control: Transport, feed: Feed) -> int:
+        """Where a channel's samples stand: a Duo or Quattro moves those of all sensors behind it. Raises DeviceError."""
+        count = self._aside(control, feed, f"SENSOR {one.sensor} EMGCHANNELCOUNT?")
+        if count.isdigit() and one.channel > int(count):
+            raise DeviceError(
+                f"{self.port}: sensor {one.sensor} has {count} EMG channels, no channel {one.channel}; is another sensor meant?"
+            )
+        start = self._aside(control, feed, f"SENSOR {one.sensor} STARTINDEX?")
+        column = (int(start) if start.isdigit() and int(start) else one.sensor) + one.channel - 2
+        if column >= SENSORS:
+            raise DeviceError(
+                f"{self.port}: channel {one.channel} of sensor {one.sensor} would be column {column + 1} of {SENSORS}"
+            )
+        return column
 
     def _ask(self, control: Transport, feed: Feed, text: str) -> None:
         control.write(protocol.command(text))
@@ -168,15 +200,14 @@ class Trigno(Source):
         words = came.decode("ascii", "replace").strip()
         return "" if "INVALID" in words.upper() or "CANNOT" in words.upper() else words
 
-    def _stream(self, emg: Transport, aux: Transport | None, feed: Feed) -> None:
-        columns = [one.sensor - 1 for one in self.sensors]
+    def _stream(self, emg: Transport, aux: Transport | None, columns: list[int], feed: Feed) -> None:
         per = len(PORTS[self.layout].aux_channels)
-        streams = {"emg": _Stream("emg", SENSORS, columns, self.emg_hz, self.latency_s)}
+        streams = {"emg": _Stream(self, "emg", SENSORS, columns, self.emg_hz)}
         if aux:
             places = [c * per + i for c in columns for i in range(per)]
-            streams["aux"] = _Stream("aux", SENSORS * per, places, protocol.AUX_HZ, self.latency_s)
+            streams["aux"] = _Stream(self, "aux", SENSORS * per, places, protocol.AUX_HZ)
         heard = dict.fromkeys(streams, time.monotonic())
-        clock_log = ClockLog(self.port, lambda: streams["emg"].pace.state)
+        clock_log = ClockLog(self.port, feed, lambda: streams["emg"].pace.state)
         while not feed.stopped:
             for name, link, wait in (("emg", emg, 0.1), ("aux", aux, 0.0)):
                 if link and (data := link.read(wait)) and streams[name].pass_on(data, feed):
@@ -189,9 +220,11 @@ class Trigno(Source):
 class _Stream:
     """One data port: what is remembered between two reads."""
 
-    def __init__(self, name: str, channels: int, columns: list[int], rate_hz: float, latency_s: float) -> None:
-        self.pace = Pace(rate_hz, latency_s)
-        self._name, self._rows, self._columns, self._rate = name, Rows(channels), columns, rate_hz
+    def __init__(self, of: Trigno, name: str, channels: int, columns: list[int], rate_hz: float) -> None:
+        self.pace = Pace(rate_hz, of.latency_s)
+        setting = "emg_hz" if name == "emg" else "set the sensors' mode back"
+        self._rate = RateCheck(f"{of.port} ({name})", rate_hz, of.rate_mismatch, setting=setting)
+        self._name, self._rows, self._columns = name, Rows(channels), columns
 
     def pass_on(self, data: bytes, feed: Feed) -> int:
         """Emit what a read has brought; returns how many samples that was."""
@@ -200,10 +233,8 @@ class _Stream:
             return 0
         arrival = feed.now()
         counted = self.pace.take(len(values), arrival)
-        if (hz := self.pace.measured_hz(arrival)) is not None:
-            raise DeviceError(
-                f"{self._name} comes at {hz:.1f} samples a second, not at {self._rate:g}; set emg_hz to what it is"
-            )
+        if hz := self._rate.see(len(values), 0, arrival, feed):
+            self.pace.follow(hz)
         if counted.astray:
             feed.problem("lost count")
         if self._name == "emg":

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.ascii_lines import AsciiLines
+from devices.clocks.device_clock import DeviceClock
 from devices.clocks.device_time import DeviceTime
 from devices.clocks.stamps import Stamps
 from devices.protocols.ascii_lines import Decoder
@@ -111,19 +112,19 @@ def test_a_header_tells_where_each_column_stands() -> None:
 
 def test_time_that_begins_anew_at_32_bits_grows_on() -> None:
     wraps = (1 << 32) * 1000
-    clock = DeviceTime(wraps)
+    clock = DeviceTime(DeviceClock(), wraps)
     values = [clock.read((wraps - 5_000_000 + i * 2_000_000) % wraps, i * 2_000_000) for i in range(10)]
     assert np.diff([v for v in values if v is not None]).tolist() == [2_000_000] * 9
 
 
 def test_a_long_silence_counts_the_turns() -> None:
-    clock = DeviceTime(60 * NS)
+    clock = DeviceTime(DeviceClock(), 60 * NS)
     clock.read(10 * NS, 0)
     assert clock.read(20 * NS, 190 * NS) == 200 * NS
 
 
 def test_one_wrong_number_is_left_out_and_a_restart_is_believed_after_three() -> None:
-    clock = DeviceTime()
+    clock = DeviceTime(DeviceClock())
     assert [clock.read(v * NS, i * NS) for i, v in enumerate([100, 101, 991, 103, 4, 105])] == [
         100 * NS, 101 * NS, None, 103 * NS, None, 105 * NS,
     ]  # fmt: skip

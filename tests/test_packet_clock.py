@@ -9,6 +9,7 @@ from devices.clocks.clock_log import ClockLog
 from devices.clocks.device_clock import ClockState
 from devices.clocks.packet_clock import PacketClock
 from stream.chunk import NS, Times
+from tests.device_feed import Kept
 
 RATE = 250.0
 PERIOD = NS / RATE
@@ -93,12 +94,17 @@ def test_jitter_of_twenty_milliseconds_and_a_drift_of_fifty_ppm() -> None:
     assert np.abs(stamp - true[there] - 3_000_000)[20 * 250 :].max() < 2_000_000
 
 
-def test_the_clocks_state_is_logged_once_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
-    now, told = [0.0], []
+def test_the_clocks_state_is_in_the_metrics_from_the_first_second_and_in_the_log_once_a_minute(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now, told, feed = [0.0], [], Kept()
     monkeypatch.setattr("devices.clocks.clock_log.time.monotonic", lambda: now[0])
     monkeypatch.setattr("devices.clocks.clock_log.log.info", lambda *_, **facts: told.append(facts), raising=False)
-    states: list[ClockState | None] = [None, ClockState(1.5, 20.0, 0.001, 60), ClockState(1.5, 21.0, 0.001, 60)]
-    clock_log = ClockLog("board", lambda: states.pop(0))
-    for now[0] in (10.0, 61.0, 62.0, 63.0, 122.0, 123.0):
+    states: list[ClockState | None] = [None] + [ClockState(1.5, float(n), 0.001, n) for n in (2, 9, 10, 61, 62)]
+    clock_log = ClockLog("board", feed, lambda: states.pop(0))
+    for now[0] in (0.5, 1.1, 2.2, 2.3, 9.0, 10.5, 61.0, 61.5, 123.0):
         clock_log.tell()
-    assert [facts["drift_ppm"] for facts in told] == [20.0, 21.0]
+    assert [facts["drift_ppm"] for facts in told] == [61.0, 62.0]
+    assert [(facts["seconds"], facts["settling"]) for facts in feed.clocks] == [
+        (2, True), (9, True), (10, False), (61, False), (62, False),
+    ]  # fmt: skip

@@ -13,13 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.clocks.pace import Pace
+from devices.clocks.rate_check import Policy, RateCheck
 from devices.protocols import trigno as protocol
 from devices.protocols.trigno import Rows
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from devices.simulators.trigno import Station, StationLine, TrignoBrain
 from devices.trigno import Electrode, Trigno
 from stream.chunk import NS
-from stream.errors import DeviceError, ParameterError
+from stream.errors import DeviceError, ParameterError, RunError
 from stream.params import build
 from tests.device_feed import Kept, check, cut, reading, wait_for
 
@@ -79,15 +80,28 @@ def test_samples_left_out_show_within_two_seconds(missing: int) -> None:
     assert np.abs(errors[1200:]).max() < 5_000_000
 
 
-def test_another_rate_is_told() -> None:
-    pace = Pace(2000.0)
+@pytest.mark.parametrize("policy", ["fail", "warn"])
+def test_another_rate_is_told(policy: Policy) -> None:
+    pace, rate, feed, found = Pace(2000.0), RateCheck("server", 2000.0, policy), Kept(), []
     for frame in range(2000):
         arrival = NS + round((frame + 1) * 26 * NS / 1925.9)
         pace.take(26, arrival)
-        if (hz := pace.measured_hz(arrival)) is not None:
-            assert hz == pytest.approx(1925.9, rel=0.01) and frame > 1000
+        try:
+            found += [hz] if (hz := rate.see(26, 0, arrival, feed)) else []
+        except RunError as error:
+            assert policy == "fail" and "1926" in str(error)
             return
-    raise AssertionError("not found out")
+    assert found == [pytest.approx(1925.9, rel=0.001)] and policy == "warn"
+
+
+def test_a_duo_moves_the_columns_of_the_sensors_behind_it() -> None:
+    brain = TrignoBrain(duos=2)
+    wanted = (Electrode(1), Electrode(1, channel=2), Electrode(2, channel=2), Electrode(3))
+    feed = read(brain, 2000, sensors=wanted)
+    n = feed.count("emg")
+    assert np.allclose(feed.data("emg"), brain.emg(np.arange(n))[:, [0, 1, 3, 4]] * 1e6, rtol=1e-5, atol=1e-3)
+    assert feed.identity["emg1.2_hz"] == "2000"
+    assert "sensor 3 has 1 EMG channels" in str(read(brain, 1, sensors=(Electrode(3, channel=2),)).error)
 
 
 # the source ----------------------------------------------------------------------------------------------------------
@@ -135,7 +149,7 @@ def test_channels_have_the_names_of_the_graph() -> None:
 def test_what_goes_wrong_is_counted() -> None:
     feed = read(TrignoBrain(), 2500, Misbehaviour(corrupt=0.2, seed=2))
     assert feed.error is None and feed.problems["impossible value"] >= np.isnan(feed.data("emg")).sum() > 0
-    feed = read(TrignoBrain(), 9000, Misbehaviour(lose=0.12, seed=2))
+    feed = read(TrignoBrain(), 9000, Misbehaviour(lose=0.12, seed=2), rate_mismatch="warn")
     assert feed.error is None and feed.problems["lost count"] >= 1 and -1 in feed.lost("emg").values()
 
 

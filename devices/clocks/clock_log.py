@@ -1,4 +1,4 @@
-"""What is known of a device's clock, into the log once a minute."""
+"""What is known of a device's clock: into the metrics every second, into the log once a minute, and each jump at once."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from collections.abc import Callable
 import structlog
 
 from devices.clocks.device_clock import ClockState
+from stream.source import Feed
 
-EVERY_S = 60.0
+EVERY_S, LOGGED_EVERY_S = 1.0, 60.0
 
 log = structlog.get_logger(__name__)
 
@@ -17,20 +18,30 @@ log = structlog.get_logger(__name__)
 class ClockLog:
     """One device's; `tell` may be called as often as one likes, and asks for the state only when it is time."""
 
-    def __init__(self, device: str, state: Callable[[], ClockState | None]) -> None:
-        self._device, self._state = device, state
-        self._due = time.monotonic() + EVERY_S
+    def __init__(self, device: str, feed: Feed, state: Callable[[], ClockState | None]) -> None:
+        self._device, self._feed, self._state = device, feed, state
+        now = time.monotonic()
+        self._due, self._logged = now + EVERY_S, now
+        self._jumps = 0
 
     def tell(self) -> None:
-        """Log offset, drift and uncertainty, if it is time and there is a clock."""
+        """Tell offset, drift and uncertainty, if it is time and there is a clock."""
         now = time.monotonic()
-        if now < self._due or (state := self._state()) is None:
+        if now < self._due:
             return
         self._due = now + EVERY_S
-        log.info(
-            "device clock",
-            device=self._device,
-            offset_s=round(state.offset_s, 6),
-            drift_ppm=round(state.drift_ppm, 2),
-            uncertainty_s=round(state.uncertainty_s, 6),
-        )
+        if (state := self._state()) is None:
+            return
+        facts = {
+            "offset_s": round(state.offset_s, 6),
+            "drift_ppm": round(state.drift_ppm, 2),
+            "uncertainty_s": round(state.uncertainty_s, 6),
+        }
+        self._feed.device_clock(**facts, seconds=state.seconds, settling=state.settling, jumps=state.jumps)
+        if state.jumps > self._jumps:
+            times = {"times": state.jumps - self._jumps} if state.jumps > self._jumps + 1 else {}
+            self._feed.tell("device clock jumped", jump_s=round(state.jump_s, 6), **times)
+            self._jumps = state.jumps
+        if now - self._logged >= LOGGED_EVERY_S:
+            self._logged = now
+            log.info("device clock", device=self._device, **facts)

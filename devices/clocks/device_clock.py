@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stream.chunk import NS, STAMP, Samples, Times
 
@@ -30,6 +31,10 @@ least delay is lower than those before.
 """
 SLEW = 0.01
 """After the line has moved back, stamps still advance at this share of the device's pace until it is reached."""
+JUMP_NS = 10_000_000
+"""A device's clock that is ahead of what can be by more, and has leapt by more, was set forward."""
+UNSURE_NS, SURE_FROM = 100_000_000, 3
+"""So much before so many seconds are known: the first packets may have waited somewhere."""
 ROUNDED = 2
 """Stamps whose first is later than that by more ns than rounding makes are all later, as they advance faster."""
 
@@ -40,14 +45,24 @@ class ClockState:
 
     offset_s         session time minus device time, now, with the least delay in it (s)
     drift_ppm        how much faster session time runs
-    uncertainty_s    spread of the seconds' least delays about the line: how far the mapping may be off beside the constant part
+    uncertainty_s    spread of the seconds' least delays about the line: how far the mapping may be off beside the constant part; in the
+                     first seconds with what a drift that is not known yet may make
     seconds          how many seconds it rests on
+    jumps            how often the device's clock was set, or began anew
+    jump_s           by how much the last time; below 0: back
     """
 
     offset_s: float
     drift_ppm: float
     uncertainty_s: float
     seconds: int
+    jumps: int = 0
+    jump_s: float = 0.0
+
+    @property
+    def settling(self) -> bool:
+        """Whether the drift is not known yet."""
+        return self.seconds < STEADY
 
 
 class DeviceClock:
@@ -57,6 +72,10 @@ class DeviceClock:
         """`latency_s`: the constant part of the delay, from the event to its arrival at best, measured by the user."""
         self._latency = round(latency_s * NS)
         self._last: tuple[int, int] | None = None
+        """Device time and stamp of the last packet; after a restart the device's time is the next packet's."""
+        self._restarted = False
+        self._arrival = 0
+        self._jumps = self._jump = 0
         self._forget()
 
     def _forget(self) -> None:
@@ -66,12 +85,15 @@ class DeviceClock:
         """The smallest difference of each second, arrival minus device time (ns)."""
         self._bucket: int | None = None
         self._slope = 0.0
+        self._zero = 0
+        """The line's height is counted from it, as it must not be rounded: the differences may be as long as the time since 1970."""
         self._height = 0.0
         self._at = 0
         self._spread = 0.0
 
     def see(self, device_ns: int, arrival_ns: int) -> None:
         """A packet with this (unwrapped) device time has arrived now."""
+        self._arrival = arrival_ns
         difference = arrival_ns - device_ns
         bucket = device_ns // BUCKET_NS
         if self._bucket is None or bucket > self._bucket:
@@ -81,40 +103,79 @@ class DeviceClock:
             if len(self._x) > WINDOW:
                 del self._x[0], self._y[0]
             self._fit()
-        elif difference < self._y[-1]:
-            self._x[-1], self._y[-1] = device_ns, difference
-            if difference < self._line(device_ns):
+        elif bucket == self._bucket:
+            below = difference - self._zero < self._above(device_ns)
+            if below or difference < self._y[-1]:
+                self._x[-1], self._y[-1] = device_ns, difference
+            if below:
                 self._fit()
 
     def stamps(self, device_ns: Times) -> Times:
-        """Session times (n,) ns of device times (n,) ns, which do not run backwards; never before one that was given."""
+        """Session times (n,) ns of device times (n,) ns, which do not run backwards.
+
+        Never before one that was given; and what is raised for that stays before the arrival of the packet seen last.
+        """
         if not len(device_ns):
             return device_ns
         offset = (device_ns - self._at) * self._slope
         offset += self._height
         mapped: Times = device_ns + np.rint(offset, out=offset).astype(STAMP)
-        mapped -= self._latency
+        mapped += self._zero - self._latency
         if self._last is not None:
-            device, stamp = self._last
+            device, stamp = self._before(int(device_ns[0]))
             if int(mapped[0]) <= stamp + max(int(SLEW * (int(device_ns[0]) - device)), 1) + ROUNDED:
-                mapped = np.maximum(mapped, stamp + np.maximum((SLEW * (device_ns - device)).astype(STAMP), 1))
+                raised = stamp + np.maximum((SLEW * (device_ns - device)).astype(STAMP), 1)
+                order = np.arange(1, len(raised) + 1)
+                np.minimum(raised, self._arrival - len(raised) + order, out=raised)
+                np.maximum(raised, stamp + order, out=raised)
+                mapped = np.maximum(mapped, raised)
         self._last = int(device_ns[-1]), int(mapped[-1])
         return mapped
 
+    def map(self, device_ns: Times, kept: NDArray[np.bool_], arrival_ns: int, stamps: Times) -> None:
+        """Packets with these device times (n,) have arrived now; fills `stamps` (n,) of those that are `kept` (n,).
+
+        One that claims to be later than the last of them is wrong by a little, and taken to be as late as that.
+        """
+        made = device_ns[kept]
+        if len(made):
+            self.see(int(made[-1]), arrival_ns)
+            stamps[kept] = self.stamps(np.minimum(made, made[-1]))
+
     def stamp(self, device_ns: int) -> int:
         """The session time of one device time: bit for bit what `stamps` gives, in a tenth of its time."""
-        mapped = device_ns + round(self._height + self._slope * (device_ns - self._at)) - self._latency
+        mapped = device_ns + round(self._height + self._slope * (device_ns - self._at)) + self._zero - self._latency
         if self._last is not None:
-            device, stamp = self._last
-            mapped = max(mapped, stamp + max(int(SLEW * (device_ns - device)), 1))
+            device, stamp = self._before(device_ns)
+            raised = stamp + max(int(SLEW * (device_ns - device)), 1)
+            if mapped < raised:
+                mapped = max(mapped, min(raised, self._arrival), stamp + 1)
         self._last = device_ns, mapped
         return mapped
 
-    def restart(self) -> None:
-        """The device's own time began anew (a reset): everything known of it is forgotten, but stamps still never run backwards."""
+    def _before(self, device_ns: int) -> tuple[int, int]:
+        """Device time and stamp of the packet before the one with this device time."""
+        assert self._last is not None
+        if self._restarted:
+            self._restarted, self._last = False, (device_ns, self._last[1])
+        return self._last
+
+    def restart(self, jump_ns: int | None = None) -> None:
+        """The device's own time began anew: everything known of it is forgotten, but stamps still never run backwards.
+
+        `jump_ns`: by how much it leapt; None: only its packets are counted otherwise from here on.
+        """
         self._forget()
-        if self._last is not None:
-            self._last = (0, self._last[1])
+        self._restarted = True
+        if jump_ns is not None:
+            self._jumps, self._jump = self._jumps + 1, jump_ns
+
+    def is_ahead(self, device_ns: int, arrival_ns: int) -> bool:
+        """Whether a packet claims to have been made so long after its arrival that the device's clock must have been set forward."""
+        if not self._x:
+            return False
+        least = JUMP_NS if len(self._x) >= SURE_FROM else UNSURE_NS
+        return device_ns - arrival_ns + self._zero + self._above(device_ns) > least
 
     @property
     def offset_ns(self) -> float | None:
@@ -124,18 +185,31 @@ class DeviceClock:
     @property
     def state(self) -> ClockState:
         now = self._x[-1] if self._x else 0
-        return ClockState(self._line(now) / NS, self._slope * 1e6, self._spread / NS, len(self._x))
+        unknown = MOST_DRIFT * (now - self._x[0]) if 0 < len(self._x) < STEADY else 0.0
+        return ClockState(
+            offset_s=self._line(now) / NS,
+            drift_ppm=self._slope * 1e6,
+            uncertainty_s=(self._spread + unknown) / NS,
+            seconds=len(self._x),
+            jumps=self._jumps,
+            jump_s=self._jump / NS,
+        )
 
     def _line(self, device_ns: int) -> float:
+        return self._zero + self._above(device_ns)
+
+    def _above(self, device_ns: int) -> float:
+        """How far the line is above `_zero`."""
         return self._height + self._slope * (device_ns - self._at)
 
     def _fit(self) -> None:
         """The lower hull's edge over the middle of what is known."""
-        x = np.array(self._x, np.float64) - self._x[0]
-        y = np.array(self._y, np.float64) - self._y[0]
+        self._zero = self._y[0]
+        x = (np.array(self._x) - self._x[0]).astype(np.float64)
+        y = (np.array(self._y) - self._zero).astype(np.float64)
         if len(x) < STEADY:
             self._slope, lowest = 0.0, int(np.argmin(y))
-            self._height, self._at = float(self._y[lowest]), self._x[lowest]
+            self._height, self._at = float(y[lowest]), self._x[lowest]
         else:
             left, right = _edge(x, y, float(x.mean()))
             slope = (y[right] - y[left]) / (x[right] - x[left])
@@ -144,10 +218,10 @@ class DeviceClock:
                 clear = (slope - MOST_DRIFT) * (x[-1] - x[0]) > CLEAR * stray
                 slope = min(slope, STEEPEST if clear else MOST_DRIFT)
             self._slope = float(max(slope, -MOST_DRIFT))
-            self._at, self._height = self._x[left], float(self._y[left])
+            self._at, self._height = self._x[left], float(y[left])
             below = float((y - y[left] - self._slope * (x - x[left])).min())
             self._height += min(below, 0.0)
-        rest = y + self._y[0] - self._height - self._slope * (x + self._x[0] - self._at)
+        rest = y - self._height - self._slope * (x + self._x[0] - self._at)
         self._spread = float(np.median(rest))
 
 
@@ -172,7 +246,7 @@ class Counter:
 
     def __init__(self, bits: int, rate_hz: float) -> None:
         """`rate_hz`: packets per second, by which the number of whole turns in an outage is chosen."""
-        self._range, self._rate = 1 << bits, rate_hz
+        self._range, self.rate_hz = 1 << bits, rate_hz
         self._last: int | None = None
         self._arrival = 0
         self.value = 0
@@ -184,7 +258,7 @@ class Counter:
             self._last, self._arrival = counter, arrival_ns
             return 0
         step = (counter - self._last) % self._range
-        elapsed = (arrival_ns - self._arrival) / NS * self._rate
+        elapsed = (arrival_ns - self._arrival) / NS * self.rate_hz
         if step == 0 and elapsed < self._range / 2:
             return -1
         turns = max(0, round((elapsed - step) / self._range))

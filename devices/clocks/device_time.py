@@ -1,40 +1,78 @@
-"""A device's own time, unwrapped: it begins anew at some value, now and then a number is wrong, and a device may be switched on again."""
+"""A device's own time, unwrapped: it begins anew at some value, is set while it runs, and now and then a number is wrong."""
 
 from __future__ import annotations
+
+from devices.clocks.device_clock import JUMP_NS, DeviceClock
 
 SLACK_NS = 10_000_000_000
 """A device's time may advance by so much more than what has passed here: what was made during a stall comes all at once."""
 BELIEVED = 3
-"""So many numbers in a row that fit each other, but not what was before, mean that the device's clock began anew."""
+"""So many numbers in a row that fit each other, but not what was before, mean that the device's clock was set or began anew."""
 
 
 class DeviceTime:
-    """Turns what a device says into ns that only grow."""
+    """Turns what a device says into ns that only grow, for a clock that maps them."""
 
-    def __init__(self, wraps_ns: int = 0) -> None:
+    def __init__(self, clock: DeviceClock, wraps_ns: int = 0) -> None:
         """`wraps_ns`: at which value the device's time begins anew; 0: never."""
-        self._wraps = wraps_ns
+        self._clock, self._wraps = clock, wraps_ns
         self._raw: int | None = None
         self._value = self._arrival = 0
+        self._former: tuple[int, int, int] | None = None
+        """Raw, value and arrival of the number before the last one."""
+        self._usual = 0
+        """The smaller of the last two steps."""
+        self._step = 0
         self._doubtful: list[int] = []
         self.restarted = False
-        """Whether with the last number the device's clock was found to have begun anew."""
+        """Whether with the last number the device's clock was found to have been set, or to have begun anew."""
+        self.jump_ns = 0
+        """By how much."""
 
     def read(self, raw_ns: int, arrival_ns: int) -> int | None:
         """Unwrapped ns; None for a number that cannot be right."""
         self.restarted = False
         if self._raw is None:
             return self._accept(raw_ns, raw_ns, arrival_ns)
-        elapsed = arrival_ns - self._arrival
-        step = raw_ns - self._raw
+        value = self._value + self._step_from(self._raw, raw_ns, arrival_ns - self._arrival)
+        if self._follows(value, arrival_ns):
+            self._learn(value - self._value)
+        elif (past := self._past_the_last(raw_ns, arrival_ns)) is not None:
+            value = past
+        else:
+            return self._doubt(raw_ns, arrival_ns)
+        return self._accept(value, raw_ns, arrival_ns)
+
+    def _step_from(self, before_ns: int, raw_ns: int, elapsed_ns: int) -> int:
+        step = raw_ns - before_ns
         if self._wraps:
             step %= self._wraps
-            step += self._wraps * max(0, round((elapsed - step) / self._wraps))
-        if 0 <= step <= elapsed + SLACK_NS:
-            return self._accept(self._value + step, raw_ns, arrival_ns)
-        return self._doubt(raw_ns, arrival_ns)
+            step += self._wraps * max(0, round((elapsed_ns - step) / self._wraps))
+        return step
+
+    def _follows(self, value: int, arrival_ns: int) -> bool:
+        """Whether a number can come after the last one: not back, not further than time has passed, and no leap into the future."""
+        step = value - self._value
+        if not 0 <= step <= arrival_ns - self._arrival + SLACK_NS:
+            return False
+        leapt = self._former is not None and step - self._usual > JUMP_NS
+        return not (leapt and self._clock.is_ahead(value, arrival_ns))
+
+    def _past_the_last(self, raw_ns: int, arrival_ns: int) -> int | None:
+        """The value, where the number goes on from the last but one as the device's pace has it: then the last one was wrong."""
+        if self._former is None or self._doubtful:
+            return None
+        raw, value, arrival = self._former
+        step = self._step_from(raw, raw_ns, arrival_ns - arrival)
+        return value + step if abs(step - 2 * self._usual) <= self._usual // 2 else None
+
+    def _learn(self, step: int) -> None:
+        self._usual = min(step, self._step) if self._former else step
+        self._step = step
 
     def _accept(self, value: int, raw_ns: int, arrival_ns: int) -> int:
+        known = self._raw is not None and not self.restarted
+        self._former = (self._raw, self._value, self._arrival) if known and self._raw is not None else None
         self._value, self._raw, self._arrival = value, raw_ns, arrival_ns
         self._doubtful.clear()
         return value
@@ -45,5 +83,7 @@ class DeviceTime:
         self._doubtful.append(raw_ns)
         if len(self._doubtful) < BELIEVED:
             return None
+        assert self._raw is not None
+        self.jump_ns = raw_ns - self._raw - (arrival_ns - self._arrival)
         self.restarted = True
         return self._accept(raw_ns, raw_ns, arrival_ns)

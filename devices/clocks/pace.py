@@ -12,8 +12,6 @@ from stream.chunk import NS, Times
 WATCHED_NS = NS
 ASTRAY_NS = 100_000_000
 """By so much all samples of a second must be late, or one read early, before the count is taken to be wrong."""
-JUDGED_NS = 20 * NS
-WRONG = 0.03
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +36,8 @@ class Pace:
         self._clock = DeviceClock(latency_s)
         self._next = self._base = 0
         self._best = self._least = np.inf
-        self._watched = self._began = 0
+        self._watched = 0
+        self._followed = False
 
     @property
     def state(self) -> ClockState:
@@ -50,7 +49,7 @@ class Pace:
         late = arrival_ns - (self._next + n - 1 - self._base) * self._period
         first = not np.isfinite(self._best)
         if first:
-            self._watched = self._began = arrival_ns
+            self._watched = arrival_ns
         self._least = min(self._least, late)
         astray = not first and late < self._best - ASTRAY_NS
         if not first and arrival_ns - self._watched > WATCHED_NS:
@@ -61,16 +60,15 @@ class Pace:
             self._base, self._best, self._least = self._next, np.inf, np.inf
             late = arrival_ns - (n - 1) * self._period
         self._best = min(self._best, late)
+        astray, self._followed = astray or self._followed, False
         number = np.arange(self._next, self._next + n)
         self._next += n
         device = np.round((number - self._base) * self._period).astype(np.int64)
         self._clock.see(int(device[-1]), arrival_ns)
         return Counted(number, device, self._clock.stamps(device), astray)
 
-    def measured_hz(self, arrival_ns: int) -> float | None:
-        """The rate that samples really have, if it is not the stated one; None: it is, or it is too early to say."""
-        passed = arrival_ns - self._began
-        if passed < JUDGED_NS:
-            return None
-        share = self._next * self._period / passed
-        return None if abs(share - 1) < WRONG else share * NS / self._period
+    def follow(self, rate_hz: float) -> None:
+        """From here on there are so many samples a second; the next ones are marked, as some may be missing before them."""
+        self._period, self._followed = NS / rate_hz, True
+        self._clock.restart()
+        self._base, self._best, self._least = self._next, np.inf, np.inf

@@ -45,11 +45,22 @@ class PacketClock:
         self._clock = DeviceClock(latency_s)
         self._counter = self._number = -1
         self._arrival = 0
+        self._from_number, self._from_ns = 0, 0.0
 
     @property
     def state(self) -> ClockState:
         """What is known of the device's clock."""
         return self._clock.state
+
+    def follow(self, rate_hz: float) -> None:
+        """From here on there are so many packets a second."""
+        self._from_ns, self._from_number = self._made(self._number), self._number
+        self._rate, self._period = rate_hz, NS / rate_hz
+        self._clock.restart()
+
+    def _made(self, number: int) -> float:
+        """When a packet was made by its number (ns)."""
+        return self._from_ns + (number - self._from_number) * self._period
 
     def take(self, counters: Array, arrival_ns: int) -> Packets:
         """Packets with these counters (n,), n > 0, have arrived now."""
@@ -65,12 +76,15 @@ class PacketClock:
         if len(number):
             excess = self._excess(int(number[-1]), arrival_ns)
             if excess:
+                at = int(lost.argmax())
                 excess += (int(number[-1]) - excess - int(counters[-1])) % 2
-                number -= excess
-                lost[0] = -1
+                if at:
+                    excess = min(excess, int(lost[at]) & ~1)
+                number[at:] -= excess
+                lost[at] = -1
             self._number, self._counter, self._arrival = int(number[-1]), int(counters[-1]), arrival_ns
-            self._clock.see(round(self._number * self._period), arrival_ns)
-        device = np.round(number * self._period).astype(np.int64)
+            self._clock.see(round(self._made(self._number)), arrival_ns)
+        device = np.round(self._from_ns + (number - self._from_number) * self._period).astype(np.int64)
         return Packets(kept, number, lost, device, self._clock.stamps(device))
 
     def _take_one(self, counter: int, arrival_ns: int) -> Packets:
@@ -85,7 +99,7 @@ class PacketClock:
             number -= excess + (number - excess - counter) % 2
             lost = -1
         self._number, self._counter, self._arrival = number, counter, arrival_ns
-        device = round(number * self._period)
+        device = round(self._made(number))
         self._clock.see(device, arrival_ns)
         row = np.array([number, lost, device, self._clock.stamp(device)])
         return Packets(np.ones(1, bool), row[0:1], row[1:2], row[2:3], row[3:4])
@@ -104,5 +118,5 @@ class PacketClock:
         offset = self._clock.offset_ns
         if offset is None:
             return 0
-        early = number * self._period + offset - arrival_ns
+        early = self._made(number) + offset - arrival_ns
         return round(early / self._period) if early > EARLY_NS else 0

@@ -26,6 +26,13 @@ class ShortCounter:
         self._clock = DeviceClock(latency_s)
         self._counter = self._number = -1
         self._watched, self._least = 0, np.inf
+        self._from_number, self._from_ns = 0, 0.0
+
+    def follow(self, rate_hz: float) -> None:
+        """From here on there are so many packets a second."""
+        self._from_ns += (self._number - self._from_number) * self._period
+        self._from_number, self._period = self._number, NS / rate_hz
+        self._clock.restart()
 
     @property
     def state(self) -> ClockState:
@@ -44,7 +51,7 @@ class ShortCounter:
             lost[0] += self._turns(arrival_ns) * self._range
         number = self._number + np.cumsum(lost + 1)
         self._number, self._counter = int(number[-1]), int(counters[-1])
-        device = np.round(number * self._period).astype(np.int64)
+        device = np.round(self._from_ns + (number - self._from_number) * self._period).astype(np.int64)
         self._watch(int(device[-1]), arrival_ns)
         self._clock.see(int(device[-1]), arrival_ns)
         return Packets(np.ones(len(counters), bool), number, lost, device, self._clock.stamps(device))

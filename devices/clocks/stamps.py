@@ -37,7 +37,7 @@ class Stamps:
         self._rate, self._has_time = rate_hz, has_time
         self._latency = round(latency_s * NS)
         self._clock = DeviceClock(latency_s)
-        self._time = DeviceTime(wraps_ns)
+        self._time = DeviceTime(self._clock, wraps_ns)
         self._losses = Losses(rate_hz, counter_bits)
         self._packets = PacketClock(counter_bits, rate_hz or 1.0, latency_s) if counter_bits and not has_time else None
         self._last: int | None = None
@@ -49,6 +49,13 @@ class Stamps:
             return self._packets.state
         return self._clock.state if self._has_time else None
 
+    def follow(self, rate_hz: float) -> None:
+        """From here on there are so many records a second."""
+        self._rate = rate_hz
+        self._losses.follow(rate_hz)
+        if self._packets:
+            self._packets.follow(rate_hz)
+
     def take(self, n: int, arrival_ns: int, device_ns: Times | None = None, counter: Array | None = None) -> Packets:
         """`n` > 0 records have arrived now; with them the device's time (n,) and counters (n,), where there are such."""
         if device_ns is not None:
@@ -59,21 +66,21 @@ class Stamps:
 
     def _by_time(self, raw_ns: Times, counter: Array | None, arrival_ns: int) -> Packets:
         kept = np.zeros(len(raw_ns), bool)
-        number, lost, device = (np.full(len(raw_ns), -1, np.int64) for _ in range(3))
+        number, lost, device, stamp = (np.full(len(raw_ns), -1, np.int64) for _ in range(4))
+        mapped = 0
         for i in range(len(raw_ns)):
             value = self._time.read(int(raw_ns[i]), arrival_ns)
             if value is None:
                 continue
             if self._time.restarted:
-                kept[:i] = False  # by the old clock; nobody can say when that was
-                self._clock.restart()
+                self._clock.map(device[mapped:i], kept[mapped:i], arrival_ns, stamp[mapped:i])
+                self._clock.restart(self._time.jump_ns)
+                mapped = i
             here = None if counter is None else int(counter[i])
             lost[i] = self._losses.before(value, here, arrival_ns, self._time.restarted)
             kept[i], number[i], device[i] = lost[i] > REPEATED, self._losses.number, value
-        device = device[kept]
-        if len(device):
-            self._clock.see(int(device[-1]), arrival_ns)
-        return Packets(kept, number[kept], lost[kept], device, self._clock.stamps(device))
+        self._clock.map(device[mapped:], kept[mapped:], arrival_ns, stamp[mapped:])
+        return Packets(kept, number[kept], lost[kept], device[kept], stamp[kept])
 
     def _by_arrival(self, n: int, arrival_ns: int) -> Packets:
         """Evenly back from the arrival, at the nominal rate, but not before what came last."""
@@ -97,6 +104,12 @@ class Losses:
         self._rate = rate_hz
         self._counter = Counter(counter_bits, rate_hz or 0.0) if counter_bits else None
         self._device: int | None = None
+
+    def follow(self, rate_hz: float) -> None:
+        """From here on there are so many records a second."""
+        self._rate = rate_hz
+        if self._counter:
+            self._counter.rate_hz = rate_hz
 
     @property
     def number(self) -> int:

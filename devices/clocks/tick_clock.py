@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from devices.clocks.device_clock import ClockState, DeviceClock
+from devices.clocks.device_clock import JUMP_NS, ClockState, DeviceClock
 from devices.clocks.packet_clock import Packets
 from stream.chunk import NS, STAMP, Times
 from stream.kernel import kernel
@@ -85,7 +86,7 @@ class TickClock:
             last = self._device - self._tick + int(ticks[-1])
         else:
             steps: Times = np.diff(ticks, prepend=self._tick) % self._ticks
-            anew = steps * self._tick_ns > arrival_ns - self._arrival + SLACK_NS
+            anew = self._leaps(counters, steps, arrival_ns)
             if anew.any():
                 return self._begin_anew(int(anew.argmax()), counters, ticks, arrival_ns)
             lost = self._missing(counters, steps)
@@ -109,10 +110,22 @@ class TickClock:
 
         If so, `number` (n,) and `device_ns` (n,) are filled.
         """
+        made = self._device + int(ticks[-1]) - self._tick
         if (int(ticks[-1]) - self._tick) * self._tick_ns > arrival_ns - self._arrival + SLACK_NS:
+            return False
+        if self._clock.is_ahead(round(made * self._tick_ns), arrival_ns):
             return False
         begin = (self._counter, self._tick, self._number, self._device)
         return _follow(counters, ticks, begin, self._whole_ns, float(self._tick_ns), number, device_ns)
+
+    def _leaps(self, counters: Times, steps: Times, arrival_ns: int) -> NDArray[np.bool_]:
+        """Before which packets (n,) the device's clock was set or began anew: `steps` (n,) in ticks that cannot be."""
+        anew: NDArray[np.bool_] = steps * self._tick_ns > arrival_ns - self._arrival + SLACK_NS
+        device = np.round((self._device + np.cumsum(steps)) * self._tick_ns)
+        if not anew.any() and self._clock.is_ahead(int(device[-1]), arrival_ns):
+            made = np.diff(counters, prepend=self._counter) % self._counters * self._packet_ticks
+            anew = (steps - made) * self._tick_ns > JUMP_NS
+        return anew
 
     def _missing(self, counters: Times, steps: Times) -> Times:
         """How many are missing before each; -1: it is the one before again."""
@@ -125,7 +138,8 @@ class TickClock:
     def _begin_anew(self, at: int, counters: Times, ticks: Times, arrival_ns: int) -> Packets:
         """The device began anew with packet `at`."""
         before = self.take(counters[:at], ticks[:at], arrival_ns) if at else None
-        self._clock.restart()
+        leapt = round((int(ticks[at]) - self._tick) * self._tick_ns) - (arrival_ns - self._arrival)
+        self._clock.restart(leapt)
         number = self._number
         self._counter = -1
         after = self.take(counters[at:], ticks[at:], arrival_ns)

@@ -53,6 +53,7 @@ class LinesBrain:
         self._signal = Signal(Walker(muscles, rate_hz=max(200.0, of.rate_hz), seed=of.seed))
         self._said = 0
         self._zero = 0
+        self.ahead_s = 0.0
 
     def hear(self, data: bytes) -> bytes:
         return b""
@@ -82,8 +83,9 @@ class LinesBrain:
         fields = []
         for name in of.columns:
             if name == of.time:
-                ticks = round(since * PER_S[of.time_unit] / of.rate_hz) % (1 << 32)
-                fields.append(f"{since / of.rate_hz:.6f}" if of.time_unit == "s" else str(ticks))
+                per = PER_S[of.time_unit]
+                ticks = (round(since * per / of.rate_hz) + round(self.ahead_s * per)) % (1 << 32)
+                fields.append(f"{since / of.rate_hz + self.ahead_s:.6f}" if of.time_unit == "s" else str(ticks))
             elif name == of.counter:
                 fields.append(str(since % (1 << of.counter_bits)))
             else:

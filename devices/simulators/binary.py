@@ -65,6 +65,7 @@ class BinaryBrain:
         self._wraps = of.wraps_ns
         self._said = self._zero = 0
         self.heard = b""
+        self.ahead_s = 0.0
 
     def hear(self, data: bytes) -> bytes:
         self.heard += data
@@ -113,7 +114,7 @@ class BinaryBrain:
 
     def _clock(self, frame: Frame, f: Field, turn: int) -> float:
         """This field's part of the device's time: the largest unit holds what is left, each other one its remainder."""
-        ns = round(turn * NS / self._rate)
+        ns = round(turn * NS / self._rate) + round(self.ahead_s * NS)
         if self._wraps:
             ns %= self._wraps
         if f.type[0] == "f":

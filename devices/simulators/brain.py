@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 
 class Brain(Protocol):
@@ -16,3 +16,11 @@ class Brain(Protocol):
 
     def restart(self) -> None:
         """Counters begin anew, as after a failing supply; what was set stays set."""
+
+
+@runtime_checkable
+class Clocked(Protocol):
+    """A simulated device whose packets bring its own time."""
+
+    ahead_s: float
+    """By how much its clock has been set forward."""

@@ -17,6 +17,7 @@ class Misbehaviour:
     lose, duplicate, corrupt   a packet is left out, sent twice, has one byte changed
     stall_every_s, stall_s     nothing is sent for so long, then everything at once
     reset_every_s              the device's counters begin anew
+    jump_every_s, jump_s       the device's clock is set, forward or back, by so much
     unplug_every_s, unplug_s   the cable is pulled out in mid-packet, and put in again after so long
     """
 
@@ -26,6 +27,8 @@ class Misbehaviour:
     stall_every_s: float = param(0.0, least=0, help="how often nothing is sent for a while; 0: never")
     stall_s: float = param(0.1, above=0, help="how long nothing is sent")
     reset_every_s: float = param(0.0, least=0, help="how often the counters begin anew; 0: never")
+    jump_every_s: float = param(0.0, least=0, help="how often the device's clock is set; 0: never")
+    jump_s: float = param(3600.0, help="by how much it is set forward; below 0: back")
     unplug_every_s: float = param(0.0, least=0, help="how often the cable is pulled out; 0: never")
     unplug_s: float = param(1.0, above=0, help="how long the cable is out")
     from_s: float = param(0.0, least=0, help="nothing goes wrong before")
@@ -73,8 +76,15 @@ class Mishaps:
 
     def resets(self, seconds: float) -> int:
         """How often the counters have begun anew so far."""
-        every = self._of.reset_every_s
-        return int(max(0.0, seconds - self._of.from_s) / every) if every else 0
+        return self._times(seconds, self._of.reset_every_s)
+
+    def jumped_s(self, seconds: float) -> float:
+        """By how much the device's clock has been set so far."""
+        return self._times(seconds, self._of.jump_every_s) * self._of.jump_s
+
+    def _times(self, seconds: float, every_s: float) -> int:
+        """How often what comes every `every_s` has come."""
+        return int(max(0.0, seconds - self._of.from_s) / every_s) if every_s else 0
 
     def _within(self, seconds: float, every_s: float, for_s: float) -> bool:
         """Every `every_s` (the first time after as long), for `for_s`."""

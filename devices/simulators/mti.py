@@ -66,6 +66,7 @@ class MtiBrain:
         """As it comes from the factory, it measures when it is switched on."""
         self._began: float | None = None
         self._said = self._zero = 0
+        self.ahead_s = 0.0
         self.stored = 0
         """How often settings were written into its lasting memory."""
 
@@ -100,7 +101,8 @@ class MtiBrain:
             if kind == xbus.PACKET_COUNTER:
                 table[name]["data"] = since % 2**16
             elif kind == xbus.SAMPLE_TIME_FINE:
-                table[name]["data"] = np.round(since * xbus.TICKS_HZ / self.rate_hz).astype(np.int64) % 2**32
+                ticks = np.round(since * xbus.TICKS_HZ / self.rate_hz).astype(np.int64)
+                table[name]["data"] = (ticks + round(self.ahead_s * xbus.TICKS_HZ)) % 2**32
             else:
                 scale = 2**20 if identifier & 3 == 1 else 1
                 table[name]["data"] = measured[QUANTITY[kind]] * scale

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import ClassVar, Self
 
-from devices.simulators.brain import Brain
+from devices.simulators.brain import Brain, Clocked
 from devices.simulators.lines import Line, line_at
 from devices.simulators.misbehaviour import GOOD, Misbehaviour, Mishaps
 from stream.errors import ParameterError
@@ -73,6 +73,8 @@ class Server:
         if self.mishaps.resets(seconds) > self._resets:
             self._resets += 1
             self.brain.restart()
+        if isinstance(self.brain, Clocked):
+            self.brain.ahead_s = self.mishaps.jumped_s(seconds)
         packets = self.mishaps.spoil(self.brain.say(seconds), seconds)
         if self._out:
             self._kept = []
@@ -120,6 +122,8 @@ class Simulator:
         for name, why in self.cannot.items():
             if value := getattr(misbehaviour, name):
                 raise ParameterError(name, int(value) if value == int(value) else value, f"0, as {why}")
+        if misbehaviour.jump_every_s and not isinstance(self.brain(), Clocked):
+            raise ParameterError("jump_every_s", misbehaviour.jump_every_s, "0, as its packets bring no time")
 
     def brain(self) -> Brain:
         """The device, just switched on."""

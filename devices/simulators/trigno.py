@@ -35,6 +35,7 @@ class Trigno(Simulator):
     """A Trigno base station with sixteen sensors on a walking person."""
 
     paired: int = param(SENSORS, least=0, most=SENSORS, help="so many sensors are paired, from the first")
+    duos: int = param(0, least=0, most=8, help="so many sensors, from the first, are Duos: two EMG channels each")
     seed: int = param(0, least=0, help="another seed, another walk")
 
     @property
@@ -42,7 +43,7 @@ class Trigno(Simulator):
         return {"reset_every_s": "its samples have no counter"}
 
     def brain(self) -> TrignoBrain:
-        return TrignoBrain(self.paired, self.seed)
+        return TrignoBrain(self.paired, self.seed, self.duos)
 
     @contextmanager
     def serving(self, misbehaviour: Misbehaviour = GOOD, address: str = "") -> Iterator[str]:
@@ -53,8 +54,8 @@ class Trigno(Simulator):
 class TrignoBrain:
     """The base station without its sockets. Sample i since START of all sensors is told by `emg` and `aux`."""
 
-    def __init__(self, paired: int = SENSORS, seed: int = 0) -> None:
-        self._paired = paired
+    def __init__(self, paired: int = SENSORS, seed: int = 0, duos: int = 0) -> None:
+        self._paired, self._duos = paired, duos
         muscles = tuple(list(BURSTS) + list(BURSTS)[: SENSORS - len(BURSTS)])
         self._signal = Signal(Walker(muscles, rate_hz=EMG_HZ, seed=seed))
         self._limb = Limb("shank", AUX_HZ, seed=seed)
@@ -111,6 +112,8 @@ class TrignoBrain:
                 self.running, self._began, self._said = True, None, 0
             case ["STOP"]:
                 self.running = False
+            case ["SENSOR", number, "CHANNEL", _, "RATE?"] if number.isdigit():
+                return f"{EMG_HZ:g}"
             case ["SENSOR", number, what] if number.isdigit() and 1 <= int(number) <= SENSORS:
                 return self._tell(int(number), what)
             case ["ENDIAN", "LITTLE"] | ["TRIGGER", _, _] | ["UPSAMPLE", _] | ["BACKWARDS", "COMPATIBILITY", _]:
@@ -124,8 +127,8 @@ class TrignoBrain:
             "PAIRED?": "YES" if sensor <= self._paired else "NO",
             "SERIAL?": f"SP-W02A-{1000 + sensor}",
             "FIRMWARE?": "3.6.0",
-            "STARTINDEX?": str(sensor),
-            "EMGCHANNELCOUNT?": "1",
+            "STARTINDEX?": str(sensor + min(self._duos, sensor - 1)),
+            "EMGCHANNELCOUNT?": "2" if sensor <= self._duos else "1",
             "AUXCHANNELCOUNT?": "3",
         }
         return known.get(what, "INVALID COMMAND")

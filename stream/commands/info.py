@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections import Counter
+from itertools import combinations
 from pathlib import Path as File
 from textwrap import fill
 from typing import TYPE_CHECKING, Annotated, Any
@@ -57,6 +58,7 @@ def facts(recording: Recording) -> dict[str, Any]:
         "header": recording.header,
         "streams": {name: _stream_facts(stream) for name, stream in recording.streams.items()},
         "devices": devices(recording),
+        "clocks": clocks(recording),
         "annotations": marks(recording),
         "log": recording.log,
     }
@@ -81,6 +83,26 @@ def devices(recording: Recording) -> dict[str, dict[str, Any]]:
     said = [entry for entry in recording.log if entry["kind"] == "device"]
     hidden = ("time", "kind", "node", "level")
     return {str(e.get("node")): {k: v for k, v in e.items() if k not in hidden} for e in said}
+
+
+def clocks(recording: Recording) -> dict[str, dict[str, Any]]:
+    """By source: what was known last of its device's clock, {"offset_s", "drift_ppm", "uncertainty_s", "settling", ...}."""
+    known: dict[str, dict[str, Any]] = {}
+    for entry in recording.metrics():
+        for stream, row in entry["table"].items():
+            if row.get("clock"):
+                known[stream.partition(".")[0]] = row["clock"]
+    return known
+
+
+def agreement(known: dict[str, dict[str, Any]]) -> list[str]:
+    """How far apart the stamps of two devices may be beside the constant parts of their delays, in words, for each pair."""
+    told = []
+    for (a, first), (b, second) in combinations(known.items(), 2):
+        apart = first["uncertainty_s"] + second["uncertainty_s"]
+        unsure = " (still settling)" if first["settling"] or second["settling"] else ""
+        told.append(f"{a} and {b} agree within {1e3 * apart:.1f} ms{unsure}")
+    return told
 
 
 def marks(recording: Recording) -> list[dict[str, Any]]:
@@ -116,6 +138,8 @@ def _show(console: Screen, recording: Recording, most: int | None) -> None:
         console.print(f"graph: {header.get('name') or header.get('graph_path') or ''} (--graph prints it)")
     for node, known in devices(recording).items():
         console.print(f"device {node}: " + ", ".join(f"{k} {v}" if k != "device" else str(v) for k, v in known.items()))
+    for line in _clock_lines(clocks(recording)):
+        console.print(line)
     wide = console.width >= WIDE
     console.print(_streams(recording, wide))
     for name, stream in recording.streams.items() if not wide else ():
@@ -127,6 +151,18 @@ def _show(console: Screen, recording: Recording, most: int | None) -> None:
         console.print(
             "  in all: " + ", ".join(f"{kind} {n}" for kind, n in Counter(entry["kind"] for entry in log).items())
         )
+
+
+def _clock_lines(known: dict[str, dict[str, Any]]) -> list[str]:
+    lines = []
+    for node, clock in known.items():
+        settling = ", still settling" if clock["settling"] else ""
+        jumps = f", set or begun anew {clock['jumps']} times" if clock["jumps"] else ""
+        lines.append(
+            f"clock {node}: within {1e3 * clock['uncertainty_s']:.1f} ms, drift {clock['drift_ppm']:.1f} ppm, "
+            f"offset {clock['offset_s']:.6f} s{settling}{jumps}"
+        )
+    return lines + agreement(known)
 
 
 def _streams(recording: Recording, wide: bool) -> Table:

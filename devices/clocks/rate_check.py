@@ -1,0 +1,185 @@
+"""Whether a device is as it was declared: its rate, and the unit of its time, held against the session's clock in its first seconds."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from stream.chunk import NS, Samples, Times
+from stream.errors import RunError
+from stream.source import Feed
+
+Policy = Literal["fail", "warn"]
+POLICY_HELP = (
+    "a device that is not as declared ends the session at its start (later: raises the alarm), or only raises the alarm"
+)
+
+WRONG = 0.03
+"""By so much a rate may be off: filters bear it, and the clocks follow it."""
+FROM_S, TO_S = 2.0, 10.0
+SURE_S = 0.3
+"""What is not as declared makes so much of a difference in the time that it was looked at; less may be a queue that fills or empties."""
+LOOK_NS = NS // 2
+PAUSE_NS = 50 * NS
+"""Between the ten seconds in which a device is looked at, and the next."""
+BUCKET_NS = NS // 4
+OUTLIER = 50
+"""A step of the device's time that is so many usual ones long is an outage or a jump, and tells nothing of its pace."""
+TOLD_AGAIN = 0.01
+UNITS_NS = {"ns": 1.0, "us": 1e3, "ms": 1e6, "s": 1e9, "ticks of 1/1024 s": NS / 1024, "ticks of 1/32768 s": NS / 32768}
+NEAR = 0.02
+
+
+class RateCheck:
+    """One stream's. `see` gathers what comes; what is found ends the session or raises the alarm, as `policy` has it."""
+
+    def __init__(
+        self, device: str, rate_hz: float | None, policy: Policy, *, setting: str = "rate_hz", unit: str = "", counted: bool = False
+    ) -> None:  # fmt: skip
+        """`setting`: the parameter that holds the rate, or a sentence; `unit`: of the device's time, as declared by `time_unit`;
+        `counted`: what is lost is known by a counter."""
+        self._device, self._rate, self._policy = device, rate_hz, policy
+        self._setting, self._unit, self._counted = setting, unit, counted
+        self._told = rate_hz or 0.0
+        self._first = True
+        self._from = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        self._arrivals: list[int] = []
+        self._made: list[int] = []
+        self._steps: list[Times] = []
+        self._last: int | None = None
+        self._due = 0
+
+    def see(self, n: int, lost: int, arrival_ns: int, feed: Feed, device_ns: Times | None = None) -> float | None:
+        """`n` > 0 records have come now, before and between which `lost` are missing; with them the device's own times (n,), not unwrapped.
+
+        Returns the true rate where it has been found to be another one. Raises RunError.
+        """
+        if arrival_ns < self._from or not (self._rate or device_ns is not None):
+            return None
+        if device_ns is not None:
+            last = int(device_ns[0]) if self._last is None else self._last
+            self._steps.append(np.diff(device_ns, prepend=last))
+            self._last = int(device_ns[-1])
+        self._made.append((self._made[-1] + n + lost) if self._made else 0)
+        self._arrivals.append(arrival_ns)
+        self._due = self._due or arrival_ns + round(FROM_S * NS)
+        if arrival_ns < self._due:
+            return None
+        self._due = arrival_ns + LOOK_NS
+        return self._look(arrival_ns, feed)
+
+    def _look(self, arrival_ns: int, feed: Feed) -> float | None:
+        passed = arrival_ns - self._arrivals[0]
+        over, first = passed >= TO_S * NS, self._first
+        least = max(WRONG, SURE_S * NS / passed)
+        found, text = None, ""
+        if first or over:
+            if self._steps:
+                found, text = self._by_time(least)
+            else:
+                found, text = self._by_count(least)
+        if over or found is not None:
+            self._begin()
+            self._first, self._from = False, arrival_ns + PAUSE_NS
+        if found is None:
+            return None
+        return self._tell(found, text, first and not feed.again, feed)
+
+    def _by_count(self, least: float) -> tuple[float | None, str]:
+        """The true rate, if it is another one, and what to say of it."""
+        assert self._rate
+        made = np.array(self._made) * (NS / self._rate)
+        share = _pace(np.array(self._arrivals), made, least)
+        if share is None:
+            return None, ""
+        hint = "" if self._counted else ", or samples are lost on the way (a counter would tell)"
+        return self._rate * share, self._of_rate(self._rate * share) + hint
+
+    def _by_time(self, least: float) -> tuple[float | None, str]:
+        steps = np.concatenate(self._steps).astype(np.float64)[1:]
+        good = steps[steps > 0]
+        if len(good) < 2:
+            return None, ""
+        usual = _usual(steps[steps >= 0])
+        steps[(steps < 0) | (steps > OUTLIER * usual)] = usual
+        ends = np.cumsum([len(part) for part in self._steps]) - 1
+        device = np.concatenate([[0.0], np.cumsum(steps)])[ends]
+        pace = _pace(np.array(self._arrivals), device, least)
+        if pace is not None:
+            return 0.0, self._of_unit(pace)
+        if not self._rate:
+            return None, ""
+        overall = self._made[-1] / device[-1] * NS
+        rates = [overall] if self._counted else [overall, NS / usual]
+        if any(abs(hz / self._rate - 1) <= WRONG for hz in rates):
+            return None, ""
+        return rates[-1], self._of_rate(rates[-1])
+
+    def _tell(self, hz: float, text: str, at_start: bool, feed: Feed) -> float | None:
+        if at_start and (self._policy == "fail" or not hz):
+            more = "; `rate_mismatch: warn` goes on by the true rate" if hz else ""
+            raise RunError(f"{self._device} is not as declared: {text}{more}")
+        feed.problem("rate mismatch")
+        if not hz or abs(hz / self._told - 1) > TOLD_AGAIN:
+            feed.tell("rate mismatch", measured_hz=round(hz, 2), declared_hz=self._rate or 0.0, text=text)
+        self._told = hz or self._told
+        return hz or None
+
+    def _of_rate(self, hz: float) -> str:
+        assert self._rate
+        ratio = hz / self._rate
+        what = f"it sends {hz:.4g} samples a second, not {self._rate:g}"
+        for times in range(2, 17):
+            if abs(ratio / times - 1) < NEAR:
+                what += f", {times} times as many: is a divider of {times} set otherwise, or do {times} sensors share the line?"
+            elif abs(ratio * times - 1) < NEAR:
+                what += f", one in {times}: does it divide its rate by {times}, or send each sample in {times} frames?"
+        mend = f"set {self._setting} to {hz:.4g}" if " " not in self._setting else self._setting
+        return f"{what}; {mend}, or the device to {self._rate:g} Hz"
+
+    def _of_unit(self, pace: float) -> str:
+        what = f"its time advances by {pace:.4g} s in a second"
+        declared = UNITS_NS.get(self._unit, 0.0)
+        fits = [unit for unit, ns in UNITS_NS.items() if declared and abs(declared / pace / ns - 1) < NEAR]
+        if fits:
+            return f"{what}: its numbers are {fits[0]}, not {self._unit}; set the time's unit (or its scale)"
+        return f"{what}: look at the unit and scale of its time"
+
+
+def _usual(steps: Samples) -> float:
+    """The mean step between records that follow each other (n,): of coarse time some are a unit longer."""
+    smallest = float(steps[steps > 0].min())
+    return float(steps[steps <= 1.75 * max(float(np.median(steps)), smallest)].mean())
+
+
+def _pace(arrival: Times, made: Samples, least: float) -> float | None:
+    """How much faster than time `made` (n,) ns runs that has come at `arrival` (n,) ns, if that is off by more than `least`; else None.
+
+    By the packets that were least late in each quarter of a second, and only if it is so in both halves of the time.
+    """
+    since, made = (arrival - arrival[0]).astype(np.float64), made - made[0]
+    if made[-1] <= 0 or since[-1] <= 0:
+        return None
+    late = since - made * (since[-1] / made[-1])
+    order = np.lexsort((late, since // BUCKET_NS))
+    firsts = np.unique(since[order] // BUCKET_NS, return_index=True)[1]
+    points = np.sort(order[firsts])
+    x, y = since[points], made[points]
+    half = len(x) // 2
+    if half < 3:
+        return None
+    paces = [_slope(x[part], y[part]) for part in (slice(None), slice(half), slice(half, None))]
+    whole, *halves = paces
+    if abs(whole - 1) <= least or any((p - 1) * np.sign(whole - 1) < least / 2 for p in halves):
+        return None
+    return whole
+
+
+def _slope(x: Samples, y: Samples) -> float:
+    """The median of the slopes of all pairs of points (Theil 1950, Sen 1968)."""
+    i, j = np.triu_indices(len(x), 1)
+    return float(np.median((y[j] - y[i]) / (x[j] - x[i])))
