@@ -12,7 +12,7 @@ OPERATORS ?= iir.Lowpass or threshold.Threshold or align.Align
 SEED ?= 1
 BIN := .venv/bin
 
-.PHONY: demo check test mutants test-peers bench clean
+.PHONY: demo check test mutants test-peers bench fuzz audit licences clean
 
 demo: .venv/installed
 	$(BIN)/kinegraph run configs/treadmill_emg.yaml --set treadmill.duration_s=$(SECONDS_OF_DEMO)
@@ -36,6 +36,20 @@ test-peers: .venv/installed-for-tests
 	$(BIN)/python -m tests.compile_kernels
 	$(BIN)/pytest -n 2 --dist loadgroup tests/peers tests/test_oak.py tests/test_depthai_replay.py tests/test_simulators.py \
 		tests/test_export.py tests/test_night_report.py
+
+# damaged copies of valid files of every format, FUZZ_S seconds each, others every day
+FUZZ_S ?= 60
+fuzz: .venv/installed-for-tests
+	KINEGRAPH_FUZZ_S=$(FUZZ_S) $(BIN)/pytest tests/test_fuzz_files.py -n 2
+
+# known holes in what kinegraph depends on; the tool is installed for the purpose
+audit: .venv/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check pip-audit
+	$(BIN)/python -m pip_audit --skip-editable
+
+licences: .venv/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check pip-licenses
+	$(BIN)/pip-licenses --order=license
 
 bench: .venv/installed-for-bench
 	$(BIN)/python -m bench --readme

@@ -25,8 +25,10 @@ import platformdirs
 from numba.core import caching
 from numba.core import config as numba_config
 
+from stream.complete import private_folder
 from stream.errors import KinegraphError
 from stream.fingerprint import fingerprint
+from stream.owners import refuse_shared
 
 config: Any = numba_config
 FunctionCache: Any = caching.FunctionCache
@@ -134,12 +136,14 @@ def cache_folder() -> Path:
     """Where compiled kernels are kept, each in a folder of its own."""
     folder = Path(os.environ.get("KINEGRAPH_CACHE", platformdirs.user_cache_dir("kinegraph"))) / "kernels"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        private_folder(folder)
         os.utime(folder)
     except OSError as error:
         raise KinegraphError(
             f"compiled kernels cannot be kept in {folder}: {error.strerror}; set KINEGRAPH_CACHE to a folder that can be written"
         ) from None
+    for shared in (folder.parent, folder):
+        refuse_shared(shared, "the folder of compiled kernels")
     _forget_unused(folder)
     return folder
 

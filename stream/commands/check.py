@@ -10,10 +10,15 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from stream.errors import KinegraphError
 from stream.graph import Edge, Graph, Node, overrides
 from stream.graph.drawing import shown
 from stream.graph.load import load
+from stream.graph.parts import beside, import_from
 from stream.graph.plan import Plan, duration, plan, refuse_late
+from stream.graph.shipped import resolve
+from stream.graph.yaml_lines import parse
+from stream.plain import say
 from stream.screen import Screen
 
 WIDE = 120
@@ -28,6 +33,9 @@ def check(
     recording: Annotated[
         File | None, typer.Option(help="check it against the streams of this recording, as for a replay")
     ] = None,
+    trusted_only: Annotated[
+        bool, typer.Option("--trusted-only", help="run no file beside the graph, only what is installed")
+    ] = False,
 ) -> None:
     """Check a graph without opening any device: names, parameters, streams, delay and memory. Exit code 2 if it cannot run."""
     recorded = None
@@ -36,7 +44,8 @@ def check(
 
         with Recording.open(recording) as opened:
             recorded = {name: stream.spec for name, stream in opened.streams.items()}
-    graph = load(config, recorded=recorded, overrides=overrides.read(settings or ()))
+    _tell_beside(config)
+    graph = load(config, recorded=recorded, overrides=overrides.read(settings or ()), trusted_only=trusted_only)
     planned = plan(graph, enforce=False)
     console = Screen()
     if console.width >= WIDE:
@@ -48,6 +57,18 @@ def check(
         console.print(f"note: {hint}", style="dim")
     refuse_late(graph, planned.paths)
     console.print(_verdict(graph, planned))
+
+
+def _tell_beside(config: File) -> None:
+    """Say, before it is done, which files beside the graph are run because it names them."""
+    try:
+        nodes = parse(resolve(config).read_text(encoding="utf-8"), str(config)).items()["nodes"].items().values()
+    except (OSError, ValueError, KeyError, KinegraphError):
+        return  # which loading it tells
+    import_from(config.parent)
+    named = [str(node.items()["use"].value) for node in nodes if "use" in node.items()]
+    for path in dict.fromkeys(filter(None, map(beside, named))):
+        say(f"note: the graph runs code that is not installed: {path}", err=True)
 
 
 def _narrow(graph: Graph, planned: Plan, width: int) -> str:

@@ -43,6 +43,9 @@ def replay(
         ),
     ] = False,
     quiet: Annotated[bool, typer.Option("-q", "--quiet", help="no progress bar")] = False,
+    trusted_only: Annotated[
+        bool, typer.Option("--trusted-only", help="run no file beside the graph, only what is installed")
+    ] = False,
 ) -> None:
     """Run a graph on a recording: its streams stand in for the sources of the same names.
 
@@ -57,7 +60,7 @@ def replay(
     logs.set_up()
     with Recording.open(recording) as source:
         asked = read(settings or [])
-        graph = load(config, recorded={n: s.spec for n, s in source.streams.items()}, overrides=asked)
+        graph = load(config, recorded={n: s.spec for n, s in source.streams.items()}, overrides=asked, trusted_only=trusted_only)
         _take_facts(graph, source.header.get("session") or {}, asked, quiet=quiet)
         speaking = _speaking(graph, speak or [])
         run = Replay(graph, source, speaking=speaking, speed=speed or None, output=out, strict=verify)

@@ -50,6 +50,9 @@ def run(
     view: Annotated[str, typer.Option(help="how the session is shown: auto, live, lines or none")] = "auto",
     json_log: Annotated[bool, typer.Option("--log-json", help="log lines as JSON")] = False,
     verbose: Annotated[bool, typer.Option("-v", "--verbose", help="log more")] = False,
+    trusted_only: Annotated[
+        bool, typer.Option("--trusted-only", help="run no file beside the graph, only what is installed")
+    ] = False,
 ) -> None:
     """Run a graph on live devices, and record the session.
 
@@ -70,7 +73,7 @@ def run(
         raise KinegraphError(f"--for {duration_s}: it must be a number of seconds")
     if out and out.suffix == SUFFIX:
         raise RecordingError(f"--out {out}: a session's recording is a folder; name it without {SUFFIX}")
-    graph = load(config, overrides=read(settings or []))
+    graph = load(config, overrides=read(settings or []), trusted_only=trusted_only)
     plan(graph)
     folder = session_folder(graph, out, resume) if record or resume else None
     if folder and not resume:

@@ -24,6 +24,7 @@ from stream.graph.wiring import Wiring
 from stream.graph.yaml_lines import Located, parse
 from stream.manual import Annotations
 from stream.operator import Operator
+from stream.owners import is_foreign
 from stream.params import param
 
 IMPLICIT = {"annotations": Annotations}
@@ -45,14 +46,20 @@ SECTIONS = ("session", "record", "recording", "nodes")
 
 
 def load(
-    path: Path, *, recorded: Mapping[str, StreamSpec] | None = None, overrides: Mapping[str, Any] | None = None
+    path: Path,
+    *,
+    recorded: Mapping[str, StreamSpec] | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    trusted_only: bool = False,
 ) -> Graph:
     """Read and check a graph; raises GraphError. A bare name that is no file here is that of a shipped graph (`kinegraph configs`).
 
+    trusted_only   only what is installed is run, no file beside the graph; it is so for a graph that another user owns
     recorded    specs of recorded streams by edge name ("board", "treadmill.emg"), which then stand in for the sources' own
     overrides   settings from the command line, {"envelope.cutoff_hz": 10}, which replace what the file says
     """
     path = resolve(Path(path))
+    trusted_only = trusted_only or is_foreign(path)
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
@@ -62,7 +69,7 @@ def load(
         there += shipped() if path.parent == Path() else ()
         hint = f"; {nearest(path.name, there)}" if there and not path.exists() else ""
         raise GraphError(f"the graph cannot be read: {error.strerror}{hint}", path=str(path)) from None
-    return load_text(text, path.stem, path=str(path), recorded=recorded, overrides=overrides)
+    return load_text(text, path.stem, path=str(path), recorded=recorded, overrides=overrides, trusted_only=trusted_only)
 
 
 def load_text(
@@ -72,9 +79,10 @@ def load_text(
     path: str = "",
     recorded: Mapping[str, StreamSpec] | None = None,
     overrides: Mapping[str, Any] | None = None,
+    trusted_only: bool = False,
 ) -> Graph:
     """A graph from its text, as `load` does it; modules beside `path` can be named in it."""
-    import_from(Path(path).parent if path else Path())
+    import_from(Path(path).parent if path else Path(), trusted_only=trusted_only)
     problems = Problems(path or name)
     root = override(parse(text, path or name), overrides or {}, problems)
     graph = _Loading(root, problems, recorded).graph(name)

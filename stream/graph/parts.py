@@ -12,6 +12,7 @@ import sys
 from dataclasses import is_dataclass
 from difflib import get_close_matches
 from functools import partial
+from importlib.machinery import PathFinder
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeAlias, TypeGuard
@@ -19,6 +20,7 @@ from typing import Any, TypeAlias, TypeGuard
 from stream.errors import KinegraphError, explain, nearest
 from stream.filter import SampleWise
 from stream.operator import Operator, Outlet
+from stream.owners import refuse_shared
 from stream.source import Source
 
 PACKAGES = ("operators", "devices", "stream.manual")
@@ -35,11 +37,17 @@ class UseError(KinegraphError):
     """A `use` that leads to no source, operator or outlet."""
 
 
-def import_from(folder: Path) -> None:
+_only_installed = False
+"""Whether files beside graphs are not run."""
+
+
+def import_from(folder: Path, *, trusted_only: bool = False) -> None:
     """Let graphs name modules in `folder` (the graph's own) and in the current one; installed packages come first.
 
-    A module of the same name that another graph's folder had brought in is forgotten.
+    A module of the same name that another graph's folder had brought in is forgotten. With `trusted_only`, only what is installed is run.
     """
+    global _only_installed
+    _only_installed = trusted_only
     wanted = [str(folder.absolute()), str(Path().absolute())]
     for old in [entry for entry in _beside if entry not in wanted]:
         _beside.remove(old)
@@ -149,7 +157,31 @@ def _modules(package: str, failed: dict[str, str]) -> list[str]:
     return names
 
 
+def beside(use: str) -> Path | None:
+    """The file beside a graph that naming this class runs; None for what is installed, or cannot be found."""
+    top = use.partition(".")[0]
+    if not top.isidentifier() or top in OURS:
+        return None
+    try:
+        spec = PathFinder.find_spec(top)
+    except (ImportError, ValueError):
+        return None
+    places = [*([spec.origin] if spec and spec.origin else []), *((spec and spec.submodule_search_locations) or [])]
+    return next((Path(p) for p in places for folder in _beside if Path(p).is_relative_to(folder)), None)
+
+
 def _import(name: str, use: str) -> ModuleType:
+    if own := beside(name):
+        if _only_installed:
+            raise UseError(
+                f"{own} stands beside the graph and is not installed; --trusted-only, as for graphs of other users, does not run it. "
+                "Read it; then copy the graph and its files, to be yours, or install it as a package"
+            )
+        for place in (own.parent, own):
+            try:
+                refuse_shared(place, "what a graph runs")
+            except KinegraphError as error:
+                raise UseError(str(error)) from None
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
