@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,6 +25,8 @@ from devices.mqtt.outbox import MOST_LETTERS, Outbox, OutboxState
 from devices.mqtt.outlet import History
 from stream.chunk import FOREVER, NS, Chunk, StreamSpec, empty, utc
 from stream.errors import KinegraphError, ParameterError
+from stream.recording import Recording
+from tests.command_line import KINEGRAPH
 
 START = 1_767_000_000 * NS
 EPOCH = np.dtype([("onset", "<i8"), ("state", "U7"), ("final", "?"), ("score", "<f8")])
@@ -377,3 +380,33 @@ def test_messages_that_come_too_fast_are_counted_and_dropped() -> None:
     for _ in range(MOST_NEWS + 7):
         link._take(MQTTMessage(topic=b"x/set"))
     assert link.dropped == 7
+
+
+def test_a_password_stands_nowhere_but_in_its_file(tmp_path: Path) -> None:
+    """Not in the recording (which holds the graph), the log, the errors, or what other users see of the process."""
+    secret = "s3cret-never-shown"
+    (tmp_path / "word").write_text(secret + "\n")
+    (tmp_path / "graph.yaml").write_text(
+        "nodes:\n  board: {use: devices.treadmill.Treadmill, realtime: true, duration_s: 3}\n"
+        "  lights:\n    use: devices.mqtt.MqttSwitch\n    name: lights\n"
+        "    broker: {port: %d, username: me, password_file: word}\n"
+    )
+    served = Mosquitto(tmp_path, password=secret).start()
+    try:
+        path = tmp_path / "graph.yaml"
+        path.write_text(path.read_text() % served.port)
+        for word in (secret, "wrong-" + secret):
+            (tmp_path / "word").write_text(word + "\n")
+            process = subprocess.Popen(
+                [KINEGRAPH, "run", "graph.yaml", "-o", f"s-{len(word)}", "--view", "none", "-v"],
+                cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            )  # fmt: skip
+            seen = (Path("/proc") / str(process.pid) / "cmdline").read_bytes()
+            told = process.communicate(timeout=120)[0]
+            assert secret.encode() not in told + seen
+            with Recording.open(tmp_path / f"s-{len(word)}") as recording:
+                assert secret not in json.dumps([recording.header, recording.log], default=str)
+            for file in (tmp_path / f"s-{len(word)}").rglob("*"):
+                assert file.is_dir() or secret.encode() not in file.read_bytes()
+    finally:
+        served.stop()
