@@ -255,3 +255,11 @@ def test_annotations_of_another_time_are_not_scored(tmp_path):
     (tmp_path / "all.csv").write_text("result,truth,offset_s\nwalk.mcap,walk.csv,inf\n")
     with pytest.raises(KinegraphError, match=r"all\.csv: line 2: must name result and truth"):
         cli.call("evaluate", ["segmentation", "--table", str(tmp_path / "all.csv")])
+
+
+@pytest.mark.parametrize("frame", [32, 36, 55, 95])
+def test_a_boundary_exactly_the_tolerance_away_is_matched_whatever_rounding_makes_of_it(frame):
+    early, late = np.array([frame / 30.0]), np.array([(frame + 30) / 30.0])
+    assert late - early > 1.0
+    assert boundary_f1(early, late)[0] == boundary_f1(late, early)[0] == 1.0
+    assert boundary_f1(early, late + 0.001)[0] == 0.0

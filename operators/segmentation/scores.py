@@ -14,6 +14,8 @@ from stream.chunk import Array, Samples
 STEP_S = 1.0 / 120.0
 """Time is looked at in steps of this: the rate at which the thesis's recordings are annotated."""
 TOLERANCE_S = 1.0
+ROUNDING_S = 1e-6
+"""Far below a frame, far above what sums of seconds lose: a boundary that is the tolerance away counts, however its times were computed."""
 DRAWS = 10_000
 
 
@@ -74,7 +76,7 @@ def boundary_f1(found: Samples, truth: Samples, tolerance_s: float = TOLERANCE_S
         return same, same if len(found) == 0 else 0.0, same if len(truth) == 0 else 0.0
     apart = np.abs(found[:, None] - truth[None, :])
     hits = 0
-    while apart.min() <= tolerance_s:
+    while apart.min() <= tolerance_s + ROUNDING_S:
         i, j = np.unravel_index(apart.argmin(), apart.shape)
         apart[i, :] = apart[:, j] = np.inf
         hits += 1
