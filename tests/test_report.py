@@ -133,7 +133,7 @@ def test_the_report_holds_what_numpy_says(tmp_path: Path) -> None:
         "SO",
         "calf",
         "bad",
-        "flat line, 7 of 23 windows not good; not repeatable",
+        "flat line, 7 of 23 windows not good; left out of 1 of 23 cycles; not repeatable",
     )
     assert abs(so.values[0][0] - np.nanmean(walk.curves[good].max(1)[:, 1])) < 1e-9
     assert (so.values[1][0] > 97 or so.values[1][0] < 1) and so.values[1][1] < 3

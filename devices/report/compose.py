@@ -109,8 +109,10 @@ def _remark(tally: Tally, i: int) -> str:
     judged, troubled = (int(n) for n in tally.windows[:, i])
     electrode = tally.remarks[i] or tally.trouble[i]
     often = f"{f'{electrode}, ' if electrode else ''}{troubled} of {judged} windows not good" if troubled else electrode
+    missing = tally.accepted - int(tally.curve.n[0, i])
+    left = f"left out of {missing} of {tally.accepted} cycles" if missing > 0 else ""
     return "; ".join(
-        part for part in (often, tally.repeatable[i] if tally.repeatable[i] != "repeatable" else "") if part
+        part for part in (often, left, tally.repeatable[i] if tally.repeatable[i] != "repeatable" else "") if part
     )
 
 

@@ -28,11 +28,18 @@ class Held:
     event: Array
     values: Samples
     came: int
+    flags: list[str]
 
 
 def nothing_held(specs: Specs) -> Held:
     fields, muscles = len(numbers(specs.get("statistics"))), specs["cycles"].shape[1]
-    return Held(NONE, np.zeros(1, specs["closed"].dtype), np.full((fields, muscles), np.nan), 0)
+    return Held(NONE, np.zeros(1, specs["closed"].dtype), np.full((fields, muscles), np.nan), 0, _no_flags(specs))
+
+
+def _no_flags(specs: Specs) -> list[str]:
+    """One per muscle, if flags are told."""
+    told = "statistics" in specs and "flag" in (specs["statistics"].dtype.names or ())
+    return [""] * specs["cycles"].shape[1] if told else []
 
 
 def header(specs: Specs) -> bytes:
@@ -49,6 +56,7 @@ def header(specs: Specs) -> bytes:
     if statistics is not None:
         fields = numbers(statistics)
         names += [f"{muscle} {_named(f, statistics)}" for muscle in specs["cycles"].channels for f in fields]
+        names += [f"{muscle} signal" for muscle, _ in zip(specs["cycles"].channels, _no_flags(specs), strict=False)]
     return _line(names)
 
 
@@ -60,6 +68,7 @@ def take_closed(held: Held, rows: Array, start_ns: int, about: str) -> bytes:
         held.number, held.came = int(rows["number"][i]), 0
         held.event[0] = rows[i]
         held.values[:] = np.nan
+        held.flags = [""] * len(held.flags)
         if rows["rejected"][i] or not held.values.size:
             lines += release(held, start_ns, about)
     return lines
@@ -70,6 +79,8 @@ def take_statistics(held: Held, rows: Array, fields: Sequence[str], start_ns: in
     mine = rows[rows["number"] == held.number]
     for i, name in enumerate(fields):
         held.values[i, mine["muscle"]] = mine[name]
+    for row in mine if held.flags else ():
+        held.flags[int(row["muscle"])] = str(row["flag"])
     held.came += len(mine)
     return release(held, start_ns, about) if held.came >= held.values.shape[1] else b""
 
@@ -82,7 +93,7 @@ def release(held: Held, start_ns: int, about: str) -> bytes:
     onset = int(event["onset"])
     values: list[Any] = [f"{np.datetime64(onset, 'ns')}Z", f"{(onset - start_ns) / NS:.6f}", held.number]
     values += [float(event[name]) for name in CYCLE]
-    values += [str(event["rejected"]), about, *held.values.T.ravel().tolist()]
+    values += [str(event["rejected"]), about, *held.values.T.ravel().tolist(), *held.flags]
     held.number = NONE
     return _line(values)
 

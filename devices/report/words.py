@@ -50,6 +50,8 @@ REASONS = {
     "stance": "impossible share of stance",
     "irregular": "duration far from that of its neighbours",
     "missing": "no valid sample",
+    "quality": "no muscle's signal was good enough",
+    "by hand": "left out by hand",
     "too short": "too short for a stride",
     "too long": "too long for a stride",
 }

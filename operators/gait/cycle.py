@@ -11,7 +11,9 @@ from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError
 
 POINTS = 100
-REASONS = ("too short", "too long", "gap", "settling", "incomplete", "order", "stance", "irregular", "missing")
+REASONS = (
+    "too short", "too long", "gap", "settling", "incomplete", "order", "stance", "irregular", "missing", "quality", "by hand",
+)  # fmt: skip
 """Why a cycle is rejected, in the order in which it is asked; see `Cycles`."""
 
 CLOSED = np.dtype(
@@ -74,7 +76,8 @@ class Closing:
 
 @dataclass(slots=True)
 class Expected:
-    """Accepted cycles whose event has come and whose sample has not: the events (32,) and their stamps; the first `waiting` count."""
+    """Accepted cycles whose event has come and whose sample has not: the events (128,) and their stamps; the first `waiting` count.
+    A person may have all of the latest 64 cycles told again at once."""
 
     rows: Array
     stamps: Times
@@ -82,7 +85,7 @@ class Expected:
 
     @staticmethod
     def none() -> Expected:
-        return Expected(np.zeros(32, CLOSED), np.zeros(32, np.int64), 0)
+        return Expected(np.zeros(128, CLOSED), np.zeros(128, np.int64), 0)
 
     def note(self, chunk: Chunk) -> None:
         """Take a chunk of `closed`; rejected cycles have no sample to wait for."""

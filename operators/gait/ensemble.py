@@ -31,11 +31,13 @@ class EnsembleState:
     history                   what can still be revised
     accepted, reasons (7,)    counts
     told, never, blanks       the newest `until` that has gone out; stamps and samples of nothing, by output
+    counted                   how many cycles were added up
     shared, pairs (p,)        sum of the co-contraction over cycles, and their number, per pair
     """
 
     expected: Expected
     curve: RunningCurve
+    counted: int
     kept: Samples
     kept_numbers: Times
     seen: int
@@ -60,7 +62,7 @@ class CycleEnsemble(Operator[EnsembleState]):
     """Cycles (100, muscles) and their events in; after every accepted cycle, the state of all accepted ones so far.
 
     mean, sd   (100, muscles) mean curve and standard deviation (n - 1) point by point; NaN until there are enough cycles
-    muscles    one event per muscle: how many cycles; the mean curve's peak and where (%);
+    muscles    one event per muscle: how many cycles, and in how many others it was missing or left out; the mean curve's peak and where;
                cv_pct, Winter's coefficient of variation: root mean square of the sd curve over the mean of the mean curve's amount;
                variance_ratio (Hershler and Milner 1978), from 10 cycles on, else NaN: variance about the mean curve over variance about
                the grand mean; 0 means each cycle is like the other, 1 that the curve explains nothing. Above `repeatable_below` the
@@ -92,7 +94,7 @@ class CycleEnsemble(Operator[EnsembleState]):
         flat = self._muscles(spec)
         self.hold(
             EnsembleState(
-                Expected.none(), RunningCurve.none(POINTS, n), np.full((self.remember, POINTS, n), np.nan),
+                Expected.none(), RunningCurve.none(POINTS, n), 0, np.full((self.remember, POINTS, n), np.nan),
                 np.full(self.remember, -1), 0, np.full(self.over, np.nan), np.full(self.over, np.nan), np.full(self.over, -1), 0,
                 CycleHistory.none(POINTS, n), 0, np.zeros(len(REASONS), np.int64),
                 np.zeros(len(self.pairs)), np.zeros(len(self.pairs)), flat, list(spec.channels),
@@ -101,7 +103,7 @@ class CycleEnsemble(Operator[EnsembleState]):
         )  # fmt: skip
         unit = spec.units[0] if len(spec.units) == 1 else ""
         when, meta = ("ns", "ns", ""), {**spec.meta, "deviation_scale": self.scale}
-        muscle = (*when, "", "", "", unit, "%", "%", "", "", *(2 * [unit if self.scale == "none" else ""]))
+        muscle = (*when, "", "", "", "", unit, "%", "%", "", "", *(2 * [unit if self.scale == "none" else ""]))
         return {
             "mean": spec,
             "sd": spec,
@@ -198,6 +200,7 @@ class CycleEnsemble(Operator[EnsembleState]):
         s.strides[here], s.stances[here], s.stride_numbers[here] = np.nan, np.nan, -1
         curve = s.history.take(number)
         s.curve.remove(curve)
+        s.counted -= 1
         s.kept[s.kept_numbers == number] = np.nan
         index = self._indices(curve)
         known = np.isfinite(index)
@@ -209,6 +212,7 @@ class CycleEnsemble(Operator[EnsembleState]):
         s = self.state
         s.history.put(number, curve)
         there = s.curve.add(curve)
+        s.counted += 1
         s.kept[s.seen % self.remember] = np.where(there, curve, np.nan)
         s.kept_numbers[s.seen % self.remember] = number
         s.seen += 1
@@ -218,6 +222,7 @@ class CycleEnsemble(Operator[EnsembleState]):
         n = len(s.names)
         rows = rows_of(MUSCLE, closed, n)
         rows["muscle"], rows["name"], rows["cycles"] = np.arange(n), s.names, s.curve.count
+        rows["left_out"] = s.counted - s.curve.count
         mean = s.curve.centre()
         peak = s.curve.mean.argmax(axis=0)
         rows["peak"] = mean[peak, np.arange(n)]

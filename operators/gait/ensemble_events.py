@@ -14,6 +14,7 @@ MUSCLE = np.dtype(
         ("muscle", "<i4"),
         ("name", "<U16"),
         ("cycles", "<i8"),
+        ("left_out", "<i8"),
         ("peak", "<f8"),
         ("peak_pct", "<f8"),
         ("cv_pct", "<f8"),

@@ -10,6 +10,7 @@ import numpy as np
 from operators.gait.cycle import REASONS, Expected, check_cycles, some_cycles
 from operators.gait.history import ACCEPTED, CycleHistory
 from operators.gait.running_curve import RunningCurve
+from operators.gait.verdicts import FLAGS
 from stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.operator import Case, Operator
 from stream.params import param
@@ -30,6 +31,7 @@ STATISTICS = np.dtype(
         ("integrated_stance", "<f8"),
         ("integrated_swing", "<f8"),
         ("deviation", "<f8"),
+        ("flag", "<U8"),
     ]
 )
 
@@ -40,6 +42,7 @@ class StatisticsState:
     curve  of the cycles so far, in the space in which deviations are taken
     top    (muscles,) highest value so far
     history   what can still be revised, in the same space
+    flags, flag_of (muscles,)   the latest flag of each muscle, and of which cycle it is
     told   the newest `until` that has gone out; never, blank: stamps and samples of nothing
     """
 
@@ -47,6 +50,8 @@ class StatisticsState:
     curve: RunningCurve
     top: Samples
     history: CycleHistory
+    flags: Times
+    flag_of: Times
     names: list[str]
     told: int
     never: Times
@@ -65,6 +70,8 @@ class CycleStatistics(Operator[StatisticsState]):
     deviation            Euclidean distance over the 100 points between this cycle and the mean of the accepted cycles before it, both
                          divided by the scale; dimensionless unless `scale: none`. NaN for the first cycle
 
+    flag                 the worst quality of the muscle's signal in the cycle's seconds, with `judged` of `CycleReview`; "" without
+
     `scale: session` (default) divides by the highest value of that muscle so far, this cycle included; `cycle` scales each cycle to its own
     maximum, as the thesis does (6.2.3), which hides differences in strength; `none` does not scale.
 
@@ -76,7 +83,8 @@ class CycleStatistics(Operator[StatisticsState]):
     its new sample; either way the mean that later deviations are taken from no longer holds what was told first.
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")
+    inputs: ClassVar[tuple[str, ...]] = ("judged", "closed", "cycles")
+    optional: ClassVar[tuple[str, ...]] = ("judged",)
 
     scale: Literal["session", "cycle", "none"] = param("session", help="what deviations are relative to")
 
@@ -88,12 +96,13 @@ class CycleStatistics(Operator[StatisticsState]):
             StatisticsState(
                 Expected.none(), RunningCurve.none(spec.shape[0], n),
                 np.zeros(n),
-                CycleHistory.none(spec.shape[0], n), list(spec.channels), *nothing,
+                CycleHistory.none(spec.shape[0], n),
+                np.zeros(n, np.int64), np.full(n, -1), list(spec.channels), *nothing,
             )
         )  # fmt: skip
         unit = spec.units[0] if len(spec.units) == 1 else ""
         area, ratio = f"{unit} s".strip(), unit if self.scale == "none" else ""
-        units = ("ns", "ns", "", "", "", unit, "%", unit, area, unit, unit, area, area, ratio)
+        units = ("ns", "ns", "", "", "", unit, "%", unit, area, unit, unit, area, area, ratio, "")
         return {"out": StreamSpec((), STATISTICS, units=units, meta={**spec.meta, "deviation_scale": self.scale})}
 
     def process(self, port: str, chunk: Chunk) -> Chunk | None:
@@ -105,7 +114,13 @@ class CycleStatistics(Operator[StatisticsState]):
             return Chunk(s.never, s.blank, chunk.until)
         s.told = max(s.told, int(chunk.until))
         rows, stamps = [], []
-        if port == "closed":
+        if port == "judged":
+            for row in chunk.data:
+                s.flags[int(row["muscle"])], s.flag_of[int(row["muscle"])] = (
+                    FLAGS.index(str(row["flag"])),
+                    row["number"],
+                )
+        elif port == "closed":
             s.expected.note(chunk)
             for row in chunk.data:
                 self._revise(int(row["number"]), str(row["rejected"]))
@@ -143,6 +158,8 @@ class CycleStatistics(Operator[StatisticsState]):
             count = int(chosen.sum())
             rows[f"mean_{part}"] = total / count if count else np.nan
             rows[f"integrated_{part}"] = total * (duration / points)
+        told = self.state.flag_of == int(closed["number"])
+        rows["flag"] = np.where(told, np.array(FLAGS)[self.state.flags], "")
         rows["deviation"] = self._deviation(int(closed["number"]), curve, absent)
         return rows
 

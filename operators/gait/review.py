@@ -1,0 +1,259 @@
+"""Which cycles and muscles count: bad ones are left out by their own seconds' quality, and a person has the last word."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, TypeAlias
+
+import numpy as np
+import structlog
+
+from operators.emg.quality import QUALITY
+from operators.gait.cycle import CLOSED, POINTS, Expected, check_cycles, some_cycles
+from operators.gait.history import REVISABLE
+from operators.gait.verdicts import FLAGS, IN, OUT, UNSAID, Windows, understood
+from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
+from stream.errors import InputError, ParameterError
+from stream.operator import Case, Operator
+from stream.params import param
+
+JUDGED = np.dtype(
+    [
+        ("onset", "<i8"),
+        ("end", "<i8"),
+        ("number", "<i8"),
+        ("muscle", "<i4"),
+        ("name", "<U16"),
+        ("flag", "<U8"),
+        ("reason", "<U16"),
+        ("used", "<i4"),
+    ]
+)
+"""A muscle in a cycle: the worst flag of its signal in the cycle's seconds, why, and whether it counts (1) or is left out (0)."""
+LEAVE, USE = "leave out ", "use "
+
+Told: TypeAlias = list[tuple[int, Array, Samples | None, Array]]
+"""Stamp, event (1,), curve (None: rejected) and judgements of each cycle to be told."""
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(slots=True)
+class ReviewState:
+    """
+    rows (64,), curves (64, 100, m)   the latest accepted cycles as they came, a ring; `seen` in all;  used (64, m) what was told of them
+    said (64, m)          what a person said of a muscle in one of these cycles, OUT or IN
+    session (m,)          what a person said of a muscle in all cycles
+    pending               the stamp of judged windows that have not been applied; NEVER: none
+    """
+
+    expected: Expected
+    windows: Windows
+    rows: Array
+    curves: Samples
+    used: Times
+    said: Times
+    session: Times
+    seen: int
+    pending: int
+    names: list[str]
+
+
+@dataclass(frozen=True, slots=True)
+class CycleReview(Operator[ReviewState]):
+    """Cycles and their events in, the same out, without the muscles that are not to be trusted.
+
+    closed, cycles   as they came, but a muscle that is left out is NaN throughout its cycle, and so in no mean, spread or statistic; a
+                     cycle that a person left out is rejected "by hand", one with no muscle left "quality"
+    judged           one event per muscle of every accepted cycle (`JUDGED`): the worst quality of its own seconds, and whether it counts
+
+    A muscle is left out where its signal was bad (`leave_out`) in a window that overlaps the cycle. A window that ends after the cycle was
+    told changes it afterwards: `closed` and `cycles` then hold it a second time, which replaces the first, for the latest 64 cycles.
+
+    A person has the last word, by an annotation: "leave out 17", "leave out 17 TA", "leave out TA" (in every cycle), "leave out last", or
+    "use ..." for the contrary. As annotations are recorded, a replay knows. `left_out` and `kept` say the same from the start on. A
+    cycle that `Cycles` rejected cannot be used: it has no curve.
+    """
+
+    inputs: ClassVar[tuple[str, ...]] = ("quality", "annotations", "closed", "cycles")
+    optional: ClassVar[tuple[str, ...]] = ("quality", "annotations")
+    outputs: ClassVar[tuple[str, ...]] = ("closed", "cycles", "judged")
+
+    leave_out: Literal["bad", "doubtful", "none"] = param("bad", help="the quality from which on a muscle is left out")
+    left_out: tuple[str, ...] = param((), help='cycles and muscles to be left out: "17", "17 TA", "TA"')
+    kept: tuple[str, ...] = param((), help="those to be used whatever their quality, named alike")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = check_cycles(specs)
+        if "quality" in specs and specs["quality"].dtype != QUALITY:
+            raise InputError("quality", specs["quality"].describe(), "what operators.emg.quality.SignalQuality gives")
+        if "annotations" in specs and "text" not in (specs["annotations"].dtype.names or ()):
+            raise InputError("annotations", specs["annotations"].describe(), "events with a field 'text'")
+        n, names = spec.shape[1], list(spec.channels)
+        for parameter in ("left_out", "kept"):
+            for text in getattr(self, parameter):
+                if understood(text, names, -1) is None:
+                    raise ParameterError(parameter, text, f"a cycle's number, a muscle ({', '.join(names)}), or both")
+        state = ReviewState(
+            Expected.none(), Windows.none(n), np.zeros(REVISABLE, CLOSED), np.zeros((REVISABLE, POINTS, n)),
+            np.ones((REVISABLE, n), np.int64), np.zeros((REVISABLE, n), np.int64), np.zeros(n, np.int64), 0, NEVER, names,
+        )  # fmt: skip
+        self.hold(state)
+        units = ("ns", "ns", *(6 * [""]))
+        return {
+            "closed": specs["closed"],
+            "cycles": spec,
+            "judged": StreamSpec((), JUDGED, units=units, meta=spec.meta),
+        }
+
+    def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
+        s = self.state
+        out: Told = []
+        for i, stamp in enumerate(chunk.time.tolist()):
+            self._apply(out, stamp - 1)
+            if port == "quality":
+                name = str(chunk.data["name"][i])
+                if name in s.names:
+                    s.windows.add(chunk.data[i], s.names.index(name))
+                    s.pending = stamp
+            elif port == "annotations":
+                self._said(out, stamp, str(chunk.data["text"][i]).strip())
+            elif port == "closed":
+                s.expected.note(chunk.part(i, i + 1))
+                if chunk.data["rejected"][i]:
+                    s.rows["number"][s.rows["number"] == chunk.data["number"][i]] = -1  # taken back
+                    out.append((stamp, chunk.data[i : i + 1], None, np.empty(0, JUDGED)))
+            elif (closed := s.expected.match(stamp)) is not None:
+                self._take(out, stamp, closed, chunk.data[i])
+        self._apply(out, chunk.until)
+        return self._emitted(out, chunk)
+
+    @classmethod
+    def cases(cls) -> list[Case]:
+        cycles = some_cycles(20, 3, 11)
+        last = int(cycles["closed"][1][-1])
+        stamps = np.arange(NS, last, NS).repeat(3)
+        rows = np.zeros(len(stamps), QUALITY)
+        rows["name"], rows["onset"], rows["end"] = np.resize(["TA", "SO", "GM"], len(rows)), stamps - NS, stamps
+        rows["flag"] = "good"
+        rows["flag"][12:24:3], rows["reason"][12:24:3] = "bad", "flat line"
+        text = np.dtype([("onset", "<i8"), ("text", "U64")])
+        said = np.array([(0, "leave out 3"), (0, "use 6 TA"), (0, "coffee"), (0, "leave out SO"), (0, "use 3")], text)
+        when = np.linspace(6 * NS, last - NS, len(said)).astype(np.int64)
+        more = {
+            "quality": (StreamSpec((), QUALITY, units=("",)), stamps, rows),
+            "annotations": (StreamSpec((), text, units=("",)), when, said),
+        }
+        return [
+            Case(cls(), {**more, **cycles}, least=60),
+            Case(cls(leave_out="none", left_out=("4", "TA")), cycles, least=40),
+        ]
+
+    def _take(self, out: Told, stamp: int, closed: Array, curve: Samples) -> None:
+        """An accepted cycle has come, for the first time or again."""
+        s = self.state
+        found = np.flatnonzero(s.rows["number"] == closed["number"][0])
+        k = int(found[0]) if len(found) and s.seen else s.seen % REVISABLE
+        if not len(found):
+            s.seen += 1
+            s.said[k] = UNSAID
+            for texts, verdict in ((self.left_out, OUT), (self.kept, IN)):
+                for text in texts:
+                    number, muscle = understood(text, s.names, -1) or (0, 0)
+                    if number in (-1, int(closed["number"][0])):
+                        s.said[k, slice(None) if muscle < 0 else muscle] = verdict
+        s.rows[k], s.curves[k] = closed[0], np.where(np.isfinite(curve), curve, np.nan)
+        self._tell(out, stamp, k)
+
+    def _apply(self, out: Told, until: int) -> None:
+        """Judge the latest cycles again by windows that have come, once they are all there; tell those that change."""
+        s = self.state
+        if s.pending == NEVER or s.pending > until:
+            return
+        stamp, s.pending = s.pending, NEVER
+        for k in self._latest():
+            if not np.array_equal(self._used(k)[0], s.used[k]):
+                self._tell(out, stamp, k)
+
+    def _said(self, out: Told, stamp: int, text: str) -> None:
+        """A person's word: of one cycle, of a muscle in it, or of a muscle in all of them."""
+        s = self.state
+        verdict = OUT if text.startswith(LEAVE) else IN if text.startswith(USE) else UNSAID
+        latest = max((int(s.rows["number"][k]) for k in self._latest()), default=0)
+        meant = understood(text.removeprefix(LEAVE).removeprefix(USE), s.names, latest) if verdict else None
+        if meant is None:
+            if verdict:
+                log.warning("nothing is left out or used: not understood", text=text, muscles=", ".join(s.names))
+            return
+        number, muscle = meant
+        here = [k for k in self._latest() if number in (-1, int(s.rows["number"][k]))]
+        if number < 0:
+            s.session[muscle] = verdict
+        elif not here:
+            log.warning(
+                "not among the latest cycles that were accepted: replay with left_out or kept", cycle=number, text=text
+            )
+        for k in here:
+            s.said[k, slice(None) if muscle < 0 else muscle] = verdict
+            if not np.array_equal(self._used(k)[0], s.used[k]):
+                self._tell(out, stamp, k)
+
+    def _latest(self) -> list[int]:
+        """Where the latest cycles stand, the oldest first."""
+        s = self.state
+        ring = (k % REVISABLE for k in range(max(s.seen - REVISABLE, 0), s.seen))
+        return [k for k in ring if s.rows["number"][k] > 0]
+
+    def _used(self, k: int) -> tuple[Times, Times, Array]:
+        """Which muscles of a cycle count (m,), their flags and reasons."""
+        s = self.state
+        flag, reason = s.windows.of(int(s.rows["onset"][k]), int(s.rows["end"][k]))
+        worst = {"bad": 2, "doubtful": 1, "none": 3}[self.leave_out]
+        said = np.where(s.said[k] != UNSAID, s.said[k], s.session)
+        return np.where(said == UNSAID, flag < worst, said == IN).astype(np.int64), flag, reason
+
+    def _tell(self, out: Told, stamp: int, k: int) -> None:
+        s = self.state
+        used, flag, reason = self._used(k)
+        s.used[k] = used
+        row = s.rows[k : k + 1].copy()
+        judged = np.zeros(len(used), JUDGED)
+        for name in ("onset", "end", "number"):
+            judged[name] = row[name][0]
+        judged["muscle"], judged["name"], judged["used"] = np.arange(len(used)), s.names, used
+        judged["flag"], judged["reason"] = np.array(FLAGS)[flag], reason
+        if not used.any():
+            row["rejected"] = "by hand" if (s.said[k] == OUT).all() else "quality"
+            out.append((stamp, row, None, judged))
+        else:
+            out.append((stamp, row, np.where(used.astype(bool), s.curves[k], np.nan), judged))
+
+    def _emitted(self, out: Told, chunk: Chunk) -> list[tuple[str, Chunk]]:
+        until, lost, n = chunk.until, -1 if chunk.lost else 0, len(self.state.names)
+        stamps = np.array([stamp for stamp, *_ in out], np.int64)
+        curves = [(stamp, curve) for stamp, _, curve, _ in out if curve is not None]
+        judged = [rows for *_, rows in out]
+        return [
+            (
+                "closed",
+                Chunk(stamps, np.concatenate([np.empty(0, CLOSED), *(row for _, row, _, _ in out)]), until, lost),
+            ),
+            (
+                "cycles",
+                Chunk(
+                    np.array([stamp for stamp, _ in curves], np.int64),
+                    np.array([curve for _, curve in curves]).reshape(-1, POINTS, n),
+                    until,
+                    lost,
+                ),
+            ),
+            (
+                "judged",
+                Chunk(
+                    stamps.repeat([len(rows) for rows in judged]),
+                    np.concatenate([np.empty(0, JUDGED), *judged]),
+                    until,
+                    lost,
+                ),
+            ),
+        ]
