@@ -19,7 +19,7 @@ from devices.clocks.stamps import Stamps, runs
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols.ascii_lines import Decoder
 from devices.talk.handshake import all_there, shown
-from devices.talk.transport import Transport, connect
+from devices.talk.transport import Transport, connect, present
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
@@ -121,6 +121,9 @@ class AsciiLines(Source):
         )
         with device.serving() as address:
             yield replace(self, port=address)
+
+    def present(self) -> bool | None:
+        return present(self.port)
 
     def read(self, feed: Feed) -> None:
         with connect(self.port, self.baud) as link:

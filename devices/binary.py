@@ -19,7 +19,7 @@ from devices.clocks.stamps import REPEATED, Losses, Stamps, runs
 from devices.clocks.timing import TIMING, timing_spec
 from devices.protocols.declared import NS_PER, Decoder, Found, Frame, Layout, hex_bytes
 from devices.talk.handshake import all_there, shown
-from devices.talk.transport import Transport, connect
+from devices.talk.transport import Transport, connect, present
 from stream.chunk import NS, Array, Chunk, Specs, StreamSpec, Times
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
@@ -133,6 +133,9 @@ class Binary(Source):
 
         with serving(BinaryBrain(self)) as address:
             yield replace(self, port=address)
+
+    def present(self) -> bool | None:
+        return present(self.port)
 
     def read(self, feed: Feed) -> None:
         start, stop = self._commands()

@@ -19,7 +19,7 @@ from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import bitalino as protocol
 from devices.protocols.bitalino import GAINS, Decoder, Frames, Sensor
 from devices.talk.handshake import all_there, answer, quiet, shown
-from devices.talk.transport import Transport, connect
+from devices.talk.transport import Transport, connect, present
 from stream.chunk import Chunk, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
@@ -103,6 +103,9 @@ class Bitalino(Source):
     def _all_inputs(self) -> list[Channel]:
         known = {channel.input: channel for channel in self.channels}
         return [known.get(name, Channel(name)) for name in ("A1", "A2", "A3", "A4", "A5", "A6")]
+
+    def present(self) -> bool | None:
+        return present(self.port)
 
     def read(self, feed: Feed) -> None:
         with connect(self.port) as link:

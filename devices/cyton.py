@@ -18,7 +18,7 @@ from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import cyton as protocol
 from devices.protocols.cyton import ChannelSetting, Decoder, Frames
 from devices.talk.handshake import all_there, answer, quiet, shown
-from devices.talk.transport import Transport, connect
+from devices.talk.transport import Transport, connect, present
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
@@ -89,6 +89,9 @@ class Cyton(Source):
 
         with Simulated(daisy=self.daisy).serving() as address:
             yield replace(self, port=address)
+
+    def present(self) -> bool | None:
+        return present(self.port)
 
     def read(self, feed: Feed) -> None:
         with connect(self.port) as link:

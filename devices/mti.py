@@ -20,7 +20,7 @@ from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import xbus, xbus_numbers
 from devices.protocols.xbus import Layout, Run
 from devices.talk.handshake import all_there, shown
-from devices.talk.transport import Transport, connect
+from devices.talk.transport import Transport, connect, present
 from devices.talk.xbus import Talk, reason
 from stream.chunk import NS, Chunk, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
@@ -163,6 +163,9 @@ class Mti(Source):
     def prepare(self) -> None:
         xbus_numbers.prepare()
         tick_clock.prepare()
+
+    def present(self) -> bool | None:
+        return present(self.port)
 
     def read(self, feed: Feed) -> None:
         with connect(self.port, self.baud) as link:

@@ -21,7 +21,7 @@ from devices.protocols.shimmer import TICKS_HZ, Decoder, Inquiry
 from devices.protocols.shimmer_units import Chips
 from devices.talk.handshake import all_there, shown
 from devices.talk.shimmer import Talk
-from devices.talk.transport import Transport, connect
+from devices.talk.transport import Transport, connect, present
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
@@ -139,6 +139,9 @@ class Shimmer(Source):
 
         with Simulated().serving() as address:
             yield replace(self, port=address)
+
+    def present(self) -> bool | None:
+        return present(self.port)
 
     def read(self, feed: Feed) -> None:
         with connect(self.port) as link:

@@ -84,6 +84,13 @@ class Source:
     def prepare(self) -> None:
         """Compile what reading takes (or have it taken from the cache). It is called before a session's devices open."""
 
+    def present(self) -> bool | None:
+        """Whether what this source opens is there now (its port, its file); None: only opening it can tell.
+
+        While it is not there, a source that failed is not opened; it is as soon as it is there again.
+        """
+        return None
+
     def read(self, feed: Feed) -> None:
         """Open, read and emit until `feed.stopped`, close. Runs in its own thread."""
         raise NotImplementedError

@@ -185,7 +185,7 @@ class DeviceClock:
     @property
     def state(self) -> ClockState:
         now = self._x[-1] if self._x else 0
-        unknown = MOST_DRIFT * (now - self._x[0]) if 0 < len(self._x) < STEADY else 0.0
+        unknown = MOST_DRIFT * (now - self._x[0] + BUCKET_NS) if 0 < len(self._x) < STEADY else 0.0
         return ClockState(
             offset_s=self._line(now) / NS,
             drift_ppm=self._slope * 1e6,

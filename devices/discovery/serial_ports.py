@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 from devices.discovery.found import Found
 
@@ -44,6 +45,17 @@ KNOWN: dict[tuple[int, int | None], Known] = {
 """By USB vendor and product; None stands for any product."""
 
 
+BY_ID = Path("/dev/serial/by-id")
+"""Where Linux keeps a name of each adapter by its maker, kind and serial number."""
+
+
+def lasting_name(device: str) -> str:
+    """The port's name that stays the same when adapters change places, where the system has one; else `device`."""
+    real = os.path.realpath(device)
+    names = sorted(BY_ID.iterdir()) if BY_ID.is_dir() else []
+    return next((str(name) for name in names if os.path.realpath(name) == real), device)
+
+
 def find() -> Iterator[Found]:
     """Every serial port that is a real one or says what it is."""
     from serial.tools.list_ports import comports
@@ -56,12 +68,13 @@ def find() -> Iterator[Found]:
             continue
         if port.vid is None and port.description in (None, "", "n/a", port.name):
             continue
+        name = lasting_name(port.device)
         known = KNOWN.get((port.vid or 0, port.pid)) or KNOWN.get((port.vid or 0, None))
         yield Found(
             "serial",
-            port.device,
+            name,
             _what(port.description, port.manufacturer, port.serial_number, known),
-            (known.yaml if known else LINES).format(port=port.device),
+            (known.yaml if known else LINES).format(port=name),
             _note(port.device),
         )
 

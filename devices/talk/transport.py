@@ -10,6 +10,7 @@ import os
 import select
 import socket
 from contextlib import suppress
+from pathlib import Path
 from typing import Protocol, Self
 
 from stream.errors import DeviceError
@@ -46,6 +47,11 @@ def connect(address: str, baud: int = 115200) -> Transport:
     return SerialTransport(address, baud)
 
 
+def present(address: str) -> bool | None:
+    """Whether a serial port is there; None for what has no path: an address, or a port of Windows."""
+    return Path(address).exists() if address.startswith("/") else None
+
+
 class SerialTransport:
     """A serial port, for this process alone. Where the driver can, FTDI's 16 ms latency timer is set to 1 ms."""
 
@@ -67,11 +73,11 @@ class SerialTransport:
                 return b""
             data = os.read(port, MOST)
         except (OSError, ValueError, TypeError) as error:
-            raise DeviceError(f"serial port {self.address} is gone: {error}") from None
-        if not data:
             raise DeviceError(
-                f"serial port {self.address} is gone: it says there is something to read, but there is nothing"
-            )
+                f"serial port {self.address} is gone: the cable was pulled, or the device restarted ({error})"
+            ) from None
+        if not data:
+            raise DeviceError(f"serial port {self.address} is gone: the cable was pulled, or the device restarted")
         return data
 
     def write(self, data: bytes) -> None:

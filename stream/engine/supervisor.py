@@ -153,6 +153,7 @@ class Runner:
         self._opened = 0.0
         self._retry_at = 0.0
         self._pause_s = FIRST_PAUSE_S
+        self._absent = False
         self._feed: _Feed | None = None
         self._thread: threading.Thread | None = None
 
@@ -189,7 +190,7 @@ class Runner:
         dead = (
             self._thread is not None and not self._thread.is_alive()
         )  # asked first: a thread sets its state before it ends
-        if self.state == "failed" and now >= self._retry_at:
+        if self.state == "failed" and self._is_due(now):
             if self._thread and self._thread.is_alive():
                 if now < self._retry_at + GRACE_S:
                     return
@@ -204,6 +205,16 @@ class Runner:
             self._failed(f"silent for {now - self.last_alive:.1f} s")
         elif dead and self.state in ("starting", "running"):
             self._failed("its thread has ended without a word")
+
+    def _is_due(self, now: float) -> bool:
+        """Whether a source that failed is to be opened: never while its device is not there, at once when it has come back."""
+        there = self.source.present()
+        if there is False:
+            self._absent = True
+            return False
+        if self._absent and there:
+            self._absent, self._pause_s, self._retry_at = False, FIRST_PAUSE_S, now
+        return now >= self._retry_at
 
     def at_ease(self, now: float) -> bool:
         """Whether nothing becomes due within `REST_S`."""
