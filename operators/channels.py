@@ -46,6 +46,7 @@ class Select(SampleWise[SelectState]):
     rename: Mapping[str, str] | None = param(None, help="new names by old ones")
     kernel = gather
     keeps_dtype = True
+    takes = "any"
 
     def begin(self, spec: StreamSpec) -> SelectState:
         if spec.is_event or not spec.shape:

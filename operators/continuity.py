@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, StreamSpec, Times
+from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, StreamSpec, Times
+from stream.require import width_of
 
 
 @dataclass(slots=True)
 class Continuity:
     """The part of the state that tells gaps.
 
-    plain       whether chunks are (n, width) float64 already
+    nothing     (0, *shape) no samples, of the shape that comes in
     width       numbers per sample
     period_ns   nominal time between samples
     limit_ns    the longest gap that leaves the state as it is
@@ -22,7 +23,7 @@ class Continuity:
     last        (1,) stamp of the newest sample seen
     """
 
-    plain: bool
+    nothing: Samples
     width: int
     period_ns: int
     limit_ns: int
@@ -44,20 +45,14 @@ class Continuity:
 
 def watch(spec: StreamSpec, *, delay_s: float = 0.0, reset_gap_s: float = 0.0) -> dict[str, Any]:
     """The fields of `Continuity` for an input."""
-    width = int(np.prod(spec.shape, dtype=np.int64))
     return {
-        "plain": spec.dtype == np.float64 and len(spec.shape) == 1,
-        "width": width,
+        "nothing": np.empty((0, *spec.shape)),
+        "width": width_of(spec),
         "period_ns": spec.period_ns,
         "limit_ns": round(reset_gap_s * NS),
         "delay_ns": round(delay_s * NS),
         "last": np.array([NEVER]),
     }
-
-
-def rows(data: Array, width: int) -> Samples:
-    """Samples of any numeric dtype and shape as C-contiguous float64 rows (n, width)."""
-    return np.ascontiguousarray(data, np.float64).reshape(len(data), width)
 
 
 def back(until: int, delay_ns: int) -> int:

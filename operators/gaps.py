@@ -9,9 +9,10 @@ from typing import Literal
 
 import numpy as np
 
-from operators.continuity import Continuity, rows, watch
+from operators.continuity import Continuity, watch
 from stream.chunk import FOREVER, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
+from stream.finite import finite
 from stream.kernel import kernel
 from stream.operator import Case, Emitted, Operator, grid
 from stream.params import param
@@ -46,17 +47,15 @@ def fill(
         for c in range(x.shape[1]):
             if far:
                 runs[c] = most + 1
-            v = x[i, c]
+            v = work[start + i, c] = finite(x[i, c])
             run = runs[c]
-            if not abs(v) < math.inf:
-                work[start + i, c] = math.nan
+            if v != v:
                 runs[c] = min(run + 1, most + 1)
                 continue
             if 0 < run <= most:
                 for k in range(1, run + 1):
                     share = k / (run + 1) if linear else 0.0
                     work[start + i - run - 1 + k, c] = left[c] + share * (v - left[c])
-            work[start + i, c] = v
             left[c] = v
             runs[c] = 0
     keep = 0
@@ -89,6 +88,7 @@ class FillGaps(Operator[FillState]):
     delay   a sample that may yet be filled waits for the next good one, so `limit_s` at most; without bad samples there is none
     """
 
+    takes = "rows"
     limit_s: float = param(0.1, above=0.0, help="the longest gap that is filled")
     method: Literal["linear", "hold"] = param("linear", help="a straight line, or the last value")
 
@@ -117,7 +117,7 @@ class FillGaps(Operator[FillState]):
         time = chunk.time
         if not len(time):
             return self._wait(chunk)
-        x = chunk.data if state.plain else rows(chunk.data, state.width)
+        x = chunk.data
         if not chunk.lost:
             return self._fill(chunk, time, x)
         missing = state.missing(chunk)
@@ -141,7 +141,7 @@ class FillGaps(Operator[FillState]):
         keep = fill(x, time[waiting:], state.last.item(0), furthest, state.most, linear, state.left, state.runs, work)
         state.last[0] = time[-1]
         lost = state.lost
-        data = work if state.plain else work.reshape(total, *chunk.data.shape[1:])
+        data = work.reshape(total, *state.nothing.shape[1:])
         if keep or waiting:
             state.pending, state.stamps = data[total - keep :].copy(), time[total - keep :].copy()
             data, time = data[: total - keep], time[: total - keep]
@@ -158,7 +158,7 @@ class FillGaps(Operator[FillState]):
             and chunk.until != FOREVER
         ):
             return self._give_up(chunk.until)
-        return Chunk(chunk.time, np.empty(chunk.data.shape), self._promise(chunk.until))
+        return Chunk(chunk.time, state.nothing, self._promise(chunk.until))
 
     def _put_back(self, time: Times, x: Samples, missing: int) -> tuple[Times, Samples]:
         """The samples with `missing` bad ones before them, evenly between the stamps on both sides."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.continuity import Continuity, back, rows, watch
+from operators.continuity import Continuity, back, watch
 from operators.remembered import remembered
 from stream.chunk import NEVER, NS, STAMP, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
@@ -114,6 +114,7 @@ class Resample(Operator[ResampleState]):
     stands for what comes after the end: the last half filter is not emitted.
     """
 
+    takes = "rows"
     contiguous = True
     rate_hz: float = param(above=0.0, help="rate that is wanted")
     half_length: int = param(
@@ -158,7 +159,7 @@ class Resample(Operator[ResampleState]):
     def process(self, port: str, chunk: Chunk) -> Chunk:
         state = self.state
         time = chunk.time
-        x = chunk.data if state.plain else rows(chunk.data, state.width)
+        x = chunk.data
         lost = 0
         if len(time):
             if chunk.lost:
@@ -170,12 +171,9 @@ class Resample(Operator[ResampleState]):
             state.last[0] = chunk.time[-1]
         ahead = len(time) * state.up - int(state.places[1])
         m = -(-ahead // state.down) if ahead > 0 else 0
-        out: Samples = np.empty((m, *chunk.data.shape[1:]))
-        stamps = np.empty(m, STAMP)
-        flat = out if state.plain else out.reshape(m, state.width)
-        s = state
-        polyphase(x, s.table, s.phases, s.down, s.held, s.bad, s.ring, s.places, time, flat, stamps)
-        return Chunk(stamps, out, self._promise(chunk.until), lost)
+        out, stamps, s = np.empty((m, state.width)), np.empty(m, STAMP), state
+        polyphase(x, s.table, s.phases, s.down, s.held, s.bad, s.ring, s.places, time, out, stamps)
+        return Chunk(stamps, out.reshape(m, *s.nothing.shape[1:]), self._promise(chunk.until), lost)
 
     def _bridge(self, time: Times, x: Array, missing: int) -> tuple[Times, Array]:
         """The samples with `missing` ones before them, of each channel's last value, evenly between the stamps on both sides."""

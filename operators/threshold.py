@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
@@ -10,9 +9,11 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from operators.channels import find_channel, names_of
-from operators.continuity import Continuity, rows, watch
+from operators.continuity import Continuity, watch
 from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
+from stream.filter import reset_gap
+from stream.finite import finite
 from stream.kernel import kernel
 from stream.operator import Case, Operator, grid
 from stream.params import param
@@ -45,8 +46,8 @@ def crossings(
     """
     made = 0
     for i in range(x.shape[0]):
-        v = levels[0] * x[i, channel]
-        if not abs(v) < math.inf:
+        v = finite(levels[0] * x[i, channel])
+        if v != v:
             continue
         if v < levels[2]:
             if now[0] == INSIDE:
@@ -91,13 +92,14 @@ class Threshold(Operator[ThresholdState]):
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("onset", "interval")
+    takes = "rows"
     level: float = param(help="an interval begins where this is reached, in the channel's unit")
     release: float | None = param(None, help="an interval ends behind this (hysteresis); left out: level")
     direction: Literal["above", "below"] = param("above", help="on which side of the level intervals lie")
     channel: str | int | None = param(None, help="name, or number from 0; may be left out if there is only one")
     min_duration_s: float = param(0.0, least=0.0, help="shorter intervals are passed over")
     refractory_s: float = param(0.0, least=0.0, help="for how long after an interval no new one begins")
-    reset_gap_s: float = param(0.1, least=0.0, help="a longer gap ends an interval unreported")
+    reset_gap_s: float = reset_gap(0.1)
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
@@ -146,9 +148,10 @@ class Threshold(Operator[ThresholdState]):
                 if state.breaks(chunk):
                     state.now[:] = UNKNOWN, 0, NEVER
             state.last[0] = time[-1]
-        x = chunk.data if state.plain else rows(chunk.data, state.width)
         events, peaks = np.empty((2 * n, 3), np.int64), np.empty(2 * n)
-        made = crossings(x, time, state.channel, state.levels, state.waits, state.now, state.peak, events, peaks)
+        made = crossings(
+            chunk.data, time, state.channel, state.levels, state.waits, state.now, state.peak, events, peaks
+        )
         if not made:
             none = np.empty(0, np.int64)
             return [

@@ -31,7 +31,7 @@ import numpy as np
 
 from stream.chunk import FOREVER, NEVER, NS, STAMP, Array, Chunk, Specs, StreamSpec, Times
 from stream.errors import KinegraphError, nearest
-from stream.operator import Operator
+from stream.operator import Operator, Takes
 from stream.params import param
 from stream.require import numeric, width_of
 from stream.spare import Spare
@@ -125,6 +125,7 @@ class SampleWise(Operator[S]):
     """
 
     __slots__ = ("bound",)
+    takes: ClassVar[Takes] = "rows"
     contiguous = True
     kernel: ClassVar[Kernel]
     keeps_dtype: ClassVar[bool] = False
@@ -232,7 +233,7 @@ class SampleWise(Operator[S]):
         if bound.last is not None:
             bound.last[0] = time[-1]
         x = chunk.data
-        if not bound.plain:
+        if x.ndim != 2 or x.dtype != bound.dtype:
             x = np.ascontiguousarray(x, bound.dtype).reshape(n, bound.width)
         m = n if bound.call.rows is None else bound.call.rows(n)
         if not m:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 S = TypeVar("S")
 
+Takes: TypeAlias = Literal["any", "rows", "finite"]
+"""In what form an operator's ports ask for numbers."""
 Emitted: TypeAlias = Chunk | Sequence[tuple[str, Chunk]] | None
 """What `process` gives back: a chunk for the first output, nothing, or (output, chunk) pairs in the order of emission."""
 
@@ -42,6 +44,8 @@ class Operator(Generic[S]):
     in_turn    whether samples of several inputs come strictly in global time order, cut wherever another input's is due. Off, for operators
                that wait for `until` in any case (joins): each input's own order, and far fewer pieces. Either way a piece's `until` holds
                for all inputs at once
+    takes      what its ports ask for, where numbers come: "rows" are C-contiguous float64 (n, width), whatever the dtype and shape of a
+               sample was; "finite" are rows in which NaN stands for what is not a finite number; "any" is the stream as it is
     contiguous whether what it emits always is C-contiguous, aligned and writable, so that the engine need not look (the laws do)
     departures rules of the laws (RULES in stream/trial/broken.py) that do not hold here on purpose, each with the reason, for the docs
     """
@@ -52,6 +56,7 @@ class Operator(Generic[S]):
     variadic: ClassVar[bool] = False
     outputs: ClassVar[tuple[str, ...]] = ("out",)
     in_turn: ClassVar[bool] = True
+    takes: ClassVar[Takes] = "any"
     contiguous: ClassVar[bool] = False
     departures: ClassVar[dict[str, str]] = {}
 

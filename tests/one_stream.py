@@ -8,6 +8,7 @@ import numpy as np
 
 from stream.chunk import FOREVER, Chunk, StreamSpec
 from stream.operator import grid
+from stream.rows import taking
 
 RATE = 200.0
 
@@ -23,11 +24,13 @@ def run(operator, data, *, spec=None, time=None, cuts=(), lost=None):
     lost = lost or {}
     operator = operator.fresh()
     made = operator.open({"in": spec})["out"]
+    take = taking(operator, {"in": spec})
     places = sorted({0, *cuts, *lost, len(data)})
     emitted, stamps, values, marks, pending, told = [], [], [], {}, 0, None
     for start, stop in pairwise(places):
         until = int(time[stop]) - 1 if stop < len(time) else FOREVER
-        emitted.append(operator.process("in", Chunk(time[start:stop], data[start:stop], until, lost.get(start, 0))))
+        chunk = Chunk(time[start:stop], data[start:stop], until, lost.get(start, 0))
+        emitted.append(operator.process("in", take("in", chunk)))
     emitted.append(operator.close())
     for given in emitted:
         for chunk in [given] if isinstance(given, Chunk) else [c for _, c in given or ()]:

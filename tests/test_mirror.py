@@ -37,7 +37,7 @@ def test_a_pose_of_the_mirrored_body_is_the_mirrored_pose_also_stacked():
         pose, stack = Pose(), Stack(offsets=(-4, 0, 4))
         spec = pose.open({"in": StreamSpec((7, 3), rate_hz=30.0, channels=names, units=("m",))})["out"]
         spec = stack.open({"in": spec})["out"]
-        chunk = pose.process("in", Chunk(grid(30.0, 60), points, FOREVER))
+        chunk = pose.process("in", Chunk(grid(30.0, 60), points.reshape(60, -1), FOREVER))
         return spec, stack.process("in", chunk)[0][1].data
 
     spec, plain = features(body)

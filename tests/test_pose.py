@@ -11,6 +11,7 @@ from operators.features.skeleton import SETS, partner
 from stream.chunk import Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.operator import grid
+from stream.rows import taking
 
 DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
 needs_data = pytest.mark.skipif(not DATA.exists(), reason="KINEGRAPH_DATA names no folder of recordings")
@@ -23,8 +24,9 @@ KINECT = (
 
 def poses(data, names, unit="m", **parameters):
     operator = Pose(**parameters)
-    spec = operator.open({"in": StreamSpec(data.shape[1:], rate_hz=30.0, channels=names, units=(unit,))})["out"]
-    return spec, operator.process("in", Chunk(grid(30.0, len(data)), data, 0)).data
+    specs = {"in": StreamSpec(data.shape[1:], rate_hz=30.0, channels=names, units=(unit,))}
+    spec, take = operator.open(specs)["out"], taking(operator, specs)
+    return spec, operator.process("in", take("in", Chunk(grid(30.0, len(data)), data, 0))).data
 
 
 def body(frames=40, seed=3):

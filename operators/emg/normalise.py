@@ -36,6 +36,7 @@ class Normalise(Operator[NormaliseState]):
     it, `meta["normalisation_reference"]` holds the reference's values, whose they are and when they were taken: so does every recording.
     """
 
+    takes = "finite"
     method: Literal["mvc", "rest", "task_peak", "task_mean", "none"] = param("none", help="what 100 % stands for")
     reference: str = param("", help="the file that `kinegraph calibrate` wrote")
 
@@ -69,8 +70,7 @@ class Normalise(Operator[NormaliseState]):
         return {"out": spec.derive(dtype=np.dtype(np.float64), units=(METHODS[self.method],), meta=meta)}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
-        data = np.where(np.isfinite(chunk.data), chunk.data, np.nan) * self.state.scale
-        return Chunk(chunk.time, data, chunk.until, chunk.lost)
+        return Chunk(chunk.time, chunk.data * self.state.scale, chunk.until, chunk.lost)
 
     @classmethod
     def cases(cls) -> list[Case]:

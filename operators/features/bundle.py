@@ -8,13 +8,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.continuity import Continuity, rows, watch
+from operators.continuity import Continuity, watch
 from operators.features.bundle_kernel import bundle_frames
 from operators.features.stack import pieces
 from operators.neighbours.index import LIMITS
 from operators.neighbours.layout import IndexState, allocate, clear
 from stream.chunk import FOREVER, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
+from stream.filter import reset_gap
 from stream.operator import Case, Emitted, Operator, grid
 from stream.params import param
 from stream.require import numeric, regular, samples_in
@@ -56,11 +57,12 @@ class Bundle(Operator[BundleState]):
 
     departures: ClassVar[dict[str, str]] = {"channels": "a frame with a bad value has no neighbours, and is none"}
 
+    takes = "rows"
     k: int = param(32, least=4, most=128, help="how many neighbours")
     window_s: float = param(60.0, above=0.0, help="how far back neighbours are looked for")
     variance: float = param(0.975, above=0.0, most=1.0, help="share of the neighbours' variance that is kept")
     ahead: int = param(2, least=2, most=1000, help="frames that are awaited: the delay")
-    reset_gap_s: float = param(60.0, least=0.0, help="a longer gap empties the window")
+    reset_gap_s: float = reset_gap(60.0)
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
@@ -98,10 +100,9 @@ class Bundle(Operator[BundleState]):
             if chunk.lost and s.breaks(chunk):
                 clear(s.index)
             s.last[0] = chunk.time[-1]
-            x = chunk.data if s.plain else rows(chunk.data, s.width)
             furthest = APART * s.period_ns
             made = bundle_frames(
-                s.index.floats, s.index.books, x, self.k, self.variance, self.ahead, furthest, chunk.lost,
+                s.index.floats, s.index.books, chunk.data, self.k, self.variance, self.ahead, furthest, chunk.lost,
                 chunk.time, s.recent, s.past, s.places, s.pull, s.gram, s.basis, s.room, s.ways, out, when,
             )  # fmt: skip
         return pieces(when[0, :made], out[:made], when[1, :made], self._promise(chunk.until))

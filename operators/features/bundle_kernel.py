@@ -11,6 +11,7 @@ from operators.neighbours.layout import IN_NEAR, LANES, NEAR, NEXT, Floats
 from operators.neighbours.search import search
 from operators.neighbours.window import insert, prepare, slot_of, tile_at
 from stream.chunk import Samples, Times
+from stream.finite import finite
 from stream.kernel import kernel
 
 CLIMB = 200
@@ -213,6 +214,6 @@ def bundle_frames(
             bundle(f, b, b[NEXT] - 1 - ahead, k, variance, pull, gram, basis, room, ways, frame, out[made])
         else:
             for c in range(d):
-                out[made, c] = frame[c] if abs(frame[c]) < math.inf else math.nan
+                out[made, c] = finite(frame[c])
         made += 1
     return made

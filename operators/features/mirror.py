@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from operators.channels import names_of
-from operators.continuity import rows
-from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
+from stream.chunk import Samples, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
+from stream.filter import SampleWise
+from stream.finite import finite
 from stream.kernel import kernel
-from stream.operator import Case, Operator, grid
+from stream.operator import Case, grid
 from stream.params import param
-from stream.require import numeric
 
 STACKED = re.compile(r"\[[+-]\d+\]$")
 
@@ -26,8 +25,7 @@ def mirrored(x: Samples, source: Times, sign: Samples, out: Samples) -> None:
     """Column k of `out` (n, c) is column `source[k]` of `x` (n, c) times `sign[k]`; what is not finite is NaN."""
     for i in range(x.shape[0]):
         for k in range(x.shape[1]):
-            v = x[i, source[k]]
-            out[i, k] = sign[k] * v if abs(v) < math.inf else math.nan
+            out[i, k] = sign[k] * finite(x[i, source[k]])
 
 
 @dataclass(slots=True)
@@ -37,7 +35,7 @@ class MirrorState:
 
 
 @dataclass(frozen=True, slots=True)
-class Mirror(Operator[MirrorState]):
+class Mirror(SampleWise[MirrorState]):
     """Features in, the features of the same movement seen in a mirror out: reflected at the body's sagittal plane. No delay, any rate.
 
     swap    pairs of channels that change places; a name also stands for its channels: `[ankle_l, ankle_r]` for ankle_l.x, .y and .z
@@ -53,33 +51,38 @@ class Mirror(Operator[MirrorState]):
     negate: tuple[str, ...] = param((), help="channels that change their sign; *.x: all that end so")
     sides: bool = param(False, help="the first of each pair is the left one")
 
-    def open(self, specs: Specs) -> Specs:
-        spec = specs["in"]
-        out = numeric(spec)
+    kernel = mirrored
+
+    def begin(self, spec: StreamSpec) -> MirrorState:
         if not spec.is_signal:
             raise InputError("in", spec.describe(), "a signal of features")
         names = names_of(spec)
         bare = [STACKED.sub("", name) for name in names]
-        sided = self.sides
-        if self.swap or self.negate:
-            couples = self._couples(bare)
-            turned = {name for given in self.negate for name in self._turned(given, bare)}
-        else:
-            own = spec.meta.get("mirror")
-            if not own:
-                raise ParameterError("swap", [], "a list of pairs, as the input says nothing about its sides")
-            couples, turned = {}, set(own["negate"])
-            for left, right in own["swap"]:
-                couples[left], couples[right] = right, left
-            sided = True
+        couples, turned = self._image(spec, bare)
         place = {name: i for i, name in enumerate(names)}
         source = [
             place[couples.get(plain, plain) + name[len(plain) :]] for name, plain in zip(names, bare, strict=True)
         ]
         sign = np.array([-1.0 if plain in turned else 1.0 for plain in bare])
-        self.hold(MirrorState(np.array(source, np.int64), sign))
+        return MirrorState(np.array(source, np.int64), sign)
+
+    def gives(self, spec: StreamSpec) -> StreamSpec:
+        couples, _ = self._image(spec, [STACKED.sub("", name) for name in names_of(spec)])
+        sided = self.sides or not (self.swap or self.negate)
         facts = {"mirrored": True, "sides": "LR" if sided else "AB", "firsts": list(couples)[::2]}
-        return {"out": out.derive(meta={**spec.meta, **facts})}
+        return spec.derive(meta={**spec.meta, **facts})
+
+    def _image(self, spec: StreamSpec, bare: list[str]) -> tuple[dict[str, str], set[str]]:
+        """Which channels change places, and which their sign."""
+        if self.swap or self.negate:
+            return self._couples(bare), {name for given in self.negate for name in self._turned(given, bare)}
+        own = spec.meta.get("mirror")
+        if not own:
+            raise ParameterError("swap", [], "a list of pairs, as the input says nothing about its sides")
+        couples = {}
+        for left, right in own["swap"]:
+            couples[left], couples[right] = right, left
+        return couples, set(own["negate"])
 
     def _couples(self, names: list[str]) -> dict[str, str]:
         """Who takes whose place, both ways; the first of each pair before the second."""
@@ -108,12 +111,6 @@ class Mirror(Operator[MirrorState]):
         if not made:
             raise ParameterError(parameter, given, f"a channel of the input; {nearest(given, names)}")
         return made
-
-    def process(self, port: str, chunk: Chunk) -> Chunk:
-        s = self.state
-        out = np.empty((len(chunk.time), len(s.source)))
-        mirrored(rows(chunk.data, len(s.source)), s.source, s.sign, out)
-        return Chunk(chunk.time, out, chunk.until, chunk.lost)
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

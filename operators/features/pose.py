@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 
-from operators.continuity import rows
 from operators.features.skeleton import SETS, find_joints, pairs
 from operators.marker_columns import marker_columns
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
@@ -127,6 +126,7 @@ class Pose(Operator[PoseState]):
     whole pose where the root or the hips are. `meta["mirror"]` holds what operators.features.mirror.Mirror swaps.
     """
 
+    takes = "rows"
     points: Literal["e15", "e30", "all"] = param("e15", help="which points come out")
     joints: Mapping[str, tuple[str, ...]] | None = param(None, help="joint: [point, ...], where names do not tell")
     up: Literal["x", "y", "z", "-x", "-y", "-z"] = param("y", help="the input's axis that points up")
@@ -187,7 +187,7 @@ class Pose(Operator[PoseState]):
         out = np.empty((len(chunk.time), 3 * (len(s.parts) - 3 - (6 if len(s.chains) else 0))))
         if len(chunk.time):
             up, sign = "xyz".index(self.up[-1]), -1.0 if self.up[0] == "-" else 1.0
-            x = rows(chunk.data, s.width) * s.cm
+            x = chunk.data * s.cm
             seen_from_body(
                 x,
                 s.columns,

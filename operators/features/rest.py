@@ -8,10 +8,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.continuity import Continuity, rows, watch
+from operators.continuity import Continuity, watch
 from operators.extremes import moving_extreme
 from operators.features.stack import pieces
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times, add_lost
+from stream.filter import reset_gap
 from stream.operator import Case, Emitted, Operator, grid
 from stream.params import param
 from stream.require import numeric, regular, samples_in
@@ -38,9 +39,10 @@ class SkipRest(Operator[RestState]):
     """
 
     departures: ClassVar[dict[str, str]] = {"channels": "rest is that of all channels together"}
+    takes = "finite"
     moves: float = param(above=0.0, help="what moves less is at rest, in the signal's unit")
     window_s: float = param(2.0, above=0.0, help="for so long")
-    reset_gap_s: float = param(0.5, least=0.0, help="after a longer gap rest is to be seen anew")
+    reset_gap_s: float = reset_gap(0.5)
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
@@ -57,19 +59,19 @@ class SkipRest(Operator[RestState]):
     def process(self, port: str, chunk: Chunk) -> Emitted:
         s = self.state
         if not len(chunk):
-            return Chunk(chunk.time, np.empty(chunk.data.shape), chunk.until)
+            return Chunk(chunk.time, s.nothing, chunk.until)
         if chunk.lost and s.breaks(chunk):
             s.places[:] = 0
             s.seen = 0
         s.last[0] = chunk.time[-1]
-        x = rows(chunk.data, s.width)
+        x = chunk.data
         passes = ~self._at_rest(x, chunk.time)
         lost = np.zeros(len(chunk), np.int64)
         kept = add_lost(s.dropped, chunk.lost)
         for i, moving in enumerate(passes):
             lost[i], kept = (kept, 0) if moving else (0, add_lost(kept, 1))
         s.dropped = kept
-        made = np.where(np.isfinite(x), x, np.nan)[passes].reshape(-1, *chunk.data.shape[1:])
+        made = x[passes].reshape(-1, *s.nothing.shape[1:])
         return pieces(chunk.time[passes], made, lost[passes], chunk.until)
 
     def _at_rest(self, x: Samples, time: Times) -> Array:

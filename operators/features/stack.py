@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from operators.continuity import Continuity, rows, watch
+from operators.continuity import Continuity, watch
 from stream.chunk import FOREVER, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
+from stream.filter import reset_gap
+from stream.finite import finite
 from stream.kernel import kernel
 from stream.operator import Case, Emitted, Operator, grid
 from stream.params import param
@@ -56,8 +57,7 @@ def stack(
     for i in range(x.shape[0]):
         at = places[0]
         for c in range(width):
-            v = x[i, c]
-            ring[at, c] = v if abs(v) < math.inf else math.nan
+            ring[at, c] = finite(x[i, c])
         if places[1] and time[i] - past[0, ahead] > furthest:
             places[1] = 0
             places[2] = -1
@@ -106,11 +106,10 @@ class Stack(Operator[StackState]):
     becomes R sqrt(offsets x features).
     """
 
+    takes = "rows"
     offsets: tuple[int, ...] = param((-10, -5, 0, 5, 10), least=-FARTHEST, most=FARTHEST, help="in frames")
     causal: bool = param(False, help="offsets moved back until none reaches ahead")
-    reset_gap_s: float = param(
-        0.5, least=0.0, help="a longer gap begins anew; samples around a shorter one count as neighbours"
-    )
+    reset_gap_s: float = reset_gap(0.5)
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
@@ -155,9 +154,8 @@ class Stack(Operator[StackState]):
         made = 0
         if n:
             s.last[0] = chunk.time[-1]
-            x = chunk.data if s.plain else rows(chunk.data, s.width)
             furthest = s.limit_ns + s.period_ns
-            made = stack(x, s.ring, s.places, s.offsets, chunk.time, chunk.lost, furthest, s.past, out, when)
+            made = stack(chunk.data, s.ring, s.places, s.offsets, chunk.time, chunk.lost, furthest, s.past, out, when)
         return pieces(when[0, :made], out[:made], when[1, :made], self._promise(chunk.until))
 
     def _promise(self, until: int) -> int:

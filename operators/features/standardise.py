@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from operators.continuity import rows
-from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
+from stream.chunk import Samples, StreamSpec, Times
+from stream.filter import SampleWise
+from stream.finite import finite
 from stream.kernel import kernel
-from stream.operator import Case, Operator, grid
+from stream.operator import Case, grid
 from stream.params import param
-from stream.require import numeric, regular, samples_in
+from stream.require import regular, samples_in, width_of
 
 QUARTILES = 1.3489795003921634
 """The distance between a normal distribution's quartiles, in standard deviations."""
@@ -69,21 +69,24 @@ def standardise(
     for i in range(x.shape[0]):
         largest = 0.0
         for c in range(x.shape[1]):
-            if abs(x[i, c]) < math.inf and (most == 0 or places[2, c] < most):
-                enter(x[i, c], ring[c], ranked[c], places[:2, c])
+            v = finite(x[i, c])
+            if v == v and (most == 0 or places[2, c] < most):
+                enter(v, ring[c], ranked[c], places[:2, c])
                 places[2, c] += 1
                 count = places[1, c]
                 line[0, c] = quantile(ranked[c], count, 0.5)
                 line[1, c] = (quantile(ranked[c], count, 0.75) - quantile(ranked[c], count, 0.25)) / QUARTILES
             largest = max(largest, line[1, c])
         for c in range(x.shape[1]):
-            v = x[i, c]
+            v = out[i, c] = finite(x[i, c])
             spread = max(line[1, c], least_share * largest)
-            out[i, c] = ((v - line[0, c]) / spread if spread > 0.0 else 0.0) if abs(v) < math.inf else math.nan
+            if v == v:
+                out[i, c] = (v - line[0, c]) / spread if spread > 0.0 else 0.0
 
 
 @dataclass(slots=True)
 class StandardiseState:
+    settling_s: float
     most: int
     ring: Samples
     ranked: Samples
@@ -92,7 +95,7 @@ class StandardiseState:
 
 
 @dataclass(frozen=True, slots=True)
-class Standardise(Operator[StandardiseState]):
+class Standardise(SampleWise[StandardiseState]):
     """A signal in; out comes every channel less its running median, over its running spread (quartiles' distance / 1.349). No delay.
 
     Median and quartiles are those of the newest `window_s` of good values, so single outliers do not count. Statistics that go on running
@@ -104,27 +107,19 @@ class Standardise(Operator[StandardiseState]):
     window_s: float = param(30.0, above=0.0, help="what median and spread are taken from")
     freeze_s: float = param(0.0, least=0.0, help="after this long they stay as they are; 0: never")
     least_share: float = param(0.05, least=0.0, most=1.0, help="a channel's least spread, as a share of the largest")
+    kernel = standardise
 
-    def open(self, specs: Specs) -> Specs:
-        spec = specs["in"]
-        out = numeric(spec)
-        rate_hz = regular(spec)
-        width = int(np.prod(spec.shape, dtype=np.int64))
+    def begin(self, spec: StreamSpec) -> StandardiseState:
+        rate_hz, width = regular(spec), width_of(spec)
         w = samples_in("window_s", self.window_s, rate_hz)
         most = samples_in("freeze_s", self.freeze_s, rate_hz) if self.freeze_s else 0
         w = min(w, most) if most else w
         blank = np.zeros((width, w))
-        self.hold(StandardiseState(most, blank, blank.copy(), np.zeros((3, width), np.int64), np.zeros((2, width))))
-        settling_s = spec.settling_s + (self.freeze_s or self.window_s)
-        return {"out": out.derive(units=("",), settling_s=settling_s)}
+        places, line = np.zeros((3, width), np.int64), np.zeros((2, width))
+        return StandardiseState(self.freeze_s or self.window_s, most, blank, blank.copy(), places, line)
 
-    def process(self, port: str, chunk: Chunk) -> Chunk:
-        s = self.state
-        out = np.empty(chunk.data.shape)
-        width = len(s.ring)
-        x, flat = rows(chunk.data, width), out.reshape(len(out), width)
-        standardise(x, s.most, self.least_share, s.ring, s.ranked, s.places, s.line, flat)
-        return Chunk(chunk.time, out, chunk.until, chunk.lost)
+    def gives(self, spec: StreamSpec) -> StreamSpec:
+        return spec.derive(units=("",))
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

@@ -8,7 +8,7 @@ from typing import ClassVar, TypeAlias
 
 import numpy as np
 
-from operators.continuity import Continuity, rows, watch
+from operators.continuity import Continuity, watch
 from operators.neighbours.follow import follow_within
 from operators.neighbours.index import LIMITS, set_weights
 from operators.neighbours.layout import NEXT, IndexState, allocate, clear
@@ -69,6 +69,7 @@ class Neighbours(Operator[NeighboursState]):
     once, when its later frame comes.
     """
 
+    takes = "rows"
     inputs: ClassVar[tuple[str, ...]] = ("in", "weights", "radius")
     optional: ClassVar[tuple[str, ...]] = ("weights", "radius")
     outputs: ClassVar[tuple[str, ...]] = ("nearest", "within")
@@ -125,7 +126,7 @@ class Neighbours(Operator[NeighboursState]):
         found: Found = []
         if len(chunk):
             s.last[0] = chunk.time[-1]
-            self._follow(rows(chunk.data, s.width), chunk.time, nearest, found)
+            self._follow(chunk.data, chunk.time, nearest, found)
         return self._emitted(chunk, nearest, found)
 
     def _follow(self, x: Samples, time: Times, nearest: Array, found: Found) -> None:
@@ -159,7 +160,7 @@ class Neighbours(Operator[NeighboursState]):
     def _steer(self, port: str, data: Array) -> None:
         """The newest good weights or radius hold from now on."""
         s = self.state
-        for row in rows(data, s.width if port == "weights" else 1)[::-1]:
+        for row in data[::-1]:
             if ((row >= 0.0) & (row <= LARGEST)).all():
                 if port == "weights":
                     set_weights(s.index, row)

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from operators.channels import names_of
-from operators.continuity import Continuity, rows, watch
+from operators.continuity import Continuity, watch
 from operators.features.mirror import STACKED
 from operators.segmentation.activities import ROOM, end, follow
 from operators.segmentation.final import SIDED, SYMMETRIC
@@ -114,6 +114,7 @@ class Segment(Operator[SegmentState]):
 
     inputs: ClassVar[tuple[str, ...]] = ("mirrored", "in")
     optional: ClassVar[tuple[str, ...]] = ("mirrored",)
+    takes = "rows"
     outputs: ClassVar[tuple[str, ...]] = tuple(OUTPUTS)
     departures: ClassVar[dict[str, str]] = {
         "time": "what the end of the stream forces to close is stamped with the newest frame, so time is promised up to there only",
@@ -184,14 +185,14 @@ class Segment(Operator[SegmentState]):
         s = self.state
         if port == "mirrored":
             if len(chunk):
-                s.mirrored, s.mirrored_at = rows(chunk.data, s.width)[-1].copy(), int(chunk.time[-1])
+                s.mirrored, s.mirrored_at = chunk.data[-1].copy(), int(chunk.time[-1])
             return []
         last = s.last.item(0)
         if not len(chunk):
             return self._emitted([], chunk.until if last == NEVER else min(chunk.until, last - 1), 0)
         gap = bool(chunk.lost) and last != NEVER and s.breaks(chunk)
         s.last[0] = chunk.time[-1]
-        x = rows(chunk.data, s.width)
+        x = chunk.data
         images = np.full((len(x) if len(s.mirrored) else 0, s.width), np.nan)
         if len(images):
             images[chunk.time == s.mirrored_at] = s.mirrored

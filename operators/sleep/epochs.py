@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 
-from operators.continuity import rows
 from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.kernel import kernel
@@ -63,6 +62,7 @@ class Epochs(Operator[EpochsState]):
     NaN per epoch, up to `reset_gap_s`; beyond, nothing is emitted until samples come again. Delay: one epoch.
     """
 
+    takes = "rows"
     epoch_s: float = param(30.0, above=0.0, help="length of an epoch")
     measure: Literal["sum", "mean", "maximum"] = param("sum", help="what becomes of an epoch's samples")
     least_seen: float = param(0.5, above=0.0, most=1.0, help="share of the samples that must have been seen")
@@ -93,7 +93,6 @@ class Epochs(Operator[EpochsState]):
         time = chunk.time
         emitted: list[tuple[str, Chunk]] = []
         made: list[tuple[int, Samples]] = []
-        x = rows(chunk.data, s.sums.shape[1])
         start = 0
         while start < len(time):
             t = int(time[start])
@@ -104,7 +103,7 @@ class Epochs(Operator[EpochsState]):
             if s.begin == NEVER:
                 s.begin = self._floor(t)
             stop = int(np.searchsorted(time, s.begin + s.epoch_ns))
-            gather(x[start:stop], s.sums)
+            gather(chunk.data[start:stop], s.sums)
             s.silent = 0
             start = stop
         if chunk.until == FOREVER:

@@ -25,6 +25,7 @@ from stream.errors import KinegraphError
 from stream.graph import Edge, Graph, Node
 from stream.graph.parts import is_ours
 from stream.operator import Emitted, Operator, Outlet
+from stream.rows import Rows, rows_for
 
 log = structlog.get_logger(__name__)
 
@@ -172,8 +173,11 @@ class Pipeline:
         self.wires = {str(w.edge): w for w in self._wires()}
         for wire in self.wires.values():
             readers = [(self.stages[n.name], port) for n, port in graph.readers(wire.edge) if n.name in self.stages]
+            made: dict[bool, Rows] = {}
             for stage, port in readers:
-                wire.readers.append(self._bridged(wire, stage, port, stage.push(port), bridge))
+                push = self._bridged(wire, stage, port, stage.push(port), bridge)
+                rows = rows_for(stage.operator, wire.spec, made)
+                wire.readers.append(_converting(rows, push) if rows else push)
                 stage.feeds.append(wire)
                 wire.strict = wire.strict or stage.node.is_outlet
 
@@ -260,6 +264,11 @@ class Pipeline:
             wire.owed, wire.samples, wire.gaps, wire.lost = (int(v) for v in arrays[f"{name}/wire"])
             wire.told = NEVER
         self.loosen()
+
+
+def _converting(rows: Rows, push: Push) -> Push:
+    """Brings chunks to a reader that asks for rows, where the edge carries something else."""
+    return lambda chunk, start: push(rows(chunk), start)
 
 
 def lane_of(graph: Graph, node: Node) -> str:

@@ -22,6 +22,7 @@ from stream.engine.row import step_of
 from stream.errors import GraphError, KinegraphError, explain
 from stream.graph import Graph, Node, parts
 from stream.operator import Emitted, Operator, grid
+from stream.rows import taking
 from stream.source import Source
 
 SAMPLES = 64
@@ -59,6 +60,7 @@ def _run_cases(part: Operator[Any]) -> None:
         operator = case.operator.fresh()
         specs = {port: spec for port, (spec, _, _) in case.inputs.items()}
         operator.open(specs)
+        take = taking(operator, specs)
         merge = Merge(specs, in_turn=operator.in_turn)
         pieces = [(port, piece) for port, given in case.inputs.items() for piece in _pieces(*given)]
         ends = [
@@ -67,7 +69,7 @@ def _run_cases(part: Operator[Any]) -> None:
         for port, piece in [*pieces, *ends]:
             for name, merged in merge.push(port, piece):
                 with suppress(KinegraphError):
-                    _process(operator, name, merged)
+                    _process(operator, name, take(name, merged))
         operator.close()
 
 
@@ -77,13 +79,14 @@ def _run_made_up(graph: Graph, node: Node) -> None:
     operator = node.part.fresh()
     specs = graph.input_specs(node)
     promised = operator.open(specs)
+    take = taking(operator, specs)
     for port, spec in specs.items():
         if spec.is_event:
             _process(operator, port, empty(spec, NS))
             continue
         times, data = made_up(spec, SAMPLES)
         for piece in _pieces(spec, times, data):
-            check_promises(node, promised, _process(operator, port, piece))
+            check_promises(node, promised, _process(operator, port, take(port, piece)))
     if len(specs) == len(promised) == 1:
         try:
             step_of(operator, *specs.values(), *promised.values())

@@ -13,6 +13,7 @@ from stream.engine.merge import Merge
 from stream.engine.row import Row, step_of
 from stream.errors import KinegraphError
 from stream.operator import Case, Emitted, Operator, Outlet
+from stream.rows import taking
 from stream.trial.broken import Broken
 from stream.trial.cut import Delivery
 
@@ -72,6 +73,7 @@ class Player:
             )
         if isinstance(operator, Outlet):
             operator.begin()
+        self._take = taking(operator, self.specs)
         return operator, opened
 
     def play(self, delivery: Delivery) -> Player:
@@ -96,7 +98,7 @@ class Player:
             self._accept(emitted, at_close=False)
 
     def _process(self, port: str, chunk: Chunk) -> Emitted:
-        return self.operator.process(port, chunk)
+        return self.operator.process(port, self._take(port, chunk))
 
     def close(self) -> None:
         try:
