@@ -16,6 +16,7 @@ from operators.segmentation.found import Found, merged, second_steps
 from operators.segmentation.truth import Truth, read_truth
 from stream.chunk import NS, Array, Chunk, StreamSpec
 from stream.operator import Operator, grid
+from stream.rows import taking
 
 RATE = 30.0
 
@@ -35,8 +36,9 @@ class Series:
     def _through(self, operator: Operator[Any]) -> Series:
         port = operator.inputs[0] if operator.inputs else "pose"
         (spec,) = operator.open({port: self.spec}).values()
+        take = taking(operator, {port: self.spec})
         made = [
-            *chunks(operator.process(port, Chunk(self.stamps, self.data, int(self.stamps[-1])))),
+            *chunks(operator.process(port, take(port, Chunk(self.stamps, self.data, int(self.stamps[-1]))))),
             *chunks(operator.close()),
         ]
         return Series(spec, np.concatenate([c.time for c in made]), np.concatenate([c.data for c in made]))

@@ -69,9 +69,12 @@ def _gaps(time: Times, spec: StreamSpec) -> Array | None:
 
 def applied(operator: Operator[Any], given: Series) -> dict[str, Array]:
     """What an operator with one input makes of a whole stream: every output's samples, by name."""
+    from stream.rows import taking  # it has kernels, and numba takes long to import
+
     fresh = operator.fresh()
     port = required_input(operator)
     specs = fresh.open({port: given.spec})
+    take = taking(fresh, {port: given.spec})
     found: dict[str, list[Array]] = {name: [np.empty((0, *spec.shape), spec.dtype)] for name, spec in specs.items()}
 
     def keep(emitted: Emitted) -> None:
@@ -84,11 +87,8 @@ def applied(operator: Operator[Any], given: Series) -> dict[str, Array]:
     for start, stop in pairwise(starts):
         lost = int(given.lost[start]) if given.lost is not None else 0
         until = FOREVER if stop == len(given.time) else int(given.time[stop]) - 1
-        keep(
-            fresh.process(
-                port, Chunk(given.time[start:stop], np.ascontiguousarray(given.data[start:stop]), until, lost)
-            )
-        )
+        chunk = Chunk(given.time[start:stop], np.ascontiguousarray(given.data[start:stop]), until, lost)
+        keep(fresh.process(port, take(port, chunk)))
     keep(fresh.close())
     return {name: np.concatenate(parts) for name, parts in found.items()}
 

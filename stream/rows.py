@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stream.chunk import Chunk, Samples, Specs, StreamSpec
 from stream.finite import finite
 from stream.kernel import kernel
-from stream.operator import Operator
 from stream.require import width_of
+
+if TYPE_CHECKING:
+    from stream.operator import Operator
 
 
 class Rows:
