@@ -6,6 +6,7 @@ from stream.lazy import offered
 
 if TYPE_CHECKING:
     from devices.actigraph import Actigraph
+    from devices.alarms import Alarms
     from devices.ascii_lines import AsciiLines
     from devices.bedside import Bedside
     from devices.binary import Binary
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Actigraph",
+    "Alarms",
     "AsciiLines",
     "Bedside",
     "Binary",
@@ -59,6 +61,7 @@ __getattr__, __dir__ = offered(
     __name__,
     {
         "Actigraph": "devices.actigraph",
+        "Alarms": "devices.alarms",
         "AsciiLines": "devices.ascii_lines",
         "Bedside": "devices.bedside",
         "Binary": "devices.binary",

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from operators.depth.simplify import Simplify
     from operators.derivative import Derivative
     from operators.emg import Envelope
+    from operators.emg.electrode_watch import ElectrodeWatch
     from operators.emg.normalise import Normalise
     from operators.emg.quality import SignalQuality
     from operators.extremes import MovingMax, MovingMin
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from operators.features.stack import Stack
     from operators.features.standardise import Standardise
     from operators.gait.acceleration import AccelerationContacts
+    from operators.gait.cycle_watch import CycleWatch
     from operators.gait.cycles import Cycles
     from operators.gait.ensemble import CycleEnsemble
     from operators.gait.force import ForceContacts, SwitchContacts
@@ -65,9 +67,11 @@ __all__ = [
     "Bundle",
     "CycleEnsemble",
     "CycleStatistics",
+    "CycleWatch",
     "Cycles",
     "Decimate",
     "Derivative",
+    "ElectrodeWatch",
     "Envelope",
     "Epochs",
     "FillGaps",
@@ -123,9 +127,11 @@ __getattr__, __dir__ = offered(
         "Bundle": "operators.features.bundle",
         "CycleEnsemble": "operators.gait.ensemble",
         "CycleStatistics": "operators.gait.statistics",
+        "CycleWatch": "operators.gait.cycle_watch",
         "Cycles": "operators.gait.cycles",
         "Decimate": "operators.decimate",
         "Derivative": "operators.derivative",
+        "ElectrodeWatch": "operators.emg.electrode_watch",
         "Envelope": "operators.emg",
         "Epochs": "operators.sleep.epochs",
         "FillGaps": "operators.gaps",
