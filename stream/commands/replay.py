@@ -60,7 +60,9 @@ def replay(
     logs.set_up()
     with Recording.open(recording) as source:
         asked = read(settings or [])
-        graph = load(config, recorded={n: s.spec for n, s in source.streams.items()}, overrides=asked, trusted_only=trusted_only)
+        graph = load(
+            config, recorded={n: s.spec for n, s in source.streams.items()}, overrides=asked, trusted_only=trusted_only
+        )
         _take_facts(graph, source.header.get("session") or {}, asked, quiet=quiet)
         speaking = _speaking(graph, speak or [])
         run = Replay(graph, source, speaking=speaking, speed=speed or None, output=out, strict=verify)
@@ -103,9 +105,9 @@ def _take_facts(graph: Graph, known: dict[str, Any], asked: dict[str, Any], *, q
     if quiet:
         return
     if written and not known:
-        say("the recording holds no facts about its session; what the graph says of it is taken instead:", end=" ")
-        say(_listed(written))
-    if passed_over := {name: value for name, value in written.items() if graph.session.get(name) != value}:
+        say("the recording holds no facts about its session, and takes none from the graph:", end=" ")
+        say(f"{_listed(written)} (--set session.NAME=VALUE says otherwise)")
+    elif passed_over := {name: value for name, value in written.items() if graph.session.get(name) != value}:
         say("what the recording says of its session is taken, not what the graph says:", end=" ")
         say(f"{_listed(passed_over)} (--set session.NAME=VALUE says otherwise)")
 
@@ -127,9 +129,9 @@ def _interruptible(run: Replay) -> Iterator[None]:
 
 
 def _facts(written: dict[str, Any], recorded: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
-    """What is known of the session: what its recording says, else what the graph says; the command line has the last word."""
+    """What is known of the session: what its recording says; the command line has the last word. What the graph says is of others."""
     asked = {name.partition(".")[2] for name in overrides if name.startswith("session.")}
-    return (recorded or written) | {name: written[name] for name in asked if name in written}
+    return recorded | {name: written[name] for name in asked if name in written}
 
 
 def _speaking(graph: Graph, asked: list[str]) -> set[str]:
