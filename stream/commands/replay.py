@@ -106,7 +106,7 @@ def _take_facts(graph: Graph, known: dict[str, Any], asked: dict[str, Any], *, q
         return
     if written and not known:
         say("the recording holds no facts about its session, and takes none from the graph:", end=" ")
-        say(f"{_listed(written)} (--set session.NAME=VALUE says otherwise)")
+        say(f"{_listed(written)} (--set session.NAME=VALUE gives it one)")
     elif passed_over := {name: value for name, value in written.items() if graph.session.get(name) != value}:
         say("what the recording says of its session is taken, not what the graph says:", end=" ")
         say(f"{_listed(passed_over)} (--set session.NAME=VALUE says otherwise)")
