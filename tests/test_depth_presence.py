@@ -66,9 +66,13 @@ def test_who_lies_still_is_in_bed_and_leaves_it_when_leaving_it() -> None:
 
 def test_still_sleep_without_visible_breath_is_not_an_empty_bed() -> None:
     time, depth = bedroom(3000, (200, 2900), breath_mm=0.0)
-    assert told(presence(time, depth)["out"], time) == [("out", 0), ("in", 200), ("out", 2900), ("unknown", 3000)]
+    made = presence(time, depth, unsure_min=0.0)["out"]
+    assert told(made, time) == [("out", 0), ("in", 200), ("out", 2900), ("unknown", 3000)]
+    unsure = presence(time, depth)["out"]
+    assert [state for state, _ in told(unsure, time)] == ["out", "in", "unknown", "out", "unknown"]
+    assert unsure["why"].tolist() == ["", "", "still", "", "unseen"] and told(unsure, time)[3][1] == 2900
     vacant = told(presence(time, depth, vacant_min=30.0)["out"], time)
-    assert vacant[:2] == [("out", 0), ("in", 200)] and vacant[2][0] == "out" and vacant[2][1] < 2200
+    assert vacant[:2] == [("out", 0), ("in", 200)] and vacant[3][0] == "out" and vacant[3][1] < 2200
 
 
 def test_a_breathing_sleeper_is_never_taken_for_the_empty_bed() -> None:
@@ -84,7 +88,7 @@ def test_a_heap_of_blankets_does_not_stay_in_bed_for_ever() -> None:
     time, depth = bedroom(3600, (200, 400))
     depth[time - time[0] > 400 * NS, 9:13, 7:13] -= 250.0
     made = told(presence(time, depth, vacant_min=20.0)["out"], time)
-    assert [state for state, _ in made] == ["out", "in", "out", "unknown"] and made[2][1] < 500
+    assert [state for state, _ in made] == ["out", "in", "unknown", "out", "unknown"] and made[3][1] < 500
 
 
 def test_blocks_that_tremble_at_an_edge_neither_move_nor_breathe() -> None:
@@ -123,7 +127,7 @@ def active(x: Array, bed: list[tuple[float, str]] | None = None, **parameters: f
     spec = StreamSpec((x.shape[1],), rate_hz=FPS, channels=names, units=("mm",))
     inputs = {"motion": (spec, grid(FPS, len(x), START), x)}
     if bed is not None:
-        events = np.array([(START + round(s * NS), "a", state, 0, 0) for s, state in bed], BED)
+        events = np.array([(START + round(s * NS), "a", state, 0, 0, "") for s, state in bed], BED)
         inputs["bed"] = (StreamSpec((), BED), events["onset"].copy(), events)
     return play(Activity(**parameters), **inputs)
 
@@ -146,7 +150,8 @@ def test_the_threshold_follows_the_frames_own_noise() -> None:
     low, high = motion(60), 5 * motion(200, seed=1)
     made = active(np.concatenate([low, high]))["epochs"]
     assert abs(made["threshold"][59] - 0.64) < 0.02 and abs(made["threshold"][-1] - 3.2) < 0.1
-    assert made["moved_s"][62] == 30 and not made["moved_s"][140:].any()
+    assert (made["why"][61:72] == "light").all() and not made["moved_s"].astype(bool)[4:60].any()
+    assert not made["moved_s"][140:].any() and not made["why"][140:].astype(bool).any(), "learned in the meantime"
 
 
 def test_out_of_bed_is_awake_unknown_is_unknown_and_unseen_is_unseen() -> None:
@@ -215,7 +220,7 @@ def test_no_rate_is_made_up() -> None:
     time, depth = bedroom(600, (0, 600))
     depth[250:262, 5:9, 7:10] -= 60.0  # movement in the third epoch
     depth[600:840] = np.nan  # blind for two epochs
-    bed = np.array([(time[0], "a", "in", 0, 0), (time[1800], "a", "out", 0, 0)], BED)
+    bed = np.array([(time[0], "a", "in", 0, 0, ""), (time[1800], "a", "out", 0, 0, "")], BED)
     made = breaths(depth, time, bed=bed)
     known = np.isfinite(made["rate"])
     assert np.flatnonzero(~known).tolist() == [2, 5, 6, *range(15, 20)]

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from operators.depth.noise import Noise
 from operators.depth.presence import BED, IN, NAMES, OUT, UNKNOWN
+from operators.depth.view import VIEW, check_view
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.kernel import kernel
@@ -28,6 +30,7 @@ EPOCH_SEEN = np.dtype(
         ("bed", "U7"),
         ("crosstalk", "<f8"),
         ("threshold", "<f8"),
+        ("why", "U8"),
     ]
 )
 """What was seen of a sleeper in an epoch; see `Activity`."""
@@ -35,7 +38,13 @@ EPOCH_SEEN = np.dtype(
 LEAST_EPOCHS = 4
 """Fewer tell nothing of the noise."""
 RESTLESS = 3.0
-"""No noise in bed is so many times that of the empty bed."""
+"""No noise in bed is so many times that of the empty bed, unless it has been as steady as noise is."""
+STEADY, STEADY_EPOCHS = 0.2, 20
+"""Noise, unlike movement, scatters by less than this share of its level, within an epoch's still part and over so many epochs."""
+LIGHT_S, LIGHT_SHARE, LEAST_SCATTER = 12.0, 0.9, 0.85
+"""A rise for at least so long, with hardly a pause, and as steady as noise, is more noise: a light, and no movement."""
+
+WHYS = np.array(["", "unseen", "dark", "camera", "still", "region", "body"])
 
 Rows = list[tuple[Any, ...]]
 
@@ -51,6 +60,21 @@ def collect(x: Samples, time: Times, begin: int, slot_ns: int, sums: Samples, co
                 counts[slot, k] += 1.0
 
 
+def lit(change: Samples, moving: NDArray[np.bool_], n: int, usual: float) -> NDArray[np.bool_]:
+    """Which averages (slots,) lie in a stretch of `n` that is all but throughout above the threshold, and scatters as noise does.
+
+    usual   the noise's own scatter as a share of its level: it grows with the level
+    """
+    found = np.zeros(len(change), np.bool_)
+    for first in range(len(change) - n + 1):
+        part = slice(first, first + n)
+        above = change[part][moving[part]]
+        if len(above) >= LIGHT_SHARE * n:
+            scatter = float(np.std(above)) / float(np.mean(above))
+            found[part] |= LEAST_SCATTER * usual <= scatter <= STEADY
+    return found
+
+
 @dataclass(slots=True)
 class ActivityState:
     """
@@ -59,6 +83,8 @@ class ActivityState:
     needed          how many frames an epoch must have; expected: how many it should have
     bed, out        (k,) where each sleeper is (`unasked`: before anything is known); whether out of bed since the epoch's beginning
     in_bed, empty   noise while each sleeper is in bed, and while the bed is empty
+    why             (k,) of WHYS: why nobody knows where a sleeper is, or whose movement it is; moved: noise is learned again since a jump
+    dark, jumped    whether the view is dark; whether there was darkness or a jump in the open epoch
     lost            what the next emission says is missing before it
     """
 
@@ -76,6 +102,10 @@ class ActivityState:
     out: Times
     in_bed: Noise
     empty: Noise
+    why: Times
+    moved: bool
+    dark: bool
+    jumped: bool
     lost: int
 
 
@@ -89,19 +119,22 @@ class Activity(Operator[ActivityState]):
             operators.sleep.scorer.SleepScorer
     epochs  per epoch and sleeper: onset, end; moved_s: time with movement; seen: share of the frames; bed: in, out or unknown, at its
             end; crosstalk: share of the movement during which another sleeper's region moved at least `crosstalk_ratio` times more, so
-            that it may have been theirs; threshold (mm)
+            that it may have been theirs; threshold (mm); why the epoch cannot be judged, where it cannot: `camera` (it was moved, and
+            the noise is learned again), `dark`, `unseen`, `light` (more noise, and no movement), `body` (a second one moves, or the
+            sleeper), `still` and `region` (see operators.depth.presence.Presence), `learning` (too little is known of stillness)
 
     Movement is where N, averaged over `smooth_s`, exceeds the threshold: what N is in the stillest quarter of the newest 60 epochs with
     this sleeper in bed, plus `sigmas` times its own scatter there (breath counts as scatter), and at least `least_rise` of it. So it is
     calibrated on the frames as they come, simplified and noisy; before there are 4 such epochs it is not known. It is never above
-    3 times what N is over the empty bed, so that an evening without any stillness is not taken for noise. A lamp that makes frames
-    noisier counts as movement until a quarter of those epochs have it.
+    3 times what N is over the empty bed, so that an evening without any stillness is not taken for noise, unless for ten minutes it has
+    been as steady as only noise is. A rise as steady as that, for 12 s and more, is a light that makes frames noisier: it is no movement,
+    and counts as not seen, until a quarter of those epochs have it. After a jump of the view all noise is learned again.
 
     A silence up to `reset_gap_s` gives epochs of NaN; beyond it everything begins anew. Delay: one epoch.
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("bed", "motion")
-    optional: ClassVar[tuple[str, ...]] = ("bed",)
+    inputs: ClassVar[tuple[str, ...]] = ("view", "bed", "motion")
+    optional: ClassVar[tuple[str, ...]] = ("view", "bed")
     outputs: ClassVar[tuple[str, ...]] = ("out", "epochs")
 
     epoch_s: float = param(
@@ -123,6 +156,7 @@ class Activity(Operator[ActivityState]):
             raise InputError(
                 "motion", spec.describe(), "a channel for each sleeper, as operators.depth.motion.Motion gives"
             )
+        check_view(specs)
         if "bed" in specs and specs["bed"].dtype != BED:
             raise InputError("bed", specs["bed"].describe(), "the output of operators.depth.presence.Presence")
         if self.epoch_s * rate_hz < 4:
@@ -136,7 +170,8 @@ class Activity(Operator[ActivityState]):
             ActivityState(
                 list(spec.channels), epoch_ns, -(-epoch_ns // slots), NEVER, 0, int(self.reset_gap_s * NS) // epoch_ns,
                 self.epoch_s * rate_hz, np.zeros((slots, k)), np.zeros((slots, k)),
-                np.full(k, unasked), unasked, np.zeros(k, np.int64), Noise.of(k), Noise.of(k), 0,
+                np.full(k, unasked), unasked, np.zeros(k, np.int64), Noise.of(k), Noise.of(k),
+                np.zeros(k, np.int64), False, False, False, 0,
             ),
             delay_s=self.epoch_s,
         )  # fmt: skip
@@ -145,7 +180,7 @@ class Activity(Operator[ActivityState]):
         out = spec.derive(
             dtype=np.dtype(np.float64), rate_hz=1 / self.epoch_s, units=("",), meta=meta, settling_s=settling
         )
-        units = ("ns", "ns", "", "s", "", "", "", spec.units[0])
+        units = ("ns", "ns", "", "s", "", "", "", spec.units[0], "")
         return {"out": out, "epochs": StreamSpec((), EPOCH_SEEN, units=units, meta=meta)}
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
@@ -155,7 +190,12 @@ class Activity(Operator[ActivityState]):
         if port == "bed":
             for event, time in zip(chunk.data, chunk.time.tolist(), strict=True):
                 self._pass(time - 1, made)
-                self._moved_to(str(event["sleeper"]), str(event["state"]))
+                self._moved_to(str(event["sleeper"]), str(event["state"]), str(event["why"]))
+            chunk = Chunk(chunk.time, chunk.data, chunk.until)
+        elif port == "view":
+            for event, time in zip(chunk.data, chunk.time.tolist(), strict=True):
+                self._pass(time - 1, made)
+                self._looks(str(event["what"]))
             chunk = Chunk(chunk.time, chunk.data, chunk.until)
         elif len(chunk.time):
             emitted, made = self._motion(chunk)
@@ -186,8 +226,13 @@ class Activity(Operator[ActivityState]):
         spec = StreamSpec((2,), rate_hz=10.0, channels=("left", "right"), units=("mm",))
         events = StreamSpec((), BED, meta={"sleepers": ["left", "right"]})
         inputs = {"bed": (events, bed["onset"], bed), "motion": (spec, time, motion)}
+        view = np.array(
+            [(time[220], "moved", 8.0, 0.0), (time[420], "dark", 0.0, 0.0), (time[460], "steady", 0.0, 0.0)], VIEW
+        )
+        seen = (StreamSpec((), VIEW), view["onset"].copy(), view)
         return [
             Case(cls(epoch_s=2.0, reset_gap_s=30.0), inputs, least=29 * 3),
+            Case(cls(epoch_s=2.0, reset_gap_s=30.0), {"view": seen, **inputs}, least=29 * 3),
             Case(cls(epoch_s=3.0, least_s=0.0, reset_gap_s=60.0), {"motion": inputs["motion"]}, least=19 * 3),
         ]
 
@@ -213,10 +258,21 @@ class Activity(Operator[ActivityState]):
             start = stop
         return emitted, made
 
-    def _moved_to(self, sleeper: str, state: str) -> None:
+    def _looks(self, what: str) -> None:
+        """The view has become another one."""
+        s = self.state
+        s.dark = what == "dark"
+        s.jumped = s.jumped or what in ("dark", "moved")
+        if what == "moved":
+            s.moved = True
+            s.in_bed.clear()
+            s.empty.clear()
+
+    def _moved_to(self, sleeper: str, state: str, why: str) -> None:
         s = self.state
         if sleeper in s.sleepers:
             k = s.sleepers.index(sleeper)
+            s.why[k] = int(np.flatnonzero(why == WHYS)[0]) if why in WHYS else 0
             s.bed[k] = int(np.flatnonzero(state == NAMES)[0])
             s.out[k] = s.out[k] and s.bed[k] == OUT
 
@@ -240,6 +296,8 @@ class Activity(Operator[ActivityState]):
     def _forget(self) -> None:
         s = self.state
         s.begin, s.silent = NEVER, 0
+        s.moved = s.jumped = False
+        s.why[:] = 0
         s.bed[:] = s.unasked
         s.in_bed.clear()
         s.empty.clear()
@@ -254,6 +312,7 @@ class Activity(Operator[ActivityState]):
             made.append(self._row(k, change, limits))
         s.sums[:] = 0.0
         s.counts[:] = 0.0
+        s.jumped = s.dark
         s.begin += s.epoch_ns
         s.out[:] = s.bed == OUT
 
@@ -261,7 +320,7 @@ class Activity(Operator[ActivityState]):
         """Learn from the epoch's averages (slots,) of a sleeper, and give the threshold (mm); NaN: not known."""
         s = self.state
         finite = change[np.isfinite(change)]
-        if 2 * len(finite) > len(change):
+        if 2 * len(finite) > len(change) and not s.jumped:
             if s.bed[k] == IN:
                 s.in_bed.learn(k, finite)
             elif s.out[k]:
@@ -269,21 +328,26 @@ class Activity(Operator[ActivityState]):
         if s.in_bed.count[k] < LEAST_EPOCHS:
             return math.nan
         limit = s.in_bed.threshold(k, self.sigmas, self.least_rise)
-        return min(limit, RESTLESS * s.empty.level_of(k)) if s.empty.count[k] >= LEAST_EPOCHS else limit
+        if s.empty.count[k] < LEAST_EPOCHS or s.in_bed.steady(k, STEADY, STEADY_EPOCHS):
+            return limit
+        return min(limit, RESTLESS * s.empty.level_of(k))
 
     def _row(self, k: int, change: Array, limits: Samples) -> tuple[Any, ...]:
         """One sleeper's epoch: its activity, and its event."""
         s = self.state
         seen = float(s.counts[:, k].sum()) / s.expected
         slot_s = s.slot_ns / NS
-        there = np.isfinite(change[:, k])
         moving = change[:, k] > limits[k]
+        light = lit(change[:, k], moving, math.ceil(LIGHT_S * NS / s.slot_ns), s.in_bed.relative(k))
+        moving &= ~light
+        there = np.isfinite(change[:, k]) & ~light
         moved_s = float(moving.sum()) * slot_s if limits[k] == limits[k] else math.nan
         excess = change - limits
         strongest = np.fmax.reduce(np.delete(excess, k, axis=1), axis=1, initial=-math.inf)
         theirs = moving & (strongest > self.crosstalk_ratio * excess[:, k])
         crosstalk = float(theirs.sum() / moving.sum()) if moving.any() else 0.0
-        if seen < self.least_seen or s.bed[k] == UNKNOWN:
+        why = self._why(k, seen, float(light.mean()), moved_s)
+        if why:
             activity = math.nan
         elif s.out[k]:
             activity = 1.0
@@ -298,8 +362,28 @@ class Activity(Operator[ActivityState]):
             NAMES[s.bed[k]],
             crosstalk,
             limits[k],
+            why,
         )
         return activity, event
+
+    def _why(self, k: int, seen: float, light: float, moved_s: float) -> str:
+        """Why the epoch cannot be judged; "": it can."""
+        s = self.state
+        known = moved_s == moved_s
+        s.moved = s.moved and not (known and s.in_bed.count.min() >= LEAST_EPOCHS)
+        if s.jumped:
+            return "dark" if s.dark else "camera"
+        if s.bed[k] == UNKNOWN:
+            return str(WHYS[s.why[k]]) or ("camera" if s.moved else "unseen" if seen < self.least_seen else "learning")
+        if seen < self.least_seen:
+            return "unseen"
+        if s.out[k]:
+            return ""
+        if not known:
+            return "camera" if s.moved else "learning"
+        if light > 1 - self.least_seen:
+            return "light"
+        return "body" if WHYS[s.why[k]] == "body" and moved_s >= self.least_s else ""
 
     def _chunks(self, made: Rows, until: int) -> list[tuple[str, Chunk]]:
         s = self.state

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 import structlog
 from numpy.typing import NDArray
 
 from operators.depth.regions import REGION, block_of, region_spec
+from operators.depth.view import VIEW, check_view
 from stream.chunk import NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
 from stream.operator import Case, Operator, grid
@@ -25,6 +27,8 @@ LEAST_FILLED = 0.6
 LARGE = 20
 """A bed of more blocks than this is told without those at its edge."""
 
+Told: TypeAlias = list[tuple[int, str, int, int, int, int, bool]]
+
 log = structlog.get_logger(__name__)
 
 
@@ -34,6 +38,7 @@ class BedState:
     block         pixels
     sums, counts  (rows, columns)  mean depths of blocks since `begun` (ns), and how many
     told          whether the regions are out; tries: how often none was found
+    shift         (2,) how far the picture has gone down and to the right since the regions were set (pixels); NaN: nobody knows
     """
 
     block: int
@@ -42,6 +47,7 @@ class BedState:
     begun: int
     told: bool
     tries: int
+    shift: Samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +59,14 @@ class BedRegion(Operator[BedState]):
     at sides of more than 20, for blocks that hold the bed's edge tremble with the pixels that happen to be measured. Several sleepers
     share it side by side, along its longer side, in the order of their names from the left (or the top). That suits a camera that looks
     down on a bed and some floor; anything else has to be set. While none is found nothing is told, and it is looked for again.
+
+    When the camera was moved (`view`, of operators.depth.view.View), a region without rows says that it is not known. One that was found
+    is looked for again; one that was set goes with the picture, as far as the frame reaches, if the jump could be measured. If not, it
+    stays unknown, and has to be set again.
     """
+
+    inputs: ClassVar[tuple[str, ...]] = ("view", "in")
+    optional: ClassVar[tuple[str, ...]] = ("view",)
 
     sleepers: tuple[str, ...] = param(("sleeper",), help="who lies in the bed: a name for each")
     regions: tuple[tuple[int, int, int, int], ...] = param(
@@ -67,6 +80,7 @@ class BedRegion(Operator[BedState]):
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
         block = block_of(spec, "in")
+        check_view(specs)
         names = self.sleepers
         if not names or len(set(names)) < len(names) or any(not 0 < len(name) <= 16 for name in names):
             raise ParameterError("sleepers", list(names), "different names of at most 16 letters, at least one")
@@ -76,24 +90,25 @@ class BedRegion(Operator[BedState]):
         for row, column, rows, columns in self.regions:
             if not (rows and columns and row + rows <= height and column + columns <= width):
                 raise ParameterError("regions", list(self.regions), f"within {height} rows and {width} columns")
-        self.hold(BedState(block, np.zeros(spec.shape), np.zeros(spec.shape, np.int64), NEVER, False, 0))
+        self.hold(BedState(block, np.zeros(spec.shape), np.zeros(spec.shape, np.int64), NEVER, False, 0, np.zeros(2)))
         meta = {key: value for key, value in spec.meta.items() if key != "sleepers"}
         return {"out": region_spec(names, meta)}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
         s = self.state
-        made: list[tuple[int, str, int, int, int, int, bool]] = []
-        if len(chunk.time) and not s.told:
+        made: Told = []
+        if port == "view":
+            for stamp, event in zip(chunk.time.tolist(), chunk.data, strict=True):
+                if event["what"] == "moved":
+                    made += self._moved(stamp, float(event["down"]), float(event["right"]))
+        elif len(chunk.time) and not s.told:
             if self.regions:
                 s.told = True
-                made = [
-                    (int(chunk.time[0]), name, *region, False)
-                    for name, region in zip(self.sleepers, self.regions, strict=True)
-                ]
+                made = self._set(int(chunk.time[0]))
             else:
                 made = self._look(chunk)
         out = np.array(made, REGION)
-        return Chunk(out["onset"].copy(), out, chunk.until, chunk.lost)
+        return Chunk(out["onset"].copy(), out, chunk.until, chunk.lost if port == "in" else 0)
 
     @classmethod
     def cases(cls) -> Sequence[Case]:
@@ -104,12 +119,42 @@ class BedRegion(Operator[BedState]):
         frames[random.random(frames.shape) < 0.05] = np.nan
         meta = {"simplified": {"block": 8, "components": 2}}
         inputs = {"in": (StreamSpec((12, 16), rate_hz=30.0, units=("mm",), meta=meta), grid(30.0, 90), frames)}
+        view = np.array([(10**9, "moved", 8.0, -16.0), (2 * 10**9, "steady", np.nan, np.nan)], VIEW)
+        moved = {"view": (StreamSpec((), VIEW), view["onset"].copy(), view), **inputs}
         return [
+            Case(cls(regions=((8, 24, 40, 40),)), moved, least=2),
             Case(cls(("left", "right"), learn_s=1.0), inputs, least=2),
             Case(cls(regions=((0, 0, 40, 40),)), inputs, least=1),
         ]
 
-    def _look(self, chunk: Chunk) -> list[tuple[int, str, int, int, int, int, bool]]:
+    def _moved(self, stamp: int, down: float, right: float) -> Told:
+        """The picture has jumped: where the regions are now, or that nobody knows."""
+        s = self.state
+        s.sums[:], s.counts[:], s.begun = 0.0, 0, NEVER
+        s.shift += down, right
+        gone: Told = [(stamp, name, 0, 0, 0, 0, False) for name in self.sleepers]
+        if not self.regions:
+            s.told = False
+            return gone
+        if np.isnan(s.shift).any():
+            log.warning("the camera was moved too far to follow: `regions` hold no more; set them again")
+            return gone
+        return self._set(stamp)
+
+    def _set(self, stamp: int) -> Told:
+        """The regions that were set, where the picture is now."""
+        s = self.state
+        made: Told = []
+        height, width = (side * s.block for side in s.sums.shape)
+        down, right = (round(v) for v in s.shift.tolist())
+        for name, (row, column, rows, columns) in zip(self.sleepers, self.regions, strict=True):
+            top, left = min(max(0, row + down), height), min(max(0, column + right), width)
+            bottom, end = min(max(0, row + down + rows), height), min(max(0, column + right + columns), width)
+            there = bottom > top and end > left
+            made.append((stamp, name, top, left, bottom - top if there else 0, end - left if there else 0, False))
+        return made
+
+    def _look(self, chunk: Chunk) -> Told:
         s = self.state
         for i, time in enumerate(chunk.time.tolist()):
             s.begun = time if s.begun == NEVER else s.begun

@@ -169,7 +169,7 @@ class Breathing(Operator[BreathingState]):
         meta = {"simplified": {"block": 8, "components": 2}}
         time = grid(8.0, 400)
         regions = np.array([(time[2], "a", 0, 0, 48, 40, True), (time[2], "b", 0, 40, 48, 24, True)], REGION)
-        bed = np.array([(time[3], "a", "in", 100.0, 0.3), (time[350], "a", "out", 1.0, 0.0)], BED)
+        bed = np.array([(time[3], "a", "in", 100.0, 0.3, ""), (time[350], "a", "out", 1.0, 0.0, "")], BED)
         inputs = {
             "regions": (region_spec(("a", "b"), meta), regions["onset"], regions),
             "bed": (StreamSpec((), BED), bed["onset"], bed),

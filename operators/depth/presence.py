@@ -10,12 +10,19 @@ import numpy as np
 
 from operators.depth.regions import REGION, block_of, region_spec, sleepers_of, take
 from operators.depth.seconds import Seconds, add, look, restless
+from operators.depth.view import VIEW, check_view
 from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times, add_lost
 from stream.operator import Case, Operator, grid
 from stream.params import param
 
-BED = np.dtype([("onset", "<i8"), ("sleeper", "U16"), ("state", "U7"), ("height", "<f8"), ("raised", "<f8")])
-"""A sleeper is in bed, out of it, or nobody knows, since `onset`; with the bed's mean height above the empty one, and the share raised."""
+BED = np.dtype(
+    [("onset", "<i8"), ("sleeper", "U16"), ("state", "U7"), ("height", "<f8"), ("raised", "<f8"), ("why", "U8")]
+)
+"""A sleeper is in bed, out of it, or nobody knows, since `onset`; with the bed's mean height above the empty one, and the share raised.
+
+why   of `unknown`: unseen, dark, camera (it was moved), still (no breath for long), region (something lives where nobody lies); of `in`:
+      body (there is a second one), or ""
+"""
 UNKNOWN, IN, OUT = 0, 1, 2
 NAMES = np.array(["unknown", "in", "out"])
 AGAIN = 0.7
@@ -23,6 +30,12 @@ AGAIN = 0.7
 BLIND_S = 300.0
 """While the empty bed is not known: without movement for so long is an empty bed."""
 PAUSE_NS = 5 * NS
+CROWD, ALONE = 1.4, 1.2
+"""A second body: from so many times on, and down to so many times, the share that one body raises."""
+CROWD_S, ALONE_S = 30, 300
+"""For so long; and so long after lying down the share of one body is known."""
+DOUBTS = ("", "still", "region", "camera", "dark")
+STILL, ODD, CAMERA, DARK = 1, 2, 3, 4
 ALIVE = 0.005
 """So much of a region must move (2 blocks at least) to be somebody."""
 
@@ -38,6 +51,9 @@ class PresenceState:
     state, wanted (k,)          UNKNOWN, IN or OUT; what the depth has said since `since` (k,) ns; `seen` (k,) ns: when it was last seen
     still      (k,)             for how many stretches nothing has moved
     seen_now   (k, 3)           of the newest second: share raised, mean height (mm), share measured
+    doubt      (k,)             why the depth is not believed (of DOUBTS); alive: for how many stretches something has moved; was_in: in
+                                bed when the camera was moved
+    alone      (k, 2)           the share that one body raises: sum and how many seconds; crowd: seconds in a row with more; two: believed
     lost       what the next chunks of `out` and `height` say is missing before them
     """
 
@@ -52,6 +68,12 @@ class PresenceState:
     seen: Times
     still: Times
     seen_now: Samples
+    doubt: Times
+    alive: Times
+    was_in: Times
+    alone: Samples
+    crowd: Times
+    two: Times
     lost: Times
 
 
@@ -70,9 +92,15 @@ class Presence(Operator[PresenceState]):
     Before the empty bed is known, movement in the region is somebody in bed, and 5 min without any is an empty bed. Afterwards, too, so
     long as `vacant_min` without any movement or breath is an empty bed, however high it is: a heap of blankets. Unseen for `unseen_s` is
     unknown. Who sleeps without visible breath for so long is taken for absent; set `vacant_min: 0` against that.
+
+    What cannot be judged is `unknown`, and `why` says so: no breath and no movement for `unsure_min`, though the bed is high (a heap that
+    was left behind, or breath that is not seen): then movement, or a flat bed, decides; movement for `odd_min` without a break where
+    nobody lies (a region that is too large or elsewhere); the camera was moved or sees nothing (`view`). After a move the empty bed is
+    learned again. `in` with `body`: 1.4 times as much is raised, for 30 s, as in the sleeper's first five minutes: there are two.
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("regions", "blocks")
+    inputs: ClassVar[tuple[str, ...]] = ("view", "regions", "blocks")
+    optional: ClassVar[tuple[str, ...]] = ("view",)
     outputs: ClassVar[tuple[str, ...]] = ("out", "height")
 
     rise_mm: float = param(80.0, above=0.0, help="how far above the empty bed a body is")
@@ -81,26 +109,30 @@ class Presence(Operator[PresenceState]):
     learn_s: float = param(60.0, least=4.0, help="without movement for so long: this is the empty bed")
     still_mm: float = param(1.0, above=0.0, help="a block that varies less does not move")
     vacant_min: float = param(45.0, least=0.0, help="so long without any movement is an empty bed; 0: never")
+    unsure_min: float = param(10.0, least=0.0, help="so long without movement or breath, and nobody knows; 0: never")
+    odd_min: float = param(10.0, least=0.0, help="movement for so long where nobody lies, and nobody knows; 0: never")
     unseen_s: float = param(30.0, above=0.0, help="not seen for so long: unknown")
     least_valid: float = param(0.2, above=0.0, most=1.0, help="share of the region's blocks that must be measured")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["blocks"]
         block = block_of(spec, "blocks")
+        check_view(specs)
         sleepers = sleepers_of(specs)
         k = len(sleepers)
         self.hold(
             PresenceState(
                 list(sleepers), block, np.zeros((k, 4), np.int64), np.full(spec.shape, np.nan), Seconds.of(spec.shape),
                 np.zeros(k, np.int64), np.zeros(k, np.int64), np.full(k, NEVER), np.full(k, NEVER), np.zeros(k, np.int64),
-                np.full((k, 3), np.nan), np.zeros(2, np.int64),
+                np.full((k, 3), np.nan), np.zeros(k, np.int64), np.zeros(k, np.int64), np.zeros(k, np.int64),
+                np.zeros((k, 2)), np.zeros(k, np.int64), np.zeros(k, np.int64), np.zeros(2, np.int64),
             ),
             delay_s=1.0,
         )  # fmt: skip
         meta = {**spec.meta, "sleepers": list(sleepers)}
         unit = spec.units[0]
         height = StreamSpec((k,), channels=sleepers, units=(unit,), meta=meta)
-        return {"out": StreamSpec((), BED, units=("ns", "", "", unit, ""), meta=meta), "height": height}
+        return {"out": StreamSpec((), BED, units=("ns", "", "", unit, "", ""), meta=meta), "height": height}
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
         s = self.state
@@ -119,6 +151,10 @@ class Presence(Operator[PresenceState]):
                 if s.seconds.begin == NEVER:
                     s.seconds.begin = time // NS * NS
                 add(chunk.data[i], s.seconds.sums, s.seconds.counts)
+        elif port == "view":
+            for stamp, event in zip(chunk.time.tolist(), chunk.data, strict=True):
+                self._pass(stamp - 1, events, heights)
+                self._looks(str(event["what"]), int(event["onset"]), stamp, events)
         elif len(chunk.time):
             self._pass(int(chunk.time[0]) - 1, events, heights)
             take(chunk.data, tuple(s.sleepers), s.regions, s.block)
@@ -142,9 +178,12 @@ class Presence(Operator[PresenceState]):
             "regions": (region_spec(("a", "b"), meta), regions["onset"], regions),
             "blocks": (StreamSpec((6, 8), rate_hz=5.0, units=("mm",), meta=meta), time, depth),
         }
+        view = np.array([(time[150], "moved", 8.0, 0.0), (time[250], "dark", np.nan, np.nan)], VIEW)
+        seen = (StreamSpec((), VIEW), view["onset"].copy(), view)
         return [
             Case(cls(learn_s=4.0, hold_s=2.0, unseen_s=3.0, vacant_min=0.2), inputs, least=63),
             Case(cls(learn_s=8.0, vacant_min=0.0), inputs, least=60),
+            Case(cls(learn_s=4.0, unsure_min=0.1, odd_min=0.1), {"view": seen, **inputs}, least=60),
         ]
 
     def _pass(self, until: int, events: Rows, heights: list[tuple[int, Samples]]) -> None:
@@ -164,6 +203,22 @@ class Presence(Operator[PresenceState]):
                 s.seconds.since = NEVER
         self._forget(until, events)
 
+    def _looks(self, what: str, onset: int, stamp: int, events: Rows) -> None:
+        """The view has become another one."""
+        s = self.state
+        if what == "moved":
+            s.empty[:] = np.nan
+            s.seconds.since = NEVER
+        for k in range(len(s.sleepers)):
+            if what in ("moved", "dark"):
+                s.was_in[k] = int(s.state[k] == IN or (s.was_in[k] and s.state[k] == UNKNOWN))
+                s.doubt[k] = CAMERA if what == "moved" else DARK
+                s.still[k] = s.alive[k] = 0
+                if s.state[k] != UNKNOWN:
+                    self._become(k, UNKNOWN, onset, stamp, events, str(DOUBTS[s.doubt[k]]))
+            elif s.doubt[k] == DARK:
+                s.doubt[k] = 0
+
     def _forget(self, until: int, events: Rows) -> None:
         """Who has not been seen for too long is nobody knows where."""
         s = self.state
@@ -171,7 +226,8 @@ class Presence(Operator[PresenceState]):
         due = [(int(s.seen[k]) + unseen_ns, k) for k in range(len(s.sleepers)) if s.state[k] != UNKNOWN]
         for stamp, k in sorted(d for d in due if d[0] <= until):
             s.seen_now[k] = np.nan
-            self._become(k, UNKNOWN, int(s.seen[k]), stamp, events)
+            s.doubt[k] = 0
+            self._become(k, UNKNOWN, int(s.seen[k]), stamp, events, "unseen")
 
     def _judge(self, k: int, end: int, events: Rows) -> None:
         """What the newest second says."""
@@ -186,6 +242,10 @@ class Presence(Operator[PresenceState]):
             says = IN
         elif raised < AGAIN * self.least_share:
             says = OUT
+        self._count_bodies(k, float(raised), end, events)
+        doubt = int(s.doubt[k])
+        if doubt in (CAMERA, DARK) or (doubt == STILL and says == IN) or (doubt == ODD and says == OUT):
+            says = UNKNOWN
         if says == s.state[k] or says == UNKNOWN:
             s.wanted[k] = s.state[k]
             return
@@ -193,6 +253,22 @@ class Presence(Operator[PresenceState]):
             s.wanted[k], s.since[k] = says, end - NS
         if end - s.since[k] >= self.hold_s * NS:
             self._become(k, says, int(s.since[k]), end - 1, events)
+
+    def _count_bodies(self, k: int, raised: float, end: int, events: Rows) -> None:
+        """Learn what one body raises, and notice a second one."""
+        s = self.state
+        if s.state[k] != IN or raised != raised:
+            s.crowd[k] = 0
+            return
+        if s.alone[k, 1] < ALONE_S:
+            s.alone[k] += raised, 1.0
+            return
+        one = s.alone[k, 0] / s.alone[k, 1]
+        other = raised < ALONE * one if s.two[k] else raised >= CROWD * one
+        s.crowd[k] = s.crowd[k] + 1 if other else 0
+        if s.crowd[k] >= CROWD_S:
+            s.two[k], s.crowd[k] = 1 - s.two[k], 0
+            events.append((end - 1, self._event(k, end - CROWD_S * NS, "body" if s.two[k] else "")))
 
     def _judge_stretch(self, k: int, end: int, events: Rows) -> None:
         """What the stretch that is over says: learn the empty bed, or note that somebody is there."""
@@ -204,25 +280,56 @@ class Presence(Operator[PresenceState]):
         if moving < 0 or s.seen_now[k, 2] < self.least_valid:
             s.still[k] = 0
             return
+        if s.doubt[k] == DARK:
+            return
         if moving > max(2.0, ALIVE * rows * columns):
-            s.still[k] = 0
-            if not known and s.state[k] == UNKNOWN:
-                self._become(k, IN, s.seconds.since, end - 1, events)
+            self._moves(k, known, end, events)
             return
         s.still[k] += 1
-        patience = BLIND_S if not known else 60.0 * self.vacant_min
-        if s.state[k] == IN and (not patience or s.still[k] * self.learn_s < patience):
+        s.alive[k] = 0
+        quiet_s = int(s.still[k]) * self.learn_s
+        held = s.state[k] == IN or s.doubt[k] == STILL or bool(s.was_in[k])
+        patience = BLIND_S if not known and not s.was_in[k] else 60.0 * self.vacant_min
+        if s.state[k] == IN and (known or s.was_in[k]) and self.unsure_min and quiet_s >= 60 * self.unsure_min:
+            s.doubt[k] = STILL
+            self._become(k, UNKNOWN, end - round(quiet_s * NS), end - 1, events, "still", keep=True)
+        if held and (not patience or quiet_s < patience):
             return
         depth = s.seconds.depth()[part]
         s.empty[part] = np.where(np.isfinite(depth), depth, s.empty[part])
+        s.doubt[k] = s.was_in[k] = 0
         if s.state[k] != OUT:
-            self._become(k, OUT, end - round(int(s.still[k]) * self.learn_s * NS), end - 1, events)
+            self._become(k, OUT, end - round(quiet_s * NS), end - 1, events)
 
-    def _become(self, k: int, state: int, since: int, stamp: int, events: Rows) -> None:
+    def _moves(self, k: int, known: bool, end: int, events: Rows) -> None:
+        """Something has moved in the stretch that is over."""
+        s = self.state
+        s.still[k] = 0
+        s.alive[k] = s.alive[k] + 1 if s.state[k] == OUT else 0
+        if s.state[k] == UNKNOWN and (not known or s.doubt[k] in (STILL, CAMERA)):
+            self._become(k, IN, s.seconds.since, end - 1, events)
+        elif self.odd_min and s.alive[k] * self.learn_s >= 60 * self.odd_min:
+            s.doubt[k] = ODD
+            self._become(k, UNKNOWN, end - round(int(s.alive[k]) * self.learn_s * NS), end - 1, events, "region")
+
+    def _become(
+        self, k: int, state: int, since: int, stamp: int, events: Rows, why: str = "", *, keep: bool = False
+    ) -> None:
+        """Be in another state; `keep`: how long it has been still goes on counting."""
         s = self.state
         s.state[k] = s.wanted[k] = state
-        s.still[k] = 0
-        events.append((stamp, (since, s.sleepers[k], NAMES[state], s.seen_now[k, 1], s.seen_now[k, 0])))
+        s.still[k] = s.still[k] if keep else 0
+        s.alive[k] = 0
+        if state != UNKNOWN:
+            s.doubt[k] = 0
+        if state == OUT:
+            s.was_in[k] = 0
+            s.alone[k], s.crowd[k], s.two[k] = 0.0, 0, 0
+        events.append((stamp, self._event(k, since, why)))
+
+    def _event(self, k: int, since: int, why: str) -> tuple[Any, ...]:
+        s = self.state
+        return since, s.sleepers[k], NAMES[s.state[k]], s.seen_now[k, 1], s.seen_now[k, 0], why
 
     def _chunks(self, events: Rows, heights: list[tuple[int, Samples]], until: int) -> list[tuple[str, Chunk]]:
         s = self.state
