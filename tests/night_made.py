@@ -36,8 +36,10 @@ SEEN = np.dtype(
         ("seen", "<f8"),
         ("bed", "U7"),
         ("crosstalk", "<f8"),
+        ("why", "U8"),
     ]
 )
+VIEW = np.dtype([("onset", "<i8"), ("what", "U8"), ("down", "<f8"), ("right", "<f8")])
 BREATH = np.dtype(
     [("onset", "<i8"), ("end", "<i8"), ("sleeper", "U16"), ("rate", "<f8"), ("confidence", "<f8"), ("coverage", "<f8")]
 )
@@ -65,6 +67,7 @@ SPECS = {
     "bed": StreamSpec((), BED),
     "seen": StreamSpec((), SEEN),
     "breathing": StreamSpec((), BREATH),
+    "view": StreamSpec((), VIEW),
     "lights": StreamSpec((), np.dtype([("on", "?")])),
     "map": StreamSpec((), MAP),
     "epochs": StreamSpec((), EPOCH, meta={"epoch_s": 30.0, "method": "thesis", "threshold": 0.3, "rescored": False}),
@@ -108,7 +111,10 @@ class Night:
             if k == 0 or self.bed[k] != self.bed[k - 1]:
                 yield "bed", event(BED, t, t, "", self.bed[k])
             moved = self.moved[k] * 30
-            yield "seen", event(SEEN, t, t, t + STEP, "", moved, seen, self.bed[k], np.nan)
+            yield (
+                "seen",
+                event(SEEN, t, t, t + STEP, "", moved, seen, self.bed[k], np.nan, "unseen" if k in self.gone else ""),
+            )
             yield "breathing", event(BREATH, t, t, t + STEP, "", self.rate[k], self.confidence[k], 0.6)
             yield "epochs", event(EPOCH, t, t, t + STEP, self.first[k], 0.2, self.moved[k], False, False)
             if k >= LATE:

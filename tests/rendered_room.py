@@ -57,6 +57,8 @@ class Renderer:
     def __init__(self, scene: Scene, width: int, height: int) -> None:
         self.scene, self.width, self.height = scene, width, height
         self.random = np.random.default_rng(scene.seed)
+        self._normal = self.random.standard_normal((16, height, width)).astype(np.float32)
+        self._uniform = self.random.random((16, height, width), dtype=np.float32)
         self._cache: dict[tuple[object, ...], Depths] = {}
 
     def frame(self, t: float) -> NDArray[np.uint16]:
@@ -82,19 +84,24 @@ class Renderer:
             depth -= 1e-3 * s.breath_mm * np.sin(2 * np.pi * 0.24 * t) * _bump(x, y, -0.2, -0.35, 0.17, 0.16)
         if other and not stir2:
             depth -= 1e-3 * s.breath_mm * np.sin(2 * np.pi * 0.31 * t) * _bump(x, y, 0.28, -0.35, 0.17, 0.16)
-        noise = 0.0018 * depth**1.5 * self.random.standard_normal(depth.shape)
-        lost = self.random.random(depth.shape) < 0.04
+        noise = 0.0018 * depth**1.5 * self._drawn(self._normal)
+        lost = self._drawn(self._uniform) < 0.04
         if during(s.lamp, t):
             lit = _bump(x, y, 0.0, -0.2, 0.6, 0.7)
             noise *= 1 + 5 * lit
-            lost |= self.random.random(depth.shape) < 0.3 * lit
+            lost |= self._drawn(self._uniform) < 0.3 * lit
         if during(s.coarse, t):
             noise *= 1 + 5 * ((abs(x) < 0.55) & (abs(y) < 1.0))
         depth = depth + noise
         if during(s.dark, t):
-            lost = self.random.random(depth.shape) > 0.03
+            lost = self._drawn(self._uniform) > 0.03
             depth = self.random.uniform(0.4, 6.0, depth.shape)
         return np.where(lost, 0, np.clip(1000 * depth, 1, 60_000)).astype(np.uint16)
+
+    def _drawn(self, pool: NDArray[np.float32]) -> NDArray[np.float32]:
+        """One of the patterns, shifted at random."""
+        k, down, right = self.random.integers((len(pool), self.height, self.width)).tolist()
+        return np.roll(pool[k], (down, right), axis=(0, 1))
 
     def _plane(self, shift: float) -> tuple[Depths, Depths]:
         """Where every pixel looks at 2.4 m, in m."""

@@ -107,7 +107,7 @@ def test_a_night_with_two_power_cuts_ends_in_a_report_that_agrees_with_what_was_
 
     for topic, message in entities.items():
         home_assistant.check(topic, message)
-    assert len(entities) == 6
+    assert len(entities) == 8
 
     assert facts.closed and facts.numbers["tib"] > 60 and len(facts.breaks) == 2
     assert {"sleep", "wake"} <= set(epochs.texts["state"])

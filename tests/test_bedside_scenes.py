@@ -61,8 +61,10 @@ def test_a_plain_night_has_no_reasons() -> None:
     ]
 
 
-@pytest.mark.parametrize(("shift_m", "degrees"), [(0.08, 0.0), (-0.06, 0.0), (0.08, 2.0), (0.0, 1.5)])
-@pytest.mark.parametrize("regions", ["[]", "[[16, 80, 160, 96]]"])
+@pytest.mark.parametrize(
+    ("shift_m", "degrees", "regions"),
+    [(0.08, 0.0, "[]"), (-0.06, 0.0, "[[16, 80, 160, 96]]"), (0.08, 2.0, "[[16, 80, 160, 96]]"), (0.0, 1.5, "[]")],
+)
 def test_a_nudged_camera_is_noticed_and_the_bed_is_learned_again(shift_m: float, degrees: float, regions: str) -> None:
     told = Told(Scene(2700, IN, moves=MOVES, nudges=((1500, shift_m, degrees),)), regions)
     assert [str(e["what"]) for e in told.view] == ["steady", "moved", "steady"]

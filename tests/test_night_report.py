@@ -231,3 +231,31 @@ def test_a_session_whose_report_is_not_whole_says_which_part_and_fails(tmp_path:
     with pytest.raises(DeviceError, match=r"report\.png.*nights report 2025-12-31"):
         log.close()
     assert (tmp_path / "2025-12-31" / "report.html").is_file() and (tmp_path / "2025-12-31" / "hypnogram.edf").is_file()
+
+
+def test_the_report_says_when_the_camera_was_moved_and_why_epochs_are_unknown(tmp_path: Path) -> None:
+    night, log = Night(), opened(tmp_path, report=False)
+    log.begin()
+    feed(log, night.told(0, 200))
+    log.process(
+        "view", night_made.event(SPECS["view"].dtype, night.onset(200), night.onset(200), "steady", np.nan, np.nan)
+    )
+    log.process("view", night_made.event(SPECS["view"].dtype, night.onset(200), night.onset(200), "moved", 0.0, 6.0))
+    feed(log, night.told(200))
+    feed(log, night.end())
+    log.close()
+    folder = tmp_path / "2025-12-31"
+    facts, epochs = shelf.Facts.load(folder), shelf.read_epochs(folder)
+    assert facts.moved == [[night.onset(200), 0.0, 6.0]]
+    told = dict(quality(facts, epochs))
+    assert told["The camera was moved"] == "at 00:40" and told["Not judged because"] == "too little was seen: 20 epochs"
+    assert "The camera was moved" in render(facts, epochs, None, [])
+
+
+def test_a_log_that_is_older_than_the_reasons_is_read(drawn: tuple[Path, Night], tmp_path: Path) -> None:
+    folder = tmp_path / "old"
+    shutil.copytree(drawn[0], folder)
+    lines = [line.rpartition(",")[0] for line in (folder / shelf.EPOCHS).read_text().splitlines()]
+    (folder / shelf.EPOCHS).write_text("\n".join(lines) + "\n")
+    assert not lines[0].endswith("why") and set(shelf.read_epochs(folder).texts["why"]) == {""}
+    assert draw(folder).is_file()

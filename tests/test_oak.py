@@ -20,14 +20,14 @@ import pytest
 from devices.discovery.oak import described
 from devices.oak import Oak
 from devices.oak.adapter import Frames, Message, Motion
-from devices.oak.camera import Link, opened
+from devices.oak.camera import Link, lit, opened
 from devices.oak.library import NONE, all_cameras, library, not_opened, ns
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from devices.simulators.oak import BOOTED_S, SimulatedCamera, SimulatedOak
 from devices.simulators.oak import Oak as Simulated
 from stream.chunk import NS, StreamSpec
 from stream.engine.session import Session
-from stream.errors import DeviceError, ParameterError
+from stream.errors import DeviceError, GraphError, ParameterError
 from stream.graph.load import load_text
 from stream.recording import Recording
 from tests.device_feed import Kept, check, reading, wait_for
@@ -208,6 +208,34 @@ def test_cameras_are_listed_with_the_yaml_to_use_them() -> None:
     )
 
 
+class Lights:
+    """A device of depthai, as far as it has lights."""
+
+    def __init__(self, projector: bool, flood: bool) -> None:
+        self.has, self.set = (projector, flood), [0.0, 0.0]
+
+    def setIrLaserDotProjectorIntensity(self, intensity: float) -> bool:
+        self.set[0] = intensity
+        return self.has[0]
+
+    def setIrFloodLightIntensity(self, intensity: float) -> bool:
+        self.set[1] = intensity
+        return self.has[1]
+
+
+def test_projector_and_flood_light_are_set_as_asked_for_and_missing_ones_are_named() -> None:
+    pro, plain = Lights(True, True), Lights(False, False)
+    assert lit(pro, 0.8, 0.0) == [] and pro.set == [0.8, 0.0]
+    assert lit(pro, 0.5, 0.25) == [] and pro.set == [0.5, 0.25]
+    assert lit(plain, 0.0, 0.0) == [] and lit(plain, 0.8, 0.2) == ["dot projector", "flood light"]
+
+
+@pytest.mark.parametrize("intensity", [-0.1, 1.1])
+def test_an_intensity_is_a_share(intensity: float) -> None:
+    with pytest.raises(GraphError, match="projector"):
+        load_text(f"nodes:\n  camera: {{use: devices.oak.Oak, projector: {intensity}}}\n")
+
+
 # depthai itself, with a camera that is simulated ---------------------------------------------------------------------
 
 SMALL = Oak(width=160, height=100)
@@ -277,6 +305,7 @@ class TestWithDepthai:
                     simulated.plug()
                 before = feed.count("depth")
                 wait_for(lambda: feed.count("depth") >= before + 5)
+            assert simulated.times_lit == 4, "when the pipeline had started, and after each of three reconnections"
             check(source, feed)
             shown(feed, simulated)
         assert feed.error is None and list(feed.lost("depth").values()) == [-1] * 3

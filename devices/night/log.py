@@ -54,6 +54,7 @@ class NightLog(_Logger):
     breathing  of `operators.depth.breathing.Breathing`
     map        of `operators.depth.night_map.NightMap`
     lights     a button or switch: when the lights went off and on
+    view       of `operators.depth.view.View`: when the camera was moved
 
     A night begins with the first epoch in which somebody is in bed (without `seen`: with the first epoch), and a row of `nights` ends it.
     Rows are on the disk, past every cache, before the next epoch: neither `kill -9` nor a power cut loses or doubles one, and what was
@@ -61,8 +62,8 @@ class NightLog(_Logger):
     in memory. Pages are drawn by a process of its own. About 150 kB a night, and as much for the report.
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("bed", "seen", "breathing", "lights", "map", "epochs", "nights")
-    optional: ClassVar[tuple[str, ...]] = ("bed", "seen", "breathing", "lights", "map")
+    inputs: ClassVar[tuple[str, ...]] = ("bed", "seen", "breathing", "lights", "view", "map", "epochs", "nights")
+    optional: ClassVar[tuple[str, ...]] = ("bed", "seen", "breathing", "lights", "view", "map")
     durable: ClassVar[bool] = True
     in_order: ClassVar[bool] = False
 
@@ -174,6 +175,8 @@ class NightLog(_Logger):
             self._night(row)
         elif port == "lights":
             self._switched(row, stamp)
+        elif port == "view":
+            self._looks(row)
         elif self.sleeper in ("", str(row["sleeper"])):
             if port == "bed":
                 self._bed(row)
@@ -285,6 +288,17 @@ class NightLog(_Logger):
         # a switch that says after a restart what it was before was not switched
         if night is not None and self.desk.switched[1] not in [what for _, what in night.facts.switched[-1:]]:
             night.note(night.facts.switched, self.desk.switched)
+
+    def _looks(self, row: Any) -> None:
+        """The camera was moved: that belongs into the night's facts, and into the log."""
+        if str(row["what"]) != "moved":
+            return
+        onset = int(row["onset"])
+        by = [float(row[name]) if np.isfinite(row[name]) else None for name in ("down", "right")]
+        log.warning("the camera was moved", at=str(clock(onset, self.desk.zone)), down_px=by[0], right_px=by[1])
+        night = self.desk.night
+        if night is not None:
+            night.note(night.facts.moved, [onset, *by])
 
     def _map(self, frame: Array) -> None:
         """The map comes with the night's numbers, before or after them."""

@@ -150,6 +150,7 @@ def quality(facts: Facts, epochs: Epochs) -> list[tuple[str, str]]:
     told = [("Epochs", f"{n} of {facts.epoch_s:g} s; {int((epochs.texts['state'] == 'unknown').sum())} unknown")]
     if lost:
         told.append(("Not scored", "; ".join(_when(s, zone) for s in lost[:12]) + ("; …" if len(lost) > 12 else "")))
+    told += _disturbed(facts, epochs)
     if facts.breaks:
         whole = [Stretch(int(a), int(b), "") for a, b in facts.breaks]
         told.append(("kinegraph did not run", "; ".join(_when(s, zone) for s in whole[:12])))
@@ -189,6 +190,33 @@ def quality(facts: Facts, epochs: Epochs) -> list[tuple[str, str]]:
             )
         )
     return told
+
+
+WHY = {
+    "camera": "the camera was moved, and the bed is learned again",
+    "dark": "it was too dark for the camera",
+    "unseen": "too little was seen",
+    "light": "a light, or what else makes the frames noisier",
+    "body": "a second body in the region",
+    "still": "no breath and no movement, though the bed is not flat",
+    "region": "something lives where nobody lies: does the region hold?",
+    "learning": "too little was known yet of stillness",
+}
+"""Why an epoch was not judged."""
+
+
+def _disturbed(facts: Facts, epochs: Epochs) -> list[tuple[str, str]]:
+    """When the camera was moved, and why epochs were not judged."""
+    zone = night_zone(facts)
+    told = []
+    if facts.moved:
+        told.append(
+            ("The camera was moved", "at " + ", ".join(f"{clock(int(m[0]), zone):%H:%M}" for m in facts.moved[:12]))
+        )
+    why = epochs.texts.get("why", np.empty(0, "U12"))
+    counts = [(int((why == name).sum()), words) for name, words in WHY.items()]
+    reasons = [f"{words}: {n} epoch{'' if n == 1 else 's'}" for n, words in counts if n]
+    return [*told, ("Not judged because", "; ".join(reasons))] if reasons else told
 
 
 def runs(which: np.ndarray) -> list[tuple[int, int]]:

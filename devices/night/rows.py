@@ -18,6 +18,7 @@ FIELDS = {
     "breathing": ("onset", "sleeper", "rate", "confidence"),
     "lights": ("on",),
     "map": ("map",),
+    "view": ("onset", "what", "down", "right"),
 }
 
 
@@ -47,7 +48,8 @@ def final(row: Any) -> dict[str, Any]:
 def seen(row: Any) -> dict[str, Any]:
     crosstalk = row["crosstalk"] if "crosstalk" in row.dtype.names else np.nan
     told = {"moved_s": row["moved_s"], "seen": row["seen"], "crosstalk": crosstalk}
-    return {"bed": str(row["bed"]), **{name: number(value) for name, value in told.items()}}
+    why = str(row["why"]) if "why" in row.dtype.names else ""
+    return {"bed": str(row["bed"]), "why": why, **{name: number(value) for name, value in told.items()}}
 
 
 def breathing(row: Any) -> dict[str, Any]:

@@ -30,9 +30,11 @@ DRAWN = ("report.html", "report.png", "hypnogram.edf")
 VERSION = 1
 COLUMNS = (
     "onset", "end", "state", "provisional", "rescored", "score", "activity", "bed", "moved_s", "seen", "crosstalk", "breaths_per_min",
-    "confidence",
+    "confidence", "why",
 )  # fmt: skip
-TEXTS = ("state", "provisional", "bed")
+TEXTS = ("state", "provisional", "bed", "why")
+ADDED = ("why",)
+"""Columns that the logs of older versions lack."""
 NOON_H = 12
 
 
@@ -48,6 +50,7 @@ class Facts:
     breaks     [from, to]: kinegraph did not run, though the night went on
     switched   [time, what]: "lights off", "lights on"
     exits      [time, state of the bed]: in, out, unknown
+    moved      [time, down, right]: the camera was moved, and by so many pixels the picture (null: nobody knows)
     numbers    the row of the night's statistics; empty while the night goes on
     meta       of the scored stream: method, threshold, calibration
     settings   [node, use, parameters] of the graph
@@ -63,6 +66,7 @@ class Facts:
     breaks: list[list[int]] = field(default_factory=list)
     switched: list[list[Any]] = field(default_factory=list)
     exits: list[list[Any]] = field(default_factory=list)
+    moved: list[list[Any]] = field(default_factory=list)
     numbers: dict[str, Any] = field(default_factory=dict)
     meta: dict[str, Any] = field(default_factory=dict)
     session: dict[str, Any] = field(default_factory=dict)
@@ -137,12 +141,17 @@ def _epochs(folder: Path) -> Epochs:
     rows = list(csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1])))
     try:
         onset, end = (np.array([nanoseconds(row[name]) for row in rows], np.int64) for name in ("onset", "end"))
-        texts = {name: np.array([row[name] for row in rows], "U12") for name in TEXTS}
+        texts = {name: np.array([_cell(row, name) for row in rows], "U12") for name in TEXTS}
         names = [name for name in COLUMNS[2:] if name not in TEXTS]
         numbers = {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}
     except (KeyError, ValueError, TypeError) as error:
         raise NightError(f"{folder / EPOCHS} is damaged: {error}") from None
     return Epochs(onset, end, texts, numbers)
+
+
+def _cell(row: dict[str, str], name: str) -> str:
+    """A text of a row; "" where the log is older than the column. Raises KeyError."""
+    return (row.get(name) or "") if name in ADDED else row[name]
 
 
 def read_map(folder: Path) -> Samples | None:

@@ -54,11 +54,13 @@ class Camera:
     depth      queue of depth frames
     imu        queue of inertial packets, where they are wanted
     identity   serial number, model, sensors, USB speed
+    light      sets the projector and the flood light; what the camera lacks of them
     """
 
     depth: Any
     imu: Any = None
     identity: dict[str, Any] = field(default_factory=dict)
+    light: Callable[[], list[str]] = list
 
 
 @contextmanager
@@ -82,7 +84,28 @@ def opened(dai: Any, of: Oak, link: Link) -> Iterator[Camera]:
             pipeline.start()
         except RuntimeError as error:
             raise not_opened(dai, of.device, error) from None
-        yield Camera(depth, imu, identity_of(device))
+        yield Camera(depth, imu, identity_of(device), lambda: lit(device, of.projector, of.flood))
+
+
+def lit(device: Any, projector: float, flood: float) -> list[str]:
+    """Set the lights of a camera, which are off whenever its pipeline has started; the names of those that it lacks.
+
+    What the graph does not ask for is left as it is: off.
+    """
+    wanted = (
+        ("dot projector", projector, "setIrLaserDotProjectorIntensity"),
+        ("flood light", flood, "setIrFloodLightIntensity"),
+    )
+    missing = []
+    for name, intensity, method in wanted:
+        if intensity > 0:
+            try:
+                done = bool(getattr(device, method)(intensity))
+            except RuntimeError:  # the connection is gone again: when it is back this is called again
+                continue
+            if not done:
+                missing.append(name)
+    return missing
 
 
 def _depth(dai: Any, pipeline: Any, of: Oak) -> Any:

@@ -51,6 +51,9 @@ class Oak(Source):
     A frame's stamp is the middle of its exposure, on the host clock that depthai keeps in step with the camera's. Frames that are missing
     are known from their numbers. depthai itself connects again to a camera that comes back; one that stays away for `reconnect_s`, or
     brings no frame for `lost_after_s` though it is connected, is closed and looked for anew.
+
+    `projector` and `flood` are set once the pipeline runs, and again whenever the camera has come back: it forgets them. A camera that
+    lacks what is asked for goes on without it; that is logged, and counted as a problem.
     """
 
     outputs = _Outputs()
@@ -66,6 +69,11 @@ class Oak(Source):
         "",
         help="depthai's preset: for stereo default, accuracy, density, ...; for tof low_range, mid_range, high_range",
     )
+    projector: float = param(
+        0.0, least=0.0, most=1.0, help="intensity of the infrared dot projector (models named Pro); 0: off, as the maker has it"
+    )
+    flood: float = param(0.0, least=0.0, most=1.0, help="intensity of the infrared flood light (models named Pro); 0: off")
+    lit_room: bool = param(False, help="the room stays light all night, so that a stereo camera needs no projector")
     imu_hz: float = param(0.0, least=0, most=1000, help="rate of the inertial output; 0: there is none")
     lost_after_s: float = param(5.0, above=0, help="after how long without a frame it is opened anew")
     reconnect_s: float = param(30.0, above=0, help="how long depthai may try to reach a camera that was unplugged")
@@ -127,6 +135,7 @@ class _Reading:
 
     def run(self) -> None:
         """Until told to stop; raises DeviceError when the camera is lost."""
+        self._light()
         wait = timedelta(milliseconds=10 if self._motion else 100)
         while not self._feed.stopped:
             try:
@@ -140,6 +149,15 @@ class _Reading:
             for packets in motion:
                 self._packets(packets)
             self._check_silence()
+
+    def _light(self) -> None:
+        """Switch on what sees in the dark."""
+        for name in self._camera.light():
+            log.error(
+                f"this OAK camera has no {name}: in the dark it sees nothing (models named Pro have one; docs/devices/oak.md)",
+                device=self._of.device,
+            )
+            self._feed.problem(f"no {name}")
 
     def _frame(self, message: Any) -> None:
         arrival = self._feed.now()
@@ -167,6 +185,8 @@ class _Reading:
             log.warning("OAK connection", device=self._of.device, state=state)
             if state == "FAILED":
                 raise DeviceError("the OAK camera is gone, and depthai has given up connecting to it again")
+            if state == "RUNNING":
+                self._light()
             if state == "DISCONNECTED":
                 self._feed.problem("connection lost")
             self._frames.interrupted()

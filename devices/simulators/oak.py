@@ -95,6 +95,7 @@ class SimulatedCamera:
         self._freeze = Mishaps(Misbehaviour(stall_every_s=of.freeze_every_s, stall_s=of.freeze_s))
         self._blind = Mishaps(Misbehaviour(stall_every_s=of.blind_every_s, stall_s=of.blind_s))
         self._pulled = threading.Event()
+        self.times_lit = 0
 
     def unplug(self) -> None:
         """Pull the cable out."""
@@ -118,7 +119,12 @@ class SimulatedCamera:
             depth = node.depth.createOutputQueue(maxSize=QUEUE, blocking=False)
             imu = node.imu.createOutputQueue(maxSize=16 * QUEUE, blocking=False) if self.of.imu_hz else None
             pipeline.start()
-            yield Camera(depth, imu, {"id": "simulated", "model": "OAK without hardware", "depthai": dai.__version__})
+            yield Camera(depth, imu, {"id": "simulated", "model": "OAK without hardware", "depthai": dai.__version__}, self.light)
+
+    def light(self) -> list[str]:
+        """The lights are set; how often is counted."""
+        self.times_lit += 1
+        return []
 
     @contextmanager
     def recording(self, path: Path) -> Iterator[None]:
