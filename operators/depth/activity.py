@@ -41,7 +41,7 @@ RESTLESS = 3.0
 """No noise in bed is so many times that of the empty bed, unless it has been as steady as noise is."""
 STEADY, STEADY_EPOCHS = 0.2, 20
 """Noise, unlike movement, scatters by less than this share of its level, within an epoch's still part and over so many epochs."""
-LIGHT_S, LIGHT_SHARE, LEAST_SCATTER = 12.0, 0.9, 0.85
+LIGHT_S, LIGHT_SHARE, LEAST_SCATTER = 12.0, 0.9, 0.7
 """A rise for at least so long, with hardly a pause, and as steady as noise, is more noise: a light, and no movement."""
 
 WHYS = np.array(["", "unseen", "dark", "camera", "still", "region", "body"])
