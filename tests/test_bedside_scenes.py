@@ -92,10 +92,3 @@ def test_people_beds_and_lamps_are_no_jump_of_the_view() -> None:
         moves=(200, 300, 400), lamp=((750, 900),),
     )  # fmt: skip
     assert [str(e["what"]) for e in Told(scene).view] == ["steady"]
-
-
-def test_a_lamp_on_the_bed_is_a_light_and_no_wake() -> None:
-    told = Told(Scene(3000, IN, moves=MOVES, lamp=((1500, 1860),)))
-    states, why = told.of(1530, 1860)
-    assert states <= {"unknown", "sleep"} and why == {"light"}
-    assert "wake" not in told.of(270, 1850)[0]
