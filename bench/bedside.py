@@ -72,9 +72,9 @@ class Run:
         self._kept: dict[str, list[tuple[Array, Array]]] = defaultdict(list)
         for name in kept:
             node, _, output = name.partition(".")
-            wires = self.pipeline.stages[node].wires if node in self.pipeline.stages else self.pipeline.entries
+            wires = self.pipeline.stages[node].edges if node in self.pipeline.stages else self.pipeline.entries
             wire = wires[output or next(iter(wires))] if node in self.pipeline.stages else wires[name]
-            wire.taps.append(lambda chunk, name=name: self._kept[name].append((chunk.time, chunk.data)))
+            wire.observers.append(lambda chunk, name=name: self._kept[name].append((chunk.time, chunk.data)))
 
     def run(self) -> Run:
         self.graph.nodes["camera"].part.fresh().read(self)  # type: ignore[union-attr]

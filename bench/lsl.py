@@ -25,7 +25,7 @@ import numpy as np
 from bench.report import Goal, Section, short, whole
 from devices.lsl.network import library
 from stream.chunk import Chunk, Specs
-from stream.engine.clock import SessionClock
+from stream.clock import SessionClock
 from stream.operator import Operator
 
 HOUSE = Path(__file__).resolve().parent.parent

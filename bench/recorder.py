@@ -11,9 +11,9 @@ import numpy as np
 from bench.report import Goal, Section, short
 from bench.work import CHANNELS, RATE_HZ, kernel_steps, samples
 from stream.chunk import NS, Chunk, StreamSpec
-from stream.engine.stalls import calm
 from stream.graph import RecordingOptions
 from stream.recording import Recorder
+from stream.stalls import calm
 
 CHUNK = 10
 

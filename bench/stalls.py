@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from bench.report import table
-from stream.engine.stalls import FIRST_GENERATION, SWITCH_INTERVAL_S
+from stream.stalls import FIRST_GENERATION, SWITCH_INTERVAL_S
 
 ROOT = Path(__file__).resolve().parent.parent
 BESIDE = ("nothing", "busy", "garbage")

@@ -19,7 +19,7 @@ from stream.params import check
 from stream.state import pack, size_of, unpack
 
 if TYPE_CHECKING:
-    from stream.engine.clock import SessionClock
+    from stream.clock import SessionClock
     from stream.graph import Graph
 
 S = TypeVar("S")
@@ -137,7 +137,7 @@ class Operator(Generic[S]):
 class Outlet(Operator[S]):
     """Where streams leave the graph: a file, a network, a screen. It has inputs and no outputs.
 
-    An outlet is silent in replay unless it is asked to speak. It runs on the lane `outlets` unless told otherwise, and when it fails it
+    An outlet is silent in replay unless it is asked to speak. It runs on the worker `outlets` unless told otherwise, and when it fails it
     is reported and switched off while the graph goes on. `open` only checks and allocates (a graph is opened to be checked, too); what
     touches the world begins in `begin`.
 

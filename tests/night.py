@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from stream.commands import logs
-from stream.engine.checkpoint import Checkpoint
 from stream.engine.session import Session
 from stream.graph.load import load
+from stream.recording.checkpoint import Checkpoint
 
 
 def slow_checkpoints() -> None:

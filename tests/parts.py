@@ -229,7 +229,7 @@ def threads() -> set[tuple[str, int | None]]:
     return {
         (t.name, t.ident)
         for t in threading.enumerate()
-        if t.name.startswith(("source", "lane", "recorder", "checkpoint"))
+        if t.name.startswith(("source", "worker", "recorder", "checkpoint"))
     }
 
 

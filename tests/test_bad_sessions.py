@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from stream.chunk import NS
-from stream.engine.clock import SessionClock
+from stream.clock import SessionClock
 from stream.recording import Recording
 from tests.command_line import BOARD, KINEGRAPH, QUIET, Command, refused, shell, wait_for
 

@@ -22,8 +22,8 @@ from devices.oak.adapter import Frames, Message
 from devices.simulators.night import EPOCH_S
 from stream.chunk import NS, Array
 from stream.engine import supervisor
-from stream.engine.outcome import Outcome
 from stream.engine.session import Session
+from stream.engine.status import Outcome
 from stream.errors import GraphError
 from stream.graph.load import load
 from stream.operator import grid

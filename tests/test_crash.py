@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stream.engine.checkpoint import Checkpoint
 from stream.engine.replay import Replay
 from stream.engine.session import Session
 from stream.errors import KinegraphError
 from stream.graph.load import load
 from stream.recording import Recording
+from stream.recording.checkpoint import Checkpoint
 
 HERE = Path(__file__).parent
 
@@ -28,7 +28,7 @@ recording: {flush_s: 0.2}
 nodes:
   board: {use: parts.Counting, samples: 1000000, realtime: true}
   sum: {use: parts.RunningSum, from: board}
-  slow: {use: parts.RunningSum, from: board, lane: side}
+  slow: {use: parts.RunningSum, from: board, worker: side}
   table: {use: devices.csv_file.CsvFile, from: sum, path: PATH}
 """
 
@@ -178,7 +178,7 @@ nodes:
   board: {use: parts.Counting, samples: 1000000, realtime: true}
   other: {use: parts.Counting, samples: 1000000, realtime: true, key: other, chunk: 3}
   both: {use: parts.Beside, from: {a: board, b: other}}
-  slow: {use: parts.RunningSum, from: both, lane: side, slow_s: 0.01, queue: 1, policy: drop_oldest}
+  slow: {use: parts.RunningSum, from: both, worker: side, slow_s: 0.01, queue: 1, policy: drop_oldest}
 """
 
 

@@ -11,12 +11,12 @@ from bench.pictures import face
 from operators.depth.blocks import left_over
 from operators.depth.simplify import Simplify
 from stream.chunk import NS, Array, Chunk
-from stream.engine.checkpoint import Checkpoint
 from stream.engine.session import Session
 from stream.errors import InputError, ParameterError
 from stream.graph.load import load_text
 from stream.operator import grid
 from stream.recording import Recording
+from stream.recording.checkpoint import Checkpoint
 from tests.depth_frames import Faces, blocks_spec, finer, frames_spec, in_blocks, play
 
 RAW = frames_spec(48, 64, simplified=False)

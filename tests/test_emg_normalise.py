@@ -210,7 +210,7 @@ def test_calibrate_says_what_is_wrong(walked, tmp_path):
 
 
 def test_the_envelope_is_the_graphs():
-    graph = "nodes:\n  e:\n    use: operators.emg.Envelope\n    from: x\n    cutoff_hz: 6\n    lane: slow\n"
+    graph = "nodes:\n  e:\n    use: operators.emg.Envelope\n    from: x\n    cutoff_hz: 6\n    worker: slow\n"
     assert envelope_of(graph, "graph") == Envelope(cutoff_hz=6)
     assert envelope_of("", "graph") == Envelope()
     both = graph + "  f:\n    use: operators.emg.Envelope\n    from: x\n"

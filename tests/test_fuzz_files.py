@@ -131,7 +131,7 @@ def recording(path: Path) -> None:
 
 
 def checkpoint(path: Path) -> None:
-    from stream.engine.checkpoint import NAME, Checkpoint
+    from stream.recording.checkpoint import NAME, Checkpoint
 
     path.replace(path.with_name(NAME))
     Checkpoint.load(path.parent)
@@ -155,7 +155,7 @@ def night(path: Path) -> None:
 
 def seeds(folder: Path, made: Path) -> dict[str, tuple[bytes, Reader]]:
     """A valid file of each format by the name that it goes by, and its reader."""
-    from stream.engine.checkpoint import NAME, Checkpoint
+    from stream.recording.checkpoint import NAME, Checkpoint
 
     np.savez(
         folder / "x.npz", emg=np.arange(60.0).reshape(20, 3), time=np.arange(20) / 100, names=np.array(["a", "b", "c"])

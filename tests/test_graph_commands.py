@@ -72,7 +72,7 @@ def test_draw_a_tree(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert lines[0] == "walking"
     assert lines[1] == "└── board graph_parts.Board()"
     text = "\n".join(lines)
-    assert "low graph_parts.Low(cutoff_hz=10, order=3) lane slow" in text
+    assert "low graph_parts.Low(cutoff_hz=10, order=3) worker slow" in text
     assert "recorded" in text and "cycles (into touchdown) see above" in text
     assert "annotations" not in text
 
@@ -159,7 +159,7 @@ def test_the_schema_tells_an_editor_what_a_parameter_is() -> None:
     assert low["required"] == ["use", "from"] and low["description"] == "A filter in name only: it checks like one."
     board = SCHEMA["$defs"]["graph_parts.Board"]["properties"]
     assert board["rate_hz"]["description"] == "samples per second (Hz)", "a line of the docstring will do"
-    assert board["queue"]["minimum"] == 1 and "from" not in board and "lane" not in board
+    assert board["queue"]["minimum"] == 1 and "from" not in board and "worker" not in board
     offered = SCHEMA["$defs"]["node"]["properties"]["use"]["anyOf"][0]["enum"]
     assert "graph_parts.Low" in offered and "stream.manual.Value" in offered
 

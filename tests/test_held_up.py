@@ -12,10 +12,10 @@ import parts
 import pytest
 
 from stream.chunk import Chunk
-from stream.engine import entrance
-from stream.engine.channel import Channel
+from stream.engine.ingress import Ingress
+from stream.engine.queues import BoundedQueue
 from stream.engine.session import Session
-from stream.engine.supervisor import closed
+from stream.engine.supervisor import not_inline
 from stream.graph.load import load_text
 from stream.operator import Emitted
 from stream.params import param
@@ -41,12 +41,12 @@ class Stall(parts.Identity):
         return chunk
 
 
-@pytest.mark.parametrize("way", ["door", "queue"])
+@pytest.mark.parametrize("way", ["inline", "queue"])
 def test_what_the_graph_takes_is_no_silence_of_a_source(
     way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if way == "queue":
-        monkeypatch.setattr(entrance, "door", lambda *_: closed)
+        monkeypatch.setattr(Ingress, "inline", lambda *_: not_inline)
     parts.seen.clear()
     parts.openings.clear()
     outcome = Session(load_text(GRAPH, path=str(Path(__file__))), tmp_path / "s").run()
@@ -55,14 +55,14 @@ def test_what_the_graph_takes_is_no_silence_of_a_source(
     assert parts.numbers() == list(range(2500)) and parts.lost() == []
 
 
-def test_a_bell_holds_no_more_than_waits() -> None:
-    """However long a thread is behind a queue that drops: what rings for it does not pile up."""
-    channel = Channel("camera", SimpleQueue(), 3, "drop_oldest")
+def test_a_ready_queue_holds_no_more_than_waits() -> None:
+    """However long a thread is behind a queue that drops: the ready queue does not pile up."""
+    queue = BoundedQueue("camera", SimpleQueue(), 3, "drop_oldest")
     for i in range(50):
-        channel.put(Chunk(np.array([i]), np.array([[float(i)]]), i))
+        queue.put(Chunk(np.array([i]), np.array([[float(i)]]), i))
         if i % 10 == 5:
-            assert channel.bell.get() is channel and channel.take() is not None
-    assert channel.bell.qsize() == channel.depth == 3
-    taken = [channel.take() for _ in range(channel.bell.qsize())]
+            assert queue.ready.get() is queue and queue.take() is not None
+    assert queue.ready.qsize() == queue.depth == 3
+    taken = [queue.take() for _ in range(queue.ready.qsize())]
     assert [item[0].time[0] for item in taken if item] == [47, 48, 49]
-    assert channel.index == channel.chunks == 50 and channel.dropped == 50 - 5 - 3
+    assert queue.index == queue.chunks == 50 and queue.dropped == 50 - 5 - 3

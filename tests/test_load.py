@@ -32,7 +32,7 @@ nodes:
     use: graph_parts.Low
     from: board
     cutoff_hz: 10
-    lane: slow
+    worker: slow
     queue: 4
   board:
     use: graph_parts.Board
@@ -65,7 +65,7 @@ def test_a_graph() -> None:
     assert list(graph.nodes) == ["board", "low", "cycles", "screen", "annotations"]
     low = graph.nodes["low"]
     assert low.inputs == {"in": Edge("board", "emg")}
-    assert (low.options.lane, low.options.queue) == ("slow", 4)
+    assert (low.options.worker, low.options.queue) == ("slow", 4)
     assert low.given == {"cutoff_hz": 10} and low.part.cutoff_hz == 10
     assert low.use == "graph_parts.Low" and low.line == 12
     assert graph.nodes["board"].options.policy == "drop_oldest" and not graph.nodes["board"].options.required
@@ -144,9 +144,9 @@ NODE_ERRORS = [
     ("p: {use: graph_parts.Port, from: board, port: /dev/x}", 4, ["Port is a source", "'from' has no meaning"]),
     ("p: {use: graph_parts.Port}", 4, ["node 'p'", "port is missing"]),
     ("p:\n  use: graph_parts.Port\n  port: COM1", 6, ["port is 'COM1'", "a path below /dev"]),
-    ("p: {use: graph_parts.Port, port: /dev/x, lane: a}", 4, ["'lane' is an operator's option"]),
+    ("p: {use: graph_parts.Port, port: /dev/x, worker: a}", 4, ["'worker' is an operator's option"]),
     ("a: {use: graph_parts.Low, from: board, stale_s: 3}", 4, ["'stale_s' is a source's option"]),
-    ("a: {use: graph_parts.Low, from: board, queue: 3}", 4, ["'queue' needs a 'lane'"]),
+    ("a: {use: graph_parts.Low, from: board, queue: 3}", 4, ["'queue' needs a 'worker'"]),
     ("p: {use: graph_parts.Port, port: /dev/x, queue: 0}", 4, ["queue is 0", "at least 1"]),
     ("p: {use: graph_parts.Port, port: /dev/x, policy: drop}", 4, ["policy is 'drop'", "'drop_oldest'"]),
     ("a: {from: board}", 4, ["'use' is missing"]),
@@ -274,7 +274,7 @@ def test_everything_that_is_wrong_is_told_at_once_in_the_files_order() -> None:
 
 def test_settings_of_the_command_line_replace_the_files() -> None:
     given = overrides.read(
-        ["low.cutoff_hz=5", "session.speed_m_s=1.5", "latency_budget_ms=90", "low.lane=x", "name=w: 1"[:6]]
+        ["low.cutoff_hz=5", "session.speed_m_s=1.5", "latency_budget_ms=90", "low.worker=x", "name=w: 1"[:6]]
     )
     graph = load_text("# kept\n" + GOOD, overrides=given)
     assert graph.nodes["low"].part.cutoff_hz == 5

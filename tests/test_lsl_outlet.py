@@ -15,7 +15,7 @@ import pytest
 from devices.lsl import LslInlet, LslOutlet
 from devices.lsl.network import Network, library
 from stream.chunk import NS, Array, Chunk, StreamSpec
-from stream.engine.clock import SessionClock
+from stream.clock import SessionClock
 from stream.engine.session import Session
 from stream.errors import DeviceError, InputError, ParameterError
 from stream.graph.load import load_text

@@ -18,9 +18,8 @@ from devices.simulators.lines import line_at
 from devices.simulators.lsl import Lsl
 from devices.simulators.misbehaviour import Misbehaviour
 from devices.simulators.serve import Server
-from stream.engine.outcome import Outcome
 from stream.engine.session import Session
-from stream.engine.status import Table
+from stream.engine.status import Outcome, Table
 from stream.graph import Graph
 from stream.graph.load import load_text
 from stream.recording import Recording

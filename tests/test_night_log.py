@@ -16,7 +16,7 @@ from night_made import LATE, SPECS, Night, feed, logged, opened, states
 from devices.night import shelf
 from devices.night.numbers import quality, table
 from stream.chunk import NS
-from stream.engine.clock import SessionClock
+from stream.clock import SessionClock
 from stream.errors import InputError, KinegraphError, ParameterError
 from tests.command_line import Command
 

@@ -72,11 +72,11 @@ def test_memory_counts_states_and_queues() -> None:
 
     none = memory("screen: {use: graph_parts.Screen, from: board}")
     one = memory("low: {use: graph_parts.Low, from: board}\nscreen: {use: graph_parts.Screen, from: low}")
-    lane = memory(
-        "low: {use: graph_parts.Low, from: board, lane: x, queue: 10}\nscreen: {use: graph_parts.Screen, from: low}"
+    worker = memory(
+        "low: {use: graph_parts.Low, from: board, worker: x, queue: 10}\nscreen: {use: graph_parts.Screen, from: low}"
     )
     assert one - none == 8000, "the state of Low; the same chunks wait before the outlet"
-    assert lane - one == 10 * (300 + 20 * (16 + 8)), "ten chunks of 20 ms wait before the lane"
+    assert worker - one == 10 * (300 + 20 * (16 + 8)), "ten chunks of 20 ms wait before the worker"
 
 
 def test_a_late_graph_is_refused_with_the_path_and_its_parts() -> None:

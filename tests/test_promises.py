@@ -11,8 +11,8 @@ import parts
 import pytest
 
 from stream.chunk import FOREVER, NS, Chunk
-from stream.engine.outcome import Outcome
 from stream.engine.session import Session
+from stream.engine.status import Outcome
 from stream.errors import GraphError, RunError
 from stream.graph.load import load_text
 from stream.operator import Emitted
@@ -85,7 +85,7 @@ class BadSource(parts.Counting):
 
 PATHS = {
     "before a compiled segment": "",
-    "on a worker": ", lane: other",
+    "on a worker": ", worker: other",
 }
 GRAPH = """
 nodes:

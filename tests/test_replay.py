@@ -11,7 +11,7 @@ import parts
 import pytest
 
 from stream.chunk import Chunk
-from stream.engine.drops import Drops
+from stream.engine.queues import Drops
 from stream.engine.replay import Digest, Replay
 from stream.engine.session import Session
 from stream.graph import Graph
@@ -30,7 +30,7 @@ nodes:
   sum: {use: parts.RunningSum, from: one, slow_s: 0.008}
   loud: {use: parts.Gain, from: {signal: two, gain: volume}}
   both: {use: parts.Beside, from: {a: sum, b: loud}}
-  hurried: {use: parts.RunningSum, from: two, slow_s: 0.03, lane: slow, queue: 3, policy: drop_oldest}
+  hurried: {use: parts.RunningSum, from: two, slow_s: 0.03, worker: slow, queue: 3, policy: drop_oldest}
   aside: {use: parts.Beside, from: {a: hurried, b: three}}
 """
 

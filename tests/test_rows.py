@@ -51,14 +51,14 @@ def pipeline(monkeypatch: pytest.MonkeyPatch, *, rows: bool, tapped: str = "") -
     monkeypatch.setattr(row, "POSSIBLE", rows)
     made = Pipeline(load_text(GRAPH))
     if tapped:
-        made.wires[tapped].taps.append(lambda chunk: None)
-    made.fasten()
+        made.edges[tapped].observers.append(lambda chunk: None)
+    made.compile()
     return made
 
 
 def rows_in(made: Pipeline) -> list[list[str]]:
-    spans = [span for wire in made.wires.values() if wire.chain for span in wire.chain.spans if span.row]
-    return [[link.name for link in span.links] for span in spans]
+    spans = [span for segment in made.segments for span in segment.spans if span.row]
+    return [[port.node for port in span.ports] for span in spans]
 
 
 def delivery(seed: int, width: int) -> list[Chunk]:
@@ -81,12 +81,12 @@ def delivery(seed: int, width: int) -> list[Chunk]:
 def fed(made: Pipeline, chunks: list[Chunk]) -> list[tuple[Array, Array, int, int]]:
     """Feed copies of these, and what came out behind the last of them, in order."""
     out: list[tuple[Array, Array, int, int]] = []
-    edge = made.wires["scale"]
-    edge.taps.append(lambda c: out.append((c.time.copy(), c.data.copy(), c.until, c.lost)))
-    made.fasten()
+    edge = made.edges["scale"]
+    edge.observers.append(lambda c: out.append((c.time.copy(), c.data.copy(), c.until, c.lost)))
+    made.compile()
     for c in chunks:
         made.feed("board.emg", Chunk(c.time.copy(), c.data.copy(), c.until, c.lost))
-    edge.taps.pop()
+    edge.observers.pop()
     return out
 
 
@@ -128,7 +128,7 @@ def test_each_operator_of_a_row_is_timed(monkeypatch: pytest.MonkeyPatch) -> Non
     read = {name: made.stages[name].timing.read() for name in NAMES}
     assert read["thin"]["calls"] > read["mean"]["calls"] > 0, "some chunks end where samples are left out"
     assert all(0.0 < row["p50_us"] < 1000.0 for row in read.values())
-    assert made.stages["thin"].wires["out"].samples == -(-1200 // 7)
+    assert made.stages["thin"].edges["out"].samples == -(-1200 // 7)
 
 
 def test_a_restored_row_goes_on_where_the_other_was(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -229,7 +229,7 @@ import tests.test_rows as rows
 from stream.engine.pipeline import Pipeline
 from stream.graph.load import load_text
 made = Pipeline(load_text(rows.GRAPH))
-made.fasten()
+made.compile()
 run = next(module.run for name, module in sys.modules.items() if name.startswith("kinegraph_row_"))
 print(sum(run.stats.cache_hits.values()), sum(run.stats.cache_misses.values()))
 """

@@ -1,4 +1,4 @@
-"""Live sessions: order and loss, supervision, lanes, the common start, a clean end in every case."""
+"""Live sessions: order and loss, supervision, workers, the common start, a clean end in every case."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ import pytest
 from structlog.testing import capture_logs
 
 from stream.chunk import Chunk, empty
-from stream.engine.outcome import Outcome
 from stream.engine.pipeline import Pipeline
 from stream.engine.session import Session
+from stream.engine.status import Outcome
 from stream.errors import DeviceError, GraphError, RecordingError, RunError
 from stream.graph import Graph
 from stream.graph.load import load_text
@@ -252,7 +252,7 @@ def test_an_outlet_that_fails_is_switched_off_and_the_graph_goes_on() -> None:
 def test_a_slow_outlet_loses_its_own_data_and_never_the_graphs() -> None:
     nodes = """
   board: {use: parts.Counting, samples: 1500, realtime: true, chunk: 5}
-  slow: {use: parts.Collect, from: board, name: slow, slow_s: 0.05, queue: 4, lane: slow}
+  slow: {use: parts.Collect, from: board, name: slow, slow_s: 0.05, queue: 4, worker: slow}
   out: {use: parts.Collect, from: board}
 """
     outcome = run(nodes)
@@ -264,7 +264,7 @@ def test_a_slow_outlet_loses_its_own_data_and_never_the_graphs() -> None:
 def test_a_lane_changes_nothing_but_the_thread() -> None:
     nodes = """
   board: {use: parts.Counting, samples: 3000, chunk: 11}
-  aside: {use: parts.RunningSum, from: board, lane: side}
+  aside: {use: parts.RunningSum, from: board, worker: side}
   here: {use: parts.RunningSum, from: board}
   both: {use: parts.Beside, from: {a: aside, b: here}}
   out: {use: parts.Collect, from: both}
@@ -279,7 +279,7 @@ def test_a_lane_changes_nothing_but_the_thread() -> None:
 def test_an_error_on_a_lane_stops_the_graph_with_the_nodes_name() -> None:
     nodes = """
   board: {use: parts.Counting, samples: 5000, realtime: true}
-  sum: {use: parts.RunningSum, from: board, fails_at: 200, lane: side}
+  sum: {use: parts.RunningSum, from: board, fails_at: 200, worker: side}
 """
     outcome = run(nodes)
     assert outcome.exit_code == 4
@@ -316,9 +316,27 @@ def test_annotations_and_values_are_recorded_streams(tmp_path: Path) -> None:
     assert factors == {1.0}
 
 
+def test_a_session_is_whole_before_it_runs(tmp_path: Path) -> None:
+    """What is said before `run` is there when it begins, and making a session opens nothing."""
+    before = parts.threads()
+    session = session_of("  board: {use: parts.Counting}", tmp_path / "s")
+    assert session.in_hand() is None and parts.threads() == before and not (tmp_path / "s").exists()
+    session.mark("ready")
+    assert session.run().exit_code == 0
+    assert recorded(tmp_path / "s").read("annotations")[1]["text"].tolist() == ["ready"]
+
+
+def test_a_row_of_500_operators_runs(tmp_path: Path) -> None:
+    """Also what a segment leaves to be carried step by step: a gap, and the end."""
+    nodes = "  board: {use: parts.Counting, realtime: true, samples: 300, trouble: dies, at: 100}\n"
+    for i in range(500):
+        nodes += f"  n{i}: {{use: parts.Identity, from: {f'n{i - 1}' if i else 'board'}}}\n"
+    outcome = session_of(nodes + "  out: {use: parts.Collect, from: n499, policy: block}").run()
+    assert outcome.error is None and parts.numbers() == list(range(300)) and parts.lost() == [-1]
+
+
 def test_a_value_out_of_bounds_is_refused_with_its_bounds() -> None:
     session = session_of("  board: {use: parts.Counting}\n  volume: {use: stream.manual.Value, initial: 1, most: 2}")
-    session._prepare()
     with pytest.raises(Exception, match=r"value is 3\.0; it must be between -1e\+308 and 2"):
         session.tell("volume", "3")
     with pytest.raises(Exception, match="there is no source 'nobody'"):

@@ -130,7 +130,7 @@ def said_until(process: subprocess.Popen[str], words: str) -> str:
     ("node", "options"),
     [
         pytest.param("Node", "how: in_python", id="on a source's thread"),
-        pytest.param("Node", "how: in_python, lane: aside", id="on a lane"),
+        pytest.param("Node", "how: in_python, worker: aside", id="on a worker"),
         pytest.param("Out", "how: in_python", id="in an outlet"),
     ],
 )
@@ -138,7 +138,7 @@ def test_a_node_that_does_not_come_back_is_named_and_left(node: str, options: st
     process = started(tmp_path, node, options)
     wait_for((tmp_path / "there").exists)
     goes_on = (
-        node == "Out" or "lane" in options
+        node == "Out" or "worker" in options
     )  # the rest of the graph does, so that nothing is wrong until it shall end
     said = "" if goes_on else said_until(process, "node does not come back")
     process.send_signal(signal.SIGINT)

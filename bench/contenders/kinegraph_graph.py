@@ -19,10 +19,10 @@ from bench.work import CUTOFF_HZ, EVERY, ORDER, RATE_HZ, WINDOW, Feed, Sink, Ste
 from bench.worker import SESSION, UNRECORDED, serve
 from stream.engine.pipeline import Pipeline
 from stream.engine.session import Session
-from stream.engine.stalls import calm
 from stream.graph import RecordingOptions
 from stream.graph.load import load_text
 from stream.recording import Recorder
+from stream.stalls import calm
 
 CHAIN = f"""
   rectify: {{use: operators.rectify.Rectify, from: device}}
@@ -73,9 +73,9 @@ class Kinegraph:
         recorder = Recorder(folder / "session", {"graph": ""}, RecordingOptions(), wait=True) if recorded else None
         try:
             if recorder:
-                for role, wire in (("input", pipeline.wires["device"]), ("edge", pipeline.wires[last_edge(pipeline)])):
+                for role, wire in (("input", pipeline.edges["device"]), ("edge", pipeline.edges[last_edge(pipeline)])):
                     number = recorder.add_stream(str(wire.edge), wire.spec, role)  # type: ignore[arg-type]
-                    wire.taps.append(lambda chunk, n=number: recorder.write(n, chunk, chunk.until, 0))  # type: ignore[misc]
+                    wire.observers.append(lambda chunk, n=number: recorder.write(n, chunk, chunk.until, 0))  # type: ignore[misc]
             with calm():
                 pipeline.begin()
                 feed_all(pipeline, feed)
@@ -87,7 +87,7 @@ class Kinegraph:
 
 
 def last_edge(pipeline: Pipeline) -> str:
-    return [name for name in pipeline.wires if name.startswith("same")][-1]
+    return [name for name in pipeline.edges if name.startswith("same")][-1]
 
 
 if __name__ == "__main__":

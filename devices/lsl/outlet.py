@@ -18,7 +18,7 @@ from stream.operator import Outlet
 from stream.params import param
 
 if TYPE_CHECKING:
-    from stream.engine.clock import SessionClock
+    from stream.clock import SessionClock
 
 LINGER_S = 0.2
 """How long the last samples are given to reach those who listen."""

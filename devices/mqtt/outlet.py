@@ -26,7 +26,7 @@ from stream.params import param
 from stream.state import pack
 
 if TYPE_CHECKING:
-    from stream.engine.clock import SessionClock
+    from stream.clock import SessionClock
 
 REFRESH = 0.4
 """A state that has not changed is said again after this share of its `expire_after_s`."""

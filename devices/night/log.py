@@ -26,7 +26,7 @@ from stream.params import param
 from stream.state import pack
 
 if TYPE_CHECKING:
-    from stream.engine.clock import SessionClock
+    from stream.clock import SessionClock
 
 HELD = 200
 """What is known of so many epochs waits for their final scores (Webster's rules: up to 70)."""

@@ -11,7 +11,6 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from time import perf_counter_ns
 from typing import TYPE_CHECKING, Any, Self
 
 import structlog
@@ -20,9 +19,9 @@ from stream.chunk import NS, utc
 from stream.errors import RunError
 
 if TYPE_CHECKING:
-    from stream.engine.in_hand import Call
-    from stream.engine.outcome import Outcome
     from stream.engine.session import Session
+    from stream.engine.status import Outcome
+    from stream.engine.workers import Call
 
 HANG_UP: signal.Signals | None = getattr(signal, "SIGHUP", None)
 """What a terminal that is closed says to those in it; Windows has no such thing."""
@@ -53,7 +52,6 @@ class Ending:
         self._asked = 0
         self._interrupts = self._ours = False
         self._table: object = None
-        self._alive = perf_counter_ns()
         self._told: int | None = None
         self._thread = threading.Thread(target=self._listen, name="signals", daemon=True)
 
@@ -109,10 +107,11 @@ class Ending:
         elif number in self._before:
             self._asked += 1
             if self._asked == 1:
-                self._alive, self._table = perf_counter_ns(), self._session.table
+                self._table = self._session.table
+                self._session.in_hand()  # what it finds now, and at the second signal still, is stuck
                 self._session.stop()
-            elif (call := self._session.in_hand()) and (lasts_s := call.lasts_s(self._alive)) >= STUCK_S:
-                self._break_off(call, lasts_s)
+            elif (call := self._session.in_hand()) and call.lasts_s >= STUCK_S:
+                self._break_off(call)
             else:
                 self._interrupt()
 
@@ -129,25 +128,26 @@ class Ending:
         """Tell, once, of a call that does not come back: while one lasts, the metrics stand still."""
         session = self._session
         if session.table is not self._table:
-            self._table, self._alive = session.table, perf_counter_ns()
+            self._table = session.table
+            session.in_hand()
             return
         call = session.in_hand()
-        if call is None or (lasts_s := call.lasts_s(self._alive)) < LOOK_S or self._told == (call.since or 0):
+        if call is None or call.lasts_s < LOOK_S / 2 or self._told == call.since:
             return
-        self._told = call.since or 0
+        self._told = call.since
         now = session.clock.now()
-        session.journal.report(
-            "node does not come back", node=call.node, since=utc(now - int(lasts_s * NS)), given=call.where.strip(),
+        session.log.report(
+            "node does not come back", node=call.node, since=utc(now - int(call.lasts_s * NS)), given=call.where.strip(),
             hint=f"{'another' if self._asked else 'a second'} Ctrl-C or SIGTERM ends the session without it",
         )  # fmt: skip
 
-    def _break_off(self, call: Call, lasts_s: float) -> None:
+    def _break_off(self, call: Call) -> None:
         """Close everything without the graph, and leave the process at once: a thread that does not come back cannot be ended."""
         too_late = threading.Timer(CLOSING_S, os._exit, (RunError.exit_code,))
         too_late.daemon = True
         too_late.start()
         try:
-            outcome = self._session.break_off(call.broken_off(lasts_s), call.node)
+            outcome = self._session.break_off(call.broken_off(), call.node)
             self.shown.close()
             self._tell(outcome)
         except Exception:

@@ -16,7 +16,7 @@ from stream.plain import say
 
 if TYPE_CHECKING:
     from stream.engine.replay import Replay, Replayed
-    from stream.engine.stand_in import StandIns
+    from stream.engine.substitutes import Substitutes
     from stream.graph import Graph
 
 
@@ -71,11 +71,11 @@ def replay(
             raise KinegraphError(
                 f"--verify: {recording} holds no output of a graph, so there is nothing to compare with; name some under `record`"
             )
-        _tell_missing(run.stand_ins)
+        _tell_missing(run.substitutes)
         with _interruptible(run):
             result = _with_progress(run, source.duration_ns / 1e9, quiet)
     _tell(result)
-    unseen = _not_compared(recorded, result, run.stand_ins) if verify else []
+    unseen = _not_compared(recorded, result, run.substitutes) if verify else []
     for name in unseen:
         say(f"  {name}: NOT COMPARED, for this graph has no such output")
     if verify and (result.differing or unseen) and source.header.get("graph") != graph.text:
@@ -142,7 +142,7 @@ def _speaking(graph: Graph, asked: list[str]) -> set[str]:
     return outlets if "all" in asked else set(asked)
 
 
-def _tell_missing(of: StandIns) -> None:
+def _tell_missing(of: Substitutes) -> None:
     """What cannot be computed, for want of images, and what is taken from the recording instead."""
     if of.missing:
         say(
@@ -173,7 +173,7 @@ def _with_progress(run: object, total_s: float, quiet: bool) -> Replayed:
         return run.run(lambda done_s: bar.update(task, completed=done_s))
 
 
-def _not_compared(recorded: list[str], result: Replayed, of: StandIns) -> list[str]:
+def _not_compared(recorded: list[str], result: Replayed, of: Substitutes) -> list[str]:
     """Recorded edges that the graph did not compute again, though no image is missing for them."""
     return [name for name in recorded if name not in result.digests and name.partition(".")[0] not in of.idle]
 

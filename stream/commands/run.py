@@ -21,7 +21,7 @@ from stream.plain import say
 from stream.source import Source
 
 if TYPE_CHECKING:
-    from stream.engine.outcome import Outcome
+    from stream.engine.status import Outcome
     from stream.graph import Graph
 
 

@@ -1,1 +1,1 @@
-"""How a graph runs: one deterministic thread, supervised sources, lanes, the journal; live and in replay."""
+"""How a graph runs: one deterministic thread, supervised sources, workers, the session_log; live and in replay."""

@@ -11,14 +11,13 @@ from time import perf_counter_ns
 from typing import Any
 
 from stream.chunk import FOREVER, NS, Chunk, empty
-from stream.engine.drops import recorded_drops
-from stream.engine.link import Push
+from stream.engine.edge import Observer, Push
 from stream.engine.pipeline import Pipeline, Stage
-from stream.engine.promise import Inside
-from stream.engine.stand_in import StandIns
+from stream.engine.queues import recorded_drops
+from stream.engine.substitutes import Substitutes
 from stream.engine.warmup import Compilations, warm_up
-from stream.engine.wire import Tap
 from stream.graph import Edge, Graph
+from stream.promise import Inside
 from stream.recording import Recorder, Recording, versions
 from stream.recording.image import is_picture
 from stream.recording.joined import joinable, joined
@@ -98,8 +97,8 @@ class Replay:
         output: Path | None = None,
         strict: bool = False,
     ) -> None:
-        self.stand_ins = StandIns.of(graph, recording.streams)
-        self.graph, self.recording, self._speed = self.stand_ins.reduced(graph), recording, speed
+        self.substitutes = Substitutes.of(graph, recording.streams)
+        self.graph, self.recording, self._speed = self.substitutes.reduced(graph), recording, speed
         self.graph.replays = recording.path.name
         self.graph.imported = tuple((recording.header.get("imported") or {}).get("files", ()))
         self._drops = recorded_drops(recording.log)
@@ -108,18 +107,18 @@ class Replay:
         self._output = output
         self._joins = speed is None and output is None and not self._drops
         self._stopping = False
-        wires = {name: wire for name, wire in self.pipeline.wires.items() if name not in self.pipeline.entries}
-        self._inside = {name: Inside() for name in wires} if strict else {}
+        edges = {name: edge for name, edge in self.pipeline.edges.items() if name not in self.pipeline.entries}
+        self._inside = {name: Inside() for name in edges} if strict else {}
         for name, inside in self._inside.items():
-            wires[name].taps.append(inside.look)
+            edges[name].observers.append(inside.look)
 
     def _bridge(self, stage: Stage, port: str, edge: Edge, push: Push) -> Push:
-        """Lanes run on this thread, in order; what their queues dropped live is left out again."""
+        """Workers run on this thread, in order; what their queues dropped live is left out again."""
         drops = self._drops.get(f"{edge} -> {stage.node.name}.{port}")
         return push if drops is None else lambda chunk, start: push(drops.repeat(chunk), start)
 
     def stop(self) -> None:
-        """End after the chunk in hand, cleanly."""
+        """End after the chunk in slot, cleanly."""
         self._stopping = True
 
     def observe(self, edge: str, observer: Tap) -> None:
@@ -149,7 +148,7 @@ class Replay:
             recorder.check()
         result.took_s = time.monotonic() - began
         result.compiled = compilations.names
-        result.samples = {name: wire.samples for name, wire in self.pipeline.wires.items()}
+        result.samples = {name: edge.samples for name, edge in self.pipeline.edges.items()}
         result.broken = {name: inside.broken for name, inside in self._inside.items() if inside.broken}
         result.digests = {name: (recorded[name].hexdigest(), digest.hexdigest()) for name, digest in computed.items()}
         return result
@@ -158,13 +157,13 @@ class Replay:
         """What is fed, and beside it the recorded edges; in long chunks where nothing needs them as they came."""
         streams = self.recording.streams
         inputs = {name for name, s in self.recording.inputs_recorded.items() if s.kept != "outline"}
-        names = {*inputs, *self.stand_ins.taken, *recorded}
+        names = {*inputs, *self.substitutes.taken, *recorded}
         if self._joins and all(joinable(streams[name].spec) for name in names):
             return joined(self.recording, names)
         for name, digest in recorded.items():
             for chunk in self.recording.chunks(name):
                 digest.add(chunk)
-        return self.recording.inputs(also=self.stand_ins.taken)
+        return self.recording.inputs(also=self.substitutes.taken)
 
     def _feed_all(
         self,
@@ -174,7 +173,7 @@ class Replay:
         began: float,
         recorded: dict[str, Digest],
     ) -> None:
-        entries = {name: wire.send for name, wire in self.pipeline.entries.items()}
+        entries = {name: edge.send for name, edge in self.pipeline.entries.items()}
         numbers = self._numbers if recorder else {}
         first: int | None = None
         for count, (sequence, stream, chunk, arrival) in enumerate(self._chunks(recorded)):
@@ -209,18 +208,18 @@ class Replay:
 
     def _close(self) -> None:
         """As a live session ends: every source's stream is over, then every operator emits what is pending."""
-        for wire in self.pipeline.entries.values():
-            wire.send(empty(wire.spec, FOREVER), perf_counter_ns())
+        for edge in self.pipeline.entries.values():
+            edge.send(empty(edge.spec, FOREVER), perf_counter_ns())
         self.pipeline.close()
 
     def _listen(self) -> dict[str, Digest]:
         """Digests of the edges that the recording also holds."""
         digests: dict[str, Digest] = {}
         for name, stream in self.recording.streams.items():
-            computed = name in self.pipeline.wires and name not in self.stand_ins.taken
+            computed = name in self.pipeline.edges and name not in self.substitutes.taken
             if stream.role == "edge" and computed:
                 digests[name] = Digest(stream.samples)
-                self.pipeline.wires[name].taps.append(digests[name].add)
+                self.pipeline.edges[name].observers.append(digests[name].add)
         return digests
 
     def _outlined(self, entry: str) -> bool:
@@ -239,23 +238,22 @@ class Replay:
             "versions": versions(),
         }
         recorder = Recorder(self._output, header, self.graph.recording, wait=True)
-        taken = self.stand_ins.taken
+        taken = self.substitutes.taken
         self._numbers = {
             name: recorder.add_stream(
-                name, wire.spec, "edge" if name in taken else "input", outline=self._outlined(name)
+                name, edge.spec, "edge" if name in taken else "input", outline=self._outlined(name)
             )
-            for name, wire in self.pipeline.entries.items()
+            for name, edge in self.pipeline.entries.items()
         }
-        for name in self.stand_ins.missing:
+        for name in self.substitutes.missing:
             recorder.add_stream(name, self.recording.streams[name].spec, "input", outline=True)
         for entry in self.recording.log:  # its drops belong to this replay as well
             recorder.log(entry["kind"], entry["time"], **{k: v for k, v in entry.items() if k not in ("kind", "time")})
-        for edge in self.graph.record:
-            wire = self.pipeline.wires[str(edge)]
-            if wire not in self.pipeline.entries.values():
-                number = recorder.add_stream(str(edge), wire.spec, "edge")
-                wire.taps.append(self._tap(recorder, number))
+        for name in map(str, self.graph.record):
+            if name not in self.pipeline.entries:
+                edge = self.pipeline.edges[name]
+                edge.observers.append(self._observer(recorder, recorder.add_stream(name, edge.spec, "edge")))
         return recorder
 
-    def _tap(self, recorder: Recorder, number: int) -> Tap:
+    def _observer(self, recorder: Recorder, number: int) -> Observer:
         return lambda chunk: recorder.write(number, chunk, self._arrival, self.sequence)

@@ -1,6 +1,6 @@
 """Operators in a row as one piece of machine code: the kernels that they name as their steps, called one below the other.
 
-Most operators do less work on a chunk than it takes to call them, to make the chunk that they give back, and to hand a kernel its arrays.
+Most operators do less work on a chunk than it takes to call them, to make the chunk that they give back, and to slot a kernel its arrays.
 So the steps of operators in a row are written down as one function of a chunk's arrays, and compiled. Where the steps' memory lies is
 looked up once, and stands in a table; the function is the same for every graph with such a row, and is kept with the other kernels.
 
@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from stream.chunk import NEVER, Array, Chunk, StreamSpec
-from stream.engine.metrics import Timing, add
 from stream.filter import FLOW, KernelCall, SampleWise, arguments
 from stream.kernel import compile_written, is_kernel
+from stream.metrics import Timing, add
 from stream.operator import Operator
 from stream.spare import Spare
 
@@ -33,7 +33,7 @@ FIRST = 7
 SIGNATURE = "int64(float64[:, ::1], int64[::1], float64[:, ::1], int64[::1], int64[::1], int64)"
 HEAD = """\
 from numba import carray
-from stream.engine.machine import clock, floats_at, longs_at
+from stream.machine import clock, floats_at, longs_at
 """
 
 

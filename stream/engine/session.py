@@ -1,10 +1,10 @@
-"""A live session: devices, the graph's turn, the journal, and a clean end whatever happens.
+"""A live session: devices, the graph's turn, the session log, and a clean end whatever happens.
 
 One thread at a time runs the graph: it has the turn. What a source brings while nothing waits and nobody has the turn is worked through at
 once, on the source's own thread; that saves waking another, which costs more than most graphs' work. Everything else goes through the
-queues to the thread that called `Session.run`: it waits on one doorbell, takes the next chunk of any source, enters it into the input log
-and pushes it through the pipeline; several times a second it looks after the sources. Either way the order of entry is the log's order, and
-the graph a function of that.
+queues to the thread that called `Session.run`: it waits on one ready queue, takes the next chunk of any source, enters it into the input
+log and pushes it through the pipeline; several times a second it looks after the sources. Either way the order of entry is the log's order,
+and the graph a function of that.
 """
 
 from __future__ import annotations
@@ -17,40 +17,36 @@ from queue import SimpleQueue
 import structlog
 
 from stream.chunk import NEVER
-from stream.engine.channel import Doorbell
-from stream.engine.clock import SessionClock
-from stream.engine.drops import KIND as DROPPED
-from stream.engine.entrance import Entrance
-from stream.engine.in_hand import Call, longest
-from stream.engine.intake import promises
-from stream.engine.journal import Former, Journal
-from stream.engine.lanes import Lanes
-from stream.engine.outcome import Outcome, View
+from stream.clock import SessionClock
+from stream.engine.ingress import Ingress
 from stream.engine.pipeline import Pipeline
+from stream.engine.queues import DROPPED, ReadyQueue
 from stream.engine.resume import catch_up
-from stream.engine.stalls import calm
-from stream.engine.status import Table, recording_row, table_of
+from stream.engine.session_log import PriorSession, SessionLog
+from stream.engine.status import Outcome, Table, View, recording_row, table_of
 from stream.engine.supervisor import GRACE_S, REST_S, Runner
 from stream.engine.warmup import Compilations, warm_up
+from stream.engine.workers import Call, Watchdog, Workers
 from stream.errors import KinegraphError
 from stream.graph import Graph
 from stream.manual import Value
 from stream.operator import Outlet
 from stream.source import Source
+from stream.stalls import calm
 
 TICK_S = 0.2
-"""The graph is looked after so often, while something is about to happen; else every `REST_S`."""
+"""How often the graph is looked after while something is about to happen; else every `REST_S`."""
 METRICS_S = 1.0
 
 log = structlog.get_logger(__name__)
 
 
 class Session:
-    """One live run of a graph.
+    """One live run of a graph. Whole from its constructor on, which opens no device, file or thread; `run` does, and closes them.
 
     folder       where the recording and the checkpoint go; None: nothing is recorded
     resume       go on with the session that was broken off in `folder`
-    duration_s   end after so long; 0: when stopped, or when every source has ended
+    duration_s   end after this long; 0: when stopped, or when every source has ended
     view         shown the metrics once a second
     """
 
@@ -64,24 +60,29 @@ class Session:
         view: View | None = None,
     ) -> None:
         self.graph, self.folder, self._view, self._duration_s = graph, folder, view, duration_s
-        self._former = Former(folder, graph) if resume and folder else None
-        self.clock = SessionClock(after=self._former.last_time if self._former else NEVER)
-        self._bell: Doorbell = SimpleQueue()
+        self._prior = PriorSession(folder, graph) if resume and folder else None
+        self.clock = SessionClock(after=self._prior.last_time if self._prior else NEVER)
+        self._ready: ReadyQueue = SimpleQueue()
         self._stopping = self._broken_off = False
         self._error: Exception | None = None
         self._down = False
         self._began = self._ran_s = 0.0
         self.table: Table = {}
         waits = not any(s.live for s in graph.parts(Source) if not s.background)
-        self._lanes = Lanes(self._bell, waits, self._fail, self._lane_dropped)
+        self._workers = Workers(self._ready, waits, self._fail, self._worker_dropped)
+        self.pipeline = Pipeline(graph, speaking=graph.outlets, bridge=self._workers.bridge)
+        self.log = SessionLog(folder, graph, self.clock, self._prior)
+        self._runners = [Runner(node, self._ready, self.clock, self.log.report, self._fail) for node in graph.sources]
+        self._ingress = Ingress(self._ready, self._runners, self.pipeline, self.log, self.clock, self._fail)
+        self._watchdog = Watchdog(self.pipeline.slots.values())
 
     def stop(self) -> None:
         """End the session cleanly; may be called from any thread and from a signal handler."""
         self._stopping = True
-        self._bell.put(None)
+        self._ready.put(None)
 
     def tell(self, node: str, text: str) -> None:
-        """Give a source what a person typed for it; raises KinegraphError if it cannot be."""
+        """Give a source what a person typed for it, before it starts or while it reads; raises KinegraphError if it cannot be."""
         for runner in self._runners:
             if runner.node.name == node:
                 if isinstance(runner.source, Value):
@@ -99,11 +100,7 @@ class Session:
     def run(self) -> Outcome:
         """Run until every source has ended, `stop` is called, or something fails; closes everything in every case."""
         warm_up(self.graph)
-        try:
-            self._prepare()
-        except BaseException:
-            self._lanes.stop()
-            raise
+        self._open()
         compilations = Compilations()
         try:
             with calm():
@@ -120,13 +117,13 @@ class Session:
             try:
                 self._finish()
             except BaseException:  # broken off by a second Ctrl-C: what is recorded is closed all the same
-                self.journal.close(well=False)
+                self.log.close(well=False)
                 raise
         return self._outcome(compilations.names)
 
     def in_hand(self) -> Call | None:
-        """The call of a node that has been under way for longest, or None; may be asked from any thread."""
-        return longest(pipeline) if (pipeline := getattr(self, "pipeline", None)) else None
+        """The call of a node that has been found under way for longest, or None; may be asked from any thread."""
+        return self._watchdog.look()
 
     def break_off(self, error: KinegraphError, stuck: str) -> Outcome:
         """From another thread than the graph's, which does not come back out of the node `stuck`: close everything else without it."""
@@ -139,61 +136,45 @@ class Session:
         return self._outcome([])
 
     def _outcome(self, compiled: list[str]) -> Outcome:
-        files = {s.node.name: s.operator.file for s in self.pipeline.outlets if isinstance(s.operator, Outlet)}
-        return Outcome(
-            self._error,
-            self._exit_code(),
-            self.table,
-            self.folder,
-            compiled,
-            self._ran_s,
-            {node: file for node, file in files.items() if file},
-        )
+        outlets = [(s.node.name, s.operator) for s in self.pipeline.outlets]
+        files = {name: file for name, o in outlets if isinstance(o, Outlet) and (file := o.file)}
+        return Outcome(self._error, self._exit_code(), self.table, self.folder, compiled, self._ran_s, files)
 
-    def _prepare(self) -> None:
-        """Wire the graph, restore its state if it goes on with a former session, open the journal; no device yet."""
-        self.pipeline = Pipeline(self.graph, speaking=self.graph.outlets, bridge=self._lanes.bridge)
-        checkpoint = self._former.checkpoint if self._former else None
-        if checkpoint:
-            self.pipeline.restore(checkpoint.arrays)
-        self.journal = Journal(self.folder, self.graph, self.clock, self._former)
-        self.journal.sequence = checkpoint.sequence if checkpoint else -1
-        self._runners = [
-            Runner(node, self._bell, self.clock, self.journal.report, self._fail) for node in self.graph.sources
-        ]
-        self._entrance = Entrance(
-            self._bell, self._runners, self.pipeline, self.journal, self.clock, self._former, self._fail
-        )
-        self.journal.tap_edges(self.pipeline)
-        self.pipeline.fasten()
+    def _open(self) -> None:
+        """Restore the state if a former session goes on, begin the recording, and compile; no device yet."""
+        if self._prior and self._prior.checkpoint:
+            self.pipeline.restore(self._prior.checkpoint.arrays)
+        self.log.open()
+        self._ingress.declare(self._prior)
+        self.log.observe_edges(self.pipeline)
+        self.pipeline.compile()
+        self._workers.start()
 
     def _begin(self) -> None:
-        if self._former:
-            catch_up(
-                self._former, self.pipeline, self._entrance.intakes, self._lanes, self.journal, self.clock, self._pump
-            )
+        if self._prior:
+            catch_up(self._prior, self.pipeline, self._ingress.ports, self._workers, self.log, self.clock, self._pump)
         else:
             self.pipeline.begin(self.clock)
             self._checkpoint()
-        self._entrance.begin()
+        self._ingress.begin()
         for runner in self._runners:
-            runner.start(again=self._former is not None)
+            runner.start(again=self._prior is not None)
 
     def _loop(self) -> None:
         began = time.monotonic()
         now, tick, metrics, checkpoint = began, began + TICK_S, began + METRICS_S, began + self.graph.checkpoint_s
         ends = began + self._duration_s if self._duration_s > 0 else math.inf
-        while not self._stopping and self._error is None and not self._entrance.over:
-            self._entrance.serve(tick - now)
+        while not self._stopping and self._error is None and not self._ingress.over:
+            self._ingress.serve(tick - now)
             now = time.monotonic()
             if now < tick:
                 continue
-            with self._entrance.turn.lock:
+            with self._ingress.turn.lock:
                 now = time.monotonic()
                 if now - tick > TICK_S:
-                    self._entrance.forgive(now, now - tick)
+                    self._ingress.forgive(now, now - tick)
                 self._look_after(now)
-                tick = min(now + (REST_S if self._entrance.at_ease(now) else TICK_S), ends)
+                tick = min(now + (REST_S if self._ingress.at_ease(now) else TICK_S), ends)
                 if now >= metrics:
                     metrics = now + METRICS_S
                     self._measure()
@@ -208,47 +189,47 @@ class Session:
         self.pipeline.fold()
         for runner in self._runners:
             runner.watch()
-        self._entrance.look_after(now)
+        self._ingress.look_after(now)
 
     def _pump(self) -> None:
-        """Take what lanes send home."""
-        self._entrance.pump()
+        """Take what workers send home."""
+        self._ingress.pump()
         if self._error:
             raise self._error
 
     def _measure(self, *, last: bool = False) -> None:
         """Read the metrics; the `last` ones keep the rates from when samples still came."""
         before = self.table
-        self.table = table_of(self.pipeline, self._entrance.intakes, self._lanes, self.journal.status, before)
+        self.table = table_of(self.pipeline, self._ingress.ports, self._workers, self.log.status, before)
         if last:
             for name in self.table.keys() & before.keys():
                 self.table[name] |= {k: v for k, v in before[name].items() if k == "rate_hz"}
-        self.journal.metrics(self.table)
+        self.log.metrics(self.table)
         if self._view:
             self._view.update(self.table)
 
     def _checkpoint(self) -> None:
-        """Take the state between two chunks, with the lanes at rest."""
-        if self.journal.wants_checkpoint:
-            self._lanes.settle(self._pump)
-            self.journal.checkpoint(promises(self._entrance.intakes), self._lanes.indices, self.pipeline)
+        """Take the state between two chunks, with the workers at rest."""
+        if self.log.wants_checkpoint:
+            self._workers.settle(self._pump)
+            self.log.checkpoint(self._ingress.watermarks, self._workers.indices, self.pipeline)
 
     def _fail(self, error: Exception) -> None:
         """From any thread: the run ends with this error."""
         self._error = self._error or error
-        self._entrance.close()
-        self._bell.put(None)
+        self._ingress.close()
+        self._ready.put(None)
 
-    def _lane_dropped(self, queue: str, first: int, samples: int) -> None:
-        self.journal.report(DROPPED, queue=queue, first=first, samples=samples)
+    def _worker_dropped(self, queue: str, first: int, samples: int) -> None:
+        self.log.report(DROPPED, queue=queue, first=first, samples=samples)
 
     # the end ---------------------------------------------------------------------------------------------------------
 
     def _finish(self) -> None:
         """Stop the sources, work through what had arrived, close every operator and file; each even if another fails."""
         self._down = any(r.state == "failed" or (r.error and not r.ready) for r in self._runners)
-        with self._entrance.turn.lock:
-            self._entrance.close()
+        with self._ingress.turn.lock:
+            self._ingress.close()
         for runner in self._runners:
             runner.stop()
         if self._error is None:
@@ -262,34 +243,34 @@ class Session:
     def _close(self, stuck: str = "") -> None:
         """Close what is open; where a node is `stuck`, the threads that wait for it are not waited for."""
         if self._error:
-            self.journal.report("session failed", error=str(self._error))
+            self.log.report("session failed", error=str(self._error))
             for stage in self.pipeline.outlets:
                 if stage.node.name != stuck:
                     stage.close()
         self._measure(last=True)
         for runner in self._runners:
             if not runner.join() and not stuck:
-                self.journal.report("source does not stop", node=runner.node.name)
-        for lane in self._lanes.stop(GRACE_S) if stuck else self._lanes.stop():
-            self.journal.report("lane does not stop", lane=lane)
-        self.journal.close(well=self._error is None)
-        if (status := self.journal.status) is not None:
+                self.log.report("source does not stop", node=runner.node.name)
+        for worker in self._workers.stop(GRACE_S) if stuck else self._workers.stop():
+            self.log.report("worker does not stop", worker=worker)
+        self.log.close(well=self._error is None)
+        if (status := self.log.status) is not None:
             self.table["recording"] = recording_row(status)
 
     def _drain(self) -> None:
         """Everything that had arrived is worked through, then every operator emits what is pending."""
-        self._entrance.serve_all()
-        self._lanes.settle(self._pump)
-        self._entrance.end()
-        self._lanes.settle(self._pump)
+        self._ingress.serve_all()
+        self._workers.settle(self._pump)
+        self._ingress.end()
+        self._workers.settle(self._pump)
         if any(isinstance(s.operator, Outlet) and s.operator.file for s in self.pipeline.outlets):
             log.info("finishing: outlets write what is left")
-        self.pipeline.close(lambda: self._lanes.settle(self._pump))
+        self.pipeline.close(lambda: self._workers.settle(self._pump))
 
     def _exit_code(self) -> int:
         if self._error:
             return getattr(self._error, "exit_code", 4)
         if self._down:
             return 3
-        status = self.journal.status
+        status = self.log.status
         return 5 if (status and (status.dropped or status.error)) or any(s.failed for s in self.pipeline.outlets) else 0

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, TypeAlias
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
-from stream.engine.metrics import rounded
+from stream.metrics import rounded
 
 if TYPE_CHECKING:
-    from stream.engine.intake import Intake
-    from stream.engine.lanes import Lanes
+    from stream.engine.ingress import IngressPort
     from stream.engine.pipeline import Pipeline, Stage
+    from stream.engine.workers import Workers
     from stream.recording import RecorderStatus
 
 Table: TypeAlias = dict[str, dict[str, Any]]
@@ -20,8 +22,8 @@ Table: TypeAlias = dict[str, dict[str, Any]]
 
 def table_of(
     pipeline: Pipeline,
-    intakes: Iterable[Intake],
-    lanes: Lanes,
+    ports: Iterable[IngressPort],
+    workers: Workers,
     recording: RecorderStatus | None,
     before: Table | None = None,
 ) -> Table:
@@ -29,10 +31,10 @@ def table_of(
     now = time.monotonic()
     pipeline.fold(least=1)
     table: Table = {}
-    for intake in intakes:
-        table[intake.stream] = _source_row(intake, now)
+    for port in ports:
+        table[port.stream] = _source_row(port, now)
     for name, stage in pipeline.stages.items():
-        table[name] = _stage_row(stage, lanes)
+        table[name] = _stage_row(stage, workers)
     for name, row in table.items():
         old = (before or {}).get(name)
         row["at_s"] = round(now, 3)
@@ -55,21 +57,21 @@ def recording_row(recording: RecorderStatus) -> dict[str, Any]:
     }
 
 
-def _source_row(intake: Intake, now: float) -> dict[str, Any]:
-    runner, wire = intake.runner, intake.wire
-    channel = runner.channels[intake.output]
-    first = channel is next(iter(runner.channels.values()))
+def _source_row(port: IngressPort, now: float) -> dict[str, Any]:
+    runner, edge = port.runner, port.edge
+    queue = runner.queues[port.output]
+    first = queue is next(iter(runner.queues.values()))
     return {
         "kind": "source",
-        "state": "stale" if intake.stale else runner.state,
-        "samples": wire.samples,
-        "age_s": round(now - intake.last, 3),
-        "queue": channel.depth,
-        "queue_limit": channel.limit,
-        "dropped": channel.dropped,
-        "late": intake.late,
-        "gaps": wire.gaps,
-        "lost": wire.lost,
+        "state": "stale" if port.stale else runner.state,
+        "samples": edge.samples,
+        "age_s": round(now - port.last, 3),
+        "queue": queue.depth,
+        "queue_limit": queue.limit,
+        "dropped": queue.dropped,
+        "late": port.late,
+        "gaps": edge.gaps,
+        "lost": edge.lost,
         "openings": runner.openings,
         "problems": dict(runner.problems) if first else {},
         "clock": dict(runner.clock_facts) if first else {},
@@ -77,17 +79,44 @@ def _source_row(intake: Intake, now: float) -> dict[str, Any]:
     }
 
 
-def _stage_row(stage: Stage, lanes: Lanes) -> dict[str, Any]:
+def _stage_row(stage: Stage, workers: Workers) -> dict[str, Any]:
     queues = [
-        c for name, c in lanes.channels.items() if name.partition(" -> ")[2].rpartition(".")[0] == stage.node.name
+        c for name, c in workers.queues.items() if name.partition(" -> ")[2].rpartition(".")[0] == stage.node.name
     ]
     return {
         "kind": "outlet" if stage.node.is_outlet else "operator",
-        "lane": stage.lane,
-        "samples": sum(wire.samples for wire in stage.feeds),
+        "worker": stage.worker,
+        "samples": sum(edge.samples for edge in stage.feeds),
         **rounded(stage.timing.read()),
         "queue": sum(c.depth for c in queues),
         "dropped": sum(c.dropped for c in queues),
-        "gaps": sum(w.gaps for w in stage.wires.values()),
+        "gaps": sum(w.gaps for w in stage.edges.values()),
         "error": stage.failed,
     }
+
+
+class View(Protocol):
+    """Something that shows a running session."""
+
+    def update(self, table: Table) -> None:
+        """Take the newest metrics, once a second; must not wait."""
+
+
+@dataclass(slots=True)
+class Outcome:
+    """How a session ended.
+
+    exit_code   0 well, 3 a device was missing, 4 the graph stopped by an error, 5 an outlet or the recording lost something
+    table       the last metrics
+    seconds     from the common opening of the devices to their end
+    files       what outlets have left, by node
+    compiled    kernels that were compiled while running; there should be none
+    """
+
+    error: Exception | None
+    exit_code: int
+    table: Table
+    folder: Path | None
+    compiled: list[str]
+    seconds: float = 0.0
+    files: dict[str, str] = field(default_factory=dict)

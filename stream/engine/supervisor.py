@@ -5,45 +5,61 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from queue import Empty, SimpleQueue
-from typing import Any, Literal, TypeAlias
+from typing import Generic, Literal, TypeAlias, TypeVar
 
-import numpy as np
 import structlog
 
-from stream.chunk import FOREVER, NS, STAMP, Chunk, empty, utc
-from stream.engine.channel import Channel, Doorbell
-from stream.engine.clock import SessionClock
-from stream.engine.promise import PromiseError, impossible
+from stream.chunk import FOREVER, NS, Chunk, empty, utc
+from stream.clock import SessionClock
+from stream.engine.admission import conform, ordered
+from stream.engine.queues import BoundedQueue, ReadyQueue
 from stream.errors import DeviceError, KinegraphError, RunError, explain, nearest
 from stream.graph import Edge, Node
+from stream.promise import END, MOST_LOST, PromiseError, impossible
 from stream.source import Source
 
 FIRST_PAUSE_S = 0.25
 LONGEST_PAUSE_S = 10.0
 STEADY_S = 10.0
-"""A source that ran for so long is given the first pause again."""
+"""A source that ran for this long is given the first pause again."""
 UNAWAITED_S = 60.0
 """A source that only listens for words need not say more often that there was none, where nobody waits for it."""
 GRACE_S = 2.0
 """How long a source that must stop may take before its thread is given up."""
+REST_S = 0.5
+"""How often a source that works is looked at; any other more often."""
 
 State = Literal["starting", "running", "failed", "ended", "stopped"]
+Event = Literal["open", "open again", "alive", "returned", "failed", "stop"]
+TRANSITIONS: dict[State, dict[Event, State]] = {
+    "starting": {
+        "open": "starting",
+        "open again": "running",
+        "alive": "running",
+        "returned": "ended",
+        "failed": "failed",
+        "stop": "stopped",
+    },
+    "running": {"returned": "ended", "failed": "failed", "stop": "stopped"},
+    "failed": {"open": "starting", "open again": "running", "returned": "ended", "failed": "failed", "stop": "stopped"},
+    "ended": {},
+    "stopped": {"returned": "ended"},
+}
+"""What becomes of a source's state; an event that is not listed changes nothing. "open again": it was ready before."""
+
 Report = Callable[..., None]
 """report(kind, **facts): something that belongs into the log and the recording."""
-Door: TypeAlias = Callable[[Chunk], bool]
-"""Whether a chunk has gone into the graph and all that it leads to is done; else nothing has been done."""
+Inline: TypeAlias = Callable[[Chunk, int], bool]
+"""Takes a chunk and its arrival. Whether it has gone into the graph and all that it leads to is done; else nothing has been done."""
+P = TypeVar("P")
 
 log = structlog.get_logger(__name__)
 
 
-REST_S = 0.5
-"""A source that nothing is the matter with is looked at so often, any other more often."""
-
-
-def closed(chunk: Chunk) -> bool:
-    """The door of a source that nobody has opened a graph for."""
+def not_inline(chunk: Chunk, arrival: int) -> bool:
+    """The inline way of a source that no graph reads yet."""
     return False
 
 
@@ -59,7 +75,7 @@ class _Feed:
         self._stop = threading.Event()
         self._over = False
         self.again = again
-        self._unmarked = set(runner.channels) if again else set()
+        self._unmarked = set(runner.queues) if again else set()
 
     @property
     def stopped(self) -> bool:
@@ -101,27 +117,25 @@ class _Feed:
     def emit(self, chunk: Chunk, output: str = "out") -> None:
         if self._over:
             raise _StopReadingError
-        if self._unmarked or not self._runner.doors.get(output, closed)(chunk):
-            self._queue(chunk, output)
-
-    def _queue(self, chunk: Chunk, output: str) -> None:
-        """The long way: the chunk is put in order and waits for the graph's thread."""
-        now = time.monotonic_ns()
         runner = self._runner
-        chunk = runner.normal(chunk, output)
-        if len(chunk.time) and output in self._unmarked:
+        now = time.monotonic_ns()
+        chunk = runner.checked(chunk, output)
+        if self._unmarked and len(chunk.time) and output in self._unmarked:
             self._unmarked.discard(output)
             chunk.lost = chunk.lost or -1
         runner.last_alive = now / NS
-        runner.came_alive()
-        runner.channels[output].put(chunk, runner.clock.at(now))
+        if runner.state == "starting":
+            runner.came_alive()
+        arrival = runner.clock.at(now)
+        if not runner.inline[output](chunk, arrival):
+            runner.queues[output].put(chunk, arrival)
 
 
 class Runner:
     """A source node at work.
 
-    channels   per output, the queue to the graph's thread
-    doors      per output, the short way past it
+    queues     per output, the queue to the graph's thread
+    inline     per output, the way into the graph without it
     awaited    whether anybody waits for what this source says
     problems   what the source counted, by kind
     clock_facts   what it said last of its device's clock
@@ -129,18 +143,18 @@ class Runner:
     """
 
     def __init__(
-        self, node: Node, bell: Doorbell, clock: SessionClock, report: Report, fatal: Callable[[Exception], None]
+        self, node: Node, ready: ReadyQueue, clock: SessionClock, report: Report, fatal: Callable[[Exception], None]
     ) -> None:
         """`fatal` is told of what ends the run, not only this opening of the source: a queue that must not fill is full."""
         assert isinstance(node.part, Source)
         self.node, self.clock, self.report, self._fatal = node, clock, report, fatal
         self.source: Source = node.part.fresh()
         options = node.options
-        self.channels = {
-            output: Channel(str(Edge(node.name, output)), bell, options.queue, options.policy or "block")
+        self.queues = {
+            output: BoundedQueue(str(Edge(node.name, output)), ready, options.queue, options.policy or "block")
             for output in node.specs
         }
-        self.doors: dict[str, Door] = dict.fromkeys(node.specs, closed)
+        self.inline: dict[str, Inline] = dict.fromkeys(node.specs, not_inline)
         self.awaited = True
         self.mailbox: SimpleQueue[str | None] = SimpleQueue()
         self.problems: Counter[str] = Counter()
@@ -160,7 +174,7 @@ class Runner:
     def start(self, again: bool = False) -> None:
         """Open the source in a new thread; `again` marks its first samples as coming after a gap."""
         self.openings += 1
-        self.state = "running" if self.ready else "starting"
+        self.on("open again" if self.ready else "open")
         self._opened = self.last_alive = time.monotonic()
         self._feed = _Feed(self, again or self.openings > 1)
         self._thread = threading.Thread(
@@ -169,13 +183,12 @@ class Runner:
         self._thread.start()
 
     def stop(self) -> None:
-        """Tell the source to stop and let go a blocked write; `join` waits for it."""
-        if self.state not in ("ended",):
-            self.state = "stopped"
+        """Ask the source to stop, and release a blocked write; `join` waits for it."""
+        self.on("stop")
         if self._feed:
             self._feed.stop()
-        for channel in self.channels.values():
-            channel.close()
+        for queue in self.queues.values():
+            queue.close()
 
     def join(self, timeout_s: float = GRACE_S) -> bool:
         """Wait until the source's thread has ended; returns whether it has."""
@@ -198,7 +211,7 @@ class Runner:
             self.report("source reopened", node=self.node.name, opening=self.openings + 1)
             self.start()
         elif self.state in ("starting", "running") and 0 < self.node.options.silence_s < now - self.last_alive:
-            if any(channel.waiting for channel in self.channels.values()):
+            if any(queue.waiting for queue in self.queues.values()):
                 return  # not the source is silent, but the graph behind
             assert self._feed
             self._feed.stop()
@@ -221,44 +234,40 @@ class Runner:
         silence_s = self.node.options.silence_s
         return self.state not in ("starting", "failed") and not 0 < silence_s < now - self.last_alive + REST_S
 
+    def on(self, event: Event) -> None:
+        """Something has happened to the source: TRANSITIONS says what state it is in now."""
+        self.state = TRANSITIONS[self.state].get(event, self.state)
+
     def came_alive(self) -> None:
         """The device is there."""
-        if not self.ready or self.state == "starting":
-            self.ready = True
-            if self.state == "starting":
-                self.state = "running"
+        self.ready = True
+        self.on("alive")
 
-    def tidy(self, chunk: Chunk, output: str) -> Chunk:
-        """The chunk in the arrays that operators expect: declared shape and dtype, contiguous, writable. Raises DeviceError."""
-        if output not in self.node.specs:
+    def checked(self, chunk: Chunk, output: str) -> Chunk:
+        """The chunk as the graph takes it: declared shape and dtype, times in order. Raises DeviceError, or PromiseError for times that
+        cannot be."""
+        spec = self.node.specs.get(output)
+        if spec is None:
             raise DeviceError(
                 f"source {self.node.name!r} gave samples for an output {output!r}, which it has not: {nearest(output, self.node.specs)}"
             )
-        spec = self.node.specs[output]
-        times = np.require(chunk.time, STAMP, ["C", "A", "W"])
-        data = np.require(chunk.data, spec.dtype, ["C", "A", "W"])
-        if data.shape != (len(times), *spec.shape):
+        chunk = conform(spec, chunk)
+        time, data = chunk.time, chunk.data
+        if data.shape != (len(time), *spec.shape):
             raise DeviceError(
                 f"source {self.node.name!r} gave samples of shape {data.shape[1:]}; its spec says {spec.shape}"
             )
-        return Chunk(times, data, chunk.until, chunk.lost)
-
-    def normal(self, chunk: Chunk, output: str) -> Chunk:
-        """The chunk as operators expect it: tidy, times not decreasing, complete up to its last sample."""
-        chunk = self.tidy(chunk, output)
-        if what := impossible(chunk):
-            raise PromiseError(self.node.name, output, what, chunk, kind="source")
-        if (chunk.time[1:] < chunk.time[:-1]).any():
-            chunk.time, chunk.data = self._in_order(chunk.time, chunk.data)
-        if len(chunk.time):
-            chunk.until = max(chunk.until, int(chunk.time[-1]))
+        before, until = chunk, chunk.until
+        chunk, dropped = ordered(chunk)
+        if dropped:
+            self.problems["time ran backwards"] += dropped
+            at = next(b for a, b in zip(time.tolist(), time[1:].tolist(), strict=False) if b < a)
+            self.report("time ran backwards", node=self.node.name, samples=dropped, at=utc(at))
+        if not (until < END and chunk.until < END and -1 <= chunk.lost <= MOST_LOST) or (
+            len(time) and time.item(0) <= -END
+        ):
+            raise PromiseError(self.node.name, output, impossible(before), before, kind="source")
         return chunk
-
-    def _in_order(self, times: Any, data: Any) -> tuple[Any, Any]:
-        keep = times >= np.maximum.accumulate(times)
-        self.problems["time ran backwards"] += int((~keep).sum())
-        self.report("time ran backwards", node=self.node.name, samples=int((~keep).sum()), at=utc(int(times[~keep][0])))
-        return np.ascontiguousarray(times[keep]), np.ascontiguousarray(data[keep])
 
     def _work(self, feed: _Feed) -> None:
         try:
@@ -282,10 +291,10 @@ class Runner:
 
     def _end(self) -> None:
         self.ready = True
-        self.state = "ended"
+        self.on("returned")
         self.report("source ended", node=self.node.name)
-        for output, channel in self.channels.items():
-            channel.put(empty(self.node.specs[output], FOREVER), self.clock.now())
+        for output, queue in self.queues.items():
+            queue.put(empty(self.node.specs[output], FOREVER), self.clock.now())
 
     def _failed(self, error: str) -> None:
         now = time.monotonic()
@@ -293,6 +302,57 @@ class Runner:
             self._pause_s = FIRST_PAUSE_S
         self.error = error
         self._retry_at = now + self._pause_s
-        self.state = "failed"
+        self.on("failed")
         self.report("source failed", node=self.node.name, error=error, retry_in_s=self._pause_s)
         self._pause_s = min(2 * self._pause_s, LONGEST_PAUSE_S)
+
+
+class StartBarrier(Generic[P]):
+    """No sample passes until every required source is ready. What a live device sends before is left out; files and people wait instead.
+
+    since   when that was (monotonic s), or when the waiting began
+    """
+
+    def __init__(self, runners: Sequence[Runner]) -> None:
+        self._required = [r for r in runners if r.node.options.required and not r.source.background]
+        self._held: list[tuple[P, Chunk, int]] = []
+        self._began = self.since = time.monotonic()
+        self.done = False
+
+    def begin(self) -> None:
+        """The sources are started now."""
+        self._began = self.since = time.monotonic()
+
+    def pass_on(self, port: P, runner: Runner, chunk: Chunk, arrival: int) -> list[tuple[P, Chunk, int]]:
+        """What may enter now that this chunk has come: it and all that was held, or nothing yet."""
+        if self.done:
+            return [(port, chunk, arrival)]
+        source = runner.source
+        if self.ready or source.background or not source.live:
+            self._held.append((port, chunk, arrival))
+        return self.release()
+
+    def release(self) -> list[tuple[P, Chunk, int]]:
+        """What was held, once all required sources are ready."""
+        if not self.ready:
+            return []
+        self.done = True
+        self.since = time.monotonic()
+        held, self._held = self._held, []
+        return held
+
+    @property
+    def ready(self) -> bool:
+        return all(r.ready for r in self._required)
+
+    def check_deadlines(self) -> None:
+        """Raise DeviceError for a required source that is not ready in time."""
+        waited = time.monotonic() - self._began
+        for runner in self._required:
+            deadline = runner.node.options.deadline_s
+            if not runner.ready and waited > deadline:
+                why = f": {runner.error}" if runner.error else ""
+                raise DeviceError(
+                    f"source {runner.node.name!r} gave nothing within {deadline:g} s{why};"
+                    " connect it, or set `required: false` or a longer `deadline_s`"
+                )

@@ -15,12 +15,12 @@ import numpy as np
 import structlog
 
 from stream.chunk import FOREVER, NS, Chunk, StreamSpec, empty
-from stream.engine.link import Hand
+from stream.engine.edge import CallSlot
 from stream.engine.merge import Merge
-from stream.engine.metrics import Timing
 from stream.engine.row import step_of
 from stream.errors import GraphError, KinegraphError, explain
 from stream.graph import Graph, Node, parts
+from stream.metrics import Timing
 from stream.operator import Emitted, Operator, grid
 from stream.rows import taking
 from stream.source import Source
@@ -96,7 +96,7 @@ def _run_made_up(graph: Graph, node: Node) -> None:
 
 def _process(operator: Operator[Any], port: str, chunk: Chunk) -> Emitted:
     """Give an operator a chunk as the engine does; raises ValueError where it writes into it."""
-    process = operator.process if parts.is_ours(operator) else Hand().read_only(operator.process)
+    process = operator.process if parts.is_ours(operator) else CallSlot().read_only(operator.process)
     before = chunk.time.tobytes(), chunk.data.tobytes()
     emitted = process(port, chunk)
     if before != (chunk.time.tobytes(), chunk.data.tobytes()):

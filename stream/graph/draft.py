@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 NODE_NAME = "^[A-Za-z_][A-Za-z0-9_-]*$"
 SOURCE_OPTIONS = ("queue", "policy", "required", "deadline_s", "patience_s", "silence_s", "stale_s")
-OPERATOR_OPTIONS = ("lane", "queue", "policy")
+OPERATOR_OPTIONS = ("worker", "queue", "policy")
 
 
 @dataclass(slots=True)
@@ -93,9 +93,9 @@ def _fill(draft: Draft, given: dict[str, Located], problems: Problems) -> None:
             problems.add(f"{draft.kind.__name__} has no parameter {key!r}; {hint}", at, draft.name)
     options = build_from(NodeOptions, {k: v for k, v in given.items() if k in allowed}, problems, node=draft.name)
     draft.options = options or NodeOptions()
-    if issubclass(draft.kind, Operator) and not issubclass(draft.kind, Outlet) and not draft.options.lane:
+    if issubclass(draft.kind, Operator) and not issubclass(draft.kind, Outlet) and not draft.options.worker:
         for key in {"queue", "policy"} & given.keys():
-            problems.add(f"{key!r} needs a 'lane'; without one nothing waits here", given[key], draft.name)
+            problems.add(f"{key!r} needs a 'worker'; without one nothing waits here", given[key], draft.name)
     values = {k: v for k, v in given.items() if k in parameters}
     draft.part = build_from(draft.kind, values, problems, node=draft.name, entry=draft.entry)
 

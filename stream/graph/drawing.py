@@ -33,9 +33,9 @@ def _branch(graph: Graph, branch: Tree, node: Node, drawn: set[str]) -> None:
 
 
 def _label(node: Node) -> Text:
-    lane = f" lane {node.options.lane}" if node.options.lane else ""
+    worker = f" worker {node.options.worker}" if node.options.worker else ""
     given = ", ".join(f"{key}={value}" for key, value in node.given.items())
-    return Text.assemble((node.name, "bold cyan"), f" {node.use}({given})", (lane, "yellow"))
+    return Text.assemble((node.name, "bold cyan"), f" {node.use}({given})", (worker, "yellow"))
 
 
 def mermaid(graph: Graph) -> str:

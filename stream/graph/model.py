@@ -29,8 +29,8 @@ class Edge:
 class NodeOptions:
     """What the engine, not the node itself, is told about a node in YAML.
 
-    lane        run this node (and what hangs on it alone) in a thread of this name, behind a queue
-    queue       how many chunks may wait before a source or a lane
+    worker        run this node (and what hangs on it alone) in a thread of this name, behind a queue
+    queue       how many chunks may wait before a source or a worker
     policy      what a full queue does: `block` its writer, `drop_oldest` chunk (counted, recorded), or `fail` the run; left
                 open, an outlet drops where the graph cannot wait (its sources are live), everything else blocks
     required    the run starts only when this source is ready, and fails if it is not so within `deadline_s`
@@ -39,7 +39,7 @@ class NodeOptions:
     stale_s     after how long without a chunk an alarm is raised; 0: never
     """
 
-    lane: str = ""
+    worker: str = ""
     queue: int = param(256, least=1)
     policy: Policy | None = None
     required: bool = True

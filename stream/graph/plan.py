@@ -133,7 +133,7 @@ def _step(graph: Graph, node: Node) -> Step:
         return Step(node.name, part.chunk_s, held)
     assert isinstance(part, Operator)
     held = part.memory_bytes
-    if node.options.lane or node.is_outlet:
+    if node.options.worker or node.is_outlet:
         waiting = graph.input_specs(node).values()
         held += sum(_chunk_bytes(spec, 0.0) for spec in waiting) * node.options.queue
     return Step(node.name, part.delay_s, held)

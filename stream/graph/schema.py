@@ -126,7 +126,7 @@ def _node(path: str, part: Part) -> Json:
         properties["from"] = _from(part)
         required.append("from")
     if kind_of(part) == "operator":
-        node["dependentRequired"] = {"queue": ["lane"], "policy": ["lane"]}
+        node["dependentRequired"] = {"queue": ["worker"], "policy": ["worker"]}
     node["properties"] = {**properties, **made.get("properties", {}), **{key: options[key] for key in allowed}}
     node["required"] = required
     if "$defs" in made:

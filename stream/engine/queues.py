@@ -1,32 +1,36 @@
 """A bounded queue of chunks before a thread, with a declared policy; every drop is counted and marked in the next chunk.
 
-Many channels share one doorbell, the only thing their thread waits on: it rings once per chunk that waits, with the
-channel to look into.
+Many queues share one ready queue, the only thing their thread waits on: for every chunk that waits it holds the queue to look into. What a
+queue dropped live is recorded, and repeated by `Drops`, so that replay is what was live.
 """
 
 from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from queue import SimpleQueue
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from stream.chunk import NEVER, Chunk, add_lost
+from stream.engine.admission import Full, on_full
 from stream.errors import RunError
 from stream.graph import Policy
 
-Doorbell: TypeAlias = "SimpleQueue[Channel | threading.Event | None]"
-"""Rings with the channel that has a chunk, with an event to set when everything before it is done, or with None to wake the thread."""
+ReadyQueue: TypeAlias = "SimpleQueue[BoundedQueue | threading.Event | None]"
+"""Holds queues that have a chunk, events to set when everything before them is done, and None to wake the thread."""
 
 
-class Channel:
+class BoundedQueue:
     """What waits between the thread that writes and the thread that reads.
 
     name      what is waiting, for people: "board.emg", or "camera -> blocks"
     limit     how many chunks may wait
     policy    what a full queue does: `block` its writer, `drop_oldest`, or `fail`
-    on_drop   told (first, n) of every drop: the dropped samples' running index in this channel and their number
+    on_drop   told (first, n) of every drop: the dropped samples' running index in this queue and their number
     waiting   what waits: chunks, their arrivals, and the running index of their first samples
     owed      how many samples were dropped before the next chunk that is taken
     index     how many samples have come by, ever
@@ -37,7 +41,6 @@ class Channel:
     __slots__ = (
         "_lock",
         "_room",
-        "bell",
         "chunks",
         "closed",
         "dropped",
@@ -48,14 +51,20 @@ class Channel:
         "owed",
         "owner",
         "policy",
+        "ready",
         "told",
         "waiting",
     )
 
     def __init__(
-        self, name: str, bell: Doorbell, limit: int, policy: Policy, on_drop: Callable[[int, int], None] | None = None
+        self,
+        name: str,
+        ready: ReadyQueue,
+        limit: int,
+        policy: Policy,
+        on_drop: Callable[[int, int], None] | None = None,
     ) -> None:
-        self.name, self.bell, self.limit, self.policy, self.on_drop = name, bell, limit, policy, on_drop
+        self.name, self.ready, self.limit, self.policy, self.on_drop = name, ready, limit, policy, on_drop
         self.owner: Any = None
         self.dropped = 0
         self.closed = False
@@ -73,7 +82,7 @@ class Channel:
         self.waiting.append((chunk, arrival, self.index))  # one thread writes, so this needs no lock
         self.index += len(chunk.time)
         self.chunks += 1
-        self.bell.put(self)
+        self.ready.put(self)
 
     def take(self) -> tuple[Chunk, int] | None:
         """The oldest chunk and its arrival, with the drops before it added to its `lost`; None where nothing waits."""
@@ -101,18 +110,19 @@ class Channel:
 
     def _is_in_place_of_another(self, chunk: Chunk, arrival: int) -> bool:
         """What the policy says of a full queue; whether the chunk waits now, in the place of an older one that was dropped for it."""
-        if self.policy == "fail":
+        full = on_full(self.policy, closed=self.closed)
+        if full is Full.FAIL:
             raise RunError(f"the queue of {self.name} is full ({self.limit} chunks) and its policy is 'fail'")
-        if self.policy == "drop_oldest":
-            return not self.closed and self._replace(chunk, arrival)
-        while len(self.waiting) >= self.limit and not self.closed:
+        if full is Full.DROP_OLDEST:
+            return self._replace(chunk, arrival)
+        while full is Full.WAIT and len(self.waiting) >= self.limit and not self.closed:
             self._room.clear()
             if len(self.waiting) >= self.limit:
                 self._room.wait(0.5)
         return False
 
     def _replace(self, chunk: Chunk, arrival: int) -> bool:
-        """Drop the oldest for this one, which needs no further ring: so a bell never holds more than what waits, however long its
+        """Drop the oldest for this one, which needs no further entry: so a ready queue never holds more than what waits, however long its
         thread is behind. False where there is room by now."""
         with self._lock:
             if len(self.waiting) < self.limit:
@@ -127,3 +137,47 @@ class Channel:
         if n and self.on_drop:
             self.on_drop(index, n)
         return True
+
+
+DROPPED = "queue dropped"
+"""The kind of log entry that says so; its facts are `queue`, `first` (running index of the first sample) and `samples`."""
+
+
+@dataclass(slots=True)
+class Drops:
+    """What was dropped before one worker: ranges of the running sample index, how far the stream has come, and how many samples were left
+    out since the last that was not."""
+
+    ranges: list[tuple[int, int]] = field(default_factory=list)
+    index: int = 0
+    owed: int = 0
+
+    def repeat(self, chunk: Chunk) -> Chunk:
+        """The chunk without the samples that were dropped, which are added to the next sample's `lost`."""
+        n = len(chunk.time)
+        first, self.index = self.index, self.index + n
+        if not self.ranges and not self.owed:
+            return chunk
+        gone = np.zeros(n, bool)
+        for start, count in self.ranges:
+            gone[max(0, start - first) : max(0, start + count - first)] = True
+        self.ranges = [(s, c) for s, c in self.ranges if s + c > self.index]
+        if not gone.any():
+            return self._marked(chunk)
+        self.owed = add_lost(self.owed, add_lost(chunk.lost, int(gone.sum())))
+        return self._marked(Chunk(chunk.time[~gone], chunk.data[~gone], chunk.until, 0))
+
+    def _marked(self, chunk: Chunk) -> Chunk:
+        if not self.owed or not len(chunk.time):
+            return chunk
+        lost, self.owed = add_lost(self.owed, chunk.lost), 0
+        return Chunk(chunk.time, chunk.data, chunk.until, lost)
+
+
+def recorded_drops(log: Iterable[dict[str, Any]]) -> dict[str, Drops]:
+    """Per queue, what a session's log says was dropped."""
+    drops: dict[str, Drops] = {}
+    for entry in log:
+        if entry.get("kind") == DROPPED:
+            drops.setdefault(entry["queue"], Drops()).ranges.append((entry["first"], entry["samples"]))
+    return drops

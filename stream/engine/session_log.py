@@ -1,10 +1,9 @@
-"""What a session leaves on disk: the input log, recorded edges, what happened, metrics, checkpoints; and what a former session left."""
+"""What a session leaves on disk: the input log, recorded edges, what happened, metrics, checkpoints; and what a prior session left."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from threading import Lock
 from time import monotonic
@@ -13,19 +12,19 @@ from typing import Any
 import structlog
 
 from stream.chunk import FOREVER, NEVER, Chunk, StreamSpec, utc
-from stream.engine.checkpoint import Checkpoint, Keeper, fingerprint
-from stream.engine.clock import SessionClock
-from stream.engine.drops import KIND as QUEUE_DROPPED
+from stream.clock import SessionClock
 from stream.engine.pipeline import Pipeline
+from stream.engine.queues import DROPPED
 from stream.errors import KinegraphError, RecordingError
 from stream.graph import Graph
 from stream.recording import Recorder, RecorderStatus, Recording, versions
+from stream.recording.checkpoint import Checkpoint, CheckpointWriter, fingerprint
 from stream.recording.image import is_picture
 from stream.recording.place import is_running, parts_of
 
 QUIET = {"device", "source ended", "session resumed", "source reopened"}
 """Reports that are news, not warnings."""
-LOSSES = {"late samples dropped", "source queue dropped", QUEUE_DROPPED}
+LOSSES = {"late samples dropped", "source queue dropped", DROPPED}
 """Reports that may come with every chunk."""
 TOLD_EVERY_S = 10.0
 """On the screen, a stream's or queue's losses are told at once, and then so often; the recording keeps each."""
@@ -58,7 +57,7 @@ class Loss:
         return facts
 
 
-class Former:
+class PriorSession:
     """A session that was broken off: its recording and its last checkpoint, if it came to one."""
 
     def __init__(self, folder: Path, graph: Graph) -> None:
@@ -97,7 +96,7 @@ class Former:
         return self.recording.last_samples(edge) if edge in self.recording.streams else 0
 
 
-class Journal:
+class SessionLog:
     """Everything that is written while a session runs. Without a folder it writes nothing, and everything else is as ever.
 
     sequence   the number of the input log's last chunk
@@ -105,17 +104,22 @@ class Journal:
     recorder   what records; None without a folder
     """
 
-    def __init__(self, folder: Path | None, graph: Graph, clock: SessionClock, former: Former | None) -> None:
-        self.folder, self._graph, self._clock, self._former = folder, graph, clock, former
-        self.sequence = -1
+    def __init__(self, folder: Path | None, graph: Graph, clock: SessionClock, prior: PriorSession | None) -> None:
+        """Nothing is written before `open`."""
+        self.folder, self._graph, self._clock, self._prior = folder, graph, clock, prior
+        checkpoint = prior.checkpoint if prior else None
+        self.sequence = checkpoint.sequence if checkpoint else -1
         self.arrival = 0
         self.recorder: Recorder | None = None
-        self._keeper: Keeper | None = None
+        self._checkpoints: CheckpointWriter | None = None
         self._losses: dict[tuple[str, str], Loss] = {}
         self._losing = Lock()
-        if folder is not None:
-            self.recorder = Recorder(folder, self._header(), graph.recording, resume=former is not None)
-            self._keeper = Keeper(folder, self.recorder.flush)
+
+    def open(self) -> None:
+        """Begin the recording; raises RecordingError where that cannot be."""
+        if self.folder is not None:
+            self.recorder = Recorder(self.folder, self._header(), self._graph.recording, resume=self._prior is not None)
+            self._checkpoints = CheckpointWriter(self.folder, self.recorder.flush)
 
     def _header(self) -> dict[str, Any]:
         return {
@@ -125,7 +129,7 @@ class Journal:
             "session": self._graph.session,
             "clock": self._clock.to_json(),
             "started": utc(self._clock.utc_ns),
-            "resumed": self._former is not None,
+            "resumed": self._prior is not None,
             "versions": versions(),
         }
 
@@ -138,23 +142,23 @@ class Journal:
             log.info("images are not recorded; name the stream under `record` to keep them", stream=stream)
         return self.recorder.add_stream(stream, spec, "input", first, outline=outline)
 
-    def tap_edges(self, pipeline: Pipeline) -> None:
+    def observe_edges(self, pipeline: Pipeline) -> None:
         """Record the edges that the graph asks for; what the input log holds anyway is not doubled."""
         if self.recorder is None:
             return
-        for edge in map(str, self._graph.record):
-            if edge not in pipeline.entries:
-                wire = pipeline.wires[edge]
-                done = self._former.recorded(edge) if self._former else 0
-                number = self.recorder.add_stream(edge, wire.spec, "edge", max(done, wire.samples))
-                wire.taps.append(self._tap(number, max(0, done - wire.samples)))
+        for name in map(str, self._graph.record):
+            if name not in pipeline.entries:
+                edge = pipeline.edges[name]
+                done = self._prior.recorded(name) if self._prior else 0
+                number = self.recorder.add_stream(name, edge.spec, "edge", max(done, edge.samples))
+                edge.observers.append(self._observer(number, max(0, done - edge.samples)))
 
-    def _tap(self, number: int, skip: int) -> Callable[[Chunk], None]:
+    def _observer(self, number: int, skip: int) -> Callable[[Chunk], None]:
         """Record an edge, but not again the `skip` samples that are recorded already."""
         recorder = self.recorder
         assert recorder
 
-        def tap(chunk: Chunk) -> None:
+        def observe(chunk: Chunk) -> None:
             nonlocal skip
             if skip:
                 n = min(skip, len(chunk.time))
@@ -164,11 +168,7 @@ class Journal:
                 chunk = chunk.part(n, len(chunk.time))
             recorder.write(number, chunk, self.arrival, self.sequence)
 
-        return tap
-
-    def writer(self, number: int) -> Callable[[Chunk, int, int], None] | None:
-        """What writes an input's chunk, its arrival and its place in the input log; None where nothing is recorded."""
-        return partial(self.recorder.write, number) if self.recorder else None
+        return observe
 
     def enter(self, number: int, chunk: Chunk, arrival: int) -> None:
         """A chunk enters the graph: its place in the input log."""
@@ -176,6 +176,11 @@ class Journal:
         self.arrival = arrival
         if self.recorder:
             self.recorder.write(number, chunk, arrival, self.sequence)
+
+    def lull(self) -> None:
+        """The session has nothing to do just now: a good moment for the recorder's thread."""
+        if self.recorder and self.recorder.patient:
+            self.recorder.lull()
 
     def report(self, kind: str, **facts: Any) -> None:
         """Something worth knowing happened: to the log, and into the recording."""
@@ -204,15 +209,15 @@ class Journal:
 
     @property
     def wants_checkpoint(self) -> bool:
-        return self._keeper is not None and not self._keeper.busy
+        return self._checkpoints is not None and not self._checkpoints.busy
 
     def checkpoint(self, promised: dict[str, int], indices: dict[str, int], pipeline: Pipeline) -> None:
         """Keep the state as it is now; it is copied here and written in the background."""
-        assert self._keeper
+        assert self._checkpoints
         now, graph = self._clock.now(), fingerprint(self._graph.text)
         kept = Checkpoint(self.sequence, now, graph, promised, indices, pipeline.snapshot())
         part = self.recorder.part if self.recorder and self._graph.recording.rolling else 0
-        self._keeper.keep(kept, lambda: self._forget(part))
+        self._checkpoints.write(kept, lambda: self._forget(part))
 
     def _forget(self, part: int) -> None:
         """Delete the files before a part: a checkpoint on the disk knows what they hold. Raises OSError."""
@@ -227,12 +232,12 @@ class Journal:
     def close(self, *, well: bool) -> None:
         """End the recording. After a session that ended `well` there is nothing to resume."""
         self._tell_losses(FOREVER)
-        if self._keeper:
-            self._keeper.wait()
+        if self._checkpoints:
+            self._checkpoints.wait()
         if self.recorder:
             self.recorder.close()
-        if self._keeper and well:
-            self._keeper.discard()
+        if self._checkpoints and well:
+            self._checkpoints.discard()
             if self._graph.recording.rolling and self.folder is not None:
                 for path in parts_of(self.folder):
                     path.unlink(missing_ok=True)

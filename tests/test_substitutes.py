@@ -65,14 +65,14 @@ def test_replay_without_images_begins_at_the_recorded_edges(speed: float | None,
         assert recording.streams["camera.depth"].samples == 300 and recording.streams["camera.depth"].lost == 84
         assert recording.streams["sum"].samples == 300
     replay = replayed(config, tmp_path / "s", speed=speed, output=tmp_path / "again")
-    assert (replay.stand_ins.missing, replay.stand_ins.taken) == (["camera.depth"], ["level"])
-    assert replay.stand_ins.silent == ["other", "othersum"]
-    assert replay.pipeline.wires["sum"].samples == 300 and replay.pipeline.wires["boardsum"].samples == 2000
+    assert (replay.substitutes.missing, replay.substitutes.taken) == (["camera.depth"], ["level"])
+    assert replay.substitutes.silent == ["other", "othersum"]
+    assert replay.pipeline.edges["sum"].samples == 300 and replay.pipeline.edges["boardsum"].samples == 2000
     with Recording.open(tmp_path / "s") as first, Recording.open(tmp_path / "again") as again:
         assert again.streams["camera.depth"].kept == "outline" and again.streams["level"].role == "edge"
         for name in ("level", "sum", "board"):
             assert all(np.array_equal(a, b) for a, b in zip(first.read(name), again.read(name), strict=True))
-    assert replayed(config, tmp_path / "again").stand_ins.taken == ["level"]
+    assert replayed(config, tmp_path / "again").substitutes.taken == ["level"]
     command = [sys.executable, "-m", "stream", "replay", str(config), str(tmp_path / "s"), "--verify"]
     told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout
     assert "the images of camera.depth were not recorded" in told and "taken from the recording: level" in told
@@ -89,7 +89,7 @@ def test_images_are_kept_where_the_graph_names_them(frames: str, config: Path, t
         frame = recording.read("camera.depth")[1]
         assert frame.shape == (300, 48, 64) and (frame == np.arange(1, 301)[:, None, None]).all()
     replay = replayed(config, tmp_path / "s", output=tmp_path / "again")
-    assert not replay.stand_ins.missing and replay.pipeline.wires["othersum"].samples == 300
+    assert not replay.substitutes.missing and replay.pipeline.edges["othersum"].samples == 300
     replayed(config, tmp_path / "again")
 
 

@@ -1,4 +1,4 @@
-"""A source's door: whatever comes, the short way into the graph and the long one give the same."""
+"""The two ways of a source's chunks into the graph, inline and queued: whatever comes, they give the same."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import pytest
 from parts import START
 
 from stream.chunk import Array, Chunk, Specs, StreamSpec
-from stream.engine import entrance
-from stream.engine.checkpoint import Checkpoint
-from stream.engine.outcome import Outcome
+from stream.engine.ingress import Ingress, IngressPort
 from stream.engine.session import Session
-from stream.engine.supervisor import closed
+from stream.engine.status import Outcome
+from stream.engine.supervisor import Inline, not_inline
 from stream.graph.load import load_text
 from stream.params import param
 from stream.recording import Recording
+from stream.recording.checkpoint import Checkpoint
 from stream.source import Feed, Source
 
 SPEC = StreamSpec((2,), rate_hz=1000.0, channels=("number", "wave"))
@@ -41,7 +41,7 @@ class Untidy(Source):
 
     def read(self, feed: Feed) -> None:
         feed.emit(Chunk(np.array([START]), np.zeros((1, 2)), START))
-        feed.wait(0.4)  # by then the session has begun, and doors open
+        feed.wait(0.4)  # by then the session has begun, and chunks go in inline
         for chunk in chunks(self.seed):
             feed.emit(chunk)
             feed.wait(0.002)
@@ -81,7 +81,7 @@ save = Checkpoint.save
 
 NODES = """
 nodes:
-  board: {use: test_door.Untidy, seed: %d}
+  board: {use: test_ingress.Untidy, seed: %d}
   same: {use: parts.Identity, from: board}
   out: {use: parts.Collect, from: same, policy: block}
 """
@@ -102,25 +102,25 @@ def run(seed: int, folder: Path) -> tuple[Outcome, list[tuple[Any, ...]]]:
 @pytest.mark.parametrize("seed", range(3))
 def test_both_ways_give_the_same(seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     taken: list[bool] = []
-    build = entrance.door
+    build = Ingress.inline
 
-    def watched(*of: Any) -> Any:
-        door = build(*of)
+    def watched(self: Ingress, port: IngressPort) -> Inline:
+        way = build(self, port)
 
-        def enter(chunk: Chunk) -> bool:
-            taken.append(door(chunk))
+        def take(chunk: Chunk, arrival: int) -> bool:
+            taken.append(way(chunk, arrival))
             return taken[-1]
 
-        return enter
+        return take
 
-    monkeypatch.setattr(entrance, "door", watched)
-    short, by_doors = run(seed, tmp_path / "short")
+    monkeypatch.setattr(Ingress, "inline", watched)
+    short, by_inline = run(seed, tmp_path / "short")
     seen = [(c.time.tolist(), c.data.tolist(), c.lost) for c in parts.seen["out"] if len(c)]
-    monkeypatch.setattr(entrance, "door", lambda *_: closed)
+    monkeypatch.setattr(Ingress, "inline", lambda *_: not_inline)
     long, by_queues = run(seed, tmp_path / "long")
     assert short.exit_code == long.exit_code == 0, (short.error, long.error)
     assert 20 < sum(taken) < len(taken)
-    assert by_doors == by_queues
+    assert by_inline == by_queues
     assert seen == [(c.time.tolist(), c.data.tolist(), c.lost) for c in parts.seen["out"] if len(c)]
     for name in ("late", "lost", "gaps", "samples", "problems"):
         assert short.table["board"][name] == long.table["board"][name]
@@ -136,7 +136,7 @@ def test_where_nobody_waits_only_samples_enter(tmp_path: Path) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Wrong(parts.Counting):
-    """Says once, when doors are open, up to when it is complete in a way that is no time."""
+    """Says once, when chunks go in inline, up to when it is complete in a way that is no time."""
 
     def read(self, feed: Feed) -> None:
         first = not parts.openings
@@ -149,7 +149,9 @@ class Wrong(parts.Counting):
 
 def test_a_chunk_that_is_no_chunk_fails_its_source_not_the_session(tmp_path: Path) -> None:
     parts.openings.clear()
-    graph = load_text(NODES.replace("test_door.Untidy, seed: %d", "test_door.Wrong, realtime: true"), path=__file__)
+    graph = load_text(
+        NODES.replace("test_ingress.Untidy, seed: %d", "test_ingress.Wrong, realtime: true"), path=__file__
+    )
     outcome = Session(graph, tmp_path / "s").run()
     assert outcome.exit_code == 0, outcome.error
     with Recording.open(tmp_path / "s") as recording:
@@ -171,6 +173,8 @@ class NumpyTimes(parts.Counting):
 def test_times_in_numpys_integers_can_be_checkpointed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept: list[Checkpoint] = []
     monkeypatch.setattr(Checkpoint, "save", lambda self, folder: (save(self, folder), kept.append(self)))
-    text = "checkpoint_s: 0.2" + NODES.replace("test_door.Untidy, seed: %d", "test_door.NumpyTimes, realtime: true")
+    text = "checkpoint_s: 0.2" + NODES.replace(
+        "test_ingress.Untidy, seed: %d", "test_ingress.NumpyTimes, realtime: true"
+    )
     assert Session(load_text(text, path=__file__), tmp_path / "s").run().exit_code == 0
     assert any(checkpoint.promised["board"] > 0 for checkpoint in kept)

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from stream.chunk import Specs
+from stream.engine.edge import LiveEdge
 from stream.engine.pipeline import Pipeline
-from stream.engine.wire import Wire
 from stream.graph import Edge, Graph, Node
 from stream.recording.tally import RecordedStream
 from stream.source import Source
@@ -25,7 +25,7 @@ class Recorded(Source):
 
 
 @dataclass(slots=True)
-class StandIns:
+class Substitutes:
     """What is missing in a recording, for one graph.
 
     missing   source outputs whose images were not kept, and which are read
@@ -38,7 +38,7 @@ class StandIns:
     idle: dict[str, Specs] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, graph: Graph, streams: Mapping[str, RecordedStream]) -> StandIns:
+    def of(cls, graph: Graph, streams: Mapping[str, RecordedStream]) -> Substitutes:
         """For a graph and the streams that were recorded of it."""
         found = cls()
         gone = {str(edge) for edge in _outputs(graph.sources) if _is_outline(streams, edge)}
@@ -73,34 +73,34 @@ class StandIns:
         return [name for name, specs in self.idle.items() if not specs]
 
     @contextmanager
-    def at_work(self, pipeline: Pipeline) -> Iterator[dict[str, Wire]]:
-        """Within: the wires that take chunks from the recording, by edge. What their own nodes emit meanwhile is heard by nobody."""
-        twins: dict[str, Wire] = {}
+    def at_work(self, pipeline: Pipeline) -> Iterator[dict[str, LiveEdge]]:
+        """Within: the edges that take chunks from the recording, by edge. What their own nodes emit meanwhile is heard by nobody."""
+        twins: dict[str, LiveEdge] = {}
         for name in self.taken:
-            wire = pipeline.wires[name]
-            twins[name] = twin = Wire(wire.edge, wire.spec)
-            _move(wire, twin)
-            wire.taps, wire.readers = [], []
-        _read_instead(pipeline, {wire.edge: twins[name] for name, wire in pipeline.wires.items() if name in twins})
-        pipeline.loosen()
+            edge = pipeline.edges[name]
+            twins[name] = twin = LiveEdge(edge.origin, edge.spec)
+            _move(edge, twin)
+            edge.observers, edge.readers = [], []
+        _read_instead(pipeline, {edge.origin: twins[name] for name, edge in pipeline.edges.items() if name in twins})
+        pipeline.invalidate()
         try:
             yield twins
         finally:
             for name, twin in twins.items():
-                _move(twin, pipeline.wires[name])
-            _read_instead(pipeline, {wire.edge: wire for wire in pipeline.wires.values()})
-            pipeline.loosen()
+                _move(twin, pipeline.edges[name])
+            _read_instead(pipeline, {edge.origin: edge for edge in pipeline.edges.values()})
+            pipeline.invalidate()
 
 
-def _read_instead(pipeline: Pipeline, wires: Mapping[Edge, Wire]) -> None:
-    """Let every stage know these of its inputs by another wire."""
+def _read_instead(pipeline: Pipeline, edges: Mapping[Edge, LiveEdge]) -> None:
+    """Let every stage know these of its inputs by another edge."""
     for stage in pipeline.stages.values():
-        stage.feeds = [wires.get(wire.edge, wire) for wire in stage.feeds]
-        stage.limits = [wires.get(at.edge, at) if isinstance(at, Wire) else at for at in stage.limits]
+        stage.feeds = [edges.get(edge.origin, edge) for edge in stage.feeds]
+        stage.limits = [edges.get(at.origin, at) if isinstance(at, LiveEdge) else at for at in stage.limits]
 
 
-def _move(of: Wire, to: Wire) -> None:
-    for slot in ("taps", "readers", "owed", "gaps", "lost", "samples", "told"):
+def _move(of: LiveEdge, to: LiveEdge) -> None:
+    for slot in ("observers", "readers", "owed", "gaps", "lost", "samples", "told"):
         setattr(to, slot, getattr(of, slot))
 
 

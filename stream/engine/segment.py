@@ -1,12 +1,12 @@
-"""A chain of operators as one function, written out for it.
+"""A segment: operators in a row as one function, written out for it.
 
-Where an operator is the only reader of a wire and has one input, nothing is left to decide while a graph runs: the calls of all
+Where an operator is the only reader of an edge and has one input, nothing is left to decide while a graph runs: the calls of all
 operators in a row are written one below the other and compiled once. That costs a fraction of a loop that asks each time what comes
 next. Only what comes most is written out: a chunk in normal arrays and without `lost`, one chunk given back for it. At anything else the
-function is left for `Wire.carry` or `Stage.emit`, which do the same step by step. Neighbours whose work is a kernel each are one call, of
-machine code that runs one kernel after the other (`stream.engine.row`), unless somebody listens to a wire between them.
+function is left for `LiveEdge.carry` or `Stage.emit`, which do the same step by step. Neighbours whose work is a kernel each are one call,
+of machine code that runs one kernel after the other (`stream.engine.row`), unless an edge between them is observed.
 
-Timing reads the clock once per operator. Reading it may cost more than an operator that does little, so a chain that runs without a rest,
+Timing reads the clock once per operator. Reading it may cost more than an operator that does little, so a segment that runs without a rest,
 as in a replay, times one passage in eight or so: after each that was timed, as many follow untimed as fit into seven times its length.
 """
 
@@ -17,81 +17,79 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from time import perf_counter_ns
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from stream.chunk import FOREVER, STAMP, Chunk
-from stream.engine.link import Link, Push, failure
-from stream.engine.metrics import add
-from stream.engine.promise import PromiseError
+from stream.engine.edge import InputPort, LiveEdge, Push, failure
 from stream.engine.row import Row, step_of
 from stream.filter import KernelCall
+from stream.metrics import add
+from stream.promise import PromiseError
 from stream.spare import Spare
 
-if TYPE_CHECKING:
-    from stream.engine.wire import Wire
-
 REST = 7
-"""So many times the length of a passage that was timed pass untimed."""
+"""After a passage that was timed, others pass untimed for this many times its length."""
+LONGEST = 64
+"""A segment has at most this many operators; another one begins behind it."""
 
 
 @dataclass(slots=True)
 class Span:
     """What one call does: an operator, or a row of them.
 
-    before  the number of the wire that it reads
-    after   the number of the wire that it feeds
+    before  the number of the edge that it reads
+    after   the number of the edge that it feeds
     """
 
-    links: list[Link]
+    ports: list[InputPort]
     row: Row | None
     before: int
 
     @property
     def after(self) -> int:
-        return self.before + len(self.links)
+        return self.before + len(self.ports)
 
 
-class Chain:
-    """The operators in a row behind a wire.
+class Segment:
+    """The operators in a row behind an edge.
 
-    wires   before, between and after them
+    edges   before, between and after them
     spans   what is called, in order
     send    takes a chunk and the time at which the caller ended; returns the time at which the work ended (ns, perf_counter)
     """
 
-    def __init__(self, wire: Wire, *, rows: bool = True) -> None:
-        """`rows`: make one call of neighbours that have steps; that may have to be compiled."""
-        links, self.wires = _in_a_row(wire)
-        self.spans = list(_spans(links, self.wires, rows=rows))
+    def __init__(self, edge: LiveEdge) -> None:
+        ports, self.edges = _in_a_row(edge)
+        self.spans = list(_spans(ports, self.edges))
         self._timed: list[list[tuple[int, ...]]] = [[] for _ in self.spans]
         self._at: dict[int, int] = {}
         """By line of the function: the span that is called there."""
         self._checks_at: dict[int, int] = {}
-        """And the wire whose promise is checked there."""
+        """And the edge whose promise is checked there."""
         lines = self._written()
         names: dict[str, Any] = {"clock": perf_counter_ns, "Chunk": Chunk, "due": 0, "trouble": self._trouble}
-        names |= {"FOREVER": FOREVER, "STAMP": STAMP, "hand0": wire.hand}
-        for i, wire in enumerate(self.wires):
-            names |= {f"wire{i}": wire, f"carry{i}": wire.carry, f"dtype{i}": wire.spec.dtype}
-            names |= {f"tap{i}_{k}": tap for k, tap in enumerate(wire.taps)}
+        names |= {"FOREVER": FOREVER, "STAMP": STAMP, "slot0": edge.slot}
+        for i, edge in enumerate(self.edges):
+            names |= {f"edge{i}": edge, f"carry{i}": edge.carry, f"dtype{i}": edge.spec.dtype}
+            names |= {f"observe{i}_{k}": observe for k, observe in enumerate(edge.observers)}
         for i, span in enumerate(self.spans):
-            link = span.links[0]
+            port = span.ports[0]
             names |= {
-                f"process{i}": link.operator.process,
-                f"port{i}": link.port,
-                f"emit{i}": link.emit,
-                f"link{i}": link,
+                f"process{i}": port.operator.process,
+                f"port{i}": port.port,
+                f"emit{i}": port.emit,
+                f"in{i}": port,
             }
-            names["hand"] = link.hand
+            names["slot"] = port.slot
             names |= {f"note{i}": self._timed[i].append}
             if row := span.row:
                 names[f"stray{i}"] = partial(self._stray, span)
                 names |= {f"row{i}": row, f"run{i}": row.run, f"table{i}": row.table, f"spare{i}": row.spare.both}
                 names |= {f"rows{i}": row.rows, f"nothing{i}": Spare(row.width).both(0)}
-        names |= {f"push{k}": push for k, push in enumerate(self.wires[-1].readers)}
-        exec(compile("\n".join(lines), f"<chain behind {wire.edge}>", "exec"), names)
+        names |= {f"push{k}": push for k, push in enumerate(self.edges[-1].readers)}
+        exec(compile("\n".join(lines), f"<segment behind {edge.origin}>", "exec"), names)
         self.send: Push = names["send"]
 
     def fold(self, least: int) -> None:
@@ -104,10 +102,10 @@ class Chain:
             times = np.fromiter(chain.from_iterable(taken), np.int64).reshape(len(taken), -1)
             for i, span in enumerate(self.spans[: times.shape[1] - 1]):
                 if not span.row:
-                    add(times, i, span.links[0].timing)
+                    add(times, i, span.ports[0].timing)
         for span in self.spans:
             if span.row:
-                span.row.fold([link.timing for link in span.links], least)
+                span.row.fold([port.timing for port in span.ports], least)
 
     # what is written ---------------------------------------------------------------------------------------------------
 
@@ -134,69 +132,69 @@ class Chain:
             )
             for line in written:
                 lines.append(indent + line)
-                if "given.time" in line and "hand" not in line:
+                if "given.time" in line and "slot" not in line:
                     self._checks_at[len(lines)] = span.after
                 if any(f"{called}{i}(" in line for called in ("process", "run", "rows")):
                     self._at[len(lines)] = i
             lines += self._passed(span.after, indent, counted=True)
-        count, last = len(self.spans), len(self.wires) - 1
+        count, last = len(self.spans), len(self.edges) - 1
         if timed:
             lines += [indent + line for line in self._noted(count - 1)]
         lines.append(f"{indent}t = t{count}" if timed else f"{indent}t = clock()")
-        lines += [f"{indent}t = push{k}(c{last}, t)" for k in range(len(self.wires[-1].readers))]
+        lines += [f"{indent}t = push{k}(c{last}, t)" for k in range(len(self.edges[-1].readers))]
         lines.append(f"{indent}return t")
 
     def _operator(self, i: int, span: Span, *, timed: bool) -> list[str]:
         """The call of an operator."""
         a, b = span.before, span.after
         end, noted = (f"t{i + 1}", self._noted(i)) if timed else ("clock()", [])
-        untidy = "" if span.links[0].contiguous else self._untidy(i + 1, "given")
+        untidy = "" if span.ports[0].contiguous else self._untidy(i + 1, "given")
         carried = [*(f"        {line}" for line in noted), f"        return carry{b}(given, {end})"]
         return [
-            f"hand.link = link{i}",
-            f"hand.chunk = c{a}",
+            f"slot.port = in{i}",
+            f"slot.chunk = c{a}",
             *self._called(i, span, a),
             *([f"t{i + 1} = clock()"] if timed else []),
             "if given.__class__ is not Chunk:",
             *(f"    {line}" for line in noted),
             f"    return {end} if given is None else emit{i}(given, {end})",
-            f"p{b} = wire{b}.told",
+            f"p{b} = edge{b}.told",
             *self._the_same(i, a, b, carried),
             "    n = len(given.time)",
-            f"    if given.lost or wire{b}.owed or given.until < p{b} or {self._broken(b, 'given', f'c{a}.until')}{untidy}:",
+            f"    if given.lost or edge{b}.owed or given.until < p{b} or {self._broken(b, 'given', f'c{a}.until')}{untidy}:",
             *carried,
             f"c{b} = given",
-            f"wire{b}.told = c{b}.until",
+            f"edge{b}.told = c{b}.until",
         ]
 
     def _called(self, i: int, span: Span, a: int) -> list[str]:
         """The call itself; an operator from outside is given views that it cannot write to."""
-        if span.links[0].is_ours:
+        if span.ports[0].is_ours:
             return [f"given = process{i}(port{i}, c{a})"]
         return [
-            f"if c{a}.time is not hand.time or c{a}.data is not hand.data:",
-            f"    hand.show(c{a})",
-            f"shown = Chunk(hand.seen_time, hand.seen_data, c{a}.until, 0)",
+            f"if c{a}.time is not slot.time or c{a}.data is not slot.data:",
+            f"    slot.show(c{a})",
+            f"shown = Chunk(slot.seen_time, slot.seen_data, c{a}.until, 0)",
             f"given = process{i}(port{i}, shown)",
             "if given is shown:",
             f"    given = c{a}",
             "elif given.__class__ is Chunk:",
-            "    if given.time is hand.seen_time:",
+            "    if given.time is slot.seen_time:",
             f"        given.time = c{a}.time",
-            "    if given.data is hand.seen_data:",
+            "    if given.data is slot.seen_data:",
             f"        given.data = c{a}.data",
         ]
 
     def _the_same(self, i: int, a: int, b: int, carried: list[str]) -> list[str]:
-        """Arrays that the wire before has passed need not be looked at once more; ends with what introduces the other case."""
-        before, after = self.wires[a].spec, self.wires[b].spec
+        """Arrays that the edge before has passed need not be looked at once more; ends with what introduces the other case."""
+        before, after = self.edges[a].spec, self.edges[b].spec
         if (before.shape, before.dtype) != (after.shape, after.dtype):
             return ["if True:"]
-        behind = f" or p{b} > p{a} and n and given.time.item(0) <= p{b}" if self.wires[b].looks_at_ends else ""
+        behind = f" or p{b} > p{a} and n and given.time.item(0) <= p{b}" if self.edges[b].looks_at_ends else ""
         untidy = " or not given.time.flags.carray" if i + 1 < len(self.spans) and self.spans[i + 1].row else ""
         return [
             f"if given.time is c{a}.time and given.data is c{a}.data:",
-            f"    if given.lost or wire{b}.owed or given.until < p{b}{behind}{untidy}:",
+            f"    if given.lost or edge{b}.owed or given.until < p{b}{behind}{untidy}:",
             *carried,
             "else:",
         ]
@@ -204,59 +202,59 @@ class Chain:
     def _row(self, i: int, span: Span, row: Row, *, timed: bool) -> list[str]:
         """The call of a row, unless something about the chunk is unusual: then its first operator is called, and so on from there."""
         a, b = span.before, span.after
-        owed = "".join(f" or wire{k}.owed" for k in range(a + 1, b))
+        owed = "".join(f" or edge{k}.owed" for k in range(a + 1, b))
         before = self._noted(i - 1) if timed and i else []
         end, noted = (f"t{i + 1}", self._noted(i)) if timed else ("clock()", [])
         kept = b if row.thinning is None else a + 1 + row.thinning
         given = f"c{a}.data, c{a}.time, out, stamps, table{i}"
         out = f"c{a}.until - {row.delay_ns}" if row.delay_ns else f"c{a}.until"
         return [
-            f"if not n or c{a}.until == FOREVER or {out} < wire{b}.told{owed}:",
+            f"if not n or c{a}.until == FOREVER or {out} < edge{b}.told{owed}:",
             *(f"    {line}" for line in before),
-            f"    return link{i}(c{a}, {f't{i}' if timed else 'clock()'})",
+            f"    return in{i}(c{a}, {f't{i}' if timed else 'clock()'})",
             f"if n > row{i}.room:",
             f"    row{i}.grow(n)",
-            *(f"wire{k}.samples += n" for k in range(a + 1, kept)),
+            *(f"edge{k}.samples += n" for k in range(a + 1, kept)),
             *([f"n = rows{i}(n)"] if row.rows else []),
-            *(f"wire{k}.samples += n" for k in range(kept, b)),
+            *(f"edge{k}.samples += n" for k in range(kept, b)),
             f"out, stamps = spare{i}(n) if n else nothing{i}" if row.rows else f"out, stamps = spare{i}(n)",
-            f"hand.link = link{i}",
-            f"hand.chunk = c{a}",
+            f"slot.port = in{i}",
+            f"slot.chunk = c{a}",
             f"t{i + 1} = run{i}({given}, {f't{i}' if timed else 0})",
             f"if t{i + 1} < 0:",
             f"    stray{i}(-t{i + 1}, c{a})",
             *(["if not n:", *(f"    {line}" for line in noted), f"    return {end}"] if row.rows else []),
             f"c{b} = Chunk({'stamps' if row.moves else f'c{a}.time'}, out, {out}, 0)",
-            f"if wire{b}.owed:",
+            f"if edge{b}.owed:",
             *(f"    {line}" for line in noted),
             f"    return carry{b}(c{b}, {end})",
-            f"p{b} = wire{b}.told",
-            f"wire{b}.told = c{b}.until",
+            f"p{b} = edge{b}.told",
+            f"edge{b}.told = c{b}.until",
         ]
 
     def _entry(self) -> list[str]:
-        """What is unusual at the chain's first wire is carried step by step."""
-        wire = self.wires[0]
-        lines = ["    n = len(c0.time)"] if wire.checked else []
-        broken = f" or c0.until < p0 or {self._broken(0, 'c0', 'hand0.chunk.until')}" if wire.checked else ""
+        """What is unusual at the segment's first edge is carried step by step."""
+        edge = self.edges[0]
+        lines = ["    n = len(c0.time)"] if edge.slot is not None else []
+        broken = f" or c0.until < p0 or {self._broken(0, 'c0', 'slot0.chunk.until')}" if edge.slot is not None else ""
         return [
-            *(["    if c0.__class__ is not Chunk:", "        wire0.check(c0)"] if wire.checked else []),
+            *(["    if c0.__class__ is not Chunk:", "        edge0.check(c0)"] if edge.slot is not None else []),
             *lines,
-            "    p0 = wire0.told",
-            f"    if c0.lost or wire0.owed{broken}{self._untidy(0, 'c0')}:",
+            "    p0 = edge0.told",
+            f"    if c0.lost or edge0.owed{broken}{self._untidy(0, 'c0')}:",
             "        return carry0(c0, t0)",
-            "    wire0.told = c0.until",
+            "    edge0.told = c0.until",
         ]
 
     def _broken(self, i: int, chunk: str, reached: str) -> str:
-        """The condition that a new chunk of `n` stamps may break what wire `i` promises: `Wire.check` decides."""
-        wire = self.wires[i]
-        shape = "".join(f", {length}" for length in wire.spec.shape)
+        """The condition that a new chunk of `n` stamps may break what edge `i` promises: `LiveEdge.check` decides."""
+        edge = self.edges[i]
+        shape = "".join(f", {length}" for length in edge.spec.shape)
         says = (
             f"{chunk}.data.shape != (n{shape or ','}) or {chunk}.data.dtype is not dtype{i}"
             f" or {chunk}.time.dtype is not STAMP or {chunk}.time.ndim != 1"
         )
-        if wire.looks_at_ends:
+        if edge.looks_at_ends:
             first, last = f"{chunk}.time.item(0)", f"{chunk}.time.item(-1)"
             says += f" or n and not p{i} < {first} <= {last} <= {reached}"
         return says
@@ -267,10 +265,10 @@ class Chain:
         return f" or not {chunk}.data.flags.carray" + (f" or not {chunk}.time.flags.carray" if minds else "")
 
     def _passed(self, i: int, indent: str, *, counted: bool = False) -> list[str]:
-        """What a wire does with a chunk that passes it."""
+        """What an edge does with a chunk that passes it."""
         lines = [] if counted else [f"{indent}n = len(c{i}.time)"]
-        lines.append(f"{indent}wire{i}.samples += n")
-        return lines + [f"{indent}tap{i}_{k}(c{i})" for k in range(len(self.wires[i].taps))]
+        lines.append(f"{indent}edge{i}.samples += n")
+        return lines + [f"{indent}observe{i}_{k}(c{i})" for k in range(len(self.edges[i].observers))]
 
     def _noted(self, i: int) -> list[str]:
         """A timed passage ends with span `i`. What is within a row, the row notes itself."""
@@ -280,43 +278,43 @@ class Chain:
 
     def _stray(self, span: Span, place: int, chunk: Chunk) -> None:
         """A step of a row gave stamps that it must not give."""
-        edge = self.wires[span.before + place].edge
+        edge = self.edges[span.before + place].origin
         raise PromiseError(edge.node, edge.output, "stamps that run backwards, or ahead of its inputs", chunk)
 
     def _trouble(self, error: Exception | SystemExit, found: dict[str, Any]) -> None:
-        """Raise what an operator's exception means; nothing, where no operator of this chain raised it."""
+        """Raise what an operator's exception means; nothing, where no operator of this segment raised it."""
         trace = error.__traceback__
         line = trace.tb_lineno if trace else 0
         if (checked := self._checks_at.get(line)) is not None:
-            self.wires[checked].check(found["given"])
+            self.edges[checked].check(found["given"])
         if (i := self._at.get(line)) is not None:
             span = self.spans[i]
-            link = span.links[0]
-            raise failure(link.name, error, link.port, found[f"c{span.before}"]) from error
+            port = span.ports[0]
+            raise failure(port.node, error, port.port, found[f"c{span.before}"]) from error
 
 
-def _in_a_row(wire: Wire) -> tuple[list[Link], list[Wire]]:
-    """The links behind a wire up to where it branches or ends, and the wires before, between and after them."""
-    links: list[Link] = []
-    wires = [wire]
-    while len(wire.readers) == 1 and isinstance(link := wire.readers[0], Link) and link.out:
-        wire = link.out
-        links.append(link)
-        wires.append(wire)
-    return links, wires
+def _in_a_row(edge: LiveEdge) -> tuple[list[InputPort], list[LiveEdge]]:
+    """The ports behind an edge up to where it branches or ends, and the edges before, between and after them."""
+    ports: list[InputPort] = []
+    edges = [edge]
+    while len(ports) < LONGEST and (port := edge.next) is not None and port.out:
+        edge = port.out
+        ports.append(port)
+        edges.append(edge)
+    return ports, edges
 
 
-def _spans(links: list[Link], wires: list[Wire], *, rows: bool) -> Iterator[Span]:
-    """Each link by itself; with `rows`, neighbours that have steps, and whose wires nobody listens to, together; one may thin out."""
+def _spans(ports: list[InputPort], edges: list[LiveEdge]) -> Iterator[Span]:
+    """Each port by itself; neighbours that have steps, and whose edges nobody listens to, together; one may thin out."""
     i = 0
-    while i < len(links):
+    while i < len(ports):
         steps: list[KernelCall] = []
-        for k, link in enumerate(links[i:], i):
-            step = step_of(link.operator, wires[k].spec, wires[k + 1].spec) if rows else None
-            if step is None or (steps and wires[k].taps) or (step.rows and any(s.rows for s in steps)):
+        for k, port in enumerate(ports[i:], i):
+            step = step_of(port.operator, edges[k].spec, edges[k + 1].spec)
+            if step is None or (steps and edges[k].observers) or (step.rows and any(s.rows for s in steps)):
                 break
             steps.append(step)
         together = max(1, len(steps))
-        widths = [wire.spec.shape[0] for wire in wires[i + 1 : i + together + 1]] if together > 1 else []
-        yield Span(links[i : i + together], Row(steps, widths) if widths else None, i)
+        widths = [edge.spec.shape[0] for edge in edges[i + 1 : i + together + 1]] if together > 1 else []
+        yield Span(ports[i : i + together], Row(steps, widths) if widths else None, i)
         i += together

@@ -22,7 +22,7 @@ from stream.complete import complete
 from stream.errors import RecordingError
 
 NAME = "checkpoint.npz"
-VERSION = 1
+VERSION = 2
 
 log = structlog.get_logger(__name__)
 
@@ -77,14 +77,15 @@ class Checkpoint:
             raise RecordingError(
                 f"{path} is damaged ({error}); remove it to resume from the start of the recording"
             ) from None
-        if version > VERSION:
+        if version != VERSION:
             raise RecordingError(
-                f"{path} has version {version}; this kinegraph reads up to {VERSION}: update kinegraph"
+                f"{path} was written by another version of kinegraph, and its session cannot be resumed by this one; what it recorded"
+                " can be replayed: start a new session"
             )
         return Checkpoint(**kept, arrays=arrays)
 
 
-class Keeper:
+class CheckpointWriter:
     """Writes checkpoints in a thread of its own, at most one at a time; a failure is reported and the run goes on."""
 
     def __init__(self, folder: Path, before: Callable[[], bool]) -> None:
@@ -97,9 +98,9 @@ class Keeper:
     def busy(self) -> bool:
         return self._thread is not None and self._thread.is_alive()
 
-    def keep(self, checkpoint: Checkpoint, after: Callable[[], None] = lambda: None) -> None:
+    def write(self, checkpoint: Checkpoint, after: Callable[[], None] = lambda: None) -> None:
         """Write in the background, and call `after` in that thread if it was; call this only while not `busy`."""
-        self._thread = threading.Thread(target=self._write, args=(checkpoint, after), name="checkpoint", daemon=True)
+        self._thread = threading.Thread(target=self._save, args=(checkpoint, after), name="checkpoint", daemon=True)
         self._thread.start()
 
     def discard(self) -> None:
@@ -110,7 +111,7 @@ class Keeper:
         if self._thread:
             self._thread.join(timeout_s)
 
-    def _write(self, checkpoint: Checkpoint, after: Callable[[], None]) -> None:
+    def _save(self, checkpoint: Checkpoint, after: Callable[[], None]) -> None:
         try:
             if not self._before():
                 raise OSError("the recording could not be written up to it")

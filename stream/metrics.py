@@ -1,7 +1,7 @@
 """What is always measured: how long every node takes, what is lost; at well below a microsecond a message.
 
 The durations of calls are gathered, and folded into a histogram of 16 bins per octave now and then, off the hot path. So a quantile is
-exact to 4.4 %. Where a graph runs without a rest, not every call is timed (`stream.engine.chain`).
+exact to 4.4 %. Where a graph runs without a rest, not every call is timed (`stream.engine.segment`).
 """
 
 from __future__ import annotations

@@ -1,0 +1,125 @@
+"""What may enter the graph: every rule about a source's chunk, as functions of the chunk and a few numbers, without thread or clock.
+
+`conform` puts a chunk into the arrays that its spec declares, `ordered` refuses time that runs backwards, `admit` decides lateness, gaps
+and the watermark, and `on_full` says what a full queue does. Whichever way a chunk takes into the graph (`stream.engine.ingress`), inline
+on its source's thread or through a queue, these are what it passes.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+import msgspec
+import numpy as np
+
+from stream.chunk import FOREVER, NS, STAMP, Chunk, StreamSpec, add_lost
+from stream.graph import Policy
+
+AHEAD_NS = NS
+"""A live sample's stamp may lie this far after its arrival, by what a device's clock is wrong; beyond that it is reported."""
+FEW = 64
+"""The order of so few stamps is looked at in Python, which after a rest is much faster than numpy."""
+
+
+class Verdict(msgspec.Struct, gc=False):
+    """What becomes of a chunk.
+
+    chunk     as it enters; None: it says nothing new, and nothing changes
+    late      how many samples were dropped because they came at or before the watermark
+    ahead_ns  how far the watermark lies ahead of the arrival, beyond what a clock may be wrong; 0: it does not
+    """
+
+    chunk: Chunk | None
+    late: int = 0
+    ahead_ns: int = 0
+
+
+NOTHING_NEW = Verdict(None)
+
+
+def conform(spec: StreamSpec, chunk: Chunk) -> Chunk:
+    """The chunk in arrays of the declared dtypes. Its shape may be another; memory is put in order by the edge it enters."""
+    time, data = chunk.time, chunk.data
+    if (
+        time.__class__ is np.ndarray
+        and time.dtype is STAMP
+        and data.__class__ is np.ndarray
+        and data.dtype is spec.dtype
+    ):
+        return chunk
+    times, samples = np.require(time, STAMP, ["C", "A", "W"]), np.require(data, spec.dtype, ["C", "A", "W"])
+    return Chunk(times, samples, chunk.until, chunk.lost)
+
+
+def ordered(chunk: Chunk) -> tuple[Chunk, int]:
+    """The chunk without samples older than one before them, complete up to its last sample; and how many were dropped."""
+    time, dropped = chunk.time, 0
+    n = len(time)
+    if n > 1 and not _is_ordered(chunk):
+        keep = time >= np.maximum.accumulate(time)
+        dropped = n - int(keep.sum())
+        time = np.ascontiguousarray(time[keep])
+        chunk = Chunk(time, np.ascontiguousarray(chunk.data[keep]), chunk.until, chunk.lost)
+    if n and chunk.until < (last := time.item(-1)):
+        chunk = Chunk(time, chunk.data, last, chunk.lost)
+    return chunk, dropped
+
+
+def _is_ordered(chunk: Chunk) -> bool:
+    time = chunk.time
+    if len(time) > FEW:
+        return not (time[1:] < time[:-1]).any()
+    stamps = time.tolist()
+    before = stamps[0]
+    for stamp in stamps:
+        if stamp < before:
+            return False
+        before = stamp
+    return True
+
+
+def admit(chunk: Chunk, watermark: int, owed: int, arrival: int, *, awaited: bool, watched: bool) -> Verdict:
+    """The lateness rule: a sample at or before the stream's `watermark` is dropped and counted as lost; the watermark never goes back.
+
+    owed      samples lost before the next one, beyond what its chunk says
+    arrival   when the chunk came (ns of session time)
+    awaited   whether anybody waits for what time brings; if not, only samples enter
+    watched   whether stamps ahead of the session's clock are still to be reported
+    """
+    time, until, lost = chunk.time, chunk.until, chunk.lost
+    n, late = len(time), 0
+    ahead_ns = until - arrival if watched and arrival + AHEAD_NS < until < FOREVER else 0
+    if n and time.item(0) <= watermark:
+        keep = time > watermark
+        late = n - int(keep.sum())
+        n -= late
+        lost = add_lost(lost, late)
+        chunk = Chunk(np.ascontiguousarray(time[keep]), np.ascontiguousarray(chunk.data[keep]), until, lost)
+    if not n:
+        if not lost and (until <= watermark or not (awaited or until == FOREVER)):
+            return Verdict(None, late, ahead_ns) if late or ahead_ns else NOTHING_NEW
+    elif owed:
+        lost = add_lost(owed, lost)
+    if until < watermark:
+        until = watermark
+    if lost != chunk.lost or until != chunk.until:
+        chunk = Chunk(chunk.time, chunk.data, until, lost)
+    return Verdict(chunk, late, ahead_ns)
+
+
+class Full(Enum):
+    """What a writer does at a full queue."""
+
+    WAIT = "wait"
+    DROP_OLDEST = "drop the oldest"
+    FAIL = "fail"
+    PASS = "pass"
+
+
+def on_full(policy: Policy, *, closed: bool) -> Full:
+    """Backpressure: what a policy means where the queue is full. Once it is closed, nobody waits and nothing is dropped any more."""
+    if policy == "fail":
+        return Full.FAIL
+    if closed:
+        return Full.PASS
+    return Full.DROP_OLDEST if policy == "drop_oldest" else Full.WAIT

@@ -1,0 +1,335 @@
+"""Where sources' chunks enter the graph, one after the other: inline on the source's own thread, or through queues and one ready queue.
+
+A chunk is worked through inline while nothing waits and no other thread has the turn: to wake another thread for it costs more than most
+graphs' work. Everything else waits for the graph's thread. Both ways end in `Ingress.enter`, and what may enter is decided by
+`stream.engine.admission` alone.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from queue import Empty
+from threading import Lock
+from time import perf_counter_ns
+from typing import Any
+
+from stream.chunk import FOREVER, NEVER, NS, Chunk, empty, utc
+from stream.clock import SessionClock
+from stream.engine.admission import admit
+from stream.engine.edge import LiveEdge
+from stream.engine.pipeline import Pipeline
+from stream.engine.queues import BoundedQueue, ReadyQueue
+from stream.engine.session_log import PriorSession, SessionLog
+from stream.engine.supervisor import REST_S, Inline, Runner, StartBarrier
+
+LONG_AGO = 10**8 * NS
+"""In 1973: a live sample's stamp that lies before is rather one in other units."""
+LONG_NS = 1_000_000
+LONG_OFTEN = 3
+"""Work longer than LONG_NS this often in a row would keep a source from its device: for a second, its chunks are queued."""
+
+
+@dataclass(slots=True)
+class Turn:
+    """Who works on the graph now.
+
+    lock   one thread at a time
+    open   whether sources may by themselves: after the common start, before the end
+    """
+
+    lock: Lock = field(default_factory=Lock)
+    open: bool = False
+
+
+@dataclass(slots=True)
+class IngressPort:
+    """One output of a source, as the graph sees it.
+
+    number     its number in the input log
+    watermark  the stream is complete up to this time; what comes later and is older is dropped
+    last       when its last chunk came (monotonic s)
+    late       samples dropped because they came too late
+    owed       what is missing before the next sample, beyond what its chunk says
+    watched    whether it is still to be seen to that stamps do not lie ahead of the session's clock
+    """
+
+    runner: Runner
+    output: str
+    edge: LiveEdge
+    number: int = -1
+    watermark: int = NEVER
+    last: float = field(default_factory=time.monotonic)
+    late: int = 0
+    owed: int = 0
+    silent: bool = False
+    stale: bool = False
+    watched: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.watched = self.runner.source.live
+
+    @property
+    def queue(self) -> BoundedQueue:
+        return self.runner.queues[self.output]
+
+    @property
+    def stream(self) -> str:
+        return self.queue.name
+
+    @property
+    def ended(self) -> bool:
+        return self.watermark == FOREVER
+
+    @property
+    def awaited(self) -> bool:
+        """Whether anybody waits for what time brings here. Where nobody does, only samples are let in."""
+        return bool(self.edge.readers)
+
+    @property
+    def minded(self) -> bool:
+        """Whether it matters that nothing comes: not of people's words that nobody waits for."""
+        return not self.ended and (self.awaited or not self.runner.source.background)
+
+    def nothing_for(self, age_s: float, now: int, report: Callable[..., None]) -> Chunk | None:
+        """At `now` (ns), nothing has come for `age_s`. Once that is longer than the stated patience: the chunk that says that nothing
+        happened, so that nobody waits; the alarm is raised after `stale_s`. What waits in the queue has come."""
+        options = self.runner.node.options
+        if not self.minded or self.queue.waiting:
+            return None
+        if 0 < options.stale_s < age_s and not self.stale:
+            self.stale = True
+            report("stream is stale", stream=self.stream, age_s=round(age_s, 2))
+        until = now - int(options.patience_s * NS)
+        if not self.awaited or not 0 < options.patience_s < age_s or until <= self.watermark:
+            return None
+        if not self.silent:
+            self.silent = True
+            report("silent source advanced", stream=self.stream, to=utc(until))
+        self.watermark = until
+        return empty(self.edge.spec, until)
+
+    def at_ease(self, age_s: float) -> bool:
+        """Whether nothing becomes due within `REST_S`, after nothing has come for `age_s`."""
+        options = self.runner.node.options
+        waits_s = (options.patience_s if self.awaited else 0.0, 0.0 if self.stale else options.stale_s)
+        return not self.minded or all(age_s + REST_S < wait_s for wait_s in waits_s if wait_s)
+
+
+class Ingress:
+    """All that stands between the sources and the graph.
+
+    ports   one per output of a source
+    turn    who works on the graph now
+    over    whether every source that a session lasts for has ended
+    """
+
+    def __init__(
+        self,
+        ready: ReadyQueue,
+        runners: Sequence[Runner],
+        pipeline: Pipeline,
+        session_log: SessionLog,
+        clock: SessionClock,
+        fail: Callable[[Exception], None],
+    ) -> None:
+        """`ready` holds what waits, also what workers send home; `fail` takes what operators raise on a source's thread."""
+        self._ready, self._log, self._clock, self._fail = ready, session_log, clock, fail
+        self._runners, self._slot = runners, pipeline.slots[""]
+        self._put_aside: list[BoundedQueue] = []
+        self._closed = self.over = False
+        self.turn = Turn()
+        self._start: StartBarrier[IngressPort] = StartBarrier(runners)
+        self.ports = [IngressPort(r, o, pipeline.entries[queue.name]) for r in runners for o, queue in r.queues.items()]
+        for port in self.ports:
+            port.queue.owner = port
+            port.queue.on_drop = self._dropped(port.stream)
+            port.runner.inline[port.output] = self.inline(port)
+        for runner in runners:
+            runner.awaited = any(port.awaited for port in self.ports if port.runner is runner)
+
+    def _dropped(self, stream: str) -> Callable[[int, int], None]:
+        return lambda _, n: self._log.report("source queue dropped", stream=stream, samples=n)
+
+    def declare(self, prior: PriorSession | None) -> None:
+        """Name the streams of the input log, and go on where a session was broken off."""
+        for port in self.ports:
+            recorded = prior.recorded(port.stream) if prior else 0
+            port.number = self._log.add_input(port.stream, port.edge.spec, recorded)
+            if prior and prior.checkpoint:
+                port.watermark = prior.checkpoint.promised.get(port.stream, NEVER)
+
+    def begin(self) -> None:
+        """The sources are started now: from now on it counts how long they take."""
+        self._start.begin()
+
+    def close(self) -> None:
+        """No source goes in by itself any more; what waits can still be served."""
+        self._closed, self.turn.open = True, False
+
+    # the two ways in ---------------------------------------------------------------------------------------------------
+
+    def inline(self, port: IngressPort) -> Inline:
+        """The way into the graph on the source's own thread: returns whether the chunk has taken it, and all that it leads to is done.
+
+        After a rest of a few milliseconds, which is how a device's chunks come, a processor has to fetch code and numbers from far
+        memory: so it says no by few looks at what is at hand.
+        """
+        runner, queue, turn, ready = port.runner, port.queue, self.turn, self._ready
+        acquire, release, slot = turn.lock.acquire, turn.lock.release, self._slot
+        long = queue_until = 0
+
+        def take(chunk: Chunk, arrival: int) -> bool:
+            nonlocal long, queue_until
+            if queue.waiting or queue.owed or not turn.open or not ready.empty() or arrival < queue_until:
+                return False
+            if runner.state != "running" or not acquire(False):
+                return False
+            try:
+                if not turn.open:
+                    return False
+                queue.index += len(chunk.time)
+                queue.chunks += 1
+                start = perf_counter_ns()
+                self.enter(port, chunk, arrival)
+                long = long + 1 if perf_counter_ns() - start > LONG_NS else 0
+            except Exception as error:  # noqa: BLE001 - an operator's, or the engine's own: it ends the session
+                self._fail(error)
+                return True
+            finally:
+                slot.port = None
+                release()
+            self._log.lull()
+            if long == LONG_OFTEN:
+                long, queue_until = 0, arrival + NS
+            return True
+
+        return take
+
+    def serve(self, timeout_s: float) -> None:
+        """Take the next chunk that waits, whoever it comes from; waits at most `timeout_s` for one."""
+        if self._put_aside:
+            queue = self._put_aside.pop(0)
+        else:
+            try:
+                token = self._ready.get(timeout=timeout_s)
+            except Empty:
+                return
+            if not isinstance(token, BoundedQueue):
+                return
+            queue = token
+        with self.turn.lock:
+            if (item := queue.take()) is None:
+                return
+            if not isinstance(queue.owner, IngressPort):
+                queue.owner(item[0], perf_counter_ns())
+            elif self._start.done:
+                self.enter(queue.owner, *item)
+            else:
+                self._let_in(self._start.pass_on(queue.owner, queue.owner.runner, *item))
+            self._slot.port = None
+
+    def enter(self, port: IngressPort, chunk: Chunk, arrival: int) -> None:
+        """A source's chunk enters the graph, as far as it is admitted, and all that it leads to is done."""
+        verdict = admit(chunk, port.watermark, port.owed, arrival, awaited=port.awaited, watched=port.watched)
+        port.last = time.monotonic()
+        port.silent = port.stale = False
+        if verdict.late or verdict.ahead_ns:
+            self._tell(port, chunk, verdict.late, verdict.ahead_ns)
+        admitted = verdict.chunk
+        if admitted is None:
+            return
+        if len(admitted.time):
+            port.owed = 0
+        port.watermark = admitted.until
+        self._log.enter(port.number, admitted, arrival)
+        port.edge.send(admitted, perf_counter_ns())
+        if admitted.until == FOREVER:
+            lasting = [p for p in self.ports if not p.runner.source.background]
+            self.over = bool(lasting) and all(p.ended for p in lasting)
+
+    def _tell(self, port: IngressPort, chunk: Chunk, late: int, ahead_ns: int) -> None:
+        """Report samples that came too late, and, once, stamps that lie ahead of the clock."""
+        if ahead_ns:
+            port.watched = False
+            hint = "Feed.now() and devices.clocks give stamps of the session's clock"
+            self._log.report(
+                "stamps lie ahead of the clock", stream=port.stream, ahead_s=round(ahead_ns / NS, 1), hint=hint
+            )
+        if late:
+            port.late += late
+            other = (
+                {"hint": "stamps are nanoseconds since 1970, as Feed.now() gives them"}
+                if chunk.time[-1] < LONG_AGO
+                else {}
+            )
+            self._log.report(
+                "late samples dropped", stream=port.stream, samples=late, at=utc(int(chunk.time[0])), **other
+            )
+
+    # what else comes and does not come -----------------------------------------------------------------------------------
+
+    def serve_all(self) -> None:
+        """Work through everything that waits."""
+        while not self._ready.empty() or self._put_aside:
+            self.serve(0.0)
+
+    def _let_in(self, held: list[tuple[IngressPort, Chunk, int]]) -> None:
+        """What may enter before and at the common start; from then on sources enter by themselves."""
+        for entry in held:
+            self.enter(*entry)
+        self.turn.open = self._start.done and not self._closed
+
+    def pump(self) -> None:
+        """Take what workers send home; chunks of sources are put aside until the workers are at rest."""
+        while True:
+            try:
+                token = self._ready.get_nowait()
+            except Empty:
+                return
+            if isinstance(token, BoundedQueue):
+                if isinstance(token.owner, IngressPort):
+                    self._put_aside.append(token)
+                elif (item := token.take()) is not None:
+                    token.owner(item[0], perf_counter_ns())
+
+    def forgive(self, now: float, held_s: float) -> None:
+        """The graph was held up for `held_s`: that is no silence of the sources, whose chunks may come just after."""
+        for runner in self._runners:
+            runner.last_alive = min(runner.last_alive + held_s, now)
+        for port in self.ports:
+            port.last = min(port.last + held_s, now)
+
+    def at_ease(self, now: float) -> bool:
+        """Whether no source needs to be looked at soon."""
+        return self._start.done and all(p.runner.at_ease(now) and p.at_ease(now - p.last) for p in self.ports)
+
+    def look_after(self, now: float) -> None:
+        """At `now` (monotonic s), on the graph's turn: the common start's deadlines, and what time has passed on silent sources."""
+        if not self._start.done:
+            self._start.check_deadlines()
+            self._let_in(self._start.release())
+        if self._start.done:
+            for port in self.ports:
+                self._check_silence(port, now - max(port.last, self._start.since))
+        self._slot.port = None
+
+    def _check_silence(self, port: IngressPort, age_s: float) -> None:
+        """After the stated patience, say that nothing happened, so that nobody waits; after `stale_s`, raise the alarm."""
+        if (chunk := port.nothing_for(age_s, self._clock.now(), self._log.report)) is not None:
+            self._log.enter(port.number, chunk, self._clock.now())
+            port.edge.send(chunk, perf_counter_ns())
+
+    def end(self) -> None:
+        """Every source has ended, whether it has said so or not."""
+        for port in self.ports:
+            if not port.ended:
+                port.edge.send(empty(port.edge.spec, FOREVER), perf_counter_ns())
+
+    @property
+    def watermarks(self) -> dict[str, Any]:
+        """Up to when each stream is complete."""
+        return {
+            port.stream: int(port.watermark) for port in self.ports
+        }  # a source may have said it in numpy's integers

@@ -1,0 +1,108 @@
+"""Admission, as a table: what comes, at which watermark, and what enters."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stream.chunk import FOREVER, NEVER, NS, Chunk, StreamSpec
+from stream.engine.admission import Full, admit, conform, on_full, ordered
+from stream.engine.supervisor import TRANSITIONS
+
+SPEC = StreamSpec((1,), rate_hz=1000.0)
+
+
+def chunk(stamps: list[int], until: int, lost: int = 0) -> Chunk:
+    return Chunk(np.array(stamps, np.int64), np.array(stamps, float).reshape(-1, 1), until, lost)
+
+
+def told(made: Chunk | None) -> Any:
+    return None if made is None else (made.time.tolist(), made.data[:, 0].tolist(), made.until, made.lost)
+
+
+def entered(stamps: list[int], until: int, lost: int = 0) -> Any:
+    return told(chunk(stamps, until, lost))
+
+
+NO = {"awaited": False}
+TABLE = {
+    "in order": (chunk([5, 6], 6), 4, 0, {}, entered([5, 6], 6), 0),
+    "the first ever": (chunk([5], 5), NEVER, 0, {}, entered([5], 5), 0),
+    "one late": (chunk([4, 5], 5), 4, 0, {}, entered([5], 5, 1), 1),
+    "late after a gap": (chunk([4, 5], 5, 3), 4, 0, {}, entered([5], 5, 4), 1),
+    "late after an unknown gap": (chunk([4, 5], 5, -1), 4, 0, {}, entered([5], 5, -1), 1),
+    "all late": (chunk([2, 3], 3), 4, 0, {}, entered([], 4, 2), 2),
+    "owed by a resumed session": (chunk([5], 5), 4, -1, {}, entered([5], 5, -1), 0),
+    "owed, and no sample yet": (chunk([], 5), 4, -1, {}, entered([], 5), 0),
+    "only time": (chunk([], 9), 4, 0, {}, entered([], 9), 0),
+    "no news": (chunk([], 4), 4, 0, {}, None, 0),
+    "a watermark that would go back": (chunk([], 3, 2), 4, 0, {}, entered([], 4, 2), 0),
+    "only time, and nobody waits": (chunk([], 9), 4, 0, NO, None, 0),
+    "a sample, and nobody waits": (chunk([5], 9), 4, 0, NO, entered([5], 9), 0),
+    "a gap, and nobody waits": (chunk([], 9, 1), 4, 0, NO, entered([], 9, 1), 0),
+    "the end, and nobody waits": (chunk([], FOREVER), 4, 0, NO, entered([], FOREVER), 0),
+    "the end twice": (chunk([], FOREVER), FOREVER, 0, {}, None, 0),
+}
+
+
+@pytest.mark.parametrize("case", TABLE)
+def test_what_enters(case: str) -> None:
+    given, watermark, owed, options, expected, late = TABLE[case]
+    before = told(given)
+    verdict = admit(given, watermark, owed, arrival=0, **{"awaited": True, "watched": False, **options})
+    assert (told(verdict.chunk), verdict.late) == (expected, late)
+    assert told(given) == before, "what a source gave is left as it is"
+    again = admit(given, watermark, owed, arrival=0, **{"awaited": True, "watched": False, **options})
+    assert told(again.chunk) == expected
+
+
+@pytest.mark.parametrize(("until", "watched", "ahead_ns"), [(NS, True, 0), (3 * NS, True, 3 * NS), (3 * NS, False, 0)])
+def test_stamps_ahead_of_the_clock_are_reported(until: int, watched: bool, ahead_ns: int) -> None:
+    assert admit(chunk([until], until), 0, 0, 0, awaited=True, watched=watched).ahead_ns == ahead_ns
+
+
+@pytest.mark.parametrize(
+    ("stamps", "until", "kept", "complete", "dropped"),
+    [
+        ([1, 2, 3], 3, [1, 2, 3], 3, 0),
+        ([1, 2, 3], 1, [1, 2, 3], 3, 0),
+        ([1, 5, 3, 4, 6], 9, [1, 5, 6], 9, 2),
+        ([2, 2], 2, [2, 2], 2, 0),
+        ([*range(100), 7], 0, [*range(100)], 99, 1),
+        ([], 4, [], 4, 0),
+    ],
+)
+def test_time_that_runs_backwards(stamps: list[int], until: int, kept: list[int], complete: int, dropped: int) -> None:
+    made, count = ordered(chunk(stamps, until))
+    assert (made.time.tolist(), made.until, count) == (kept, complete, dropped)
+
+
+def test_arrays_of_other_kinds_are_converted_and_others_left_alone() -> None:
+    right = chunk([1, 2], 2)
+    assert conform(SPEC, right) is right
+    made = conform(SPEC, Chunk([1, 2], [[1], [2]], 2))  # type: ignore[arg-type]
+    assert told(made) == told(right) and made.data.dtype == np.float64 and made.time.dtype == np.int64
+
+
+@pytest.mark.parametrize(
+    ("policy", "closed", "does"),
+    [
+        ("block", False, Full.WAIT),
+        ("block", True, Full.PASS),
+        ("drop_oldest", False, Full.DROP_OLDEST),
+        ("drop_oldest", True, Full.PASS),
+        ("fail", False, Full.FAIL),
+    ],
+)
+def test_backpressure(policy: Any, closed: bool, does: Full) -> None:
+    assert on_full(policy, closed=closed) is does
+
+
+def test_every_state_of_a_source_leads_to_an_end() -> None:
+    states = set(TRANSITIONS)
+    assert {after for events in TRANSITIONS.values() for after in events.values()} <= states
+    for state in states - {"ended", "stopped"}:
+        assert TRANSITIONS[state]["stop"] == "stopped" and TRANSITIONS[state]["failed"] == "failed"
+    assert TRANSITIONS["ended"] == {}
