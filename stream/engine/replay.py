@@ -121,9 +121,9 @@ class Replay:
         """End after the chunk in slot, cleanly."""
         self._stopping = True
 
-    def observe(self, edge: str, observer: Tap) -> None:
+    def observe(self, edge: str, observer: Observer) -> None:
         """Give every chunk of an edge that the graph computes to `observer`; to be said before `run`."""
-        self.pipeline.wires[edge].taps.append(observer)
+        self.pipeline.edges[edge].observers.append(observer)
 
     def run(self, progress: Callable[[float], None] = lambda done_s: None) -> Replayed:
         """Feed the whole recording; `progress` is told the seconds of session time that are done."""

@@ -16,9 +16,9 @@ from stream.chunk import Chunk, StreamSpec, add_lost
 from stream.commands.ending import Ending
 from stream.commands.run import simulated
 from stream.convert.series import write_recording
-from stream.engine.status import Outcome
 from stream.engine.replay import Replay
 from stream.engine.session import Session
+from stream.engine.status import Outcome
 from stream.errors import KinegraphError, nearest
 from stream.face.builder import GraphBuilder
 from stream.face.results import Results
