@@ -99,8 +99,8 @@ def fed() -> tuple[Chunk, dict[str, list[Chunk]], list[Chunk]]:
     """A chunk of markers with a bad number; what each reader saw of it, and what a tap did."""
     made = Pipeline(load_text(GRAPH))
     tapped: list[Chunk] = []
-    made.wires["body"].taps.append(tapped.append)
-    made.fasten()
+    made.edges["body"].observers.append(tapped.append)
+    made.compile()
     data = np.random.default_rng(2).normal(size=(4, 2, 3)).astype(np.float32)
     data[1, 1, 2] = np.inf
     chunk = Chunk(grid(100.0, 4), data, int(grid(100.0, 4)[-1]), 3)

@@ -111,7 +111,7 @@ class GraphBuilder:
 
         reads     where its input comes from: "node", "node.output", a list of these, or a mapping {port: "node.output"}
         record    keep what comes out of it (its first output) in recordings and results; see `record`
-        options   the engine's: queue, policy, lane, required, ... (docs/graphs.md)
+        options   the engine's: queue, policy, worker, required, ... (docs/graphs.md)
         """
         entry = {
             "use": use_of(part),

@@ -35,7 +35,7 @@ class Checkpoint:
     time       session time (ns) at which it was taken
     graph      a hash of the graph's text: another graph cannot go on from here
     promised   per source output, the `until` it had given
-    indices    per queue before a lane, how many samples had passed
+    indices    per queue before a worker, how many samples had passed
     arrays     the pipeline's state
     """
 
