@@ -56,11 +56,11 @@ OPERATORS = """
 def graph(
     source: str, *, components: int = 1, sleepers: str = "[sleeper]", regions: str = "[]", more: str = ""
 ) -> Graph:
-    """The graph; `source` are the parameters of devices.bedside.Bedside as in a YAML mapping."""
+    """The graph; `source` are the parameters of devices.simulators.bedside.Bedside as in a YAML mapping."""
     operators = OPERATORS.replace("COMPONENTS", str(components)).replace("SLEEPERS", sleepers)
     operators = operators.replace("REGIONS", regions)
     operators = operators.replace("FIRST", sleepers.strip("[]").split(",")[0])
-    return load_text(f"nodes:\n  camera: {{use: devices.bedside.Bedside, {source}}}\n{operators}{more}")
+    return load_text(f"nodes:\n  camera: {{use: devices.simulators.bedside.Bedside, {source}}}\n{operators}{more}")
 
 
 class Run:

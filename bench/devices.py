@@ -27,7 +27,7 @@ from bench.report import Goal, Section, short, whole
 from devices.binary import Binary
 from devices.protocols import ascii_lines, cyton, declared
 from devices.simulators.binary import BinaryBrain
-from devices.talk.transport import connect
+from devices.transport.transport import connect
 from stream.graph.load import load
 
 HOUSE = Path(__file__).resolve().parent.parent

@@ -14,8 +14,8 @@ import numpy as np
 
 from bench.bedside import START, Run, graph
 from bench.report import Goal, Section, short
-from devices.bedside import Bedside
 from devices.simulators.bedroom import Bedroom
+from devices.simulators.bedside import Bedside
 from stream.chunk import NS, Array, Chunk
 
 T = TypeVar("T")

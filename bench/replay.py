@@ -20,7 +20,7 @@ from statistics import median
 import numpy as np
 
 from bench.report import Goal, Section
-from devices.treadmill import Treadmill
+from devices.simulators.treadmill import Treadmill
 from stream.chunk import NS, Chunk
 from stream.engine.replay import Replay
 from stream.graph import RecordingOptions

@@ -263,9 +263,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.segmentation", description=__doc__)
     parser.add_argument("--speed", action="store_true", help="how long a frame takes")
     parser.add_argument("--quick", action="store_true", help="no best radii, short windows, no other libraries")
-    parser.add_argument(
-        "--write", action="store_true", help="write goals and tables into docs/segmentation.md"
-    )
+    parser.add_argument("--write", action="store_true", help="write goals and tables into docs/segmentation.md")
     given = parser.parse_args()
     sections = [speed(quick=given.quick)] if given.speed else accuracy(quick=given.quick)
     name = "bench.segmentation" + (" --speed" if given.speed else "")

@@ -5,29 +5,31 @@ from typing import TYPE_CHECKING
 from stream.lazy import offered
 
 if TYPE_CHECKING:
-    from devices.actigraph import Actigraph
     from devices.alarms import Alarms
     from devices.ascii_lines import AsciiLines
-    from devices.bedside import Bedside
     from devices.binary import Binary
     from devices.bitalino import Bitalino
-    from devices.csv_file import CsvFile
-    from devices.cycle_table import CycleTable
     from devices.cyton import Cyton
-    from devices.depthai_replay import DepthaiReplay
-    from devices.exerciser import Exerciser
-    from devices.lsl import LslInlet, LslOutlet
-    from devices.mqtt import MqttOutlet, MqttSwitch
+    from devices.files.depthai_replay import DepthaiReplay
+    from devices.lsl import LslInlet
+    from devices.mqtt import MqttSwitch
     from devices.mti import Mti
-    from devices.night import NightLog
     from devices.oak import Oak
-    from devices.report import SessionReport
+    from devices.outlets.csv_file import CsvFile
+    from devices.outlets.cycle_table import CycleTable
+    from devices.outlets.lsl import LslOutlet
+    from devices.outlets.mqtt import MqttOutlet
+    from devices.outlets.night import NightLog
+    from devices.outlets.report import SessionReport
     from devices.shimmer import Shimmer
+    from devices.simulators.actigraph import Actigraph
+    from devices.simulators.bedside import Bedside
+    from devices.simulators.exerciser import Exerciser
     from devices.simulators.oak import SimulatedOak
-    from devices.treadmill import Treadmill
+    from devices.simulators.treadmill import Treadmill
+    from devices.simulators.walkway import Walkway
     from devices.trigno import Trigno
     from devices.usb.endpoint import Endpoint
-    from devices.walkway import Walkway
 
 __all__ = [
     "Actigraph",
@@ -60,30 +62,30 @@ __all__ = [
 __getattr__, __dir__ = offered(
     __name__,
     {
-        "Actigraph": "devices.actigraph",
+        "Actigraph": "devices.simulators.actigraph",
         "Alarms": "devices.alarms",
         "AsciiLines": "devices.ascii_lines",
-        "Bedside": "devices.bedside",
+        "Bedside": "devices.simulators.bedside",
         "Binary": "devices.binary",
         "Bitalino": "devices.bitalino",
-        "CsvFile": "devices.csv_file",
-        "CycleTable": "devices.cycle_table",
+        "CsvFile": "devices.outlets.csv_file",
+        "CycleTable": "devices.outlets.cycle_table",
         "Cyton": "devices.cyton",
-        "DepthaiReplay": "devices.depthai_replay",
+        "DepthaiReplay": "devices.files.depthai_replay",
         "Endpoint": "devices.usb.endpoint",
-        "Exerciser": "devices.exerciser",
+        "Exerciser": "devices.simulators.exerciser",
         "LslInlet": "devices.lsl",
-        "LslOutlet": "devices.lsl",
-        "MqttOutlet": "devices.mqtt",
+        "LslOutlet": "devices.outlets.lsl",
+        "MqttOutlet": "devices.outlets.mqtt",
         "MqttSwitch": "devices.mqtt",
         "Mti": "devices.mti",
-        "NightLog": "devices.night",
+        "NightLog": "devices.outlets.night",
         "Oak": "devices.oak",
-        "SessionReport": "devices.report",
+        "SessionReport": "devices.outlets.report",
         "Shimmer": "devices.shimmer",
         "SimulatedOak": "devices.simulators.oak",
-        "Treadmill": "devices.treadmill",
+        "Treadmill": "devices.simulators.treadmill",
         "Trigno": "devices.trigno",
-        "Walkway": "devices.walkway",
+        "Walkway": "devices.simulators.walkway",
     },
 )

@@ -9,7 +9,7 @@ from typing import ClassVar
 import structlog
 from rich.table import Table
 
-from devices.terminal import View
+from devices.outlets.terminal import View
 from stream.chunk import NS, Chunk, Specs, utc
 from stream.errors import InputError
 from stream.operator import Outlet

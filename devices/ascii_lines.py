@@ -18,8 +18,8 @@ from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.stamps import Stamps, runs
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols.ascii_lines import Decoder
-from devices.talk.handshake import all_there, shown
-from devices.talk.transport import Transport, connect, present
+from devices.transport.handshake import all_there, shown
+from devices.transport.transport import Transport, connect, present
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param

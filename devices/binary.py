@@ -18,8 +18,8 @@ from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.stamps import REPEATED, Losses, Stamps, runs
 from devices.clocks.timing import TIMING, timing_spec
 from devices.protocols.declared import NS_PER, Decoder, Found, Frame, Layout, hex_bytes
-from devices.talk.handshake import all_there, shown
-from devices.talk.transport import Transport, connect, present
+from devices.transport.handshake import all_there, shown
+from devices.transport.transport import Transport, connect, present
 from stream.chunk import NS, Array, Chunk, Specs, StreamSpec, Times
 from stream.errors import DeviceError, ParameterError
 from stream.params import param

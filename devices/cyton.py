@@ -17,8 +17,8 @@ from devices.clocks.stamps import runs
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import cyton as protocol
 from devices.protocols.cyton import ChannelSetting, Decoder, Frames
-from devices.talk.handshake import all_there, answer, quiet, shown
-from devices.talk.transport import Transport, connect, present
+from devices.transport.handshake import all_there, answer, quiet, shown
+from devices.transport.transport import Transport, connect, present
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import DeviceError, ParameterError
 from stream.params import param

@@ -19,9 +19,9 @@ from devices.clocks.tick_clock import TickClock
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import xbus, xbus_numbers
 from devices.protocols.xbus import Layout, Run
-from devices.talk.handshake import all_there, shown
-from devices.talk.transport import Transport, connect, present
-from devices.talk.xbus import Talk, reason
+from devices.transport.handshake import all_there, shown
+from devices.transport.transport import Transport, connect, present
+from devices.transport.xbus_commands import Talk, reason
 from stream.chunk import NS, Chunk, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param

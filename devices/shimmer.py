@@ -19,9 +19,9 @@ from devices.protocols import shimmer as protocol
 from devices.protocols import shimmer_units as units
 from devices.protocols.shimmer import TICKS_HZ, Decoder, Inquiry
 from devices.protocols.shimmer_units import Chips
-from devices.talk.handshake import all_there, shown
-from devices.talk.shimmer import Talk
-from devices.talk.transport import Transport, connect, present
+from devices.transport.handshake import all_there, shown
+from devices.transport.shimmer_commands import Talk
+from devices.transport.transport import Transport, connect, present
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param

@@ -16,8 +16,8 @@ from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import trigno as protocol
 from devices.protocols.trigno import ENDING, PORTS, SENSORS, Layout, Rows
-from devices.talk.handshake import answer, shown
-from devices.talk.transport import TcpTransport, Transport
+from devices.transport.handshake import answer, shown
+from devices.transport.transport import TcpTransport, Transport
 from stream.chunk import Chunk, Samples, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param

@@ -31,8 +31,6 @@ COMMANDS = {
     "schema": ("stream.commands.schema:schema", "Write the JSON Schema of graphs, for editors."),
     "info": ("stream.commands.info:info", "Show what a recording holds."),
     "recover": ("stream.commands.recover:recover", "Finish a recording that a killed process left."),
-    "import": ("stream.commands.import_:import_", "Turn CSV, NPZ or XDF into a recording."),
-    "export": ("stream.commands.export:export", "Write a recording's streams as CSV or XDF."),
     "try": ("stream.commands.try_:try_", "Try an operator of your own on the laws."),
 }
 """Our commands; packages add theirs through the entry-point group `kinegraph.commands`."""

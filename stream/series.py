@@ -39,7 +39,7 @@ class Series:
             import pandas
         except ModuleNotFoundError:
             raise KinegraphError("pandas is not installed; install it: pip install 'kinegraph[pandas]'") from None
-        from stream.convert.columns import column_names, columns
+        from stream.columns import column_names, columns
 
         named = column_names(self.spec)
         index = pandas.DatetimeIndex(pandas.to_datetime(self.time, unit="ns", utc=True), name="time")

@@ -17,7 +17,7 @@ import pytest
 import structlog
 
 KINEGRAPH = Path(sys.executable).parent / "kinegraph"
-BOARD = "nodes:\n  board: {use: devices.treadmill.Treadmill, realtime: false, duration_s: %s}\n"
+BOARD = "nodes:\n  board: {use: devices.simulators.treadmill.Treadmill, realtime: false, duration_s: %s}\n"
 GRAPH = BOARD % 2 + "  rect: {use: operators.rectify.Rectify, from: board.emg}\nrecord: [rect]\n"
 QUIET = ("--view", "none")
 

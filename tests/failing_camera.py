@@ -7,9 +7,9 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from devices.bedside import Bedside
 from devices.oak.adapter import Frames, Message
 from devices.simulators.bedroom import Bedroom
+from devices.simulators.bedside import Bedside
 from stream.chunk import NS, Array, Specs, empty
 from stream.errors import DeviceError
 from stream.source import Feed, Source

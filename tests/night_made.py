@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from devices.night import NightLog, shelf
+from devices.outlets.night import NightLog, shelf
 from stream.chunk import NS, Array, Chunk, StreamSpec
 
 STEP = 30 * NS

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.bedside import Bedside
+from devices.simulators.bedside import Bedside
 from stream.chunk import NS, Chunk
 from stream.source import Feed
 

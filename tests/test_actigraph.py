@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.actigraph import Actigraph, Night
+from devices.simulators.actigraph import Actigraph, Night
 from operators.sleep.reference import read_hypnogram
 
 CONFIG = Path(__file__).resolve().parent.parent / "configs" / "actigraphy_sleep.yaml"

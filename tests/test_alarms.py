@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from emg_run import contacts, drive, stamps
 
-from devices.treadmill import Treadmill
-from devices.treadmill.faults import Fault, Faults
+from devices.simulators.treadmill import Treadmill
+from devices.simulators.treadmill.faults import Fault, Faults
 from operators.emg.electrode_watch import ADVICE, ElectrodeWatch
 from operators.emg.quality import SignalQuality
 from operators.gait.cycle_watch import CycleWatch

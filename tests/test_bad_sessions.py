@@ -109,7 +109,7 @@ def test_stamps_within_a_chunk_that_run_backwards_are_found_by_verify(kinegraph:
 
 def test_two_sessions_on_one_output(kinegraph: Command, made: Path, tmp_path: Path) -> None:
     text = (BOARD % 0).replace("realtime: false, ", "")
-    text += "  out: {use: devices.csv_file.CsvFile, from: board.emg, path: out.csv}\n"
+    text += "  out: {use: devices.outlets.csv_file.CsvFile, from: board.emg, path: out.csv}\n"
     (tmp_path / "g.yaml").write_text(text)
     first = subprocess.Popen(
         [KINEGRAPH, "run", "g.yaml", "-o", "s", *QUIET], stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True

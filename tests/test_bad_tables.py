@@ -132,7 +132,7 @@ def test_streams_that_would_become_one_table_are_kept_apart(kinegraph: Command, 
 SLOW = """
 import sys, time
 import stream.cli
-import stream.convert.csv_write as csv_write
+import devices.files.csv_write as csv_write
 from stream.recording import recorder
 
 def slowly(function):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from bench.bedside import START, Run, graph, hypnograms, kappa, night
-from devices.bedside import Bedside, read_stages
 from devices.simulators.bedroom import BED_MM, FLOOR_MM, Bedroom, Extras
+from devices.simulators.bedside import Bedside, read_stages
 from devices.simulators.night import EPOCH_S, made_up, plan
 from stream.chunk import NS
 from stream.errors import ParameterError

@@ -16,7 +16,7 @@ import pytest
 from mosquitto import Listener, broker, listening
 from ruamel.yaml import YAML
 
-from devices.night import shelf
+from devices.outlets.night import shelf
 from stream.chunk import NS
 
 HERE = Path(__file__).parent
@@ -36,7 +36,7 @@ def night(folder: Path, port: int, **camera: Any) -> Path:
         del nodes[name]
     now = datetime.now(UTC)
     nodes["camera"] = {
-        "use": "devices.bedside.Bedside", "bed_h": BED_H, "fps": 1 if BED_H < 2 else 2, "evening_min": 4, "morning_min": 4,
+        "use": "devices.simulators.bedside.Bedside", "bed_h": BED_H, "fps": 1 if BED_H < 2 else 2, "evening_min": 4, "morning_min": 4,
         "exits": 1, "seed": 3, "evening": f"{now:%H:%M}", "faults": [["gone", *GONE_S]], **camera,
     }  # fmt: skip
     nodes["simplify"] |= {"from": "camera.depth", "learn_s": 60}

@@ -15,7 +15,7 @@ from stream.graph.load import load_text
 
 GRAPH = """
 nodes:
-  camera: {use: devices.bedside.Bedside, width: 256, height: 192, fps: 2}
+  camera: {use: devices.simulators.bedside.Bedside, width: 256, height: 192, fps: 2}
   simplify: {use: operators.depth.simplify.Simplify, from: camera.depth}
   view: {use: operators.depth.view.View, from: simplify.blocks}
   bed: {use: operators.depth.bed.BedRegion, from: {view: view, in: simplify.blocks}, regions: REGIONS}

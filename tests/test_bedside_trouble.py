@@ -15,10 +15,10 @@ import pytest
 from failing_camera import BEGUN, FailingCamera
 
 from bench.bedside import KEPT, RAW, START, Agreement, Run, agreement, graph
-from devices.bedside import Bedside
-from devices.night import shelf
-from devices.night.numbers import quality
 from devices.oak.adapter import Frames, Message
+from devices.outlets.night import shelf
+from devices.outlets.night.numbers import quality
+from devices.simulators.bedside import Bedside
 from devices.simulators.night import EPOCH_S
 from stream.chunk import NS, Array
 from stream.engine import supervisor
@@ -34,7 +34,7 @@ NIGHT = """
   nights: {use: operators.sleep.nights.Nights, from: {bed: presence}, shortest_h: 0.1}
   statistics: {use: operators.sleep.statistics.SleepStatistics, from: {epochs: scorer, periods: nights}}
   log:
-    use: devices.night.NightLog
+    use: devices.outlets.night.NightLog
     from: {epochs: scorer, nights: statistics, bed: presence, seen: activity.epochs}
     path: PATH
     timezone: UTC

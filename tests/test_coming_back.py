@@ -9,7 +9,7 @@ import pytest
 from devices.discovery import serial_ports
 from devices.simulators.indexed import Indexed
 from devices.simulators.misbehaviour import Misbehaviour
-from devices.talk.transport import present
+from devices.transport.transport import present
 from stream.engine.session import Session
 from stream.graph.load import load_text
 from stream.recording import Recording

@@ -12,7 +12,7 @@ import pytest
 import structlog
 
 from bench import contacts as bench
-from devices.treadmill import Treadmill
+from devices.simulators.treadmill import Treadmill
 from operators.gait.acceleration import AccelerationContacts
 from operators.gait.contacts import Contacts
 from operators.gait.cycles import Cycles

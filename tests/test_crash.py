@@ -29,7 +29,7 @@ nodes:
   board: {use: parts.Counting, samples: 1000000, realtime: true}
   sum: {use: parts.RunningSum, from: board}
   slow: {use: parts.RunningSum, from: board, worker: side}
-  table: {use: devices.csv_file.CsvFile, from: sum, path: PATH}
+  table: {use: devices.outlets.csv_file.CsvFile, from: sum, path: PATH}
 """
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from devices import append_file
-from devices.csv_file import CsvFile
+from devices.outlets.csv_file import CsvFile
 from stream.chunk import NS, Chunk, StreamSpec, empty
 from stream.errors import DeviceError, InputError, ParameterError
 
@@ -253,7 +253,7 @@ def test_a_disk_that_stays_full_is_an_error_at_the_end(tmp_path: Path, monkeypat
 def test_kill_9_loses_no_row(tmp_path: Path) -> None:
     script = (
         "import sys, numpy as np\n"
-        "from devices.csv_file import CsvFile\n"
+        "from devices.outlets.csv_file import CsvFile\n"
         "from stream.chunk import Chunk, StreamSpec\n"
         "outlet = CsvFile(sys.argv[1])\n"
         "outlet.open({'in': StreamSpec((1,), rate_hz=1000.0)})\n"

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
-from devices.depthai_replay import DepthaiReplay
+from devices.files.depthai_replay import DepthaiReplay
 from devices.protocols import depthai_frames as protocol
 from devices.protocols.depthai_frames import SCHEMA, decode
 from devices.simulators.sleeper import Sleeper

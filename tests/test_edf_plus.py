@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from devices.night import edf_plus, shelf
-from devices.night.edf import write_edf
-from devices.night.edf_plus import EdfSignal, Head, Note
+from devices.files.edf_plus import EdfSignal, Head, Note
+from devices.outlets.night import edf_plus, shelf
+from devices.outlets.night.edf import write_edf
 from stream.chunk import NS
 from stream.errors import DeviceError
 

@@ -14,9 +14,9 @@ from operators.segmentation.scores import boundary_f1, covering, intervals, scor
 from operators.segmentation.truth import Truth, read_truth
 from stream import cli
 from stream.chunk import NS, StreamSpec
-from stream.convert.series import Series, write_recording
 from stream.errors import KinegraphError
 from stream.operator import grid
+from stream.recording.series import Series, write_recording
 
 DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
 needs_data = pytest.mark.skipif(not DATA.exists(), reason="KINEGRAPH_DATA names no folder of recordings")

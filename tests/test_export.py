@@ -15,7 +15,7 @@ import pyxdf
 
 from stream import cli
 from stream.chunk import NS, Chunk, StreamSpec
-from stream.convert.columns import assemble, column_names, columns
+from stream.columns import assemble, column_names, columns
 from stream.errors import RecordingError
 from stream.graph import RecordingOptions
 from stream.operator import grid
@@ -140,7 +140,7 @@ def test_xdf_there_and_back(tmp_path: Path) -> None:
 
 def test_string_markers_of_other_programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     truth = mixed(tmp_path / "r.mcap")
-    monkeypatch.setattr("stream.convert.xdf_write.json", SimpleNamespace(dumps=lambda _: ""))
+    monkeypatch.setattr("devices.files.xdf_write.json", SimpleNamespace(dumps=lambda _: ""))
     kinegraph("export", tmp_path / "r.mcap", "-o", tmp_path / "r.xdf", "--format", "xdf", "--stream", "notes")
     with imported(tmp_path, tmp_path / "r.xdf") as recording:
         notes = recording.read("notes")[1]

@@ -138,13 +138,13 @@ def checkpoint(path: Path) -> None:
 
 
 def report(path: Path) -> None:
-    from devices.report.data import load
+    from devices.outlets.report.data import load
 
     load(path)
 
 
 def night(path: Path) -> None:
-    from devices.night import shelf
+    from devices.outlets.night import shelf
 
     folder = path.parent / "nights" / "2024-05-01"
     folder.mkdir(parents=True, exist_ok=True)
@@ -208,7 +208,7 @@ EPOCHS = (
 
 
 def importing_skeleton(path: Path) -> None:
-    from stream.convert.asf_read import read_amc, read_asf
+    from devices.files.asf_read import read_amc, read_asf
 
     motion = path.with_name("motion.amc")
     motion.write_text(AMC)

@@ -17,13 +17,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.walkway import Trial, Walkway
+from devices.simulators.walkway import Trial, Walkway
 from stream.chunk import NS, StreamSpec
-from stream.convert.series import Series, write_recording
 from stream.engine.replay import Replay
 from stream.engine.session import Session
 from stream.graph.load import load, load_text
 from stream.recording import Recording
+from stream.recording.series import Series, write_recording
 
 HERE = Path(__file__).parent
 CONFIGS = HERE.parent / "configs"
@@ -42,7 +42,7 @@ def treadmill(folder: Path) -> Path:
         f"""
 nodes:
   treadmill:
-    use: devices.treadmill.Treadmill
+    use: devices.simulators.treadmill.Treadmill
     realtime: false
     duration_s: {SECONDS}
     seed: 5

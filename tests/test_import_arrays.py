@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from devices.files.timing import lost_by_counter, regular
 from stream import cli
-from stream.convert.timing import lost_by_counter, regular
 from stream.errors import RecordingError
 from stream.operator import grid
 from tests.convert_run import DATA, arrays, assert_live_like, imported, needs_data, refused

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.lsl import LslInlet, LslOutlet
+from devices.lsl import LslInlet
 from devices.lsl.network import Network, library
+from devices.outlets.lsl import LslOutlet
 from stream.chunk import NS, Array, Chunk, StreamSpec
 from stream.clock import SessionClock
 from stream.engine.session import Session
@@ -166,7 +167,7 @@ def test_a_replayed_session_is_stamped_with_the_present(name: str) -> None:
 def test_an_outlet_is_silent_in_replay(name: str, tmp_path: Path) -> None:
     from stream.engine.replay import Replay
 
-    text = f"nodes:\n  board: {{use: parts.Counting}}\n  out: {{use: devices.lsl.LslOutlet, from: board, name: {name}}}"
+    text = f"nodes:\n  board: {{use: parts.Counting}}\n  out: {{use: devices.outlets.lsl.LslOutlet, from: board, name: {name}}}"
     graph = load_text(text, path=str(Path(__file__).parent / "graph.yaml"))
     assert Session(graph, tmp_path / "s").run().exit_code == 0
     with Recording.open(tmp_path / "s") as recording:

@@ -95,7 +95,7 @@ DEVICES = {
 if find_spec("depthai") is None:
     del DEVICES["oak"]
 HEALTHY = """
-  healthy: {use: devices.treadmill.Treadmill}
+  healthy: {use: devices.simulators.treadmill.Treadmill}
   envelope: {use: operators.emg.Envelope, from: healthy.emg}
 """
 

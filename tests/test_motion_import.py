@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from devices.files.asf_read import read_amc, read_asf
+from devices.files.bvh_read import read_bvh
+from devices.files.c3d_check import broken_at
+from devices.files.c3d_read import read_c3d
+from devices.files.kinect_read import ONE, read_kinect
+from devices.files.kinematics import in_turn, place
 from operators.features.skeleton import SETS, find_joints
 from stream import cli
-from stream.convert.asf_read import read_amc, read_asf
-from stream.convert.bvh_read import read_bvh
-from stream.convert.c3d_check import broken_at
-from stream.convert.c3d_read import read_c3d
-from stream.convert.kinect_read import ONE, read_kinect
-from stream.convert.kinematics import in_turn, place
 from stream.errors import RecordingError
 from stream.recording import Recording
 

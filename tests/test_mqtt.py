@@ -18,11 +18,12 @@ from mosquitto import Listener, Mosquitto, broker, eventually, free_port, listen
 from paho.mqtt.client import MQTTMessage
 from structlog.testing import capture_logs
 
-from devices.mqtt import MqttOutlet, MqttSwitch
-from devices.mqtt.discovery import Device, Entity
+from devices.mqtt import MqttSwitch
 from devices.mqtt.link import FIRST_PAUSE_S, Broker
-from devices.mqtt.outbox import MOST_LETTERS, Outbox, OutboxState
-from devices.mqtt.outlet import History
+from devices.outlets.mqtt import MqttOutlet
+from devices.outlets.mqtt.discovery import Device, Entity
+from devices.outlets.mqtt.outbox import MOST_LETTERS, Outbox, OutboxState
+from devices.outlets.mqtt.outlet import History
 from stream.chunk import FOREVER, NS, Chunk, StreamSpec, empty, utc
 from stream.errors import KinegraphError, ParameterError
 from stream.recording import Recording
@@ -387,7 +388,7 @@ def test_a_password_stands_nowhere_but_in_its_file(tmp_path: Path) -> None:
     secret = "s3cret-never-shown"
     (tmp_path / "word").write_text(secret + "\n")
     (tmp_path / "graph.yaml").write_text(
-        "nodes:\n  board: {use: devices.treadmill.Treadmill, realtime: true, duration_s: 3}\n"
+        "nodes:\n  board: {use: devices.simulators.treadmill.Treadmill, realtime: true, duration_s: 3}\n"
         "  lights:\n    use: devices.mqtt.MqttSwitch\n    name: lights\n"
         "    broker: {port: %d, username: me, password_file: word}\n"
     )

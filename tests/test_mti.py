@@ -217,7 +217,7 @@ class Answers(MtiBrain):
 def test_a_wrong_answer_is_told(
     words: dict[int, bytes], given: dict[str, object], told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("devices.talk.xbus.ANSWER_S", 0.3)
+    monkeypatch.setattr("devices.transport.xbus_commands.ANSWER_S", 0.3)
     brain = Answers(words)
     brain._measuring = False
     with served(brain) as server:

@@ -12,10 +12,10 @@ import pytest
 from matplotlib.dates import num2date
 
 from devices.commands import nights as command
-from devices.night import figures, shelf
-from devices.night.edf import write_edf
-from devices.night.numbers import quality, table
-from devices.night.page import line, render, title
+from devices.outlets.night import figures, shelf
+from devices.outlets.night.edf import write_edf
+from devices.outlets.night.numbers import quality, table
+from devices.outlets.night.page import line, render, title
 from stream.chunk import NS
 
 STEP = 30 * NS

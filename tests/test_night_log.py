@@ -13,8 +13,8 @@ import night_made
 import pytest
 from night_made import LATE, SPECS, Night, feed, logged, opened, states
 
-from devices.night import shelf
-from devices.night.numbers import quality, table
+from devices.outlets.night import shelf
+from devices.outlets.night.numbers import quality, table
 from stream.chunk import NS
 from stream.clock import SessionClock
 from stream.errors import InputError, KinegraphError, ParameterError
@@ -294,7 +294,7 @@ def test_only_a_night_is_deleted(tmp_path: Path) -> None:
 def test_what_cannot_be_is_refused(
     tmp_path: Path, ports: tuple[str, ...], more: dict[str, Any], error: type[Exception]
 ) -> None:
-    from devices.night import NightLog
+    from devices.outlets.night import NightLog
 
     given = {"path": str(tmp_path), **more}
     with pytest.raises(error):
@@ -374,7 +374,9 @@ def test_one_damaged_night_hides_no_other(kinegraph: Command, tmp_path: Path) ->
         facts.save(folder)
         row = b"2024-05-01T22:00:00Z,2024-05-01T22:00:30Z,sleep,sleep,0,0.5,1,in,2,1,,14,0.9\n"
         (folder / shelf.EPOCHS).write_bytes((",".join(shelf.COLUMNS) + "\n").encode() + damage + row)
-    (tmp_path / "nights" / "2024-05-03" / shelf.FACTS).write_text('{"version": 1, "name": "x", "begun": "x", "epoch_s": 30}')
+    (tmp_path / "nights" / "2024-05-03" / shelf.FACTS).write_text(
+        '{"version": 1, "name": "x", "begun": "x", "epoch_s": 30}'
+    )
     code, out, _ = kinegraph("nights")
     assert code == 0 and "2024-05-01" in out and "2024-05-02" in out and "damaged" in out
     assert "2024-05-03: cannot be read" in out

@@ -15,9 +15,9 @@ import pytest
 from browser import Browser, needs_browser
 from night_made import EVENING, SPECS, STEP, Night, feed, logged, opened, states
 
-from devices.night import figures, shelf
-from devices.night.numbers import CAVEATS, begun_anew, exits, quality, span, table, unseen
-from devices.night.page import draw, render
+from devices.outlets.night import figures, shelf
+from devices.outlets.night.numbers import CAVEATS, begun_anew, exits, quality, span, table, unseen
+from devices.outlets.night.page import draw, render
 from stream.chunk import NS
 from stream.errors import DeviceError
 

@@ -21,7 +21,7 @@ def test_everything_that_commands_write_is_private(tmp_path: Path, made: Path) -
     graph = made / "graph.yaml"
     listing = (
         made / "graph.yaml"
-    ).read_text() + "  table: {use: devices.csv_file.CsvFile, from: rect, path: out/t/x.csv}\n"
+    ).read_text() + "  table: {use: devices.outlets.csv_file.CsvFile, from: rect, path: out/t/x.csv}\n"
     listing = listing.replace("record: [rect]\n", "") + "record: [rect]\n"
     (tmp_path / "graph.yaml").write_text(listing)
     for arguments in (

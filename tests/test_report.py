@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.cycle_table import CycleTable
-from devices.report import SessionReport
-from devices.report import session as report_module
-from devices.report.data import load
+from devices.outlets.cycle_table import CycleTable
+from devices.outlets.report import SessionReport
+from devices.outlets.report import session as report_module
+from devices.outlets.report.data import load
 from stream.chunk import NS, Array, Chunk, Specs, StreamSpec
 from stream.errors import DeviceError, InputError, ParameterError
 from stream.graph import Edge, Graph, Node
@@ -102,7 +102,9 @@ def opened(path: Path, ports: tuple[str, ...] = tuple(SPECS), **given: float) ->
     outlet = SessionReport(str(path), **given)  # type: ignore[arg-type]
     assert outlet.open({port: SPECS[port] for port in ports}) == {}
     graph = Graph("walk", {}, "nodes: {}", session={"subject": "K-017", "speed_m_s": 1.2})
-    graph.nodes["report"] = Node("report", outlet, "devices.report.SessionReport", {"emg": Edge("treadmill", "emg")})
+    graph.nodes["report"] = Node(
+        "report", outlet, "devices.outlets.report.SessionReport", {"emg": Edge("treadmill", "emg")}
+    )
     outlet.meet(graph)
     return outlet
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from browser import Browser, needs_browser
 
-from devices.report.curves import draw
-from devices.report.data import Column, Curves, Muscle, Rejected, Report, Setting, Stream, Value, load, save
-from devices.report.page import quality_sentence, render, write
-from devices.report.words import decimals
+from devices.outlets.report.curves import draw
+from devices.outlets.report.data import Column, Curves, Muscle, Rejected, Report, Setting, Stream, Value, load, save
+from devices.outlets.report.page import quality_sentence, render, write
+from devices.outlets.report.words import decimals
 
 NAN = float("nan")
 VOID = {"meta", "br", "link", "img", "input", "hr"}
@@ -176,7 +176,7 @@ def test_what_is_saved_is_what_is_drawn(tmp_path: Path) -> None:
     assert repr(again) == repr(report)
     assert np.array_equal(same.mean, curves.mean) and np.allclose(same.single, curves.single, rtol=1e-6)
     subprocess.run(
-        [sys.executable, "-m", "devices.report.page", tmp_path / "data.npz", tmp_path / "page.html"], check=True
+        [sys.executable, "-m", "devices.outlets.report.page", tmp_path / "data.npz", tmp_path / "page.html"], check=True
     )
     assert sorted(p.name for p in tmp_path.iterdir()) == ["data.npz", "page.html"]
     Page((tmp_path / "page.html").read_text())

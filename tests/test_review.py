@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from emg_run import contacts, drive, enveloped, stamps
 
-from devices.treadmill import Treadmill
-from devices.treadmill.faults import Fault, Faults
+from devices.simulators.treadmill import Treadmill
+from devices.simulators.treadmill.faults import Fault, Faults
 from operators.emg.quality import SignalQuality
 from operators.gait.cycles import Cycles
 from operators.gait.ensemble import CycleEnsemble

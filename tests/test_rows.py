@@ -33,7 +33,7 @@ pytestmark = pytest.mark.skipif(not row.POSSIBLE, reason="this system has no row
 
 GRAPH = """
 nodes:
-  board: {use: devices.treadmill.Treadmill, realtime: false}
+  board: {use: devices.simulators.treadmill.Treadmill, realtime: false}
   choose: {use: operators.channels.Select, from: board.emg, channels: [2, 0, 1]}
   centre: {use: operators.mean.RemoveMean, from: choose, window_s: 0.05}
   rectify: {use: operators.rectify.Rectify, from: centre}

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.exerciser import EXERCISES, JOINTS, Exerciser, Routine, skeleton
+from devices.simulators.exerciser import EXERCISES, JOINTS, Exerciser, Routine, skeleton
 from operators.segmentation.found import read_found
 from operators.segmentation.scores import score
 from operators.segmentation.truth import Truth, read_truth

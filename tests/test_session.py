@@ -347,7 +347,7 @@ def test_a_value_out_of_bounds_is_refused_with_its_bounds() -> None:
 def test_a_signal_ends_a_session_cleanly(number: int, tmp_path: Path) -> None:
     graph = HERE / f"signal-{number}.yaml"
     config = tmp_path / "graph.yaml"
-    config.write_text("nodes:\n  board: {use: devices.treadmill.Treadmill}\n")
+    config.write_text("nodes:\n  board: {use: devices.simulators.treadmill.Treadmill}\n")
     assert not graph.exists()
     folder = tmp_path / "s"
     process = subprocess.Popen(

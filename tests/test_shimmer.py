@@ -303,7 +303,7 @@ def test_a_wrong_device_is_told(code: int, answer: bytes, told: str, monkeypatch
             return answer if command == code else super()._obey(command, data)
 
     if not answer:
-        monkeypatch.setattr("devices.talk.shimmer.ANSWER_S", 0.1)
+        monkeypatch.setattr("devices.transport.shimmer_commands.ANSWER_S", 0.1)
     feed = read(Other(), 1)
     assert isinstance(feed.error, DeviceError)
     with pytest.raises(DeviceError, match=told):

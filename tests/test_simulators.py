@@ -22,7 +22,7 @@ from devices.simulators.lines import PseudoTerminal, TcpLine, line_at
 from devices.simulators.misbehaviour import Misbehaviour, Mishaps
 from devices.simulators.named import find, named
 from devices.simulators.serve import Server
-from devices.talk.transport import connect
+from devices.transport.transport import connect
 from stream.errors import DeviceError, KinegraphError
 from tests.device_feed import reading, wait_for
 

@@ -99,7 +99,7 @@ main()
 """
 GRAPH = """
 nodes:
-  board: {use: devices.treadmill.Treadmill}
+  board: {use: devices.simulators.treadmill.Treadmill}
   stuck: {use: stuck.%s, from: board.emg, %s}
 record: [board.emg]
 """

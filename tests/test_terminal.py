@@ -12,7 +12,7 @@ from typing import Any
 
 from rich.console import Console
 
-from devices.terminal import WAITING, LineView, LiveView, metrics_line
+from devices.outlets.terminal import WAITING, LineView, LiveView, metrics_line
 from stream.graph import Graph
 
 METRICS: dict[str, dict[str, Any]] = {
@@ -63,7 +63,7 @@ def test_a_session_without_any_sample_yet() -> None:
 
 SCRIPT = """
 import sys, time, structlog
-from devices.terminal import LiveView
+from devices.outlets.terminal import LiveView
 from stream.commands import logs
 from stream.graph import Graph
 logs.set_up()

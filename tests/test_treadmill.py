@@ -9,9 +9,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from devices.treadmill import Treadmill, truth
-from devices.treadmill.faults import Fault
-from devices.treadmill.signal import BURSTS, Signal, Walker
+from devices.simulators.treadmill import Treadmill, truth
+from devices.simulators.treadmill.faults import Fault
+from devices.simulators.treadmill.signal import BURSTS, Signal, Walker
 from stream.chunk import NS, Chunk
 from stream.errors import ParameterError
 from stream.params import build

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.treadmill import Treadmill, truth
+from devices.simulators.treadmill import Treadmill, truth
 from stream.engine.replay import Replay
 from stream.graph.load import load
 from stream.graph.plan import plan
@@ -107,7 +107,7 @@ def test_a_replay_names_whose_recording_it_is(tmp_path: Path) -> None:
         assert ("holds no facts about its session" in told) == (name == "nameless")
         assert ("side right (--set session.NAME=VALUE says otherwise)" in told) == (name == "named")
         assert f"Recording <b>{name}.mcap (from walk.csv, steps.csv)</b>" in page.read_text()
-        assert f"{name}.mcap, in place of devices.treadmill.Treadmill" in page.read_text()
+        assert f"{name}.mcap, in place of devices.simulators.treadmill.Treadmill" in page.read_text()
         assert "cadence_per_min: 57" not in page.read_text()
 
 

@@ -94,7 +94,7 @@ def test_a_broken_one_is_told_which_law_where_and_what_to_do(tmp_path: Path) -> 
     ("use", "complaint"),
     [
         ("my_ops.Gian", "did you mean 'Gain'?"),
-        ("devices.treadmill.Treadmill", "the laws are for operators and outlets"),
+        ("devices.simulators.treadmill.Treadmill", "the laws are for operators and outlets"),
     ],
 )
 def test_what_is_no_operator_is_refused(tmp_path: Path, use: str, complaint: str) -> None:

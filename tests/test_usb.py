@@ -24,7 +24,7 @@ from devices.simulators.serve import Server
 from devices.simulators.usb_bus import BULK, INTERRUPT, SimulatedBus, UsbLine, Wiring
 from devices.simulators.usb_reports import DUALSENSE, DualSenseBrain, serving
 from devices.simulators.walking_limb import GRAVITY
-from devices.talk.transport import connect
+from devices.transport.transport import connect
 from devices.usb import bus
 from devices.usb.bus import Address
 from devices.usb.endpoint import Endpoint

@@ -33,7 +33,7 @@ def nights(
 
     kinegraph nights delete 2026-11-20
     """
-    from devices.night import shelf
+    from devices.outlets.night import shelf
 
     if not path.is_dir():
         raise KinegraphError(f"there is no folder {path}; name the one of the night's log with --path")
@@ -44,7 +44,7 @@ def nights(
         raise KinegraphError(f"name the night to {action.value}: a date such as 2026-11-20, or last")
     folders = [shelf.find(path, name) for name in names]
     if action is Action.report:
-        from devices.night.page import draw
+        from devices.outlets.night.page import draw
 
         failed = []
         for folder in folders:
@@ -70,7 +70,7 @@ def nights(
 
 def _epochs(folder: Path) -> str:
     """How many there are of a night; a damaged table does not hide the other nights."""
-    from devices.night import shelf
+    from devices.outlets.night import shelf
 
     try:
         return str(len(shelf.read_epochs(folder)))
@@ -81,7 +81,7 @@ def _epochs(folder: Path) -> str:
 def _list(root: Path) -> None:
     from rich.table import Table
 
-    from devices.night import shelf
+    from devices.outlets.night import shelf
     from stream.screen import Screen
 
     table = Table(

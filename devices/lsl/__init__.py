@@ -1,6 +1,5 @@
-"""The Lab Streaming Layer: streams of other programs come in by `LslInlet`, and ours go out by `LslOutlet`."""
+"""The Lab Streaming Layer: streams of other programs come in by `LslInlet`."""
 
 from devices.lsl.inlet import LslInlet
-from devices.lsl.outlet import LslOutlet
 
-__all__ = ["LslInlet", "LslOutlet"]
+__all__ = ["LslInlet"]

@@ -7,8 +7,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from devices.files.xdf_read import UNITS
 from stream.chunk import StreamSpec
-from stream.convert.xdf_read import UNITS
 from stream.errors import DeviceError
 
 TEXT = "string"

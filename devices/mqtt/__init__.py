@@ -1,6 +1,5 @@
-"""MQTT: what a graph finds out goes to home automation by `MqttOutlet`, and a switch there comes into the graph by `MqttSwitch`."""
+"""MQTT: the connection to a broker, and a switch of the home that comes into the graph by `MqttSwitch`."""
 
-from devices.mqtt.outlet import MqttOutlet
 from devices.mqtt.switch import MqttSwitch
 
-__all__ = ["MqttOutlet", "MqttSwitch"]
+__all__ = ["MqttSwitch"]

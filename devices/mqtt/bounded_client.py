@@ -31,7 +31,11 @@ class BoundedClient(Client):
 
     def _sock_recv(self, bufsize: int) -> bytes:
         packet = self._in_packet
-        if packet["have_remaining"] and packet["remaining_length"] > MOST_BYTES and not isinstance(packet["packet"], _Head):
+        if (
+            packet["have_remaining"]
+            and packet["remaining_length"] > MOST_BYTES
+            and not isinstance(packet["packet"], _Head)
+        ):
             packet["packet"] = _Head(packet["packet"])
         return super()._sock_recv(min(bufsize, PIECE_BYTES))
 

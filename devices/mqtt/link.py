@@ -226,7 +226,9 @@ class Link:
             return
         self.dropped += 1
         if self.dropped == 1:
-            log.warning("MQTT messages come faster than they are looked at; some are dropped", topic=message.topic[:200])
+            log.warning(
+                "MQTT messages come faster than they are looked at; some are dropped", topic=message.topic[:200]
+            )
 
     def _message(self, message: MQTTMessage) -> None:
         self._heard(message.topic, message.payload.decode("utf-8", "replace"), bool(message.retain))

@@ -11,8 +11,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from devices.mqtt.discovery import OFF, ON, Device, Topics, switch
 from devices.mqtt.link import Broker, Link
+from devices.outlets.mqtt.discovery import OFF, ON, Device, Topics, switch
 from stream.chunk import Chunk, Specs, StreamSpec, empty
 from stream.params import param
 from stream.source import Feed, Source

@@ -70,9 +70,14 @@ class Oak(Source):
         help="depthai's preset: for stereo default, accuracy, density, ...; for tof low_range, mid_range, high_range",
     )
     projector: float = param(
-        0.0, least=0.0, most=1.0, help="intensity of the infrared dot projector (models named Pro); 0: off, as the maker has it"
+        0.0,
+        least=0.0,
+        most=1.0,
+        help="intensity of the infrared dot projector (models named Pro); 0: off, as the maker has it",
     )
-    flood: float = param(0.0, least=0.0, most=1.0, help="intensity of the infrared flood light (models named Pro); 0: off")
+    flood: float = param(
+        0.0, least=0.0, most=1.0, help="intensity of the infrared flood light (models named Pro); 0: off"
+    )
     lit_room: bool = param(False, help="the room stays light all night, so that a stereo camera needs no projector")
     imu_hz: float = param(0.0, least=0, most=1000, help="rate of the inertial output; 0: there is none")
     lost_after_s: float = param(5.0, above=0, help="after how long without a frame it is opened anew")

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from devices.simulators.serve import Simulator
-from devices.treadmill.signal import BURSTS, Signal, Walker
+from devices.simulators.treadmill.signal import BURSTS, Signal, Walker
 from stream.chunk import Samples
 from stream.params import param
 

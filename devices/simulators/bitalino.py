@@ -11,7 +11,7 @@ import numpy as np
 from devices.protocols import bitalino as protocol
 from devices.protocols.bitalino import GAINS, RATES_HZ, Sensor
 from devices.simulators.serve import Simulator
-from devices.treadmill.signal import Signal, Walker
+from devices.simulators.treadmill.signal import Signal, Walker
 from stream.params import param
 
 MUSCLES = ("TA", "SO", "GM", "VM", "RF", "BF")

@@ -10,7 +10,7 @@ import numpy as np
 from devices.protocols import cyton as protocol
 from devices.protocols.cyton import CHANNELS, GAINS, packet, uv_per_count
 from devices.simulators.serve import Simulator
-from devices.treadmill.signal import BURSTS, Signal, Walker
+from devices.simulators.treadmill.signal import BURSTS, Signal, Walker
 from stream.chunk import Samples
 from stream.params import param
 

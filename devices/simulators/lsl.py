@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.lsl.network import ANY, Network, library
-from devices.lsl.outgoing import write_channels
+from devices.outlets.lsl_samples import write_channels
 from devices.simulators.misbehaviour import GOOD, Misbehaviour, Mishaps
 from devices.simulators.serve import TICK_S, Simulator
-from devices.treadmill.signal import BURSTS, Signal, Walker
+from devices.simulators.treadmill.signal import BURSTS, Signal, Walker
 from stream.errors import DeviceError
 from stream.params import param
 

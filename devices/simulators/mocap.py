@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.simulators.lsl import Lsl
-from devices.treadmill.signal import Signal
-from devices.walkway import EMG_HZ, MARKERS, Trial, Walkway
+from devices.simulators.treadmill.signal import Signal
+from devices.simulators.walkway import EMG_HZ, MARKERS, Trial, Walkway
 from stream.params import param
 
 LABELS = tuple(f"{name}.{axis}" for name in MARKERS for axis in "xyz")
@@ -19,7 +19,7 @@ LABELS = tuple(f"{name}.{axis}" for name in MARKERS for axis in "xyz")
 class Mocap(Lsl):
     """An LSL stream of markers on hips, knees, ankles and toes: x to the right, y forwards, z up, mm.
 
-    The walk is that of `devices.walkway`, seen from a treadmill: it stays where it is.
+    The walk is that of `devices.simulators.walkway`, seen from a treadmill: it stays where it is.
     """
 
     name: str = param("simulated motion capture", help="what the stream is called")

@@ -119,7 +119,9 @@ class SimulatedCamera:
             depth = node.depth.createOutputQueue(maxSize=QUEUE, blocking=False)
             imu = node.imu.createOutputQueue(maxSize=16 * QUEUE, blocking=False) if self.of.imu_hz else None
             pipeline.start()
-            yield Camera(depth, imu, {"id": "simulated", "model": "OAK without hardware", "depthai": dai.__version__}, self.light)
+            yield Camera(
+                depth, imu, {"id": "simulated", "model": "OAK without hardware", "depthai": dai.__version__}, self.light
+            )
 
     def light(self) -> list[str]:
         """The lights are set; how often is counted."""

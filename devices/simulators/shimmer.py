@@ -12,8 +12,8 @@ from devices.protocols import shimmer_units as units
 from devices.protocols.shimmer import ACK, IN_STREAM, TICKS_HZ
 from devices.protocols.shimmer_units import Calibration
 from devices.simulators.serve import Simulator
+from devices.simulators.treadmill.signal import Signal, Walker
 from devices.simulators.walking_limb import Limb, Site
-from devices.treadmill.signal import Signal, Walker
 from stream.chunk import Array, Samples, Times
 from stream.params import param
 

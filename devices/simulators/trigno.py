@@ -14,8 +14,8 @@ from devices.protocols.trigno import AUX_HZ, FRAME_S, SENSORS, Layout
 from devices.simulators.lines import TcpLine
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from devices.simulators.serve import Server, Simulator
+from devices.simulators.treadmill.signal import BURSTS, Signal, Walker
 from devices.simulators.walking_limb import GRAVITY, Limb
-from devices.treadmill.signal import BURSTS, Signal, Walker
 from stream.chunk import Samples, Times
 from stream.errors import DeviceError
 from stream.params import param

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from devices.treadmill.signal import Gait, Indices, Walker, random
+from devices.simulators.treadmill.signal import Gait, Indices, Walker, random
 from stream.chunk import Samples
 
 GRAVITY = 9.81

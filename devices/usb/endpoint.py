@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from devices.binary import Binary
 from devices.protocols.declared import Decoder, Found, Layout
-from devices.talk.transport import Transport
+from devices.transport.transport import Transport
 from devices.usb.bus import Address
 from devices.usb.pipe import Pipe
 from stream.errors import DeviceError, ParameterError

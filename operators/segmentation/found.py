@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from stream.chunk import NS, Array, Samples
-from stream.convert.tables import read_csv
 from stream.errors import KinegraphError, nearest
 from stream.recording import Recording
+from stream.tables import read_csv
 
 ACTIVITY = {"onset", "end", "activity", "repeats"}
 PRIMITIVE = {"onset", "end", "activity", "repetition", "cluster"}

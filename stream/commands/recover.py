@@ -22,7 +22,7 @@ def recover(
     ] = None,
 ) -> None:
     """Rewrite a recording with everything that can be read of it, with its end and index. Replay and info read it without that, too."""
-    from stream.convert.progress import bar
+    from stream.progress import bar
     from stream.recording.recover import rewrite
 
     with bar(f"recovering {recording.name}") as progress:

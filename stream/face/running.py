@@ -15,7 +15,6 @@ from stream.arrays import series
 from stream.chunk import Chunk, StreamSpec, add_lost
 from stream.commands.ending import Ending
 from stream.commands.run import simulated
-from stream.convert.series import write_recording
 from stream.engine.replay import Replay
 from stream.engine.session import Session
 from stream.engine.status import Outcome
@@ -26,6 +25,7 @@ from stream.graph import Edge, Graph
 from stream.operator import Operator
 from stream.recording import Recording
 from stream.recording.place import refuse_taken_folder
+from stream.recording.series import write_recording
 from stream.series import Series
 from stream.source import Source
 from stream.trial import hold, trials

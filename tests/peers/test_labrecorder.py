@@ -22,10 +22,10 @@ from stream.recording import Recording
 GRAPH = """
 name: walk
 nodes:
-  treadmill: {use: devices.treadmill.Treadmill, muscles: [TA, GM, SO], rate_hz: 2000, cadence_per_min: 120}
-  emg: {use: devices.lsl.LslOutlet, from: treadmill.emg, name: walk.emg, type: EMG}
-  contacts: {use: devices.lsl.LslOutlet, from: treadmill.touchdown, name: walk.touchdown}
-  force: {use: devices.lsl.LslOutlet, from: treadmill.force, name: walk.force}
+  treadmill: {use: devices.simulators.treadmill.Treadmill, muscles: [TA, GM, SO], rate_hz: 2000, cadence_per_min: 120}
+  emg: {use: devices.outlets.lsl.LslOutlet, from: treadmill.emg, name: walk.emg, type: EMG}
+  contacts: {use: devices.outlets.lsl.LslOutlet, from: treadmill.touchdown, name: walk.touchdown}
+  force: {use: devices.outlets.lsl.LslOutlet, from: treadmill.force, name: walk.force}
 """
 OUTLETS = ("emg", "touchdown", "force")
 SECONDS = 4.0

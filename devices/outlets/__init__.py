@@ -1,0 +1,1 @@
+"""Where results leave a graph: the terminal, files, reports, MQTT, LSL."""

@@ -1,0 +1,181 @@
+"""The last gait cycle on the terminal: a table in the live view, one plain line per cycle elsewhere."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from rich.table import Table
+
+from devices.outlets.report.words import decimals, relative_to
+from devices.outlets.terminal import View
+from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
+from stream.errors import InputError, ParameterError, nearest
+from stream.operator import Outlet
+from stream.params import param
+from stream.plain import say
+
+CYCLE = ("number", "duration_s", "stance_pct", "cadence", "rejected")
+
+
+@dataclass(slots=True)
+class CycleTableState:
+    """The cycle whose numbers are awaited: its event (1,), the numbers (fields, m) so far; counts of cycles; and the latest, a ring:
+    their numbers, and whether they were accepted."""
+
+    event: Array
+    values: Samples
+    came: int
+    accepted: int
+    rejected: int
+    numbers: Times
+    taken: Times
+
+
+class _Shown(Outlet[CycleTableState]):
+    __slots__ = ("specs",)
+    specs: Specs
+
+
+@dataclass(frozen=True, slots=True)
+class CycleTable(_Shown):
+    """Every cycle as it closes: its duration, stance and cadence, and what was measured of each muscle; rejected ones with the reason.
+
+    closed       of `operators.gait.cycles.Cycles`
+    statistics   of `operators.gait.statistics.CycleStatistics`
+
+    `kinegraph run` shows the newest cycle as a table in its live view; where the output is no terminal, every cycle is a line.
+    """
+
+    inputs: ClassVar[tuple[str, ...]] = ("closed", "statistics")
+
+    fields: tuple[str, ...] = param(
+        ("peak", "peak_pct", "mean", "integrated", "deviation"), help="which numbers of `statistics` are shown"
+    )
+
+    def open(self, specs: Specs) -> Specs:
+        closed, statistics = specs["closed"], specs["statistics"]
+        if not set(CYCLE) <= set(closed.dtype.names or ()):
+            raise InputError("closed", closed.describe(), f"events with the fields {', '.join(CYCLE)}")
+        if not {"number", "muscle", "name"} <= set(statistics.dtype.names or ()):
+            raise InputError("statistics", statistics.describe(), "events with the fields number, muscle, name")
+        for field in self.fields:
+            if field not in statistics.channels or statistics.dtype[field].kind != "f":
+                known = [name for name in statistics.channels if statistics.dtype[name].kind == "f"]
+                raise ParameterError("fields", field, f"a number of `statistics`; {nearest(field, known)}")
+        object.__setattr__(self, "specs", specs)
+        self.hold(
+            CycleTableState(
+                np.zeros(0, closed.dtype),
+                np.zeros((len(self.fields), 0)),
+                0,
+                0,
+                0,
+                np.full(64, -1),
+                np.zeros(64, np.int64),
+            )
+        )
+        return {}
+
+    def process(self, port: str, chunk: Chunk) -> None:
+        state = self.state
+        if port == "closed":
+            for i in range(len(chunk)):
+                event = chunk.data[i : i + 1]
+                again = _count(state, int(event["number"][0]), not event["rejected"][0])
+                if again and event["rejected"][0]:
+                    _show(headline(event, state), f"{rejection(event)} (taken back)")
+                    continue
+                state.event = event.copy()
+                if event["rejected"][0]:
+                    _show(headline(event, state), rejection(event))
+        elif len(chunk) and len(state.event):
+            rows = chunk.data[chunk.data["number"] == state.event["number"][0]]
+            if len(rows):
+                spec = self.specs["statistics"]
+                table = cycle_table(headline(state.event, state), rows, self.fields, spec)
+                _show(table, cycle_line(state.event, rows, self.fields, spec))
+
+
+def _count(state: CycleTableState, number: int, taken: bool) -> bool:
+    """Count a cycle; gives whether it had been told before, which then no longer counts."""
+    found = np.flatnonzero(state.numbers == number)
+    k = int(found[0]) if len(found) else (state.accepted + state.rejected) % len(state.numbers)
+    if len(found):
+        state.accepted -= int(state.taken[k])
+        state.rejected -= 1 - int(state.taken[k])
+    state.numbers[k], state.taken[k] = number, taken
+    state.accepted += taken
+    state.rejected += not taken
+    return bool(len(found))
+
+
+def headline(event: Array, state: CycleTableState) -> str:
+    """The newest cycle, and how many there were."""
+    what = rejection(event) if event["rejected"][0] else _what(event)
+    return f"{what}\n{state.accepted} accepted, {state.rejected} rejected"
+
+
+def rejection(event: Array) -> str:
+    return f"cycle {event['number'][0]}  {event['duration_s'][0]:.3f} s  rejected: {event['rejected'][0]}"
+
+
+def cycle_table(title: str, rows: Array, fields: tuple[str, ...], spec: StreamSpec) -> Table:
+    """One row per muscle."""
+    table = Table(
+        title=f"{title}\namplitudes {relative_to(spec.meta)}",
+        title_justify="left",
+        title_style="bold",
+        box=None,
+        pad_edge=False,
+        header_style="dim",
+    )
+    table.add_column("muscle")
+    for field in fields:
+        table.add_column(f"{_short(field)} {spec.unit_of(field)}".strip(), justify="right")
+    written = [[str(name) for name in rows["name"]], *(_numbers(field, rows[field]) for field in fields)]
+    for cells in zip(*written, strict=True):
+        table.add_row(*cells)
+    return table
+
+
+def cycle_line(event: Array, rows: Array, fields: tuple[str, ...], spec: StreamSpec) -> str:
+    """The cycle, then the first number of each muscle, its unit and, if it is shown, where the peak lies: "TA 91.2@76%"."""
+    first = next((field for field in fields if field != "peak_pct"), "")
+    parts = []
+    numbers = _numbers(first, rows[first]) if first else [""] * len(rows)
+    for row, number in zip(rows, numbers, strict=True):
+        place = f"@{row['peak_pct']:.0f}%" if "peak_pct" in fields and np.isfinite(row["peak_pct"]) else ""
+        parts.append(f"{row['name']} {number}{place}")
+    if not first:
+        return f"{_what(event)}  {'peak at' if fields else ''}: {', '.join(parts)}"
+    unit = spec.unit_of(first)
+    about = f" in {unit}, {relative_to(spec.meta)}" if unit else ""
+    return f"{_what(event)}  {_short(first)}{about}: {', '.join(parts)}"
+
+
+def _what(event: Array) -> str:
+    row: Any = event[0]
+    stance = f"  stance {row['stance_pct']:.1f} %" if np.isfinite(row["stance_pct"]) else ""
+    return f"cycle {row['number']}  {row['duration_s']:.3f} s{stance}  {row['cadence']:.1f} strides/min"
+
+
+def _short(field: str) -> str:
+    return {"peak_pct": "peak at", "integrated": "iEMG"}.get(field, field.replace("_", " "))
+
+
+def _numbers(field: str, values: Array) -> list[str]:
+    """A field of all muscles, with as many decimals for each."""
+    least = 0 if field.endswith("_pct") else 2 if field == "deviation" or field.startswith("integrated") else 1
+    places = decimals(field, least, values)
+    return [f"{value:.{places}f}" if np.isfinite(value) else "–" for value in values.tolist()]
+
+
+def _show(notice: Any, line: str) -> None:
+    if View.current is None:
+        with suppress(BrokenPipeError):  # nobody reads on
+            say(line, flush=True)
+    else:
+        View.current.hang_out("cycle", notice, line)

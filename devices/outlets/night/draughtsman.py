@@ -1,0 +1,95 @@
+"""Who draws the reports: one process of its own at a time, which nobody waits for, and which is tried again when it fails."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import structlog
+
+from stream.errors import DeviceError
+
+SETTLE_S, AGAIN_S, LONGEST_S = 1.0, 60.0, 300.0
+
+log = structlog.get_logger(__name__)
+
+
+class Draughtsman:
+    """`soon` orders the report of a night's folder, `look` sees to what is due and never waits, `finish` waits for what was ordered."""
+
+    def __init__(self) -> None:
+        self._due: dict[Path, float] = {}
+        self._at_work: tuple[subprocess.Popen[bytes], Path] | None = None
+
+    def soon(self, folder: Path) -> None:
+        """A report in a moment: what belongs to it may still be on its way."""
+        self._due[folder] = time.monotonic() + SETTLE_S
+
+    def look(self) -> None:
+        """Begin what is due, and see how the last one ended."""
+        if self._at_work:
+            process, folder = self._at_work
+            if process.poll() is None:
+                return
+            self._at_work = None
+            if _complaint(process, folder) and folder.is_dir():
+                self._due[folder] = time.monotonic() + AGAIN_S
+        for folder, when in self._due.items():
+            if time.monotonic() >= when:
+                self._begin(folder)
+                return
+
+    def finish(self) -> None:
+        """Everything that was ordered, now and once. Raises DeviceError, which names every report that is not whole, and why."""
+        failed: list[str] = []
+        while self._at_work or self._due:
+            if not self._at_work:
+                self._begin(next(iter(self._due)))
+            if not self._at_work:
+                raise DeviceError("no process could be started to draw the report: try `kinegraph nights report last`")
+            process, folder = self._at_work
+            self._at_work = None
+            try:
+                process.wait(LONGEST_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            complaint = _complaint(process, folder)
+            if complaint and folder.is_dir():
+                again = f"try `kinegraph nights report {folder.name} --path {folder.parent}`"
+                failed.append(f"the report of {folder} is not whole ({complaint}): {again}")
+        if failed:
+            raise DeviceError("\n".join(failed))
+
+    def _begin(self, folder: Path) -> None:
+        command = [sys.executable, "-m", "devices.outlets.night.page", str(folder)]
+        del self._due[folder]
+        try:
+            process = subprocess.Popen(
+                command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
+            )
+        except OSError as error:
+            log.error("report not drawn; tried again in a minute", night=folder.name, why=str(error))
+            self._due[folder] = time.monotonic() + AGAIN_S
+            return
+        self._at_work = process, folder
+        try:
+            os.setpriority(os.PRIO_PROCESS, process.pid, 10)
+        except (OSError, AttributeError):
+            log.debug("report drawn at normal priority")
+
+
+def _complaint(process: subprocess.Popen[bytes], folder: Path) -> str:
+    """What the process that has ended says went wrong; "": nothing."""
+    lines = process.stderr.read().decode(errors="replace").strip().splitlines()[-1:] if process.stderr else []
+    if process.stderr:
+        process.stderr.close()
+    if process.returncode:
+        complaint = lines[0] if lines else "no reason given"
+        log.error("report not whole", night=folder.name, why=complaint)
+        return complaint
+    log.info("report written", page=str(folder / "report.html"))
+    return ""

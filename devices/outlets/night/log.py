@@ -1,0 +1,344 @@
+"""The night's log: an outlet that writes every final epoch as it becomes final, and has the report drawn in the morning."""
+
+from __future__ import annotations
+
+import json
+import uuid
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+import structlog
+
+from devices.outlets.claim import check_path, claim, let_go
+from devices.outlets.night import rows, shelf
+from devices.outlets.night.desk import Desk, LogState
+from devices.outlets.night.shelf import Facts, clock, nanoseconds
+from devices.outlets.night.writing import Night, readable, write_map
+from devices.outlets.report.words import settings, versions
+from stream.chunk import NEVER, NS, Array, Chunk, Specs
+from stream.errors import DeviceError, ParameterError
+from stream.graph import Graph
+from stream.operator import Outlet
+from stream.params import param
+from stream.state import pack
+
+if TYPE_CHECKING:
+    from stream.clock import SessionClock
+
+HELD = 200
+"""What is known of so many epochs waits for their final scores (Webster's rules: up to 70)."""
+APART_NS = 4 * 3600 * NS
+"""So long after anyone was in bed, what follows is another night, whatever the statistics say."""
+MOST_WAITING = 3000
+"""So many epochs wait for a disk that takes no new folder: a day."""
+
+log = structlog.get_logger(__name__)
+
+
+class _Logger(Outlet[LogState]):
+    __slots__ = ("desk",)
+    desk: Desk
+
+
+@dataclass(frozen=True, slots=True)
+class NightLog(_Logger):
+    """Every final epoch as a row on the disk, a folder for each night; in the morning a report: HTML, PNG, EDF+.
+
+    epochs     of `operators.sleep.scorer.SleepScorer`
+    nights     of `operators.sleep.statistics.SleepStatistics`: a row closes the night, and its numbers stand in the report
+    bed        of `operators.depth.presence.Presence`: bed exits
+    seen       of `operators.depth.activity.Activity` (epochs): how much of each epoch was seen, and whether anyone was in bed
+    breathing  of `operators.depth.breathing.Breathing`
+    map        of `operators.depth.night_map.NightMap`
+    lights     a button or switch: when the lights went off and on
+    view       of `operators.depth.view.View`: when the camera was moved
+
+    A night begins with the first epoch in which somebody is in bed (without `seen`: with the first epoch), and a row of `nights` ends it.
+    Rows are on the disk, past every cache, before the next epoch: neither `kill -9` nor a power cut loses or doubles one, and what was
+    final once is never changed. A night that was broken off goes on after a restart, with the gap marked. While the disk is full rows wait
+    in memory. Pages are drawn by a process of its own. About 150 kB a night, and as much for the report.
+    """
+
+    inputs: ClassVar[tuple[str, ...]] = ("bed", "seen", "breathing", "lights", "view", "map", "epochs", "nights")
+    optional: ClassVar[tuple[str, ...]] = ("bed", "seen", "breathing", "lights", "view", "map")
+    durable: ClassVar[bool] = True
+    in_order: ClassVar[bool] = False
+
+    path: str = param("nights", help="the folder of all nights")
+    timezone: str = param("", help="of the times in the report, e.g. Europe/Berlin; left out: the computer's")
+    sleeper: str = param("", help="whose night it is, where `seen`, `bed`, `breathing` tell of several")
+    keep_days: float = param(0.0, least=0.0, help="older nights are deleted; 0: none is")
+    report: bool = param(True, help="draw the report in the morning")
+
+    def open(self, specs: Specs) -> Specs:
+        wrong = check_path(Path(self.path) / "night")
+        if wrong:
+            raise ParameterError("path", self.path, wrong)
+        try:
+            shelf.zone_of(self.timezone)
+        except (KeyError, ValueError):
+            raise ParameterError("timezone", self.timezone, "a time zone's name, like Europe/Berlin") from None
+        rows.check(specs)
+        object.__setattr__(self, "desk", Desk(specs))
+        self.hold(LogState())
+        return {}
+
+    def meet(self, graph: Graph) -> None:
+        self.desk.graph = graph
+
+    def keep_time(self, clock: SessionClock) -> None:
+        self.desk.now = clock.utc_ns
+
+    def begin(self) -> None:
+        """Go on with the night that was broken off, if there is one."""
+        desk, root = self.desk, Path(self.path).absolute()
+        desk.held = {int(onset): facts for onset, facts in json.loads(self.state.held).items()}
+        desk.claim = claim(root / (f"night-{self.sleeper}" if self.sleeper else "night"))
+        desk.zone = shelf.zone_of(self.timezone)
+        self.state.run = self.state.run or uuid.uuid4().hex
+        broken_off = None
+        for folder, facts in shelf.nights(root):
+            epochs = readable(folder)
+            if facts.sleeper != self.sleeper or not len(epochs) or self._of_another_clock(folder, facts, epochs):
+                continue
+            desk.last = max(desk.last, int(epochs.onset[-1]))
+            if facts.closed:
+                desk.former, desk.former_end = folder, int(facts.numbers.get("end", desk.last))
+                self.state.rests = self.state.rests or str(epochs.texts["bed"][-1]) == "in"
+            else:
+                broken_off = folder, facts, epochs
+        if broken_off:
+            desk.night = Night.go_on(*broken_off)
+            desk.night.facts.run = self.state.run
+            self._mark_break(desk.night, int(broken_off[2].end[-1]))
+
+    def _of_another_clock(self, folder: Path, facts: Facts, epochs: shelf.Epochs) -> bool:
+        """Whether an earlier session's night lies ahead of this one's beginning: a simulated one, or the clock has been wrong.
+
+        Such a night is over, and what is seen now is not taken for what it holds already.
+        """
+        ahead = self.desk.now != NEVER and int(epochs.onset[-1]) > self.desk.now + round(facts.epoch_s * NS)
+        if facts.run == self.state.run or not ahead:
+            return False
+        log.warning("a night in the log is ahead of the clock; another one begins beside it", night=folder.name)
+        if not facts.closed:
+            facts.closed = True
+            with suppress(OSError):
+                facts.save(folder)
+        return True
+
+    def _mark_break(self, night: Night, written: int) -> None:
+        """From the last epoch that is known, final or not, to now, nobody looked."""
+        length, now = round(night.facts.epoch_s * NS), self.desk.now
+        begin = min(now, max([written, *(onset + length for onset in self.desk.held)]))
+        if now != NEVER:
+            night.note(night.facts.breaks, [begin, now])
+            log.info("the night goes on", night=night.folder.name, away_s=(now - begin) // NS)
+
+    def process(self, port: str, chunk: Chunk) -> None:
+        if len(chunk):
+            if port == "map":
+                self._map(np.asarray(chunk.data[-1]["map"], np.float32))
+            else:
+                for stamp, row in zip(chunk.time.tolist(), chunk.data, strict=True):
+                    self._take(port, row, stamp)
+        self.desk.draughtsman.look()
+
+    def close(self) -> None:
+        desk = self.desk
+        self._settle()
+        for late in desk.over:
+            late.let_go()
+        try:
+            desk.draughtsman.finish()
+        finally:
+            night, desk.night = desk.night, None
+            if desk.claim:
+                let_go(desk.claim)
+            if night:
+                night.save()
+                night.file.close()
+
+    def snapshot(self) -> dict[str, Array]:
+        self.state.held = json.dumps(self.desk.held)
+        return pack(self.state)
+
+    # what comes in -------------------------------------------------------------------------------------------------------
+
+    def _take(self, port: str, row: Any, stamp: int) -> None:
+        if port == "epochs":
+            self._epoch(row)
+        elif port == "nights":
+            self._night(row)
+        elif port == "lights":
+            self._switched(row, stamp)
+        elif port == "view":
+            self._looks(row)
+        elif self.sleeper in ("", str(row["sleeper"])):
+            if port == "bed":
+                self._bed(row)
+            else:
+                self._hold(int(row["onset"]), rows.seen(row) if port == "seen" else rows.breathing(row))
+
+    def _hold(self, onset: int, facts: dict[str, Any]) -> None:
+        held = self.desk.held
+        held.setdefault(onset, {}).update(facts)
+        while len(held) > HELD:
+            del held[min(held)]
+
+    def _epoch(self, row: Any) -> None:
+        """A provisional score is held; a final one is written, once."""
+        onset = int(row["onset"])
+        if not row["final"]:
+            self._hold(onset, {"provisional": str(row["state"])})
+            return
+        known = self.desk.held.pop(onset, {})
+        if onset <= self.desk.last:
+            return
+        facts = {**known, **rows.final(row)}
+        self._settle()
+        self._forget_deleted(onset)
+        if self._begins_or_goes_on(onset, str(known.get("bed", "")), str(row["state"])):
+            self.desk.last = onset
+            self.desk.waiting = [*self.desk.waiting[-MOST_WAITING:], facts]
+            self._write()
+
+    def _begins_or_goes_on(self, onset: int, bed: str, state: str) -> bool:
+        """Whether an epoch belongs to a night: one that is open (or waits for the disk), or one that begins with it."""
+        desk, night = self.desk, self.desk.night
+        told = "seen" in desk.specs
+        here = bed == "in" if told else state != "unknown"
+        if night is not None and onset - night.in_bed > APART_NS:
+            if not here:
+                return False
+            self._shut(night)
+            night = desk.night = None
+        if bed == "out" or onset > desk.former_end + APART_NS:
+            self.state.rests = False
+        if night is not None and here:
+            night.in_bed = onset
+        if night is not None or desk.waiting:
+            return True
+        return here and not self.state.rests and (told or onset >= desk.former_end + APART_NS)
+
+    def _write(self) -> None:
+        """Write what waits, in a new folder if need be; a disk that is full is tried again with the next epoch."""
+        desk = self.desk
+        if desk.night is None:
+            try:
+                desk.night = self._opened(nanoseconds(desk.waiting[0]["onset"]))
+            except (OSError, DeviceError) as error:
+                log.error("the night has no folder yet; its epochs wait in memory", path=self.path, error=str(error))
+                return
+        for row in desk.waiting:
+            desk.night.write(row)
+        desk.waiting = []
+
+    def _night(self, row: Any) -> None:
+        """The numbers of a night that is over."""
+        desk, night = self.desk, self.desk.night
+        numbers = {name: row[name].item() for name in row.dtype.names}
+        if night is None or not numbers["onset"] - APART_NS < night.facts.begun < numbers["end"]:
+            return
+        if numbers["onset"] >= desk.deleted:
+            night.facts.numbers = {k: (None if v != v else v) for k, v in numbers.items()}
+        desk.former, desk.former_end, desk.night, desk.deleted = night.folder, numbers["end"], None, NEVER
+        self.state.rests = True
+        log.info("the night is over", night=night.folder.name, folder=str(night.folder))
+        self._shut(night)
+        self._forget(numbers["end"])
+
+    def _shut(self, night: Night) -> None:
+        self.desk.over.append(night)
+        self._settle()
+
+    def _settle(self) -> None:
+        """See that nights that are over are on the disk, and have them drawn."""
+        desk = self.desk
+        for night in [*desk.over]:
+            if night.deleted or night.shut():
+                desk.over.remove(night)
+                night.let_go()
+                if self.report and not night.deleted:
+                    desk.draughtsman.soon(night.folder)
+
+    def _forget_deleted(self, onset: int) -> None:
+        """The open night was deleted while it went on: what follows gets a folder of its own."""
+        desk = self.desk
+        if desk.night is not None and desk.night.deleted:
+            log.warning(
+                "the night was deleted while it went on; what follows is kept in another folder",
+                night=desk.night.folder.name,
+            )
+            desk.night.let_go()
+            desk.night, desk.deleted = None, onset
+
+    def _bed(self, row: Any) -> None:
+        self.state.bed = str(row["state"])
+        night = self.desk.night
+        if night is not None:
+            night.note(night.facts.exits, [int(row["onset"]), self.state.bed])
+
+    def _switched(self, row: Any, stamp: int) -> None:
+        night = self.desk.night
+        self.desk.switched = [stamp, "lights on" if row["on"] else "lights off"]
+        # a switch that says after a restart what it was before was not switched
+        if night is not None and self.desk.switched[1] not in [what for _, what in night.facts.switched[-1:]]:
+            night.note(night.facts.switched, self.desk.switched)
+
+    def _looks(self, row: Any) -> None:
+        """The camera was moved: that belongs into the night's facts, and into the log."""
+        if str(row["what"]) != "moved":
+            return
+        onset = int(row["onset"])
+        by = [float(row[name]) if np.isfinite(row[name]) else None for name in ("down", "right")]
+        log.warning("the camera was moved", at=str(clock(onset, self.desk.zone)), down_px=by[0], right_px=by[1])
+        night = self.desk.night
+        if night is not None:
+            night.note(night.facts.moved, [onset, *by])
+
+    def _map(self, frame: Array) -> None:
+        """The map comes with the night's numbers, before or after them."""
+        desk = self.desk
+        folder = desk.night.folder if desk.night else desk.former
+        if folder is not None and folder.is_dir() and write_map(folder, frame) and desk.night is None and self.report:
+            desk.draughtsman.soon(folder)
+
+    # nights on the disk --------------------------------------------------------------------------------------------------
+
+    def _opened(self, onset: int) -> Night:
+        desk = self.desk
+        folder = shelf.new_folder(Path(self.path).absolute(), onset, desk.zone)
+        spec, graph = desk.specs["epochs"], desk.graph
+        facts = Facts(
+            folder.name, onset, float(spec.meta["epoch_s"]), self.timezone, self.sleeper,
+            meta={k: v for k, v in spec.meta.items() if isinstance(v, str | int | float | bool)},
+            session=dict(graph.session) if graph else {},
+            settings=[[s.node, s.use, s.parameters] for s in settings(graph)] if graph else [],
+            versions=[list(pair) for pair in versions()],
+            run=self.state.run,
+        )  # fmt: skip
+        if self.state.bed:
+            facts.exits.append([onset, self.state.bed])
+        if desk.switched and desk.switched[1] == "lights off" and onset - desk.switched[0] < APART_NS:
+            facts.switched.append(desk.switched)
+        night = Night.begin(folder, facts)
+        log.info("a night begins", night=folder.name, at=str(clock(onset, desk.zone)))
+        return night
+
+    def _forget(self, now: int) -> None:
+        """Delete nights that are older than they may become."""
+        if not self.keep_days:
+            return
+        root, oldest = Path(self.path).absolute(), now - self.keep_days * 86_400 * NS
+        old = [folder for folder, facts in shelf.nights(root) if facts.closed and facts.begun < oldest]
+        old += [folder for folder in shelf.damaged(root) if folder.stat().st_mtime_ns < oldest]
+        for folder in old:
+            try:
+                shelf.remove(folder)
+                log.info("an old night was deleted", night=folder.name, keep_days=self.keep_days)
+            except DeviceError as error:
+                log.error(str(error))

@@ -1,0 +1,116 @@
+"""The curves of a report: one small SVG a muscle, drawn by matplotlib, with the page's own fonts."""
+
+from __future__ import annotations
+
+import io
+import re
+from html import escape
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.transforms import blended_transform_factory
+
+from devices.outlets.report.data import Curves
+from stream.chunk import Samples
+
+SIZES_IN = {4: (3.55, 1.9), 12: (2.36, 1.42), 10_000: (2.36, 1.18)}
+"""Width and height of a panel where there are at most so many, so that more than twelve still fit on one A4 page."""
+LONG = 4
+"""A unit of more letters does not fit beside the axis."""
+SINGLE = 40
+"""At most so many single cycles are drawn."""
+INK, BAND, THIN, STANCE = "#12395b", "#8fb3d3", "#9a9a9a", "#f1efe9"
+
+_STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "kinegraph",
+    "font.family": "sans-serif",
+    "font.size": 6.5,
+    "axes.linewidth": 0.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.major.width": 0.5,
+    "ytick.major.width": 0.5,
+    "xtick.major.size": 2.0,
+    "ytick.major.size": 2.0,
+}
+
+
+def draw(curves: Curves, stance_percent: float, unit: str, titles: list[str]) -> list[str]:
+    """One SVG element per muscle: mean curve, band of one standard deviation, thin single cycles, stance shaded."""
+    chosen = curves.single[np.linspace(0, len(curves.single) - 1, min(len(curves.single), SINGLE)).round().astype(int)]
+    size = next(size for most, size in SIZES_IN.items() if len(titles) <= most)
+    with rc_context(_STYLE):
+        return [
+            _muscle(curves.mean[:, i], curves.sd[:, i], chosen[:, :, i], stance_percent, unit, title, size)
+            for i, title in enumerate(titles)
+        ]
+
+
+def _muscle(
+    mean: Samples, sd: Samples, single: Samples, stance: float, unit: str, title: str, size: tuple[float, float]
+) -> str:
+    width, height = size
+    figure = Figure(figsize=size)
+    axes = figure.add_axes((0.28 / width, 0.16 / height, 1 - 0.4 / width, 1 - 0.29 / height))
+    percent = np.arange(len(mean)) * (100 / len(mean))
+    if np.isfinite(stance):
+        axes.axvspan(0, stance, color=STANCE, linewidth=0)
+        axes.axvline(stance, color="#777777", linewidth=0.6, linestyle=(0, (3, 2)))
+    lines = [np.column_stack([percent, curve]) for curve in single if np.isfinite(curve).any()]
+    axes.add_collection(LineCollection(lines, colors=THIN, linewidths=0.25, alpha=0.55))
+    if np.isfinite(mean).any():
+        if np.isfinite(sd).any():
+            axes.fill_between(percent, np.maximum(mean - sd, 0), mean + sd, color=BAND, alpha=0.6, linewidth=0)
+        axes.plot(percent, mean, color=INK, linewidth=1.3)
+    else:
+        axes.text(50, 0.5, "no valid cycle", ha="center", color="#777777", transform=axes.get_xaxis_transform())
+    axes.set_xlim(0, 100)
+    axes.set_ylim(0, _top(mean, sd, single))
+    axes.set_xticks([0, 25, 50, 75, 100])
+    axes.locator_params(axis="y", nbins=4)
+    _write_unit(axes, figure, unit)
+    return _svg(figure, title)
+
+
+def _write_unit(axes: Axes, figure: Figure, unit: str) -> None:
+    """Above the axis' numbers, in line with them; a long one ("% task peak") begins at the panel's edge, or it would stick out of it."""
+    long = len(unit) > LONG
+    across = figure.transFigure if long else axes.transAxes
+    transform = blended_transform_factory(across, axes.transAxes)
+    x, side = (0.0, "left") if long else (-0.02, "right")
+    axes.text(x, 1.03, unit, ha=side, va="bottom", color="#55534e", transform=transform)
+
+
+def _top(mean: Samples, sd: Samples, single: Samples) -> float:
+    """The upper end of the axis: the band fits in, a lone wild cycle may run out of the picture."""
+    values = np.concatenate([mean + np.nan_to_num(sd), single.max(axis=1) if single.size else np.empty(0)])
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return 1.0
+    band = (mean + np.nan_to_num(sd))[np.isfinite(mean)]
+    return float(1.05 * max(band.max() if len(band) else 0.0, np.quantile(values, 0.95), 1e-9))
+
+
+def _shorter(number: re.Match[str]) -> str:
+    return f"{float(number.group()):.2f}"
+
+
+def _svg(figure: Figure, title: str) -> str:
+    """The figure as an SVG element without prologue, with coordinates of two decimals and a title for screen readers.
+
+    What is written beside the axes keeps its decimals: it is the text between the tags.
+    """
+    text = io.StringIO()
+    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    body = text.getvalue()
+    body = body[body.index("<svg") :]
+    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
+    body = re.sub(r"<[^>]*>", lambda tag: re.sub(r"-?\d+\.\d{3,}", _shorter, tag.group()), body)
+    mark = re.sub(r"\W", "", title)
+    body = re.sub(r'(id="|href="#|url\(#)', rf"\g<1>{mark}-", body)
+    return re.sub(r"<svg([^>]*)>", rf'<svg\1 role="img" aria-label="{escape(title)}">', body, count=1)

@@ -1,0 +1,120 @@
+"""One CSV row per gait cycle, rejected ones with their reason: a cycle's event joined to its numbers, muscle by muscle."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from devices.outlets.report.tally import numbers
+from stream.chunk import NS, Array, Samples, Specs, StreamSpec
+from stream.complete import complete
+from stream.sheet import Sheet
+
+CYCLE = ("duration_s", "stance_pct", "cadence")
+NONE = -1
+
+
+@dataclass(slots=True)
+class Held:
+    """A cycle whose numbers have not all come: its event (1,), and the numbers (fields, m) so far; number -1: none is held."""
+
+    number: int
+    event: Array
+    values: Samples
+    came: int
+    flags: list[str]
+
+
+def nothing_held(specs: Specs) -> Held:
+    fields, muscles = len(numbers(specs.get("statistics"))), specs["cycles"].shape[1]
+    return Held(NONE, np.zeros(1, specs["closed"].dtype), np.full((fields, muscles), np.nan), 0, _no_flags(specs))
+
+
+def _no_flags(specs: Specs) -> list[str]:
+    """One per muscle, if flags are told."""
+    told = "statistics" in specs and "flag" in (specs["statistics"].dtype.names or ())
+    return [""] * specs["cycles"].shape[1] if told else []
+
+
+def header(specs: Specs) -> bytes:
+    """The first line: names with units."""
+    closed, statistics = specs["closed"], specs.get("statistics")
+    names = [
+        "touch-down (UTC)",
+        "touch-down (s)",
+        "number",
+        *(_named(f, closed) for f in CYCLE),
+        "rejected",
+        "amplitudes",
+    ]
+    if statistics is not None:
+        fields = numbers(statistics)
+        names += [f"{muscle} {_named(f, statistics)}" for muscle in specs["cycles"].channels for f in fields]
+        names += [f"{muscle} signal" for muscle, _ in zip(specs["cycles"].channels, _no_flags(specs), strict=False)]
+    return _line(names)
+
+
+def take_closed(held: Held, rows: Array, start_ns: int, about: str) -> bytes:
+    """Take events of cycles; returns the lines that are complete with them. `about` says what amplitudes are normalised to."""
+    lines = b""
+    for i in range(len(rows)):
+        lines += release(held, start_ns, about)
+        held.number, held.came = int(rows["number"][i]), 0
+        held.event[0] = rows[i]
+        held.values[:] = np.nan
+        held.flags = [""] * len(held.flags)
+        if rows["rejected"][i] or not held.values.size:
+            lines += release(held, start_ns, about)
+    return lines
+
+
+def take_statistics(held: Held, rows: Array, fields: Sequence[str], start_ns: int, about: str) -> bytes:
+    """Take numbers of muscles; returns the line of the held cycle, if they were the last that it lacked."""
+    mine = rows[rows["number"] == held.number]
+    for i, name in enumerate(fields):
+        held.values[i, mine["muscle"]] = mine[name]
+    for row in mine if held.flags else ():
+        held.flags[int(row["muscle"])] = str(row["flag"])
+    held.came += len(mine)
+    return release(held, start_ns, about) if held.came >= held.values.shape[1] else b""
+
+
+def release(held: Held, start_ns: int, about: str) -> bytes:
+    """The line of the held cycle, with what has come of it; nothing if none is held."""
+    if held.number == NONE:
+        return b""
+    event = held.event[0]
+    onset = int(event["onset"])
+    values: list[Any] = [f"{np.datetime64(onset, 'ns')}Z", f"{(onset - start_ns) / NS:.6f}", held.number]
+    values += [float(event[name]) for name in CYCLE]
+    values += [str(event["rejected"]), about, *held.values.T.ravel().tolist(), *held.flags]
+    held.number = NONE
+    return _line(values)
+
+
+def settle(path: Path) -> None:
+    """Leave one row per cycle in a finished table: of those told twice, what was told last, where it was told first. Raises OSError."""
+    with path.open(newline="", encoding="utf-8") as file:
+        head, *rows = csv.reader(file)
+    where = head.index("number")
+    last = {row[where]: row for row in rows}
+    with complete(path) as draft, draft.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows([head, *last.values()])
+
+
+def _named(field: str, spec: StreamSpec) -> str:
+    """The field with its unit, unless its name ends with it."""
+    unit = spec.unit_of(field)
+    return f"{field} ({unit})" if unit and not field.endswith(("_s", "_pct")) else field
+
+
+def _line(values: Sequence[Any]) -> bytes:
+    text = io.StringIO()
+    Sheet(text).writerow(values)
+    return text.getvalue().encode()

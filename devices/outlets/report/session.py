@@ -1,0 +1,257 @@
+"""A session's report: an HTML page that a clinician can read and print, and a CSV file of every cycle."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import structlog
+from filelock import FileLock
+
+from devices.outlets.append_file import AppendFile
+from devices.outlets.claim import check_path, claim, let_go
+from devices.outlets.report.compose import compose
+from devices.outlets.report.cycle_rows import Held, header, nothing_held, release, settle, take_closed, take_statistics
+from devices.outlets.report.data import Curves, Report, save
+from devices.outlets.report.tally import GAIT, Tally, hear, nothing_yet, numbers
+from devices.outlets.report.words import relative_to
+from stream.chunk import Array, Chunk, Specs
+from stream.errors import DeviceError, InputError, ParameterError
+from stream.graph import Graph
+from stream.operator import Outlet
+from stream.params import param
+from stream.state import pack
+
+FIRST_INTERIM_S = 30.0
+DRAWING_S = 180.0
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(slots=True)
+class ReportState:
+    """`stem`: the files' path without suffix; `offset`, `pending`: how far the CSV file has come."""
+
+    tally: Tally
+    held: Held
+    stem: str = ""
+    offset: int = 0
+    pending: str = ""
+
+
+class _Desk:
+    """What belongs to a running outlet but not to its state: specs, the graph, open files, a page being drawn."""
+
+    def __init__(self, specs: Specs) -> None:
+        self.specs = specs
+        self.about = relative_to(specs["cycles"].meta)
+        self.graph: Graph | None = None
+        self.table: AppendFile | None = None
+        self.claim: FileLock | None = None
+        self.drawing: subprocess.Popen[bytes] | None = None
+        self.next_interim = 0.0
+
+
+class _Reporter(Outlet[ReportState]):
+    __slots__ = ("desk",)
+    desk: _Desk
+
+
+@dataclass(frozen=True, slots=True)
+class SessionReport(_Reporter):
+    """Gait cycles and what is known of them in; at the session's end a self-contained HTML page and a CSV file beside it.
+
+    closed, cycles   of `operators.gait.cycles.Cycles`; with these alone there are curves, cadence and rejected cycles
+    statistics       of `operators.gait.statistics.CycleStatistics`: the table's numbers per cycle
+    muscles, pairs   of `operators.gait.ensemble.CycleEnsemble`: repeatability, co-contraction
+    quality          of `operators.emg.quality.SignalQuality`: the verdict on each electrode
+    electrodes       of `operators.emg.electrode_watch.ElectrodeWatch`, and
+    contacts         of `operators.gait.cycle_watch.CycleWatch`: the alarms of the session, and how long each lasted
+    emg              the raw signal: when the session began, its gaps and losses
+
+    The CSV file has one row per cycle, rejected ones with the reason, written as the cycle closes. A cycle that is
+    told again (it was taken back, or counts after all) has two rows while the session runs, of which the last counts, and one at its end.
+    Memory is bounded: running statistics
+    and at most 200 single curves. Every `interim_s` a page marked "interim" is drawn, so that a crash leaves one; pages are drawn by a
+    process of their own and appear whole or not at all. Existing files are never overwritten: a second session gets name-2.html.
+    """
+
+    inputs: ClassVar[tuple[str, ...]] = (
+        "emg", "closed", "cycles", "statistics", "muscles", "pairs", "quality", "electrodes", "contacts",
+    )  # fmt: skip
+    optional: ClassVar[tuple[str, ...]] = ("emg", "statistics", "muscles", "pairs", "quality", "electrodes", "contacts")
+    durable: ClassVar[bool] = True
+
+    path: str = param("reports/session.html", help="the page; the CSV file lies beside it")
+    title: str = param("EMG session", help="the page's heading")
+    interim_s: float = param(180.0, least=10.0, help="how often an interim page is drawn")
+
+    def open(self, specs: Specs) -> Specs:
+        wrong = check_path(Path(self.path))
+        if wrong or Path(self.path).suffix != ".html":
+            raise ParameterError("path", self.path, wrong or "a file that ends with .html")
+        cycles = specs["cycles"]
+        if cycles.is_event or len(cycles.shape) != 2 or cycles.channel_axis != 1 or not cycles.channels:
+            raise InputError(
+                "cycles", cycles.describe(), "cycles (points, muscles), as operators.gait.cycles.Cycles gives"
+            )
+        _check_fields(specs, "closed", (*GAIT, "onset", "number", "rejected"))
+        _check_fields(specs, "statistics", ("number", "muscle"))
+        _check_fields(specs, "muscles", ("muscle", "verdict"))
+        _check_fields(specs, "pairs", ("first", "second", "mean_pct"))
+        _check_fields(specs, "quality", ("name", "flag", "reason", "session_flag", "session_reason"))
+        for port in ("electrodes", "contacts"):
+            _check_fields(specs, port, ("onset", "subject", "state", "what"))
+        object.__setattr__(self, "desk", _Desk(specs))
+        self.hold(ReportState(nothing_yet(specs), nothing_held(specs)))
+        return {}
+
+    @property
+    def file(self) -> str:
+        return str(Path(self.path).with_name(f"{Path(self.state.stem).name}.html")) if self.state.stem else self.path
+
+    def meet(self, graph: Graph) -> None:
+        self.desk.graph = graph
+
+    def begin(self) -> None:
+        desk, state = self.desk, self.state
+        desk.claim = claim(Path(self.path).absolute())
+        try:
+            fresh = not state.stem
+            if fresh:
+                state.stem = str(_free_stem(Path(self.path).absolute().with_suffix("")))
+            desk.table = AppendFile(_table(state), state.offset, state.pending.encode("latin-1"), fresh=fresh)
+            if not desk.table.offset and not desk.table.pending:
+                desk.table.write(header(desk.specs))
+        except BaseException:
+            let_go(desk.claim)
+            raise
+        desk.next_interim = time.monotonic() + min(FIRST_INTERIM_S, self.interim_s)
+
+    def process(self, port: str, chunk: Chunk) -> None:
+        desk, state = self.desk, self.state
+        hear(state.tally, desk.specs, port, chunk)
+        if len(chunk) and port in ("closed", "statistics"):
+            self._write_rows(port, chunk.data)
+        if time.monotonic() >= desk.next_interim:
+            desk.next_interim = time.monotonic() + self.interim_s
+            self._draw_interim()
+
+    def close(self) -> None:
+        desk, state = self.desk, self.state
+        try:
+            if desk.table:
+                desk.table.write(release(state.held, state.tally.started, desk.about))
+            if desk.drawing:
+                desk.drawing.kill()
+                desk.drawing.wait()
+            self._draw()
+        finally:
+            if desk.table:
+                table, desk.table = desk.table, None
+                table.close()
+                if state.tally.revised:
+                    settle(_table(state))
+            if desk.claim:
+                let_go(desk.claim)
+
+    def snapshot(self) -> dict[str, Array]:
+        if self.desk.table:
+            self.state.offset, self.state.pending = self.desk.table.offset, self.desk.table.pending.decode("latin-1")
+        return pack(self.state)
+
+    def report(self, *, interim: bool = False) -> tuple[Report, Curves]:
+        """What the page is drawn from, as far as the session has come."""
+        desk, state = self.desk, self.state
+        inputs = next((n.inputs for n in desk.graph.nodes.values() if n.part == self), {}) if desk.graph else {}
+        names = {port: str(edge) for port, edge in inputs.items()}
+        report, curves = compose(state.tally, desk.specs, desk.graph, names)
+        report.title, report.interim = self.title, interim
+        report.table_file = _table(state).name if state.stem else ""
+        return report, curves
+
+    def _write_rows(self, port: str, rows: Array) -> None:
+        desk, state = self.desk, self.state
+        start = state.tally.started
+        if port == "closed":
+            lines = take_closed(state.held, rows, start, desk.about)
+        else:
+            lines = take_statistics(state.held, rows, numbers(desk.specs[port]), start, desk.about)
+        if lines and desk.table:
+            desk.table.write(lines)
+
+    def _draw_interim(self) -> None:
+        """Begin to draw a page in a process of its own; whatever goes wrong with it is told and does not matter."""
+        desk = self.desk
+        if desk.drawing and desk.drawing.poll() is None:
+            return
+        try:
+            desk.drawing = self._start_drawing(interim=True)
+        except OSError as error:
+            log.warning("interim report not drawn", error=str(error))
+
+    def _draw(self) -> None:
+        page = Path(f"{self.state.stem}.html")
+        try:
+            process = self._start_drawing(interim=False)
+            _, complaint = process.communicate(timeout=DRAWING_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+            raise DeviceError(
+                f"report {page}: drawing took more than {DRAWING_S:g} s; its data are in {self._data}"
+            ) from None
+        except OSError as error:
+            raise DeviceError(f"report {page}: cannot be written: {error.strerror or error}") from None
+        if process.returncode:
+            last = complaint.decode(errors="replace").strip().splitlines()[-1:] or ["no reason given"]
+            raise DeviceError(f"report {page} could not be drawn: {last[0]}; its data are in {self._data}")
+        self._data.unlink(missing_ok=True)
+        log.info("report written", page=str(page), table=str(_table(self.state)))
+
+    def _start_drawing(self, *, interim: bool) -> subprocess.Popen[bytes]:
+        save(self._data, *self.report(interim=interim))
+        page = f"{self.state.stem}.html"
+        command = [sys.executable, "-m", "devices.outlets.report.page", str(self._data), page]
+        to = subprocess.DEVNULL if interim else subprocess.PIPE
+        nice = 10 if interim and hasattr(os, "nice") else 0
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=to, start_new_session=True)
+        if nice:
+            _be_nice(process.pid, nice)
+        return process
+
+    @property
+    def _data(self) -> Path:
+        path = Path(self.state.stem)
+        return path.with_name(f".{path.name}.npz")
+
+
+def _check_fields(specs: Specs, port: str, needed: tuple[str, ...]) -> None:
+    if port in specs and not set(needed) <= set(specs[port].dtype.names or ()):
+        raise InputError(port, specs[port].describe(), f"events with the fields {', '.join(needed)}")
+
+
+def _free_stem(stem: Path) -> Path:
+    """`stem`, or the first of stem-2, stem-3, ... of which neither page nor table exists."""
+    number, free = 1, stem
+    while any(free.with_name(free.name + suffix).exists() for suffix in (".html", ".csv")):
+        number += 1
+        free = stem.with_name(f"{stem.name}-{number}")
+    return free
+
+
+def _table(state: ReportState) -> Path:
+    return Path(f"{state.stem}.csv")
+
+
+def _be_nice(process: int, by: int) -> None:
+    """An interim page must not take the processor from the graph."""
+    try:
+        os.setpriority(os.PRIO_PROCESS, process, by)
+    except (OSError, AttributeError):
+        log.debug("interim report drawn at normal priority")

@@ -1,0 +1,182 @@
+"""A simulated treadmill session: thirteen muscles of the right leg, the foot's contacts, and the force under it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import ClassVar
+
+import numpy as np
+
+from devices.simulators.treadmill.faults import Fault, Faults
+from devices.simulators.treadmill.signal import BURSTS, NAMES, Indices, Signal, Walker
+from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec, Times
+from stream.errors import ParameterError, nearest
+from stream.params import param
+from stream.source import Feed, Source
+
+CONTACT = np.dtype([("onset", "<i8")])
+
+
+@dataclass(frozen=True, slots=True)
+class Treadmill(Source):
+    """Someone walks on a treadmill, with surface EMG on the right leg, a footswitch and a force plate.
+
+    emg         (muscles,) float64, uV, at `rate_hz`: noise with a muscle's spectrum, louder and softer with the gait's phase
+    touchdown   events: the right foot's first contact with the belt; `onset` is an EMG sample's stamp
+    liftoff     events: the right foot leaves the belt
+    force       (1,) float64, N, at `rate_hz`: vertical ground reaction force under the right foot
+
+    Sample i is the same whenever, wherever and in whatever chunks it is made (given the seed, and numpy's stream of normal numbers,
+    which has not changed since 1.17). Stamps are `start` (or the session's time when reading begins) plus i / `rate_hz`. Lost packets
+    leave gaps in `emg` alone: contacts and force come by other wires.
+    """
+
+    outputs: ClassVar[tuple[str, ...]] = ("emg", "touchdown", "liftoff", "force")
+
+    muscles: tuple[str, ...] = param(tuple(BURSTS), help=", ".join(f"{short}: {long}" for short, long in NAMES.items()))
+    rate_hz: float = param(1000.0, least=200, most=10000, help="samples per second of EMG and force")
+    cadence_per_min: float = param(
+        57.0, least=20, most=120, help="strides per minute (a stride: right touch-down to the next)"
+    )
+    stance_percent: float = param(63.0, least=30, most=80, help="how much of a cycle the foot stands")
+    jitter_percent: float = param(2.0, least=0, most=5, help="standard deviation of a cycle's duration")
+    noise_uv: float = param(2.0, least=0, help="baseline noise of every channel, rms")
+    seed: int = param(0, least=0, help="another seed, another walk")
+    duration_s: float = param(0.0, least=0, help="how long; 0: until stopped")
+    chunk_ms: float = param(10.0, above=0, most=1000, help="how much arrives at a time")
+    realtime: bool = param(True, help="false: as fast as the graph takes it")
+    start: str = param("", help="stamp of the first sample, e.g. 2026-01-31T09:00:00Z; left out: when reading begins")
+    faults: tuple[Fault, ...] = param((), help="what goes wrong, and when")
+
+    @property
+    def live(self) -> bool:
+        return self.realtime
+
+    @property
+    def chunk_s(self) -> float:
+        return self.chunk_ms / 1000
+
+    def specs(self) -> Specs:
+        for muscle in [*self.muscles, *(fault.muscle for fault in self.faults if fault.muscle)]:
+            if muscle not in BURSTS:
+                raise ParameterError("muscles", muscle, f"a known muscle; {nearest(muscle, BURSTS)}")
+        if not self.muscles or len(set(self.muscles)) != len(self.muscles):
+            raise ParameterError("muscles", list(self.muscles), "a list of at least one muscle, each named once")
+        for fault in self.faults:
+            if fault.muscle and fault.muscle not in self.muscles:
+                raise ParameterError("faults", fault.muscle, f"one of this node's muscles: {', '.join(self.muscles)}")
+        self._start_ns(0)
+        walk = {"side": "right", "simulated": True}
+        sites = {short: f"{NAMES[short]}, right" for short in self.muscles}
+        contact = StreamSpec((), CONTACT, units=("ns",), meta=walk)
+        return {
+            "emg": StreamSpec(
+                (len(self.muscles),),
+                rate_hz=self.rate_hz,
+                channels=self.muscles,
+                units=("uV",),
+                meta={**walk, "sites": sites},
+            ),
+            "touchdown": contact,
+            "liftoff": contact,
+            "force": StreamSpec((1,), rate_hz=self.rate_hz, channels=("Fz",), units=("N",), meta=walk),
+        }
+
+    def signal(self) -> Signal:
+        """What is being simulated; its `gait.cycles` and `envelope` are the truth that results can be held against."""
+        return Signal(
+            Walker(
+                self.muscles,
+                self.rate_hz,
+                self.cadence_per_min,
+                self.stance_percent,
+                self.jitter_percent,
+                self.noise_uv,
+                self.seed,
+            )
+        )
+
+    def read(self, feed: Feed) -> None:
+        signal = self.signal()
+        faults = Faults(self.faults, signal)
+        signal.spoil = faults.spoil
+        anchor = self._start_ns(feed.now())
+        begun = feed.now()
+        feed.ready()
+        last = round(self.duration_s * self.rate_hz) if self.duration_s else None
+        start = lost = number = 0
+        while not feed.stopped and start != last:
+            number += 1
+            stop = max(start + 1, round(number * self.chunk_ms * self.rate_hz / 1000))
+            stop = stop if last is None else min(stop, last)
+            if self.realtime and self._sleep(feed, begun, faults.stalled_until(stop)):
+                return
+            lost = self._emit(feed, signal, faults, anchor, (start, stop), lost)
+            start = stop
+
+    def _sleep(self, feed: Feed, begun: int, due_s: float) -> bool:
+        """Wait until a sample has come; returns whether to stop instead. A stall without end waits in steps, to stay stoppable."""
+        while (rest := due_s - (feed.now() - begun) / NS) > 0:
+            if feed.wait(min(rest, 1.0)):
+                return True
+        return False
+
+    def _emit(self, feed: Feed, signal: Signal, faults: Faults, anchor: int, span: tuple[int, int], lost: int) -> int:
+        """Emit one chunk of every output; returns how many samples were lost at its end."""
+        start, stop = span
+        time = self._stamps(anchor, np.arange(start, stop))
+        until = int(time[-1])
+        for name, contacts in (("touchdown", signal.gait.touchdowns(*span)), ("liftoff", signal.gait.liftoffs(*span))):
+            onset = self._stamps(anchor, contacts)
+            events = np.empty(len(onset), CONTACT)
+            events["onset"] = onset
+            feed.emit(Chunk(onset, events, until), name)
+        emg, force = signal.read(start, stop)
+        feed.emit(Chunk(time, force, until), "force")
+        return _emit_what_arrived(feed, faults, start, Chunk(time, emg, until, lost))
+
+    def _stamps(self, anchor: int, index: Indices) -> Times:
+        return anchor + np.round(index * (NS / self.rate_hz)).astype(np.int64) if len(index) else index
+
+    def _start_ns(self, now: int) -> int:
+        if not self.start:
+            return now
+        try:
+            at = datetime.fromisoformat(self.start)
+        except ValueError:
+            raise ParameterError("start", self.start, "a time such as 2026-01-31T09:00:00Z") from None
+        at = at if at.tzinfo else at.replace(tzinfo=UTC)
+        whole = math.floor(at.timestamp())
+        return whole * NS + at.microsecond * 1000
+
+
+def _emit_what_arrived(feed: Feed, faults: Faults, start: int, chunk: Chunk) -> int:
+    """Emit the runs of samples that were not lost, each with what was lost before it; returns what was lost at the end."""
+    arrived = faults.arrived(start, start + len(chunk))
+    if arrived.all():
+        feed.emit(chunk, "emg")
+        return 0
+    edges = np.flatnonzero(np.diff(arrived, prepend=False, append=False))
+    lost, at = chunk.lost, 0
+    for first, stop in edges.reshape(-1, 2):
+        piece = chunk.part(int(first), int(stop))
+        feed.emit(Chunk(piece.time, piece.data, piece.until, lost + int(first) - at), "emg")
+        lost, at = 0, int(stop)
+    feed.problem("lost sample", int(np.count_nonzero(~arrived)))
+    missing = len(chunk) - at
+    if missing:
+        feed.emit(Chunk(chunk.time[:0], chunk.data[:0], chunk.until), "emg")
+    return lost + missing
+
+
+def truth(treadmill: Treadmill, stop: int) -> tuple[Indices, Samples]:
+    """What a perfect analysis of samples 0..stop-1 would find.
+
+    Returns the whole cycles as rows (touch-down, lift-off, next touch-down), in samples, and the EMG's standard deviation (stop,
+    muscles) in uV without noise.
+    """
+    signal = treadmill.signal()
+    parts = [signal.envelope(np.arange(first, min(first + 1000, stop))) for first in range(0, stop, 1000)]
+    return signal.gait.cycles(0, stop), np.concatenate(parts)

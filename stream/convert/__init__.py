@@ -1,1 +1,0 @@
-"""Other people's files in and out: CSV, NPZ and XDF become recordings, and recordings become CSV and XDF."""
