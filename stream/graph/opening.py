@@ -15,6 +15,9 @@ from stream.graph.wiring import Wires, order
 from stream.operator import Operator
 from stream.source import Source
 
+TOO_LARGE = "Maximum allowed"
+"""How numpy begins to say that an array has more elements than an index can count."""
+
 
 def open_nodes(
     drafts: Mapping[str, Draft | None], problems: Problems, recorded: Mapping[str, StreamSpec] | None
@@ -95,15 +98,21 @@ class _Opening:
         except KinegraphError as error:
             self.problems.add(str(error), draft.entry, draft.name, cause=error)
             return None
-        except (MemoryError, OverflowError) as error:
-            text = f"{draft.kind.__name__} would need more memory or longer numbers than there are; make its windows and rates smaller"
-            self.problems.add(f"{text} ({explain(error)})", draft.entry, draft.name, cause=error)
-            return None
         except Exception as error:  # noqa: BLE001  (a fault in anyone's operator is told like any other, with its place)
-            text = f"{draft.kind.__name__} failed while it was being opened: {explain(error)}"
-            self.problems.add(text, draft.entry, draft.name, cause=error)
+            self._failed(draft, error)
             return None
         return self._promised(draft, part, specs)
+
+    def _failed(self, draft: Draft, error: Exception) -> None:
+        """What an exception of someone's `open` says."""
+        if isinstance(error, MemoryError | OverflowError) or (
+            isinstance(error, ValueError) and TOO_LARGE in str(error)
+        ):
+            text = f"{draft.kind.__name__} would need more memory or longer numbers than there are; make its windows and rates smaller"
+            text = f"{text} ({explain(error)})"
+        else:
+            text = f"{draft.kind.__name__} failed while it was being opened: {explain(error)}"
+        self.problems.add(text, draft.entry, draft.name, cause=error)
 
     def _promised(self, draft: Draft, part: Source | Operator[Any], specs: Specs) -> Specs | None:
         """Whether a part gave the specs of the outputs that it declares."""
