@@ -22,7 +22,7 @@ check: .venv/installed-for-tests
 	$(BIN)/mypy & types=$$!; $(BIN)/pytest -q tests/test_laws.py -k "$(OPERATORS)"; laws=$$?; wait $$types && exit $$laws
 
 mutants: .venv/installed-for-tests
-	$(BIN)/python -m tests.mutants --seed $(SEED)
+	$(BIN)/python -m tests.mutation --seed $(SEED)
 
 test: .venv/installed-for-tests
 	$(BIN)/ruff check .

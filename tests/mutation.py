@@ -1,0 +1,253 @@
+"""`python -m tests.mutation --seed 1`: random small changes to operators/ and stream/; does a test notice each of them?
+
+A mutant turns one comparison, sum, number or truth value around, in a copy of the tree. Its module's tests run against it (those nearest to
+it in the imports, and the laws on its operators), for at most a minute. Survivors are listed; exit code 1 if fewer than nine in ten were
+noticed. A survivor that changes nothing that anyone could see is named in equivalent_mutants.txt, with the reason.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from queue import SimpleQueue
+from xml.etree import ElementTree
+
+from stream.graph.parts import catalogue
+from tests.module_tests import own_tests
+
+HOUSE = Path(__file__).resolve().parent.parent
+COPIED = (
+    "stream",
+    "devices",
+    "operators",
+    "tests",
+    "configs",
+    "bench",
+    "docs",
+    "kinegraph.py",
+    "pyproject.toml",
+    "README.md",
+    "Makefile",
+)
+EQUIVALENT = Path(__file__).with_name("equivalent_mutants.txt")
+LEAST = 0.9
+"""The share of mutants that must be noticed."""
+OPERATORS: dict[type[ast.AST], type[ast.AST]] = {
+    ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
+    ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.And: ast.Or, ast.Or: ast.And,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Mutant:
+    """One change: of the text from `start` to `stop` (in bytes) of a file."""
+
+    path: str
+    line: int
+    start: int
+    stop: int
+    before: str
+    after: str
+
+    def __str__(self) -> str:
+        return f"{self.path}:{self.line}: {self.before}  ->  {self.after}"
+
+    @property
+    def key(self) -> str:
+        """How the mutant is known when lines have moved."""
+        return f"{self.path}: {self.before}  ->  {self.after}"
+
+
+def mutants(path: Path) -> Iterator[Mutant]:
+    """Every mutant of a file, in its order; but for what is no behaviour: annotations, texts, an operator's cases, types' imports."""
+    source = path.read_bytes()
+    starts = [0]
+    for line in source.splitlines(keepends=True):
+        starts.append(starts[-1] + len(line))
+    for node in _behaviour(ast.parse(source)):
+        changed = _changed(node)
+        if changed is not None and isinstance(node, ast.expr) and node.end_lineno and node.end_col_offset is not None:
+            start, stop = starts[node.lineno - 1] + node.col_offset, starts[node.end_lineno - 1] + node.end_col_offset
+            yield Mutant(
+                str(path.relative_to(HOUSE)), node.lineno, start, stop, ast.unparse(node), f"({ast.unparse(changed)})"
+            )
+
+
+def _behaviour(node: ast.AST) -> Iterator[ast.AST]:
+    if isinstance(node, ast.JoinedStr) or (isinstance(node, ast.FunctionDef) and node.name == "cases"):
+        return
+    if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+        return
+    yield node
+    for name, value in ast.iter_fields(node):
+        if name in ("annotation", "returns"):
+            continue
+        for child in value if isinstance(value, list) else [value]:
+            if isinstance(child, ast.AST):
+                yield from _behaviour(child)
+
+
+def _changed(node: ast.AST) -> ast.expr | None:
+    """The node with one thing turned around; None where there is nothing to turn."""
+    match node:
+        case ast.Compare(left, [op], comparators) if type(op) in OPERATORS:
+            return ast.Compare(left, [OPERATORS[type(op)]()], comparators)  # type: ignore[list-item]
+        case ast.BinOp(left, op, right) if type(op) in OPERATORS:
+            return ast.BinOp(left, OPERATORS[type(op)](), right)  # type: ignore[arg-type]
+        case ast.BoolOp(op, values):
+            return ast.BoolOp(OPERATORS[type(op)](), values)  # type: ignore[arg-type]
+        case ast.UnaryOp(ast.Not(), operand):
+            return operand
+        case ast.Constant(bool(value)):
+            return ast.Constant(not value)
+        case ast.Constant(int(value) | float(value)):
+            return ast.Constant(value + 1)
+    return None
+
+
+def drawn(seed: int, count: int) -> list[Mutant]:
+    """Mutants drawn from all there are; the same ones for the same seed and sources."""
+    files = sorted(p for package in ("operators", "stream") for p in (HOUSE / package).rglob("*.py"))
+    every = [mutant for path in files for mutant in mutants(path)]
+    return random.Random(seed).sample(every, min(count, len(every)))
+
+
+def tried(mutant: Mutant, tree: Path, seconds: float, broken: set[str]) -> tuple[str, float]:
+    """What became of a mutant in this copy of the tree, and after how many seconds.
+
+    A failure counts if the same tests pass without the mutant. Tests that fail anyway are added to `broken` and left out.
+    """
+    began = time.monotonic()
+    changed = tree / mutant.path
+    source = changed.read_bytes()
+    runs = _runs(mutant.path)
+    if not runs:
+        return "no tests", 0.0
+    while True:
+        changed.write_bytes(source[: mutant.start] + mutant.after.encode() + source[mutant.stop :])
+        try:
+            failed = _first_failure(runs, tree, seconds, broken)
+        finally:
+            changed.write_bytes(source)
+        took_s = time.monotonic() - began
+        if not failed:
+            return "survived", took_s
+        if not _first_failure([failed], tree, seconds, broken):
+            return "noticed", took_s
+        if "::" not in failed[0]:
+            return "survived", took_s  # these tests take longer than that, with the mutant and without
+        broken.add(failed[0])
+
+
+def _first_failure(runs: list[list[str]], tree: Path, seconds: float, broken: set[str]) -> list[str]:
+    """The arguments of pytest for what failed first, or did not end within so many seconds; none if nothing failed."""
+    began = time.monotonic()
+    left_out = [word for name in sorted(broken) for word in ("--deselect", name)]
+    for arguments in runs:
+        left = seconds - (time.monotonic() - began)
+        if left > 1 and (failed := _run([*arguments, *left_out], tree, left)):
+            return failed
+    return []
+
+
+def _runs(path: str) -> list[list[str]]:
+    """The arguments of pytest for the tests of a module: its own first, then the laws on the operators in it."""
+    module = path.removesuffix(".py").replace("/", ".").removesuffix(".__init__")
+    own = own_tests(module)
+    uses = [use for use, part in catalogue(("operators",))[0].items() if part.__module__ == module]
+    laws = [["tests/test_laws.py", "-k", " or ".join(f"{use}-" for use in uses)]] if uses else []
+    return [*([own] if own else []), *laws]
+
+
+def _run(arguments: list[str], tree: Path, seconds: float) -> list[str]:
+    """Run these tests; returns the arguments for the one that failed (for all of them, if they did not end), or none."""
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "--junitxml=junit.xml", "-p", "no:cacheprovider", *arguments]
+    environment = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
+    with subprocess.Popen(
+        command, cwd=tree, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    ) as running:
+        try:
+            running.wait(seconds)
+        except subprocess.TimeoutExpired:
+            os.killpg(running.pid, signal.SIGKILL)
+            return arguments
+    if running.returncode in (0, 5):
+        return []
+    for case in ElementTree.parse(tree / "junit.xml").iter("testcase"):
+        if case.get("classname") and (case.find("failure") is not None or case.find("error") is not None):
+            return [f"{str(case.get('classname')).replace('.', '/')}.py::{case.get('name')}"]
+    return [*arguments, "--collect-only"]
+
+
+def copy_to(place: Path) -> Path:
+    """A copy of what tests need."""
+    for name in COPIED:
+        source = HOUSE / name
+        if source.is_dir():
+            shutil.copytree(source, place / name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy2(source, place / name)
+    return place
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.mutation", description=__doc__)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--seconds", type=float, default=60.0, help="for the tests of one mutant")
+    parser.add_argument(
+        "--only", nargs="+", metavar="TEXT", default=[""], help="mutants in whose line one of these stands"
+    )
+    parser.add_argument("--jobs", type=int, default=1, help="how many at once")
+    given = parser.parse_args()
+    equivalent = {line.partition("  # ")[0].strip() for line in EQUIVALENT.read_text(encoding="utf-8").splitlines()}
+    chosen = [m for m in drawn(given.seed, given.count) if any(text in str(m) for text in given.only)]
+    results: dict[Mutant, str] = {}
+    broken: set[str] = set()
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder, ThreadPoolExecutor(given.jobs) as pool:
+        trees: SimpleQueue[Path] = SimpleQueue()
+        for k in range(given.jobs):
+            trees.put(copy_to(Path(folder) / str(k)))
+
+        def one(mutant: Mutant) -> None:
+            tree = trees.get()
+            try:
+                results[mutant], seconds = tried(mutant, tree, given.seconds, broken)
+            finally:
+                trees.put(tree)
+            print(f"{len(results):3} {results[mutant]:<9} {seconds:4.0f} s  {mutant}", flush=True)
+
+        list(pool.map(one, chosen))
+    for name in sorted(broken):
+        print(f"fails without any mutant, and was left out: {name}")
+    return told(results, equivalent)
+
+
+def told(results: dict[Mutant, str], equivalent: set[str]) -> int:
+    """Print what came of it; the exit code."""
+    behavioural = {m: r for m, r in results.items() if r == "noticed" or m.key not in equivalent}
+    noticed = sum(result == "noticed" for result in behavioural.values())
+    print(
+        f"\n{noticed} of {len(behavioural)} mutants that change behaviour were noticed; {len(results) - len(behavioural)} are equivalent"
+    )
+    for mutant, result in behavioural.items():
+        if result != "noticed":
+            print(f"  {result}: {mutant}")
+    return 0 if noticed >= LEAST * len(behavioural) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
