@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from operators.depth.presence import Presence
     from operators.depth.region import RegionDepth
     from operators.depth.simplify import Simplify
+    from operators.depth.view import View
     from operators.derivative import Derivative
     from operators.emg import Envelope
     from operators.emg.electrode_watch import ElectrodeWatch
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from operators.gait.force import ForceContacts, SwitchContacts
     from operators.gait.inertial import InertialContacts
     from operators.gait.marker import MarkerContacts
+    from operators.gait.review import CycleReview
     from operators.gait.statistics import CycleStatistics
     from operators.gaps import FillGaps
     from operators.iir import Bandpass, Highpass, Lowpass, Notch
@@ -66,6 +68,7 @@ __all__ = [
     "Breathing",
     "Bundle",
     "CycleEnsemble",
+    "CycleReview",
     "CycleStatistics",
     "CycleWatch",
     "Cycles",
@@ -111,6 +114,7 @@ __all__ = [
     "Standardise",
     "SwitchContacts",
     "Threshold",
+    "View",
 ]
 
 __getattr__, __dir__ = offered(
@@ -126,6 +130,7 @@ __getattr__, __dir__ = offered(
         "Breathing": "operators.depth.breathing",
         "Bundle": "operators.features.bundle",
         "CycleEnsemble": "operators.gait.ensemble",
+        "CycleReview": "operators.gait.review",
         "CycleStatistics": "operators.gait.statistics",
         "CycleWatch": "operators.gait.cycle_watch",
         "Cycles": "operators.gait.cycles",
@@ -171,5 +176,6 @@ __getattr__, __dir__ = offered(
         "Standardise": "operators.features.standardise",
         "SwitchContacts": "operators.gait.force",
         "Threshold": "operators.threshold",
+        "View": "operators.depth.view",
     },
 )
