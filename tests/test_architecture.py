@@ -110,3 +110,78 @@ def test_a_parameter_has_a_help_or_a_unit(part: Any) -> None:
     for f in fields(part):
         told = f.metadata.get("kinegraph", {}).get("description") or UNITS.search(f.name)
         assert told, f"{part.__name__}.{f.name} needs `help` in its param, or a unit in its name"
+
+
+def module_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {module_of(path): path for package in PACKAGES for path in modules(package)}
+
+
+def imports_of(path: Path) -> set[str]:
+    """Our modules that a file imports when it is imported itself: not within functions, not for type checkers only."""
+    found: set[str] = set()
+    todo: list[ast.AST] = list(ast.parse(path.read_text(encoding="utf-8")).body)
+    while todo:
+        node = todo.pop()
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
+            todo += node.orelse
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+            found |= {name if name in MODULES else node.module for name in names}
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+            todo += ast.iter_child_nodes(node)
+    return (found & MODULES.keys()) - {module_of(path)}
+
+
+def circles(package: str) -> list[list[str]]:
+    """Modules of a package that import one another, directly or by way of others."""
+    graph = {name: imports_of(path) for name, path in MODULES.items() if name.split(".")[0] == package}
+    reach: dict[str, set[str]] = {}
+    for name in graph:
+        seen, todo = set[str](), list(graph[name])
+        while todo:
+            if (at := todo.pop()) not in seen:
+                seen.add(at)
+                todo += graph.get(at, ())
+        reach[name] = seen
+    knots = {tuple(sorted(m for m in reach[name] if name in reach.get(m, ()))) for name in graph if name in reach[name]}
+    return [list(knot) for knot in sorted(knots)]
+
+
+LAYERS = (
+    ("stream.engine.session", "stream.engine.replay"),
+    ("stream.engine.resume", "stream.engine.status"),
+    ("stream.engine.ingress", "stream.engine.substitutes", "stream.engine.warmup"),
+    ("stream.engine.session_log", "stream.engine.supervisor", "stream.engine.workers"),
+    ("stream.engine.pipeline",),
+    ("stream.engine.segment", "stream.engine.queues"),
+    ("stream.engine.edge", "stream.engine.admission", "stream.engine.merge", "stream.engine.row"),
+)
+"""The engine's floors, from the top: each imports only from those below it."""
+
+
+def test_the_engines_floors() -> None:
+    floor = {name: depth for depth, names in enumerate(LAYERS) for name in names}
+    engine = {name for name in MODULES if name.startswith("stream.engine.")}
+    assert engine == floor.keys()
+    for name in engine:
+        above = [other for other in imports_of(MODULES[name]) & engine if floor[other] <= floor[name]]
+        assert not above, f"{name} imports {above}"
+
+
+def test_no_module_of_the_engine_imports_itself_by_way_of_others() -> None:
+    assert [knot for knot in circles("stream") if any(name.startswith("stream.engine") for name in knot)] == []
+
+
+def test_the_engine_stays_small() -> None:
+    files = modules("stream/engine")
+    assert len(files) <= 18
+    for path in files:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                assert (node.end_lineno or 0) - node.lineno < 200, f"{path.name}: {node.name}"

@@ -18,11 +18,13 @@ from typing import Any
 from stream.chunk import FOREVER, NEVER, NS, Chunk, empty, utc
 from stream.clock import SessionClock
 from stream.engine.admission import admit
-from stream.engine.edge import LiveEdge
+from stream.engine.edge import CallSlot, LiveEdge
 from stream.engine.pipeline import Pipeline
 from stream.engine.queues import BoundedQueue, ReadyQueue
 from stream.engine.session_log import PriorSession, SessionLog
 from stream.engine.supervisor import REST_S, Inline, Runner, StartBarrier
+from stream.errors import KinegraphError
+from stream.manual import Value
 
 LONG_AGO = 10**8 * NS
 """In 1973: a live sample's stamp that lies before is rather one in other units."""
@@ -32,7 +34,7 @@ LONG_OFTEN = 3
 
 
 @dataclass(slots=True)
-class Turn:
+class GraphTurn:
     """Who works on the graph now.
 
     lock   one thread at a time
@@ -139,7 +141,7 @@ class Ingress:
         self._runners, self._slot = runners, pipeline.slots[""]
         self._put_aside: list[BoundedQueue] = []
         self._closed = self.over = False
-        self.turn = Turn()
+        self.turn = GraphTurn()
         self._start: StartBarrier[IngressPort] = StartBarrier(runners)
         self.ports = [IngressPort(r, o, pipeline.entries[queue.name]) for r in runners for o, queue in r.queues.items()]
         for port in self.ports:
@@ -160,6 +162,16 @@ class Ingress:
             if prior and prior.checkpoint:
                 port.watermark = prior.checkpoint.promised.get(port.stream, NEVER)
 
+    def tell(self, node: str, text: str) -> None:
+        """Give a source what a person typed for it; raises KinegraphError if it cannot be."""
+        for runner in self._runners:
+            if runner.node.name == node:
+                if isinstance(runner.source, Value):
+                    runner.source.accepts(text)
+                runner.mailbox.put(text)
+                return
+        raise KinegraphError(f"there is no source {node!r} to tell {text!r}")
+
     def begin(self) -> None:
         """The sources are started now: from now on it counts how long they take."""
         self._start.begin()
@@ -171,41 +183,8 @@ class Ingress:
     # the two ways in ---------------------------------------------------------------------------------------------------
 
     def inline(self, port: IngressPort) -> Inline:
-        """The way into the graph on the source's own thread: returns whether the chunk has taken it, and all that it leads to is done.
-
-        After a rest of a few milliseconds, which is how a device's chunks come, a processor has to fetch code and numbers from far
-        memory: so it says no by few looks at what is at hand.
-        """
-        runner, queue, turn, ready = port.runner, port.queue, self.turn, self._ready
-        acquire, release, slot = turn.lock.acquire, turn.lock.release, self._slot
-        long = queue_until = 0
-
-        def take(chunk: Chunk, arrival: int) -> bool:
-            nonlocal long, queue_until
-            if queue.waiting or queue.owed or not turn.open or not ready.empty() or arrival < queue_until:
-                return False
-            if runner.state != "running" or not acquire(False):
-                return False
-            try:
-                if not turn.open:
-                    return False
-                queue.index += len(chunk.time)
-                queue.chunks += 1
-                start = perf_counter_ns()
-                self.enter(port, chunk, arrival)
-                long = long + 1 if perf_counter_ns() - start > LONG_NS else 0
-            except Exception as error:  # noqa: BLE001 - an operator's, or the engine's own: it ends the session
-                self._fail(error)
-                return True
-            finally:
-                slot.port = None
-                release()
-            self._log.lull()
-            if long == LONG_OFTEN:
-                long, queue_until = 0, arrival + NS
-            return True
-
-        return take
+        """The way into the graph on the source's own thread."""
+        return _inline(self, port, self._ready, self._slot, self._log, self._fail)
 
     def serve(self, timeout_s: float) -> None:
         """Take the next chunk that waits, whoever it comes from; waits at most `timeout_s` for one."""
@@ -333,3 +312,48 @@ class Ingress:
         return {
             port.stream: int(port.watermark) for port in self.ports
         }  # a source may have said it in numpy's integers
+
+
+def _inline(
+    ingress: Ingress,
+    port: IngressPort,
+    ready: ReadyQueue,
+    slot: CallSlot,
+    session_log: SessionLog,
+    fail: Callable[[Exception], None],
+) -> Inline:
+    """What takes a chunk into the graph and works through all that it leads to, or says at once that it must wait.
+
+    After a rest of a few milliseconds, which is how a device's chunks come, a processor has to fetch code and numbers from far memory:
+    so it says no by few looks at what is at hand.
+    """
+    runner, queue, turn, enter = port.runner, port.queue, ingress.turn, ingress.enter
+    acquire, release = turn.lock.acquire, turn.lock.release
+    long = queue_until = 0
+
+    def take(chunk: Chunk, arrival: int) -> bool:
+        nonlocal long, queue_until
+        if queue.waiting or queue.owed or not turn.open or not ready.empty() or arrival < queue_until:
+            return False
+        if runner.state != "running" or not acquire(False):
+            return False
+        try:
+            if not turn.open:
+                return False
+            queue.index += len(chunk.time)
+            queue.chunks += 1
+            start = perf_counter_ns()
+            enter(port, chunk, arrival)
+            long = long + 1 if perf_counter_ns() - start > LONG_NS else 0
+        except Exception as error:  # noqa: BLE001 - an operator's, or the engine's own: it ends the session
+            fail(error)
+            return True
+        finally:
+            slot.port = None
+            release()
+        session_log.lull()
+        if long == LONG_OFTEN:
+            long, queue_until = 0, arrival + NS
+        return True
+
+    return take

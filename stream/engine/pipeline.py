@@ -19,7 +19,7 @@ from stream.clock import SessionClock
 from stream.engine.edge import NOTHING, CallSlot, InputPort, LiveEdge, Push, failure, nonsense
 from stream.engine.merge import Merge
 from stream.engine.queues import BoundedQueue
-from stream.engine.segment import Segment
+from stream.engine.segment import CompiledSegment
 from stream.errors import KinegraphError
 from stream.graph import Edge, Graph, Node
 from stream.graph.parts import is_ours
@@ -175,7 +175,7 @@ class Pipeline:
         }
         workers = workers_of(graph)
         self.slots = {worker: CallSlot() for worker in ("", *workers.values())}
-        self.segments: list[Segment] = []
+        self.segments: list[CompiledSegment] = []
         self.stages = {
             name: Stage(graph, node, workers[name], self.slots[workers[name]])
             for name, node in graph.nodes.items()
@@ -239,7 +239,7 @@ class Pipeline:
         inside: set[int] = set()
         for edge in self.edges.values():
             if id(edge) not in inside:
-                segment = Segment(edge)
+                segment = CompiledSegment(edge)
                 edge.send = segment.send
                 self.segments.append(segment)
                 inside |= {id(later) for later in segment.edges}

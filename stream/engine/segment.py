@@ -52,7 +52,7 @@ class Span:
         return self.before + len(self.ports)
 
 
-class Segment:
+class CompiledSegment:
     """The operators in a row behind an edge.
 
     edges   before, between and after them
@@ -64,11 +64,7 @@ class Segment:
         ports, self.edges = _in_a_row(edge)
         self.spans = list(_spans(ports, self.edges))
         self._timed: list[list[tuple[int, ...]]] = [[] for _ in self.spans]
-        self._at: dict[int, int] = {}
-        """By line of the function: the span that is called there."""
-        self._checks_at: dict[int, int] = {}
-        """And the edge whose promise is checked there."""
-        lines = self._written()
+        self._code = Code(self.edges, self.spans)
         names: dict[str, Any] = {"clock": perf_counter_ns, "Chunk": Chunk, "due": 0, "trouble": self._trouble}
         names |= {"FOREVER": FOREVER, "STAMP": STAMP, "slot0": edge.slot}
         for i, edge in enumerate(self.edges):
@@ -89,7 +85,7 @@ class Segment:
                 names |= {f"row{i}": row, f"run{i}": row.run, f"table{i}": row.table, f"spare{i}": row.spare.both}
                 names |= {f"rows{i}": row.rows, f"nothing{i}": Spare(row.width).both(0)}
         names |= {f"push{k}": push for k, push in enumerate(self.edges[-1].readers)}
-        exec(compile("\n".join(lines), f"<segment behind {edge.origin}>", "exec"), names)
+        exec(compile("\n".join(self._code.lines), f"<segment behind {edge.origin}>", "exec"), names)
         self.send: Push = names["send"]
 
     def fold(self, least: int) -> None:
@@ -107,7 +103,36 @@ class Segment:
             if span.row:
                 span.row.fold([port.timing for port in span.ports], least)
 
-    # what is written ---------------------------------------------------------------------------------------------------
+    def _stray(self, span: Span, place: int, chunk: Chunk) -> None:
+        """A step of a row gave stamps that it must not give."""
+        edge = self.edges[span.before + place].origin
+        raise PromiseError(edge.node, edge.output, "stamps that run backwards, or ahead of its inputs", chunk)
+
+    def _trouble(self, error: Exception | SystemExit, found: dict[str, Any]) -> None:
+        """Raise what an operator's exception means; nothing, where no operator of this segment raised it."""
+        trace = error.__traceback__
+        line = trace.tb_lineno if trace else 0
+        if (checked := self._code.checks_at.get(line)) is not None:
+            self.edges[checked].check(found["given"])
+        if (i := self._code.calls_at.get(line)) is not None:
+            span = self.spans[i]
+            port = span.ports[0]
+            raise failure(port.node, error, port.port, found[f"c{span.before}"]) from error
+
+
+class Code:
+    """The text of a segment's function, `send(c0, t0)`.
+
+    lines      of it
+    calls_at   by line: the span that is called there
+    checks_at  by line: the edge whose promise is checked there
+    """
+
+    def __init__(self, edges: list[LiveEdge], spans: list[Span]) -> None:
+        self.edges, self.spans = edges, spans
+        self.calls_at: dict[int, int] = {}
+        self.checks_at: dict[int, int] = {}
+        self.lines = self._written()
 
     def _written(self) -> list[str]:
         lines = [
@@ -133,9 +158,9 @@ class Segment:
             for line in written:
                 lines.append(indent + line)
                 if "given.time" in line and "slot" not in line:
-                    self._checks_at[len(lines)] = span.after
+                    self.checks_at[len(lines)] = span.after
                 if any(f"{called}{i}(" in line for called in ("process", "run", "rows")):
-                    self._at[len(lines)] = i
+                    self.calls_at[len(lines)] = i
             lines += self._passed(span.after, indent, counted=True)
         count, last = len(self.spans), len(self.edges) - 1
         if timed:
@@ -275,22 +300,6 @@ class Segment:
         times = ", ".join(f"t{k}" for k in range(i + 2))
         noted = [f"note{i}(({times}))"] if any(span.row is None for span in self.spans[: i + 1]) else []
         return [*noted, f"due = t{i + 1} + {REST} * (t{i + 1} - t0)"]
-
-    def _stray(self, span: Span, place: int, chunk: Chunk) -> None:
-        """A step of a row gave stamps that it must not give."""
-        edge = self.edges[span.before + place].origin
-        raise PromiseError(edge.node, edge.output, "stamps that run backwards, or ahead of its inputs", chunk)
-
-    def _trouble(self, error: Exception | SystemExit, found: dict[str, Any]) -> None:
-        """Raise what an operator's exception means; nothing, where no operator of this segment raised it."""
-        trace = error.__traceback__
-        line = trace.tb_lineno if trace else 0
-        if (checked := self._checks_at.get(line)) is not None:
-            self.edges[checked].check(found["given"])
-        if (i := self._at.get(line)) is not None:
-            span = self.spans[i]
-            port = span.ports[0]
-            raise failure(port.node, error, port.port, found[f"c{span.before}"]) from error
 
 
 def _in_a_row(edge: LiveEdge) -> tuple[list[InputPort], list[LiveEdge]]:

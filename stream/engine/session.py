@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from pathlib import Path
 from queue import SimpleQueue
 
@@ -29,8 +30,8 @@ from stream.engine.warmup import Compilations, warm_up
 from stream.engine.workers import Call, Watchdog, Workers
 from stream.errors import KinegraphError
 from stream.graph import Graph
-from stream.manual import Value
 from stream.operator import Outlet
+from stream.recording import RecorderStatus
 from stream.source import Source
 from stream.stalls import calm
 
@@ -69,7 +70,7 @@ class Session:
         self._began = self._ran_s = 0.0
         self.table: Table = {}
         waits = not any(s.live for s in graph.parts(Source) if not s.background)
-        self._workers = Workers(self._ready, waits, self._fail, self._worker_dropped)
+        self._workers = Workers(self._ready, waits, self._fail, self._dropped)
         self.pipeline = Pipeline(graph, speaking=graph.outlets, bridge=self._workers.bridge)
         self.log = SessionLog(folder, graph, self.clock, self._prior)
         self._runners = [Runner(node, self._ready, self.clock, self.log.report, self._fail) for node in graph.sources]
@@ -83,19 +84,11 @@ class Session:
 
     def tell(self, node: str, text: str) -> None:
         """Give a source what a person typed for it, before it starts or while it reads; raises KinegraphError if it cannot be."""
-        for runner in self._runners:
-            if runner.node.name == node:
-                if isinstance(runner.source, Value):
-                    runner.source.accepts(text)
-                runner.mailbox.put(text)
-                return
-        raise KinegraphError(f"there is no source {node!r} to tell {text!r}")
+        self._ingress.tell(node, text)
 
     def mark(self, text: str, onset: int | None = None) -> None:
         """Annotate this moment, or the one at `onset` (ns)."""
         self.tell("annotations", f"{self.clock.now() if onset is None else onset} {text}")
-
-    # from start to end -----------------------------------------------------------------------------------------------
 
     def run(self) -> Outcome:
         """Run until every source has ended, `stop` is called, or something fails; closes everything in every case."""
@@ -136,9 +129,8 @@ class Session:
         return self._outcome([])
 
     def _outcome(self, compiled: list[str]) -> Outcome:
-        outlets = [(s.node.name, s.operator) for s in self.pipeline.outlets]
-        files = {name: file for name, o in outlets if isinstance(o, Outlet) and (file := o.file)}
-        return Outcome(self._error, self._exit_code(), self.table, self.folder, compiled, self._ran_s, files)
+        code = exit_code(self._error, self._down, self.log.status, self.pipeline)
+        return Outcome(self._error, code, self.table, self.folder, compiled, self._ran_s, files_of(self.pipeline))
 
     def _open(self) -> None:
         """Restore the state if a former session goes on, begin the recording, and compile; no device yet."""
@@ -185,7 +177,6 @@ class Session:
                 return
 
     def _look_after(self, now: float) -> None:
-        """Several times a second: reopen failed sources, say what time has passed on silent ones, keep the timings short."""
         self.pipeline.fold()
         for runner in self._runners:
             runner.watch()
@@ -199,11 +190,7 @@ class Session:
 
     def _measure(self, *, last: bool = False) -> None:
         """Read the metrics; the `last` ones keep the rates from when samples still came."""
-        before = self.table
-        self.table = table_of(self.pipeline, self._ingress.ports, self._workers, self.log.status, before)
-        if last:
-            for name in self.table.keys() & before.keys():
-                self.table[name] |= {k: v for k, v in before[name].items() if k == "rate_hz"}
+        self.table = table_of(self.pipeline, self._ingress.ports, self._workers, self.log.status, self.table, last=last)
         self.log.metrics(self.table)
         if self._view:
             self._view.update(self.table)
@@ -220,10 +207,8 @@ class Session:
         self._ingress.close()
         self._ready.put(None)
 
-    def _worker_dropped(self, queue: str, first: int, samples: int) -> None:
+    def _dropped(self, queue: str, first: int, samples: int) -> None:
         self.log.report(DROPPED, queue=queue, first=first, samples=samples)
-
-    # the end ---------------------------------------------------------------------------------------------------------
 
     def _finish(self) -> None:
         """Stop the sources, work through what had arrived, close every operator and file; each even if another fails."""
@@ -234,7 +219,7 @@ class Session:
             runner.stop()
         if self._error is None:
             try:
-                self._drain()
+                drain(self._ingress, self._workers, self.pipeline, self._pump)
             except Exception as error:  # noqa: BLE001 - told in the outcome; what is open must be closed first
                 self._error = error
         if not self._broken_off:
@@ -257,20 +242,29 @@ class Session:
         if (status := self.log.status) is not None:
             self.table["recording"] = recording_row(status)
 
-    def _drain(self) -> None:
-        """Everything that had arrived is worked through, then every operator emits what is pending."""
-        self._ingress.serve_all()
-        self._workers.settle(self._pump)
-        self._ingress.end()
-        self._workers.settle(self._pump)
-        if any(isinstance(s.operator, Outlet) and s.operator.file for s in self.pipeline.outlets):
-            log.info("finishing: outlets write what is left")
-        self.pipeline.close(lambda: self._workers.settle(self._pump))
 
-    def _exit_code(self) -> int:
-        if self._error:
-            return getattr(self._error, "exit_code", 4)
-        if self._down:
-            return 3
-        status = self.log.status
-        return 5 if (status and (status.dropped or status.error)) or any(s.failed for s in self.pipeline.outlets) else 0
+def drain(ingress: Ingress, workers: Workers, pipeline: Pipeline, pump: Callable[[], None]) -> None:
+    """Everything that had arrived is worked through, then every operator emits what is pending."""
+    ingress.serve_all()
+    workers.settle(pump)
+    ingress.end()
+    workers.settle(pump)
+    if files_of(pipeline):
+        log.info("finishing: outlets write what is left")
+    pipeline.close(lambda: workers.settle(pump))
+
+
+def exit_code(error: Exception | None, down: bool, recording: RecorderStatus | None, pipeline: Pipeline) -> int:
+    """How a session ended, as a number: see `Outcome`."""
+    if error:
+        return getattr(error, "exit_code", 4)
+    if down:
+        return 3
+    lost = recording is not None and bool(recording.dropped or recording.error)
+    return 5 if lost or any(s.failed for s in pipeline.outlets) else 0
+
+
+def files_of(pipeline: Pipeline) -> dict[str, str]:
+    """What outlets leave behind, by node."""
+    outlets = [(stage.node.name, stage.operator) for stage in pipeline.outlets]
+    return {name: file for name, outlet in outlets if isinstance(outlet, Outlet) and (file := outlet.file)}

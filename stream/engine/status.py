@@ -26,8 +26,11 @@ def table_of(
     workers: Workers,
     recording: RecorderStatus | None,
     before: Table | None = None,
+    *,
+    last: bool = False,
 ) -> Table:
-    """The table now; `before` is the one read last, for rates. Reading it starts a new interval of the timings."""
+    """The table now; `before` is the one read last, for rates, and the `last` table keeps those. Reading it starts a new interval of the
+    timings."""
     now = time.monotonic()
     pipeline.fold(least=1)
     table: Table = {}
@@ -41,6 +44,8 @@ def table_of(
         row["rate_hz"] = (
             round((row["samples"] - old["samples"]) / (now - old["at_s"]), 2) if old and now > old["at_s"] else 0.0
         )
+        if last and old:
+            row["rate_hz"] = old["rate_hz"]
     if recording:
         table["recording"] = recording_row(recording)
     return table

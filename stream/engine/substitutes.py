@@ -20,7 +20,7 @@ from stream.source import Source
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded(Source):
+class FromRecording(Source):
     """Takes the place of a node that cannot be computed; it is never read."""
 
 
@@ -63,7 +63,7 @@ class Substitutes:
                 kept = {o: s for o, s in node.specs.items() if str(Edge(name, o)) not in self.missing}
                 nodes[name] = replace(node, specs=kept)
             elif self.idle[name]:
-                nodes[name] = replace(node, part=Recorded(), inputs={}, specs=self.idle[name])
+                nodes[name] = replace(node, part=FromRecording(), inputs={}, specs=self.idle[name])
         record = tuple(e for e in graph.record if e.node in nodes and e.output in nodes[e.node].specs)
         return replace(graph, nodes=nodes, record=record)
 
