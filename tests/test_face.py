@@ -187,7 +187,7 @@ class Unsaid:
         (lambda g: g.add("x", Lowpass(6)), "node 'x': 'from' is missing"),
         (lambda g: g.add("x", Lowpass(6), "x"), "node 'x': there is no node 'x'"),
         (lambda g: g.add("smooth", Lowpass(6), "emg"), "node 'smooth': a node of this name is in the graph already"),
-        (lambda g: g.add("x", Lowpass(6), "emg", lan="a"), "Lowpass has no parameter 'lan'; did you mean 'lane'?"),
+        (lambda g: g.add("x", Lowpass(6), "emg", worke="a"), "Lowpass has no parameter 'worke'; did you mean 'worker'?"),
         (lambda g: g.add("x y", Lowpass(6), "emg"), "a node's name is made of letters"),
         (lambda g: g.add("x", Unsaid(), "emg"), "is no source, operator or outlet"),
         (lambda g: g.record("smoth"), "there is no node 'smoth'; did you mean 'smooth'?"),
