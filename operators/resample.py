@@ -203,8 +203,9 @@ class Resample(Operator[ResampleState]):
 def ratio(wanted_hz: float, rate_hz: float) -> tuple[int, int]:
     """`wanted_hz` / `rate_hz` as up / down in lowest terms, each at most `MOST`; rates are taken by their decimal digits."""
     exact = Fraction(repr(wanted_hz)) / Fraction(repr(rate_hz))
-    near = exact.limit_denominator(MOST) if exact <= 1 else 1 / (1 / exact).limit_denominator(MOST)
-    if not near or abs(near / exact - 1) > NEAR:
+    small = min(exact, 1 / exact).limit_denominator(MOST)  # 0: further than any ratio reaches
+    near = small if exact <= 1 or not small else 1 / small
+    if not small or abs(near / exact - 1) > NEAR:
         accepts = f"between {rate_hz / MOST:g} and {rate_hz * MOST:g} (the input's {rate_hz:g} Hz over or times {MOST})"
         raise ParameterError("rate_hz", wanted_hz, accepts)
     return near.numerator, near.denominator

@@ -64,9 +64,24 @@ def test_any_rate_is_met_by_the_nearest_ratio_which_the_spec_names():
     assert made.rate_hz == 200.0 * up / down and abs(made.rate_hz - math.pi * 10) < 1e-4
 
 
-def test_rates_out_of_reach_are_refused():
-    with pytest.raises(ParameterError, match=r"rate_hz is 0\.01; it must be between 0\.2 and 200000"):
-        Resample(rate_hz=0.01).open({"in": signal_spec()})
+def reachable(wanted_hz, rate_hz):
+    """Whether any ratio of two numbers up to 1000 comes within 0.1 %: by trying all."""
+    terms = np.arange(1, 1001)
+    return bool((np.abs(terms[:, None] / terms * (rate_hz / wanted_hz) - 1) <= 1e-3).any())
+
+
+@pytest.mark.parametrize("rate_hz", [200.0, 1000.0])
+@pytest.mark.parametrize(
+    "share", [1e-5, 4e-4, 9e-4, 1e-3, 1.04e-3, 2.1e-3, 0.7, 1.0, 1.3, 700.0, 1000.0, 1100.0, 2500.0, 1e5]
+)
+def test_rates_out_of_reach_are_refused(rate_hz, share):
+    wanted_hz = share * rate_hz
+    if reachable(wanted_hz, rate_hz):
+        up, down = ratio(wanted_hz, rate_hz)
+        assert max(up, down) <= 1000 and abs(up / down * rate_hz / wanted_hz - 1) <= 1e-3
+        return
+    with pytest.raises(ParameterError, match=rf"rate_hz is .*; it must be between {rate_hz / 1000:g} and "):
+        Resample(rate_hz=wanted_hz).open({"in": signal_spec(rate_hz=rate_hz)})
 
 
 def test_resampled_stamps_follow_a_device_that_drifts():
