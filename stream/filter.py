@@ -253,11 +253,12 @@ class SampleWise(Operator[S]):
         return Chunk(stamps, made, before(chunk.until, self.bound.delay_ns), lost)
 
 
-def reset_gap(default: float) -> Any:
+RESET = "a longer gap resets the state; up to it, samples on both sides are neighbours"
+
+
+def reset_gap(default: float, help: str = RESET, *, most: float | None = None) -> Any:
     """The parameter `reset_gap_s`, by which an operator says after which gaps it forgets what was before."""
-    return param(
-        default, least=0.0, help="a longer gap resets the state; up to it, samples on both sides are neighbours"
-    )
+    return param(default, least=0.0, most=most, help=help)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

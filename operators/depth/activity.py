@@ -15,6 +15,7 @@ from operators.depth.presence import BED, IN, NAMES, OUT, UNKNOWN
 from operators.depth.view import VIEW, check_view
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
+from stream.filter import reset_gap
 from stream.kernel import kernel
 from stream.operator import Case, Operator, grid
 from stream.params import param
@@ -146,7 +147,7 @@ class Activity(Operator[ActivityState]):
     least_s: float = param(1.0, least=0.0, help="less movement in an epoch is none")
     least_seen: float = param(0.5, above=0.0, most=1.0, help="share of the frames that must have been seen")
     crosstalk_ratio: float = param(3.0, above=1.0, help="how much stronger another's movement must be to be suspected")
-    reset_gap_s: float = param(43_200.0, least=0.0, help="a longer silence is not filled with unknown epochs")
+    reset_gap_s: float = reset_gap(43_200.0, "a longer silence is not filled with unknown epochs")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["motion"]

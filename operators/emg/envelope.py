@@ -14,6 +14,7 @@ from operators.iir import butterworth, steady_memory
 from operators.remembered import remembered
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
+from stream.filter import reset_gap
 from stream.operator import Case, Emitted, Operator, grid
 from stream.params import param
 
@@ -87,7 +88,7 @@ class Envelope(Operator[EnvelopeState]):
     phase: Literal["zero", "causal"] = param(
         "zero", help="zero: peaks stay where they are; causal: sooner, peaks move a little"
     )
-    reset_gap_s: float = param(0.05, least=0.0, help="a longer gap starts the filters anew")
+    reset_gap_s: float = reset_gap(0.05)
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]

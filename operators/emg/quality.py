@@ -12,6 +12,7 @@ from operators.emg.amplitude_reference import AmplitudeReference
 from operators.emg.quality_kernel import powers, runs
 from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
+from stream.filter import reset_gap
 from stream.operator import Case, Operator, grid
 from stream.params import param
 
@@ -126,7 +127,7 @@ class SignalQuality(Operator[QualityState]):
         0.0, least=0.0, help="more is baseline noise, in the signal's unit; 0: 10 uV, where the unit is one of voltage"
     )
     rest: str = param("", help="a rest reference, whose baseline noise is compared")
-    reset_gap_s: float = param(0.05, least=0.0, help="a longer gap begins a new window")
+    reset_gap_s: float = reset_gap(0.05)
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]

@@ -11,6 +11,7 @@ import numpy as np
 from operators.gait.contacts import Contacts, Followed, signal_channels
 from stream.chunk import NEVER, NS, Array, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError
+from stream.filter import reset_gap
 from stream.kernel import kernel
 from stream.operator import Case, grid
 from stream.params import param
@@ -95,7 +96,7 @@ class AccelerationContacts(Contacts[AccelerationState]):
     """
 
     acceleration: tuple[str, ...] = param((), help="the three channels of acceleration; empty: those in m/s2, g or mg")
-    reset_gap_s: float = param(0.3, least=0.0, most=1.0, help="a longer gap, or run of bad samples, starts anew")
+    reset_gap_s: float = reset_gap(0.3, "a longer gap, or run of bad samples, starts anew", most=1.0)
     side: Literal["left", "right", ""] = param("", help="whose foot: left, right, or empty where it is not known")
 
     def open(self, specs: Specs) -> Specs:

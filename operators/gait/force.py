@@ -12,6 +12,7 @@ from operators.gait.baseline import BLOCK_S, ZERO, zeroed
 from operators.gait.contacts import Contacts, Followed, signal_channels
 from stream.chunk import NEVER, NS, Array, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
+from stream.filter import reset_gap
 from stream.kernel import kernel
 from stream.operator import Case, grid
 from stream.params import param
@@ -135,7 +136,7 @@ class ForceContacts(_Press):
     most_offset_n: float = param(100.0, above=0.0, help="a higher reading is a load, not an offset")
     inverted: bool = param(False, help="the plate shows pressure as a negative force")
     debounce_s: float = param(0.03, least=0.0, most=0.5, help="how long a contact or a swing lasts at least")
-    reset_gap_s: float = param(0.1, least=0.0, help="after a longer gap it is not known where the foot is")
+    reset_gap_s: float = reset_gap(0.1, "after a longer gap it is not known where the foot is")
     side: Literal["left", "right", ""] = param("", help="whose foot: left, right, or empty where it is not known")
 
     def open(self, specs: Specs) -> Specs:
@@ -197,7 +198,7 @@ class SwitchContacts(_Press):
         False, help="the switch is closed to ground: low means pressed; the threshold is that of the line itself"
     )
     debounce_s: float = param(0.03, least=0.0, most=0.5, help="how long a contact or a swing lasts at least")
-    reset_gap_s: float = param(0.1, least=0.0, help="after a longer gap it is not known where the foot is")
+    reset_gap_s: float = reset_gap(0.1, "after a longer gap it is not known where the foot is")
     side: Literal["left", "right", ""] = param("", help="whose foot: left, right, or empty where it is not known")
 
     def open(self, specs: Specs) -> Specs:

@@ -12,6 +12,7 @@ from operators.gait.contacts import Contacts, Followed, signal_channels
 from operators.gait.legs import BY_ENERGY, BY_SIZE, LEGS, LIFTOFF, LONGEST_NS, TOUCHDOWN, glide, judge, rest
 from stream.chunk import NEVER, NS, Array, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError
+from stream.filter import reset_gap
 from stream.kernel import kernel
 from stream.operator import Case, grid
 from stream.params import param
@@ -183,9 +184,7 @@ class InertialContacts(Contacts[InertialState]):
     unit: Literal["", "rad/s", "deg/s"] = param(
         "", help="unit of the channels named in angular_velocity; empty: the input's"
     )
-    reset_gap_s: float = param(
-        0.3, least=0.0, most=1.0, help="a longer gap, or run of bad samples, starts anew; the axis is kept"
-    )
+    reset_gap_s: float = reset_gap(0.3, "a longer gap, or run of bad samples, starts anew; the axis is kept", most=1.0)
     side: Literal["left", "right", ""] = param("", help="whose foot: left, right, or empty where it is not known")
 
     def open(self, specs: Specs) -> Specs:

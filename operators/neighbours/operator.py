@@ -14,6 +14,7 @@ from operators.neighbours.index import LIMITS, set_weights
 from operators.neighbours.layout import NEXT, IndexState, allocate, clear
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times, empty
 from stream.errors import InputError, ParameterError
+from stream.filter import reset_gap
 from stream.operator import Case, Operator, grid
 from stream.params import param
 from stream.require import numeric, regular, samples_in
@@ -80,7 +81,7 @@ class Neighbours(Operator[NeighboursState]):
     both: bool = param(False, help="also neighbours in whose own radius the frame lies")
     band_s: float = param(1.0, least=0.0, help="frames less far away in time are passed over; 0: only the frame itself")
     weights: tuple[float, ...] | None = param(None, least=0.0, help="one per feature; left out: 1 each")
-    reset_gap_s: float = param(60.0, least=0.0, help="a longer gap empties the window")
+    reset_gap_s: float = reset_gap(60.0)
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]

@@ -30,6 +30,7 @@ from operators.segmentation.layout import (
 )
 from stream.chunk import FOREVER, NEVER, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
+from stream.filter import reset_gap
 from stream.operator import Case, Operator, grid
 from stream.params import param
 from stream.require import numeric, regular, samples_in
@@ -134,7 +135,7 @@ class Segment(Operator[SegmentState]):
     firm_s: float = param(8.0, above=0.0, help="after its opening, until its start is final")
     band_s: tuple[float, float] = param((0.4, 0.7), above=0.0, help="bounds of the band around the diagonal")
     transition_s: float = param(2.5, least=0.0, help="a longer stretch between two activities is one of its own")
-    reset_gap_s: float = param(1.0, least=0.0, help="a longer gap ends what is open")
+    reset_gap_s: float = reset_gap(1.0, "a longer gap ends what is open")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]

@@ -11,6 +11,7 @@ import numpy as np
 
 from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError, ParameterError
+from stream.filter import reset_gap
 from stream.kernel import kernel
 from stream.operator import Case, Operator, grid
 from stream.params import param
@@ -67,7 +68,7 @@ class Epochs(Operator[EpochsState]):
     measure: Literal["sum", "mean", "maximum"] = param("sum", help="what becomes of an epoch's samples")
     least_seen: float = param(0.5, above=0.0, most=1.0, help="share of the samples that must have been seen")
     offset_s: float = param(0.0, help="how far the grid is from whole epochs since 1970")
-    reset_gap_s: float = param(43_200.0, least=0.0, help="a longer silence is not filled with unknown epochs")
+    reset_gap_s: float = reset_gap(43_200.0, "a longer silence is not filled with unknown epochs")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]

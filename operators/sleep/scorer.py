@@ -15,6 +15,7 @@ from operators.sleep.methods import METHODS, MethodName, Rule, rule
 from operators.sleep.rescoring import NAMES, REACH_MIN, SLEEP, UNKNOWN, WAKE, States, rescored, settled
 from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
+from stream.filter import reset_gap
 from stream.operator import Case, Operator, grid
 from stream.params import param
 from stream.require import numeric, regular
@@ -99,7 +100,7 @@ class SleepScorer(Operator[ScorerState]):
     calibration: str = param("", help="a file that turns the input's motion into the method's counts")
     channel: str | int | None = param(None, help="name, or number from 0; may be left out if there is only one")
     least_seen: float = param(0.5, above=0.0, most=1.0, help="share of the method's weight that must have been seen")
-    reset_gap_s: float = param(43_200.0, least=0.0, help="a longer silence is not filled with unknown epochs")
+    reset_gap_s: float = reset_gap(43_200.0, "a longer silence is not filled with unknown epochs")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
