@@ -50,6 +50,7 @@ class Align(Operator[AlignState]):
     No anti-alias filter is in it: a stream that is much faster than the rows should be low-passed first.
     """
 
+    delays: ClassVar[str] = "`max_distance_s`; `hold`: none"
     inputs: ClassVar[tuple[str, ...]] = ()
     variadic: ClassVar[bool] = True
     in_turn: ClassVar[bool] = False

@@ -68,6 +68,7 @@ class ExtremeState(FilterState):
 class _Extreme(Filter[ExtremeState]):
     """The largest or smallest value of a moving window."""
 
+    delays: ClassVar[str] = "half the window"
     __slots__ = ()
     kernel = moving_extreme
     sign: ClassVar[float]

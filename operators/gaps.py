@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -88,6 +88,7 @@ class FillGaps(Operator[FillState]):
     delay   a sample that may yet be filled waits for the next good one, so `limit_s` at most; without bad samples there is none
     """
 
+    delays: ClassVar[str] = "`limit_s`, only where something is bad"
     takes = "rows"
     limit_s: float = param(0.1, above=0.0, help="the longest gap that is filled")
     method: Literal["linear", "hold"] = param("linear", help="a straight line, or the last value")

@@ -14,7 +14,7 @@ import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -136,6 +136,8 @@ class Lowpass(_Sections):
     filtering, and offline one would filter forwards and backwards. Here the filter runs forwards only and its stamps make up for it.
     """
 
+    delays: ClassVar[str] = "group delay at 0 Hz"
+    agrees: ClassVar[str] = "`scipy.signal.sosfilt`, every bit"
     cutoff_hz: float = param(above=0.0, help="where the filter is 3 dB down")
     order: int = param(4, least=1, most=20, help="of the filter: each adds 6 dB per octave")
     start: Literal["zero", "first"] = param("zero", help="what came before: zeros, or the first sample's value")
@@ -153,6 +155,8 @@ class Lowpass(_Sections):
 class Highpass(_Sections):
     """Butterworth high-pass: removes offset and drift, e.g. motion artefacts of EMG below 10-20 Hz. Stamps unchanged, no delay declared."""
 
+    delays: ClassVar[str] = "none; stamps stay"
+    agrees: ClassVar[str] = "`sosfilt`, every bit"
     cutoff_hz: float = param(above=0.0, help="where the filter is 3 dB down")
     order: int = param(4, least=1, most=20, help="of the filter: each adds 6 dB per octave")
     start: Literal["zero", "first"] = param("zero", help="what came before: zeros, or the first sample's value")
@@ -173,6 +177,8 @@ class Bandpass(_Sections):
     Stamps are earlier by the group delay at the geometric centre of the band, which is also the declared delay.
     """
 
+    delays: ClassVar[str] = "group delay at √(low · high)"
+    agrees: ClassVar[str] = "`sosfilt`, every bit"
     low_hz: float = param(above=0.0, help="lower edge, 3 dB down")
     high_hz: float = param(above=0.0, help="upper edge, 3 dB down")
     order: int = param(4, least=1, most=20, help="of each flank: each adds 6 dB per octave")
@@ -198,6 +204,8 @@ class Notch(_Sections):
     Stamps unchanged, no delay declared.
     """
 
+    delays: ClassVar[str] = "none; stamps stay"
+    agrees: ClassVar[str] = "`iirnotch` through `sosfilt`, every bit"
     notch_hz: float = param(50.0, above=0.0, help="what is removed, e.g. 50 or 60 Hz mains")
     width_hz: float = param(2.0, above=0.0, help="width of each notch, 3 dB down to 3 dB down")
     harmonics: int = param(1, least=1, help="how many multiples of notch_hz are removed, itself included")

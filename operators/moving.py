@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -117,6 +118,7 @@ class MovingState(FilterState):
 class _Moving(Filter[MovingState]):
     """A window that moves with every sample; subclasses say what is made of it."""
 
+    delays: ClassVar[str] = "half the window"
     __slots__ = ()
     window_s: float
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,6 +114,8 @@ class Resample(Operator[ResampleState]):
     stands for what comes after the end: the last half filter is not emitted.
     """
 
+    delays: ClassVar[str] = "`half_length` samples of the slower rate"
+    agrees: ClassVar[str] = "`scipy.signal.resample_poly`, to rounding"
     takes = "rows"
     contiguous = True
     rate_hz: float = param(above=0.0, help="rate that is wanted")

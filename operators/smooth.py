@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -64,6 +65,8 @@ class Binomial(Filter[BinomialState]):
     The thesis names a window of 16 frames and neither its weights nor its alignment: here they are C(15, k) / 2^15 and the centre.
     """
 
+    delays: ClassVar[str] = "(window - 1) / 2 samples"
+    agrees: ClassVar[str] = "thesis 2.6.2"
     window: int = param(16, least=1, most=1000, help="how many samples are weighed")
     kernel = weigh
 

@@ -91,6 +91,7 @@ class Threshold(Operator[ThresholdState]):
     cross once more. Bad samples change nothing. Works at any rate; every gap makes lost = -1 on both outputs.
     """
 
+    delays: ClassVar[str] = "none: stamped when decided"
     outputs: ClassVar[tuple[str, ...]] = ("onset", "interval")
     takes = "rows"
     level: float = param(help="an interval begins where this is reached, in the channel's unit")

@@ -47,6 +47,8 @@ class Operator(Generic[S]):
     takes      what its ports ask for, where numbers come: "rows" are C-contiguous float64 (n, width), whatever the dtype and shape of a
                sample was; "finite" are rows in which NaN stands for what is not a finite number; "any" is the stream as it is
     contiguous whether what it emits always is C-contiguous, aligned and writable, so that the engine need not look (the laws do)
+    delays     in words, for the docs: by how much its stamps are earlier than what it has been given
+    agrees     what its numbers equal, or where its method is from
     departures rules of the laws (RULES in stream/trial/broken.py) that do not hold here on purpose, each with the reason, for the docs
     """
 
@@ -58,6 +60,8 @@ class Operator(Generic[S]):
     in_turn: ClassVar[bool] = True
     takes: ClassVar[Takes] = "any"
     contiguous: ClassVar[bool] = False
+    delays: ClassVar[str] = "none"
+    agrees: ClassVar[str] = ""
     departures: ClassVar[dict[str, str]] = {}
 
     state: S
