@@ -28,6 +28,8 @@ class Rows:
         self._width, self._convert = width_of(spec), not _are_rows(spec)
         self._finite = finite and spec.dtype.kind == "f"
         self._made: tuple[Chunk, Chunk] | None = None
+        if self._finite and not all_finite(np.full((1, 1), np.nan)):  # nothing is left to compile once samples come
+            quieted(np.zeros((1, 1)), np.empty((1, 1)))
 
     def __call__(self, chunk: Chunk) -> Chunk:
         if self._made and self._made[0] is chunk:
