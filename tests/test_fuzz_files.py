@@ -20,7 +20,7 @@ from stream.errors import KinegraphError
 from tests.mutants import mutant
 
 SECONDS = float(os.environ.get("KINEGRAPH_FUZZ_S", "0"))
-MUTANTS = 150
+MUTANTS = 75
 """As many are tried of each format where no time is given: the same ones every time."""
 
 RECORDED = edfio.Recording(startdate=datetime.date(2024, 5, 1))

@@ -155,7 +155,8 @@ def _series(path: Path, name: str, stream: dict[str, Any], anchor: int, text_wid
     time = np.round(seconds * NS).astype(np.int64) + anchor
     order = np.argsort(time, kind="stable")
     time = time[order]
-    if (ours := _text(info, "desc", "kinegraph", "spec")) and (made := _ours(name, ours, stream, time, order)):
+    ours = _text(info, "desc", "kinegraph", "spec")
+    if ours and (made := _ours(name, ours, stream, time, order)) is not None:
         return made
     channels = _channel_facts(info)
     meta = {"xdf_type": _text(info, "type"), "source_id": _text(info, "source_id")}
