@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -287,3 +288,23 @@ def test_nothing_written_after_close_raises(tmp_path: Path) -> None:
     recorder.log("late", START)
     assert recorder.status.error == ""
     assert time.monotonic() > 0
+
+
+def test_what_packs_well_is_read_again_however_much_comes_at_once(tmp_path: Path) -> None:
+    """Zeros for 80 MB, in one chunk: they pack to a thousandth, and readers refuse what unpacks to so much from so little."""
+    n, width = 10_000, 1000
+    chunk = Chunk(grid(1e6, n), np.zeros((n, width)), FOREVER, 7)
+    with Recorder(tmp_path / "r.mcap", {}, RecordingOptions(), wait=True) as recorder:
+        recorder.write(recorder.add_stream("board", StreamSpec((width,), rate_hz=1e6), "input"), chunk, 1, 0)
+    with Recording.open(tmp_path / "r.mcap") as back:
+        pieces = [piece for _, _, piece, _ in back.inputs()]
+    assert [piece.lost for piece in pieces] == [7] + [0] * (len(pieces) - 1) and pieces[-1].until == FOREVER
+    assert all(a.until < b.time[0] for a, b in pairwise(pieces))
+    assert np.array_equal(np.concatenate([piece.time for piece in pieces]), chunk.time)
+    assert sum(piece.data.nbytes for piece in pieces) == chunk.data.nbytes and not any(p.data.any() for p in pieces)
+
+
+def test_a_sample_that_no_reader_would_take_is_not_recorded(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "r.mcap", {}, RecordingOptions(), wait=True)
+    with recorder, pytest.raises(RecordingError, match=r"stream 'field': .* 40000000 bytes; at most 33554432 "):
+        recorder.add_stream("field", StreamSpec((5_000_000,), np.dtype("f8")), "input")

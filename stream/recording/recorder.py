@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Event, Thread
@@ -10,6 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from stream.bounded import LEAST
 from stream.chunk import NS, Chunk, StreamSpec
 from stream.errors import RecordingError
 from stream.graph import RecordingOptions
@@ -27,6 +29,8 @@ PATIENCE_S = 0.02
 """How long the recorder waits for a moment at which the session has nothing to do."""
 NOTHING = np.empty(0)
 """Stands for samples that are not kept; a view of them would hold them in memory."""
+PIECE_BYTES = LEAST // 2
+"""A chunk with more is recorded in pieces, so that whatever it packs to, it is read again: readers unpack as much of any piece of a file."""
 FLUSH = -1
 """Stands for a stream's number where everything must be written now."""
 
@@ -84,6 +88,10 @@ class Recorder:
         """
         if any(lane.name == name for lane in self._lanes):
             raise RecordingError(f"stream {name!r} is recorded already")
+        if not outline and spec.sample_bytes > PIECE_BYTES:
+            raise RecordingError(
+                f"stream {name!r}: a sample of it has {spec.sample_bytes} bytes; at most {PIECE_BYTES} can be recorded"
+            )
         kept: Kept = "outline" if outline else self._options.frames if is_frames(spec) else "whole"
         lane = Lane(
             name, spec, index=first, kept=kept, copied=role == "input", track=self._tape.declare(name, spec, role, kept)
@@ -104,6 +112,13 @@ class Recorder:
             chunk = Chunk(chunk.time.copy(), NOTHING, chunk.until, chunk.lost)
         elif lane.copied:
             chunk = Chunk(chunk.time.copy(), chunk.data.copy(), chunk.until, chunk.lost)
+        if chunk.data.nbytes + chunk.time.nbytes > PIECE_BYTES:
+            for piece in _pieces(chunk):
+                self._put(stream, lane, piece, arrival, sequence)
+        else:
+            self._put(stream, lane, chunk, arrival, sequence)
+
+    def _put(self, stream: int, lane: Lane, chunk: Chunk, arrival: int, sequence: int) -> None:
         if lane.put - lane.got > self._much and not self._has_room(lane):
             lane.dropped += 1
             lane.missed += len(chunk.time)
@@ -244,3 +259,9 @@ class Recorder:
         if not self._wait or last or now >= self._due:
             scribe.save()
             self._due = now + self._options.flush_s * TURN
+
+
+def _pieces(chunk: Chunk) -> Iterator[Chunk]:
+    """A large chunk in several; chunks carry no meaning."""
+    n = max(1, PIECE_BYTES * len(chunk.time) // (chunk.data.nbytes + chunk.time.nbytes))
+    return (chunk.part(at, min(at + n, len(chunk.time))) for at in range(0, len(chunk.time), n))
