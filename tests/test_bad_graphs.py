@@ -13,6 +13,7 @@ BOMB = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
 )
 LOW = BOARD % 2 + "  low: {use: operators.iir.Lowpass, from: board.emg, cutoff_hz: %s}\n"
 MEAN = BOARD % 2 + "  mean: {use: operators.moving.MovingMean, from: board.emg, window_s: %s}\n"
+CHAIN = "".join(f"  n{i}: {{use: operators.rectify.Rectify, from: n{i - 1}}}\n" for i in range(1, 1001))
 GRAPHS: list[tuple[str | bytes, list[str]]] = [
     ("", ["a graph is a mapping", "not empty"]),
     (b"\x00" * 4096, ["may not stand in YAML"]),
@@ -45,6 +46,8 @@ GRAPHS: list[tuple[str | bytes, list[str]]] = [
     (MEAN % 1e12, ["g.yaml:3:", "node 'mean'", "MovingMean", "make its windows and rates smaller"]),
     (MEAN % 1e300, ["g.yaml:3:", "node 'mean'", "MovingMean", "make its windows and rates smaller"]),
     (LOW % "20 Hz", ["cutoff_hz is '20 Hz'", "a number"]),
+    (BOARD % 2 + CHAIN, ["g.yaml:", "the graph has 1001 nodes", "at most 1000"]),
+    ("# " + "x" * (512 << 10) + "\n" + GRAPH, ["characters", "at most 524288"]),
     ("latency_budget_ms: 0\n" + GRAPH, ["latency_budget_ms is 0", "above 0"]),
 ]  # fmt: skip
 

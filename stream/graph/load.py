@@ -42,6 +42,8 @@ class Settings:
     checkpoint_s: float = param(10.0, above=0.0, help="how often the state is saved for --resume (s)")
 
 
+MOST_NODES = 1000
+"""A graph with more is refused before any of them is made."""
 SECTIONS = ("session", "record", "recording", "nodes")
 
 
@@ -165,6 +167,9 @@ class _Loading:
                 "'nodes' is missing or empty; a graph needs a source at least", top.get("nodes", self._root)
             )
         written = dict(self._section(top, "nodes"))
+        if len(written) > MOST_NODES:
+            self._problems.add(f"the graph has {len(written)} nodes; it must have at most {MOST_NODES}", top["nodes"])
+            self._problems.stop()
         drafts: dict[str, Draft | None] = {}
         for name, entry in written.items():
             drafts[name] = read_node(name, entry, self._problems)

@@ -23,6 +23,8 @@ _TAG = "tag:yaml.org,2002:"
 _SCALARS = {_TAG + kind for kind in ("str", "int", "float", "bool", "null")}
 _MOST_VALUES = 100_000
 """Anchors can make a short text grow without end; no graph needs more values than this."""
+_MOST_LETTERS = 512 << 10
+"""A longer text is refused before it is read, which takes seconds."""
 _DEEPEST = 50
 NESTED = "lists and mappings stand too deep in each other; no graph needs more than a few levels"
 
@@ -75,6 +77,8 @@ def locate(value: Any, line: int, origin: str = "") -> Located:
 
 def parse(text: str, path: str) -> Located:
     """The whole text as one value; raises GraphError with the line of what is no YAML, or not plain."""
+    if len(text) > _MOST_LETTERS:
+        raise GraphError(f"the graph has {len(text)} characters; it must have at most {_MOST_LETTERS}", path=path)
     yaml = YAML(typ="safe", pure=True)
     try:
         root = yaml.compose(io.StringIO(text))

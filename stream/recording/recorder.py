@@ -30,7 +30,7 @@ PATIENCE_S = 0.02
 NOTHING = np.empty(0)
 """Stands for samples that are not kept; a view of them would hold them in memory."""
 PIECE_BYTES = LEAST // 2
-"""A chunk with more is recorded in pieces, so that whatever it packs to, it is read again: readers unpack as much of any piece of a file."""
+"""A chunk with more is recorded in pieces. Readers unpack more than this of any piece of a file, whatever it packs to."""
 FLUSH = -1
 """Stands for a stream's number where everything must be written now."""
 
