@@ -18,8 +18,10 @@ POLICY_HELP = (
 WRONG = 0.03
 """By so much a rate may be off: filters bear it, and the clocks follow it."""
 FROM_S, TO_S = 2.0, 10.0
-SURE_S = 0.3
-"""What is not as declared makes so much of a difference in the time that it was looked at; less may be a queue that fills or empties."""
+SURE_S = 1.0
+"""Before `TO_S`, what is not as declared makes so much of a difference; less may be a radio's queue that fills or empties at the start."""
+LOSS = 0.15
+"""So many samples too few, and no counter that tells why: lost ones, perhaps, which are no reason to end a session."""
 LOOK_NS = NS // 2
 PAUSE_NS = 50 * NS
 """Between the ten seconds in which a device is looked at, and the next."""
@@ -75,19 +77,24 @@ class RateCheck:
     def _look(self, arrival_ns: int, feed: Feed) -> float | None:
         passed = arrival_ns - self._arrivals[0]
         over, first = passed >= TO_S * NS, self._first
-        least = max(WRONG, SURE_S * NS / passed)
+        least = WRONG if over else max(WRONG, SURE_S * NS / passed)
         found, text = None, ""
         if first or over:
             if self._steps:
                 found, text = self._by_time(least)
             else:
                 found, text = self._by_count(least)
+        grave = first and not feed.again and (found is None or not self._may_be_loss(found))
         if over or found is not None:
             self._begin()
             self._first, self._from = False, arrival_ns + PAUSE_NS
         if found is None:
             return None
-        return self._tell(found, text, first and not feed.again, feed)
+        return self._tell(found, text, grave, feed)
+
+    def _may_be_loss(self, hz: float) -> bool:
+        """Whether a rate is one that the declared one becomes where samples are lost on the way, unseen."""
+        return not self._counted and not self._steps and self._rate is not None and 1 - LOSS < hz / self._rate < 1
 
     def _by_count(self, least: float) -> tuple[float | None, str]:
         """The true rate, if it is another one, and what to say of it."""
