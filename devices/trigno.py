@@ -223,7 +223,9 @@ class _Stream:
     def __init__(self, of: Trigno, name: str, channels: int, columns: list[int], rate_hz: float) -> None:
         self.pace = Pace(rate_hz, of.latency_s)
         setting = "emg_hz" if name == "emg" else "set the sensors' mode back"
-        self._rate = RateCheck(f"{of.port} ({name})", rate_hz, of.rate_mismatch, setting=setting)
+        self._rate = RateCheck(
+            f"{of.port} ({name})", rate_hz, of.rate_mismatch, setting=setting, counted=True
+        )  # its server fills in what the radio lost, and TCP loses nothing
         self._name, self._rows, self._columns = name, Rows(channels), columns
 
     def pass_on(self, data: bytes, feed: Feed) -> int:

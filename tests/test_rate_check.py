@@ -71,7 +71,9 @@ def test_with_warn_the_stamps_follow_the_true_rate(
 
 @pytest.mark.parametrize(
     "wrong",
-    [GOOD, Misbehaviour(lose=0.1), Misbehaviour(stall_every_s=1.3, stall_s=0.4), Misbehaviour(reset_every_s=1.9),
+    [GOOD, Misbehaviour(lose=0.1), Misbehaviour(lose=0.05, duplicate=0.06, corrupt=0.02, reset_every_s=1.9),
+     Misbehaviour(stall_every_s=1.3, stall_s=0.4),
+     Misbehaviour(reset_every_s=1.9),
      Misbehaviour(jump_every_s=2.0, jump_s=3600.0)],
 )  # fmt: skip
 @pytest.mark.parametrize("clock", ["counter", "time", "both"])
@@ -122,6 +124,15 @@ def test_what_may_be_loss_is_no_reason_to_end_a_session(share: float, grave: boo
     assert ended == grave
     assert (share <= 0.04 or ended) or feed.problems["rate mismatch"] == 1
     assert all("lost on the way" in facts["text"] for _, facts in feed.told)
+
+
+@pytest.mark.parametrize("timed", [False, True])
+def test_a_counter_that_was_garbled_does_not_outweigh_what_came(timed: bool) -> None:
+    check, feed = RateCheck("a", 250.0, "fail", counted=True), Kept()
+    for i in range(3000):
+        at = np.array([round(i * NS / 250)])
+        check.see(1, 15 if i % 20 == 3 else 0, int(at[0]) + NS, feed, at if timed else None)
+    assert not feed.problems
 
 
 @pytest.mark.parametrize("again", [False, True])

@@ -82,7 +82,7 @@ def test_samples_left_out_show_within_two_seconds(missing: int) -> None:
 
 @pytest.mark.parametrize("policy", ["fail", "warn"])
 def test_another_rate_is_told(policy: Policy) -> None:
-    pace, rate, feed, found = Pace(2000.0), RateCheck("server", 2000.0, policy), Kept(), []
+    pace, rate, feed, found = Pace(2000.0), RateCheck("server", 2000.0, policy, counted=True), Kept(), []
     for frame in range(2000):
         arrival = NS + round((frame + 1) * 26 * NS / 1925.9)
         pace.take(26, arrival)

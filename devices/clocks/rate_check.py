@@ -28,6 +28,8 @@ PAUSE_NS = 50 * NS
 BUCKET_NS = NS // 4
 OUTLIER = 50
 """A step of the device's time that is so many usual ones long is an outage or a jump, and tells nothing of its pace."""
+TWICE = 0.1
+"""Where fewer steps of the device's time are none at all, these are records that came twice, not a coarse time."""
 TOLD_AGAIN = 0.01
 UNITS_NS = {"ns": 1.0, "us": 1e3, "ms": 1e6, "s": 1e9, "ticks of 1/1024 s": NS / 1024, "ticks of 1/32768 s": NS / 32768}
 NEAR = 0.02
@@ -50,7 +52,9 @@ class RateCheck:
 
     def _begin(self) -> None:
         self._arrivals: list[int] = []
+        self._came: list[int] = []
         self._made: list[int] = []
+        """With those that are missing by the counter; it may have been garbled, so that the truth lies between the two."""
         self._steps: list[Times] = []
         self._last: int | None = None
         self._due = 0
@@ -67,6 +71,7 @@ class RateCheck:
             self._steps.append(np.diff(device_ns, prepend=last))
             self._last = int(device_ns[-1])
         self._made.append((self._made[-1] + n + lost) if self._made else 0)
+        self._came.append((self._came[-1] + n) if self._came else 0)
         self._arrivals.append(arrival_ns)
         self._due = self._due or arrival_ns + round(FROM_S * NS)
         if arrival_ns < self._due:
@@ -99,8 +104,10 @@ class RateCheck:
     def _by_count(self, least: float) -> tuple[float | None, str]:
         """The true rate, if it is another one, and what to say of it."""
         assert self._rate
-        made = np.array(self._made) * (NS / self._rate)
-        share = _pace(np.array(self._arrivals), made, least)
+        arrivals, period = np.array(self._arrivals), NS / self._rate
+        share = _pace(arrivals, np.array(self._made) * period, least)
+        if share is not None and share > 1 and self._came != self._made:
+            share = share if (_pace(arrivals, np.array(self._came) * period, least) or 0) > 1 else None
         if share is None:
             return None, ""
         hint = "" if self._counted else ", or samples are lost on the way (a counter would tell)"
@@ -121,8 +128,10 @@ class RateCheck:
         if not self._rate:
             return None, ""
         overall = self._made[-1] / device[-1] * NS
-        rates = [overall] if self._counted else [overall, NS / usual]
-        if any(abs(hz / self._rate - 1) <= WRONG for hz in rates):
+        rates = [NS / usual, overall] if self._counted else [overall, NS / usual]
+        if self._came[-1] / device[-1] * NS < self._rate < overall or any(
+            abs(hz / self._rate - 1) <= WRONG for hz in rates
+        ):
             return None, ""
         return rates[-1], self._of_rate(rates[-1])
 
@@ -158,7 +167,9 @@ class RateCheck:
 
 
 def _usual(steps: Samples) -> float:
-    """The mean step between records that follow each other (n,): of coarse time some are a unit longer."""
+    """The mean step between records that follow each other (n,): of coarse time some are a unit longer, or none at all."""
+    if np.count_nonzero(steps == 0) < TWICE * len(steps):
+        steps = steps[steps > 0]
     smallest = float(steps[steps > 0].min())
     return float(steps[steps <= 1.75 * max(float(np.median(steps)), smallest)].mean())
 
