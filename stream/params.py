@@ -238,7 +238,7 @@ WANTED = {
     "int_type": "a whole number",
     "int_from_float": "a whole number",
     "bool_type": "true or false",
-    "string_type": "a text",
+    "string_type": "a text (in quotes where it looks like a number)",
     "literal_error": "{expected}",
     "list_type": "a list",
     "tuple_type": "a list",

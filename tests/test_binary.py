@@ -84,6 +84,26 @@ def test_numbers_of_24_bits(endian: str) -> None:
         assert layout.build({0: value, 1: value % 2**24}) == b"\x7e" + body
 
 
+def test_an_array_is_so_many_channels() -> None:
+    fields = [
+        {"type": "u8", "role": "counter"},
+        {"type": "i16", "name": "ch", "count": 3, "scale": 0.5, "unit": "uV"},
+        {"type": "u8", "count": 2},
+        {"type": "u8", "name": "battery"},
+    ]
+    source = build(
+        Binary,
+        {"port": "a", "frames": [{"name": "emg", "sync": "A5", "rate_hz": 100, "fields": fields, "checksum": "sum8"}]},
+    )
+    assert source.specs()["emg"].channels == ("ch1", "ch2", "ch3", "battery")
+    assert source.specs()["emg"].units == ("uV", "uV", "uV", "")
+    (layout,) = source.layouts()
+    body = bytes.fromhex("A5 07 0200 0400 FEFF 0000 09")
+    found = Decoder([layout]).feed(body + bytes([sum(body) % 256]))
+    assert layout.values(layout.table(bytes(found.frames[0]))).tolist() == [[1.0, 2.0, -1.0, 9.0]]
+    assert replace(source.frames[0]) == source.frames[0]
+
+
 def test_scale_offset_and_a_byte_order_of_its_own() -> None:
     fields = (Field("u16", "t", scale=0.01, offset=-40.0, unit="degC"), Field("u16", "p", endian="big"), Field("u16"))
     layout = Layout(Frame("01", fields, "air"))
@@ -291,6 +311,8 @@ GOOD_FRAME = {"name": "m", "sync": "55", "fields": [{"type": "u8", "name": "a"}]
     [
         ([{**GOOD_FRAME, "sync": "5"}], "bytes in hex"),
         ([{**GOOD_FRAME, "sync": ""}], "at least one byte"),
+        ([{**GOOD_FRAME, "sync": 0xAA55}], "sync is 43605; it must be a text .in quotes"),
+        ([{**GOOD_FRAME, "sync": 55}], "sync is 55; it must be a text .in quotes"),
         ([{**GOOD_FRAME, "fields": []}], "at least one field"),
         ([{**GOOD_FRAME, "fields": [{"type": "u8"}]}], "at least one of which has a named data field"),
         ([{**GOOD_FRAME, "fields": [{"type": "u9", "name": "a"}]}], "type"),

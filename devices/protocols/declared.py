@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -48,6 +48,13 @@ class Field:
     offset: float = param(0.0, help="added after the factor")
     unit: str = param("", help="unit of the channel, or of the time")
     endian: Literal["", "little", "big"] = param("", help="byte order, where it differs from the frame's")
+    count: int = param(1, least=1, most=4096, help="so many of them, one after the other: channels NAME1, NAME2, ...")
+
+    def each(self) -> tuple[Field, ...]:
+        """The numbers of an array, each a field of its own."""
+        if self.count == 1:
+            return (self,)
+        return tuple(replace(self, name=self.name and f"{self.name}{i + 1}", count=1) for i in range(self.count))
 
     @property
     def bits(self) -> int:
@@ -76,6 +83,9 @@ class Frame:
     checksum_from: int = param(0, least=0, help="with how many bytes at its beginning the checksum does not deal")
     footer: str = param("", help="the bytes it ends with, in hex")
     rate_hz: float | None = param(None, above=0, help="frames per second; left out: irregular")
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "fields", tuple(number for f in self.fields for number in f.each()))
 
     @property
     def channels(self) -> tuple[Field, ...]:
