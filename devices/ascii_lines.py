@@ -46,7 +46,7 @@ class AsciiLines(Source):
 
     outputs: ClassVar[tuple[str, ...]] = ("out", "timing")
 
-    port: str = param(help="/dev/ttyACM0, COM3 or tcp://host:port; `kinegraph devices` lists serial ports")
+    port: str = param(help="/dev/serial/by-id/NAME, COM3 or tcp://host:port; `kinegraph devices` lists serial ports")
     columns: tuple[str, ...] = param(help="names of the columns in a line; with `header`, the wanted ones in any order")
     baud: int = param(115200, least=50, help="bits per second of the serial port")
     delimiter: str = param(",", help="between two numbers; a blank stands for any number of blanks")

@@ -50,7 +50,7 @@ class Binary(Source):
 
     outputs = _Outputs()
 
-    port: str = param(help="/dev/ttyUSB0, COM3 or tcp://host:port; `kinegraph devices` lists serial ports")
+    port: str = param(help="/dev/serial/by-id/NAME, COM3 or tcp://host:port; `kinegraph devices` lists serial ports")
     frames: tuple[Frame, ...] = param(help="the kinds of frame that the device sends")
     baud: int = param(115200, least=50, help="bits per second of the serial port")
     start: tuple[str, ...] = param((), help="commands in hex, sent one after the other when the port has been opened")

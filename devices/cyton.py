@@ -47,7 +47,7 @@ class Cyton(Source):
 
     outputs: ClassVar[tuple[str, ...]] = ("emg", "accel", "timing")
 
-    port: str = param(help="the dongle's serial port, /dev/ttyUSB0 or COM3; `kinegraph devices` lists them")
+    port: str = param(help="the dongle's serial port, /dev/serial/by-id/NAME or COM3; `kinegraph devices` lists them")
     daisy: bool = param(False, help="16 channels at 125 Hz instead of 8 at 250 Hz")
     channels: tuple[str, ...] = param((), help="names of the 8 or 16 channels; left out: ch1, ch2, ...")
     settings: tuple[ChannelSetting, ...] = param(

@@ -76,7 +76,7 @@ class Mti(Source):
     outputs: ClassVar[tuple[str, ...]] = ("imu", "timing")
 
     port: str = param(
-        help="/dev/ttyUSB0, COM3, tcp://host:port, or usb://2639 for direct USB; `kinegraph devices` lists them"
+        help="/dev/serial/by-id/NAME, COM3, tcp://host:port, or usb://2639 for direct USB; `kinegraph devices` lists them"
     )
     measure: tuple[Measure, ...] = param(
         ("acceleration", "angular_velocity"),

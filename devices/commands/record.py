@@ -17,7 +17,7 @@ from stream.plain import say
 if TYPE_CHECKING:
     from stream.graph import Graph
 
-EXAMPLE = "kinegraph record devices.cyton.Cyton port=/dev/ttyUSB0"
+EXAMPLE = "kinegraph record devices.cyton.Cyton port=/dev/serial/by-id/NAME"
 
 
 def record(
@@ -42,7 +42,7 @@ def record(
     json_log: Annotated[bool, typer.Option("--log-json", help="log lines as JSON")] = False,
     verbose: Annotated[bool, typer.Option("-v", "--verbose", help="log more")] = False,
 ) -> None:
-    """Record devices with no graph: kinegraph record devices.cyton.Cyton port=/dev/ttyUSB0 -o folder
+    """Record devices with no graph: kinegraph record devices.cyton.Cyton port=/dev/serial/by-id/NAME -o folder
 
     What a camera sees is private, and is kept only with --store-frames. Values are read as YAML. The recording holds a graph of these
     sources alone, so it can be replayed; exit codes are those of `run`.
