@@ -1,4 +1,4 @@
-"""Who draws the reports: one process of its own at a time, which nobody waits for, and which is tried again when it fails."""
+"""Who draws the reports: one process of its own at a time, which nobody waits for, and which is tried again a few times when it fails."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ import structlog
 
 from stream.errors import DeviceError
 
-SETTLE_S, AGAIN_S, LONGEST_S = 1.0, 60.0, 300.0
+SETTLE_S, LONGEST_S = 1.0, 300.0
+AGAIN_S = (60.0, 300.0, 1800.0, 7200.0)
+"""How long after each failure a report is tried again; after the last it is left until the session ends, or its night changes."""
 
 log = structlog.get_logger(__name__)
 
@@ -23,10 +25,15 @@ class Draughtsman:
     def __init__(self) -> None:
         self._due: dict[Path, float] = {}
         self._at_work: tuple[subprocess.Popen[bytes], Path] | None = None
+        self._failures: dict[Path, int] = {}
+        self._left: dict[Path, None] = {}
+        """Reports that were tried often enough; tried once more at the end."""
 
     def soon(self, folder: Path) -> None:
         """A report in a moment: what belongs to it may still be on its way."""
         self._due[folder] = time.monotonic() + SETTLE_S
+        self._failures.pop(folder, None)
+        self._left.pop(folder, None)
 
     def look(self) -> None:
         """Begin what is due, and see how the last one ended."""
@@ -35,8 +42,11 @@ class Draughtsman:
             if process.poll() is None:
                 return
             self._at_work = None
-            if _complaint(process, folder) and folder.is_dir():
-                self._due[folder] = time.monotonic() + AGAIN_S
+            complaint = _complaint(process)
+            if complaint and folder.is_dir():
+                self._again(folder, complaint)
+            elif not complaint:
+                _written(folder)
         for folder, when in self._due.items():
             if time.monotonic() >= when:
                 self._begin(folder)
@@ -45,6 +55,8 @@ class Draughtsman:
     def finish(self) -> None:
         """Everything that was ordered, now and once. Raises DeviceError, which names every report that is not whole, and why."""
         failed: list[str] = []
+        self._due |= dict.fromkeys(self._left, 0.0)
+        self._left.clear()
         while self._at_work or self._due:
             if not self._at_work:
                 self._begin(next(iter(self._due)))
@@ -57,8 +69,10 @@ class Draughtsman:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-            complaint = _complaint(process, folder)
-            if complaint and folder.is_dir():
+            complaint = _complaint(process)
+            if not complaint:
+                _written(folder)
+            elif folder.is_dir():
                 again = f"try `kinegraph nights report {folder.name} --path {folder.parent}`"
                 failed.append(f"the report of {folder} is not whole ({complaint}): {again}")
         if failed:
@@ -72,8 +86,7 @@ class Draughtsman:
                 command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
             )
         except OSError as error:
-            log.error("report not drawn; tried again in a minute", night=folder.name, why=str(error))
-            self._due[folder] = time.monotonic() + AGAIN_S
+            self._again(folder, str(error))
             return
         self._at_work = process, folder
         try:
@@ -81,15 +94,25 @@ class Draughtsman:
         except (OSError, AttributeError):
             log.debug("report drawn at normal priority")
 
+    def _again(self, folder: Path, why: str) -> None:
+        """A report has failed: once more after a while, or not before the end; the first failure and the last are told."""
+        failures = self._failures[folder] = self._failures.get(folder, 0) + 1
+        if failures > len(AGAIN_S):
+            self._left[folder] = None
+            log.error("report given up until the session ends", night=folder.name, why=why, failures=failures)
+            return
+        self._due[folder] = time.monotonic() + AGAIN_S[failures - 1]
+        if failures == 1:
+            log.error("report not whole; tried again some times", night=folder.name, why=why)
 
-def _complaint(process: subprocess.Popen[bytes], folder: Path) -> str:
+
+def _complaint(process: subprocess.Popen[bytes]) -> str:
     """What the process that has ended says went wrong; "": nothing."""
     lines = process.stderr.read().decode(errors="replace").strip().splitlines()[-1:] if process.stderr else []
     if process.stderr:
         process.stderr.close()
-    if process.returncode:
-        complaint = lines[0] if lines else "no reason given"
-        log.error("report not whole", night=folder.name, why=complaint)
-        return complaint
+    return (lines[0] if lines else "no reason given") if process.returncode else ""
+
+
+def _written(folder: Path) -> None:
     log.info("report written", page=str(folder / "report.html"))
-    return ""
