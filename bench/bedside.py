@@ -47,7 +47,7 @@ OPERATORS = """
   bed: {use: operators.depth.bed.BedRegion, from: simplify.blocks, sleepers: SLEEPERS, regions: REGIONS}
   presence: {use: operators.depth.presence.Presence, from: {regions: bed, blocks: simplify.blocks}}
   motion: {use: operators.depth.motion.Motion, from: {scene: simplify.scene, regions: bed, frames: simplify}}
-  activity: {use: operators.depth.activity.Activity, from: {bed: presence, motion: motion}}
+  activity: {use: operators.depth.activity.Activity, from: {bed: presence, far: motion.far, motion: motion}}
   scorer: {use: operators.sleep.scorer.SleepScorer, from: activity, channel: FIRST}
   breathing: {use: operators.depth.breathing.Breathing, from: {regions: bed, bed: presence, blocks: simplify.blocks}}
 """

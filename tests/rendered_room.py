@@ -14,7 +14,7 @@ from devices.simulators.bedside import Bedside
 from stream.chunk import NS, Chunk
 from stream.source import Feed
 
-Depths = NDArray[np.float64]
+Depths = NDArray[np.float32]
 FOCAL = 0.78
 """Focal length in widths of the picture."""
 CAMERA_M = 2.4
@@ -28,7 +28,7 @@ class Scene:
 
     sleeper, partner, heap, standing  when each is there; breath_mm of both; moves: when the sleeper stirs (each for 4 s)
     partner_moves                     when the partner does
-    lamp                              when a lamp shines on the bed: noise, and pixels lost
+    lamp                              when a lamp shines on the bed: noise by 1 + lamp_noise at its middle, and pixels lost
     nudges                            (when, by how many m the picture shifts, by how many degrees the camera tilts)
     dark                              since when nothing but a few false pixels is measured
     """
@@ -44,6 +44,7 @@ class Scene:
     nudges: tuple[tuple[float, float, float], ...] = ()
     dark: tuple[tuple[float, float], ...] = ()
     breath_mm: float = 6.0
+    lamp_noise: float = 5.0
     coarse: tuple[tuple[float, float], ...] = ()
     """When the blanket itself is measured badly: noise in bed far above the empty bed's."""
     seed: int = 1
@@ -57,9 +58,10 @@ class Renderer:
     def __init__(self, scene: Scene, width: int, height: int) -> None:
         self.scene, self.width, self.height = scene, width, height
         self.random = np.random.default_rng(scene.seed)
-        self._normal = self.random.standard_normal((16, height, width)).astype(np.float32)
-        self._uniform = self.random.random((16, height, width), dtype=np.float32)
+        self._normal = self.random.standard_normal((8, 2 * height, 2 * width), dtype=np.float32)
+        self._uniform = self.random.random((8, 2 * height, 2 * width), dtype=np.float32)
         self._cache: dict[tuple[object, ...], Depths] = {}
+        self._bumps: dict[tuple[float, ...], Depths] = {}
 
     def frame(self, t: float) -> NDArray[np.uint16]:
         s = self.scene
@@ -79,29 +81,38 @@ class Renderer:
                 self._cache.clear()
             self._cache[key] = self._surface(*key)  # type: ignore[arg-type]
         depth = self._cache[key].copy()
-        x, y = self._plane(shift)
         if here and not stir:
-            depth -= 1e-3 * s.breath_mm * np.sin(2 * np.pi * 0.24 * t) * _bump(x, y, -0.2, -0.35, 0.17, 0.16)
+            depth -= self._breath(0.24 * t) * self._bump(shift, -0.2, -0.35, 0.17, 0.16)
         if other and not stir2:
-            depth -= 1e-3 * s.breath_mm * np.sin(2 * np.pi * 0.31 * t) * _bump(x, y, 0.28, -0.35, 0.17, 0.16)
-        noise = 0.0018 * depth**1.5 * self._drawn(self._normal)
+            depth -= self._breath(0.31 * t) * self._bump(shift, 0.28, -0.35, 0.17, 0.16)
+        noise = np.float32(0.0018) * depth * np.sqrt(depth) * self._drawn(self._normal)
         lost = self._drawn(self._uniform) < 0.04
         if during(s.lamp, t):
-            lit = _bump(x, y, 0.0, -0.2, 0.6, 0.7)
-            noise *= 1 + 5 * lit
+            lit = self._bump(shift, 0.0, -0.2, 0.6, 0.7)
+            noise *= 1 + np.float32(s.lamp_noise) * lit
             lost |= self._drawn(self._uniform) < 0.3 * lit
         if during(s.coarse, t):
+            x, y = self._plane(shift)
             noise *= 1 + 5 * ((abs(x) < 0.55) & (abs(y) < 1.0))
-        depth = depth + noise
+        depth += noise
         if during(s.dark, t):
             lost = self._drawn(self._uniform) > 0.03
-            depth = self.random.uniform(0.4, 6.0, depth.shape)
+            depth = self.random.uniform(0.4, 6.0, depth.shape).astype(np.float32)
         return np.where(lost, 0, np.clip(1000 * depth, 1, 60_000)).astype(np.uint16)
 
+    def _breath(self, cycles: float) -> np.float32:
+        return np.float32(1e-3 * self.scene.breath_mm * np.sin(2 * np.pi * cycles))
+
+    def _bump(self, shift: float, *where: float) -> Depths:
+        """As `_bump` has it, kept."""
+        if (shift, *where) not in self._bumps:
+            self._bumps[shift, *where] = _bump(*self._plane(shift), *where).astype(np.float32)
+        return self._bumps[shift, *where]
+
     def _drawn(self, pool: NDArray[np.float32]) -> NDArray[np.float32]:
-        """One of the patterns, shifted at random."""
+        """A piece of one of the patterns, at random."""
         k, down, right = self.random.integers((len(pool), self.height, self.width)).tolist()
-        return np.roll(pool[k], (down, right), axis=(0, 1))
+        return pool[k, down : down + self.height, right : right + self.width]
 
     def _plane(self, shift: float) -> tuple[Depths, Depths]:
         """Where every pixel looks at 2.4 m, in m."""
@@ -124,7 +135,7 @@ class Renderer:
             high = _on_bed(high, 0.24 * _bump(x, y, -0.1, 0.1, 0.2, 0.45))
         if standing:
             high = np.maximum(high, 1.6 * (_bump(x, y, 0.95, 0.2, 0.22, 0.3) > 0.4))
-        return CAMERA_M - high + np.tan(tilt) * x
+        return (CAMERA_M - high + np.tan(tilt) * x).astype(np.float32)
 
 
 def _on_bed(high: Depths, thick: Depths) -> Depths:

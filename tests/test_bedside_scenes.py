@@ -10,8 +10,11 @@ import pytest
 from rendered_room import RenderedRoom, Scene
 
 from bench.bedside import START, Run
+from operators.depth.view import VIEW, View
 from stream.chunk import NS, Array
 from stream.graph.load import load_text
+from stream.operator import grid
+from tests.depth_frames import blocks_spec, play
 
 GRAPH = """
 nodes:
@@ -21,7 +24,7 @@ nodes:
   bed: {use: operators.depth.bed.BedRegion, from: {view: view, in: simplify.blocks}, regions: REGIONS}
   presence: {use: operators.depth.presence.Presence, from: {view: view, regions: bed, blocks: simplify.blocks}}
   motion: {use: operators.depth.motion.Motion, from: {regions: bed, frames: simplify}}
-  activity: {use: operators.depth.activity.Activity, from: {view: view, bed: presence, motion: motion}}
+  activity: {use: operators.depth.activity.Activity, from: {view: view, bed: presence, far: motion.far, motion: motion}}
   scorer: {use: operators.sleep.scorer.SleepScorer, from: activity}
 """
 IN, MOVES = ((120.0, 2700.0),), (400.0, 1000.0, 1900.0, 2300.0)
@@ -92,3 +95,56 @@ def test_people_beds_and_lamps_are_no_jump_of_the_view() -> None:
         moves=(200, 300, 400), lamp=((750, 900),),
     )  # fmt: skip
     assert [str(e["what"]) for e in Told(scene).view] == ["steady"]
+
+
+def test_a_lamp_on_the_bed_is_a_light_and_no_wake() -> None:
+    told = Told(Scene(3000, IN, moves=MOVES, lamp=((1500, 1860),)))
+    states, why = told.of(1530, 1860)
+    assert states <= {"unknown", "sleep"} and why == {"light"}
+    assert "wake" not in told.of(270, 1850)[0]
+
+
+def test_a_second_body_is_noticed_and_movement_with_it_is_nobodys() -> None:
+    told = Told(Scene(3000, IN, moves=MOVES, partner=((1200, 2100),), partner_moves=tuple(range(1210, 2100, 45))))
+    states, why = told.of(1260, 2070)
+    assert "wake" not in states and "body" in why and why <= {"", "body"}
+    assert told.of(2190, 2640) == ({"sleep"}, {""})
+
+
+def test_a_heap_left_behind_is_unknown_after_ten_minutes_and_empty_after_45() -> None:
+    told = Told(Scene(4200, ((120.0, 900.0),), heap=((900.0, 4200.0),), moves=(400.0, 880.0)))
+    begun, end = 900 + 10 * 60 + 90, 900 + 45 * 60 - 60
+    assert told.of(begun, end) == ({"unknown"}, {"still"})
+    assert told.of(900 + 45 * 60 + 180, 4100) == ({"wake"}, {""})
+    assert [(str(e["state"]), str(e["why"])) for e in told.presence][:4] == [
+        ("out", ""), ("in", ""), ("unknown", "still"), ("out", ""),
+    ]  # fmt: skip
+
+
+def test_a_region_that_is_too_large_says_so_instead_of_an_empty_bed_all_night() -> None:
+    told = Told(Scene(2400, ((120.0, 2400.0),), moves=MOVES), "[[0, 0, 192, 256]]")
+    assert told.of(900, 2370) == ({"unknown"}, {"region"})
+
+
+def test_a_night_that_darkens_is_unknown_because_it_is_dark() -> None:
+    told = Told(Scene(2700, IN, moves=MOVES, dark=((1500, 2400),)))
+    assert told.of(1530, 2370) == ({"unknown"}, {"dark"})
+    assert told.of(270, 1490) == ({"sleep"}, {""})
+    assert [str(e["what"]) for e in told.view] == ["steady", "dark", "steady"]
+
+
+@pytest.mark.parametrize("right", [0.25, 0.5, 1.0, 2.25, -3.0])
+def test_the_shift_is_measured_to_a_quarter_of_a_block(right: float) -> None:
+    """A room of boxes, 8 pixels a block, seen exactly."""
+
+    def room(shift: int) -> Array:
+        fine = np.full((15 * 8, 20 * 8), 2600.0)
+        fine[13:90, 40 + shift : 103 + shift] = 2100.0
+        fine[20:50, max(0, 5 + shift) : max(0, 21 + shift)] = 2300.0
+        return fine.reshape(15, 8, 20, 8).mean(axis=(1, 3))
+
+    depth = np.stack([room(0)] * 240 + [room(round(8 * right))] * 120)
+    depth += np.random.default_rng(1).normal(0, 0.5, depth.shape)
+    made = play(View(), **{"in": (blocks_spec(15, 20, 4.0), grid(4.0, 360, 900 * NS), depth)})["out"]
+    assert made.dtype == VIEW and [str(e["what"]) for e in made] == ["steady", "moved"]
+    assert abs(float(made["right"][1]) - 8 * right) <= 2 and abs(float(made["down"][1])) <= 2

@@ -121,11 +121,15 @@ def motion(epochs: int, seed: int = 0) -> Array:
     return np.random.default_rng(seed).normal(0.6, 0.01, (round(30 * FPS) * epochs, 1))
 
 
-def active(x: Array, bed: list[tuple[float, str]] | None = None, **parameters: float) -> dict[str, Array]:
-    """`bed`: (s since the beginning, state)."""
+def active(
+    x: Array, bed: list[tuple[float, str]] | None = None, far: Array | None = None, **parameters: float
+) -> dict[str, Array]:
+    """`bed`: (s since the beginning, state). `far`: the change over twice the time."""
     names = ("a", "b")[: x.shape[1]]
     spec = StreamSpec((x.shape[1],), rate_hz=FPS, channels=names, units=("mm",))
     inputs = {"motion": (spec, grid(FPS, len(x), START), x)}
+    if far is not None:
+        inputs["far"] = (spec, grid(FPS, len(x), START), far)
     if bed is not None:
         events = np.array([(START + round(s * NS), "a", state, 0, 0, "") for s, state in bed], BED)
         inputs["bed"] = (StreamSpec((), BED), events["onset"].copy(), events)
@@ -146,12 +150,22 @@ def test_movement_is_what_exceeds_the_noise_of_the_stillest_epochs() -> None:
     assert (abs(made["epochs"]["threshold"][3:40] - 0.64) < 0.02).all()
 
 
-def test_the_threshold_follows_the_frames_own_noise() -> None:
+@pytest.mark.parametrize(("grows", "why"), [(0.0, "light"), (0.41, ""), (1.0, "")])
+def test_a_steady_rise_is_a_light_where_it_does_not_grow_with_the_time(grows: float, why: str) -> None:
+    """Noise is as far after two looks as after one; a random walk is farther by 0.41 of it, steady movement by all of it."""
     low, high = motion(60), 5 * motion(200, seed=1)
-    made = active(np.concatenate([low, high]))["epochs"]
+    x = np.concatenate([low, high])
+    far = x + np.where(np.arange(len(x))[:, None] < len(low), 0.0, grows * (5 - 1) * 0.6)
+    made = active(x, far=far)["epochs"]
     assert abs(made["threshold"][59] - 0.64) < 0.02 and abs(made["threshold"][-1] - 3.2) < 0.1
-    assert (made["why"][61:72] == "light").all() and not made["moved_s"].astype(bool)[4:60].any()
-    assert not made["moved_s"][140:].any() and not made["why"][140:].astype(bool).any(), "learned in the meantime"
+    assert (made["why"][60:104] == why).all() and bool(made["moved_s"][60:104].all()) == (why == "")
+    assert not made["moved_s"][4:60].any()
+    assert not made["moved_s"][106:].any() and not made["why"][106:].astype(bool).any(), "three quarters are like it"
+
+
+def test_without_the_change_over_twice_the_time_a_rise_is_movement() -> None:
+    made = active(np.concatenate([motion(60), 5 * motion(20, seed=1)]))["epochs"]
+    assert (made["moved_s"][60:] == 30).all() and not made["why"][60:].astype(bool).any()
 
 
 def test_out_of_bed_is_awake_unknown_is_unknown_and_unseen_is_unseen() -> None:

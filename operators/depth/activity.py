@@ -42,8 +42,10 @@ RESTLESS = 3.0
 """No noise in bed is so many times that of the empty bed, unless it has been as steady as noise is."""
 STEADY, STEADY_EPOCHS = 0.2, 20
 """Noise, unlike movement, scatters by less than this share of its level, within an epoch's still part and over so many epochs."""
-LIGHT_S, LIGHT_SHARE, LEAST_SCATTER = 12.0, 0.9, 0.7
-"""A rise for at least so long, with hardly a pause, and as steady as noise, is more noise: a light, and no movement."""
+LIGHT_S, LIGHT_SHARE = 12.0, 0.9
+"""A rise for at least so long, with hardly a pause, and as steady as noise, may be a light that makes depths noisier."""
+DISPLACED = 0.2
+"""It is none where it grows by so much of itself over twice the time: a random walk grows by 0.41, steady movement by 1, noise by 0."""
 
 WHYS = np.array(["", "unseen", "dark", "camera", "still", "region", "body"])
 
@@ -61,18 +63,23 @@ def collect(x: Samples, time: Times, begin: int, slot_ns: int, sums: Samples, co
                 counts[slot, k] += 1.0
 
 
-def lit(change: Samples, moving: NDArray[np.bool_], n: int, usual: float) -> NDArray[np.bool_]:
-    """Which averages (slots,) lie in a stretch of `n` that is all but throughout above the threshold, and scatters as noise does.
+def lit(change: Samples, far: Samples, moving: NDArray[np.bool_], n: int, level: float) -> NDArray[np.bool_]:
+    """Which averages (slots,) lie in a stretch of `n` that is all but throughout above the threshold, steady, and displaces nothing.
 
-    usual   the noise's own scatter as a share of its level: it grows with the level
+    far    the change over twice the time; NaN: not known, and then nothing is lit
+    level  the change while nothing happens
     """
     found = np.zeros(len(change), np.bool_)
     for first in range(len(change) - n + 1):
         part = slice(first, first + n)
-        above = change[part][moving[part]]
-        if len(above) >= LIGHT_SHARE * n:
-            scatter = float(np.std(above)) / float(np.mean(above))
-            found[part] |= LEAST_SCATTER * usual <= scatter <= STEADY
+        above = moving[part] & np.isfinite(far[part])
+        if above.sum() < LIGHT_SHARE * n:
+            continue
+        near, farther = change[part][above], far[part][above]
+        middle = float(np.mean(near))
+        grown = abs(float(np.mean(farther)) - middle)
+        if float(np.std(near)) <= STEADY * middle and grown <= DISPLACED * (middle - level):
+            found[part] |= moving[part]
     return found
 
 
@@ -80,7 +87,7 @@ def lit(change: Samples, moving: NDArray[np.bool_], n: int, usual: float) -> NDA
 class ActivityState:
     """
     begin           start of the open epoch (ns); NEVER: none. silent: how many epochs without any frame have gone by
-    sums, counts    (slots, k) of the open epoch: change, and frames
+    sums, counts    (slots, k) of the open epoch: change, and frames; far_sums, far_counts: of the change over twice the time
     needed          how many frames an epoch must have; expected: how many it should have
     bed, out        (k,) where each sleeper is (`unasked`: before anything is known); whether out of bed since the epoch's beginning
     in_bed, empty   noise while each sleeper is in bed, and while the bed is empty
@@ -98,6 +105,8 @@ class ActivityState:
     expected: float
     sums: Samples
     counts: Samples
+    far_sums: Samples
+    far_counts: Samples
     bed: Times
     unasked: int
     out: Times
@@ -128,14 +137,17 @@ class Activity(Operator[ActivityState]):
     this sleeper in bed, plus `sigmas` times its own scatter there (breath counts as scatter), and at least `least_rise` of it. So it is
     calibrated on the frames as they come, simplified and noisy; before there are 4 such epochs it is not known. It is never above
     3 times what N is over the empty bed, so that an evening without any stillness is not taken for noise, unless for ten minutes it has
-    been as steady as only noise is. A rise as steady as that, for 12 s and more, is a light that makes frames noisier: it is no movement,
-    and counts as not seen, until a quarter of those epochs have it. After a jump of the view all noise is learned again.
+    been as steady as only noise is. After a jump of the view all noise is learned again.
+
+    With `far` connected (the change over twice the time), a rise as steady as noise, for 12 s and more, that does not grow with the time
+    is no movement: nothing is displaced, depths have become noisier, as by a light. It counts as not seen, until three quarters of those
+    epochs have it. (Trembling faster than the looks follow each other would pass for it, were it as steady.)
 
     A silence up to `reset_gap_s` gives epochs of NaN; beyond it everything begins anew. Delay: one epoch.
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("view", "bed", "motion")
-    optional: ClassVar[tuple[str, ...]] = ("view", "bed")
+    inputs: ClassVar[tuple[str, ...]] = ("view", "bed", "far", "motion")
+    optional: ClassVar[tuple[str, ...]] = ("view", "bed", "far")
     outputs: ClassVar[tuple[str, ...]] = ("out", "epochs")
 
     epoch_s: float = param(
@@ -160,6 +172,8 @@ class Activity(Operator[ActivityState]):
         check_view(specs)
         if "bed" in specs and specs["bed"].dtype != BED:
             raise InputError("bed", specs["bed"].describe(), "the output of operators.depth.presence.Presence")
+        if "far" in specs and (specs["far"].shape, specs["far"].channels) != (spec.shape, spec.channels):
+            raise InputError("far", specs["far"].describe(), "the output far of operators.depth.motion.Motion")
         if self.epoch_s * rate_hz < 4:
             raise ParameterError("epoch_s", self.epoch_s, f"at least {4 / rate_hz:g} (four frames)")
         k = len(spec.channels)
@@ -170,7 +184,7 @@ class Activity(Operator[ActivityState]):
         self.hold(
             ActivityState(
                 list(spec.channels), epoch_ns, -(-epoch_ns // slots), NEVER, 0, int(self.reset_gap_s * NS) // epoch_ns,
-                self.epoch_s * rate_hz, np.zeros((slots, k)), np.zeros((slots, k)),
+                self.epoch_s * rate_hz, np.zeros((slots, k)), np.zeros((slots, k)), np.zeros((slots, k)), np.zeros((slots, k)),
                 np.full(k, unasked), unasked, np.zeros(k, np.int64), Noise.of(k), Noise.of(k),
                 np.zeros(k, np.int64), False, False, False, 0,
             ),
@@ -198,8 +212,10 @@ class Activity(Operator[ActivityState]):
                 self._pass(time - 1, made)
                 self._looks(str(event["what"]))
             chunk = Chunk(chunk.time, chunk.data, chunk.until)
+        elif port == "far":
+            emitted, made = self._motion(chunk, s.far_sums, s.far_counts, lost=0)
         elif len(chunk.time):
-            emitted, made = self._motion(chunk)
+            emitted, made = self._motion(chunk, s.sums, s.counts, chunk.lost)
         if chunk.until == FOREVER:
             self._end(made)
         elif self._pass(chunk.until, made):
@@ -234,11 +250,12 @@ class Activity(Operator[ActivityState]):
         return [
             Case(cls(epoch_s=2.0, reset_gap_s=30.0), inputs, least=29 * 3),
             Case(cls(epoch_s=2.0, reset_gap_s=30.0), {"view": seen, **inputs}, least=29 * 3),
+            Case(cls(epoch_s=2.0, reset_gap_s=30.0), {"far": (spec, time, motion + 0.01), **inputs}, least=29 * 3),
             Case(cls(epoch_s=3.0, least_s=0.0, reset_gap_s=60.0), {"motion": inputs["motion"]}, least=19 * 3),
         ]
 
-    def _motion(self, chunk: Chunk) -> tuple[list[tuple[str, Chunk]], Rows]:
-        """Take the samples of a chunk; what is emitted before its gap, and what it leads to."""
+    def _motion(self, chunk: Chunk, sums: Samples, counts: Samples, lost: int) -> tuple[list[tuple[str, Chunk]], Rows]:
+        """Take the samples of a chunk into `sums` and `counts`; what is emitted before its gap, and what it leads to."""
         s = self.state
         time, x = chunk.time, np.ascontiguousarray(chunk.data, np.float64)
         emitted: list[tuple[str, Chunk]] = []
@@ -247,14 +264,14 @@ class Activity(Operator[ActivityState]):
         while start < len(time):
             t = int(time[start])
             again = self._pass(t - 1, made)
-            if again or (chunk.lost and not start):
+            if again or (lost and not start and (made or not s.lost)):
                 emitted += self._chunks(made, t - 1)
                 made, s.lost = [], -1
             if s.begin == NEVER:
                 s.begin = t // s.epoch_ns * s.epoch_ns
                 s.out[:] = s.bed == OUT
             stop = int(np.searchsorted(time, s.begin + s.epoch_ns))
-            collect(x[start:stop], time[start:stop], s.begin, s.slot_ns, s.sums, s.counts)
+            collect(x[start:stop], time[start:stop], s.begin, s.slot_ns, sums, counts)
             s.silent = 0
             start = stop
         return emitted, made
@@ -308,11 +325,12 @@ class Activity(Operator[ActivityState]):
         s = self.state
         with np.errstate(invalid="ignore"):
             change = s.sums / s.counts
+            far = s.far_sums / s.far_counts
         limits = np.array([self._limit(k, change[:, k]) for k in range(len(s.sleepers))])
         for k in range(len(s.sleepers)):
-            made.append(self._row(k, change, limits))
-        s.sums[:] = 0.0
-        s.counts[:] = 0.0
+            made.append(self._row(k, change, far, limits))
+        for held in (s.sums, s.counts, s.far_sums, s.far_counts):
+            held[:] = 0.0
         s.jumped = s.dark
         s.begin += s.epoch_ns
         s.out[:] = s.bed == OUT
@@ -333,13 +351,14 @@ class Activity(Operator[ActivityState]):
             return limit
         return min(limit, RESTLESS * s.empty.level_of(k))
 
-    def _row(self, k: int, change: Array, limits: Samples) -> tuple[Any, ...]:
+    def _row(self, k: int, change: Array, far: Array, limits: Samples) -> tuple[Any, ...]:
         """One sleeper's epoch: its activity, and its event."""
         s = self.state
         seen = float(s.counts[:, k].sum()) / s.expected
         slot_s = s.slot_ns / NS
         moving = change[:, k] > limits[k]
-        light = lit(change[:, k], moving, math.ceil(LIGHT_S * NS / s.slot_ns), s.in_bed.relative(k))
+        level = s.in_bed.level_of(k) if limits[k] == limits[k] else math.nan
+        light = lit(change[:, k], far[:, k], moving, math.ceil(LIGHT_S * NS / s.slot_ns), level)
         moving &= ~light
         there = np.isfinite(change[:, k]) & ~light
         moved_s = float(moving.sum()) * slot_s if limits[k] == limits[k] else math.nan

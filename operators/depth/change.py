@@ -58,6 +58,21 @@ def change(
 
 
 @kernel(nogil=True)
+def distance(frame: Frame, other: Frame, regions: Times, least: float, out: Samples) -> None:
+    """The mean |frame - other| in every region (k, 4), into `out` (k,), NaN as `change` has it."""
+    for k in range(regions.shape[0]):
+        row, column, rows, columns = regions[k]
+        total, count = np.int64(0), np.int64(0)
+        for y in range(row, row + rows):
+            for x in range(column, column + columns):
+                a, b = frame[y, x], other[y, x]
+                if a != 0 and b != 0:
+                    total += np.int64(max(a, b) - min(a, b))
+                    count += 1
+        out[k] = total / count if count > 0 and count >= least * rows * columns else math.nan
+
+
+@kernel(nogil=True)
 def conclude(sums: Sums, seen: Seen, cell: int, out: Samples) -> None:
     """D(p) of the epoch as the mean of each cell, into `out` (h/cell, w/cell), NaN where nothing was measured; the sums begin anew."""
     for r in range(out.shape[0]):

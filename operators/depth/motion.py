@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from operators.depth.blocks import Frame
-from operators.depth.change import Seen, Sums, change, conclude
+from operators.depth.change import Seen, Sums, change, conclude, distance
 from operators.depth.regions import REGION, region_spec, sleepers_of, take
 from operators.depth.simplify import SCENE, frames_of
 from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times, add_lost
@@ -32,6 +32,7 @@ class MotionState:
     """
     every    how many frames a look is after the one before; step_ns: that time; taken: when the newest one was (ns); NEVER: none yet
     last     (h, w)  the frame that was looked at last; time: when, NEVER: there is none to compare with
+    older    (h, w)  the one before; known: whether it is exactly one look before
     regions  (k, 4)  per sleeper: row, column, rows, columns; no rows: not known. edges: the columns where they begin and end
     sums, seen (h, w)  the open epoch's change of every pixel (mm), and how often it was measured
     begin    start of the open epoch (ns); NEVER: none is open. frames: how many were compared in it
@@ -50,6 +51,8 @@ class MotionState:
     cell: int
     last: Frame
     time: int
+    older: Frame
+    known: bool
     regions: Times
     edges: Times
     sums: Sums
@@ -65,6 +68,8 @@ class Motion(Operator[MotionState]):
 
     out  (sleepers,) float64, mm: N(t), the mean change since the look before over the sleeper's region (thesis, eq. 4.2; stamped with
          the later frame); without `regions` over the whole frame, and the channel is called "frame"
+    far  (sleepers,) float64, mm: the same over two looks. What is displaced moves farther in twice the time, noise does not: so light on
+         the bed, which makes depths noisier, is told from movement (operators.depth.activity.Activity)
     map  an event per epoch: D(p), the mean change from look to look (thesis, eq. 4.1), as means of cells of a block
 
     A look is a frame in `step_s`, the others are passed over. The thesis compares every frame with the next. But a limb that takes a
@@ -81,7 +86,7 @@ class Motion(Operator[MotionState]):
 
     inputs: ClassVar[tuple[str, ...]] = ("scene", "regions", "frames")
     optional: ClassVar[tuple[str, ...]] = ("scene", "regions")
-    outputs: ClassVar[tuple[str, ...]] = ("out", "map")
+    outputs: ClassVar[tuple[str, ...]] = ("out", "far", "map")
 
     epoch_s: float = param(30.0, above=0.0, help="length of an epoch; epochs begin at whole multiples of it since 1970")
     least_valid: float = param(0.2, above=0.0, most=1.0, help="share of the region's pixels that must be measured")
@@ -119,7 +124,8 @@ class Motion(Operator[MotionState]):
         self.hold(
             MotionState(
                 list(sleepers), round(self.epoch_s * NS), every, round(NS / rate_hz), NEVER,
-                round(max(self.longest_gap_s, 1.5 / rate_hz) * NS), 0, cell, np.zeros(spec.shape, np.uint16), NEVER, regions,
+                round(max(self.longest_gap_s, 1.5 / rate_hz) * NS), 0, cell, np.zeros(spec.shape, np.uint16), NEVER,
+                np.zeros(spec.shape, np.uint16), False, regions,
                 _edges(regions, width), np.zeros(spec.shape, np.uint32), np.zeros(spec.shape, np.uint16), NEVER, 0, 0,
             )
         )  # fmt: skip
@@ -135,13 +141,13 @@ class Motion(Operator[MotionState]):
         )
         made = map_of((height // cell, width // cell))
         maps = StreamSpec((), made, units=("ns", "ns", "", spec.units[0]), meta={**meta, "epoch_s": self.epoch_s})
-        return {"out": out, "map": maps}
+        return {"out": out, "far": out, "map": maps}
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
         s = self.state
         emitted: list[tuple[str, Chunk]] = []
         maps: list[tuple[Any, ...]] = []
-        looks: list[tuple[int, Samples]] = []
+        looks: list[tuple[int, Samples, Samples]] = []
         lost = 0
         if port == "frames":
             if chunk.lost:
@@ -153,16 +159,17 @@ class Motion(Operator[MotionState]):
                 self._close_epoch(time - 1, maps)
                 if self._is_look(time):
                     lost = lost if looks else self._missing(time)
-                    looks.append((time, self._look(chunk.data[i], time)))
+                    looks.append((time, *self._look(chunk.data[i], time)))
         elif port == "scene" and len(chunk.time):
-            s.time = NEVER
+            s.time, s.known = NEVER, False
         elif port == "regions" and len(chunk.time):
             take(chunk.data, tuple(s.sleepers), s.regions)
             s.edges = _edges(s.regions, s.last.shape[1])
         self._close_epoch(chunk.until, maps)
-        times, moved_mm = np.array([t for t, _ in looks], np.int64), np.array([n for _, n in looks])
-        moved = Chunk(times, moved_mm.reshape(len(looks), len(s.sleepers)), chunk.until, lost)
-        return [*emitted, ("out", moved), ("map", self._maps(maps, chunk.until))]
+        times, shape = np.array([t for t, *_ in looks], np.int64), (len(looks), len(s.sleepers))
+        moved = Chunk(times, np.array([n for _, n, _ in looks]).reshape(shape), chunk.until, lost)
+        far = Chunk(times, np.array([n for *_, n in looks]).reshape(shape), chunk.until, lost)
+        return [*emitted, ("out", moved), ("far", far), ("map", self._maps(maps, chunk.until))]
 
     def close(self) -> list[tuple[str, Chunk]]:
         maps: list[tuple[Any, ...]] = []
@@ -207,22 +214,26 @@ class Motion(Operator[MotionState]):
         away = time - s.taken
         return max(0, round(away / s.step_ns) - 1) or -int(away - s.step_ns > s.step_ns // (2 * s.every))
 
-    def _look(self, frame: Frame, time: int) -> Samples:
-        """N (k,) of a frame that is compared."""
+    def _look(self, frame: Frame, time: int) -> tuple[Samples, Samples]:
+        """N (k,) of a frame that is compared, over one look and over two."""
         s = self.state
-        out = np.full(len(s.sleepers), np.nan)
+        out, far = np.full((2, len(s.sleepers)), np.nan)
         if s.begin == NEVER:
             s.begin = time // s.epoch_ns * s.epoch_ns
         if s.time != NEVER and time - s.time <= s.gap_ns:
+            if s.known:
+                distance(frame, s.older, s.regions, self.least_valid, far)
+            s.older[:], s.known = s.last, True
             if change(frame, s.last, s.regions, s.edges, self.least_valid, s.sums, s.seen, out):
                 s.frames += 1
             else:
                 np.subtract(s.seen, 1, out=s.seen, where=(frame != 0) & (s.seen > 0))
-                out[:] = np.nan
+                out[:] = far[:] = np.nan
+                s.known = False
         else:
-            s.last[:] = frame
+            s.last[:], s.known = frame, False
         s.time = s.taken = time
-        return out
+        return out, far
 
     def _close_epoch(self, until: int, maps: list[tuple[Any, ...]]) -> None:
         """The map of the epoch that is over by `until`."""

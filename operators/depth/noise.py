@@ -48,15 +48,6 @@ class Noise:
         scatter = float(np.median(self.scatter[order[: max(1, n // 2)], k]))
         return level + max(sigmas * scatter, least_rise * level)
 
-    def relative(self, k: int) -> float:
-        """The scatter of channel `k` as a share of its level, in the stiller half of the epochs; 0: nothing was learned."""
-        n = min(int(self.count[k]), EPOCHS)
-        if not n:
-            return 0.0
-        order = np.argsort(self.level[:n, k], kind="stable")[: max(1, n // 2)]
-        level = self.level[order, k]
-        return float(np.median(self.scatter[order, k][level > 0] / level[level > 0])) if (level > 0).any() else 0.0
-
     def steady(self, k: int, most: float, epochs: int) -> bool:
         """Whether the stillest half of at least so many epochs scatters by at most `most` of its level, in each and among all."""
         n = min(int(self.count[k]), EPOCHS)
