@@ -53,6 +53,7 @@ def facts(recording: Recording) -> dict[str, Any]:
     return {
         "path": str(recording.path),
         "finished": recording.finished,
+        "missing": recording.missing.to_json() if recording.missing else None,
         "parts": [{"path": str(p.file.path), "bytes": p.file.size, "finished": p.finished} for p in recording.parts],
         "duration_s": recording.duration_ns / 1e9,
         "header": recording.header,
@@ -120,7 +121,8 @@ def _show(console: Screen, recording: Recording, most: int | None) -> None:
     from rich.text import Text
 
     header = recording.header
-    state = "" if recording.finished else " (not closed in order; `kinegraph recover` finishes it)"
+    lacking = f"; missing is {recording.missing.words}" if recording.missing else ""
+    state = "" if recording.finished else f" (not closed in order{lacking}; `kinegraph recover` finishes it)"
     size = sum(part.file.size for part in recording.parts) / 1e6
     parts = f", {len(recording.parts)} parts" if len(recording.parts) > 1 else ""
     told = f": {_duration(recording.duration_ns / 1e9)}, {size:.1f} MB{parts}"

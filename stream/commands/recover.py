@@ -30,5 +30,12 @@ def recover(
     for part in found:
         damage = f"; {part.damaged} damaged places were left out" if part.damaged else ""
         say(f"{part.path}: {part.messages} messages, {part.samples} samples{damage}")
+        if part.missing and part.missing.bytes:
+            lost = f"at least {part.missing.seconds:.1f} s" if part.missing.seconds else "how long it was is not known"
+            say(f"  {part.missing.bytes} bytes at its end are no whole record and could not be saved: {lost}")
+        elif part.missing and part.missing.seconds:
+            say(
+                f"  at least {part.missing.seconds:.1f} s more had been recorded, as the session's checkpoint knows, and are gone"
+            )
     if not found:
         say(f"{recording}: finished already, nothing to do")

@@ -56,6 +56,7 @@ def replay(
     from stream.graph.load import load
     from stream.graph.overrides import read
     from stream.recording import Recording
+    from stream.recording.place import is_running
 
     logs.set_up()
     with Recording.open(recording) as source:
@@ -84,6 +85,19 @@ def replay(
         sys.exit(1)
     if failed := [stage for stage in run.pipeline.outlets if stage.failed]:
         raise OutletFailed(", ".join(f"{stage.node.name!r}: {stage.failed}" for stage in failed))
+    if source.missing and not is_running(recording):
+        raise Incomplete(recording, result.seconds, source.missing.words)
+
+
+class Incomplete(KinegraphError):
+    """A recording was replayed that was not closed in order: what came out is right as far as it goes."""
+
+    exit_code = 6
+
+    def __init__(self, path: Path, seconds: float, words: str) -> None:
+        super().__init__(
+            f"{path}: was not closed in order; {seconds:.1f} s were replayed, missing is {words}. `kinegraph recover` gives it an end"
+        )
 
 
 class OutletFailed(KinegraphError):

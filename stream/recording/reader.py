@@ -21,6 +21,7 @@ from stream.recording.format import (
     decode_log,
     table,
 )
+from stream.recording.missing import missing_of
 from stream.recording.place import parts_of
 from stream.recording.recorded import RecordedPart
 from stream.recording.records import DAMAGE
@@ -31,15 +32,18 @@ class Recording:
     """A recorded session. Samples come in fresh memory that may be written; nothing is held beyond what is being read.
 
     header     of the first part: the graph, versions, the session's facts (as handed to the recorder)
-    finished   whether it was closed in order; one left by a killed process is read all the same
+    finished   whether it was closed in order, if need be by the session that resumed it; one left by a killed process is read all the same
+    missing    what is known to be missing where it was not, and its data are not all there; None otherwise
     streams    what was recorded, by name
     """
 
-    def __init__(self, path: Path, parts: list[RecordedPart]) -> None:
+    def __init__(self, path: Path, parts: list[RecordedPart], *, open_end: bool = False) -> None:
+        """`open_end`: a further file had been begun, into which nothing was written."""
         self.path = path
         self.parts = parts
         self.header = parts[0].header
-        self.finished = all(part.finished for part in parts)
+        self.missing = missing_of(parts, open_end=open_end)
+        self.finished = parts[-1].finished and self.missing is None
         self.streams: dict[str, RecordedStream] = {}
         for part in parts:
             for name, stream in part.streams.items():
@@ -64,7 +68,7 @@ class Recording:
         try:
             for i, part in enumerate(paths):
                 if i and i == len(paths) - 1 and part.stat().st_size == 0:
-                    break
+                    return cls(path, parts, open_end=True)
                 parts.append(RecordedPart(part))
             return cls(path, parts)
         except BaseException:

@@ -34,7 +34,7 @@ class RecordedPart:
 
         With `forgiving`, every byte is read, and damaged places are left out and counted in `damaged`.
         """
-        self.damaged = 0
+        self.damaged = self._left_out = 0
         self._forgiving = forgiving
         self.file = RecordFile(path)
         try:
@@ -86,6 +86,17 @@ class RecordedPart:
     def finished(self) -> bool:
         return self.file.finished
 
+    @property
+    def torn(self) -> int:
+        """Bytes at its end that cannot be read: a record that breaks off, or is damaged."""
+        return self.file.torn + self._left_out
+
+    @property
+    def whole(self) -> bool:
+        """Whether all its data are there, though its index may be damaged."""
+        ended = self.finished or any(record.opcode == Opcode.DATA_END for record in self.file.records)
+        return ended and not self._left_out
+
     def _read_end(self) -> bool:
         """What a finished file says of itself at its end; False where it says nothing, or is damaged there: then all is read."""
         if not self.finished:
@@ -123,6 +134,7 @@ class RecordedPart:
                 if not self._forgiving and record != self.chunks[-1]:
                     raise
                 self.damaged += 1
+                self._left_out += record.length if record == self.chunks[-1] else 0
                 self.chunks.remove(record)
 
     def _count(self, record: Record) -> None:

@@ -27,6 +27,8 @@ DAMAGE = (*bounded.DAMAGE, struct.error, McapError)
 """What reading a damaged record may raise."""
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
+_SPAN = struct.Struct("<QQ")
+"""The first and the last time in a chunk of records, with which it begins."""
 
 
 class _Readable(Protocol):
@@ -58,7 +60,11 @@ class RawMessage(NamedTuple):
 
 
 class RecordFile:
-    """An MCAP file as a list of whole records (but for its indexes); `finished` where it ends as it should."""
+    """An MCAP file as a list of whole records (but for its indexes); `finished` where it ends as it should.
+
+    torn          bytes at its end that belong to no whole record
+    torn_until    the last time in the chunk of records that breaks off there (ns); 0 where it is not known
+    """
 
     def __init__(self, path: Path) -> None:
         """Raises RecordingError for what is no MCAP file."""
@@ -70,6 +76,7 @@ class RecordFile:
         try:
             self._check_magic()
             self.finished = False
+            self.torn = self.torn_until = 0
             self.records = list(self._hop())
         except BaseException:
             self._file.close()
@@ -99,6 +106,7 @@ class RecordFile:
             opcode, length = _RECORD.unpack(head)
             offset = at + _RECORD.size
             if opcode == 0 or offset + length > self.size:
+                self._tear(at, opcode)
                 return
             if opcode not in (Opcode.MESSAGE_INDEX, Opcode.CHUNK_INDEX):
                 yield Record(opcode, offset, length)
@@ -107,6 +115,15 @@ class RecordFile:
                 self._file.seek(at)
                 self.finished = self._file.read(len(MAGIC)) == MAGIC
                 return
+        self._tear(at, 0)
+
+    def _tear(self, at: int, opcode: int) -> None:
+        """The file breaks off in the record at `at`; the head of a chunk still says up to when it went."""
+        self.torn = self.size - at
+        if opcode == Opcode.CHUNK and self.torn >= _RECORD.size + _SPAN.size:
+            self._file.seek(at + _RECORD.size)
+            head = self._file.read(_SPAN.size)
+            self.torn_until = _SPAN.unpack(head)[1] if len(head) == _SPAN.size else 0
 
     def content(self, record: Record) -> bytes:
         self._file.seek(record.offset)

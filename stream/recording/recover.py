@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mcap.writer import CompressionType
 
 from stream.complete import private_folder
 from stream.errors import RecordingError
-from stream.recording.format import LOG, METRICS, table
+from stream.recording.format import LOG, METRICS, encode_log, table
+from stream.recording.missing import Missing, missing_after
 from stream.recording.part import Part
 from stream.recording.place import is_running, part_path, parts_of
 from stream.recording.recorded import RecordedPart
@@ -21,12 +22,15 @@ from stream.recording.tally import RecordedStream
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """A part that was rewritten: how much it holds, and how many damaged places were left out (each shows as lost samples)."""
+    """A part that was rewritten: how much it holds, how many damaged places were left out (each shows as lost samples), and what
+    could not be saved at its end.
+    """
 
     path: Path
     messages: int
     samples: int
     damaged: int
+    missing: Missing | None = None
 
 
 def rewrite(path: Path, output: Path | None, progress: Callable[[int, int], None] | None = None) -> list[Recovered]:
@@ -48,12 +52,13 @@ def rewrite(path: Path, output: Path | None, progress: Callable[[int, int], None
         if part.stat().st_size == 0 and len(paths) > 1:
             continue
         opened = RecordedPart(part, forgiving=True)
+        missing = missing_after(opened, last=part == paths[-1])
         try:
             if output is not None:
                 private_folder(output.parent if output.suffix == ".mcap" else output)
-                done.append(_rewrite(opened, part_path(output, number), number, progress))
+                done.append(_rewrite(opened, part_path(output, number), number, missing, progress))
             elif not opened.finished or opened.damaged:
-                done.append(_replace(opened, number, progress))
+                done.append(_replace(opened, number, missing, progress))
         except OSError as error:
             raise RecordingError(f"{output or part}: cannot be written ({error.strerror or error})") from None
         finally:
@@ -61,18 +66,22 @@ def rewrite(path: Path, output: Path | None, progress: Callable[[int, int], None
     return done
 
 
-def _replace(old: RecordedPart, number: int, progress: Callable[[int, int], None] | None) -> Recovered:
+def _replace(
+    old: RecordedPart, number: int, missing: Missing | None, progress: Callable[[int, int], None] | None
+) -> Recovered:
     path = old.file.path
     fresh = path.with_name(f".{path.name}.recovering")
     fresh.unlink(missing_ok=True)
-    made = _rewrite(old, fresh, number, progress)
+    made = _rewrite(old, fresh, number, missing, progress)
     path.replace(path.with_name(path.name + ".unfinished"))
     fresh.replace(path)
-    return Recovered(path, made.messages, made.samples, made.damaged)
+    return replace(made, path=path)
 
 
-def _rewrite(old: RecordedPart, path: Path, number: int, progress: Callable[[int, int], None] | None) -> Recovered:
-    """Copy every message that can be read to a new file at `path`, and end it."""
+def _rewrite(
+    old: RecordedPart, path: Path, number: int, missing: Missing | None, progress: Callable[[int, int], None] | None
+) -> Recovered:
+    """Copy every message that can be read to a new file at `path`, say in its log what is `missing`, and end it."""
     part = Part(path, number, old.header, CompressionType.LZ4 if old.images else CompressionType.ZSTD)
     try:
         tallies = {name: RecordedStream(s.spec, s.role, s.kept) for name, s in old.streams.items()}
@@ -80,7 +89,7 @@ def _rewrite(old: RecordedPart, path: Path, number: int, progress: Callable[[int
         channels |= {topic: part.channel_of(topic) for topic in (LOG, METRICS)}
         images = {name: part.declare_frames(name, old.streams[name].kept) for name in old.images.values()}
         frames: Counter[tuple[str, int]] = Counter()
-        count = 0
+        count = newest = 0
         for i, record in enumerate(old.chunks):
             for message in messages(old.file.unpack(record)):
                 if image := old.images.get(message.channel):
@@ -96,12 +105,16 @@ def _rewrite(old: RecordedPart, path: Path, number: int, progress: Callable[[int
                     continue
                 part.add(channel, message.log_time, message.publish_time, message.batch, bytes(message.body))
                 count += 1
+                newest = max(newest, message.log_time)
             part.save()
             if progress:
                 progress(i + 1, len(old.chunks))
+        if missing and missing != Missing():
+            line = encode_log("recovered", newest, {"level": "warning", **missing.to_json()})
+            part.add(part.channel_of(LOG), newest, newest, 0, line)
         part.finish({name: tally.to_json() for name, tally in tallies.items()})
     except BaseException:
         part.abandon()
         path.unlink(missing_ok=True)
         raise
-    return Recovered(path, count, sum(tally.samples for tally in tallies.values()), old.damaged)
+    return Recovered(path, count, sum(tally.samples for tally in tallies.values()), old.damaged, missing)
