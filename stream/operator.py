@@ -6,7 +6,7 @@ so that a snapshot of the state is a snapshot of the operator. `docs/operators.m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar
 
@@ -77,6 +77,12 @@ class Operator(Generic[S]):
         Raises ParameterError or InputError for everything that can be wrong, before any device opens.
         """
         raise NotImplementedError
+
+    def suits(self, session: Mapping[str, Any]) -> None:
+        """Raise ParameterError where the operator is not for this session, by its facts (subject, side, ...); {} where none are known.
+
+        Called before a session or a replay begins, in a replay with the facts of the recording.
+        """
 
     def process(self, port: str, chunk: Chunk) -> Emitted:
         """Take a chunk from an input port, and give back what it leads to: a function of the state and the samples alone.

@@ -216,3 +216,68 @@ def test_the_envelope_is_the_graphs():
     both = graph + "  f:\n    use: operators.emg.Envelope\n    from: x\n"
     with pytest.raises(KinegraphError, match="e, f differ"):
         envelope_of(both, "graph")
+
+
+NORMALISED = """
+session: {subject: %s}
+nodes:
+  treadmill: {use: devices.simulators.treadmill.Treadmill, realtime: false, duration_s: 2}
+  envelope: {use: operators.emg.Envelope, from: treadmill.emg}
+  amplitude: {use: operators.emg.normalise.Normalise, from: envelope, method: mvc, reference: REFERENCE%s}
+"""
+
+
+def reference_of(subject, path, names):
+    spec = StreamSpec((len(names),), rate_hz=1000.0, channels=names, units=("uV",))
+    envelope = Envelope().open({"in": spec})["out"].meta["envelope"]
+    AmplitudeReference("mvc", {"mvc": [50.0] * len(names)}, list(names), "uV", envelope, subject=subject).write(path)
+    return path
+
+
+def graph_of(subject, reference, more=""):
+    from stream.graph.load import load_text
+
+    return load_text((NORMALISED % (subject, more)).replace("REFERENCE", str(reference)))
+
+
+@pytest.fixture
+def of_s01(tmp_path):
+    from stream.graph.load import load_text
+
+    graph = load_text("nodes: {treadmill: {use: devices.simulators.treadmill.Treadmill}}")
+    return reference_of("S01", tmp_path / "S01.mvc.json", graph.nodes["treadmill"].specs["emg"].channels)
+
+
+@pytest.mark.parametrize("subject", ["S02", "102"])
+def test_a_reference_of_somebody_else_is_refused_live(of_s01, subject):
+    with pytest.raises(KinegraphError, match=rf"'amplitude'.*taken of 'S01'.*is of '{subject}'.*any_subject"):
+        graph_of(subject, of_s01)
+
+
+@pytest.mark.parametrize(
+    ("subject", "more"), [("S01", ""), ("' s01 '", ""), ("''", ""), ("S02", ", any_subject: true")]
+)
+def test_the_same_person_an_unknown_one_and_one_that_is_forced_are_taken(of_s01, subject, more):
+    assert graph_of(subject, of_s01, more).nodes["amplitude"].specs["out"].meta["normalisation"] == "mvc"
+
+
+def test_a_replay_goes_by_the_subject_of_the_recording(of_s01, tmp_path):
+    from stream.engine.replay import Replay
+    from stream.graph.load import load_text
+    from stream.recording import Recording
+
+    names = AmplitudeReference.read(of_s01).channels
+    spec = StreamSpec((len(names),), rate_hz=1000.0, channels=tuple(names), units=("uV",))
+    noise = np.random.default_rng(1).standard_normal((3000, len(names)))
+    streams = {"treadmill.emg": (spec, stamps(3000), noise)}
+    text = (NORMALISED % ("S01", "")).replace("REFERENCE", str(of_s01))
+    for subject, refused in (("S02", True), ("S01", False)):
+        path = recorded(tmp_path / f"{subject}.mcap", streams, {"subject": subject})
+        with Recording.open(path) as recording:
+            graph = load_text(text, recorded={n: s.spec for n, s in recording.streams.items()})
+            graph.session = recording.header["session"]
+            if refused:
+                with pytest.raises(KinegraphError, match="taken of 'S01'"):
+                    Replay(graph, recording)
+            else:
+                Replay(graph, recording).run()

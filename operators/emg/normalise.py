@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -29,7 +30,8 @@ class Normalise(Operator[NormaliseState]):
     `method` is what the reference stands for: `mvc` the strongest voluntary contraction, `rest` the mean at rest, `task_peak` and
     `task_mean` the peak and the mean of the mean cycle in a calibration walk, or `none`: nothing is changed, no reference is needed.
     The reference is a file that `kinegraph calibrate` wrote. It is read once, when the graph is opened, and is refused if its muscles, its
-    unit or its envelope's parameters are others than those of the input.
+    unit or its envelope's parameters are others than those of the input, or if it was taken of another subject than the session's (unless
+    `any_subject`).
 
     The thesis scales every signal to [0, 1]; done cycle by cycle that hides every change in strength. A reference that is frozen before
     the session keeps cycles, muscles and sessions comparable. `meta["normalisation"]` names the method on this and every stream made from
@@ -39,6 +41,7 @@ class Normalise(Operator[NormaliseState]):
     takes = "finite"
     method: Literal["mvc", "rest", "task_peak", "task_mean", "none"] = param("none", help="what 100 % stands for")
     reference: str = param("", help="the file that `kinegraph calibrate` wrote")
+    any_subject: bool = param(False, help="use the reference even if it was taken of somebody else")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
@@ -68,6 +71,18 @@ class Normalise(Operator[NormaliseState]):
         }
         meta = {**spec.meta, "normalisation": self.method, "normalisation_reference": about}
         return {"out": spec.derive(dtype=np.dtype(np.float64), units=(METHODS[self.method],), meta=meta)}
+
+    def suits(self, session: Mapping[str, Any]) -> None:
+        """Refuse a reference of somebody else than the session's subject, where both are known."""
+        if self.method == "none" or self.any_subject:
+            return
+        whose, subject = AmplitudeReference.read(Path(self.reference)).subject, str(session.get("subject") or "")
+        if whose.strip() and subject.strip() and whose.strip().casefold() != subject.strip().casefold():
+            accepts = (
+                f"one of the session's subject: it was taken of {whose!r}, and the session is of {subject!r}; `any_subject: true` "
+                f"uses it all the same, `session.subject` says whose session it is"
+            )
+            raise ParameterError("reference", self.reference, accepts)
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
         return Chunk(chunk.time, chunk.data * self.state.scale, chunk.until, chunk.lost)

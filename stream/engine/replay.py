@@ -17,6 +17,7 @@ from stream.engine.queues import recorded_drops
 from stream.engine.substitutes import Substitutes
 from stream.engine.warmup import Compilations, warm_up
 from stream.graph import Edge, Graph
+from stream.graph.suited import refuse_unsuited
 from stream.promise import Inside
 from stream.recording import Recorder, Recording, versions
 from stream.recording.image import is_picture
@@ -97,6 +98,7 @@ class Replay:
         output: Path | None = None,
         strict: bool = False,
     ) -> None:
+        refuse_unsuited(graph)
         self.substitutes = Substitutes.of(graph, recording.streams)
         self.graph, self.recording, self._speed = self.substitutes.reduced(graph), recording, speed
         self.graph.replays = recording.path.name

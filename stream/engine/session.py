@@ -30,6 +30,7 @@ from stream.engine.warmup import Compilations, warm_up
 from stream.engine.workers import Call, Watchdog, Workers
 from stream.errors import KinegraphError
 from stream.graph import Graph
+from stream.graph.suited import refuse_unsuited
 from stream.operator import Outlet
 from stream.recording import RecorderStatus
 from stream.source import Source
@@ -60,6 +61,7 @@ class Session:
         duration_s: float = 0.0,
         view: View | None = None,
     ) -> None:
+        refuse_unsuited(graph)
         self.graph, self.folder, self._view, self._duration_s = graph, folder, view, duration_s
         self._prior = PriorSession(folder, graph) if resume and folder else None
         self.clock = SessionClock(after=self._prior.last_time if self._prior else NEVER)

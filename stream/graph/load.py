@@ -20,6 +20,7 @@ from stream.graph.overrides import override, rewrite
 from stream.graph.parts import import_from
 from stream.graph.problems import Problems
 from stream.graph.shipped import resolve, shipped
+from stream.graph.suited import refuse_unsuited
 from stream.graph.wiring import Wiring
 from stream.graph.yaml_lines import Located, parse
 from stream.manual import Annotations
@@ -89,6 +90,8 @@ def load_text(
     root = override(parse(text, path or name), overrides or {}, problems)
     graph = _Loading(root, problems, recorded).graph(name)
     graph.text, graph.path = (rewrite(text, overrides, root) if overrides else text), path
+    if recorded is None:
+        refuse_unsuited(graph)
     return graph
 
 

@@ -1,0 +1,17 @@
+"""Whether the parts of a graph suit the session: one that holds what was measured of one person is not for another."""
+
+from __future__ import annotations
+
+from stream.errors import GraphError, ParameterError
+from stream.graph.model import Graph
+from stream.operator import Operator
+
+
+def refuse_unsuited(graph: Graph) -> None:
+    """Raise GraphError for the first operator that does not suit the session's facts."""
+    for node in graph.nodes.values():
+        if isinstance(node.part, Operator):
+            try:
+                node.part.suits(graph.session)
+            except ParameterError as error:
+                raise GraphError(str(error), path=graph.path, line=node.line or None, node=node.name) from None
