@@ -79,9 +79,7 @@ def reference(
     from operators.emg.calibration import highest_mean, mean_cycle, quality, settled_envelope
     from stream.chunk import utc
 
-    name = emg or _only(
-        recording, "EMG", lambda s: s.spec.is_signal and s.spec.rate_hz and s.spec.units[0] in ("uV", "µV", "mV", "V")
-    )
+    name = emg or raw_emg(recording)
     spec = recording.stream(name).spec
     time, data, out = settled_envelope(envelope, spec, recording.chunks(name))
     flags, noise = quality(spec, recording.chunks(name), steady=kind != "task")
@@ -113,6 +111,12 @@ def reference(
         date=utc(int(time[0]))[:10] if time[0] > 10**18 else "",
         note=note,
     ), flags
+
+
+def raw_emg(recording: Recording) -> str:
+    """The one stream of raw EMG: a signal in volts. Raises KinegraphError where it is not plain which."""
+    volts = ("uV", "µV", "mV", "V")
+    return _only(recording, "EMG", lambda s: s.spec.is_signal and s.spec.rate_hz and s.spec.units[0] in volts)
 
 
 def envelope_of(text: str, where: str) -> Envelope:

@@ -48,8 +48,7 @@ DOUBTFUL, BAD = (np.array([[limits[k]] for limits in LIMITS.values()]) for k in 
 FLAGS = np.array([*(["bad"] * len(LIMITS)), *(["doubtful"] * len(LIMITS)), "good"])
 REASONS = np.array([*(2 * [limits[0] for limits in LIMITS.values()]), ""])
 MOST_NOISE_UV = 10.0
-"""Baseline noise, rms, from which an electrode is doubtful in movement, where even the quietest 100 ms of a second are seldom at rest.
-At rest laboratories ask for less: a mean of 1 to 3.5 uV (Konrad 2005, The ABC of EMG), 5 uV rms."""
+"""Baseline noise, rms, from which an electrode is doubtful: ours. In movement the quietest 100 ms of a second are seldom at rest."""
 BAD_NOISE = 3.0
 """From this many times that noise on, an electrode is bad."""
 RISEN = (3.0, 6.0)
