@@ -350,7 +350,7 @@ def test_the_nodes_in_the_docs_can_be_built() -> None:
     page = (Path(__file__).resolve().parent.parent / "docs" / "contacts.md").read_text(encoding="utf-8")
     parts, _ = catalogue(("operators",))
     nodes = YAML(typ="safe").load(page.split("```yaml\n")[1].split("```")[0])
-    assert len(nodes) == 6
+    assert len(nodes) == 7
     for node in nodes.values():
         build(parts[node.pop("use")], {key: value for key, value in node.items() if key != "from"})
 
