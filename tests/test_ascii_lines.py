@@ -75,7 +75,16 @@ def test_no_bytes_whatever_make_it_fail(data: bytes, cuts: list[int], header: bo
         (b"1,2", False),
         (b"1,2,3,4", False),
         (b"1,,3", False),
-        (b"1,2,3,", False),
+        (b"1,2,3,", True),
+        (b"1,2,3 , ", True),
+        (b"1,2,3,,", False),
+        (b"a:1,b:2,c:3", True),
+        (b"c: 3 , a=1,b : 2,", True),
+        (b"a:1,b:2,c:3,d:4", True),
+        (b"a:1,b:2", False),
+        (b"a:1,b:2,c:x", False),
+        (b"a:1,b:2,c:3,b:5", False),
+        (b"a:1,2,c:3", False),
         (b"1,x,3", False),
         (b"1_0,2,3", False),
         (b"1;2;3", False),
@@ -87,6 +96,16 @@ def test_no_bytes_whatever_make_it_fail(data: bytes, cuts: list[int], header: bo
 def test_what_a_line_may_be(line: bytes, good: bool) -> None:
     rows, rejected = decoded([b"\n" + line + b"\n"])
     assert (len(rows), rejected) == ((1, 0) if good else (0, 1))
+
+
+@given(st.lists(st.integers(0, 10**4), max_size=20), st.sampled_from([",", ";", "\t", " "]))
+def test_labelled_lines_in_any_order_and_any_cut(cuts: list[int], delimiter: str) -> None:
+    lines = [delimiter.join((f"c:{c}", "x:0.5", f"a:{a}", f"b:{b}")) + "\n" for a, b, c in ROWS]
+    data = "".join(lines).encode()
+    whole = decoded([data], delimiter=delimiter)
+    assert whole == (ROWS[1:].tolist(), 0)
+    assert decoded(cut(data, cuts), delimiter=delimiter) == whole
+    assert decoded([data[i : i + 1] for i in range(len(data))], delimiter=delimiter) == whole
 
 
 def test_blank_lines_and_comments_are_passed_over_and_a_line_without_end_is_rejected() -> None:

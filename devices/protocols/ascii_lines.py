@@ -1,7 +1,8 @@
 """Lines of numbers, as an Arduino prints them: text to rows, whatever else stands between; no port, no clock.
 
-What a line may look like: as many numbers as there are columns, with the delimiter between; blank lines and lines that begin with '#'
-are passed over. The first line is thrown away, for it may have begun before the port was opened, unless it is the header.
+What a line may look like: as many numbers as there are columns, with the delimiter between and perhaps one behind the last; or each number
+behind its column's name and a colon, in any order ("emg:512,b:3", as Arduino's plotter has it). Blank lines and lines that begin
+with '#' are passed over. The first line is thrown away, for it may have begun before the port was opened, unless it is the header.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ LONGEST = 4096
 """A line without an end for so many bytes is no line."""
 _NUMBER = rb"[+-]?(?:\d+\.?\d*(?:[eE][+-]?\d{1,3})?|\.\d+(?:[eE][+-]?\d{1,3})?|nan|inf)"
 _END = re.compile(rb"[\r\n]+")
+_LABELLED = re.compile(rb"\s*([^:=]+?)\s*[:=]\s*(" + _NUMBER + rb")\s*", re.IGNORECASE)
 
 
 @dataclass(slots=True)
@@ -79,8 +81,23 @@ class Decoder:
         if self._pattern is not None and self._pattern.fullmatch(line):
             fields = line.split(None if self.delimiter == " " else self.delimiter.encode())
             rows.append([float(fields[place]) for place in self._places])
+        elif (row := self._labelled(line)) is not None:
+            rows.append(row)
         elif self._pattern is not None:
             self._reject(line, found)
+
+    def _labelled(self, line: bytes) -> list[float] | None:
+        """The numbers of a line that names each; columns that were not asked for are passed over."""
+        if b":" not in line and b"=" not in line:
+            return None
+        parts = line.split() if self.delimiter == " " else line.split(self.delimiter.encode())
+        matches = [_LABELLED.fullmatch(part) for part in parts if part.strip()]
+        if not matches or not all(matches):
+            return None
+        named = {m[1].decode("utf-8", "replace"): float(m[2]) for m in matches if m}
+        if len(named) < len(matches) or not set(self.columns) <= set(named):
+            return None
+        return [named[name] for name in self.columns]
 
     def _is_header(self, line: bytes) -> bool:
         """Whether a line names columns; then these are expected from now on."""
@@ -96,7 +113,8 @@ class Decoder:
     def _expect(self, names: tuple[str, ...]) -> None:
         between = rb"[ \t]+" if self.delimiter == " " else rb"[ \t]*" + re.escape(self.delimiter.encode()) + rb"[ \t]*"
         self.names = names
-        self._pattern = re.compile(between.join([_NUMBER] * len(names)), re.IGNORECASE)
+        last = b"" if self.delimiter == " " else b"(?:%s)?" % between
+        self._pattern = re.compile(between.join([_NUMBER] * len(names)) + last, re.IGNORECASE)
         self._places = [names.index(name) for name in self.columns]
 
     def _reject(self, line: bytes, found: Lines) -> None:
