@@ -136,13 +136,14 @@ def latency(rounds: int, seconds: float) -> Section:
     q = {kind: np.percentile(ages[kind], [50, 95, 99]) / 1e3 for kind in LABELS}
     section = Section(
         f"Lab Streaming Layer: {RATE_HZ} Hz x {CHANNELS} channels in {CHUNK}-sample chunks, outlet in another process to operator",
-        ["", "p50, times bare", "p95, times bare", "p50 us", "p95 us", "p99 us", "chunks"],
+        ["", "p50, times bare", "p95, times bare", "p99, times bare", "p50 us", "p95 us", "p99 us", "chunks"],
     )
     for kind, label in LABELS.items():
-        ratios = q[kind][:2] / q[BARE][:2]
+        ratios = q[kind] / q[BARE]
         section.rows.append([label, *map(short, [*ratios, *q[kind]]), str(len(ages[kind]))])
     section.goals = [
         Goal("LSL outlet to operator, p50 against a bare pylsl loop", q[OURS][0] / q[BARE][0], 1.5, "times"),
+        Goal("LSL outlet to operator, p99 against a bare pylsl loop", q[OURS][2] / q[BARE][2], 2.0, "times"),
         Goal(
             "LSL outlet to operator, recorded, p50 against a bare pylsl loop", q[RECORDED][0] / q[BARE][0], 1.5, "times"
         ),
