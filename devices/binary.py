@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 
@@ -17,7 +18,8 @@ from devices.clocks.packet_clock import Packets
 from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.stamps import REPEATED, Losses, Stamps, runs
 from devices.clocks.timing import TIMING, timing_spec
-from devices.protocols.declared import NS_PER, Decoder, Found, Frame, Layout, hex_bytes
+from devices.protocols.checksum_fit import fitting
+from devices.protocols.declared import NS_PER, SPOILT, Decoder, Found, Frame, Layout, hex_bytes
 from devices.transport.handshake import all_there, shown
 from devices.transport.transport import Transport, connect, present
 from stream.chunk import NS, Array, Chunk, Specs, StreamSpec, Times
@@ -171,6 +173,7 @@ class Binary(Source):
         layouts = self.layouts()
         decoder, stream = self._decoder(layouts), _Stream(self, layouts)
         opened, seen, came = time.monotonic(), False, b""
+        spoilt: deque[tuple[int, bytes]] = deque(maxlen=SPOILT)
         clock_log = ClockLog(self.port, feed, lambda: stream.clock)
         while not feed.stopped:
             data = self._taken(link, 0.1)
@@ -184,12 +187,23 @@ class Binary(Source):
                     feed.problem(kind, count)
             seen = seen or bool(found.kinds)
             came = b"" if seen else (came + data)[-64:]
+            spoilt.extend(found.spoilt if not seen else ())
             if came and not seen and time.monotonic() - opened > FIRST_FRAME_S:
                 syncs = " or ".join(layout.sync.hex(" ") for layout in layouts)
                 raise DeviceError(
                     f"no frame from {self.port} within {FIRST_FRAME_S:g} s: expected {syncs} and a right checksum; came {shown(came)}"
+                    + _fits(spoilt, layouts)
                     + (f" (is baud {self.baud} right?)" if "://" not in self.port else "")
                 )
+
+
+def _fits(spoilt: Iterable[tuple[int, bytes]], layouts: list[Layout]) -> str:
+    """For the error's end: which checksums would fit the frames that came."""
+    by_kind: dict[int, list[bytes]] = {}
+    for kind, frame in spoilt:
+        by_kind.setdefault(kind, []).append(frame)
+    told = [f"frames[{kind}]: {text}" for kind, frames in by_kind.items() if (text := fitting(frames, layouts[kind]))]
+    return f"; {', '.join(told)}" if told else ""
 
 
 class _Stream:

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.binary import Binary
+from devices.protocols.checksum_fit import fitting
 from devices.protocols.checksums import CHECKSUMS
 from devices.protocols.declared import Decoder, Field, Frame, Layout
 from devices.simulators.binary import BinaryBrain
@@ -295,12 +296,42 @@ def test_frames_without_clock_and_counter() -> None:
 def test_bytes_of_another_device_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("devices.binary.FIRST_FRAME_S", 0.3)
     server, _ = served(Binary("", (PAIR[0],)))
+    wrong = Binary("", (replace(PAIR[0], checksum="xor8"),))
+    again, _ = served(Binary("", (PAIR[0],)))
+    with again, reading(replace(wrong, port=again.address)) as feed:
+        wait_for(lambda: feed.error is not None)
+    assert "frames[0]: checksum: sum8 with checksum_from: 0 fits" in str(feed.error)
     other = Binary("", (Frame("EE FF", (Field("u8", "a"),), "x", checksum="sum8"),))
     with server, reading(replace(other, port=server.address)) as feed:
         wait_for(lambda: feed.error is not None)
     assert isinstance(feed.error, DeviceError) and "expected ee ff and a right checksum; came 64 bytes: " in str(
         feed.error
     )
+
+
+@pytest.mark.parametrize(
+    ("kind", "start", "endian"),
+    [("sum8", 2, "little"), ("xor8", 0, "little"), ("crc8", 1, "big"), ("crc16_modbus", 0, "little"), ("crc16_xmodem", 2, "big"),
+     ("sum16", 2, "big"),
+     ("crc32", 2, "little")],
+)  # fmt: skip
+@pytest.mark.parametrize("size", [1, 5, 1000])
+def test_a_wrong_checksum_names_the_one_that_fits(kind: str, start: int, endian: str, size: int) -> None:
+    true = replace(PAIR[0], checksum=kind, checksum_from=start, endian=endian)  # type: ignore[arg-type]
+    bytes_of = CHECKSUMS[kind].size
+    other = next(k for k in ("zero_sum8", "fletcher8", "crc32") if CHECKSUMS[k].size == bytes_of)
+    declared = Layout(replace(PAIR[0], checksum=other, checksum_from=0 if other != kind else 1))  # type: ignore[arg-type]
+    data = b"\xa5\x5anoise" + b"".join(made(30, (true,)))
+    decoder = Decoder([declared])
+    spoilt = [frame for i in range(0, len(data), size) for _, frame in decoder.feed(data[i : i + size]).spoilt]
+    told = fitting(spoilt, declared)
+    assert f"checksum: {kind} with checksum_from: {start}" in told and (bytes_of == 1 or f"{endian}-endian" in told)
+
+
+def test_frames_without_any_checksum_are_not_talked_into_one() -> None:
+    rng, declared = np.random.default_rng(3), Layout(PAIR[0])
+    noise = [b"\xa5\x5a" + rng.bytes(declared.size - 2) for _ in range(200)]
+    assert fitting(noise, declared) == "" and fitting(noise[:3], declared) == ""
 
 
 GOOD_FRAME = {"name": "m", "sync": "55", "fields": [{"type": "u8", "name": "a"}]}

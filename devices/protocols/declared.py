@@ -14,6 +14,8 @@ from stream.chunk import Array, Samples, Times
 from stream.errors import ParameterError
 from stream.params import param
 
+SPOILT = 40
+"""Frames with a wrong checksum that a feed shows."""
 NS_PER = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9}
 Type = Literal["u8", "i8", "u16", "i16", "u24", "i24", "u32", "i32", "u64", "i64", "f32", "f64"]
 Kind = Literal[
@@ -218,6 +220,7 @@ class Found:
     kinds     (n,) which layout each frame has, in the order in which they came
     frames    per layout, its frames one after the other
     bad       frames whose checksum was wrong
+    spoilt    the first of these: layout, frame
     dropped   bytes that belonged to no frame
     resyncs   how often the beginning of the next frame had to be looked for
     """
@@ -227,6 +230,7 @@ class Found:
     bad: int = 0
     dropped: int = 0
     resyncs: int = 0
+    spoilt: list[tuple[int, bytes]] = field(default_factory=list)
 
 
 class Decoder:
@@ -294,6 +298,8 @@ class Decoder:
         if layout.checksum.size:
             if not layout.sound(match.group()):
                 found.bad += 1
+                if len(found.spoilt) < SPOILT:
+                    found.spoilt.append((self._order[(match.lastindex or 1) - 1], match.group()))
                 return False
             return True
         if self._following:
