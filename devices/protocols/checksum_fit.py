@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import product
+from typing import Literal
 
 from devices.protocols.checksums import CHECKSUMS
 from devices.protocols.declared import Layout
@@ -22,7 +23,7 @@ def fitting(candidates: Sequence[bytes], layout: Layout) -> str:
     size = layout.checksum.size
     if len(frames) < LEAST or not size:
         return ""
-    orders = ("little", "big") if size > 1 else (layout.frame.endian,)
+    orders: tuple[Literal["little", "big"], ...] = ("little", "big") if size > 1 else (layout.frame.endian,)
     kinds = [kind for kind, checksum in CHECKSUMS.items() if checksum.size == size]
     for start, kind, endian in product(range(layout.body_end), kinds, orders):
         said = [int.from_bytes(f[layout.body_end : layout.body_end + size], endian) for f in frames]
