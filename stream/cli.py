@@ -15,7 +15,7 @@ from io import TextIOWrapper
 from typing import Any, NoReturn
 
 from stream.complete import be_private
-from stream.errors import KinegraphError, nearest
+from stream.errors import Interrupted, KinegraphError, nearest
 from stream.plain import say
 
 COMMANDS = {
@@ -42,7 +42,7 @@ A real-time engine for motion and biosignal devices: graphs in YAML, live or rep
 """
 
 
-class Terminated(KeyboardInterrupt):
+class Terminated(Interrupted):
     """SIGTERM came. No SystemExit, for that would be taken for one of the operator at work, which must not end the program."""
 
 
@@ -112,11 +112,18 @@ def _terminable() -> Iterator[list[int]]:
     if threading.current_thread() is not threading.main_thread():
         yield came
         return
-    before = signal.signal(signal.SIGTERM, end)
+    before = {signal.SIGTERM: signal.signal(signal.SIGTERM, end)}
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        before[signal.SIGINT] = signal.signal(signal.SIGINT, _interrupt)
     try:
         yield came
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _interrupt(_number: int, _frame: object) -> None:
+    raise Interrupted  # which no operator can be taken for that raises KeyboardInterrupt by itself
 
 
 def _forget_output() -> None:

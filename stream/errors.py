@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import signal
 import sysconfig
+import threading
 import traceback
 from difflib import get_close_matches
 from pathlib import Path
@@ -22,6 +24,17 @@ class KinegraphError(Exception):
     """An error that a user can act on: the command line prints its text, without a traceback, and exits with `exit_code`."""
 
     exit_code = 2
+
+
+class Interrupted(KeyboardInterrupt):
+    """A person, or the system, asked the program to end at once: what our own handlers of signals raise."""
+
+
+def asked_to_end(error: BaseException) -> bool:
+    """Whether a signal raised this, and not an operator's own code, in which `raise KeyboardInterrupt` is a fault like any other."""
+    if not isinstance(error, KeyboardInterrupt) or threading.current_thread() is not threading.main_thread():
+        return False
+    return isinstance(error, Interrupted) or signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 class ParameterError(KinegraphError):

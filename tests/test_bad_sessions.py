@@ -78,6 +78,8 @@ def test_an_operator_that_raises_names_itself_and_loses_nothing(kinegraph: Comma
     ("nonsense", "words"),
     [
         ("sys.exit(0)", ["node 'bad'", "SystemExit"]),
+        ("raise KeyboardInterrupt", ["node 'bad'", "KeyboardInterrupt", "at sample time"]),
+        ("raise BaseException('of its own')", ["node 'bad'", "BaseException: of its own", "at sample time"]),
         ("return 'hello'", ["node 'bad'", "gave back a str", "a Chunk", "'out'"]),
         ("return [('ouch', chunk)]", ["node 'bad'", "gave back a list", "'ouch'", "'out'"]),
         ("return self.process(port, chunk)", ["node 'bad'", "RecursionError"]),
@@ -91,6 +93,24 @@ def test_an_operator_that_returns_nonsense(nonsense: str, words: list[str], kine
     refused(kinegraph("run", "g.yaml", *QUIET, "-o", "s"), *words, code=4)
     with Recording.open(tmp_path / "s") as recording:
         assert recording.finished and recording.streams["bad"].samples <= 1000
+
+
+@pytest.mark.parametrize("where", ["open", "close"])
+@pytest.mark.parametrize("error", ["KeyboardInterrupt", "BaseException('of its own')", "SystemExit(0)"])
+def test_what_an_operator_raises_elsewhere_ends_nothing_else(
+    where: str, error: str, kinegraph: Command, tmp_path: Path
+) -> None:
+    module = re.sub(r"\W", "", f"{where}{error}")
+    text = RAISES.replace('raise ZeroDivisionError("division by zero")', "pass")
+    closing = f"\n    def close(self) -> None:\n        if self.state.seen > 1000:\n            raise {error}\n"
+    text = text.replace("self.hold", f"raise {error}\n        self.hold") if where == "open" else text + closing
+    (tmp_path / f"{module}.py").write_text(text)
+    (tmp_path / "g.yaml").write_text(BOARD % 2 + f"  bad: {{use: {module}.Raises, from: board.emg}}\n")
+    told = kinegraph("run", "g.yaml", *QUIET, "-o", "s")
+    refused(told, "node 'bad'", error.partition("(")[0], code=2 if where == "open" else 4)
+    if where == "close":
+        with Recording.open(tmp_path / "s") as recording:
+            assert recording.finished and recording.streams["board.emg"].samples == 2000
 
 
 def test_stamps_within_a_chunk_that_run_backwards_are_found_by_verify(kinegraph: Command, tmp_path: Path) -> None:

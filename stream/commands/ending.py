@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Self
 import structlog
 
 from stream.chunk import NS, utc
-from stream.errors import RunError
+from stream.errors import Interrupted, RunError
 
 if TYPE_CHECKING:
     from stream.engine.session import Session
@@ -82,7 +82,7 @@ class Ending:
     def _in_main(self, _number: int, _frame: object) -> None:
         if self._interrupts:
             self._interrupts = False
-            raise KeyboardInterrupt
+            raise Interrupted
 
     # the thread that hears signals -----------------------------------------------------------------------------------
 

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from stream.chunk import FOREVER, NEVER, STAMP, Array, Chunk, StreamSpec, add_lost, utc
-from stream.errors import KinegraphError, RunError, explain
+from stream.errors import KinegraphError, RunError, asked_to_end, explain
 from stream.graph import Edge
 from stream.graph.parts import is_ours
 from stream.metrics import Timing
@@ -116,7 +116,9 @@ class InputPort:
         slot.port, slot.chunk = self, chunk
         try:
             emitted = self.process(self.port, chunk)
-        except (Exception, SystemExit) as error:  # no operator ends the program by itself, with a recording open
+        except BaseException as error:  # no operator ends the program by itself, with a recording open
+            if asked_to_end(error):
+                raise
             raise failure(self.node, error, self.port, chunk) from error
         end = perf_counter_ns()
         self.timing.durations.append(end - start)
@@ -219,7 +221,7 @@ def _normal(chunk: Chunk) -> Chunk:
     return Chunk(time, data, chunk.until, chunk.lost)
 
 
-def failure(node: str, error: Exception | SystemExit, port: str = "", chunk: Chunk | None = None) -> RunError:
+def failure(node: str, error: BaseException, port: str = "", chunk: Chunk | None = None) -> RunError:
     """What an operator's exception means to the person at the screen: which node, at which sample's time."""
     where = "" if chunk is None else given(port, chunk)
     text = str(error) if isinstance(error, KinegraphError) else explain(error)

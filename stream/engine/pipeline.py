@@ -20,7 +20,7 @@ from stream.engine.edge import NOTHING, CallSlot, InputPort, LiveEdge, Push, fai
 from stream.engine.merge import Merge
 from stream.engine.queues import BoundedQueue
 from stream.engine.segment import CompiledSegment
-from stream.errors import KinegraphError
+from stream.errors import KinegraphError, asked_to_end
 from stream.graph import Edge, Graph, Node
 from stream.graph.parts import is_ours
 from stream.metrics import FOLD_AT, Timing
@@ -87,7 +87,7 @@ class Stage:
         out = next(iter(self.edges.values()), None)
         return InputPort(self.node.name, port, self.operator, self.timing, out, self.emit, self.slot)
 
-    def switch_off(self, error: Exception) -> None:
+    def switch_off(self, error: BaseException) -> None:
         self.failed = f"{type(error).__name__}: {error}" if not isinstance(error, KinegraphError) else str(error)
         log.error(
             "outlet switched off",
@@ -121,7 +121,9 @@ class Stage:
         self.slot.node, self.slot.port, self.slot.chunk = self.node.name, None, NOTHING
         try:
             emitted = self.operator.close()
-        except Exception as error:
+        except BaseException as error:
+            if asked_to_end(error):
+                raise
             if not self.node.is_outlet:
                 raise failure(self.node.name, error) from error
             self.switch_off(error)
@@ -147,7 +149,9 @@ class OutletPort(InputPort):
         self.slot.port, self.slot.chunk = self, chunk
         try:
             self.process(self.port, chunk)
-        except Exception as error:  # noqa: BLE001 - whatever it was: the graph goes on without this outlet
+        except BaseException as error:  # whatever it was: the graph goes on without this outlet
+            if asked_to_end(error):
+                raise
             stage.switch_off(error)
         end = perf_counter_ns()
         self.timing.durations.append(end - start)

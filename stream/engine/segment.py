@@ -24,6 +24,7 @@ import numpy as np
 from stream.chunk import FOREVER, STAMP, Chunk
 from stream.engine.edge import InputPort, LiveEdge, Push, failure
 from stream.engine.row import Row, step_of
+from stream.errors import asked_to_end
 from stream.filter import KernelCall
 from stream.metrics import add
 from stream.promise import PromiseError
@@ -108,8 +109,10 @@ class CompiledSegment:
         edge = self.edges[span.before + place].origin
         raise PromiseError(edge.node, edge.output, "stamps that run backwards, or ahead of its inputs", chunk)
 
-    def _trouble(self, error: Exception | SystemExit, found: dict[str, Any]) -> None:
+    def _trouble(self, error: BaseException, found: dict[str, Any]) -> None:
         """Raise what an operator's exception means; nothing, where no operator of this segment raised it."""
+        if asked_to_end(error):
+            return
         trace = error.__traceback__
         line = trace.tb_lineno if trace else 0
         if (checked := self._code.checks_at.get(line)) is not None:
@@ -146,7 +149,7 @@ class Code:
             lines.append("        if t0 >= due:")
             self._write_out(lines, " " * 12, timed=True)
         self._write_out(lines, " " * 8, timed=False)
-        lines += ["    except (Exception, SystemExit) as error:", "        trouble(error, locals())", "        raise"]
+        lines += ["    except BaseException as error:", "        trouble(error, locals())", "        raise"]
         return lines
 
     def _write_out(self, lines: list[str], indent: str, *, timed: bool) -> None:

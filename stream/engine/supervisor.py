@@ -284,7 +284,7 @@ class Runner:
         except OSError as error:
             if not feed.stopped:
                 self._failed(f"{type(error).__name__}: {error}")
-        except Exception as error:
+        except BaseException as error:  # also SystemExit, of which a thread would die in silence
             if not feed.stopped:
                 log.debug("source failed", node=self.node.name, exc_info=True)
                 self._failed(explain(error))

@@ -18,7 +18,7 @@ from stream.chunk import FOREVER, NS, Chunk, StreamSpec, empty
 from stream.engine.edge import CallSlot
 from stream.engine.merge import Merge
 from stream.engine.row import step_of
-from stream.errors import GraphError, KinegraphError, explain
+from stream.errors import GraphError, KinegraphError, asked_to_end, explain
 from stream.graph import Graph, Node, parts
 from stream.metrics import Timing
 from stream.operator import Emitted, Operator, grid
@@ -49,7 +49,9 @@ def warm_up(graph: Graph) -> None:
             _run_made_up(graph, node)
         except KinegraphError:
             raise
-        except Exception as error:
+        except BaseException as error:
+            if asked_to_end(error):
+                raise
             raise GraphError(
                 f"fails on samples made up to try it: {explain(error)}", path=graph.path, line=node.line, node=node.name
             ) from error

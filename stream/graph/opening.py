@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from stream.chunk import Specs, StreamSpec
-from stream.errors import InputError, KinegraphError, ParameterError, explain
+from stream.errors import InputError, KinegraphError, ParameterError, asked_to_end, explain
 from stream.graph import Edge, Node, NodeOptions
 from stream.graph.draft import Draft
 from stream.graph.problems import Problems
@@ -98,12 +98,14 @@ class _Opening:
         except KinegraphError as error:
             self.problems.add(str(error), draft.entry, draft.name, cause=error)
             return None
-        except Exception as error:  # noqa: BLE001  (a fault in anyone's operator is told like any other, with its place)
+        except BaseException as error:
+            if asked_to_end(error):
+                raise
             self._failed(draft, error)
             return None
         return self._promised(draft, part, specs)
 
-    def _failed(self, draft: Draft, error: Exception) -> None:
+    def _failed(self, draft: Draft, error: BaseException) -> None:
         """What an exception of someone's `open` says."""
         if isinstance(error, MemoryError | OverflowError) or (
             isinstance(error, ValueError) and TOO_LARGE in str(error)
