@@ -50,3 +50,13 @@ def test_ports_are_shown_by_the_name_that_lasts(tmp_path: Path, monkeypatch: pyt
 @pytest.mark.parametrize(("address", "there"), [("/nowhere/ttyUSB0", False), ("COM3", None), ("tcp://a:1", None)])
 def test_only_what_has_a_path_can_be_looked_for(address: str, there: bool | None) -> None:
     assert present(address) is there
+
+
+def test_a_device_of_which_every_line_was_bad_is_no_success(tmp_path: Path) -> None:
+    """Even where the session ended before the source's deadline."""
+    with Indexed(rate_hz=200, trailing=",x").serving() as port:
+        graph = load_text(
+            f"nodes: {{lines: {{use: devices.ascii_lines.AsciiLines, port: {port}, columns: [i, t, n]}}}}"
+        )
+        outcome = Session(graph, tmp_path / "s", duration_s=2).run()
+    assert outcome.error is None and outcome.exit_code == 3

@@ -214,7 +214,7 @@ class Session:
 
     def _finish(self) -> None:
         """Stop the sources, work through what had arrived, close every operator and file; each even if another fails."""
-        self._down = any(r.state == "failed" or (r.error and not r.ready) for r in self._runners)
+        self._down = any(r.down for r in self._runners)
         with self._ingress.turn.lock:
             self._ingress.close()
         for runner in self._runners:

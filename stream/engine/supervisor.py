@@ -171,6 +171,11 @@ class Runner:
         self._feed: _Feed | None = None
         self._thread: threading.Thread | None = None
 
+    @property
+    def down(self) -> bool:
+        """Whether it is missing at the end of a session: failed, or nothing good has come of it, but errors or what was bad."""
+        return self.state == "failed" or (not self.ready and bool(self.error or self.problems))
+
     def start(self, again: bool = False) -> None:
         """Open the source in a new thread; `again` marks its first samples as coming after a gap."""
         self.openings += 1
