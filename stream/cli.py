@@ -20,7 +20,7 @@ from stream.plain import say
 
 COMMANDS = {
     "run": ("stream.commands.run:run", "Run a graph on live devices; record the session."),
-    "replay": ("stream.commands.replay:replay", "Run a graph on a recording, bit for bit as it was live."),
+    "replay": ("stream.commands.replay:replay", "Run a graph on a recording; same results, bit for bit."),
     "check": ("stream.commands.check:check", "Check a graph; print its streams, delays and memory."),
     "draw": ("stream.commands.draw:draw", "Draw a graph in the terminal, or as Mermaid or DOT."),
     "parts": (
@@ -30,8 +30,8 @@ COMMANDS = {
     "configs": ("stream.commands.configs:configs", "List the graphs that come with kinegraph; copy them."),
     "schema": ("stream.commands.schema:schema", "Write the JSON Schema of graphs, for editors."),
     "info": ("stream.commands.info:info", "Show what a recording holds."),
-    "recover": ("stream.commands.recover:recover", "Finish a recording that a killed process left."),
-    "try": ("stream.commands.try_:try_", "Try an operator of your own on the laws."),
+    "recover": ("stream.commands.recover:recover", "Complete a recording left by a killed process."),
+    "try": ("stream.commands.try_:try_", "Check an operator of your own against the laws."),
 }
 """Our commands; packages add theirs through the entry-point group `kinegraph.commands`."""
 

@@ -292,4 +292,4 @@ class MissingParameter(ParameterError):
 
     def __init__(self, parameter: str, owner: str) -> None:
         super().__init__(parameter, None, "given")
-        self.args = (f"{parameter} is missing; {owner} cannot do without it",)
+        self.args = (f"{parameter} is missing; {owner} requires it",)

@@ -124,7 +124,7 @@ def test_stamps_within_a_chunk_that_run_backwards_are_found_by_verify(kinegraph:
     (tmp_path / "g.yaml").write_text(board + "  bad: {use: inner.Raises, from: board.emg}\nrecord: [bad]\n")
     assert kinegraph("run", "g.yaml", *QUIET, "-o", "s")[0] == 0
     code, said, _ = kinegraph("replay", "g.yaml", "s", "--verify", "-q")
-    assert code == 1 and "bad: BREAKS ITS PROMISE" in said and "stamps that run backwards" in said, said
+    assert code == 1 and "bad: BREAKS ITS SPEC" in said and "stamps that run backwards" in said, said
 
 
 def test_two_sessions_on_one_output(kinegraph: Command, made: Path, tmp_path: Path) -> None:

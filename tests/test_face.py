@@ -186,7 +186,7 @@ class Unsaid:
         (lambda g: g.add("x", Lowpass(6), "emgg"), "node 'x': there is no node 'emgg'; did you mean 'emg'?"),
         (lambda g: g.add("x", Lowpass(6)), "node 'x': 'from' is missing"),
         (lambda g: g.add("x", Lowpass(6), "x"), "node 'x': there is no node 'x'"),
-        (lambda g: g.add("smooth", Lowpass(6), "emg"), "node 'smooth': a node of this name is in the graph already"),
+        (lambda g: g.add("smooth", Lowpass(6), "emg"), "node 'smooth': the graph already has a node of this name"),
         (lambda g: g.add("x", Lowpass(6), "emg", worke="a"), "Lowpass has no parameter 'worke'; did you mean 'worker'?"),
         (lambda g: g.add("x y", Lowpass(6), "emg"), "a node's name is made of letters"),
         (lambda g: g.add("x", Unsaid(), "emg"), "is no source, operator or outlet"),

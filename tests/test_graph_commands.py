@@ -56,7 +56,7 @@ def test_check_points_at_what_nobody_reads(tmp_path: Path, capsys: pytest.Captur
     path.write_text(nodes("cycles: {use: graph_parts.Cycles, from: {signal: board, touchdown: board.touchdown}}"))
     check(path)
     shown = capsys.readouterr().out
-    assert "nobody reads or records 'cycles.cycle'" in shown and "'board" not in shown.partition("note:")[2]
+    assert "nothing reads or records 'cycles.cycle'" in shown and "'board" not in shown.partition("note:")[2]
 
 
 def test_check_shows_the_paths_of_a_late_graph_too(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -123,8 +123,8 @@ def test_the_schema_takes_every_way_to_write_a_node(text: str) -> None:
 
 
 BY_LOAD_ALONE = (
-    "there is no", "no output", "no module", "circle", "connected twice", "an outlet", "below 500", "(onset)", "/dev", "given twice",
-    "graph_parts has no", "must be a source", "is no dataclass", "hold", "other", "ZeroDivision", "must be renamed", "record names",
+    "there is no", "no output", "no module", "cycle:", "connected twice", "an outlet", "below 500", "(onset)", "/dev", "given twice",
+    "graph_parts has no", "must be a source", "is not a dataclass", "hold", "other", "ZeroDivision", "must be renamed", "record names",
     "no source", "finite",
 )  # fmt: skip
 """What takes the whole graph, or the classes themselves, to see."""
@@ -200,9 +200,9 @@ def test_parts_lists_what_there_is_and_shows_one(capsys: pytest.CaptureFixture[s
     )
     parts("graph_parts.Cycles")
     assert "graph_parts.Cycles (operator)" in " ".join(capsys.readouterr().out.split())
-    with pytest.raises(KinegraphError, match="nothing is called 'Lowpas5'; did you mean 'Lowpass'"):
+    with pytest.raises(KinegraphError, match="no component matches 'Lowpas5'; did you mean 'Lowpass'"):
         parts("Lowpas5")
-    with pytest.raises(KinegraphError, match=r"nothing is called 'Xyz'; `kinegraph parts` lists all there is$"):
+    with pytest.raises(KinegraphError, match=r"no component matches 'Xyz'; `kinegraph parts` lists all components$"):
         parts("Xyz")
 
 

@@ -98,7 +98,7 @@ def test_recover_leaves_out_what_is_damaged_and_says_so(tmp_path: Path, capsys: 
     broken[len(broken) // 2] ^= 0xFF
     part.write_bytes(broken)
     kinegraph("recover", tmp_path / "s", "-o", tmp_path / "out.mcap")
-    assert "1 damaged places were left out" in capsys.readouterr().out
+    assert "1 damaged places were skipped" in capsys.readouterr().out
     with Recording.open(tmp_path / "out.mcap") as recording:
         assert recording.finished and 0 < recording.streams["board.emg"].dropped < 1000
         found = {sequence: chunk for sequence, _, chunk, _ in recording.inputs()}

@@ -37,7 +37,7 @@ def cut(kinegraph: Command, tmp_path: Path) -> Path:
 
 def test_replay_of_a_cut_recording_says_what_is_missing(kinegraph: Command, cut: Path) -> None:
     told = kinegraph("replay", "graph.yaml", cut, "-q")
-    refused(told, str(cut), "was not closed in order", "no whole record", code=INCOMPLETE)
+    refused(told, str(cut), "was not closed cleanly", "no whole record", code=INCOMPLETE)
     seconds = re.search(r"at least ([\d.]+) s", told[2])
     with Recording.open(cut) as recording:
         assert recording.missing and recording.missing.bytes > 0

@@ -128,7 +128,7 @@ def test_bounds_hold_within_a_mapping_too() -> None:
 
 
 def test_what_is_missing_is_named() -> None:
-    with pytest.raises(MissingParameter, match="port is missing; Part cannot do without it"):
+    with pytest.raises(MissingParameter, match="port is missing; Part requires it"):
         build(Part, {})
 
 

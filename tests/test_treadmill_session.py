@@ -105,7 +105,7 @@ def test_a_replay_names_whose_recording_it_is(tmp_path: Path) -> None:
         )
         assert ("Speed <b>1.4 m/s</b>" in page.read_text()) == (name == "named")
         assert ("holds no facts about its session" in told) == (name == "nameless")
-        assert ("side right (--set session.NAME=VALUE says otherwise)" in told) == (name == "named")
+        assert ("side right (--set session.NAME=VALUE overrides one)" in told) == (name == "named")
         assert f"Recording <b>{name}.mcap (from walk.csv, steps.csv)</b>" in page.read_text()
         assert f"{name}.mcap, in place of devices.simulators.treadmill.Treadmill" in page.read_text()
         assert "cadence_per_min: 57" not in page.read_text()

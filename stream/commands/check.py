@@ -34,7 +34,7 @@ def check(
         File | None, typer.Option(help="check it against the streams of this recording, as for a replay")
     ] = None,
     trusted_only: Annotated[
-        bool, typer.Option("--trusted-only", help="run no file beside the graph, only what is installed")
+        bool, typer.Option("--trusted-only", help="run installed code only, no files next to the graph")
     ] = False,
 ) -> None:
     """Check a graph without opening any device: names, parameters, streams, delay and memory. Exit code 2 if it cannot run."""
@@ -126,7 +126,7 @@ def _paths(planned: Plan) -> Table:
 def _unread(graph: Graph) -> list[str]:
     """Outputs of operators that lead nowhere: no error, but often a forgotten line."""
     return [
-        f"nobody reads or records {str(Edge(node.name, output))!r}"
+        f"nothing reads or records {str(Edge(node.name, output))!r}"
         for node in shown(graph)
         for output in node.specs
         if not node.is_source

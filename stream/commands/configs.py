@@ -34,7 +34,7 @@ def configs(
     copies = {there[Path(name).stem]: out / there[Path(name).stem].name for name in names}
     for copy in copies.values():
         if copy.exists():
-            raise KinegraphError(f"{copy} is there already; choose another --out, or delete it first")
+            raise KinegraphError(f"{copy} already exists; choose another --out, or delete it first")
     out.mkdir(parents=True, exist_ok=True)
     for path, copy in copies.items():
         shutil.copyfile(path, copy)

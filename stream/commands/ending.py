@@ -137,7 +137,7 @@ class Ending:
         self._told = call.since
         now = session.clock.now()
         session.log.report(
-            "node does not come back", node=call.node, since=utc(now - int(call.lasts_s * NS)), given=call.where.strip(),
+            "node hangs", node=call.node, since=utc(now - int(call.lasts_s * NS)), given=call.where.strip(),
             hint=f"{'another' if self._asked else 'a second'} Ctrl-C or SIGTERM ends the session without it",
         )  # fmt: skip
 

@@ -121,8 +121,8 @@ def _show(console: Screen, recording: Recording, most: int | None) -> None:
     from rich.text import Text
 
     header = recording.header
-    lacking = f"; missing is {recording.missing.words}" if recording.missing else ""
-    state = "" if recording.finished else f" (not closed in order{lacking}; `kinegraph recover` finishes it)"
+    lacking = f"; missing: {recording.missing.words}" if recording.missing else ""
+    state = "" if recording.finished else f" (not closed cleanly{lacking}; `kinegraph recover` finishes it)"
     size = sum(part.file.size for part in recording.parts) / 1e6
     parts = f", {len(recording.parts)} parts" if len(recording.parts) > 1 else ""
     told = f": {_duration(recording.duration_ns / 1e9)}, {size:.1f} MB{parts}"
@@ -151,7 +151,7 @@ def _show(console: Screen, recording: Recording, most: int | None) -> None:
     _list(console, "log", [_line(entry) for entry in log], most)
     if most is not None and len(log) > most:
         console.print(
-            "  in all: " + ", ".join(f"{kind} {n}" for kind, n in Counter(entry["kind"] for entry in log).items())
+            "  in total: " + ", ".join(f"{kind} {n}" for kind, n in Counter(entry["kind"] for entry in log).items())
         )
 
 
@@ -159,7 +159,7 @@ def _clock_lines(known: dict[str, dict[str, Any]]) -> list[str]:
     lines = []
     for node, clock in known.items():
         settling = ", still settling" if clock["settling"] else ""
-        jumps = f", set or begun anew {clock['jumps']} times" if clock["jumps"] else ""
+        jumps = f", set or restarted {clock['jumps']} times" if clock["jumps"] else ""
         lines.append(
             f"clock {node}: within {1e3 * clock['uncertainty_s']:.1f} ms, drift {clock['drift_ppm']:.1f} ppm, "
             f"offset {clock['offset_s']:.6f} s{settling}{jumps}"
@@ -199,7 +199,7 @@ def _listed(value: Any) -> str:
 
 
 def _what(stream: RecordedStream) -> str:
-    return stream.spec.describe() + (" (not recorded, only when they came)" if stream.kept == "outline" else "")
+    return stream.spec.describe() + (" (only their stamps are recorded)" if stream.kept == "outline" else "")
 
 
 def _list(console: Screen, title: str, lines: list[str], most: int | None) -> None:

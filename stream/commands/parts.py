@@ -26,10 +26,10 @@ BOUNDS = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "ma
 
 def parts(
     name: Annotated[
-        str, typer.Argument(metavar="[NAME]", help="a dotted path, a class, or a word that stands in the list")
+        str, typer.Argument(metavar="[NAME]", help="a dotted path, a class name, or a word to search for")
     ] = "",
     package: Annotated[
-        list[str] | None, typer.Option(help="a package or module of your own to look into as well")
+        list[str] | None, typer.Option(help="a package or module of your own to include")
     ] = None,
 ) -> None:
     """List every source, operator and outlet that a graph can use; with NAME, show its ports and parameters."""
@@ -40,15 +40,15 @@ def parts(
     import_from(Path())
     found, failed = catalogue((*PACKAGES, *(package or ())))
     for module, reason in failed.items():
-        say(f"left out {module}: {reason}", err=True)
+        say(f"skipped {module}: {reason}", err=True)
     if "." in name and name not in found:
         found[name] = find(name)
     exact = [path for path in found if name in (path, path.rpartition(".")[2])]
     hits = exact or [path for path, part in found.items() if name.lower() in f"{path} {_first_line(part)}".lower()]
     if not hits:
         classes = {path.rpartition(".")[2] for path in found}
-        hint = nearest(name, classes) if get_close_matches(name, classes) else "`kinegraph parts` lists all there is"
-        raise KinegraphError(f"nothing is called {name!r}; {hint}")
+        hint = nearest(name, classes) if get_close_matches(name, classes) else "`kinegraph parts` lists all components"
+        raise KinegraphError(f"no component matches {name!r}; {hint}")
     if len(hits) == 1:
         _show(hits[0], found[hits[0]])
     else:

@@ -17,18 +17,18 @@ def recover(
         typer.Option(
             "-o",
             "--out",
-            help="write it here; otherwise it takes the old file's place, which is kept as *.unfinished",
+            help="write it here; otherwise it replaces the file, and the original is kept as *.unfinished",
         ),
     ] = None,
 ) -> None:
-    """Rewrite a recording with everything that can be read of it, with its end and index. Replay and info read it without that, too."""
+    """Rewrite a recording with all that can be read of it, and add its end and index. Replay and info need neither."""
     from stream.progress import bar
     from stream.recording.recover import rewrite
 
     with bar(f"recovering {recording.name}") as progress:
         found = rewrite(recording, output, progress)
     for part in found:
-        damage = f"; {part.damaged} damaged places were left out" if part.damaged else ""
+        damage = f"; {part.damaged} damaged places were skipped" if part.damaged else ""
         say(f"{part.path}: {part.messages} messages, {part.samples} samples{damage}")
         if part.missing and part.missing.bytes:
             lost = f"at least {part.missing.seconds:.1f} s" if part.missing.seconds else "how long it was is not known"
@@ -38,4 +38,4 @@ def recover(
                 f"  at least {part.missing.seconds:.1f} s more had been recorded, as the session's checkpoint knows, and are gone"
             )
     if not found:
-        say(f"{recording}: finished already, nothing to do")
+        say(f"{recording}: already complete, nothing to do")

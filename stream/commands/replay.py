@@ -28,23 +28,23 @@ def replay(
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="NODE.PARAMETER=VALUE", help="change a parameter of the graph")
     ] = None,
-    speed: Annotated[float, typer.Option(help="how many times real time; 0: as fast as it goes", min=0.0)] = 0.0,
+    speed: Annotated[float, typer.Option(help="how many times real time; 0: as fast as possible", min=0.0)] = 0.0,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="record the graph's edges into this folder or .mcap file")
     ] = None,
     speak: Annotated[
-        list[str] | None, typer.Option("--speak", metavar="OUTLET", help="let this outlet speak; 'all': every one")
+        list[str] | None, typer.Option("--speak", metavar="OUTLET", help="let this outlet speak; 'all': every outlet")
     ] = None,
     verify: Annotated[
         bool,
         typer.Option(
             "--verify",
-            help="exit with 1 unless every recorded edge is reproduced bit for bit, and every node keeps what its spec promises",
+            help="exit with 1 unless every recorded edge is reproduced bit for bit, and every node keeps its spec",
         ),
     ] = False,
     quiet: Annotated[bool, typer.Option("-q", "--quiet", help="no progress bar")] = False,
     trusted_only: Annotated[
-        bool, typer.Option("--trusted-only", help="run no file beside the graph, only what is installed")
+        bool, typer.Option("--trusted-only", help="run installed code only, no files next to the graph")
     ] = False,
 ) -> None:
     """Run a graph on a recording: its streams stand in for the sources of the same names.
@@ -78,9 +78,9 @@ def replay(
     _tell(result)
     unseen = _not_compared(recorded, result, run.substitutes) if verify else []
     for name in unseen:
-        say(f"  {name}: NOT COMPARED, for this graph has no such output")
+        say(f"  {name}: NOT COMPARED: this graph has no such output")
     if verify and (result.differing or unseen) and source.header.get("graph") != graph.text:
-        say(f"this graph is not the one that made the recording: `kinegraph info {recording} --graph` prints that one")
+        say(f"this graph is not the one that made the recording: `kinegraph info {recording} --graph` prints it")
     if verify and (result.differing or result.stopped or result.broken or unseen):
         sys.exit(1)
     if failed := [stage for stage in run.pipeline.outlets if stage.failed]:
@@ -90,13 +90,13 @@ def replay(
 
 
 class Incomplete(KinegraphError):
-    """A recording was replayed that was not closed in order: what came out is right as far as it goes."""
+    """A recording was replayed that was not closed cleanly: its results are right as far as they go."""
 
     exit_code = 6
 
     def __init__(self, path: Path, seconds: float, words: str) -> None:
         super().__init__(
-            f"{path}: was not closed in order; {seconds:.1f} s were replayed, missing is {words}. `kinegraph recover` gives it an end"
+            f"{path}: was not closed cleanly; {seconds:.1f} s were replayed; missing: {words}. `kinegraph recover` completes it"
         )
 
 
@@ -119,11 +119,11 @@ def _take_facts(graph: Graph, known: dict[str, Any], asked: dict[str, Any], *, q
     if quiet:
         return
     if written and not known:
-        say("the recording holds no facts about its session, and takes none from the graph:", end=" ")
-        say(f"{_listed(written)} (--set session.NAME=VALUE gives it one)")
+        say("the recording holds no facts about its session, and those of the graph are not used:", end=" ")
+        say(f"{_listed(written)} (--set session.NAME=VALUE adds one)")
     elif passed_over := {name: value for name, value in written.items() if graph.session.get(name) != value}:
-        say("what the recording says of its session is taken, not what the graph says:", end=" ")
-        say(f"{_listed(passed_over)} (--set session.NAME=VALUE says otherwise)")
+        say("facts about the session come from the recording, not from the graph:", end=" ")
+        say(f"{_listed(passed_over)} (--set session.NAME=VALUE overrides one)")
 
 
 @contextmanager
@@ -160,7 +160,7 @@ def _tell_missing(of: Substitutes) -> None:
     """What cannot be computed, for want of images, and what is taken from the recording instead."""
     if of.missing:
         say(
-            f"the images of {', '.join(of.missing)} were not recorded (a graph that keeps them names them under `record`)"
+            f"the images of {', '.join(of.missing)} were not recorded (a graph records images that it names under `record`)"
         )
     if of.taken:
         say(f"  taken from the recording: {', '.join(of.taken)}")
@@ -200,4 +200,4 @@ def _tell(result: Replayed) -> None:
             f"  {name}: {'identical to the recording' if recorded == replayed else 'DIFFERS from the recording'} ({replayed})"
         )
     for name, what in result.broken.items():
-        say(f"  {name}: BREAKS ITS PROMISE: gave {what}")
+        say(f"  {name}: BREAKS ITS SPEC: gave {what}")

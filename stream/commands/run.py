@@ -35,32 +35,32 @@ def run(
         typer.Option("-o", "--out", help="the session's folder (default: a new one in the graph's recording folder)"),
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="go on with the session that was broken off: in --out, else the newest one")
+        bool, typer.Option("--resume", help="continue the interrupted session in --out, or else the newest one")
     ] = False,
     record: Annotated[bool, typer.Option("--record/--no-record", help="keep a recording of the session")] = True,
     duration_s: Annotated[
         float,
         typer.Option(
-            "--for", metavar="SECONDS", min=0.0, help="end after so many seconds; 0: when stopped or all sources end"
+            "--for", metavar="SECONDS", min=0.0, help="end after this many seconds; 0: when stopped or all sources end"
         ),
     ] = 0.0,
     simulate: Annotated[
-        bool, typer.Option("--simulate", help="simulated devices in the place of real ones, through the real protocols")
+        bool, typer.Option("--simulate", help="use simulated devices instead of real ones, with the real protocols")
     ] = False,
     view: Annotated[str, typer.Option(help="how the session is shown: auto, live, lines or none")] = "auto",
     json_log: Annotated[bool, typer.Option("--log-json", help="log lines as JSON")] = False,
     verbose: Annotated[bool, typer.Option("-v", "--verbose", help="log more")] = False,
     trusted_only: Annotated[
-        bool, typer.Option("--trusted-only", help="run no file beside the graph, only what is installed")
+        bool, typer.Option("--trusted-only", help="run installed code only, no files next to the graph")
     ] = False,
 ) -> None:
     """Run a graph on live devices, and record the session.
 
-    While it runs: a word and Enter annotates this moment; a digit or the space bar marks it at once; name=number changes a value node.
-    Ctrl-C ends the session cleanly; a second one breaks off what does not come back.
+    While it runs: type a word and Enter to annotate a moment, a digit or the space bar to mark it at once, name=number to set a value.
+    Ctrl-C ends the session cleanly; a second one aborts whatever hangs.
 
-    Exit codes: 0 well; 2 the graph or an argument is wrong; 3 a device was missing; 4 an operator stopped the graph; 5 an outlet or the
-    recording lost something.
+    Exit codes: 0 success; 2 the graph or an argument is wrong; 3 a device is missing; 4 an operator stopped the graph; 5 an outlet or the
+    recording lost data.
     """
     from stream.commands import logs
     from stream.graph.load import load
@@ -155,7 +155,7 @@ def _screen(view: str, graph: Any) -> Any:
 
 
 def _tell_end(outcome: Outcome) -> None:
-    say(f"session of {outcome.seconds:.1f} s ended{'' if outcome.error is None else ' by an error'}", err=True)
+    say(f"session of {outcome.seconds:.1f} s ended{'' if outcome.error is None else ' with an error'}", err=True)
     for name, row in outcome.table.items():
         if row.get("error") and row.get("behind_s"):
             say(f"  {name}: the last {row['behind_s']:.1f} s could not be written and are lost", err=True)

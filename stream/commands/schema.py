@@ -17,10 +17,10 @@ from stream.plain import say
 
 def schema(
     output: Annotated[
-        Path | None, typer.Option("-o", "--out", help="write it to this file instead of showing it")
+        Path | None, typer.Option("-o", "--out", help="write it to this file instead of printing it")
     ] = None,
     package: Annotated[
-        list[str] | None, typer.Option(help="a package or module of your own to look into as well")
+        list[str] | None, typer.Option(help="a package or module of your own to include")
     ] = None,
 ) -> None:
     """Write the JSON Schema of graphs, with every source, operator and outlet that is installed.
@@ -30,7 +30,7 @@ def schema(
     import_from(Path())
     parts, failed = catalogue((*PACKAGES, *(package or ())))
     for module, reason in failed.items():
-        say(f"left out {module}: {reason}", err=True)
+        say(f"skipped {module}: {reason}", err=True)
     text = json.dumps(graph_schema(parts), indent=2, ensure_ascii=False) + "\n"
     if output is None:
         say(text, end="")

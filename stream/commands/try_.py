@@ -21,7 +21,7 @@ def try_(
     examples: Annotated[
         int, typer.Option(min=1, help="how many random cuttings, gaps and bad samples to try per case")
     ] = 50,
-    seed: Annotated[int, typer.Option(help="where chance begins: the same seed tries the same things")] = 1,
+    seed: Annotated[int, typer.Option(help="seed of the random numbers: the same seed repeats the same tests")] = 1,
 ) -> None:
     """Try an operator on the laws: cut its case's samples in random ways, snapshot it, give it gaps and NaN, and compare.
 
@@ -46,12 +46,12 @@ def try_(
     except Broken as broken:
         raise LawBroken(operator, broken) from None
     for rule, reason in cls.departures.items():
-        console.print(f"not asked: rule '{rule}' ({reason})", style="dim")
+        console.print(f"not checked: rule '{rule}' ({reason})", style="dim")
 
 
 def _hint(output: str, seconds: float) -> str:
     return (
-        f"hint: by its stamps output '{output}' is {1000 * seconds:.3g} ms behind what it answers to; if that is a filter's delay, "
+        f"hint: by its stamps, output '{output}' lags its input by {1000 * seconds:.3g} ms; if that is a filter's delay, "
         "subtract it from the stamps and from `until`, and declare it: hold(state, delay_s=...)"
     )
 

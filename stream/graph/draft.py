@@ -86,8 +86,8 @@ def _fill(draft: Draft, given: dict[str, Located], problems: Problems) -> None:
         return
     for key, at in given.items():
         if key in every and key not in allowed:
-            owner = "a source's" if key in SOURCE_OPTIONS else "an operator's"
-            problems.add(f"{key!r} is {owner} option; {draft.kind.__name__} is none", at, draft.name)
+            owner = "a source" if key in SOURCE_OPTIONS else "an operator"
+            problems.add(f"{key!r} is an option of {owner}, not of {draft.kind.__name__}", at, draft.name)
         elif key not in every and key not in parameters:
             hint = nearest(key, [*parameters, *allowed, "use", "from"])
             problems.add(f"{draft.kind.__name__} has no parameter {key!r}; {hint}", at, draft.name)

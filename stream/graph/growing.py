@@ -18,7 +18,7 @@ def grown(nodes: Mapping[str, Node], name: str, entry: Mapping[str, Any]) -> Nod
     """One more node, given as a graph's file writes it, which may read those that are there; raises GraphError."""
     problems = Problems("")
     if name in nodes:
-        raise GraphError("a node of this name is in the graph already", node=name)
+        raise GraphError("the graph already has a node of this name", node=name)
     draft = read_node(name, locate(dict(entry), 0), problems)
     problems.stop()
     assert draft is not None

@@ -36,9 +36,9 @@ IMPLICIT = {"annotations": Annotations}
 class Settings:
     """What a graph says beside its nodes."""
 
-    name: str = param("", help="what the graph is called; the file's name if not given")
+    name: str = param("", help="the graph's name; default: the file's name")
     latency_budget_ms: float | None = param(
-        None, above=0.0, help="the graph is refused if a result comes later than this after what it describes (ms)"
+        None, above=0.0, help="the graph is refused if the delay of a result exceeds this (ms)"
     )
     checkpoint_s: float = param(10.0, above=0.0, help="how often the state is saved for --resume (s)")
 
@@ -66,7 +66,7 @@ def load(
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
-        raise GraphError(f"this is no text in UTF-8 (byte {error.start})", path=str(path)) from None
+        raise GraphError(f"this is not UTF-8 text (byte {error.start})", path=str(path)) from None
     except OSError as error:
         there = [p.name for p in sorted(path.parent.glob("*.y*ml"))] if path.parent.is_dir() else []
         there += shipped() if path.parent == Path() else ()
@@ -110,7 +110,7 @@ class _Loading:
         session = self._facts(top)
         if any(sign in settings.name for sign in "/\\:\0\n") or len(settings.name) > 100:
             self._problems.add(
-                "name: a session's folder is called so; it must be short, without '/', '\\' or ':'", own["name"]
+                "name: it names the session's folder; it must be short, without '/', '\\' or ':'", own["name"]
             )
         drafts = self._drafts(top)
         wiring = Wiring({name: draft.outputs if draft else None for name, draft in drafts.items()}, self._problems)

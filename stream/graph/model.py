@@ -27,15 +27,15 @@ class Edge:
 
 @dataclass(frozen=True, slots=True)
 class NodeOptions:
-    """What the engine, not the node itself, is told about a node in YAML.
+    """Options of a node in YAML that are for the engine, not for the node.
 
-    worker        run this node (and what hangs on it alone) in a thread of this name, behind a queue
+    worker      run this node (and the nodes that only it feeds) in a thread of this name, behind a queue
     queue       how many chunks may wait before a source or a worker
     policy      what a full queue does: `block` its writer, `drop_oldest` chunk (counted, recorded), or `fail` the run; left
                 open, an outlet drops where the graph cannot wait (its sources are live), everything else blocks
-    required    the run starts only when this source is ready, and fails if it is not so within `deadline_s`
+    required    the run starts only when this source is ready, and fails if it is not ready within `deadline_s`
     patience_s  after how long without a chunk the engine declares that nothing happened (advances `until`); 0: never
-    silence_s   after how long without a chunk a source is closed and opened again; 0: never
+    silence_s   after how long without a chunk a source is closed and reopened; 0: never
     stale_s     after how long without a chunk an alarm is raised; 0: never
     """
 
@@ -124,11 +124,11 @@ class RecordingOptions:
     """Where and how a session is recorded.
 
     folder      where recordings go
-    rotate_mb   a new file is begun after so many megabytes; 0: never
-    quota_mb    the oldest recordings of this folder are deleted beyond so many megabytes; 0: no quota
+    rotate_mb   a new file is begun after this many megabytes; 0: never
+    quota_mb    the oldest recordings are deleted once the folder exceeds this many megabytes; 0: no quota
     rolling     keep only what a resumed session needs: files older than the last checkpoint are deleted, and all of them when a session
                 ends well (a device that runs for months; `rotate_mb` says how long a file becomes)
-    gather_s    how long small chunks are gathered into one message
+    gather_s    how long small chunks are collected into one message
     flush_s     at most this much is lost when the process is killed
     frames      how depth frames are kept, where `record` asks for them: `packed` (a quarter to a half of their size, or less), or as
                 `image`s that Foxglove shows

@@ -47,7 +47,7 @@ def _in_order(drafts: Mapping[str, Draft | None], problems: Problems) -> list[st
     for cycle in cycles:
         first = drafts[cycle[0]]
         assert first is not None  # it reads something
-        problems.add(f"the graph runs in a circle: {' -> '.join([*cycle, cycle[0]])}", first.at("from"))
+        problems.add(f"the graph contains a cycle: {' -> '.join([*cycle, cycle[0]])}", first.at("from"))
     return names
 
 

@@ -85,7 +85,7 @@ def find(use: str) -> Part:
     here = [n for n, member in vars(module).items() if is_part(member)]
     if found is None:
         raise UseError(f"{module_name} has no {name!r}; {nearest(name, here)}{_shadowed(module_name)}")
-    fault = "is no dataclass" if isinstance(found, type) and issubclass(found, Source | Operator) else "is none"
+    fault = "it is not a dataclass" if isinstance(found, type) and issubclass(found, Source | Operator) else "it is not"
     hint = f"; {nearest(name, here)}" if here else ""
     raise UseError(f"{use} must be a source, an operator or an outlet (a dataclass), but {fault}{hint}")
 
@@ -97,7 +97,7 @@ def _shadowed(module: str) -> str:
     for folder in _beside:
         mine = Path(folder) / f"{top}.py"
         if mine.exists() and taken and Path(taken).resolve() != mine.resolve():
-            return f"; {mine} is not looked at, for a module {top!r} is installed ({taken}): rename your file"
+            return f"; {mine} is ignored, because a module {top!r} is installed ({taken}): rename your file"
     return ""
 
 
@@ -210,5 +210,5 @@ def _similar(use: str) -> str:
         return f", as in '{use}.MyClass'"
     if close:
         return f"; did you mean {'.'.join([close[0], *use.split('.')[1:]])!r}?"
-    own = f"; your own files beside the graph are {', '.join(mine)}" if mine else ""
-    return f"{own}; `kinegraph parts` lists what there is"
+    own = f"; your own files next to the graph are {', '.join(mine)}" if mine else ""
+    return f"{own}; `kinegraph parts` lists all components"

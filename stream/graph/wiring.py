@@ -28,7 +28,7 @@ class Wiring:
         text = written.value
         if not isinstance(text, str):
             self._problems.add(
-                f"{written.kind} stands where the name of a node or of an output must stand", written, node
+                f"{written.kind} is not the name of a node or of an output", written, node
             )
             return None
         name, dot, output = text.partition(".")
@@ -39,7 +39,7 @@ class Wiring:
         if outputs is None:
             return None
         if not outputs:
-            self._problems.add(f"{name!r} is an outlet; nothing comes out of it", written, node)
+            self._problems.add(f"{name!r} is an outlet; it has no outputs", written, node)
             return None
         if dot and output not in outputs:
             self._problems.add(f"{name!r} has no output {output!r}; {nearest(output, outputs)}", written, node)
@@ -50,7 +50,7 @@ class Wiring:
         """What feeds each input of `node`, in port order; None if something is wrong with it. `entry` is the whole node."""
         if not issubclass(part, Operator):
             if written is not None:
-                self._problems.add(f"{part.__name__} is a source; 'from' has no meaning for it", written, node)
+                self._problems.add(f"{part.__name__} is a source; it takes no 'from'", written, node)
                 return None
             return {}
         if written is None or written.value in (None, "", [], {}):

@@ -26,7 +26,7 @@ _MOST_VALUES = 100_000
 _MOST_LETTERS = 512 << 10
 """A longer text is refused before it is read, which takes seconds."""
 _DEEPEST = 50
-NESTED = "lists and mappings stand too deep in each other; no graph needs more than a few levels"
+NESTED = "lists and mappings are nested too deeply; no graph needs more than a few levels"
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ def parse(text: str, path: str) -> Located:
         raise GraphError(_sentence(error), path=path, line=mark.line + 1 if mark else None) from None
     except ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
-        raise GraphError(f"the character {error.character!r} may not stand in YAML", path=path, line=line) from None
+        raise GraphError(f"the character {error.character!r} is not allowed in YAML", path=path, line=line) from None
     except YAMLError as error:
         raise GraphError(f"this is not YAML: {error}", path=path) from None
     except RecursionError:
@@ -133,7 +133,7 @@ class _Reading:
                 continue
             name = self._scalar(key) if isinstance(key, ScalarNode) else None
             if not isinstance(name, str):
-                raise self._wrong(key, "a name must be a text; put it in quotes")
+                raise self._wrong(key, "a key must be text; put it in quotes")
             if name in found:
                 raise self._wrong(key, f"{name!r} is given twice, first in line {found[name].line}")
             found[name] = self.value(item, line)
@@ -172,9 +172,9 @@ def _sentence(error: MarkedYAMLError) -> str:
     problem, context = str(error.problem or ""), str(error.context or "")
     since = f" opened in line {error.context_mark.line + 1}" if error.context_mark else ""
     if "'\\t'" in problem:
-        return "a tab stands here; YAML is indented with spaces"
+        return "this line is indented with a tab; YAML needs spaces"
     if "mapping values are not allowed" in problem:
-        return "a ':' stands where none may; mend the indentation, or put quotes around a text that contains ': '"
+        return "unexpected ':'; correct the indentation, or put text that contains ': ' in quotes"
     if "quoted scalar" in context:
         return f"the quotation mark{since} is never closed"
     if "expected ',' or ']'" in problem:
@@ -186,7 +186,7 @@ def _sentence(error: MarkedYAMLError) -> str:
     if "expected <block end>" in problem:
         return "the indentation does not fit the lines above"
     if "cannot start any token" in problem:
-        return f"a text that begins like this needs quotes ({problem})"
+        return f"text that begins like this needs quotes ({problem})"
     if "undefined alias" in problem:
         return f"{problem.replace('found undefined alias', 'no anchor is called')}; an alias *name needs an anchor &name above it"
     if "single document" in context:
