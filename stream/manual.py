@@ -25,10 +25,13 @@ ANNOTATION = np.dtype([("onset", "<i8"), ("text", "U64")])
 class Annotations(Source):
     """Marks set by a key or a typed word. Every live session has this source, under the name `annotations`.
 
-    One event per mark: `onset` (ns), when its first key was pressed, and `text`, at most 64 characters.
+    One event per mark: `onset` (ns), when its first key was pressed, and `text`, at most 64 characters. A graph whose operators read marks
+    names this source itself, with a shorter `heard_s`: so long do they wait for it.
     """
 
     background: ClassVar[bool] = True
+
+    heard_s: float = param(QUIET_S, least=0.01, most=1.0, help="how often it says that nothing was typed")
 
     def specs(self) -> Specs:
         return {"out": StreamSpec((), ANNOTATION, units=("ns", ""))}
@@ -38,7 +41,7 @@ class Annotations(Source):
         spec = self.specs()["out"]
         feed.ready()
         while not feed.stopped:
-            word = feed.hear(QUIET_S)
+            word = feed.hear(self.heard_s)
             now = feed.now()
             if word is None:
                 feed.emit(empty(spec, now))

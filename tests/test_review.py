@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,11 @@ from operators.gait.ensemble import CycleEnsemble
 from operators.gait.review import CycleReview
 from operators.gait.statistics import CycleStatistics
 from stream.chunk import NS, StreamSpec
+from stream.engine.replay import Replay
+from stream.engine.session import Session
 from stream.errors import ParameterError
+from stream.graph.load import load
+from stream.recording import Recording
 
 MUSCLES = ("TA", "SO")
 TEXT = np.dtype([("onset", "<i8"), ("text", "U64")])
@@ -103,3 +108,29 @@ def test_what_is_said_from_the_start_is_what_is_said_afterwards() -> None:
     assert reviewed(fault=bad, leave_out="none")["muscles"][2][-2:]["left_out"].tolist() == [0, 0]
     with pytest.raises(ParameterError, match="left_out is 'GM'"):
         reviewed(left_out=("GM",))
+
+
+@pytest.mark.parametrize("config", ["treadmill_emg", "overground_emg"])
+def test_the_shipped_graphs_hear_a_person_and_replay_recordings_that_hold_no_word(config: str) -> None:
+    live = load(config)
+    sources = {
+        f"{n.name}.{out}": spec for n in live.sources for out, spec in n.specs.items() if n.name != "annotations"
+    }
+    imported = load(config, recorded=sources)
+    reviews = [name for name, node in live.nodes.items() if isinstance(node.part, CycleReview)]
+    assert reviews
+    for name in reviews:
+        assert str(live.nodes[name].inputs["annotations"]) == "annotations"
+        assert list(imported.nodes[name].inputs) == ["quality", "closed", "cycles"]
+
+
+def test_what_is_typed_in_a_session_of_the_shipped_graph_counts_in_its_replay(tmp_path: Path) -> None:
+    overrides = {"report.path": str(tmp_path / "report.html")}
+    session = Session(load("treadmill_emg", overrides=overrides), tmp_path / "s", duration_s=6.0)
+    session.mark("leave out TA")
+    assert session.run().exit_code == 0
+    with Recording.open(tmp_path / "s") as recording:
+        rows = recording.read("review.judged")[1]
+        assert len(rows) and not rows["used"][rows["name"] == "TA"].any() and rows["used"][rows["name"] == "SO"].all()
+        graph = load("treadmill_emg", recorded={n: s.spec for n, s in recording.streams.items()}, overrides=overrides)
+        assert Replay(graph, recording).run().differing == []

@@ -61,6 +61,7 @@ class CycleWatch(Operator[CycleWatchState]):
     first_s: float = param(10.0, above=0.0, help="the same before the first cycle")
     off_pace: float = param(1.6, above=1.0, help="cycles so many times longer or shorter than before are an alarm")
     least_covered: float = param(0.7, least=0.0, most=1.0, help="the part of a session that cycles must cover")
+    subject: str = param("contacts", help="what the alarms are about, where there are several")
 
     def open(self, specs: Specs) -> Specs:
         if specs["closed"].dtype != CLOSED:
@@ -131,14 +132,14 @@ class CycleWatch(Operator[CycleWatchState]):
         allowed = round(self.silent_cycles * usual if usual else self.first_s * NS)
         if since + allowed <= until:
             s.on[SILENT] = 1
-            found.append((since + allowed, _alarm(since, ON, f"no contact for {allowed / NS:.1f} s", SILENT)))
+            found.append((since + allowed, self._alarm(since, ON, f"no contact for {allowed / NS:.1f} s", SILENT)))
 
     def _cycle(self, found: Found, stamp: int, row: Array) -> None:
         s = self.state
         duration, reason = int(row["end"]) - int(row["onset"]), str(row["rejected"])
         if s.on[SILENT]:
             s.on[SILENT] = 0
-            found.append((stamp, _alarm(s.heard, OVER, "no contact", SILENT)))
+            found.append((stamp, self._alarm(s.heard, OVER, "no contact", SILENT)))
         s.heard = max(s.heard, stamp)
         s.covered += 0 if reason else duration
         if reason not in ("too long", "too short", "gap"):
@@ -154,10 +155,10 @@ class CycleWatch(Operator[CycleWatchState]):
         if s.measured >= LATEST and times >= self.off_pace and not s.on[SLOW]:
             s.on[SLOW] = 1
             text = f"cadence went from {60 * NS / usual:.0f} to {60 * NS / now:.0f} strides/min"
-            found.append((stamp, _alarm(stamp, ON, text, SLOW)))
+            found.append((stamp, self._alarm(stamp, ON, text, SLOW)))
         elif s.on[SLOW] and times < 1 + (self.off_pace - 1) / 2:
             s.on[SLOW] = 0
-            found.append((stamp, _alarm(stamp, OVER, "cadence", SLOW)))
+            found.append((stamp, self._alarm(stamp, OVER, "cadence", SLOW)))
         near = usual == 0 or max(duration / usual, usual / duration) < self.off_pace
         if near and not s.on[SLOW]:
             s.durations[s.measured % RECENT] = duration
@@ -172,11 +173,10 @@ class CycleWatch(Operator[CycleWatchState]):
         if share < self.least_covered and not s.on[SPARSE]:
             s.on[SPARSE] = 1
             text = f"cycles cover {100 * share:.0f} % of {elapsed / NS:.0f} s"
-            found.append((stamp, _alarm(stamp, ON, text, SPARSE)))
+            found.append((stamp, self._alarm(stamp, ON, text, SPARSE)))
         elif s.on[SPARSE] and share > (1 + self.least_covered) / 2:
             s.on[SPARSE] = 0
-            found.append((stamp, _alarm(stamp, OVER, "cycles cover too little", SPARSE)))
+            found.append((stamp, self._alarm(stamp, OVER, "cycles cover too little", SPARSE)))
 
-
-def _alarm(onset: int, state: str, what: str, kind: int) -> tuple[int, str, str, str, str]:
-    return onset, "contacts", state, what, ADVICE[kind] if state == ON else ""
+    def _alarm(self, onset: int, state: str, what: str, kind: int) -> tuple[int, str, str, str, str]:
+        return onset, self.subject, state, what, ADVICE[kind] if state == ON else ""

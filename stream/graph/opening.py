@@ -70,9 +70,12 @@ class _Opening:
 
     def _inputs(self, draft: Draft, wires: Wires) -> Specs | None:
         inputs: Specs = {}
-        for port, (edge, at) in wires.items():
+        for port, (edge, at) in list(wires.items()):
             if edge.node not in self.nodes:
                 return None
+            if self._never_said(draft, port, edge):
+                del wires[port]
+                continue
             if edge.output not in self.nodes[edge.node].specs:
                 has = ", ".join(map(repr, sorted(self.recorded or ()))) or "none"
                 text = f"the recording lacks the stream {str(edge)!r}, which is read here; it has {has}"
@@ -80,6 +83,12 @@ class _Opening:
                 return None
             inputs[port] = self.nodes[edge.node].specs[edge.output]
         return inputs
+
+    def _never_said(self, draft: Draft, port: str, edge: Edge) -> bool:
+        """Whether an optional input listens to a person of whom the recording holds no word, as those of other programs do."""
+        node = self.nodes[edge.node]
+        asked = isinstance(draft.part, Operator) and port in draft.part.optional
+        return asked and isinstance(node.part, Source) and node.part.background and edge.output not in node.specs
 
     def _specs(self, draft: Draft, part: Source | Operator[Any], wires: Wires, inputs: Specs) -> Specs | None:
         """What flows out of a node."""
