@@ -88,6 +88,15 @@ class Oak(Source):
     def chunk_s(self) -> float:
         return 1 / self.fps
 
+    @property
+    def blind_at_night(self) -> str:
+        """Why it sees nothing in the dark; "": it does, or the room is lit."""
+        if self.depth == "tof" or self.projector or self.flood or self.lit_room:
+            return ""
+        return (
+            "a stereo camera sees nothing in the dark without projector or flood; give it one, or say `lit_room: true`"
+        )
+
     def specs(self) -> Specs:
         if self.preset and self.preset not in PRESETS[self.depth]:
             raise ParameterError("preset", self.preset, f"one of {', '.join(PRESETS[self.depth])}, or left out")
