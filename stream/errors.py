@@ -81,6 +81,12 @@ class RunError(KinegraphError):
     exit_code = 4
 
 
+class MemoryExceeded(RunError):
+    """A session that took more memory than it may: it was ended before the system does that, with its recording closed."""
+
+    exit_code = 6
+
+
 def nearest(name: str, valid: Iterable[str]) -> str:
     """A sentence that names what `name` may have been meant to be: "did you mean 'cutoff_hz'?", else all valid names."""
     names = sorted(valid)

@@ -46,6 +46,7 @@ GRAPHS: list[tuple[str | bytes, list[str]]] = [
     (MEAN % 1e12, ["g.yaml:3:", "node 'mean'", "MovingMean", "make its windows and rates smaller"]),
     (MEAN % 1e300, ["g.yaml:3:", "node 'mean'", "MovingMean", "make its windows and rates smaller"]),
     (LOW % "20 Hz", ["cutoff_hz is '20 Hz'", "a number"]),
+    ("memory_mb: 1\n" + MEAN % 3000, ["g.yaml", "most of it 'mean'", "at most 1 MB may be taken (memory_mb)"]),
     (BOARD % 2 + CHAIN, ["g.yaml:", "the graph has 1001 nodes", "at most 1000"]),
     ("# " + "x" * (512 << 10) + "\n" + GRAPH, ["characters", "at most 524288"]),
     ("latency_budget_ms: 0\n" + GRAPH, ["latency_budget_ms is 0", "above 0"]),

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from stream.ceiling import taken
 from stream.chunk import NS
 from stream.clock import SessionClock
 from stream.recording import Recording
@@ -111,6 +112,21 @@ def test_what_an_operator_raises_elsewhere_ends_nothing_else(
     if where == "close":
         with Recording.open(tmp_path / "s") as recording:
             assert recording.finished and recording.streams["board.emg"].samples == 2000
+
+
+def test_an_operator_that_grows_without_bound_is_named_before_the_memory_is_gone(
+    kinegraph: Command, tmp_path: Path
+) -> None:
+    text = RAISES.replace("seen: int = 0", "seen: int = 0\n    kept: list[np.ndarray] = field(default_factory=list)")
+    text = text.replace("import dataclass", "import dataclass, field")
+    text = text.replace('raise ZeroDivisionError("division by zero")', "self.state.kept.append(np.ones(1 << 18))")
+    (tmp_path / "growing.py").write_text(text)
+    board = (BOARD % 60).replace("realtime: false, ", "")
+    most = round(taken() / 1e6) + 60
+    (tmp_path / "g.yaml").write_text(f"memory_mb: {most}\n{board}  bad: {{use: growing.Raises, from: board.emg}}\n")
+    refused(kinegraph("run", "g.yaml", *QUIET, "-o", "s"), "node 'bad' has grown by", f"at most {most} MB", code=6)
+    with Recording.open(tmp_path / "s") as recording:
+        assert recording.finished and recording.streams["board.emg"].samples > 1000
 
 
 def test_stamps_within_a_chunk_that_run_backwards_are_found_by_verify(kinegraph: Command, tmp_path: Path) -> None:

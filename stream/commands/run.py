@@ -60,7 +60,7 @@ def run(
     Ctrl-C ends the session cleanly; a second one aborts whatever hangs.
 
     Exit codes: 0 success; 2 the graph or an argument is wrong; 3 a device is missing; 4 an operator stopped the graph; 5 an outlet or the
-    recording lost data.
+    recording lost data; 6 the session took more memory than memory_mb.
     """
     from stream.commands import logs
     from stream.graph.load import load

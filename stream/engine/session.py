@@ -24,7 +24,7 @@ from stream.engine.pipeline import Pipeline
 from stream.engine.queues import DROPPED, ReadyQueue
 from stream.engine.resume import catch_up
 from stream.engine.session_log import PriorSession, SessionLog
-from stream.engine.status import Outcome, Table, View, recording_row, table_of
+from stream.engine.status import MemoryWatch, Outcome, Table, View, recording_row, table_of
 from stream.engine.supervisor import GRACE_S, REST_S, Runner
 from stream.engine.warmup import Compilations, warm_up
 from stream.engine.workers import Call, Watchdog, Workers
@@ -66,9 +66,8 @@ class Session:
         self._prior = PriorSession(folder, graph) if resume and folder else None
         self.clock = SessionClock(after=self._prior.last_time if self._prior else NEVER)
         self._ready: ReadyQueue = SimpleQueue()
-        self._stopping = self._broken_off = False
+        self._stopping = self._broken_off = self._down = False
         self._error: Exception | None = None
-        self._down = False
         self._began = self._ran_s = 0.0
         self.table: Table = {}
         waits = not any(s.live for s in graph.parts(Source) if not s.background)
@@ -77,7 +76,7 @@ class Session:
         self.log = SessionLog(folder, graph, self.clock, self._prior)
         self._runners = [Runner(node, self._ready, self.clock, self.log.report, self._fail) for node in graph.sources]
         self._ingress = Ingress(self._ready, self._runners, self.pipeline, self.log, self.clock, self._fail)
-        self._watchdog = Watchdog(self.pipeline.slots.values())
+        self._watchdog, self._memory = Watchdog(self.pipeline.slots.values()), MemoryWatch(graph.memory_mb, self.pipeline)
 
     def stop(self) -> None:
         """End the session cleanly; may be called from any thread and from a signal handler."""
@@ -194,6 +193,7 @@ class Session:
         """Read the metrics; the `last` ones keep the rates from when samples still came."""
         self.table = table_of(self.pipeline, self._ingress.ports, self._workers, self.log.status, self.table, last=last)
         self.log.metrics(self.table)
+        self._error = self._error or (None if last else self._memory.exceeded())
         if self._view:
             self._view.update(self.table)
 

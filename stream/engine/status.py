@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
+from stream.ceiling import ceiling, taken
+from stream.errors import MemoryExceeded
 from stream.metrics import rounded
 
 if TYPE_CHECKING:
@@ -125,3 +127,25 @@ class Outcome:
     compiled: list[str]
     seconds: float = 0.0
     files: dict[str, str] = field(default_factory=dict)
+
+
+class MemoryWatch:
+    """Whether a session takes more memory than it may, and whose state has grown since it began."""
+
+    def __init__(self, memory_mb: float, pipeline: Pipeline) -> None:
+        self._most, self._stages = ceiling(memory_mb), pipeline.stages
+        self._first = {name: stage.operator.memory_bytes for name, stage in self._stages.items()}
+
+    def exceeded(self) -> MemoryExceeded | None:
+        """The error that ends the session; None while all is well. Call it between two chunks."""
+        if not 0 < self._most < (held := taken()):
+            return None
+        rise = {name: stage.operator.memory_bytes - self._first[name] for name, stage in self._stages.items()}
+        worst = max(rise, key=lambda name: rise[name], default="")
+        grown = worst and rise[worst] > 1e6
+        who = (
+            f"node {worst!r} has grown by {rise[worst] / 1e6:.0f} MB" if grown else "no node's state has grown by much"
+        )
+        return MemoryExceeded(
+            f"the session takes {held / 1e6:.0f} MB of memory; at most {self._most / 1e6:.0f} MB may be (memory_mb): {who}"
+        )

@@ -41,6 +41,11 @@ class Settings:
         None, above=0.0, help="the graph is refused if the delay of a result exceeds this (ms)"
     )
     checkpoint_s: float = param(10.0, above=0.0, help="how often the state is saved for --resume (s)")
+    memory_mb: float = param(
+        0.0,
+        least=0.0,
+        help="the graph is refused, or its session ended, if it takes more (MB); 0: three quarters of the machine's",
+    )
 
 
 MOST_NODES = 1000
@@ -128,6 +133,7 @@ class _Loading:
             text="",
             latency_budget_ms=settings.latency_budget_ms,
             checkpoint_s=settings.checkpoint_s,
+            memory_mb=settings.memory_mb,
             record=record,
             recording=recording,
             session=session,

@@ -83,6 +83,7 @@ class Graph:
     path: str = ""
     latency_budget_ms: float | None = None
     checkpoint_s: float = 10.0
+    memory_mb: float = 0.0
     record: tuple[Edge, ...] = ()
     """Edges that are recorded beside the input log; a source's images are only in it if they are named here."""
     recording: RecordingOptions = field(default_factory=lambda: RecordingOptions())

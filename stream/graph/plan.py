@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from stream.ceiling import ceiling
 from stream.chunk import StreamSpec
 from stream.errors import GraphError
 from stream.graph import Graph, Node
@@ -88,7 +89,18 @@ def plan(graph: Graph, *, enforce: bool = True) -> Plan:
     paths = tuple(_paths(graph, steps))
     if enforce:
         refuse_late(graph, paths)
+    refuse_large(graph, steps)
     return Plan(paths, sum(step.memory_bytes for step in steps.values()))
+
+
+def refuse_large(graph: Graph, steps: dict[str, Step]) -> None:
+    """Raise GraphError if the nodes would hold more memory than the session may take."""
+    held, most = sum(step.memory_bytes for step in steps.values()), ceiling(graph.memory_mb)
+    if 0 < most < held:
+        worst = max(steps.values(), key=lambda step: step.memory_bytes)
+        text = f"the nodes would hold {held / 1e6:.0f} MB, most of it {worst.node!r} with {worst.memory_bytes / 1e6:.0f} MB"
+        why = "memory_mb" if graph.memory_mb else "three quarters of the machine's memory"
+        raise GraphError(f"{text}; at most {most / 1e6:.0f} MB may be taken ({why})", path=graph.path or graph.name)
 
 
 def refuse_late(graph: Graph, paths: tuple[Path, ...]) -> None:
