@@ -1,4 +1,4 @@
-"""What the rules against Python's own stalls are worth (`stream/engine/stalls.py`): the paced chain with each of them on and off.
+"""What the rules against Python's own stalls are worth (`stream/stalls.py`): the paced chain with each of them on and off.
 
 `python -m bench.stalls` prints a table of the latency from when a chunk's last sample is due to the sink, beside nothing, beside a thread
 that computes in Python without end, and beside one that makes garbage while a million objects are alive. Every row runs in a process of
@@ -116,7 +116,7 @@ def _one(*, freeze: bool, first: int, switch_ms: float, nogil: bool, beside: str
     from bench.contenders.kinegraph_graph import Kinegraph
     from bench.work import RATE_HZ
     from bench.worker import SESSION, run
-    from stream.engine import stalls
+    from stream import stalls
 
     structlog.configure(logger_factory=structlog.ReturnLoggerFactory())
     stalls.SWITCH_INTERVAL_S = switch_ms / 1000  # type: ignore[misc]

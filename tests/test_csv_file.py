@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices import append_file
+from devices.outlets import append_file
 from devices.outlets.csv_file import CsvFile
 from stream.chunk import NS, Chunk, StreamSpec, empty
 from stream.errors import DeviceError, InputError, ParameterError

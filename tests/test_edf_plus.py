@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from devices.files.edf_plus import EdfSignal, Head, Note
-from devices.outlets.night import edf_plus, shelf
+from devices.files import edf_plus
+from devices.outlets.night import shelf
 from devices.outlets.night.edf import write_edf
 from stream.chunk import NS
 from stream.errors import DeviceError

@@ -74,7 +74,7 @@ class Kinegraph:
         try:
             if recorder:
                 for role, wire in (("input", pipeline.edges["device"]), ("edge", pipeline.edges[last_edge(pipeline)])):
-                    number = recorder.add_stream(str(wire.edge), wire.spec, role)  # type: ignore[arg-type]
+                    number = recorder.add_stream(str(wire.origin), wire.spec, role)  # type: ignore[arg-type]
                     wire.observers.append(lambda chunk, n=number: recorder.write(n, chunk, chunk.until, 0))  # type: ignore[misc]
             with calm():
                 pipeline.begin()
