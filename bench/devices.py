@@ -26,7 +26,7 @@ import numpy as np
 from bench.report import Goal, Section, short, whole
 from devices.binary import Binary
 from devices.protocols import ascii_lines, cyton, declared
-from devices.simulators.binary import BinaryBrain
+from devices.simulators.binary import BinaryModel
 from devices.transport.transport import connect
 from stream.graph.load import load
 
@@ -128,7 +128,7 @@ def _decoders(seconds: float) -> Iterator[tuple[str, float, list[bytes], Callabl
     uv = np.full(8, cyton.uv_per_count(24))
 
     def read_cyton(pieces: list[bytes]) -> None:
-        decoder = cyton.Decoder()
+        decoder = cyton.CytonDecoder()
         for piece in pieces:
             frames = decoder.feed(piece)
             _ = frames.counts * uv
@@ -137,10 +137,10 @@ def _decoders(seconds: float) -> Iterator[tuple[str, float, list[bytes], Callabl
 
     source = load(HOUSE / "configs" / "witmotion.yaml").nodes["shank"].part
     assert isinstance(source, Binary)
-    layouts, brain = source.layouts(), BinaryBrain(source)
+    layouts, brain = source.layouts(), BinaryModel(source)
 
     def read_binary(pieces: list[bytes]) -> None:
-        decoder = declared.Decoder(layouts)
+        decoder = declared.FrameDecoder(layouts)
         for piece in pieces:
             for kind, frames in decoder.feed(piece).frames.items():
                 layouts[kind].values(layouts[kind].table(bytes(frames)))
@@ -154,7 +154,7 @@ def _decoders(seconds: float) -> Iterator[tuple[str, float, list[bytes], Callabl
     )
 
     def read_lines(pieces: list[bytes]) -> None:
-        decoder = ascii_lines.Decoder(("micros", "a", "b"))
+        decoder = ascii_lines.LineDecoder(("micros", "a", "b"))
         for piece in pieces:
             decoder.feed(piece)
 

@@ -19,8 +19,8 @@ from contextlib import contextmanager
 from bench.report import Goal, Section, short, whole
 from devices.mti import Mti
 from devices.protocols import xbus
-from devices.simulators.mti import Mti as Simulated
-from devices.simulators.mti import MtiBrain
+from devices.simulators.mti import MtiModel
+from devices.simulators.mti import SimulatedMti as Simulated
 from stream.chunk import Chunk
 
 RATE_HZ = 2000
@@ -61,7 +61,7 @@ class Idle:
 
 def packets(seconds: float) -> list[bytes]:
     """Measurements as the sensor sends them."""
-    brain = MtiBrain()
+    brain = MtiModel()
     outputs = Mti("usb://2639", rate_hz=RATE_HZ, high_rate=True).wanted
     brain.hear(xbus.message(xbus.GO_TO_CONFIG))
     brain.hear(xbus.message(xbus.OUTPUT_CONFIGURATION, xbus.configuration(outputs)))
@@ -86,7 +86,7 @@ def bytes_to_samples(seconds: float, rounds: int) -> Section:
 
 
 def _percent(pieces: list[bytes], n: int) -> float:
-    decoder, seen = xbus.Decoder(), 0
+    decoder, seen = xbus.XbusDecoder(), 0
     began = time.thread_time()
     for piece in pieces:
         for run in decoder.feed(piece).runs:

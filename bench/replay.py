@@ -26,8 +26,8 @@ from stream.engine.replay import Replay
 from stream.graph import RecordingOptions
 from stream.graph.load import load
 from stream.recording import Recorder, Recording
+from stream.recording.file_segments import FileSegments
 from stream.recording.format import COLUMNS, HEAD
-from stream.recording.tape import Tape
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIG = ROOT / "configs" / "treadmill_emg.yaml"
@@ -87,7 +87,7 @@ def make(path: Path, hours: float, piece_s: float) -> None:
 
 def _repeat(recording: Recording, path: Path, header: dict[str, str], times: int, step_ns: int) -> None:
     """The recording `times` times, one after the other, each piece `step_ns` later than the one before."""
-    tape = Tape(path, 0, header, RecordingOptions())
+    tape = FileSegments(path, 0, header, RecordingOptions())
     numbers = {name: tape.declare(name, s.spec, s.role) for name, s in recording.streams.items()}
     sequences, batches = recording.last_sequence + 1, 0
     for turn in range(times):

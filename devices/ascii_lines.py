@@ -17,7 +17,7 @@ from devices.clocks.packet_clock import Packets
 from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.stamps import Stamps, runs
 from devices.clocks.timing import timing_chunk, timing_spec
-from devices.protocols.ascii_lines import Decoder
+from devices.protocols.ascii_lines import LineDecoder
 from devices.transport.handshake import all_there, shown
 from devices.transport.transport import Transport, connect, present
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
@@ -107,7 +107,7 @@ class AsciiLines(Source):
 
     @contextmanager
     def simulated(self) -> Iterator[Source]:
-        from devices.simulators.ascii_lines import AsciiLines as Simulated
+        from devices.simulators.ascii_lines import SimulatedAsciiLines as Simulated
 
         device = Simulated(
             columns=self.columns,
@@ -137,7 +137,7 @@ class AsciiLines(Source):
                         link.write(self.stop.encode())
 
     def _stream(self, link: Transport, feed: Feed) -> None:
-        decoder = Decoder(self.columns, self.delimiter, self.header)
+        decoder = LineDecoder(self.columns, self.delimiter, self.header)
         stream = _Stream(self)
         opened, clock_log = time.monotonic(), ClockLog(self.port, feed, lambda: stream.clock)
         seen, came = False, b""

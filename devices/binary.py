@@ -19,7 +19,7 @@ from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.stamps import REPEATED, Losses, Stamps, runs
 from devices.clocks.timing import TIMING, timing_spec
 from devices.protocols.checksum_fit import fitting
-from devices.protocols.declared import NS_PER, SPOILT, Decoder, Found, Frame, Layout, hex_bytes
+from devices.protocols.declared import NS_PER, SPOILT, FoundFrames, Frame, FrameDecoder, FrameLayout, hex_bytes
 from devices.transport.handshake import all_there, shown
 from devices.transport.transport import Transport, connect, present
 from stream.chunk import NS, Array, Chunk, Specs, StreamSpec, Times
@@ -80,9 +80,9 @@ class Binary(Source):
                 specs[f.name] = StreamSpec((len(names),), rate_hz=f.rate_hz, channels=names, units=units)
         return {**specs, "timing": timing_spec()}
 
-    def layouts(self) -> list[Layout]:
+    def layouts(self) -> list[FrameLayout]:
         """Every frame's layout; raises ParameterError for a declaration that cannot be."""
-        made = [Layout(f, f"frames[{i}]") for i, f in enumerate(self.frames)]
+        made = [FrameLayout(f, f"frames[{i}]") for i, f in enumerate(self.frames)]
         if not any(f.channels for f in self.frames):
             raise ParameterError(
                 "frames",
@@ -131,9 +131,9 @@ class Binary(Source):
 
     @contextmanager
     def simulated(self) -> Iterator[Source]:
-        from devices.simulators.binary import BinaryBrain, serving
+        from devices.simulators.binary import BinaryModel, serving
 
-        with serving(BinaryBrain(self)) as address:
+        with serving(BinaryModel(self)) as address:
             yield replace(self, port=address)
 
     def present(self) -> bool | None:
@@ -156,8 +156,8 @@ class Binary(Source):
     def _identify(self, link: Transport, feed: Feed) -> None:
         """Frames that a graph declares say nothing of who sends them."""
 
-    def _decoder(self, layouts: list[Layout]) -> Decoder:
-        return Decoder(layouts)
+    def _decoder(self, layouts: list[FrameLayout]) -> FrameDecoder:
+        return FrameDecoder(layouts)
 
     def _taken(self, link: Transport, timeout_s: float) -> bytes:
         """What is there; after a stall, all of it."""
@@ -197,7 +197,7 @@ class Binary(Source):
                 )
 
 
-def _fits(spoilt: Iterable[tuple[int, bytes]], layouts: list[Layout]) -> str:
+def _fits(spoilt: Iterable[tuple[int, bytes]], layouts: list[FrameLayout]) -> str:
     """For the error's end: which checksums would fit the frames that came."""
     by_kind: dict[int, list[bytes]] = {}
     for kind, frame in spoilt:
@@ -209,7 +209,7 @@ def _fits(spoilt: Iterable[tuple[int, bytes]], layouts: list[Layout]) -> str:
 class _Stream:
     """Frames to samples: what is remembered between two reads."""
 
-    def __init__(self, of: Binary, layouts: list[Layout]) -> None:
+    def __init__(self, of: Binary, layouts: list[FrameLayout]) -> None:
         self._layouts = layouts
         self._clock = DeviceClock(of.latency_s)
         self._time = DeviceTime(self._clock, of.wraps_ns)
@@ -232,7 +232,7 @@ class _Stream:
         """What is known of the device's clock; None if frames bring no time."""
         return self._clock.state if self._timed else None
 
-    def pass_on(self, found: Found, feed: Feed) -> None:
+    def pass_on(self, found: FoundFrames, feed: Feed) -> None:
         """Emit what a read has brought."""
         if not found.kinds:
             return

@@ -17,7 +17,7 @@ from devices.clocks.short_counter import ShortCounter
 from devices.clocks.stamps import runs
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import bitalino as protocol
-from devices.protocols.bitalino import GAINS, Decoder, Frames, Sensor
+from devices.protocols.bitalino import GAINS, BitalinoDecoder, BitalinoFrames, Sensor
 from devices.transport.handshake import all_there, answer, quiet, shown
 from devices.transport.transport import Transport, connect, present
 from stream.chunk import Chunk, Specs, StreamSpec
@@ -36,7 +36,7 @@ log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
+class BitalinoChannel:
     """An analogue input and what is plugged into it."""
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -63,7 +63,7 @@ class Bitalino(Source):
     port: str = param(
         help="/dev/rfcomm0, /dev/ttyUSB0, COM3 or tcp://host:port; `kinegraph devices` lists serial ports"
     )
-    channels: tuple[Channel, ...] = param(help="one to six inputs and their sensors")
+    channels: tuple[BitalinoChannel, ...] = param(help="one to six inputs and their sensors")
     rate_hz: Literal[1, 10, 100, 1000] = param(1000, help="1, 10, 100 or 1000 frames per second")
     latency_s: float = param(
         0.0, least=0, most=1, help="the constant delay from the electrode to the port, if you know it"
@@ -75,7 +75,7 @@ class Bitalino(Source):
         return 1 / self.rate_hz
 
     @property
-    def ordered(self) -> list[Channel]:
+    def ordered(self) -> list[BitalinoChannel]:
         """As they are sent: by input."""
         return sorted(self.channels, key=lambda channel: channel.input)
 
@@ -95,14 +95,14 @@ class Bitalino(Source):
 
     @contextmanager
     def simulated(self) -> Iterator[Source]:
-        from devices.simulators.bitalino import Bitalino as Simulated
+        from devices.simulators.bitalino import SimulatedBitalino as Simulated
 
         with Simulated(sensors=tuple(channel.sensor for channel in self._all_inputs())).serving() as address:
             yield replace(self, port=address)
 
-    def _all_inputs(self) -> list[Channel]:
+    def _all_inputs(self) -> list[BitalinoChannel]:
         known = {channel.input: channel for channel in self.channels}
-        return [known.get(name, Channel(name)) for name in ("A1", "A2", "A3", "A4", "A5", "A6")]
+        return [known.get(name, BitalinoChannel(name)) for name in ("A1", "A2", "A3", "A4", "A5", "A6")]
 
     def present(self) -> bool | None:
         return present(self.port)
@@ -143,7 +143,7 @@ class Bitalino(Source):
         return {} if volts is None else {"battery_v": round(volts, 2)}
 
     def _stream(self, link: Transport, feed: Feed) -> None:
-        decoder, stream = Decoder(len(self.channels)), _Stream(self)
+        decoder, stream = BitalinoDecoder(len(self.channels)), _Stream(self)
         patience = SILENCE_S + 2 * protocol.AGREE / self.rate_hz
         heard, clock_log = time.monotonic(), ClockLog(self.port, feed, lambda: stream.counter.state)
         strange = b""
@@ -180,7 +180,7 @@ class _Stream:
         self._rate = RateCheck(of.port, float(of.rate_hz), of.rate_mismatch, counted=True)
         self._full = np.array([1 << bits for bits in protocol.widths(len(parts))], float)
 
-    def pass_on(self, frames: Frames, feed: Feed) -> None:
+    def pass_on(self, frames: BitalinoFrames, feed: Feed) -> None:
         """Emit what a read has brought."""
         arrival = feed.now()
         packets = self.counter.take(frames.sequence, arrival)

@@ -16,7 +16,7 @@ from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.stamps import runs
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import cyton as protocol
-from devices.protocols.cyton import ChannelSetting, Decoder, Frames
+from devices.protocols.cyton import ChannelSetting, CytonDecoder, CytonFrames
 from devices.transport.handshake import all_there, answer, quiet, shown
 from devices.transport.transport import Transport, connect, present
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec, Times
@@ -85,7 +85,7 @@ class Cyton(Source):
 
     @contextmanager
     def simulated(self) -> Iterator[Source]:
-        from devices.simulators.cyton import Cyton as Simulated
+        from devices.simulators.cyton import SimulatedCyton as Simulated
 
         with Simulated(daisy=self.daisy).serving() as address:
             yield replace(self, port=address)
@@ -137,7 +137,7 @@ class Cyton(Source):
             raise DeviceError(f"the board refused {command.decode()!r}: {text.decode('ascii', 'replace').strip()}")
 
     def _stream(self, link: Transport, feed: Feed) -> None:
-        decoder, stream = Decoder(), _Stream(self)
+        decoder, stream = CytonDecoder(), _Stream(self)
         link.write(protocol.START)
         heard, clock_log = time.monotonic(), ClockLog(self.port, feed, lambda: stream.clock.state)
         strange = b""
@@ -175,7 +175,7 @@ class _Stream:
         self._accelerated = 0
         self._unknown = False
 
-    def pass_on(self, frames: Frames, feed: Feed) -> None:
+    def pass_on(self, frames: CytonFrames, feed: Feed) -> None:
         """Emit what a read has brought."""
         arrival = feed.now()
         packets = self.clock.take(frames.counter, arrival)
@@ -236,7 +236,7 @@ class _Stream:
         self._half = (int(number[-1]), counts[-1:]) if number[-1] % 2 == 0 else None
         return number[even] // 2, stamp[even + 1], np.hstack([counts[even + 1], counts[even]])
 
-    def _accel(self, frames: Frames, packets: Packets, feed: Feed) -> None:
+    def _accel(self, frames: CytonFrames, packets: Packets, feed: Feed) -> None:
         index, values = protocol.acceleration(frames)
         if not len(index):
             return
@@ -254,7 +254,7 @@ def _all_lost(lost: Times) -> int:
     return -1 if (lost < 0).any() else int(lost.sum())
 
 
-def _count(frames: Frames, feed: Feed) -> None:
+def _count(frames: CytonFrames, feed: Feed) -> None:
     if frames.dropped:
         feed.problem("bytes that are no packet", frames.dropped)
     if frames.resyncs:

@@ -18,10 +18,10 @@ from devices.clocks.stamps import runs
 from devices.clocks.tick_clock import TickClock
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import xbus, xbus_numbers
-from devices.protocols.xbus import Layout, Run
+from devices.protocols.xbus import XbusLayout, XbusRun
 from devices.transport.handshake import all_there, shown
 from devices.transport.transport import Transport, connect, present
-from devices.transport.xbus_commands import Talk, reason
+from devices.transport.xbus_commands import XbusCommands, reason
 from stream.chunk import NS, Chunk, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
@@ -154,7 +154,7 @@ class Mti(Source):
 
     @contextmanager
     def simulated(self) -> Iterator[Source]:
-        from devices.simulators.mti import Mti as Simulated
+        from devices.simulators.mti import SimulatedMti as Simulated
 
         device = Simulated()
         with device.on_usb() if self.port.startswith("usb://") else device.serving() as address:
@@ -169,7 +169,7 @@ class Mti(Source):
 
     def read(self, feed: Feed) -> None:
         with connect(self.port, self.baud) as link:
-            talk = Talk(link, feed, self.port)
+            talk = XbusCommands(link, feed, self.port)
             self._greet(talk, feed)
             try:
                 self._stream(link, talk, feed)
@@ -177,7 +177,7 @@ class Mti(Source):
                 with suppress(DeviceError):
                     link.write(xbus.message(xbus.GO_TO_CONFIG))
 
-    def _greet(self, talk: Talk, feed: Feed) -> None:
+    def _greet(self, talk: XbusCommands, feed: Feed) -> None:
         """Bring the sensor to measure what is wanted; raises DeviceError if it is not there, or cannot."""
         talk.ask(xbus.GO_TO_CONFIG)
         number = talk.ask(xbus.REQUEST_DEVICE_ID).hex().upper()
@@ -198,7 +198,7 @@ class Mti(Source):
                 offers = f"{got} Hz" if got else "nothing"
                 raise DeviceError(f"{product} on {self.port} was asked for {name} at {rate} Hz and offers {offers}")
 
-    def _stream(self, link: Transport, talk: Talk, feed: Feed) -> None:
+    def _stream(self, link: Transport, talk: XbusCommands, feed: Feed) -> None:
         stream = _Stream(self)
         stream.pass_on(talk.behind, feed)
         heard, clock_log = time.monotonic(), ClockLog(self.port, feed, lambda: stream.clock.state)
@@ -251,11 +251,11 @@ class _Stream:
         self._rate = RateCheck(of.port, of.rate_hz, of.rate_mismatch, counted=True)
         self._kinds = tuple(identifier for identifier, _ in of.wanted[2:])
         self._needed = [identifier for identifier, _ in of.wanted]
-        self._layout: Layout | None = None
+        self._layout: XbusLayout | None = None
         """How the last sample was laid out."""
         self._burst = of.rate_hz > FEW_HZ
 
-    def pass_on(self, found: list[Run], feed: Feed) -> int:
+    def pass_on(self, found: list[XbusRun], feed: Feed) -> int:
         """Emit what a read has brought; returns how many samples that was."""
         arrival, n = feed.now(), 0
         for run in found:
@@ -277,7 +277,7 @@ class _Stream:
                 raise DeviceError("the sensor was switched on anew, and measures what it did when it left the factory")
         return n
 
-    def _emit(self, run: Run, packets: Packets, arrival: int, feed: Feed) -> None:
+    def _emit(self, run: XbusRun, packets: Packets, arrival: int, feed: Feed) -> None:
         if packets.clean:
             feed.emit(Chunk(packets.stamp, run.columns(self._kinds), packets.stamp.item(-1)), "imu")
         else:

@@ -17,10 +17,10 @@ from devices.clocks.stamps import Stamps, runs
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import shimmer as protocol
 from devices.protocols import shimmer_units as units
-from devices.protocols.shimmer import TICKS_HZ, Decoder, Inquiry
+from devices.protocols.shimmer import TICKS_HZ, Inquiry, ShimmerDecoder
 from devices.protocols.shimmer_units import Chips
 from devices.transport.handshake import all_there, shown
-from devices.transport.shimmer_commands import Talk
+from devices.transport.shimmer_commands import ShimmerCommands
 from devices.transport.transport import Transport, connect, present
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
@@ -135,7 +135,7 @@ class Shimmer(Source):
 
     @contextmanager
     def simulated(self) -> Iterator[Source]:
-        from devices.simulators.shimmer import Shimmer as Simulated
+        from devices.simulators.shimmer import SimulatedShimmer as Simulated
 
         with Simulated().serving() as address:
             yield replace(self, port=address)
@@ -145,14 +145,14 @@ class Shimmer(Source):
 
     def read(self, feed: Feed) -> None:
         with connect(self.port) as link:
-            inquiry, calibration, chips = self._greet(Talk(link, feed, self.port), feed)
+            inquiry, calibration, chips = self._greet(ShimmerCommands(link, feed, self.port), feed)
             try:
                 self._stream(link, feed, _Stream(self, inquiry, calibration, chips))
             finally:
                 with suppress(DeviceError):
                     link.write(bytes([protocol.STOP]))
 
-    def _greet(self, talk: Talk, feed: Feed) -> tuple[Inquiry, bytes, Chips]:
+    def _greet(self, talk: ShimmerCommands, feed: Feed) -> tuple[Inquiry, bytes, Chips]:
         """Bring the device to what is wanted; raises DeviceError if it is not there, or is another."""
         talk.rest()
         version = talk.ask(bytes([protocol.FIRMWARE]), protocol.VERSION, 6)
@@ -226,7 +226,7 @@ class _Stream:
     """Packets to samples: what is remembered between two reads."""
 
     def __init__(self, of: Shimmer, inquiry: Inquiry, calibration: bytes, chips: Chips) -> None:
-        self.decoder = Decoder(inquiry.channels, inquiry.divider)
+        self.decoder = ShimmerDecoder(inquiry.channels, inquiry.divider)
         wraps = round(protocol.TICKS * NS / TICKS_HZ)
         self.stamps = Stamps(of.true_hz, has_time=True, wraps_ns=wraps, latency_s=of.latency_s)
         self._rate = RateCheck(of.port, of.true_hz, of.rate_mismatch)

@@ -15,7 +15,7 @@ from devices.clocks.pace import Pace
 from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import trigno as protocol
-from devices.protocols.trigno import ENDING, PORTS, SENSORS, Layout, Rows
+from devices.protocols.trigno import ENDING, PORTS, SENSORS, Layout, TrignoRows
 from devices.transport.handshake import answer, shown
 from devices.transport.transport import TcpTransport, Transport
 from stream.chunk import Chunk, Samples, Specs, StreamSpec
@@ -117,7 +117,7 @@ class Trigno(Source):
 
     @contextmanager
     def simulated(self) -> Iterator[Source]:
-        from devices.simulators.trigno import Trigno as Simulated
+        from devices.simulators.trigno import SimulatedTrigno as Simulated
 
         with Simulated().serving() as address:
             yield replace(self, port=address, emg_hz=2000.0)
@@ -226,7 +226,7 @@ class _Stream:
         self._rate = RateCheck(
             f"{of.port} ({name})", rate_hz, of.rate_mismatch, setting=setting, counted=True
         )  # its server fills in what the radio lost, and TCP loses nothing
-        self._name, self._rows, self._columns = name, Rows(channels), columns
+        self._name, self._rows, self._columns = name, TrignoRows(channels), columns
 
     def pass_on(self, data: bytes, feed: Feed) -> int:
         """Emit what a read has brought; returns how many samples that was."""

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from operators.align_lane import METHODS, Lane
+from operators.align_lane import METHODS, AlignedInput
 from operators.channels import names_of
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
@@ -20,7 +20,7 @@ from stream.require import numeric
 
 @dataclass(slots=True)
 class AlignState:
-    lanes: list[Lane]
+    lanes: list[AlignedInput]
     """One per input, in port order."""
     until: int
     """All streams are complete up to this time."""
@@ -65,10 +65,10 @@ class Align(Operator[AlignState]):
             numeric(spec, port)
             if not spec.is_signal:
                 raise InputError(port, spec.describe(), "a signal of channels")
-        lanes: list[Lane] = []
+        lanes: list[AlignedInput] = []
         for port, spec in specs.items():
             first = lanes[-1].first + lanes[-1].data.shape[1] if lanes else 0
-            lanes.append(Lane.empty(port, first, spec.shape[0], round(self._distance_s(port, spec) * NS)))
+            lanes.append(AlignedInput.empty(port, first, spec.shape[0], round(self._distance_s(port, spec) * NS)))
         waits = [lane.furthest / NS for lane in (lanes if self.rate_hz else lanes[1:])]
         state = AlignState(lanes, until=NEVER, anchor=NEVER, row=0, missing=0)
         self.hold(state, delay_s=0.0 if self.method == "hold" else max(waits, default=0.0))
@@ -103,7 +103,7 @@ class Align(Operator[AlignState]):
         self.state.until = FOREVER
         return self._on_grid() if self.rate_hz else self._on_stamps()
 
-    def _known(self, lanes: list[Lane]) -> int:
+    def _known(self, lanes: list[AlignedInput]) -> int:
         """Rows up to this time can be made: no sample that is still to come counts for them."""
         until = self.state.until
         return until if self.method == "hold" else min((lane.known(until) for lane in lanes), default=until)

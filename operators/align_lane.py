@@ -66,7 +66,7 @@ def join(
 
 
 @dataclass(slots=True)
-class Lane:
+class AlignedInput:
     """The samples of one stream that rows may still need.
 
     port      the stream's name
@@ -85,9 +85,9 @@ class Lane:
     lost: Times
 
     @staticmethod
-    def empty(port: str, first: int, width: int, furthest: int) -> Lane:
+    def empty(port: str, first: int, width: int, furthest: int) -> AlignedInput:
         room = np.zeros(ROOM, np.int64)
-        return Lane(port, first, furthest, 0, room, np.zeros((ROOM, width)), np.zeros_like(room))
+        return AlignedInput(port, first, furthest, 0, room, np.zeros((ROOM, width)), np.zeros_like(room))
 
     @property
     def times(self) -> Times:

@@ -49,7 +49,7 @@ class Operator(Generic[S]):
     contiguous whether what it emits always is C-contiguous, aligned and writable, so that the engine need not look (the laws do)
     delays     in words, for the docs: by how much its stamps are earlier than what it has been given
     agrees     what its numbers equal, or where its method is from
-    departures rules of the laws (RULES in stream/trial/broken.py) that do not hold here on purpose, each with the reason, for the docs
+    departures rules of the laws (stream/conformance/broken.py) that do not hold here on purpose, each with the reason, for the docs
     """
 
     __slots__ = ("delay_s", "state")

@@ -10,11 +10,11 @@ import numpy as np
 from bench.pictures import face
 from operators.depth.regions import REGION, region_spec
 from stream.chunk import NS, Array, Chunk, Specs, StreamSpec
+from stream.conformance.case_samples import tapes_of
+from stream.conformance.cut import whole
+from stream.conformance.play import Player
 from stream.operator import Case, Operator
 from stream.source import Feed, Source
-from stream.trial.cut import whole
-from stream.trial.play import Player
-from stream.trial.tape import tapes_of
 
 BLOCK = 8
 META = {"simplified": {"block": BLOCK, "components": 1}}

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from devices.outlets.night import NightLog, shelf
+from devices.outlets.night import NightLog, archive
 from stream.chunk import NS, Array, Chunk, StreamSpec
 
 STEP = 30 * NS
@@ -183,4 +183,4 @@ def as_array(values: Any) -> Array:
 
 def logged(folder: Path) -> list[str]:
     """The states in a night's log."""
-    return [str(s) for s in shelf.read_epochs(folder).texts["state"]]
+    return [str(s) for s in archive.read_epochs(folder).texts["state"]]

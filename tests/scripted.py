@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from devices.simulators.brain import Brain
+from devices.simulators.device_model import DeviceModel
 from devices.simulators.misbehaviour import GOOD, Misbehaviour, Mishaps
 from stream.chunk import NS
 from stream.source import Source
@@ -36,7 +36,7 @@ class Arriving(Kept):
 class Cable:
     """Gives what the brain says `delay_s(second)` later, in order, until `seconds` are over."""
 
-    brain: Brain
+    brain: DeviceModel
     feed: Arriving
     seconds: float
     delay_s: Callable[[float], float]
@@ -80,7 +80,7 @@ class Cable:
 
 def played(
     source: Source,
-    brain: Brain,
+    brain: DeviceModel,
     seconds: float,
     monkeypatch: pytest.MonkeyPatch,
     misbehaviour: Misbehaviour = GOOD,

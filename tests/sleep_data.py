@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
+from stream.conformance.case_samples import tapes_of
+from stream.conformance.cut import whole
+from stream.conformance.play import Player
 from stream.operator import Case, Operator
-from stream.trial.cut import whole
-from stream.trial.play import Player
-from stream.trial.tape import tapes_of
 
 DATA = os.environ.get("KINEGRAPH_DATA", "")
 needs_data = pytest.mark.skipif(not DATA, reason="KINEGRAPH_DATA does not name the folder of real recordings")

@@ -9,14 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.simulators.actigraph import Actigraph, Night
+from devices.simulators.actigraph import Actigraph, ActigraphNight
 from operators.sleep.reference import read_hypnogram
 
 CONFIG = Path(__file__).resolve().parent.parent / "configs" / "actigraphy_sleep.yaml"
 
 
 def test_a_night_is_its_seeds_and_is_off_the_wrist_when_told() -> None:
-    one, again, other = Night(Actigraph()), Night(Actigraph()), Night(Actigraph(seed=1, off_wrist_min=10))
+    one, again, other = (
+        ActigraphNight(Actigraph()),
+        ActigraphNight(Actigraph()),
+        ActigraphNight(Actigraph(seed=1, off_wrist_min=10)),
+    )
     assert (one.counts == again.counts).all() and not np.array_equal(one.counts, other.counts)
     assert np.isnan(other.counts).sum() == 20 and other.on - other.off == 960
     assert not one.asleep[: one.off].any() and not one.asleep[one.on :].any() and one.asleep.mean() > 0.5

@@ -11,9 +11,9 @@ from devices.ascii_lines import AsciiLines
 from devices.clocks.device_clock import DeviceClock
 from devices.clocks.device_time import DeviceTime
 from devices.clocks.stamps import Stamps
-from devices.protocols.ascii_lines import Decoder
-from devices.simulators.ascii_lines import AsciiLines as Simulated
-from devices.simulators.ascii_lines import LinesBrain
+from devices.protocols.ascii_lines import LineDecoder
+from devices.simulators.ascii_lines import LinesModel
+from devices.simulators.ascii_lines import SimulatedAsciiLines as Simulated
 from devices.simulators.lines import line_at
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from devices.simulators.serve import Server
@@ -28,7 +28,7 @@ LINES = [f"{a},{b},{c}\r\n".encode() for a, b, c in ROWS]
 
 def decoded(pieces: list[bytes], **given: object) -> tuple[list[list[float]], int]:
     """(rows, rejected) of all pieces."""
-    decoder = Decoder(given.pop("columns", ("a", "b", "c")), **given)  # type: ignore[arg-type]
+    decoder = LineDecoder(given.pop("columns", ("a", "b", "c")), **given)  # type: ignore[arg-type]
     lines = [decoder.feed(piece) for piece in pieces]
     return [row for found in lines for row in found.rows.tolist()], sum(found.rejected for found in lines)
 
@@ -182,7 +182,7 @@ def test_lines_with_time_become_samples(address: str) -> None:
         with reading(source) as feed:
             wait_for(lambda: feed.count("out") >= 600)
         brain = server.brain
-    assert isinstance(brain, LinesBrain) and feed.error is None and not feed.problems
+    assert isinstance(brain, LinesModel) and feed.error is None and not feed.problems
     check(source, feed)
     number = np.round(feed.data("timing")["device"] / NS * 500).astype(int)
     assert (np.diff(number) == 1).all()

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from stream.chunk import Chunk, Specs, StreamSpec
+from stream.conformance import Choices, checks, trials
 from stream.engine.pipeline import Pipeline
 from stream.graph.load import load_text
 from stream.operator import Case, Operator, Takes, grid
 from stream.rows import Rows, taking
 from stream.source import Feed, Source
-from stream.trial import Choices, checks, trials
 
 SEEN: list[tuple[str, Chunk]] = []
 POINTS = StreamSpec((2, 3), np.dtype(np.float32), 100.0, units=("m",))

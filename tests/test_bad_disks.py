@@ -16,7 +16,7 @@ import pytest
 from stream.chunk import NS, Chunk, StreamSpec
 from stream.graph import RecordingOptions
 from stream.recording import Recorder, Recording
-from stream.recording import part as part_module
+from stream.recording import file_segment as part_module
 from tests.command_line import QUIET, Command, refused
 
 
@@ -34,7 +34,7 @@ def full_disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         return n
 
     monkeypatch.setattr(part_module.os, "write", take)
-    for module in ("recorder", "scribe"):
+    for module in ("recorder", "record_writer"):
         monkeypatch.setattr(f"stream.recording.{module}.GRACE_S", 0.2)
     yield
 
@@ -66,7 +66,7 @@ def test_a_disk_that_fills_up_during_a_session(kinegraph: Command, made: Path) -
 def test_a_recording_that_is_deleted_while_it_is_written_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("stream.recording.scribe.SYNC_S", 0.0)
+    monkeypatch.setattr("stream.recording.record_writer.SYNC_S", 0.0)
     spec = StreamSpec((1,), rate_hz=100.0)
     with Recorder(tmp_path / "s", {}, RecordingOptions(gather_s=0.01, flush_s=0.01)) as recorder:
         number = recorder.add_stream("board", spec, "input")

@@ -16,7 +16,7 @@ import pytest
 from mosquitto import Listener, broker, listening
 from ruamel.yaml import YAML
 
-from devices.outlets.night import shelf
+from devices.outlets.night import archive
 from stream.chunk import NS
 
 HERE = Path(__file__).parent
@@ -98,8 +98,8 @@ def test_a_night_with_two_power_cuts_ends_in_a_report_that_agrees_with_what_was_
 
     onsets = [onset for onset, _ in told]
     assert onsets == sorted(set(onsets)), "an epoch was told twice, or out of turn"
-    ((folder, facts),) = shelf.nights(tmp_path / "nights")
-    epochs = shelf.read_epochs(folder)
+    ((folder, facts),) = archive.nights(tmp_path / "nights")
+    epochs = archive.read_epochs(folder)
     logged = list(zip(epochs.onset.tolist(), epochs.texts["state"].tolist(), strict=True))
     assert len(logged) > 130
     assert [(onset, state) for onset, state in told if logged[0][0] <= onset <= logged[-1][0]] == logged
@@ -120,6 +120,6 @@ def test_a_night_with_two_power_cuts_ends_in_a_report_that_agrees_with_what_was_
     assert 17 <= longest <= 24, "ten minutes without a camera"
     page = (folder / "report.html").read_text()
     assert "kinegraph did not run" in page and "Not scored" in page and "simulated" in page
-    assert {path.name for path in folder.iterdir()} >= {*shelf.DRAWN, shelf.MAP}
-    assert shelf.bytes_of(folder) < 1_000_000 and not list(session.glob("*.mcap"))
+    assert {path.name for path in folder.iterdir()} >= {*archive.DRAWN, archive.MAP}
+    assert archive.bytes_of(folder) < 1_000_000 and not list(session.glob("*.mcap"))
     assert "compiled while running" not in (tmp_path / "log.txt").read_text()

@@ -16,7 +16,7 @@ from failing_camera import BEGUN, FailingCamera
 
 from bench.bedside import KEPT, RAW, START, Agreement, Run, agreement, graph
 from devices.oak.adapter import Frames, Message
-from devices.outlets.night import shelf
+from devices.outlets.night import archive
 from devices.outlets.night.numbers import quality
 from devices.simulators.bedside import Bedside
 from devices.simulators.night import EPOCH_S
@@ -82,15 +82,15 @@ def test_of_epochs_that_were_hardly_seen_nothing_is_said() -> None:
 
 def night_of(
     camera: FailingCamera, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> tuple[Outcome, shelf.Facts, shelf.Epochs]:
+) -> tuple[Outcome, archive.Facts, archive.LoggedEpochs]:
     """A whole session with the night's log; the supervisor does not wait long before it opens the camera again."""
     monkeypatch.setattr(supervisor, "FIRST_PAUSE_S", 0.01)
     monkeypatch.setattr(supervisor, "LONGEST_PAUSE_S", 0.01)
     made = graph("bed_h: 0.4", more=NIGHT.replace("PATH", str(folder / "nights")))
     made.nodes["camera"].part = camera
     outcome = Session(made, folder / "session").run()
-    ((path, facts),) = shelf.nights(folder / "nights")
-    return outcome, facts, shelf.read_epochs(path)
+    ((path, facts),) = archive.nights(folder / "nights")
+    return outcome, facts, archive.read_epochs(path)
 
 
 def test_usb_that_fails_every_minute_is_opened_every_time_and_no_epoch_is_lost(

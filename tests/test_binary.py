@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from devices.binary import Binary
 from devices.protocols.checksum_fit import fitting
 from devices.protocols.checksums import CHECKSUMS
-from devices.protocols.declared import Decoder, Field, Frame, Layout
-from devices.simulators.binary import BinaryBrain
+from devices.protocols.declared import Field, Frame, FrameDecoder, FrameLayout
+from devices.simulators.binary import BinaryModel
 from devices.simulators.lines import line_at
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from devices.simulators.serve import Server
@@ -71,14 +71,14 @@ def test_fields_of_every_type_and_byte_order_against_struct() -> None:
     for endian, mark in (("little", "<"), ("big", ">")):
         frame = Frame("7E", tuple(Field(kind, kind) for kind in kinds), "all", endian=endian)  # type: ignore[arg-type]
         body = rng.integers(0, 128, struct.calcsize(mark + "".join(kinds.values())), dtype=np.uint8).tobytes()
-        layout = Layout(frame)
+        layout = FrameLayout(frame)
         values = layout.values(layout.table(b"\x7e" + body))
         assert values[0].tolist() == [float(v) for v in struct.unpack(mark + "".join(kinds.values()), body)]
 
 
 @pytest.mark.parametrize("endian", ["little", "big"])
 def test_numbers_of_24_bits(endian: str) -> None:
-    layout = Layout(Frame("7E", (Field("i24", "a"), Field("u24", "b")), "x", endian=endian))  # type: ignore[arg-type]
+    layout = FrameLayout(Frame("7E", (Field("i24", "a"), Field("u24", "b")), "x", endian=endian))  # type: ignore[arg-type]
     for value in (0, 1, -1, 2**23 - 1, -(2**23), -123456):
         body = value.to_bytes(3, endian, signed=True) * 2  # type: ignore[arg-type]
         assert layout.values(layout.table(b"\x7e" + body))[0].tolist() == [value, value % 2**24]
@@ -100,14 +100,14 @@ def test_an_array_is_so_many_channels() -> None:
     assert source.specs()["emg"].units == ("uV", "uV", "uV", "")
     (layout,) = source.layouts()
     body = bytes.fromhex("A5 07 0200 0400 FEFF 0000 09")
-    found = Decoder([layout]).feed(body + bytes([sum(body) % 256]))
+    found = FrameDecoder([layout]).feed(body + bytes([sum(body) % 256]))
     assert layout.values(layout.table(bytes(found.frames[0]))).tolist() == [[1.0, 2.0, -1.0, 9.0]]
     assert replace(source.frames[0]) == source.frames[0]
 
 
 def test_scale_offset_and_a_byte_order_of_its_own() -> None:
     fields = (Field("u16", "t", scale=0.01, offset=-40.0, unit="degC"), Field("u16", "p", endian="big"), Field("u16"))
-    layout = Layout(Frame("01", fields, "air"))
+    layout = FrameLayout(Frame("01", fields, "air"))
     assert layout.values(layout.table(b"\x01\x10\x27\x01\x02\xff\xff")).tolist() == [[60.0, 258.0]]
 
 
@@ -117,7 +117,7 @@ def test_scale_offset_and_a_byte_order_of_its_own() -> None:
 def decoded(
     pieces: list[bytes], frames: tuple[Frame, ...] = PAIR
 ) -> tuple[list[int], dict[int, bytes], tuple[int, int, int]]:
-    decoder = Decoder([Layout(f) for f in frames])
+    decoder = FrameDecoder([FrameLayout(f) for f in frames])
     kinds: list[int] = []
     bodies: dict[int, bytes] = {}
     counts = [0, 0, 0]
@@ -132,7 +132,7 @@ def decoded(
 
 def made(n: int, frames: tuple[Frame, ...] = PAIR) -> list[bytes]:
     """Frames of both kinds in turn, with random numbers."""
-    rng, layouts = np.random.default_rng(2), [Layout(f) for f in frames]
+    rng, layouts = np.random.default_rng(2), [FrameLayout(f) for f in frames]
     sent = []
     for i in range(n):
         layout = layouts[i % len(layouts)]
@@ -204,12 +204,12 @@ def test_a_sync_that_begins_another() -> None:
 # the source ----------------------------------------------------------------------------------------------------------
 
 
-def served(source: Binary, misbehaviour: Misbehaviour = GOOD) -> tuple[Server, BinaryBrain]:
-    brain = BinaryBrain(source)
+def served(source: Binary, misbehaviour: Misbehaviour = GOOD) -> tuple[Server, BinaryModel]:
+    brain = BinaryModel(source)
     return Server(brain, line_at(), misbehaviour), brain
 
 
-def truth(brain: BinaryBrain, source: Binary, kind: int, turns: np.ndarray) -> np.ndarray:
+def truth(brain: BinaryModel, source: Binary, kind: int, turns: np.ndarray) -> np.ndarray:
     """What the channels of a frame held in these turns, in their units."""
     frame = source.frames[kind]
     places = [p for p, f in enumerate(frame.fields) if f.is_channel]
@@ -263,7 +263,7 @@ def test_the_sensors_bytes_mean_what_its_manual_says() -> None:
     layouts = source.layouts()
     stamp = bytes.fromhex("55 50 18 0B 15 0A 1E 0F 2C 01")
     accel = bytes.fromhex("55 51 00 08 00 F8 FF 7F 10 0A")
-    found = Decoder(layouts).feed(b"".join(f + bytes([sum(f) % 256]) for f in (stamp, accel)))
+    found = FrameDecoder(layouts).feed(b"".join(f + bytes([sum(f) % 256]) for f in (stamp, accel)))
     assert found.kinds == [0, 1]
     assert (
         layouts[0].times_ns(layouts[0].table(bytes(found.frames[0])))[0]
@@ -320,16 +320,16 @@ def test_a_wrong_checksum_names_the_one_that_fits(kind: str, start: int, endian:
     true = replace(PAIR[0], checksum=kind, checksum_from=start, endian=endian)  # type: ignore[arg-type]
     bytes_of = CHECKSUMS[kind].size
     other = next(k for k in ("zero_sum8", "fletcher8", "crc32") if CHECKSUMS[k].size == bytes_of)
-    declared = Layout(replace(PAIR[0], checksum=other, checksum_from=0 if other != kind else 1))  # type: ignore[arg-type]
+    declared = FrameLayout(replace(PAIR[0], checksum=other, checksum_from=0 if other != kind else 1))  # type: ignore[arg-type]
     data = b"\xa5\x5anoise" + b"".join(made(30, (true,)))
-    decoder = Decoder([declared])
+    decoder = FrameDecoder([declared])
     spoilt = [frame for i in range(0, len(data), size) for _, frame in decoder.feed(data[i : i + size]).spoilt]
     told = fitting(spoilt, declared)
     assert f"checksum: {kind} with checksum_from: {start}" in told and (bytes_of == 1 or f"{endian}-endian" in told)
 
 
 def test_frames_without_any_checksum_are_not_talked_into_one() -> None:
-    rng, declared = np.random.default_rng(3), Layout(PAIR[0])
+    rng, declared = np.random.default_rng(3), FrameLayout(PAIR[0])
     noise = [b"\xa5\x5a" + rng.bytes(declared.size - 2) for _ in range(200)]
     assert fitting(noise, declared) == "" and fitting(noise[:3], declared) == ""
 

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.bitalino import Bitalino, Channel
+from devices.bitalino import Bitalino, BitalinoChannel
 from devices.clocks.short_counter import ShortCounter
 from devices.protocols import bitalino as protocol
-from devices.protocols.bitalino import Decoder, Frames, crc_of, frame, size_of, widths
-from devices.simulators.bitalino import BitalinoBrain
+from devices.protocols.bitalino import BitalinoDecoder, BitalinoFrames, crc_of, frame, size_of, widths
+from devices.simulators.bitalino import BitalinoModel
 from devices.simulators.lines import line_at
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from devices.simulators.serve import Server
@@ -29,8 +29,8 @@ FRAMES = [frame(i + 9, row, (i % 2, i // 2 % 2, 0, 1)) for i, row in enumerate(C
 
 def decoded(pieces: list[bytes], channels: int = 6) -> tuple[list[list[int]], int, int]:
     """(sequence and counts of every frame, bytes dropped, resyncs)."""
-    decoder = Decoder(channels)
-    found: list[Frames] = [decoder.feed(piece) for piece in pieces]
+    decoder = BitalinoDecoder(channels)
+    found: list[BitalinoFrames] = [decoder.feed(piece) for piece in pieces]
     rows = [[int(s), *c] for f in found for s, c in zip(f.sequence, f.counts.tolist(), strict=True)]
     return rows, sum(f.dropped for f in found), sum(f.resyncs for f in found)
 
@@ -129,7 +129,7 @@ def test_no_bytes_whatever_make_it_fail(data: bytes, cuts: list[int], channels: 
 
 
 def test_it_holds_little_back() -> None:
-    decoder = Decoder(6)
+    decoder = BitalinoDecoder(6)
     decoder.feed(b"".join(FRAMES))
     for _ in range(50):
         decoder.feed(RNG.integers(0, 256, 1000, dtype=np.uint8).tobytes())
@@ -167,10 +167,10 @@ def test_whole_turns_that_are_missing_show_within_seconds(missing: int) -> None:
 
 # the source ----------------------------------------------------------------------------------------------------------
 
-CHANNELS = (Channel("A3", "ecg", "heart"), Channel("A1", "emg"), Channel("A2", "eda"))
+CHANNELS = (BitalinoChannel("A3", "ecg", "heart"), BitalinoChannel("A1", "emg"), BitalinoChannel("A2", "eda"))
 
 
-def read(brain: BitalinoBrain, n: int, misbehaviour: Misbehaviour = GOOD, address: str = "", **given: object) -> Kept:
+def read(brain: BitalinoModel, n: int, misbehaviour: Misbehaviour = GOOD, address: str = "", **given: object) -> Kept:
     with Server(brain, line_at(address, "rfcommSIM"), misbehaviour) as server:
         source = replace(Bitalino(server.address, CHANNELS), **given)  # type: ignore[arg-type]
         with reading(source) as feed:
@@ -180,7 +180,7 @@ def read(brain: BitalinoBrain, n: int, misbehaviour: Misbehaviour = GOOD, addres
     return feed
 
 
-def truth(brain: BitalinoBrain, feed: Kept) -> np.ndarray:
+def truth(brain: BitalinoModel, feed: Kept) -> np.ndarray:
     counts = np.array([brain.counts(int(i)) for i in feed.data("timing")["counter"]]) / 1024
     return np.column_stack(
         [(counts[:, 0] - 0.5) * 3.3e6 / 1009, counts[:, 1] * 3.3 / 0.132, (counts[:, 2] - 0.5) * 3.3e6 / 1100]
@@ -190,7 +190,7 @@ def truth(brain: BitalinoBrain, feed: Kept) -> np.ndarray:
 @pytest.mark.parametrize("address", ["", "tcp://127.0.0.1:0"])
 @pytest.mark.parametrize("rate_hz", [100, 1000])
 def test_what_the_device_measures_arrives(address: str, rate_hz: int) -> None:
-    brain = BitalinoBrain(("emg", "eda", "ecg", "volt", "volt", "volt"), seed=3)
+    brain = BitalinoModel(("emg", "eda", "ecg", "volt", "volt", "volt"), seed=3)
     feed = read(brain, 2 * rate_hz, address=address, rate_hz=rate_hz)
     assert feed.error is None and not feed.problems and feed.lost("analog") == {}
     np.testing.assert_allclose(feed.data("analog"), truth(brain, feed), rtol=1e-12, atol=1e-9)
@@ -206,7 +206,7 @@ def test_channels_are_in_the_order_of_the_inputs() -> None:
 
 
 def test_lost_and_damaged_frames_are_counted_and_nothing_is_invented() -> None:
-    brain = BitalinoBrain(("emg", "eda", "ecg", "volt", "volt", "volt"), seed=4)
+    brain = BitalinoModel(("emg", "eda", "ecg", "volt", "volt", "volt"), seed=4)
     feed = read(brain, 3000, Misbehaviour(lose=0.03, corrupt=0.02, seed=2))
     assert feed.error is None
     number = feed.data("timing")["counter"]
@@ -222,8 +222,8 @@ def test_lost_and_damaged_frames_are_counted_and_nothing_is_invented() -> None:
 
 
 def test_a_stall_is_no_loss_and_a_short_counters_restart_looks_like_one() -> None:
-    assert not read(BitalinoBrain(), 2500, Misbehaviour(stall_every_s=1.0, stall_s=0.3)).problems
-    feed = read(BitalinoBrain(), 2500, Misbehaviour(reset_every_s=0.905))
+    assert not read(BitalinoModel(), 2500, Misbehaviour(stall_every_s=1.0, stall_s=0.3)).problems
+    feed = read(BitalinoModel(), 2500, Misbehaviour(reset_every_s=0.905))
     assert feed.error is None and all(0 < n < 16 for n in feed.lost("analog").values())
 
 
@@ -232,7 +232,7 @@ def test_a_stall_is_no_loss_and_a_short_counters_restart_looks_like_one() -> Non
     [(b"", "came nothing"), (b"hello\n", "expected 'BITalino_v...'"), (b"BIT", "came 3 bytes: 42 49 54")],
 )
 def test_a_wrong_answer_is_told(answer: bytes, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Other(BitalinoBrain):
+    class Other(BitalinoModel):
         def _obey(self, command: int) -> bytes:
             return answer if command == 0x07 else super()._obey(command)
 
@@ -242,7 +242,7 @@ def test_a_wrong_answer_is_told(answer: bytes, told: str, monkeypatch: pytest.Mo
 
 
 def test_a_device_that_falls_silent_is_opened_again() -> None:
-    class Silent(BitalinoBrain):
+    class Silent(BitalinoModel):
         def say(self, seconds: float) -> list[bytes]:
             return super().say(seconds) if self._said < 100 else []
 

@@ -10,10 +10,10 @@ from devices.binary import Binary
 from devices.clocks.device_clock import DeviceClock
 from devices.mti import Mti
 from devices.protocols.declared import Field, Frame
-from devices.simulators.binary import BinaryBrain
+from devices.simulators.binary import BinaryModel
 from devices.simulators.indexed import Indexed
 from devices.simulators.misbehaviour import Misbehaviour
-from devices.simulators.mti import MtiBrain
+from devices.simulators.mti import MtiModel
 from stream.chunk import NS
 from tests.device_feed import check, reading, wait_for
 from tests.scripted import BEGAN, Arriving, played
@@ -64,7 +64,7 @@ def test_the_same_holds_of_frames_and_of_ticks(jump_s: float, monkeypatch: pytes
         ),
     )
     binary = Binary("a", (frame,))
-    sources = [(binary, BinaryBrain(binary), "x", 200), (Mti("tcp://a"), MtiBrain(), "imu", 100)]
+    sources = [(binary, BinaryModel(binary), "x", 200), (Mti("tcp://a"), MtiModel(), "imu", 100)]
     for source, brain, output, rate in sources:
         wrong = Misbehaviour(jump_every_s=6.0, jump_s=jump_s)
         feed = played(source, brain, 20.0, monkeypatch, wrong)

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.cyton import Cyton
-from devices.protocols.cyton import ChannelSetting, Decoder, acceleration, packet, switch, uv_per_count
-from devices.simulators.cyton import Cyton as Simulated
-from devices.simulators.cyton import CytonBrain
+from devices.protocols.cyton import ChannelSetting, CytonDecoder, acceleration, packet, switch, uv_per_count
+from devices.simulators.cyton import CytonModel
+from devices.simulators.cyton import SimulatedCyton as Simulated
 from devices.simulators.lines import line_at
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from devices.simulators.serve import Server
@@ -29,7 +29,7 @@ STREAM = b"".join(PACKETS)
 
 def decoded(pieces: list[bytes]) -> tuple[np.ndarray, np.ndarray, int]:
     """(counters, counts, bytes dropped) of all pieces."""
-    decoder = Decoder()
+    decoder = CytonDecoder()
     frames = [decoder.feed(piece) for piece in pieces]
     return (
         np.concatenate([f.counter for f in frames]),
@@ -46,7 +46,7 @@ def test_a_packet_of_the_documentation() -> None:
     body = (
         bytes([0xA0, 5]) + bytes.fromhex("7fffff 800000 000001 ffffff 000000 123456 edcba9 00ff00") + bytes(6) + b"\xc0"
     )
-    frames = Decoder().feed(body + b"\xa0")
+    frames = CytonDecoder().feed(body + b"\xa0")
     assert frames.counter.tolist() == [5]
     assert frames.counts[0].tolist() == [8388607, -8388608, 1, -1, 0, 0x123456, -0x123457, 0xFF00]
     assert uv_per_count(24) == pytest.approx(0.02235174, abs=1e-8)
@@ -101,7 +101,7 @@ def test_no_bytes_whatever_make_it_fail(data: bytes, cuts: list[int]) -> None:
 
 
 def test_it_holds_at_most_one_packet_back() -> None:
-    decoder = Decoder()
+    decoder = CytonDecoder()
     for _ in range(100):
         decoder.feed(RNG.integers(0, 256, 1000, dtype=np.uint8).tobytes())
         assert len(decoder._buffer) <= 33
@@ -110,7 +110,7 @@ def test_it_holds_at_most_one_packet_back() -> None:
 def test_new_accelerations_are_those_that_are_not_zero() -> None:
     still, moved, analog = bytes(6), np.array([8000, -16000, 1], ">i2").tobytes(), np.array([1, 2, 3], ">i2").tobytes()
     data = packet(0, COUNTS[0], still) + packet(1, COUNTS[1], moved) + packet(2, COUNTS[2], analog, 0xC1) + b"\xa0"
-    index, values = acceleration(Decoder().feed(data))
+    index, values = acceleration(CytonDecoder().feed(data))
     assert index.tolist() == [1]
     assert values.tolist() == [[1.0, -2.0, 0.000125]]
 
@@ -133,10 +133,10 @@ def test_commands() -> None:
 
 
 def test_the_board_answers_as_the_documentation_says() -> None:
-    brain = CytonBrain(daisy=True)
+    brain = CytonModel(daisy=True)
     greeting = brain.hear(b"v")
     assert greeting.startswith(b"OpenBCI V3") and b"Daisy" in greeting and greeting.endswith(b"$$$")
-    assert b"Daisy" not in CytonBrain().hear(b"v")
+    assert b"Daisy" not in CytonModel().hear(b"v")
     assert brain.hear(b"x30") == b"" and brain.hear(b"60110X") == b"Success: Channel set for 3$$$"
     assert brain.hear(b"x99X").startswith(b"Failure") and brain.hear(b"d").endswith(b"$$$")
     assert brain.say(1.0) == []
@@ -149,17 +149,17 @@ def test_the_board_answers_as_the_documentation_says() -> None:
 # the source ----------------------------------------------------------------------------------------------------------
 
 
-def served(brain: CytonBrain, misbehaviour: Misbehaviour = GOOD, address: str = "") -> Server:
+def served(brain: CytonModel, misbehaviour: Misbehaviour = GOOD, address: str = "") -> Server:
     return Server(brain, line_at(address, "ttyCYTON"), misbehaviour)
 
 
-def expected(brain: CytonBrain, first: int, n: int, uv: float = uv_per_count(24)) -> np.ndarray:
+def expected(brain: CytonModel, first: int, n: int, uv: float = uv_per_count(24)) -> np.ndarray:
     return np.stack([brain.counts(i) for i in range(first, first + n)]) * uv
 
 
 @pytest.mark.parametrize("address", ["", "tcp://127.0.0.1:0"])
 def test_what_the_board_measures_arrives_bit_for_bit(address: str) -> None:
-    brain = CytonBrain(seed=3)
+    brain = CytonModel(seed=3)
     with served(brain, address=address) as server:
         source = Cyton(server.address)
         with reading(source) as feed:
@@ -178,7 +178,7 @@ def test_what_the_board_measures_arrives_bit_for_bit(address: str) -> None:
 
 
 def test_a_daisy_brings_sixteen_channels_at_half_the_rate() -> None:
-    brain = CytonBrain(daisy=True, seed=4)
+    brain = CytonModel(daisy=True, seed=4)
     with served(brain) as server:
         source = Cyton(server.address, daisy=True)
         with reading(source) as feed:
@@ -191,13 +191,13 @@ def test_a_daisy_brings_sixteen_channels_at_half_the_rate() -> None:
 
 
 def test_a_board_with_a_daisy_can_be_used_without_it() -> None:
-    with served(CytonBrain(daisy=True)) as server, reading(Cyton(server.address)) as feed:
+    with served(CytonModel(daisy=True)) as server, reading(Cyton(server.address)) as feed:
         wait_for(lambda: feed.count("emg") >= 10)
     assert feed.data("emg").shape[1] == 8
 
 
 def test_gains_and_switched_off_channels() -> None:
-    brain = CytonBrain(seed=5)
+    brain = CytonModel(seed=5)
     settings = (ChannelSetting(1, gain=1), ChannelSetting(2, gain=12), ChannelSetting(3, power=False))
     with served(brain) as server, reading(Cyton(server.address, settings=settings)) as feed:
         wait_for(lambda: feed.count("emg") >= 100)
@@ -209,7 +209,7 @@ def test_gains_and_switched_off_channels() -> None:
 
 
 def test_lost_repeated_and_broken_packets_are_counted_and_nothing_is_invented() -> None:
-    brain = CytonBrain(seed=6)
+    brain = CytonModel(seed=6)
     wrong = Misbehaviour(lose=0.05, duplicate=0.05, corrupt=0.02, from_s=0.0, seed=1)
     with served(brain, wrong) as server:
         source = Cyton(server.address)
@@ -229,7 +229,7 @@ def test_lost_repeated_and_broken_packets_are_counted_and_nothing_is_invented() 
 
 
 def test_a_daisys_sample_is_lost_if_either_packet_is() -> None:
-    brain = CytonBrain(daisy=True, seed=6)
+    brain = CytonModel(daisy=True, seed=6)
     with served(brain, Misbehaviour(lose=0.1, seed=2)) as server, reading(Cyton(server.address, daisy=True)) as feed:
         wait_for(lambda: feed.count("emg") >= 200)
     number = feed.data("timing")["counter"].tolist()
@@ -243,7 +243,7 @@ def test_a_daisys_sample_is_lost_if_either_packet_is() -> None:
 
 def test_a_stall_loses_nothing_and_stamps_stay_even() -> None:
     stalls = Misbehaviour(stall_every_s=1.5, stall_s=0.7, from_s=0.5)
-    with served(CytonBrain(), stalls) as server, reading(Cyton(server.address)) as feed:
+    with served(CytonModel(), stalls) as server, reading(Cyton(server.address)) as feed:
         wait_for(lambda: feed.count("emg") >= 900)
     assert feed.lost("emg") == {} and not feed.problems
     steps = np.diff(feed.time("emg")[100:])
@@ -251,7 +251,7 @@ def test_a_stall_loses_nothing_and_stamps_stay_even() -> None:
 
 
 def test_a_counter_that_begins_anew_is_marked_and_time_goes_on() -> None:
-    with served(CytonBrain(), Misbehaviour(reset_every_s=1.1)) as server, reading(Cyton(server.address)) as feed:
+    with served(CytonModel(), Misbehaviour(reset_every_s=1.1)) as server, reading(Cyton(server.address)) as feed:
         wait_for(lambda: feed.count("emg") >= 700)
     assert feed.problems["counter reset"] >= 1
     assert -1 in feed.lost("emg").values()
@@ -260,7 +260,7 @@ def test_a_counter_that_begins_anew_is_marked_and_time_goes_on() -> None:
 
 
 def test_a_silent_board_is_told_from_a_working_one() -> None:
-    class Deaf(CytonBrain):
+    class Deaf(CytonModel):
         def say(self, seconds: float) -> list[bytes]:
             return []
 
@@ -269,7 +269,7 @@ def test_a_silent_board_is_told_from_a_working_one() -> None:
     assert isinstance(feed.error, DeviceError) and "no packet" in str(feed.error) and "came nothing" in str(feed.error)
 
 
-class Answers(CytonBrain):
+class Answers(CytonModel):
     """A board that answers everything in its own words."""
 
     def __init__(self, words: dict[str, bytes], **given: bool) -> None:

@@ -65,7 +65,7 @@ def test_the_yaml_that_is_shown_can_be_used() -> None:
 def test_what_is_found_is_printed(
     ports: None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken() -> list[found.Found]:
+    def broken() -> list[found.FoundDevice]:
         raise OSError("no such bus")
 
     monkeypatch.setattr(found, "finders", lambda: {"bus": broken, "serial": find})

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from devices.files.edf_plus import EdfSignal, Head, Note
 from devices.files import edf_plus
-from devices.outlets.night import shelf
+from devices.files.edf_plus import EdfSignal, Head, Note
+from devices.outlets.night import archive
 from devices.outlets.night.edf import write_edf
 from stream.chunk import NS
 from stream.errors import DeviceError
@@ -23,7 +23,7 @@ EVENING = 1_767_218_400 * NS
 STEP = 30 * NS
 
 
-def night(n: int, gaps: tuple[tuple[int, int], ...] = ()) -> shelf.Epochs:
+def night(n: int, gaps: tuple[tuple[int, int], ...] = ()) -> archive.LoggedEpochs:
     """`n` epochs, those of the gaps (first, stop) missing: the power was cut."""
     there = np.ones(n, np.bool_)
     for first, stop in gaps:
@@ -35,10 +35,10 @@ def night(n: int, gaps: tuple[tuple[int, int], ...] = ()) -> shelf.Epochs:
         "activity": np.linspace(0, 1, n)[there],
         "breaths_per_min": np.where(np.arange(n) % 5, 13.0, np.nan)[there],
     }
-    return shelf.Epochs(onset, onset + STEP, texts, numbers)
+    return archive.LoggedEpochs(onset, onset + STEP, texts, numbers)
 
 
-def written(folder: Path, facts: shelf.Facts, epochs: shelf.Epochs) -> edfio.Edf:
+def written(folder: Path, facts: archive.Facts, epochs: archive.LoggedEpochs) -> edfio.Edf:
     write_edf(folder / "n.edf", facts, epochs)
     return edfio.read_edf(folder / "n.edf")
 
@@ -46,7 +46,7 @@ def written(folder: Path, facts: shelf.Facts, epochs: shelf.Epochs) -> edfio.Edf
 @pytest.mark.parametrize("length", range(8, 201))
 def test_an_annotation_of_any_length_can_be_written(tmp_path: Path, length: int) -> None:
     for n in (1, 333, 960, 1117):
-        facts = shelf.Facts("n", EVENING, 30.0, "UTC", switched=[[EVENING + n // 2 * STEP, "x" * length]])
+        facts = archive.Facts("n", EVENING, 30.0, "UTC", switched=[[EVENING + n // 2 * STEP, "x" * length]])
         edf = written(tmp_path, facts, night(n))
         assert len(edf.signals[0].data) == n and len(edf.annotations) == n + 1, "no epoch is padded, none is missing"
         assert [len(a.text) for a in edf.annotations if not a.text.startswith("Sleep stage")] == [length]
@@ -65,7 +65,7 @@ def test_nights_with_power_cuts_and_lights_that_go_off_after_going_to_bed(
     breaks = [[EVENING + a * STEP, EVENING + (a + k) * STEP] for a, k in cuts]
     switched = [[EVENING + t, "lights off"] for t in sorted(lights)]
     edf = written(
-        tmp_path_factory.mktemp("edf"), shelf.Facts("n", EVENING, 30.0, breaks=breaks, switched=switched), epochs
+        tmp_path_factory.mktemp("edf"), archive.Facts("n", EVENING, 30.0, breaks=breaks, switched=switched), epochs
     )
     stages = [(round(a.onset), a.text[-1]) for a in edf.annotations if a.text.startswith("Sleep stage")]
     letters = {"wake": "W", "sleep": "S", "unknown": "?"}
@@ -107,7 +107,7 @@ def test_a_night_of_which_nothing_is_known_has_an_edf_too(tmp_path: Path) -> Non
     epochs = night(40)
     for column in epochs.numbers.values():
         column[:] = np.nan
-    edf = written(tmp_path, shelf.Facts("n", EVENING, 30.0), epochs)
+    edf = written(tmp_path, archive.Facts("n", EVENING, 30.0), epochs)
     assert (edf.signals[0].data == -1).all() and len(edf.annotations) == 40
 
 

@@ -19,9 +19,9 @@ import devices
 import kinegraph as kg
 import operators
 from operators import Cycles, Lowpass, Rectify, Threshold
+from stream.conformance import Broken
 from stream.errors import GraphError, InputError, KinegraphError, ParameterError
 from stream.graph.shipped import shipped
-from stream.trial import Broken
 from tests.public_names import HOUSE, PACKAGES, text_of
 
 RNG = np.random.default_rng(12)
@@ -187,7 +187,10 @@ class Unsaid:
         (lambda g: g.add("x", Lowpass(6)), "node 'x': 'from' is missing"),
         (lambda g: g.add("x", Lowpass(6), "x"), "node 'x': there is no node 'x'"),
         (lambda g: g.add("smooth", Lowpass(6), "emg"), "node 'smooth': the graph already has a node of this name"),
-        (lambda g: g.add("x", Lowpass(6), "emg", worke="a"), "Lowpass has no parameter 'worke'; did you mean 'worker'?"),
+        (
+            lambda g: g.add("x", Lowpass(6), "emg", worke="a"),
+            "Lowpass has no parameter 'worke'; did you mean 'worker'?",
+        ),
         (lambda g: g.add("x y", Lowpass(6), "emg"), "a node's name is made of letters"),
         (lambda g: g.add("x", Unsaid(), "emg"), "is no source, operator or outlet"),
         (lambda g: g.record("smoth"), "there is no node 'smoth'; did you mean 'smooth'?"),

@@ -144,13 +144,13 @@ def report(path: Path) -> None:
 
 
 def night(path: Path) -> None:
-    from devices.outlets.night import shelf
+    from devices.outlets.night import archive
 
     folder = path.parent / "nights" / "2024-05-01"
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / shelf.FACTS).write_text('{"version": 1, "name": "x", "begun": 0, "epoch_s": 30.0}')
-    path.replace(folder / shelf.EPOCHS)
-    shelf.read_epochs(folder)
+    (folder / archive.FACTS).write_text('{"version": 1, "name": "x", "begun": 0, "epoch_s": 30.0}')
+    path.replace(folder / archive.EPOCHS)
+    archive.read_epochs(folder)
 
 
 def seeds(folder: Path, made: Path) -> dict[str, tuple[bytes, Reader]]:

@@ -21,7 +21,8 @@ OTHER_NAMES = re.compile(
 TOLD = {"CHANGELOG.md": {"lane"}}
 """Where an old name is what the page is about: how to rename it."""
 TRANSLATED = re.compile(
-    r"\b(hangs? (on|out)|anew|(is|are) told|tells? of|so many|so much|so often|stands? in for|the house|amount of the)\b", re.IGNORECASE
+    r"\b(hangs? (on|out)|anew|(is|are) told|tells? of|so many|so much|so often|stands? in for|the house|amount of the)\b",
+    re.IGNORECASE,
 )
 """Phrases that no native speaker writes in a manual."""
 READ_ALOUD = (
@@ -52,7 +53,9 @@ def test_what_the_glossary_names_in_the_code_is_there() -> None:
             if "/" in name:
                 assert (ROOT / name).exists(), f"{term}: there is no {name}"
             else:
-                assert re.search(rf"^(class {name}\b|{name}\b.*=)", code, re.MULTILINE), f"{term}: nothing is called {name}"
+                assert re.search(rf"^(class {name}\b|{name}\b.*=)", code, re.MULTILINE), (
+                    f"{term}: nothing is called {name}"
+                )
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.simulators.walkway import Trial, Walkway
+from devices.simulators.walkway import Walkway, WalkwayTrial
 from stream.chunk import NS, StreamSpec
 from stream.engine.replay import Replay
 from stream.engine.session import Session
@@ -59,7 +59,7 @@ nodes:
 def overground(folder: Path) -> Path:
     """A simulated walk through the laboratory, imported."""
     lab = Walkway(seed=5)
-    trial, specs = Trial(lab), lab.specs()
+    trial, specs = WalkwayTrial(lab), lab.specs()
     emg = np.arange(SECONDS * 1000)
     markers = emg[::10]
     parts = {"emg": (emg, trial.emg(emg)), "markers": (markers, trial.markers(markers))}

@@ -12,7 +12,7 @@ import pytest
 from test_load import GOOD, NODE_ERRORS, TOP_ERRORS, nodes
 
 from stream.commands.check import _narrow, check
-from stream.commands.draw import Format, draw
+from stream.commands.draw import DrawingFormat, draw
 from stream.commands.parts import parts, reflowed
 from stream.commands.schema import schema
 from stream.errors import GraphError, KinegraphError
@@ -78,15 +78,15 @@ def test_draw_a_tree(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_draw_mermaid_and_dot(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    draw(good, Format.mermaid)
+    draw(good, DrawingFormat.mermaid)
     text = capsys.readouterr().out
     assert text.startswith("flowchart LR\n") and 'n0(["board<br/>graph_parts.Board"])' in text
     assert 'n0 -- "emg: 2 channels float64 at 1000 Hz in uV" --> n1' in text
-    draw(good, Format.dot)
+    draw(good, DrawingFormat.dot)
     text = capsys.readouterr().out
     assert text.startswith('digraph "walking" {') and text.endswith("}\n")
     assert 'n0 -> n1 [label="emg: 2 channels float64 at 1000 Hz in uV"];' in text
-    draw(good, Format.dot, ['name=the "big" walk'])
+    draw(good, DrawingFormat.dot, ['name=the "big" walk'])
     assert capsys.readouterr().out.startswith(r'digraph "the \"big\" walk" {')
 
 

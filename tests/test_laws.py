@@ -1,4 +1,4 @@
-"""The seven laws of DESIGN, held by every operator of ours, found without a list; see stream/trial for what each rule says.
+"""The seven laws of DESIGN, held by every operator of ours, found without a list; see stream/conformance for what each rule says.
 
 `KINEGRAPH_EXAMPLES=200 pytest tests/test_laws.py -k Envelope` tries harder.
 """
@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from stream.conformance import Broken, Conformance, checks, trials
 from stream.graph.parts import catalogue
 from stream.operator import Operator, Outlet
-from stream.trial import Broken, Trial, checks, trials
 
 EXAMPLES = int(os.environ.get("KINEGRAPH_EXAMPLES", "0")) or 12
 
@@ -33,7 +33,7 @@ FOUND, FAILED = _found()
 
 
 @cache
-def _makers(use: str) -> list[Callable[[], Trial]]:
+def _makers(use: str) -> list[Callable[[], Conformance]]:
     return trials(FOUND[use])
 
 
@@ -53,7 +53,7 @@ each_case = pytest.mark.parametrize(("use", "k"), CASES, ids=[f"{use}-{k}" for u
 
 
 @cache
-def _trial(use: str, k: int) -> Trial:
+def _trial(use: str, k: int) -> Conformance:
     return _makers(use)[k]()
 
 

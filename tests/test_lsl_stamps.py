@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.lsl.stamps import NEWEST_S, STEADY_S, Stamps
+from devices.lsl.stamps import NEWEST_S, STEADY_S, LslStamps
 from stream.chunk import NS, Samples
 
 ZERO = 1_700_000_000 * NS
@@ -31,7 +31,7 @@ def mapped(
     stamps: Samples, cuts: list[int], rate_hz: float | None = RATE, **options: float
 ) -> tuple[Samples, dict[int, int]]:
     """Session times and {index: lost} of stamps that are read in these pieces."""
-    by, times, gaps, start = Stamps(rate_hz, ZERO, **options), [], {}, 0
+    by, times, gaps, start = LslStamps(rate_hz, ZERO, **options), [], {}, 0
     for stop in sorted({*(c % (len(stamps) + 1) for c in cuts), len(stamps)} - {0}):
         one = by.map(stamps[start:stop], arrival(stamps[start:stop]))
         times.append(one.time)
@@ -82,7 +82,7 @@ def test_the_constant_delay_is_taken_off() -> None:
 
 def test_a_better_estimate_of_the_clocks_never_makes_a_stamp_leap() -> None:
     stamps, offset = even(20000), -3500.0
-    by = Stamps(RATE, ZERO)
+    by = LslStamps(RATE, ZERO)
     by.correct(offset, at_once=True)
     estimates, times = np.random.default_rng(5).normal(offset, 2e-3, 20), []
     for k, estimate in enumerate(estimates):
@@ -96,7 +96,7 @@ def test_a_better_estimate_of_the_clocks_never_makes_a_stamp_leap() -> None:
 
 
 def test_another_clock_is_taken_over_at_once_and_stamps_wait_rather_than_run_backwards() -> None:
-    by, stamps = Stamps(RATE, ZERO), even(3000)
+    by, stamps = LslStamps(RATE, ZERO), even(3000)
     first = by.map(stamps[:1000], arrival(stamps[:1000]))
     by.correct(2.0)
     later = by.map(stamps[1000:2000], arrival(stamps[1000:2000]) + 2 * NS)
@@ -107,18 +107,18 @@ def test_another_clock_is_taken_over_at_once_and_stamps_wait_rather_than_run_bac
 
 
 def test_after_a_pause_the_loss_stands_where_the_stamps_leap() -> None:
-    by, stamps = Stamps(RATE, ZERO), even(5000)
+    by, stamps = LslStamps(RATE, ZERO), even(5000)
     by.map(stamps[:1000], arrival(stamps[:1000]))
     both = np.concatenate([stamps[1000:1010], stamps[4000:4010]])
     assert by.map(both, arrival(both), after_pause=True).gaps == [(10, -1)]
     assert by.map(stamps[4010:4020], arrival(stamps[4010:4020]), after_pause=True).gaps == [(0, -1)]
-    by = Stamps(None, ZERO)
+    by = LslStamps(None, ZERO)
     assert by.map(stamps[:1], arrival(stamps[:1]), after_pause=True).gaps == [(0, -1)]
 
 
 def test_blocks_that_overlap_are_put_one_after_the_other() -> None:
     """Senders that stamp a block by the moment at which they send it give its first samples times before the last block's."""
-    by, times = Stamps(RATE, ZERO), []
+    by, times = LslStamps(RATE, ZERO), []
     for k, late in enumerate([0.0, 0.012, 0.003]):
         block = even(32) + k * 0.032 + late
         found = by.map(block, arrival(block))
@@ -131,7 +131,7 @@ def test_blocks_that_overlap_are_put_one_after_the_other() -> None:
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300, -1e300, 0.0, 1.7e9, BEGIN + NEWEST_S + 1])
 @pytest.mark.parametrize("rate_hz", [RATE, None])
 def test_a_stamp_that_cannot_be_is_replaced_by_its_arrival(bad: float, rate_hz: float | None) -> None:
-    by, stamps = Stamps(rate_hz, ZERO), even(30)
+    by, stamps = LslStamps(rate_hz, ZERO), even(30)
     stamps[10] = bad
     found = by.map(stamps, arrival(stamps))
     assert found.impossible == 1
@@ -143,7 +143,7 @@ def test_a_stamp_that_cannot_be_is_replaced_by_its_arrival(bad: float, rate_hz: 
 
 @given(st.lists(st.floats(), min_size=1, max_size=30), st.integers(1, 7))
 def test_no_stamps_whatever_make_time_run_backwards(stamps: list[float], size: int) -> None:
-    by, last = Stamps(RATE, ZERO), -1
+    by, last = LslStamps(RATE, ZERO), -1
     for start in range(0, len(stamps), size):
         part = np.array(stamps[start : start + size])
         found = by.map(part, ZERO + round((BEGIN + start) * NS), after_pause=start % 3 == 1)

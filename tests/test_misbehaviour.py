@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from devices.simulators import ascii_lines, bitalino, cyton, mti, oak, shimmer, trigno, usb_reports
-from devices.simulators.binary import BinaryBrain
+from devices.simulators.binary import BinaryModel
 from devices.simulators.lines import line_at
 from devices.simulators.lsl import Lsl
 from devices.simulators.misbehaviour import Misbehaviour
@@ -110,12 +110,12 @@ def graph() -> Graph:
 def plugged(name: str, source: Any) -> AbstractContextManager[Source]:
     """The source, reading a simulated device that misbehaves."""
     kinds: dict[str, Any] = {
-        "cyton": cyton.Cyton(),
-        "ascii": ascii_lines.AsciiLines(("n", "us", "a"), rate_hz=200, time="us", counter="n"),
-        "mti": mti.Mti(),
-        "bitalino": bitalino.Bitalino(),
-        "shimmer": shimmer.Shimmer(),
-        "trigno": trigno.Trigno(),
+        "cyton": cyton.SimulatedCyton(),
+        "ascii": ascii_lines.SimulatedAsciiLines(("n", "us", "a"), rate_hz=200, time="us", counter="n"),
+        "mti": mti.SimulatedMti(),
+        "bitalino": bitalino.SimulatedBitalino(),
+        "shimmer": shimmer.SimulatedShimmer(),
+        "trigno": trigno.SimulatedTrigno(),
     }
     return _plugged(name, source, kinds.get(name))
 
@@ -124,10 +124,10 @@ def plugged(name: str, source: Any) -> AbstractContextManager[Source]:
 def _plugged(name: str, source: Any, device: Any) -> Iterator[Source]:
     wrong = replace(WRONG, seed=list(DEVICES).index(name))
     if name == "binary":
-        with Server(BinaryBrain(source), line_at(name="ttyBIN"), wrong) as server:
+        with Server(BinaryModel(source), line_at(name="ttyBIN"), wrong) as server:
             yield replace(source, port=server.address)
     elif name == "mti_usb":
-        with mti.Mti().on_usb(wrong) as address:
+        with mti.SimulatedMti().on_usb(wrong) as address:
             yield replace(source, port=address)
     elif name == "dualsense":
         with usb_reports.serving(source, wrong) as address:
@@ -139,7 +139,7 @@ def _plugged(name: str, source: Any, device: Any) -> Iterator[Source]:
         with Lsl(name, source_id=name, channels=("TA", "GM"), rate_hz=200).serving(wrong):
             yield source
     elif name == "oak":
-        with oak.Oak(width=64, height=48, fps=20).plugged_in(wrong) as camera:
+        with oak.OakSimulator(width=64, height=48, fps=20).plugged_in(wrong) as camera:
             yield oak.SimulatedOak.of(source, camera)
     else:
         with device.serving(wrong) as address:

@@ -351,12 +351,12 @@ def _texts(made: MqttOutlet) -> dict[str, str]:
 
 def test_a_long_message_costs_no_memory_and_the_next_one_arrives(tmp_path: Path) -> None:
     """256 MB may come in one message: nothing of it is kept, it is confirmed, and the connection stands."""
-    from devices.mqtt.link import Broker, Link
+    from devices.mqtt.link import Broker, BrokerConnection
 
     heard: list[str] = []
     with broker(tmp_path) as served, listening(served.port) as listener:
         ready = threading.Event()
-        link = Link(
+        link = BrokerConnection(
             *(Broker(port=served.port), "bounded", "x/availability", ["x/set"]),
             joined=ready.set,
             heard=lambda topic, text, retained: heard.append(text),
@@ -375,9 +375,9 @@ def test_a_long_message_costs_no_memory_and_the_next_one_arrives(tmp_path: Path)
 
 
 def test_messages_that_come_too_fast_are_counted_and_dropped() -> None:
-    from devices.mqtt.link import MOST_NEWS, Broker, Link
+    from devices.mqtt.link import MOST_NEWS, Broker, BrokerConnection
 
-    link = Link(Broker(), "flood", "x/availability", ["x/set"], joined=lambda: None)
+    link = BrokerConnection(Broker(), "flood", "x/availability", ["x/set"], joined=lambda: None)
     for _ in range(MOST_NEWS + 7):
         link._take(MQTTMessage(topic=b"x/set"))
     assert link.dropped == 7

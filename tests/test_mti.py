@@ -18,8 +18,8 @@ from devices.mti import Mti
 from devices.protocols import xbus
 from devices.simulators.lines import line_at
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
-from devices.simulators.mti import Mti as Simulated
-from devices.simulators.mti import MtiBrain
+from devices.simulators.mti import MtiModel
+from devices.simulators.mti import SimulatedMti as Simulated
 from devices.simulators.serve import Server
 from devices.simulators.walking_limb import Limb
 from stream.chunk import NS
@@ -32,7 +32,7 @@ CONFIG = Path(__file__).resolve().parent.parent / "configs" / "imu_steps.yaml"
 FAST = {"rate_hz": 2000, "high_rate": True, "baud": 2_000_000}
 
 
-def served(brain: MtiBrain, misbehaviour: Misbehaviour = GOOD, address: str = "") -> Server:
+def served(brain: MtiModel, misbehaviour: Misbehaviour = GOOD, address: str = "") -> Server:
     return Server(brain, line_at(address, "ttyMTI"), misbehaviour)
 
 
@@ -46,7 +46,7 @@ def read(server: Server, n: int, **given: object) -> tuple[Mti, Kept]:
     return source, feed
 
 
-def truth(brain: MtiBrain, source: Mti, number: np.ndarray) -> np.ndarray:
+def truth(brain: MtiModel, source: Mti, number: np.ndarray) -> np.ndarray:
     """What the limb did at the packets of these numbers."""
     every = np.arange(int(number[0]), int(number[-1]) + 1)
     made = brain.limb.measure(every)
@@ -66,7 +66,7 @@ def truth(brain: MtiBrain, source: Mti, number: np.ndarray) -> np.ndarray:
 )
 @pytest.mark.parametrize("address", ["", "tcp://127.0.0.1:0"])
 def test_what_the_sensor_measures_arrives(address: str, given: dict[str, object]) -> None:
-    brain = MtiBrain(seed=3)
+    brain = MtiModel(seed=3)
     with served(brain, address=address) as server:
         source, feed = read(server, 400, **given)
     assert feed.error is None and not feed.problems
@@ -88,7 +88,7 @@ def test_channels_and_units_are_those_asked_for() -> None:
 def test_two_thousand_a_second() -> None:
     """A pseudo-terminal holds some 60 ms of it: where the machine was busy elsewhere for longer, once more."""
     for _ in range(4):
-        brain = MtiBrain(seed=5)
+        brain = MtiModel(seed=5)
         with served(brain) as server:
             source, feed = read(server, 3000, **FAST)
         if not feed.problems:
@@ -100,7 +100,7 @@ def test_two_thousand_a_second() -> None:
 
 
 def test_settings_are_written_only_where_they_differ() -> None:
-    brain = MtiBrain()
+    brain = MtiModel()
     with served(brain) as server:
         for _ in range(2):
             read(server, 5)
@@ -110,7 +110,7 @@ def test_settings_are_written_only_where_they_differ() -> None:
 
 
 def test_lost_repeated_and_damaged_packets_are_counted_and_nothing_is_invented() -> None:
-    brain = MtiBrain(seed=6)
+    brain = MtiModel(seed=6)
     with served(brain, Misbehaviour(lose=0.05, duplicate=0.05, corrupt=0.03, seed=1)) as server:
         source, feed = read(server, 900, rate_hz=400, baud=460800)
         mishaps = server.mishaps
@@ -126,14 +126,14 @@ def test_lost_repeated_and_damaged_packets_are_counted_and_nothing_is_invented()
 
 
 def test_a_stall_loses_nothing_and_stamps_stay_even() -> None:
-    with served(MtiBrain(), Misbehaviour(stall_every_s=1.5, stall_s=0.7, from_s=0.5)) as server:
+    with served(MtiModel(), Misbehaviour(stall_every_s=1.5, stall_s=0.7, from_s=0.5)) as server:
         _, feed = read(server, 400)
     assert feed.lost("imu") == {} and not feed.problems
     assert np.diff(feed.time("imu")[30:]).max() < 20e6 and np.diff(feed.data("timing")["arrival"]).max() > 0.6e9
 
 
 def test_counters_that_begin_anew_are_marked_and_time_goes_on() -> None:
-    with served(MtiBrain(), Misbehaviour(reset_every_s=1.3)) as server:
+    with served(MtiModel(), Misbehaviour(reset_every_s=1.3)) as server:
         _, feed = read(server, 300)
     assert feed.problems["counter reset"] >= 1 and -1 in feed.lost("imu").values()
     assert np.abs(feed.data("timing")["arrival"] - feed.time("imu")).max() < 0.5e9
@@ -142,7 +142,7 @@ def test_counters_that_begin_anew_are_marked_and_time_goes_on() -> None:
 def test_other_measurements_between_are_passed_over_and_not_lost() -> None:
     """As an MTi-G sends its fixes: with the next counter, and an earlier time."""
 
-    class WithFixes(MtiBrain):
+    class WithFixes(MtiModel):
         def packets(self, first: int, stop: int) -> list[bytes]:
             said = []
             for i, packet in enumerate(super().packets(first, stop), first):
@@ -168,7 +168,7 @@ def test_other_measurements_between_are_passed_over_and_not_lost() -> None:
 
 
 def test_measurements_in_one_read_with_the_last_answer_are_samples() -> None:
-    class AtOnce(MtiBrain):
+    class AtOnce(MtiModel):
         """The first ten follow the answer without a pause."""
 
         def _obey(self, mid: int, data: bytes) -> bytes:
@@ -189,7 +189,7 @@ def test_measurements_in_one_read_with_the_last_answer_are_samples() -> None:
 # what goes wrong -----------------------------------------------------------------------------------------------------
 
 
-class Answers(MtiBrain):
+class Answers(MtiModel):
     """A sensor that answers some messages in its own words."""
 
     def __init__(self, words: dict[int, bytes]) -> None:
@@ -226,11 +226,11 @@ def test_a_wrong_answer_is_told(
 
 
 def test_a_sensor_that_falls_silent_or_was_switched_on_anew_is_opened_again() -> None:
-    class Silent(MtiBrain):
+    class Silent(MtiModel):
         def say(self, seconds: float) -> list[bytes]:
             return super().say(seconds) if self._said < 50 else []
 
-    class SwitchedOn(MtiBrain):
+    class SwitchedOn(MtiModel):
         def packets(self, first: int, stop: int) -> list[bytes]:
             return [*super().packets(first, stop), *([xbus.message(xbus.WAKE_UP)] if stop > 50 else [])]
 

@@ -12,7 +12,7 @@ import pytest
 from matplotlib.dates import num2date
 
 from devices.commands import nights as command
-from devices.outlets.night import figures, shelf
+from devices.outlets.night import archive, figures
 from devices.outlets.night.edf import write_edf
 from devices.outlets.night.numbers import quality, table
 from devices.outlets.night.page import line, render, title
@@ -32,7 +32,7 @@ CHANGES = [
 ]
 
 
-def night(zone: str, evening: str, minutes: int = 340) -> tuple[shelf.Facts, shelf.Epochs]:
+def night(zone: str, evening: str, minutes: int = 340) -> tuple[archive.Facts, archive.LoggedEpochs]:
     """5 h 40 min in bed from this time of the wall clock on; ten minutes unseen, just after the clocks have changed."""
     begun = round(datetime.fromisoformat(evening).replace(tzinfo=ZoneInfo(zone)).timestamp()) * NS
     n = 2 * minutes
@@ -40,8 +40,8 @@ def night(zone: str, evening: str, minutes: int = 340) -> tuple[shelf.Facts, she
     states = np.full(n, "sleep", "U7")
     states[500:520] = "unknown"
     texts = {"state": states, "bed": np.full(n, "in"), "provisional": states}
-    numbers = {name: np.full(n, 0.5) for name in shelf.COLUMNS[2:] if name not in shelf.TEXTS}
-    facts = shelf.Facts("n", begun, 30.0, zone, closed=True)
+    numbers = {name: np.full(n, 0.5) for name in archive.COLUMNS[2:] if name not in archive.TEXTS}
+    facts = archive.Facts("n", begun, 30.0, zone, closed=True)
     told = dict.fromkeys(
         ("tst", "tst_low", "tst_high", "sol", "sol_low", "sol_high", "waso", "waso_low", "waso_high", "mean_awakening"), 5.0
     )  # fmt: skip
@@ -50,7 +50,7 @@ def night(zone: str, evening: str, minutes: int = 340) -> tuple[shelf.Facts, she
         "onset": begun, "end": begun + n * STEP, "tib": minutes, "convention": "AASM", "bed": "detected", "estimated": True,
         "awakenings": 1, **told, **more,
     }  # fmt: skip
-    return facts, shelf.Epochs(onset, onset + STEP, texts, numbers)
+    return facts, archive.LoggedEpochs(onset, onset + STEP, texts, numbers)
 
 
 @pytest.mark.parametrize(("zone", "evening", "change", "before", "after"), CHANGES)
@@ -79,7 +79,7 @@ def test_every_time_of_a_night_is_by_the_clock_that_it_began_with(
     folder = tmp_path / "nights" / evening[:10]
     folder.mkdir(parents=True)
     facts.save(folder)
-    (folder / shelf.EPOCHS).write_text(",".join(shelf.COLUMNS) + "\n")
+    (folder / archive.EPOCHS).write_text(",".join(archive.COLUMNS) + "\n")
     command.nights(path=tmp_path / "nights")
     listed = capsys.readouterr().out
     assert "22:55" in listed and "04:35" in listed

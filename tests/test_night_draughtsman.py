@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
-from devices.outlets.night import draughtsman
-from devices.outlets.night.draughtsman import Draughtsman
+from devices.outlets.night import renderer
+from devices.outlets.night.renderer import ReportRenderer
 from stream.errors import DeviceError
 
 
@@ -37,14 +37,14 @@ class Failing:
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """Seconds, to be set; processes that fail."""
     now = [0.0]
-    monkeypatch.setattr(draughtsman.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(draughtsman.subprocess, "Popen", Failing)
-    monkeypatch.setattr(draughtsman.os, "setpriority", lambda *_: None)
+    monkeypatch.setattr(renderer.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(renderer.subprocess, "Popen", Failing)
+    monkeypatch.setattr(renderer.os, "setpriority", lambda *_: None)
     Failing.started, Failing.well = 0, False
     return now
 
 
-def look_for(hours: float, works: Draughtsman, clock: list[float]) -> list[str]:
+def look_for(hours: float, works: ReportRenderer, clock: list[float]) -> list[str]:
     """What is logged while it looks once in ten seconds."""
     with capture_logs() as logs:
         for _ in range(round(hours * 360)):
@@ -54,24 +54,24 @@ def look_for(hours: float, works: Draughtsman, clock: list[float]) -> list[str]:
 
 
 def test_a_failing_report_is_tried_a_few_times_and_told_twice(tmp_path: Path, clock: list[float]) -> None:
-    works = Draughtsman()
+    works = ReportRenderer()
     works.soon(tmp_path)
     told = look_for(24, works, clock)
-    assert Failing.started == 1 + len(draughtsman.AGAIN_S)
+    assert Failing.started == 1 + len(renderer.AGAIN_S)
     assert told == ["report not whole; tried again some times", "report given up until the session ends"]
     with pytest.raises(DeviceError, match=r"no such font.*kinegraph nights report"):
         works.finish()
-    assert Failing.started == 2 + len(draughtsman.AGAIN_S), "once more at the end"
+    assert Failing.started == 2 + len(renderer.AGAIN_S), "once more at the end"
 
 
 def test_a_report_that_was_given_up_is_drawn_when_its_night_changes_or_the_session_ends(
     tmp_path: Path, clock: list[float]
 ) -> None:
-    works = Draughtsman()
+    works = ReportRenderer()
     works.soon(tmp_path)
     look_for(24, works, clock)
     Failing.well = True
     works.soon(tmp_path)
     assert look_for(1, works, clock) == ["report written"]
     works.finish()
-    assert Failing.started == 2 + len(draughtsman.AGAIN_S)
+    assert Failing.started == 2 + len(renderer.AGAIN_S)

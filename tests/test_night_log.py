@@ -13,7 +13,7 @@ import night_made
 import pytest
 from night_made import LATE, SPECS, Night, feed, logged, opened, states
 
-from devices.outlets.night import shelf
+from devices.outlets.night import archive
 from devices.outlets.night.numbers import quality, table
 from stream.chunk import NS
 from stream.clock import SessionClock
@@ -32,7 +32,7 @@ def test_nothing_is_lost_or_doubled_by_kill_9(tmp_path: Path, at: int) -> None:
     assert log.desk.night
     folder = log.desk.night.folder
     before = logged(folder)
-    with (folder / shelf.EPOCHS).open("a") as file:
+    with (folder / archive.EPOCHS).open("a") as file:
         file.write("2026-01-01T0")
     os.close(log.desk.night.file._handle)
     log.desk.claim.release()  # type: ignore[union-attr]
@@ -49,7 +49,7 @@ def test_nothing_is_lost_or_doubled_by_kill_9(tmp_path: Path, at: int) -> None:
     feed(again, chain(night.told(at), night.end()))
     again.close()
     assert logged(folder) == states(night, night.inn)
-    facts = shelf.Facts.load(folder)
+    facts = archive.Facts.load(folder)
     assert facts.closed and facts.breaks == [[night.onset(at - LATE), night.onset(at + 2)]]
 
 
@@ -58,8 +58,8 @@ def test_a_restart_without_resume_goes_on_with_the_night(tmp_path: Path) -> None
     log.begin()
     feed(log, night.told(0, 200))
     log.close()
-    (folder,) = (path for path, _ in shelf.nights(tmp_path))
-    assert not shelf.Facts.load(folder).closed
+    (folder,) = (path for path, _ in archive.nights(tmp_path))
+    assert not archive.Facts.load(folder).closed
     again = opened(tmp_path, report=False)
     clock = SessionClock()
     clock.utc_ns = night.onset(220)
@@ -67,10 +67,10 @@ def test_a_restart_without_resume_goes_on_with_the_night(tmp_path: Path) -> None
     again.begin()
     feed(again, chain(night.told(220), night.end()))
     again.close()
-    assert len(shelf.nights(tmp_path)) == 1
-    facts = shelf.Facts.load(folder)
+    assert len(archive.nights(tmp_path)) == 1
+    facts = archive.Facts.load(folder)
     assert facts.breaks == [[night.onset(197), night.onset(220)]]
-    assert "kinegraph did not run" in dict(quality(facts, shelf.read_epochs(folder)))
+    assert "kinegraph did not run" in dict(quality(facts, archive.read_epochs(folder)))
 
 
 def test_a_night_that_is_ahead_of_the_clock_is_left_as_it_is(tmp_path: Path) -> None:
@@ -91,7 +91,7 @@ def test_a_night_that_is_ahead_of_the_clock_is_left_as_it_is(tmp_path: Path) -> 
     again.begin()
     feed(again, chain(night.told(200), night.end()))
     again.close()
-    (first, _), (second, facts) = shelf.nights(tmp_path)
+    (first, _), (second, facts) = archive.nights(tmp_path)
     assert logged(first) == states(Night(), night.inn) and logged(second) == states(night, night.inn)
     assert (second.name, facts.closed) == ("2025-12-31-2", True)
 
@@ -100,10 +100,10 @@ def test_what_was_final_is_never_changed(tmp_path: Path) -> None:
     night, log = Night(), opened(tmp_path, report=False)
     log.begin()
     feed(log, night.told(0, 200))
-    before = (tmp_path / "2025-12-31" / shelf.EPOCHS).read_bytes()
+    before = (tmp_path / "2025-12-31" / archive.EPOCHS).read_bytes()
     other = Night(seed=9)
     feed(log, other.told(0, 200))
-    assert (tmp_path / "2025-12-31" / shelf.EPOCHS).read_bytes() == before
+    assert (tmp_path / "2025-12-31" / archive.EPOCHS).read_bytes() == before
     log.close()
 
 
@@ -136,23 +136,23 @@ def test_a_night_that_ends_while_the_disk_is_full_gets_its_numbers_later(
     night, log = Night(), opened(tmp_path, report=False)
     log.begin()
     feed(log, night.told(0, 400))
-    save, full = shelf.Facts.save, True
+    save, full = archive.Facts.save, True
 
-    def saved(facts: shelf.Facts, folder: Path) -> None:
+    def saved(facts: archive.Facts, folder: Path) -> None:
         if full:
             raise OSError(errno.ENOSPC, "No space left on device")
         save(facts, folder)
 
-    monkeypatch.setattr(shelf.Facts, "save", saved)
+    monkeypatch.setattr(archive.Facts, "save", saved)
     feed(log, chain(night.told(400), night.end()))
-    ((_, facts),) = shelf.nights(tmp_path)
+    ((_, facts),) = archive.nights(tmp_path)
     assert not facts.closed and not facts.numbers
     full = False
     log.process("epochs", night.final(night.n - 1, night.onset(night.n + 1)))  # known already, but time goes on
     log.process("epochs", night_made.event(night_made.EPOCH, night.onset(night.n), night.onset(night.n), night.onset(night.n + 1),
                                            "wake", 0.2, 0.0, True, False))  # fmt: skip
     log.close()
-    ((_, facts),) = shelf.nights(tmp_path)
+    ((_, facts),) = archive.nights(tmp_path)
     assert facts.closed and facts.numbers["awakenings"] == 11
 
 
@@ -160,10 +160,10 @@ def test_a_night_that_is_deleted_while_it_goes_on_goes_on_in_another_folder(tmp_
     night, log = Night(), opened(tmp_path)
     log.begin()
     feed(log, night.told(0, 300))
-    shelf.remove(tmp_path / "2025-12-31")
+    archive.remove(tmp_path / "2025-12-31")
     feed(log, chain(night.told(300), night.end()))
     log.close()
-    ((folder, facts),) = shelf.nights(tmp_path)
+    ((folder, facts),) = archive.nights(tmp_path)
     assert logged(folder) == states(night, 300 - LATE) and facts.begun == night.onset(300 - LATE)
     assert facts.closed and not facts.numbers  # they would tell of what was deleted
     assert "broken off" in (folder / "report.html").read_text()
@@ -183,9 +183,9 @@ def test_nights_are_separated_and_old_ones_deleted(tmp_path: Path) -> None:
                     chunk.data[name] += shift
             log.process(port, chunk)
     log.close()
-    assert [path.name for path, _ in shelf.nights(tmp_path)] == ["2026-01-02", "2026-01-03"]
+    assert [path.name for path, _ in archive.nights(tmp_path)] == ["2026-01-02", "2026-01-03"]
     assert (tmp_path / "mine").is_dir()
-    (first, _), (second, _) = shelf.nights(tmp_path)
+    (first, _), (second, _) = archive.nights(tmp_path)
     assert logged(first) == logged(second)
 
 
@@ -195,7 +195,7 @@ def test_an_empty_bed_is_no_night(tmp_path: Path) -> None:
     log.begin()
     feed(log, night.told())
     log.close()
-    assert shelf.nights(tmp_path) == []
+    assert archive.nights(tmp_path) == []
 
 
 def test_two_short_times_in_bed_far_apart_are_two_nights(tmp_path: Path) -> None:
@@ -205,7 +205,7 @@ def test_two_short_times_in_bed_far_apart_are_two_nights(tmp_path: Path) -> None
     log.begin()
     feed(log, night.told())
     log.close()
-    assert [path.name for path, _ in shelf.nights(tmp_path)] == ["2025-12-31", "2025-12-31-2"]
+    assert [path.name for path, _ in archive.nights(tmp_path)] == ["2025-12-31", "2025-12-31-2"]
 
 
 def test_actigraphy_alone_makes_a_night(tmp_path: Path) -> None:
@@ -214,8 +214,8 @@ def test_actigraphy_alone_makes_a_night(tmp_path: Path) -> None:
     log.begin()
     feed(log, chain(night.told(), night.end()))
     log.close()
-    (folder,) = (path for path, _ in shelf.nights(tmp_path))
-    assert logged(folder) == states(night) and shelf.Facts.load(folder).closed
+    (folder,) = (path for path, _ in archive.nights(tmp_path))
+    assert logged(folder) == states(night) and archive.Facts.load(folder).closed
 
 
 def test_the_command_lists_draws_and_deletes(
@@ -249,7 +249,7 @@ def test_a_night_that_cannot_be_read_can_be_deleted_and_is_forgotten(
 ) -> None:
     from devices.commands.nights import Action, nights
 
-    for name, file in (("2025-01-01", shelf.FACTS), ("2025-01-02", shelf.EPOCHS), ("2025-01-03", shelf.EPOCHS)):
+    for name, file in (("2025-01-01", archive.FACTS), ("2025-01-02", archive.EPOCHS), ("2025-01-03", archive.EPOCHS)):
         (tmp_path / name).mkdir()
         (tmp_path / name / file).write_text("onset,en")
     nights(path=tmp_path)
@@ -269,18 +269,18 @@ def test_an_old_night_that_cannot_be_deleted_ends_nothing(tmp_path: Path, monkey
     def refused(folder: Path) -> None:
         raise PermissionError(errno.EACCES, "Permission denied")
 
-    monkeypatch.setattr(shelf.shutil, "rmtree", refused)
+    monkeypatch.setattr(archive.shutil, "rmtree", refused)
     log.begin()
     feed(log, chain(night.told(), night.end()))
     log.close()
-    ((_, facts),) = shelf.nights(tmp_path)
+    ((_, facts),) = archive.nights(tmp_path)
     assert facts.closed and facts.numbers
 
 
 def test_only_a_night_is_deleted(tmp_path: Path) -> None:
     (tmp_path / "photos").mkdir()
     with pytest.raises(KinegraphError, match="no night"):
-        shelf.remove(tmp_path / "photos")
+        archive.remove(tmp_path / "photos")
     assert (tmp_path / "photos").is_dir()
 
 
@@ -314,15 +314,15 @@ def test_the_lights_end_a_night_though_somebody_stays_in_bed(tmp_path: Path) -> 
     row.data["end"], row.data["estimated"], row.data["bed"] = night.onset(190), False, "lights"
     log.process("nights", row)
     feed(log, night.told(200))
-    ((folder, facts),) = shelf.nights(tmp_path)
+    ((folder, facts),) = archive.nights(tmp_path)
     assert facts.closed and facts.switched == [[night.onset(200), "lights on"]]
     assert len(logged(folder)) == 200 - LATE - night.inn
-    rows = {r.name: r for r in table(facts, shelf.read_epochs(folder))}
+    rows = {r.name: r for r in table(facts, archive.read_epochs(folder))}
     assert "Sleep onset latency (SOL)" in rows and rows["Time in bed (TIB)"].meaning == "lights off to lights on"
     later = Night(n=2000, inn=1800, out=1990)
     feed(log, later.told(1790, 1900))
     log.close()
-    assert len(shelf.nights(tmp_path)) == 2
+    assert len(archive.nights(tmp_path)) == 2
 
 
 def test_two_sleepers_have_a_night_each_in_one_folder(tmp_path: Path) -> None:
@@ -339,7 +339,7 @@ def test_two_sleepers_have_a_night_each_in_one_folder(tmp_path: Path) -> None:
                 logs[name].process(port, chunk)
     for log in logs.values():
         log.close()
-    (_, left), (right_folder, right) = shelf.nights(tmp_path)
+    (_, left), (right_folder, right) = archive.nights(tmp_path)
     assert (left.sleeper, right.sleeper) == ("left", "right") and left.begun < right.begun
     assert len(logged(right_folder)) == 40 and right.closed  # not seen before
 
@@ -358,7 +358,7 @@ def test_a_night_that_begins_while_the_disk_is_full_is_written_later(
 
     monkeypatch.setattr(Path, "mkdir", refusing)
     feed(log, night.told(0, 120))
-    assert shelf.nights(tmp_path) == []
+    assert archive.nights(tmp_path) == []
     full[0] = False
     feed(log, chain(night.told(120), night.end()))
     log.close()
@@ -370,11 +370,11 @@ def test_one_damaged_night_hides_no_other(kinegraph: Command, tmp_path: Path) ->
     for k, (name, damage) in enumerate((("2024-05-01", b""), ("2024-05-02", b"\xff"), ("2024-05-03", b""))):
         folder = tmp_path / "nights" / name
         folder.mkdir(parents=True)
-        facts = shelf.Facts(name, 1_714_600_000 * NS + k * 86_400 * NS, 30.0)
+        facts = archive.Facts(name, 1_714_600_000 * NS + k * 86_400 * NS, 30.0)
         facts.save(folder)
         row = b"2024-05-01T22:00:00Z,2024-05-01T22:00:30Z,sleep,sleep,0,0.5,1,in,2,1,,14,0.9\n"
-        (folder / shelf.EPOCHS).write_bytes((",".join(shelf.COLUMNS) + "\n").encode() + damage + row)
-    (tmp_path / "nights" / "2024-05-03" / shelf.FACTS).write_text(
+        (folder / archive.EPOCHS).write_bytes((",".join(archive.COLUMNS) + "\n").encode() + damage + row)
+    (tmp_path / "nights" / "2024-05-03" / archive.FACTS).write_text(
         '{"version": 1, "name": "x", "begun": "x", "epoch_s": 30}'
     )
     code, out, _ = kinegraph("nights")

@@ -15,7 +15,7 @@ import pytest
 from browser import Browser, needs_browser
 from night_made import EVENING, SPECS, STEP, Night, feed, logged, opened, states
 
-from devices.outlets.night import figures, shelf
+from devices.outlets.night import archive, figures
 from devices.outlets.night.numbers import CAVEATS, begun_anew, exits, quality, span, table, unseen
 from devices.outlets.night.page import draw, render
 from stream.chunk import NS
@@ -27,13 +27,13 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Night]:
     """A whole night with its report: (folder of the night, what was told)."""
     root = tmp_path_factory.mktemp("nights")
     night = night_made.whole(root)
-    (folder,) = (path for path, _ in shelf.nights(root))
+    (folder,) = (path for path, _ in archive.nights(root))
     return folder, night
 
 
 def test_what_is_logged_is_what_was_final(drawn: tuple[Path, Night]) -> None:
     folder, night = drawn
-    epochs, facts = shelf.read_epochs(folder), shelf.Facts.load(folder)
+    epochs, facts = archive.read_epochs(folder), archive.Facts.load(folder)
     assert folder.name == "2025-12-31" and facts.closed and facts.breaks == []
     assert logged(folder) == states(night, night.inn)  # from the first epoch in bed on
     assert epochs.onset.tolist() == [night.onset(k) for k in range(night.inn, night.n)]
@@ -45,8 +45,8 @@ def test_what_is_logged_is_what_was_final(drawn: tuple[Path, Night]) -> None:
 
 def test_a_night_takes_less_than_a_megabyte(drawn: tuple[Path, Night]) -> None:
     folder, _ = drawn
-    assert {path.name for path in folder.iterdir()} == {shelf.FACTS, shelf.EPOCHS, shelf.MAP, *shelf.DRAWN}
-    assert shelf.bytes_of(folder) < 1_000_000
+    assert {path.name for path in folder.iterdir()} == {archive.FACTS, archive.EPOCHS, archive.MAP, *archive.DRAWN}
+    assert archive.bytes_of(folder) < 1_000_000
 
 
 @needs_browser
@@ -72,7 +72,7 @@ def test_the_report_says_what_must_be_said(drawn: tuple[Path, Night]) -> None:
         assert words in page, words
     assert "src=" not in page and "http://" not in page.replace("http://www.w3.org", "")  # needs nothing else
     assert (folder / "report.png").read_bytes()[:4] == b"\x89PNG"
-    facts, epochs = shelf.Facts.load(folder), shelf.read_epochs(folder)
+    facts, epochs = archive.Facts.load(folder), archive.read_epochs(folder)
     rows = {row.name: row for row in table(facts, epochs)}
     tst = (night.state[night.inn : night.out] == "sleep").sum() / 2
     assert rows["Total sleep time (TST)"].value == f"{int(tst // 60)} h {round(tst) % 60:02d} min"
@@ -117,11 +117,11 @@ def test_our_own_evaluation_reads_the_log_and_the_edf(drawn: tuple[Path, Night])
 
 def test_epochs_of_which_there_is_no_row_were_not_seen(drawn: tuple[Path, Night]) -> None:
     folder, night = drawn
-    epochs, facts = shelf.read_epochs(folder), shelf.Facts.load(folder)
+    epochs, facts = archive.read_epochs(folder), archive.Facts.load(folder)
     there = np.ones(len(epochs), np.bool_)
     there[20:30] = False
     texts, numbers = ({n: c[there] for n, c in columns.items()} for columns in (epochs.texts, epochs.numbers))
-    holed = shelf.Epochs(epochs.onset[there], epochs.end[there], texts, numbers)
+    holed = archive.LoggedEpochs(epochs.onset[there], epochs.end[there], texts, numbers)
     assert [(s.begin, s.end) for s in unseen(holed)] == [
         (night.onset(night.inn + 20), night.onset(night.inn + 30)),
         (night.onset(night.gone[0]), night.onset(night.gone[-1] + 1)),
@@ -135,7 +135,7 @@ def test_the_report_of_a_night_that_goes_on(tmp_path: Path) -> None:
     feed(log, night.told(0, 300))
     log.close()
     folder = tmp_path / "2025-12-31"
-    facts, epochs = shelf.Facts.load(folder), shelf.read_epochs(folder)
+    facts, epochs = archive.Facts.load(folder), archive.read_epochs(folder)
     assert "not over" in render(facts, epochs, None, [])
     facts.closed = True  # another night has begun meanwhile
     assert "broken off" in (page := render(facts, epochs, None, [])) and "not over" not in page
@@ -165,8 +165,8 @@ def test_numbers_of_a_new_session_do_not_pass_for_those_of_the_night(
                     chunk.data["bed"] = "detected" if dark is None else "lights"
                 feed(log, iter([(port, chunk)]))
         log.close()
-    ((folder, facts),) = shelf.nights(tmp_path)
-    epochs = shelf.read_epochs(folder)
+    ((folder, facts),) = archive.nights(tmp_path)
+    epochs = archive.read_epochs(folder)
     assert bool(begun_anew(facts, epochs)) == told == ("Numbers" in dict(quality(facts, epochs)))
     assert [what for _, what in facts.switched] == (["lights off"] if dark else [])
     if dark == 30:
@@ -178,7 +178,7 @@ def test_numbers_of_a_new_session_do_not_pass_for_those_of_the_night(
 
 
 def test_the_facts_are_plain_json(drawn: tuple[Path, Night]) -> None:
-    told = json.loads((drawn[0] / shelf.FACTS).read_text())
+    told = json.loads((drawn[0] / archive.FACTS).read_text())
     assert told["begun"] == EVENING + 40 * STEP and told["numbers"]["convention"] == "AASM"
 
 
@@ -190,17 +190,17 @@ def copied(drawn: tuple[Path, Night], tmp_path: Path) -> Path:
     """A night's folder of one's own, nothing drawn yet."""
     folder = tmp_path / "nights" / drawn[0].name
     shutil.copytree(drawn[0], folder)
-    for name in shelf.DRAWN:
+    for name in archive.DRAWN:
         (folder / name).unlink()
     return folder
 
 
-@pytest.mark.parametrize("lost", shelf.DRAWN)
+@pytest.mark.parametrize("lost", archive.DRAWN)
 def test_a_product_that_cannot_be_written_takes_no_other_with_it(copied: Path, lost: str) -> None:
     (copied / lost).mkdir()
-    with pytest.raises(shelf.NightError, match=lost):
+    with pytest.raises(archive.NightError, match=lost):
         draw(copied)
-    assert all((copied / name).is_file() for name in shelf.DRAWN if name != lost)
+    assert all((copied / name).is_file() for name in archive.DRAWN if name != lost)
     if lost != "report.html":
         assert f"Could not be made: {lost}" in (copied / "report.html").read_text()
     command = [str(Path(sys.executable).parent / "kinegraph"), "nights", "report", "last", "--path", str(copied.parent)]
@@ -216,7 +216,7 @@ def test_a_figure_that_cannot_be_drawn_leaves_the_page_and_its_numbers(
         raise ValueError("no such font")
 
     monkeypatch.setattr(figures, name, broken)
-    with pytest.raises(shelf.NightError, match="ValueError: no such font"):
+    with pytest.raises(archive.NightError, match="ValueError: no such font"):
         draw(copied)
     page = (copied / "report.html").read_text()
     assert "Total sleep time" in page and "no such font" in page and (copied / "hypnogram.edf").is_file()
@@ -245,7 +245,7 @@ def test_the_report_says_when_the_camera_was_moved_and_why_epochs_are_unknown(tm
     feed(log, night.end())
     log.close()
     folder = tmp_path / "2025-12-31"
-    facts, epochs = shelf.Facts.load(folder), shelf.read_epochs(folder)
+    facts, epochs = archive.Facts.load(folder), archive.read_epochs(folder)
     assert facts.moved == [[night.onset(200), 0.0, 6.0]]
     told = dict(quality(facts, epochs))
     assert told["The camera was moved"] == "at 00:40" and told["Not judged because"] == "too little was seen: 20 epochs"
@@ -255,7 +255,7 @@ def test_the_report_says_when_the_camera_was_moved_and_why_epochs_are_unknown(tm
 def test_a_log_that_is_older_than_the_reasons_is_read(drawn: tuple[Path, Night], tmp_path: Path) -> None:
     folder = tmp_path / "old"
     shutil.copytree(drawn[0], folder)
-    lines = [line.rpartition(",")[0] for line in (folder / shelf.EPOCHS).read_text().splitlines()]
-    (folder / shelf.EPOCHS).write_text("\n".join(lines) + "\n")
-    assert not lines[0].endswith("why") and set(shelf.read_epochs(folder).texts["why"]) == {""}
+    lines = [line.rpartition(",")[0] for line in (folder / archive.EPOCHS).read_text().splitlines()]
+    (folder / archive.EPOCHS).write_text("\n".join(lines) + "\n")
+    assert not lines[0].endswith("why") and set(archive.read_epochs(folder).texts["why"]) == {""}
     assert draw(folder).is_file()

@@ -19,12 +19,12 @@ import pytest
 
 from devices.discovery.oak import described
 from devices.oak import Oak
-from devices.oak.adapter import Frames, Message, Motion
-from devices.oak.camera import Link, lit, opened
+from devices.oak.adapter import Frames, ImuPackets, Message
+from devices.oak.camera import CameraLink, lit, opened
 from devices.oak.library import NONE, all_cameras, library, not_opened, ns
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from devices.simulators.oak import BOOTED_S, SimulatedCamera, SimulatedOak
-from devices.simulators.oak import Oak as Simulated
+from devices.simulators.oak import OakSimulator as Simulated
 from stream.chunk import NS, StreamSpec
 from stream.engine.session import Session
 from stream.errors import DeviceError, GraphError, ParameterError
@@ -129,7 +129,7 @@ def test_inertial_packets() -> None:
         a = SimpleNamespace(x=k, y=k + 0.5, z=9.8, getTimestamp=lambda: at, getTimestampDevice=lambda: at)
         return SimpleNamespace(acceleroMeter=a, gyroscope=SimpleNamespace(x=0.1, y=0.2, z=0.3))
 
-    motion = Motion(100.0, NOW)
+    motion = ImuPackets(100.0, NOW)
     chunks = motion.take([packet(k) for k in (0, 1, 2, 5, 6)], NOW + 60_000_000)
     assert [(len(c), c.lost) for c in chunks] == [(3, 0), (2, 2)]
     assert chunks[1].data[0].tolist() == [5, 5.5, 9.8, 0.1, 0.2, 0.3]
@@ -189,7 +189,7 @@ def test_errors_say_what_to_do() -> None:
 def test_depthai_is_not_asked_for_a_camera_that_is_not_there(device: str) -> None:
     """It would look for ten seconds, and a session that ended meanwhile with it, by std::terminate."""
     dai = fake(*([camera()] if device else []))  # without `Device`: asking for it is an AttributeError
-    with pytest.raises(DeviceError, match="no OAK camera"), opened(dai, Oak(device=device), Link()):
+    with pytest.raises(DeviceError, match="no OAK camera"), opened(dai, Oak(device=device), CameraLink()):
         pass
 
 

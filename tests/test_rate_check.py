@@ -10,7 +10,7 @@ import pytest
 from devices.ascii_lines import AsciiLines
 from devices.clocks.rate_check import RateCheck
 from devices.cyton import Cyton
-from devices.simulators.cyton import CytonBrain
+from devices.simulators.cyton import CytonModel
 from devices.simulators.indexed import Indexed
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from stream.chunk import NS
@@ -152,7 +152,7 @@ def test_later_it_raises_the_alarm_and_goes_on(again: bool) -> None:
 def test_a_board_with_another_rate_ends_the_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("devices.simulators.cyton.PACKETS_HZ", 500.0)
     with pytest.raises(RunError, match="it sends 500 samples a second, not 250"):
-        played(Cyton("a"), CytonBrain(), 12.0, monkeypatch)
+        played(Cyton("a"), CytonModel(), 12.0, monkeypatch)
 
 
 def test_a_session_is_ended_in_words(tmp_path: Path) -> None:

@@ -183,7 +183,7 @@ def test_a_place_is_taken_once(tmp_path: Path) -> None:
 
 
 def test_a_part_ends_before_its_index_fills_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stream.recording.tape.MOST_SAVES", 3)
+    monkeypatch.setattr("stream.recording.file_segments.MOST_SAVES", 3)
     made = session(seconds=4.0)
     record(tmp_path / "s", made, wait=False, pause=0.02, flush_s=0.0, gather_s=0.005).close()
     assert len(list((tmp_path / "s").glob("*.mcap"))) > 2

@@ -20,7 +20,7 @@ from stream.errors import RecordingError
 from stream.graph import RecordingOptions
 from stream.operator import grid
 from stream.recording import Recorder, Recording
-from stream.recording import part as part_module
+from stream.recording import file_segment as part_module
 from stream.recording.quota import keep_quota
 
 COUNTED = StreamSpec((8,), rate_hz=1000.0)
@@ -148,7 +148,7 @@ def test_a_full_disk_and_full_memory_drop_and_count(tmp_path: Path, disk: Disk) 
 def test_closing_on_a_disk_that_stays_full_ends_and_leaves_a_readable_file(
     tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("stream.recording.scribe.GRACE_S", 0.3)
+    monkeypatch.setattr("stream.recording.record_writer.GRACE_S", 0.3)
     disk.room = 20_000
     recorder = counted_recorder(tmp_path / "s")
     feed(recorder, 0, 20, pause=0.01)

@@ -12,7 +12,18 @@ import numpy as np
 from browser import Browser, needs_browser
 
 from devices.outlets.report.curves import draw
-from devices.outlets.report.data import Column, Curves, Muscle, Rejected, Report, Setting, Stream, Value, load, save
+from devices.outlets.report.data import (
+    Column,
+    Curves,
+    Muscle,
+    Rejected,
+    Report,
+    ReportValue,
+    Setting,
+    Stream,
+    load,
+    save,
+)
 from devices.outlets.report.page import quality_sentence, render, write
 from devices.outlets.report.words import decimals
 
@@ -35,10 +46,10 @@ def sample(muscles: tuple[str, ...] = ("TA", "SO"), accepted: int = 12) -> tuple
         rejected=2,
         reasons=[("gap", 2)],
         rejections=[Rejected(3.25, 1.5, "gap"), Rejected(9.0, NAN, "gap")],
-        gait=[Value("cadence", 57.1, "strides/min", 0.9), Value("stance", NAN, "%")],
+        gait=[ReportValue("cadence", 57.1, "strides/min", 0.9), ReportValue("stance", NAN, "%")],
         columns=[Column("Peak", "uV"), Column("Peak at", "% of cycle", 0, "circular")],
         muscles=[Muscle(m, f"{m} right", "good", "", [(91.2, 3.4), (25.0, NAN)]) for m in muscles],
-        pairs=[Value("TA / SO", 31.5, "%", 2.5)],
+        pairs=[ReportValue("TA / SO", 31.5, "%", 2.5)],
         streams=[Stream("treadmill.emg", "2 channels", 90000, 1, 30)],
         settings=[Setting("envelope", "operators.emg.Envelope", "cutoff_hz: 10", 212.0)],
         versions=[("kinegraph", "0.1.0")],

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from devices.protocols import shimmer as protocol
 from devices.protocols import shimmer_units as units
-from devices.protocols.shimmer import TICKS, Decoder, Packets, answer_in, columns, packet
+from devices.protocols.shimmer import TICKS, Packets, ShimmerDecoder, answer_in, columns, packet
 from devices.shimmer import Shimmer
 from devices.simulators.lines import line_at
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from devices.simulators.serve import Server
-from devices.simulators.shimmer import ShimmerBrain
+from devices.simulators.shimmer import ShimmerModel
 from stream.chunk import NS
 from stream.errors import DeviceError, ParameterError
 from stream.params import build
@@ -37,7 +37,7 @@ WANTED = [[(BEGIN + i * DIVIDER) % TICKS, *row[:6], *row[7:]] for i, row in enum
 
 def decoded(pieces: list[bytes]) -> tuple[list[list[int]], int, int, int]:
     """(ticks and counts of every packet, bytes dropped, resyncs, repeated)."""
-    decoder = Decoder(CHANNELS, DIVIDER)
+    decoder = ShimmerDecoder(CHANNELS, DIVIDER)
     found: list[Packets] = [decoder.feed(piece) for piece in pieces]
     rows = [[int(t), *map(int, c)] for f in found for t, c in zip(f.ticks, columns(f, CHANNELS, NAMES), strict=True)]
     return rows, sum(f.dropped for f in found), sum(f.resyncs for f in found), sum(f.repeated for f in found)
@@ -48,7 +48,7 @@ def decoded(pieces: list[bytes]) -> tuple[list[list[int]], int, int, int]:
 
 def test_a_packet_written_out_by_hand() -> None:
     data = bytes.fromhex("00 563412 FFFF 0180 FF7F FFFE 8000 7FFF 80 FFFFFE 7FFFFF")
-    decoder = Decoder(CHANNELS, DIVIDER)
+    decoder = ShimmerDecoder(CHANNELS, DIVIDER)
     assert decoder.size == len(data)
     later = [bytes([0]) + (0x123456 + i * DIVIDER).to_bytes(3, "little") + data[4:] for i in (1, 2)]
     found = decoder.feed(b"\xff" + data + later[0] + later[1])
@@ -75,7 +75,7 @@ def test_answers_between_packets_are_told_apart(news: list[tuple[int, bytes]], c
 
 
 def test_the_battery_is_told_while_it_measures() -> None:
-    decoder = Decoder(CHANNELS, DIVIDER)
+    decoder = ShimmerDecoder(CHANNELS, DIVIDER)
     found = [decoder.feed(b"".join(PACKETS[:5]) + b"\xff\x8a\x94\x12"), decoder.feed(b"\x0b\x80" + PACKETS[5])]
     assert [len(f) for f in found] == [5, 1] and found[1].battery == [b"\x12\x0b\x80"]
     assert protocol.battery_v(found[1].battery[0]) == pytest.approx(0x0B12 / 4095 * 3 * 1.988)
@@ -137,7 +137,7 @@ def test_no_bytes_whatever_make_it_fail(data: bytes, cuts: list[int]) -> None:
 
 
 def test_it_holds_little_back() -> None:
-    decoder = Decoder(CHANNELS, DIVIDER)
+    decoder = ShimmerDecoder(CHANNELS, DIVIDER)
     decoder.feed(b"".join(PACKETS))
     for _ in range(50):
         decoder.feed(RNG.integers(0, 256, 1000, dtype=np.uint8).tobytes())
@@ -160,7 +160,7 @@ def test_answers_are_found_whole_or_not_at_all(data: bytes) -> None:
 
 def test_calibration_there_and_back() -> None:
     turned = np.array([[0.02, -1, 0], [-0.99, 0.03, 0], [0, 0.01, -1]])
-    known = units.Calibration(np.array([2000.0, 2100.0, 2050.0]), np.array([82.0, 84.0, 83.0]), turned)
+    known = units.ShimmerCalibration(np.array([2000.0, 2100.0, 2050.0]), np.array([82.0, 84.0, 83.0]), turned)
     again = units.calibration(units.stored({"acceleration": known}), "acceleration")
     assert again.own
     values = RNG.normal(size=(5, 3))
@@ -202,7 +202,7 @@ def test_exg_registers_and_gain() -> None:
 # the source ----------------------------------------------------------------------------------------------------------
 
 
-def read(brain: ShimmerBrain, n: int, misbehaviour: Misbehaviour = GOOD, address: str = "", **given: object) -> Kept:
+def read(brain: ShimmerModel, n: int, misbehaviour: Misbehaviour = GOOD, address: str = "", **given: object) -> Kept:
     with Server(brain, line_at(address, "rfcommSHIM"), misbehaviour) as server:
         source = replace(Shimmer(server.address, rate_hz=512), **given)  # type: ignore[arg-type]
         with reading(source) as feed:
@@ -212,7 +212,7 @@ def read(brain: ShimmerBrain, n: int, misbehaviour: Misbehaviour = GOOD, address
     return feed
 
 
-def truth(brain: ShimmerBrain, feed: Kept) -> tuple[np.ndarray, np.ndarray]:
+def truth(brain: ShimmerModel, feed: Kept) -> tuple[np.ndarray, np.ndarray]:
     """(ax..gz, emg) of the packets that came."""
     number = np.round((feed.data("timing")["device"] * 32768 / NS - 1000) / brain.divider).astype(int)
     counts = brain.counts(0, number[-1] + 1)[number]
@@ -223,7 +223,7 @@ def truth(brain: ShimmerBrain, feed: Kept) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("address", ["", "tcp://127.0.0.1:0"])
 def test_what_the_device_measures_arrives(address: str) -> None:
-    brain = ShimmerBrain(seed=3)
+    brain = ShimmerModel(seed=3)
     feed = read(brain, 600, address=address, sensors=("angular_velocity", "acceleration", "emg"))
     assert feed.error is None and not feed.problems and feed.lost("motion") == {} == feed.lost("exg")
     motion, emg = truth(brain, feed)
@@ -239,7 +239,7 @@ def test_what_the_device_measures_arrives(address: str) -> None:
 @pytest.mark.parametrize(("board", "code"), [((47, 5, 0), 1), ((37, 1, 0), 3)])
 def test_ranges_and_ecg(board: tuple[int, int, int], code: int) -> None:
     """The wide-range accelerometer's 16 g has another code on later boards."""
-    brain = ShimmerBrain(seed=5, board=board)
+    brain = ShimmerModel(seed=5, board=board)
     feed = read(
         brain, 60, sensors=("wide_acceleration", "angular_velocity", "ecg"), wide_range_g=16, gyro_range_dps=2000
     )
@@ -254,7 +254,7 @@ def test_ranges_and_ecg(board: tuple[int, int, int], code: int) -> None:
 
 
 def test_lost_packets_are_counted_and_nothing_is_invented() -> None:
-    brain = ShimmerBrain(seed=4)
+    brain = ShimmerModel(seed=4)
     wrong = Misbehaviour(lose=0.03, duplicate=0.02, seed=2)
     feed = read(brain, 1000, wrong, sensors=("acceleration", "angular_velocity", "emg"))
     assert feed.error is None and feed.problems["repeated packet"] > 5
@@ -267,18 +267,18 @@ def test_lost_packets_are_counted_and_nothing_is_invented() -> None:
 
 
 def test_damage_costs_packets_or_passes_unseen() -> None:
-    feed = read(ShimmerBrain(), 1000, Misbehaviour(corrupt=0.08, seed=2))
+    feed = read(ShimmerModel(), 1000, Misbehaviour(corrupt=0.08, seed=2))
     assert feed.error is None and feed.problems["resync"] > 5 and feed.problems["lost packet"] > 5
 
 
 def test_a_stall_is_no_loss_and_a_restart_is_told() -> None:
-    assert not read(ShimmerBrain(), 700, Misbehaviour(stall_every_s=1.0, stall_s=0.3)).problems
-    feed = read(ShimmerBrain(), 800, Misbehaviour(reset_every_s=1.0))
+    assert not read(ShimmerModel(), 700, Misbehaviour(stall_every_s=1.0, stall_s=0.3)).problems
+    feed = read(ShimmerModel(), 800, Misbehaviour(reset_every_s=1.0))
     assert feed.error is None and feed.problems["device restarted"] >= 1 and -1 in feed.lost("motion").values()
 
 
 def test_unplugged_in_mid_packet() -> None:
-    with Server(ShimmerBrain(), line_at("", "rfcommSHIM")) as server:
+    with Server(ShimmerModel(), line_at("", "rfcommSHIM")) as server:
         for _ in range(2):
             with reading(Shimmer(server.address, rate_hz=512)) as feed:
                 wait_for(lambda feed=feed: feed.count("motion") >= 50)
@@ -298,7 +298,7 @@ def test_unplugged_in_mid_packet() -> None:
     ],
 )
 def test_a_wrong_device_is_told(code: int, answer: bytes, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Other(ShimmerBrain):
+    class Other(ShimmerModel):
         def _obey(self, command: int, data: bytes) -> bytes:
             return answer if command == code else super()._obey(command, data)
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from devices.cyton import Cyton
-from devices.simulators.cyton import CytonBrain
+from devices.simulators.cyton import CytonModel
 from devices.simulators.lines import PseudoTerminal, TcpLine, line_at
 from devices.simulators.misbehaviour import Misbehaviour, Mishaps
 from devices.simulators.named import find, named
@@ -77,7 +77,7 @@ def test_a_cable_can_be_pulled_out_and_put_in_again(address: str) -> None:
             server.plug()
 
 
-class Steady(CytonBrain):
+class Steady(CytonModel):
     """Its packets are all alike, so that no signal is made, of which the most recent parts would be kept."""
 
     def counts(self, number: int) -> np.ndarray:
@@ -149,7 +149,7 @@ def test_stalls_and_pulled_cables_come_when_they_are_due() -> None:
 
 def test_a_cable_that_is_pulled_out_by_itself_comes_back() -> None:
     wrong = Misbehaviour(unplug_every_s=0.5, unplug_s=0.2)
-    with Server(CytonBrain(), line_at(), wrong) as server:
+    with Server(CytonModel(), line_at(), wrong) as server:
         for _ in range(2):
             with reading(_when_there(server)) as feed:
                 wait_for(lambda feed=feed: feed.error is not None)
@@ -177,7 +177,7 @@ def test_an_address_that_cannot_be_served() -> None:
 
 
 def test_simulators_are_found_by_name() -> None:
-    assert find("cyton") is named()["cyton"] is find("devices.simulators.cyton.Cyton")
+    assert find("cyton") is named()["cyton"] is find("devices.simulators.cyton.SimulatedCyton")
     with pytest.raises(KinegraphError, match="did you mean 'cyton'"):
         find("cyten")
     with pytest.raises(KinegraphError, match="cannot be imported"):
@@ -235,7 +235,7 @@ def test_the_command_lists_what_there_is() -> None:
 
 def test_a_whole_session_outlives_a_pulled_cable(tmp_path: Path) -> None:
     """The graph goes on, the source is opened again, and what is missing is marked in the recording and counted."""
-    out, brain = tmp_path / "session", CytonBrain()
+    out, brain = tmp_path / "session", CytonModel()
     with Server(brain, line_at(name="ttyCYTON")) as server:
         command = [
             sys.executable,

@@ -15,9 +15,9 @@ from operators.iir import Highpass, Lowpass, Notch
 from operators.moving import MovingMean
 from operators.rectify import Rectify
 from stream.chunk import FOREVER, NEVER, Chunk, Specs, StreamSpec
+from stream.conformance import RULES, Broken, Choices, Conformance, checks, lags, smallest, trials
 from stream.operator import Case, Operator, grid
 from stream.params import param
-from stream.trial import RULES, Broken, Choices, Trial, checks, lags, smallest, trials
 
 SEEDS = range(30)
 
@@ -90,8 +90,8 @@ class Smooth(Operator[SmoothState]):
 
 def test_a_delay_that_is_not_declared_gets_a_hint() -> None:
     case = Smooth.cases()[0]
-    assert lags(Trial(case)) == {"out": pytest.approx(0.09, abs=0.002)}
-    assert lags(Trial(replace(case, operator=Smooth(told=True)))) == {}
+    assert lags(Conformance(case)) == {"out": pytest.approx(0.09, abs=0.002)}
+    assert lags(Conformance(replace(case, operator=Smooth(told=True)))) == {}
 
 
 @pytest.mark.parametrize("cls", [MovingMean, Lowpass, Highpass, Notch, Rectify, Envelope])

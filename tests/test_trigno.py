@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from devices.clocks.pace import Pace
 from devices.clocks.rate_check import Policy, RateCheck
 from devices.protocols import trigno as protocol
-from devices.protocols.trigno import Rows
+from devices.protocols.trigno import TrignoRows
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
-from devices.simulators.trigno import Station, StationLine, TrignoBrain
+from devices.simulators.trigno import Station, StationLine, TrignoModel
 from devices.trigno import Electrode, Trigno
 from stream.chunk import NS
 from stream.errors import DeviceError, ParameterError, RunError
@@ -34,20 +34,20 @@ SENSORS = (Electrode(3, "TA"), Electrode(1), Electrode(16, "SO"))
 @given(st.lists(st.integers(0, 2000), max_size=12))
 def test_any_cut_gives_the_same_samples(cuts: list[int]) -> None:
     values = RNG.normal(size=(30, 16)).astype(np.float32)
-    decoder = Rows(16)
+    decoder = TrignoRows(16)
     found = [decoder.feed(piece) for piece in cut(protocol.rows(values.astype(float)), cuts)]
     assert np.array_equal(np.concatenate(found), values)
 
 
 @given(st.binary(max_size=500), st.lists(st.integers(0, 500), max_size=6))
 def test_no_bytes_whatever_make_it_fail(data: bytes, cuts: list[int]) -> None:
-    whole, pieces = Rows(3), Rows(3)
+    whole, pieces = TrignoRows(3), TrignoRows(3)
     found = [pieces.feed(piece) for piece in cut(data, cuts)]
     assert np.array_equal(np.concatenate(found), whole.feed(data), equal_nan=True)
 
 
 def test_a_sample_written_out_by_hand() -> None:
-    assert Rows(2).feed(bytes.fromhex("0000803f 000000c0 00")).tolist() == [[1.0, -2.0]]
+    assert TrignoRows(2).feed(bytes.fromhex("0000803f 000000c0 00")).tolist() == [[1.0, -2.0]]
     assert protocol.answers(b"OK\r\n\r\nYES\r\n\r\n3.6") == (["OK", "YES"], b"3.6")
 
 
@@ -95,7 +95,7 @@ def test_another_rate_is_told(policy: Policy) -> None:
 
 
 def test_a_duo_moves_the_columns_of_the_sensors_behind_it() -> None:
-    brain = TrignoBrain(duos=2)
+    brain = TrignoModel(duos=2)
     wanted = (Electrode(1), Electrode(1, channel=2), Electrode(2, channel=2), Electrode(3))
     feed = read(brain, 2000, sensors=wanted)
     n = feed.count("emg")
@@ -108,12 +108,12 @@ def test_a_duo_moves_the_columns_of_the_sensors_behind_it() -> None:
 
 
 @contextmanager
-def station(brain: TrignoBrain, misbehaviour: Misbehaviour = GOOD) -> Iterator[Station]:
+def station(brain: TrignoModel, misbehaviour: Misbehaviour = GOOD) -> Iterator[Station]:
     with Station(brain, StationLine("tcp://127.0.0.1:0"), misbehaviour) as there:
         yield there
 
 
-def read(brain: TrignoBrain, n: int, misbehaviour: Misbehaviour = GOOD, **given: object) -> Kept:
+def read(brain: TrignoModel, n: int, misbehaviour: Misbehaviour = GOOD, **given: object) -> Kept:
     with station(brain, misbehaviour) as there:
         source = replace(Trigno(there.address, SENSORS), **given)  # type: ignore[arg-type]
         with reading(source) as feed:
@@ -125,7 +125,7 @@ def read(brain: TrignoBrain, n: int, misbehaviour: Misbehaviour = GOOD, **given:
 
 @pytest.mark.parametrize("layout", ["legacy", "current"])
 def test_what_the_sensors_measure_arrives(layout: str) -> None:
-    brain = TrignoBrain(seed=3)
+    brain = TrignoModel(seed=3)
     feed = read(brain, 3000, aux=True, layout=layout)
     assert feed.error is None and not feed.problems and feed.lost("emg") == {} == feed.lost("aux")
     emg = brain.emg(np.arange(feed.count("emg")))[:, [2, 0, 15]]
@@ -147,18 +147,18 @@ def test_channels_have_the_names_of_the_graph() -> None:
 
 
 def test_what_goes_wrong_is_counted() -> None:
-    feed = read(TrignoBrain(), 2500, Misbehaviour(corrupt=0.2, seed=2))
+    feed = read(TrignoModel(), 2500, Misbehaviour(corrupt=0.2, seed=2))
     assert feed.error is None and feed.problems["impossible value"] >= np.isnan(feed.data("emg")).sum() > 0
-    feed = read(TrignoBrain(), 9000, Misbehaviour(lose=0.12, seed=2), rate_mismatch="warn")
+    feed = read(TrignoModel(), 9000, Misbehaviour(lose=0.12, seed=2), rate_mismatch="warn")
     assert feed.error is None and feed.problems["lost count"] >= 1 and -1 in feed.lost("emg").values()
 
 
 def test_a_stall_is_no_loss() -> None:
-    assert not read(TrignoBrain(), 3500, Misbehaviour(stall_every_s=1.0, stall_s=0.3)).problems
+    assert not read(TrignoModel(), 3500, Misbehaviour(stall_every_s=1.0, stall_s=0.3)).problems
 
 
 def test_unplugged_in_mid_sample() -> None:
-    with station(TrignoBrain()) as there:
+    with station(TrignoModel()) as there:
         for _ in range(2):
             with reading(Trigno(there.address, SENSORS, aux=True)) as feed:
                 wait_for(lambda feed=feed: feed.count("aux") >= 20)
@@ -169,12 +169,12 @@ def test_unplugged_in_mid_sample() -> None:
 
 
 def test_a_sensor_that_is_not_there_is_told() -> None:
-    feed = read(TrignoBrain(paired=10), 1)
+    feed = read(TrignoModel(paired=10), 1)
     assert "sensor 16 is not paired" in str(feed.error)
 
 
 def test_an_old_server_that_knows_few_commands_will_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Old(TrignoBrain):
+    class Old(TrignoModel):
         def _obey(self, command: str) -> str:
             return super()._obey(command) if command in ("START", "STOP") else "INVALID COMMAND"
 
@@ -195,7 +195,7 @@ def test_another_server_is_told(greeting: bytes, told: str, monkeypatch: pytest.
 
 
 def test_a_server_that_falls_silent_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Silent(TrignoBrain):
+    class Silent(TrignoModel):
         def say(self, seconds: float) -> list[bytes]:
             return super().say(seconds) if self._said < 20 else []
 

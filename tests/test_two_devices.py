@@ -14,9 +14,9 @@ import pytest
 from devices.cyton import Cyton
 from devices.protocols import cyton, shimmer
 from devices.shimmer import Shimmer
-from devices.simulators.brain import Brain
-from devices.simulators.cyton import CytonBrain
-from devices.simulators.shimmer import ShimmerBrain
+from devices.simulators.cyton import CytonModel
+from devices.simulators.device_model import DeviceModel
+from devices.simulators.shimmer import ShimmerModel
 from operators.align import Align
 from operators.channels import Select
 from stream.chunk import NS
@@ -48,7 +48,7 @@ class Arriving(Kept):
 class Script:
     """A cable: the simulated device answers what it is asked; once it is told to begin, the packets come as they are due."""
 
-    brain: Brain
+    brain: DeviceModel
     begin: bytes
     pieces: list[tuple[int, bytes]]
     feed: Arriving
@@ -115,11 +115,11 @@ def test_they_agree_within_two_milliseconds(bursts: bool, leg_hz: int, monkeypat
     feeds = [Arriving(), Arriving()]
     board = Cyton("a", latency_s=0.003)
     pieces = delivered(lambda i, t: cyton.packet(i % 256, np.full(8, t), bytes(6)), 250, 50, 0.003, bursts)
-    emg = read(board, Script(CytonBrain(), cyton.START, pieces, feeds[0]), monkeypatch)
+    emg = read(board, Script(CytonModel(), cyton.START, pieces, feeds[0]), monkeypatch)
     leg = Shimmer("b", ("emg",), leg_hz, latency_s=0.008)
     ticks = shimmer.divider(leg_hz)
     pieces = delivered(lambda i, t: shimmer.packet(i * ticks, (29, 30, 31), [0, t, t]), leg_hz, -50, 0.008, bursts)
-    exg = read(leg, Script(ShimmerBrain(), bytes([shimmer.START]), pieces, feeds[1]), monkeypatch)
+    exg = read(leg, Script(ShimmerModel(), bytes([shimmer.START]), pieces, feeds[1]), monkeypatch)
     assert not emg.problems and not exg.problems
     assert emg.count("emg") == 250 * SECONDS and exg.count("exg") == leg_hz * SECONDS
 

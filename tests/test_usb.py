@@ -18,10 +18,10 @@ from usb.backend import IBackend
 from devices.discovery.usb_devices import find as find_connected
 from devices.mti import Mti
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
-from devices.simulators.mti import Mti as SimulatedMti
-from devices.simulators.mti import MtiBrain
+from devices.simulators.mti import MtiModel
+from devices.simulators.mti import SimulatedMti as SimulatedMti
 from devices.simulators.serve import Server
-from devices.simulators.usb_bus import BULK, INTERRUPT, SimulatedBus, UsbLine, Wiring
+from devices.simulators.usb_bus import BULK, INTERRUPT, SimulatedBus, UsbLine, UsbWiring
 from devices.simulators.usb_reports import DUALSENSE, DualSenseBrain, serving
 from devices.simulators.walking_limb import GRAVITY
 from devices.transport.transport import connect
@@ -38,7 +38,7 @@ from stream.recording import Recording
 from tests.device_feed import Kept, check, reading, wait_for
 
 CONFIG = Path(__file__).resolve().parent.parent / "configs" / "dualsense.yaml"
-WIRING = Wiring(0x1209, 0x0001, "Maker", "Thing", "T1", BULK)
+WIRING = UsbWiring(0x1209, 0x0001, "Maker", "Thing", "T1", BULK)
 
 
 @pytest.fixture
@@ -200,10 +200,10 @@ def test_pulled_out_a_hundred_times_in_mid_packet_nothing_leaks(own_bus: Simulat
         return threading.active_count(), len(list(Path("/proc/self/fd").iterdir())), tracemalloc.get_traced_memory()[0]
 
     before = (0, 0, 0)
-    wiring = Wiring(0x2639, 0x0003, "Xsens", "MTi", "S1", BULK, driver="xsens_mt")
+    wiring = UsbWiring(0x2639, 0x0003, "Xsens", "MTi", "S1", BULK, driver="xsens_mt")
     tracemalloc.start()
     try:
-        with Server(MtiBrain(), UsbLine(own_bus, wiring)) as server:
+        with Server(MtiModel(), UsbLine(own_bus, wiring)) as server:
             for turn in range(100):
                 with reading(Mti(server.address)) as feed:
                     wait_for(lambda feed=feed: feed.count("imu") >= 3)
@@ -238,9 +238,9 @@ def test_a_session_goes_on_when_the_cable_is_put_in_again(tmp_path: Path) -> Non
 
 def test_transfers_that_pile_up_while_packets_gather_are_all_taken(own_bus: SimulatedBus) -> None:
     """The sensor sends faster than reads begin: nothing may be left behind."""
-    wiring = Wiring(0x2639, 0x0003, "Xsens", "MTi", "S1", BULK)
+    wiring = UsbWiring(0x2639, 0x0003, "Xsens", "MTi", "S1", BULK)
     source = Mti("usb://2639", rate_hz=2000, high_rate=True, gather_s=0.05)
-    with Server(MtiBrain(), UsbLine(own_bus, wiring)), reading(source) as feed:
+    with Server(MtiModel(), UsbLine(own_bus, wiring)), reading(source) as feed:
         wait_for(lambda: feed.error is not None or feed.count("imu") >= 8000, 60)
     assert feed.error is None and feed.lost("imu") == {}
     behind = feed.data("timing")["arrival"] - feed.time("timing")
@@ -259,7 +259,7 @@ def test_an_mti_on_usb_gives_what_it_gives_on_a_serial_line(given: dict[str, obj
         assert address == "usb://2639:0003/SIM03700001"
     assert feed.error is None and not feed.problems and feed.lost("imu") == {}
     check(source, feed)
-    brain = MtiBrain(seed=4)
+    brain = MtiModel(seed=4)
     brain._outputs = list(source.wanted)
     brain._configure()
     made = brain.limb.measure(np.arange(feed.count("imu")))

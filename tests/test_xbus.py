@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from devices.protocols import xbus
-from devices.protocols.xbus import Decoder, Found, item, message
+from devices.protocols.xbus import XbusDecoder, XbusFrames, item, message
 from tests.device_feed import cut
 
 RNG = np.random.default_rng(4)
@@ -33,14 +33,14 @@ MESSAGES = [measurement(i) for i in range(60)]
 STREAM = b"".join(MESSAGES)
 
 
-def rows(found: list[Found]) -> list[bytes]:
+def rows(found: list[XbusFrames]) -> list[bytes]:
     """All messages, as bytes."""
     return [row.tobytes() for f in found for run in f.runs for row in run.table]
 
 
 def decoded(pieces: list[bytes]) -> tuple[list[bytes], int, int]:
     """(messages, bytes dropped, resyncs) of all pieces."""
-    decoder = Decoder()
+    decoder = XbusDecoder()
     found = [decoder.feed(piece) for piece in pieces]
     return rows(found), sum(f.dropped for f in found), sum(f.resyncs for f in found)
 
@@ -70,7 +70,7 @@ def test_a_measurement_written_out_by_hand() -> None:
     body = bytes.fromhex(text)
     assert len(body) == 4 + 0x62
     body += bytes([-sum(body[1:]) % 256])
-    (run,) = Decoder().feed(body).runs
+    (run,) = XbusDecoder().feed(body).runs
     assert run.mid == xbus.MEASUREMENT
     assert run.integers(xbus.PACKET_COUNTER).tolist() == [0x0102]
     assert run.integers(xbus.SAMPLE_TIME_FINE).tolist() == [65536]
@@ -97,7 +97,7 @@ def test_any_cut_gives_the_same_messages(size: int) -> None:
 
 def test_messages_of_one_layout_are_taken_at_once() -> None:
     same = [m for i, m in enumerate(MESSAGES) if i % 3]
-    assert [len(run) for run in Decoder().feed(b"".join(same)).runs] == [40]
+    assert [len(run) for run in XbusDecoder().feed(b"".join(same)).runs] == [40]
 
 
 NOISE = st.one_of(
@@ -129,7 +129,7 @@ def test_garbage_between_messages_is_passed_over(garbage: list[tuple[int, bytes]
 def test_one_wrong_byte_costs_one_message_and_the_next_is_found_at_once(which: int, where: int, change: int) -> None:
     spoilt = bytearray(MESSAGES[which])
     spoilt[where % len(spoilt)] ^= change
-    decoder = Decoder()
+    decoder = XbusDecoder()
     before = rows([decoder.feed(b"".join(MESSAGES[:which]))])
     after = rows(
         [decoder.feed(bytes(spoilt)), decoder.feed(MESSAGES[which + 1]), decoder.feed(MESSAGES[which + 2][:6])]
@@ -146,7 +146,7 @@ def test_no_bytes_whatever_make_it_fail(data: bytes, cuts: list[int]) -> None:
 
 
 def test_it_holds_at_most_one_message_back() -> None:
-    decoder = Decoder()
+    decoder = XbusDecoder()
     for _ in range(200):
         decoder.feed(RNG.choice([0xFA, 0xFF, 0x36, 0x10, 0x07, 0x00], 1000).astype(np.uint8).tobytes())
         assert len(decoder._buffer) < 7 + xbus.LONGEST

@@ -12,7 +12,7 @@ from stream.errors import KinegraphError, nearest
 from stream.plain import say
 
 if TYPE_CHECKING:
-    from devices.discovery.found import Found
+    from devices.discovery.found import FoundDevice
 
 
 def devices(
@@ -30,7 +30,7 @@ def devices(
         if kind not in known:
             raise KinegraphError(f"there is no kind of device {kind!r}; {nearest(kind, known)}")
     chosen = {kind: known[kind] for kind in (kinds or known)}
-    found: list[Found] = []
+    found: list[FoundDevice] = []
     for kind, finder in chosen.items():
         here, failed = look(finder)
         found += here
@@ -49,7 +49,7 @@ def devices(
     )
 
 
-def _shown(found: Found) -> str:
+def _shown(found: FoundDevice) -> str:
     lines = [f"{found.kind}: {found.address}", f"  {found.what}"]
     lines += [f"  {found.note}"] if found.note else []
     lines += [f"      {line}" for line in found.yaml.splitlines()]

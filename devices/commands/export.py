@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from stream.recording import Recording
 
 
-class Format(StrEnum):
+class ExportFormat(StrEnum):
     csv = "csv"
     xdf = "xdf"
 
@@ -33,7 +33,7 @@ def export(
     recording: Annotated[File, typer.Argument(help="the recording", metavar="FILE")],
     output: Annotated[File | None, typer.Option("-o", "--out", help="a folder for CSV, a file for XDF")] = None,
     format: Annotated[
-        Format | None,
+        ExportFormat | None,
         typer.Option(help="csv: one table per stream; xdf: all streams in one file (default: as --out ends, else csv)"),
     ] = None,
     stream: Annotated[
@@ -50,7 +50,9 @@ def export(
     with reading(recording, "a recording"), Recording.open(recording) as opened:
         names = _chosen(opened, stream or [])
         total = sum(opened.streams[name].samples for name in names)
-        to_xdf = format is Format.xdf or (format is None and output is not None and output.suffix.lower() == ".xdf")
+        to_xdf = format is ExportFormat.xdf or (
+            format is None and output is not None and output.suffix.lower() == ".xdf"
+        )
         whole = recording.absolute()
         place = output or whole.with_name(whole.stem + (".xdf" if to_xdf else "_csv"))
         if not to_xdf and place.suffix.lower() == ".csv" and not place.is_dir():

@@ -33,7 +33,7 @@ def nights(
 
     kinegraph nights delete 2026-11-20
     """
-    from devices.outlets.night import shelf
+    from devices.outlets.night import archive
 
     if not path.is_dir():
         raise KinegraphError(f"there is no folder {path}; name the one of the night's log with --path")
@@ -42,7 +42,7 @@ def nights(
         return
     if not names:
         raise KinegraphError(f"name the night to {action.value}: a date such as 2026-11-20, or last")
-    folders = [shelf.find(path, name) for name in names]
+    folders = [archive.find(path, name) for name in names]
     if action is Action.report:
         from devices.outlets.night.page import draw
 
@@ -55,51 +55,51 @@ def nights(
         if failed:
             raise KinegraphError("\n".join(failed))
         return
-    broken = shelf.damaged(path)
+    broken = archive.damaged(path)
     for folder in folders:
-        if folder not in broken and not shelf.Facts.load(folder).closed and not yes:
+        if folder not in broken and not archive.Facts.load(folder).closed and not yes:
             raise KinegraphError(
                 f"the night {folder.name} is not over; stop kinegraph first, or delete what there is of it with --yes"
             )
         if not yes and not sys.stdin.isatty():
             raise KinegraphError(f"nobody is there to be asked, so {folder.name} stays; --yes deletes without asking")
         if yes or typer.confirm(f"Delete the night {folder.name} with all its files?"):
-            shelf.remove(folder)
+            archive.remove(folder)
             say(f"deleted {folder}")
 
 
 def _epochs(folder: Path) -> str:
     """How many there are of a night; a damaged table does not hide the other nights."""
-    from devices.outlets.night import shelf
+    from devices.outlets.night import archive
 
     try:
-        return str(len(shelf.read_epochs(folder)))
-    except shelf.NightError:
+        return str(len(archive.read_epochs(folder)))
+    except archive.NightError:
         return "damaged"
 
 
 def _list(root: Path) -> None:
     from rich.table import Table
 
-    from devices.outlets.night import shelf
+    from devices.outlets.night import archive
     from stream.screen import Screen
 
     table = Table(
         "night", "from", "to", "asleep", "efficiency", "epochs", "report", "size", box=None, header_style="bold"
     )
-    found = shelf.nights(root)
+    found = archive.nights(root)
     for folder, facts in found:
-        zone, n = shelf.night_zone(facts), facts.numbers
-        begin = shelf.clock(int(n.get("onset", facts.begun)), zone)
+        zone, n = archive.night_zone(facts), facts.numbers
+        begin = archive.clock(int(n.get("onset", facts.begun)), zone)
         minutes = round(n.get("tst") or 0)
         asleep = f"{minutes // 60} h {minutes % 60:02d} min" if n else ""
         table.add_row(
-            folder.name, f"{begin:%H:%M}", f"{shelf.clock(int(n['end']), zone):%H:%M}" if n else "goes on" if not facts.closed else "",
+            folder.name, f"{begin:%H:%M}", f"{archive.clock(int(n['end']), zone):%H:%M}" if n else "goes on" if not facts.closed else "",
             asleep, f"{n['se']:.0f} %" if n and n["se"] is not None else "", _epochs(folder),
-            "yes" if (folder / shelf.DRAWN[0]).exists() else "no", f"{shelf.bytes_of(folder) / 1000:.0f} kB",
+            "yes" if (folder / archive.DRAWN[0]).exists() else "no", f"{archive.bytes_of(folder) / 1000:.0f} kB",
         )  # fmt: skip
     console = Screen()
     console.print(table)
-    for folder in shelf.damaged(root):
+    for folder in archive.damaged(root):
         console.print(f"{folder.name}: cannot be read; kinegraph nights delete {folder.name} removes it")
     console.print(f"{len(found)} night{'' if len(found) == 1 else 's'} in {root}")

@@ -14,7 +14,7 @@ log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class FoundDevice:
     """One thing that is connected.
 
     kind      "serial", "usb", "lsl", "oak", ...
@@ -31,7 +31,7 @@ class Found:
     note: str = ""
 
 
-Finder = Callable[[], Iterable[Found]]
+Finder = Callable[[], Iterable[FoundDevice]]
 """Looks for one kind of device, in a few seconds at most; opens nothing that others may be using."""
 
 
@@ -46,7 +46,7 @@ def finders() -> dict[str, Finder]:
     return dict(sorted(known.items()))
 
 
-def look(finder: Finder) -> tuple[list[Found], str]:
+def look(finder: Finder) -> tuple[list[FoundDevice], str]:
     """What a finder finds, and, if it failed, why."""
     try:
         return list(finder()), ""

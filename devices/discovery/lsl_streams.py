@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-from devices.discovery.found import Found
+from devices.discovery.found import FoundDevice
 from devices.lsl.find import everything
 from devices.lsl.metadata import TEXT, Described, describe
 from devices.lsl.network import library
@@ -18,15 +18,17 @@ MOST_LABELS = 64
 """A stream with more channels is declared by their number."""
 
 
-def find() -> Iterator[Found]:
+def find() -> Iterator[FoundDevice]:
     """Every stream that answers within a second."""
     lsl = library()
     for info in everything(lsl):
         described = _described(lsl, info)
         if described is None:
-            yield Found("lsl", info.name(), "an LSL stream", note="it is announced, but does not answer; a firewall?")
+            yield FoundDevice(
+                "lsl", info.name(), "an LSL stream", note="it is announced, but does not answer; a firewall?"
+            )
         else:
-            yield Found("lsl", described.name, _what(described), yaml_of(described), _note(described))
+            yield FoundDevice("lsl", described.name, _what(described), yaml_of(described), _note(described))
 
 
 def yaml_of(d: Described) -> str:

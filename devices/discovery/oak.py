@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from importlib.util import find_spec
 from typing import Any
 
-from devices.discovery.found import Found
+from devices.discovery.found import FoundDevice
 from devices.oak.library import all_cameras, forbidden, library, permission
 
 YAML = "use: devices.oak.Oak\ndevice: {device}"
 
 
-def find() -> Iterator[Found]:
+def find() -> Iterator[FoundDevice]:
     """Every camera, those too that may not be used yet; none where depthai is not installed."""
     if find_spec("depthai") is None:
         return
@@ -21,11 +21,11 @@ def find() -> Iterator[Found]:
         yield described(dai, info)
 
 
-def described(dai: Any, info: Any) -> Found:
+def described(dai: Any, info: Any) -> FoundDevice:
     """What a camera's description says of it."""
     device = info.deviceId or info.name
     platform = info.platform.name.removeprefix("X_LINK_")
     state = info.state.name.removeprefix("X_LINK_").lower()
     what = f"Luxonis OAK ({platform}, {'network' if 'TCP' in info.protocol.name else 'USB'} {info.name}, {state})"
     note = permission() if forbidden(dai, info) else "in use by another program" if state == "booted" else ""
-    return Found("oak", device, what, YAML.format(device=f'"{device}"'), note)
+    return FoundDevice("oak", device, what, YAML.format(device=f'"{device}"'), note)

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from devices.discovery.found import Found
+from devices.discovery.found import FoundDevice
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class KnownAdapter:
     """What an adapter's ids mean. Many devices share an adapter's chip, so it says what it may be."""
 
     what: str
@@ -23,24 +23,24 @@ LINES = "use: devices.ascii_lines.AsciiLines\nport: {port}\ncolumns: [micros, em
 MTI = "use: devices.mti.Mti\nport: {port}"
 DECLARED = "use: devices.binary.Binary\nport: {port}\nframes: ...   # as in configs/witmotion.yaml"
 
-BLUETOOTH = Known(
+BLUETOOTH = KnownAdapter(
     "a Bluetooth device bound to this port: a BITalino, or a Shimmer3",
     "use: devices.bitalino.Bitalino   # a Shimmer3: devices.shimmer.Shimmer, and no channels\nport: {port}\n"
     "channels: [{{input: A1, sensor: emg}}]",
 )
 """What /dev/rfcomm0 and the like may be; the system knows no more of it."""
 
-KNOWN: dict[tuple[int, int | None], Known] = {
-    (0x0403, 0x6015): Known("FTDI FT231X: the dongle of an OpenBCI Cyton has this chip", CYTON),
-    (0x0403, 0x6001): Known("FTDI FT232R adapter", DECLARED),
-    (0x2341, None): Known("Arduino", LINES),
-    (0x2A03, None): Known("Arduino", LINES),
-    (0x239A, None): Known("Adafruit board", LINES),
-    (0x16C0, 0x0483): Known("Teensy", LINES),
-    (0x303A, None): Known("Espressif ESP32", LINES),
-    (0x1A86, 0x7523): Known("CH340 adapter: WitMotion sensors and many Arduino clones have this chip", DECLARED),
-    (0x10C4, 0xEA60): Known("CP210x adapter: many sensors and ESP32 boards have this chip", DECLARED),
-    (0x2639, None): Known("Xsens/Movella MTi", MTI),
+KNOWN: dict[tuple[int, int | None], KnownAdapter] = {
+    (0x0403, 0x6015): KnownAdapter("FTDI FT231X: the dongle of an OpenBCI Cyton has this chip", CYTON),
+    (0x0403, 0x6001): KnownAdapter("FTDI FT232R adapter", DECLARED),
+    (0x2341, None): KnownAdapter("Arduino", LINES),
+    (0x2A03, None): KnownAdapter("Arduino", LINES),
+    (0x239A, None): KnownAdapter("Adafruit board", LINES),
+    (0x16C0, 0x0483): KnownAdapter("Teensy", LINES),
+    (0x303A, None): KnownAdapter("Espressif ESP32", LINES),
+    (0x1A86, 0x7523): KnownAdapter("CH340 adapter: WitMotion sensors and many Arduino clones have this chip", DECLARED),
+    (0x10C4, 0xEA60): KnownAdapter("CP210x adapter: many sensors and ESP32 boards have this chip", DECLARED),
+    (0x2639, None): KnownAdapter("Xsens/Movella MTi", MTI),
 }
 """By USB vendor and product; None stands for any product."""
 
@@ -56,13 +56,13 @@ def lasting_name(device: str) -> str:
     return next((str(name) for name in names if os.path.realpath(name) == real), device)
 
 
-def find() -> Iterator[Found]:
+def find() -> Iterator[FoundDevice]:
     """Every serial port that is a real one or says what it is."""
     from serial.tools.list_ports import comports
 
     for port in sorted(comports()):
         if port.device.startswith("/dev/rfcomm"):
-            yield Found(
+            yield FoundDevice(
                 "serial", port.device, BLUETOOTH.what, BLUETOOTH.yaml.format(port=port.device), _note(port.device)
             )
             continue
@@ -70,7 +70,7 @@ def find() -> Iterator[Found]:
             continue
         name = lasting_name(port.device)
         known = KNOWN.get((port.vid or 0, port.pid)) or KNOWN.get((port.vid or 0, None))
-        yield Found(
+        yield FoundDevice(
             "serial",
             name,
             _what(port.description, port.manufacturer, port.serial_number, known),
@@ -79,7 +79,7 @@ def find() -> Iterator[Found]:
         )
 
 
-def _what(description: str | None, manufacturer: str | None, number: str | None, known: Known | None) -> str:
+def _what(description: str | None, manufacturer: str | None, number: str | None, known: KnownAdapter | None) -> str:
     said = ", ".join(
         part for part in (description, manufacturer, number and f"serial number {number}") if part and part != "n/a"
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from devices.discovery.found import Found
+from devices.discovery.found import FoundDevice
 from devices.usb.bus import Address, backends, connected, rule, text_of
 
 MTI = "use: devices.mti.Mti\nport: {port}"
@@ -18,22 +18,22 @@ DUALSENSE = (
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class KnownUsbDevice:
     """What ids mean, and the node that reads it."""
 
     what: str
     yaml: str
 
 
-KNOWN: dict[tuple[int, int | None], Known] = {
-    (0x2639, None): Known("Xsens/Movella MTi", MTI),
-    (0x054C, 0x0CE6): Known("Sony DualSense controller", DUALSENSE),
-    (0x054C, 0x0DF2): Known("Sony DualSense Edge controller", DUALSENSE),
+KNOWN: dict[tuple[int, int | None], KnownUsbDevice] = {
+    (0x2639, None): KnownUsbDevice("Xsens/Movella MTi", MTI),
+    (0x054C, 0x0CE6): KnownUsbDevice("Sony DualSense controller", DUALSENSE),
+    (0x054C, 0x0DF2): KnownUsbDevice("Sony DualSense Edge controller", DUALSENSE),
 }
 """By USB vendor and product; None stands for any product."""
 
 
-def find() -> Iterator[Found]:
+def find() -> Iterator[FoundDevice]:
     """Every known device; nothing is claimed. Raises DeviceError where libusb is missing."""
     backends()
     for device in connected():
@@ -45,7 +45,7 @@ def find() -> Iterator[Found]:
         said = ", ".join(part for part in (name, number and f"serial number {number}") if part)
         allowed = number is not None and _may_write(device)
         note = "" if allowed else rule(Address(device.idVendor, device.idProduct))
-        yield Found(
+        yield FoundDevice(
             "usb", str(where), f"{known.what} ({said})" if said else known.what, known.yaml.format(port=where), note
         )
 

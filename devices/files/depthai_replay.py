@@ -14,7 +14,7 @@ from mcap.records import Channel, Schema
 
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.oak.adapter import Frames, Message
-from devices.protocols.depthai_frames import RAW16, SCHEMA, Recorded, decode
+from devices.protocols.depthai_frames import RAW16, SCHEMA, RecordedMessage, decode
 from stream.chunk import NS, Specs, StreamSpec
 from stream.errors import DeviceError, RecordingError, nearest
 from stream.params import param
@@ -76,7 +76,7 @@ class DepthaiReplay(Source):
         if frames is None:
             raise DeviceError(f"{self.path}: holds no whole depth frame")
 
-    def _emit(self, frames: Frames, recorded: Recorded, feed: Feed) -> None:
+    def _emit(self, frames: Frames, recorded: RecordedMessage, feed: Feed) -> None:
         arrival = feed.now()
         message = Message(recorded.number, recorded.device, recorded.host, recorded.width, recorded.rows)
         taken = frames.take(message, arrival)
@@ -89,7 +89,7 @@ class DepthaiReplay(Source):
         feed.emit(taken.chunk, "depth")
         feed.emit(timing_chunk(taken.number, taken.device, arrival, taken.chunk.time, taken.chunk.lost), "timing")
 
-    def _recorded(self, feed: Feed) -> Iterator[Recorded]:
+    def _recorded(self, feed: Feed) -> Iterator[RecordedMessage]:
         """The frames of the file, one after the other; a damaged place in it is passed over and counted."""
         try:
             file = RecordFile(Path(self.path))
@@ -118,7 +118,7 @@ class DepthaiReplay(Source):
             return {number for number, topic in topics.items() if topic == self.topic}
         return {next(iter(topics))}
 
-    def _frame(self, body: memoryview, feed: Feed) -> Iterator[Recorded]:
+    def _frame(self, body: memoryview, feed: Feed) -> Iterator[RecordedMessage]:
         recorded = decode(body)
         if recorded is None:
             feed.problem("broken frame")

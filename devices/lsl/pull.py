@@ -11,7 +11,7 @@ from devices.clocks.timing import timing_chunk
 from devices.lsl.clock import zero_ns
 from devices.lsl.connection import Connection
 from devices.lsl.find import is_there
-from devices.lsl.stamps import Mapped, Stamps
+from devices.lsl.stamps import LslStamps, Mapped
 from stream.chunk import NS, Array, Chunk, Samples, StreamSpec
 from stream.errors import DeviceError
 from stream.source import Feed
@@ -38,7 +38,7 @@ class Pull:
         self, connection: Connection, spec: StreamSpec, feed: Feed, gap_s: float, latency_s: float, lost_after_s: float
     ) -> None:
         self._connection, self._spec, self._feed, self._lost_after = connection, spec, feed, lost_after_s
-        self._stamps = Stamps(spec.rate_hz, zero_ns(connection.lsl, feed.now), gap_s, latency_s)
+        self._stamps = LslStamps(spec.rate_hz, zero_ns(connection.lsl, feed.now), gap_s, latency_s)
         self._count = 0
         self._timing: list[tuple[int, int, int, int]] = []
         self._timing_lost = 0

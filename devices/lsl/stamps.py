@@ -38,7 +38,7 @@ class Mapped:
     impossible: int
 
 
-class Stamps:
+class LslStamps:
     """Maps one stream's stamps (s, on its sender's clock) to session time.
 
     Sample by sample, in plain Python: a read brings a few samples after a pause, when numpy's many small calls take ten times as long.

@@ -67,7 +67,7 @@ class Broker:
         return next(iter(Path(self.password_file).read_text(encoding="utf-8").splitlines()), "")
 
 
-class Link:
+class BrokerConnection:
     """A thread that keeps a connection to the broker. Everything it is told while there is none is the caller's to say again.
 
     greeting       topic that says `online` (retained) while we are there; the broker itself says `offline` when we vanish

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from devices.mqtt.link import Broker, Link
+from devices.mqtt.link import Broker, BrokerConnection
 from devices.outlets.mqtt.discovery import OFF, ON, Device, Topics, switch
 from stream.chunk import Chunk, Specs, StreamSpec, empty
 from stream.params import param
@@ -70,7 +70,7 @@ class _Hand:
         self._on, self._settled = of.initial, False
         self._switched: SimpleQueue[bool] = SimpleQueue()
         state, command = self._topics.state(of.name), self._topics.command(of.name)
-        self.link = Link(
+        self.link = BrokerConnection(
             of.broker, f"kinegraph-{of.device.id}-{of.name}-{socket.gethostname()}-{os.getpid()}", self._topics.availability(of.name),
             [state, command, *([self._topics.birth] if of.discovery else [])], joined=self._joined, heard=self._heard,
         )  # fmt: skip

@@ -134,7 +134,7 @@ def _same(frame: Array, last: Array) -> bool:
     return np.array_equal(frame[middle], last[middle]) and np.array_equal(frame, last)
 
 
-class Motion:
+class ImuPackets:
     """A camera's inertial packets: acceleration and angular velocity, which come together."""
 
     def __init__(self, rate_hz: float, zero_ns: int, latency_ns: int = 0) -> None:

@@ -19,7 +19,7 @@ BATCH = 10
 """Inertial packets at most in a message."""
 
 
-class Link:
+class CameraLink:
     """The state of the connection, told by depthai from a thread of its own: RUNNING, DISCONNECTED, RECONNECTING or FAILED."""
 
     def __init__(self) -> None:
@@ -64,7 +64,7 @@ class Camera:
 
 
 @contextmanager
-def opened(dai: Any, of: Oak, link: Link) -> Iterator[Camera]:
+def opened(dai: Any, of: Oak, link: CameraLink) -> Iterator[Camera]:
     """The camera that the source names, at work while the context lasts. Raises DeviceError.
 
     depthai itself would look for a camera for ten seconds, in which it cannot be stopped; so it is only asked for one that is there, or

@@ -13,8 +13,8 @@ import numpy as np
 import structlog
 
 from devices.clocks.timing import timing_chunk, timing_spec
-from devices.oak.adapter import Frames, Motion, message_of
-from devices.oak.camera import Camera, Link, opened
+from devices.oak.adapter import Frames, ImuPackets, message_of
+from devices.oak.camera import Camera, CameraLink, opened
 from devices.oak.library import library, zero_ns
 from stream.chunk import NS, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
@@ -114,7 +114,7 @@ class Oak(Source):
 
     @contextmanager
     def simulated(self) -> Iterator[Source]:
-        from devices.simulators.oak import Oak as Simulated
+        from devices.simulators.oak import OakSimulator as Simulated
         from devices.simulators.oak import SimulatedOak
 
         device = Simulated(width=self.width, height=self.height, fps=self.fps, imu_hz=self.imu_hz)
@@ -122,7 +122,7 @@ class Oak(Source):
             made: SimulatedOak = SimulatedOak.of(replace(self, device=""), camera)
             yield made
 
-    def open(self, dai: Any, link: Link) -> AbstractContextManager[Camera]:
+    def open(self, dai: Any, link: CameraLink) -> AbstractContextManager[Camera]:
         """The camera; a simulated one gives its own."""
         return opened(dai, self, link)
 
@@ -130,7 +130,7 @@ class Oak(Source):
         library()  # where it is missing, waiting for it would be in vain
 
     def read(self, feed: Feed) -> None:
-        dai, link = library(), Link()
+        dai, link = library(), CameraLink()
         with self.open(dai, link) as camera:
             feed.identify("OAK", **camera.identity)
             _Reading(dai, self, camera, link, feed).run()
@@ -139,11 +139,11 @@ class Oak(Source):
 class _Reading:
     """One opening of a camera: frames and inertial packets are passed on as they come."""
 
-    def __init__(self, dai: Any, of: Oak, camera: Camera, link: Link, feed: Feed) -> None:
+    def __init__(self, dai: Any, of: Oak, camera: Camera, link: CameraLink, feed: Feed) -> None:
         self._dai, self._of, self._camera, self._link, self._feed = dai, of, camera, link, feed
         latency, zero = round(of.latency_s * NS), zero_ns(dai, feed.now)
         self._frames = Frames(of.specs()["depth"], zero, latency)
-        self._motion = Motion(of.imu_hz, zero, latency) if of.imu_hz else None
+        self._motion = ImuPackets(of.imu_hz, zero, latency) if of.imu_hz else None
         self._patience_s = FIRST_FRAME_S
         self._heard = time.monotonic()
 

@@ -36,7 +36,7 @@ class Lines:
 
 
 @dataclass(slots=True)
-class Decoder:
+class LineDecoder:
     """Feed it bytes as they come, cut anywhere; it never waits and never raises.
 
     columns      names of the columns, in the order in which the device prints them; with `header`, the wanted ones, in any order

@@ -107,7 +107,7 @@ def crc_of(frame: bytes) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class Frames:
+class BitalinoFrames:
     """The frames found.
 
     sequence   (n,) int64, 0 to 15
@@ -127,7 +127,7 @@ class Frames:
         return len(self.sequence)
 
 
-class Decoder:
+class BitalinoDecoder:
     """Feed it bytes as they come, cut anywhere; it never waits and never raises."""
 
     def __init__(self, channels: int) -> None:
@@ -136,7 +136,7 @@ class Decoder:
         self._last: int | None = None
         """The sequence number of the frame before, if the next must begin directly behind it."""
 
-    def feed(self, data: bytes) -> Frames:
+    def feed(self, data: bytes) -> BitalinoFrames:
         buffer, size = self._buffer + data, self._size
         found = bytearray()
         at = dropped = resyncs = 0
@@ -192,7 +192,7 @@ def _right(frame: bytes) -> bool:
     return crc_of(frame) == frame[-1] & 0x0F
 
 
-def unpack(data: bytes, channels: int, dropped: int = 0, resyncs: int = 0) -> Frames:
+def unpack(data: bytes, channels: int, dropped: int = 0, resyncs: int = 0) -> BitalinoFrames:
     """Frames, one after the other, to numbers."""
     table = np.frombuffer(data, np.uint8).reshape(-1, size_of(channels))
     bits = np.unpackbits(table[:, ::-1], axis=1).astype(np.int64)
@@ -200,7 +200,7 @@ def unpack(data: bytes, channels: int, dropped: int = 0, resyncs: int = 0) -> Fr
     for channel, width in enumerate(widths(channels)):
         counts[:, channel] = bits[:, at : at + width] @ (1 << np.arange(width)[::-1])
         at += width
-    return Frames(bits[:, :4] @ np.array([8, 4, 2, 1]), bits[:, 8:12], counts, dropped, resyncs)
+    return BitalinoFrames(bits[:, :4] @ np.array([8, 4, 2, 1]), bits[:, 8:12], counts, dropped, resyncs)
 
 
 def frame(sequence: int, counts: Sequence[int], digital: Sequence[int] = (0, 0, 0, 0)) -> bytes:

@@ -7,7 +7,7 @@ from itertools import product
 from typing import Literal
 
 from devices.protocols.checksums import CHECKSUMS
-from devices.protocols.declared import Layout
+from devices.protocols.declared import FrameLayout
 
 LEAST = 5
 """So many different frames must have come; fewer may fit by chance."""
@@ -17,7 +17,7 @@ MOST = 40
 """Candidates that are looked at."""
 
 
-def fitting(candidates: Sequence[bytes], layout: Layout) -> str:
+def fitting(candidates: Sequence[bytes], layout: FrameLayout) -> str:
     """What to declare instead, for frames as long as `layout` has them; "" if nothing of the same size fits."""
     frames = list(dict.fromkeys(candidates))[-MOST:]
     size = layout.checksum.size

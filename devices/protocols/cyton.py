@@ -79,7 +79,7 @@ def uv_per_count(gain: float) -> float:
     return REFERENCE_V / gain / FULL_SCALE * 1e6
 
 
-class Frames:
+class CytonFrames:
     """The packets found; their parts are made from the bytes when they are asked for.
 
     dropped   how many bytes belonged to no packet
@@ -124,7 +124,7 @@ class Frames:
         return table
 
 
-class Decoder:
+class CytonDecoder:
     """Feed it bytes as they come, cut anywhere; it never waits and never raises."""
 
     def __init__(self) -> None:
@@ -133,10 +133,10 @@ class Decoder:
         """Whether what stands at the head of the buffer follows a packet directly."""
         self._counter = -1
 
-    def feed(self, data: bytes) -> Frames:
+    def feed(self, data: bytes) -> CytonFrames:
         if self._following and not self._buffer and len(data) == SIZE and _ONE.fullmatch(data):
             self._counter = data[1]  # nearly every read: one packet, whole
-            return Frames(data)
+            return CytonFrames(data)
         buffer = self._buffer + data if self._buffer else data
         pieces: list[bytes] = []
         at = dropped = resyncs = 0
@@ -160,7 +160,7 @@ class Decoder:
             dropped += start - at
             at = start
         self._buffer = buffer[at:]
-        return Frames(pieces[0] if len(pieces) == 1 else b"".join(pieces), dropped, resyncs)
+        return CytonFrames(pieces[0] if len(pieces) == 1 else b"".join(pieces), dropped, resyncs)
 
     def _seek(self, buffer: bytes, at: int) -> tuple[int, bool]:
         """Where the next packet begins, if there is one to be believed, else where to look again when more has come."""
@@ -185,7 +185,7 @@ def _tail(buffer: bytes, at: int) -> int:
     return found if found >= 0 else len(buffer)
 
 
-def acceleration(frames: Frames) -> tuple[Array, Samples]:
+def acceleration(frames: CytonFrames) -> tuple[Array, Samples]:
     """Which packets (indices, (k,)) brought a new acceleration, and these (k, 3) in g: about each tenth, zeros stand in the others."""
     aux = frames.aux
     if not aux.any():

@@ -105,7 +105,7 @@ def hex_bytes(text: str, parameter: str) -> bytes:
         raise ParameterError(parameter, text, "bytes in hex, as in '55 51'") from None
 
 
-class Layout:
+class FrameLayout:
     """A frame's layout, worked out: where each field stands. Raises ParameterError for what cannot be."""
 
     def __init__(self, frame: Frame, at: str = "frames") -> None:
@@ -214,7 +214,7 @@ class Layout:
 
 
 @dataclass(slots=True)
-class Found:
+class FoundFrames:
     """What a feed brought.
 
     kinds     (n,) which layout each frame has, in the order in which they came
@@ -233,13 +233,13 @@ class Found:
     spoilt: list[tuple[int, bytes]] = field(default_factory=list)
 
 
-class Decoder:
+class FrameDecoder:
     """Feed it bytes as they come, cut anywhere; it never waits and never raises.
 
     A frame without a checksum is believed if it follows another directly, or if another begins directly behind it.
     """
 
-    def __init__(self, layouts: Sequence[Layout]) -> None:
+    def __init__(self, layouts: Sequence[FrameLayout]) -> None:
         self._layouts = layouts
         in_order = sorted(range(len(layouts)), key=lambda i: -len(layouts[i].sync))
         self._order = in_order
@@ -253,9 +253,9 @@ class Decoder:
         self._buffer = b""
         self._following = False
 
-    def feed(self, data: bytes) -> Found:
+    def feed(self, data: bytes) -> FoundFrames:
         buffer = self._buffer + data
-        found = Found()
+        found = FoundFrames()
         at = 0
         while True:
             start, waits = self._next_sync(buffer, at)
@@ -292,7 +292,7 @@ class Decoder:
         layout = self._layouts[self._order[(sync.lastindex or 1) - 1]]
         return sync.start(), len(buffer) - sync.start() < layout.size
 
-    def _believe(self, buffer: bytes, match: re.Match[bytes], found: Found) -> bool | None:
+    def _believe(self, buffer: bytes, match: re.Match[bytes], found: FoundFrames) -> bool | None:
         """Whether this is a frame; None if what follows it must come first."""
         layout = self._layouts[self._order[(match.lastindex or 1) - 1]]
         if layout.checksum.size:

@@ -20,7 +20,7 @@ SEC, NSEC = 1, 2
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
+class RecordedMessage:
     """One frame: its number, its times (ns, of the camera and of the computer that recorded it), its rows of pixels.
 
     type   RAW16, or something that is no depth
@@ -35,7 +35,7 @@ class Recorded:
     rows: Array
 
 
-def decode(body: memoryview) -> Recorded | None:
+def decode(body: memoryview) -> RecordedMessage | None:
     """The frame in a message; None for what is none, or is cut off."""
     try:
         found = dict(wire_fields(body))
@@ -48,7 +48,7 @@ def decode(body: memoryview) -> Recorded | None:
         host, device = _time(found.get(TS)), _time(found.get(TS_DEVICE))
         number = found.get(NUMBER, 0)
         rows = data[: stride * height].reshape(height, stride)
-        return Recorded(_signed(number), device, host, layout.get(TYPE, 0), width, rows)
+        return RecordedMessage(_signed(number), device, host, layout.get(TYPE, 0), width, rows)
     except (IndexError, ValueError, TypeError):
         return None
 

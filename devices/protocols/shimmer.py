@@ -38,7 +38,7 @@ LONGEST = 10 * TICKS_HZ
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
+class ShimmerChannel:
     """A channel as it is sent: the number that the inquiry gives it stands in `CHANNELS`."""
 
     name: str
@@ -47,12 +47,12 @@ class Channel:
     signed: bool = True
 
 
-CHANNELS: dict[int, Channel] = {
-    0x00: Channel("ax", 2), 0x01: Channel("ay", 2), 0x02: Channel("az", 2),
-    0x04: Channel("wx", 2), 0x05: Channel("wy", 2), 0x06: Channel("wz", 2),
-    0x0A: Channel("gx", 2, big=True), 0x0B: Channel("gy", 2, big=True), 0x0C: Channel("gz", 2, big=True),
-    0x1D: Channel("status1", 1, signed=False), 0x1E: Channel("exg1", 3, big=True), 0x1F: Channel("exg2", 3, big=True),
-    0x20: Channel("status2", 1, signed=False), 0x21: Channel("exg3", 3, big=True), 0x22: Channel("exg4", 3, big=True),
+CHANNELS: dict[int, ShimmerChannel] = {
+    0x00: ShimmerChannel("ax", 2), 0x01: ShimmerChannel("ay", 2), 0x02: ShimmerChannel("az", 2),
+    0x04: ShimmerChannel("wx", 2), 0x05: ShimmerChannel("wy", 2), 0x06: ShimmerChannel("wz", 2),
+    0x0A: ShimmerChannel("gx", 2, big=True), 0x0B: ShimmerChannel("gy", 2, big=True), 0x0C: ShimmerChannel("gz", 2, big=True),
+    0x1D: ShimmerChannel("status1", 1, signed=False), 0x1E: ShimmerChannel("exg1", 3, big=True), 0x1F: ShimmerChannel("exg2", 3, big=True),
+    0x20: ShimmerChannel("status2", 1, signed=False), 0x21: ShimmerChannel("exg3", 3, big=True), 0x22: ShimmerChannel("exg4", 3, big=True),
 }  # fmt: skip
 SENSOR_BITS = {"acceleration": 0x80, "wide_acceleration": 0x1000, "angular_velocity": 0x40, "exg1": 0x10, "exg2": 0x08}
 
@@ -143,7 +143,7 @@ class Packets:
         return len(self.ticks)
 
 
-class Decoder:
+class ShimmerDecoder:
     """Feed it bytes as they come, cut anywhere; it never waits and never raises."""
 
     def __init__(self, channels: tuple[int, ...], divider: int) -> None:
@@ -184,7 +184,7 @@ class Decoder:
             at += size
         self._buffer = buffer[at:]
         told.table = np.frombuffer(bytes(found), np.uint8).reshape(-1, size)
-        told.ticks = _integers(told.table, 1, Channel("", 3, signed=False))
+        told.ticks = _integers(told.table, 1, ShimmerChannel("", 3, signed=False))
         return told
 
     def _good(self, buffer: bytes, at: int) -> bool | None:
@@ -232,7 +232,7 @@ def _ticks(data: bytes, at: int) -> int:
     return int.from_bytes(data[at + 1 : at + 4], "little")
 
 
-def _integers(table: np.ndarray[tuple[int, ...], np.dtype[np.uint8]], at: int, channel: Channel) -> Times:
+def _integers(table: np.ndarray[tuple[int, ...], np.dtype[np.uint8]], at: int, channel: ShimmerChannel) -> Times:
     """One channel of every packet: (n,) int64."""
     digits = table[:, at : at + channel.size].astype(np.int64)
     weights = 1 << 8 * np.arange(channel.size)

@@ -79,7 +79,7 @@ EXG_REGISTERS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class ShimmerCalibration:
     """offset (3,), sensitivity (3,) counts per unit, alignment (3, 3); `own`: the device's, not the nominal one."""
 
     offset: Samples
@@ -108,7 +108,7 @@ def chips_of(board: bytes) -> Chips:
     return NEWER if newer else OLDER
 
 
-def nominal(sensor: str, wide_range: int = 0, gyro_range: int = 1, chips: Chips = OLDER) -> Calibration:
+def nominal(sensor: str, wide_range: int = 0, gyro_range: int = 1, chips: Chips = OLDER) -> ShimmerCalibration:
     """By the chips' data sheets; m/s2 and rad/s. `wide_range`, `gyro_range`: the codes of the ranges."""
     offset, sits = 0.0, chips.wide_sits if sensor == "wide_acceleration" else ACROSS
     if sensor == "acceleration":
@@ -117,12 +117,12 @@ def nominal(sensor: str, wide_range: int = 0, gyro_range: int = 1, chips: Chips 
         per_unit = chips.wide_counts[wide_range]
     else:
         per_unit = COUNTS_PER_DPS[gyro_range] * 180 / math.pi
-    return Calibration(np.full(3, offset), np.full(3, per_unit), np.array(sits, float).reshape(3, 3), own=False)
+    return ShimmerCalibration(np.full(3, offset), np.full(3, per_unit), np.array(sits, float).reshape(3, 3), own=False)
 
 
 def calibration(
     data: bytes, sensor: str, wide_range: int = 0, gyro_range: int = 1, chips: Chips = OLDER
-) -> Calibration:
+) -> ShimmerCalibration:
     """A sensor's, from the 84 bytes in which the device tells all; the nominal one where it keeps none that belongs to this range."""
     block = data[ORDER.index(sensor) * BLOCK :][:BLOCK]
     known = nominal(sensor, wide_range, gyro_range, chips)
@@ -133,10 +133,10 @@ def calibration(
     ratio = sensitivity / known.sensitivity
     if (ratio < 1 / APART).any() or (ratio > APART).any() or abs(np.linalg.det(alignment)) < 0.5:
         return known
-    return Calibration(np.array(numbers[:3], float), sensitivity, alignment)
+    return ShimmerCalibration(np.array(numbers[:3], float), sensitivity, alignment)
 
 
-def stored(sensors: dict[str, Calibration]) -> bytes:
+def stored(sensors: dict[str, ShimmerCalibration]) -> bytes:
     """The 84 bytes in which a device tells its calibrations; FF where it has none. For simulators and tests."""
     out = b""
     for sensor in ORDER:

@@ -56,7 +56,7 @@ def answers(data: bytes) -> tuple[list[str], bytes]:
     return [one.decode("ascii", "replace").strip() for one in whole], rest
 
 
-class Rows:
+class TrignoRows:
     """Bytes to samples. Feed it bytes as they come, cut anywhere; it never waits and never raises."""
 
     def __init__(self, channels: int) -> None:

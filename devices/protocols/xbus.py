@@ -73,7 +73,7 @@ Table = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class XbusLayout:
     """How messages of one kind are laid out.
 
     mid     what they are
@@ -90,10 +90,10 @@ class Layout:
     fixed: Times
 
 
-class Run(msgspec.Struct, eq=False, gc=False):
+class XbusRun(msgspec.Struct, eq=False, gc=False):
     """Messages (n, size) of one layout that followed each other."""
 
-    layout: Layout
+    layout: XbusLayout
     table: Table
 
     def __len__(self) -> int:
@@ -131,15 +131,15 @@ class Run(msgspec.Struct, eq=False, gc=False):
         return out
 
 
-class Found(msgspec.Struct, eq=False, gc=False):
+class XbusFrames(msgspec.Struct, eq=False, gc=False):
     """What a feed brought: runs of messages in order, bytes that belonged to none, and how often a beginning had to be looked for."""
 
-    runs: list[Run]
+    runs: list[XbusRun]
     dropped: int
     resyncs: int
 
 
-class Decoder:
+class XbusDecoder:
     """Feed it bytes as they come, cut anywhere; it never waits and never raises.
 
     What cannot become a message any more is given up with the byte that shows it: a measurement's items must fill its length exactly, and
@@ -153,13 +153,13 @@ class Decoder:
         self._fixed: Table = np.zeros(0, np.uint8)
         """The layout of the last message, and what its fixed bytes were: what is like it need not be taken apart again."""
 
-    def feed(self, data: bytes) -> Found:
+    def feed(self, data: bytes) -> XbusFrames:
         buffer = self._buffer + data if self._buffer else data
         raw: Table = np.frombuffer(buffer, np.uint8)
-        runs: list[Run] = []
+        runs: list[XbusRun] = []
         at = dropped = resyncs = 0
         while at < len(buffer):
-            layout: Layout | None = self._usual
+            layout: XbusLayout | None = self._usual
             n = _sound(raw, at, self._usual, self._fixed)
             if not n:
                 layout = _layout(buffer, at)
@@ -169,7 +169,7 @@ class Decoder:
             assert layout is not None
             if n:
                 stop = at + n * layout.size
-                runs.append(Run(layout, raw[at:stop].reshape(n, layout.size)))
+                runs.append(XbusRun(layout, raw[at:stop].reshape(n, layout.size)))
                 if layout is not self._usual:
                     self._usual, self._fixed = layout, raw[at + layout.fixed]
                 at, self._following = stop, True
@@ -181,20 +181,20 @@ class Decoder:
             dropped += start - at
             at = start
         self._buffer = buffer[at:]
-        return Found(runs, dropped, resyncs)
+        return XbusFrames(runs, dropped, resyncs)
 
 
 @lru_cache(maxsize=256)
-def _known(mid: int, size: int, start: int, items: tuple[tuple[int, int, int], ...]) -> Layout:
+def _known(mid: int, size: int, start: int, items: tuple[tuple[int, int, int], ...]) -> XbusLayout:
     fixed = [*range(start), *(at - 3 + i for _, at, _ in items for i in range(3))]
-    return Layout(mid, size, start, items, np.array(fixed, np.int64))
+    return XbusLayout(mid, size, start, items, np.array(fixed, np.int64))
 
 
-_NONE = Layout(0, 0, 0, (), np.zeros(0, np.int64))
+_NONE = XbusLayout(0, 0, 0, (), np.zeros(0, np.int64))
 """The layout of what is no message."""
 
 
-def _layout(buffer: bytes, at: int) -> Layout | None:
+def _layout(buffer: bytes, at: int) -> XbusLayout | None:
     """How the message at `at` is laid out; `_NONE` if none can be there, None if that is not yet known."""
     if not HEAD.startswith(buffer[at : at + 2]):
         return _NONE
@@ -233,7 +233,7 @@ def _possible(identifier: int, size: int) -> bool:
     return size == _SIZES.get(kind, size)
 
 
-def _sound(raw: Table, at: int, layout: Layout, fixed: Table) -> int:
+def _sound(raw: Table, at: int, layout: XbusLayout, fixed: Table) -> int:
     """How many messages of this layout follow each other from `at` with a right sum, the bytes that are the same in all being `fixed`."""
     if not layout.size or len(raw) - at < layout.size:
         return 0

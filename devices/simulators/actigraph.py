@@ -25,7 +25,7 @@ class Actigraph(Source):
     activity  (1,) float64, counts, one per epoch of 30 s, stamped with its start; NaN while the device is off the wrist
     lights    events: `on` false when the lights go off, true when they come on
 
-    The numbers are made up from a made-up hypnogram (`Night`): they show how the pipeline works, not how well a scorer does.
+    The numbers are made up from a made-up hypnogram (`ActigraphNight`): they show how the pipeline works, not how well a scorer does.
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("activity", "lights")
@@ -54,7 +54,7 @@ class Actigraph(Source):
         }
 
     def read(self, feed: Feed) -> None:
-        made, specs = Night(self), self.specs()
+        made, specs = ActigraphNight(self), self.specs()
         step = round(self.epoch_s * NS)
         begun = -(-feed.now() // step) * step
         for k in range(len(made.counts)):
@@ -71,7 +71,7 @@ class Actigraph(Source):
             feed.emit(Chunk(time, made.counts[k : k + 1, None].copy(), stamp), "activity")
 
 
-class Night:
+class ActigraphNight:
     """The night itself.
 
     off, on  the epochs at which the lights go off and on

@@ -19,7 +19,7 @@ MOST_BEHIND = 5000
 
 
 @dataclass(frozen=True, slots=True)
-class AsciiLines(Simulator):
+class SimulatedAsciiLines(Simulator):
     """An Arduino with MyoWare sensors on a leg: ten-bit counts around 512, one line a sample."""
 
     port_name: ClassVar[str] = "ttyARDUINO"
@@ -39,14 +39,14 @@ class AsciiLines(Simulator):
         counts = {self.time, self.counter} & set(self.columns)
         return {} if counts else {"reset_every_s": "its lines have neither a time nor a counter"}
 
-    def brain(self) -> LinesBrain:
-        return LinesBrain(self)
+    def brain(self) -> LinesModel:
+        return LinesModel(self)
 
 
-class LinesBrain:
+class LinesModel:
     """The Arduino without its cable. It speaks from when it is switched on, names its columns every second, and listens to nothing."""
 
-    def __init__(self, of: AsciiLines) -> None:
+    def __init__(self, of: SimulatedAsciiLines) -> None:
         self._of = of
         self._channels = [name for name in of.columns if name not in (of.time, of.counter)]
         muscles = tuple(list(BURSTS)[i % len(BURSTS)] for i in range(len(self._channels)))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.simulators.night import Act, Plan
+from devices.simulators.night import Act, NightPlan
 from stream.kernel import kernel
 
 Frame = NDArray[np.uint16]
@@ -85,7 +85,7 @@ class Bedroom:
     """
 
     def __init__(
-        self, width: int, height: int, plans: tuple[Plan, ...], *, extras: Extras = Extras(), seed: int = 0
+        self, width: int, height: int, plans: tuple[NightPlan, ...], *, extras: Extras = Extras(), seed: int = 0
     ) -> None:
         self.width, self.height, self.plans, self._extras = width, height, plans, extras
         y, x = np.mgrid[0:height, 0:width].astype(np.float32)
@@ -187,14 +187,14 @@ class Bedroom:
         return None
 
 
-def _breath(night: Plan, seconds: float) -> float:
+def _breath(night: NightPlan, seconds: float) -> float:
     """How far the chest has risen (mm)."""
     second = min(int(seconds), len(night.phase) - 2)
     phase = night.phase[second] + (seconds - second) * (night.phase[second + 1] - night.phase[second])
     return BREATH_MM * float(np.sin(2 * np.pi * phase))
 
 
-def _sides(night: Plan, seed: int) -> list[int]:
+def _sides(night: NightPlan, seed: int) -> list[int]:
     """On which side the sleeper lies before the first movement and after each; EMPTY before the first time in bed, HEAP after it."""
     random = np.random.default_rng([seed, 14])
     sides = [EMPTY]

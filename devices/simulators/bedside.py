@@ -13,7 +13,7 @@ import numpy as np
 
 from devices.simulators import bedroom
 from devices.simulators.bedroom import Bedroom, Extras
-from devices.simulators.night import EPOCH_S, Plan, made_up, plan
+from devices.simulators.night import EPOCH_S, NightPlan, made_up, plan
 from stream.chunk import NS, Chunk, Specs, StreamSpec, empty
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
@@ -101,7 +101,7 @@ class Bedside(Source):
             "truth": StreamSpec((), TRUTH, units=units, meta=meta),
         }
 
-    def plans(self) -> tuple[Plan, ...]:
+    def plans(self) -> tuple[NightPlan, ...]:
         """What happens, per sleeper."""
         stages = read_stages(Path(self.hypnogram)) if self.hypnogram else None
         return tuple(

@@ -27,7 +27,7 @@ MOST_BEHIND = 5000
 
 
 @dataclass(frozen=True, slots=True)
-class Binary(Simulator):
+class SimulatedBinary(Simulator):
     """What a graph declares with `use: devices.binary.Binary`: config=FILE, and node=NAME if there are several."""
 
     port_name: ClassVar[str] = "ttyBINARY"
@@ -35,7 +35,7 @@ class Binary(Simulator):
     config: str = param(help="the graph, a YAML file")
     node: str = param("", help="its node; left out: the first")
 
-    def brain(self) -> BinaryBrain:
+    def brain(self) -> BinaryModel:
         from stream.graph.load import load
 
         nodes = {n.name: n.part for n in load(Path(self.config)).sources if isinstance(n.part, Source)}
@@ -43,17 +43,17 @@ class Binary(Simulator):
             raise KinegraphError(
                 f"{self.config} has the devices.binary nodes {list(nodes)}; {self.node or 'one'} is wanted"
             )
-        return BinaryBrain(nodes[self.node] if self.node else next(iter(nodes.values())))
+        return BinaryModel(nodes[self.node] if self.node else next(iter(nodes.values())))
 
 
 @contextmanager
-def serving(brain: BinaryBrain, misbehaviour: Misbehaviour = GOOD) -> Iterator[str]:
+def serving(brain: BinaryModel, misbehaviour: Misbehaviour = GOOD) -> Iterator[str]:
     """The address of a device with these frames."""
-    with Server(brain, line_at(name=Binary.port_name), misbehaviour) as server:
+    with Server(brain, line_at(name=SimulatedBinary.port_name), misbehaviour) as server:
         yield server.address
 
 
-class BinaryBrain:
+class BinaryModel:
     """The device without its cable: every kind of frame once in a turn, in the order of their declaration.
 
     `number` tells what field `place` of a frame holds in turn `i`, so that what a reader makes of it can be checked.

@@ -21,7 +21,7 @@ STEADY = {"eda": 5.0, "volt": 1.6}
 
 
 @dataclass(frozen=True, slots=True)
-class Bitalino(Simulator):
+class SimulatedBitalino(Simulator):
     """A BITalino with muscles on its amplifiers."""
 
     port_name: ClassVar[str] = "rfcommSIM"
@@ -30,11 +30,11 @@ class Bitalino(Simulator):
     version: str = param("5.2", help="the firmware's")
     seed: int = param(0, least=0, help="another seed, another walk")
 
-    def brain(self) -> BitalinoBrain:
-        return BitalinoBrain(self.sensors, self.version, self.seed)
+    def brain(self) -> BitalinoModel:
+        return BitalinoModel(self.sensors, self.version, self.seed)
 
 
-class BitalinoBrain:
+class BitalinoModel:
     """The device without Bluetooth. What frame `number` since the start holds is told by `counts` and `digital`."""
 
     def __init__(self, sensors: Sequence[Sensor] = ("emg",) * 6, version: str = "5.2", seed: int = 0) -> None:

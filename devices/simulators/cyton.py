@@ -21,7 +21,7 @@ MOST_BEHIND = 2500
 
 
 @dataclass(frozen=True, slots=True)
-class Cyton(Simulator):
+class SimulatedCyton(Simulator):
     """A Cyton on a leg: the treadmill walker's muscles on its channels, its swinging shank on the accelerometer."""
 
     port_name: ClassVar[str] = "ttyCYTON"
@@ -30,11 +30,11 @@ class Cyton(Simulator):
     firmware: str = param("v3.1.2", help="what the greeting says")
     seed: int = param(0, least=0, help="another seed, another walk")
 
-    def brain(self) -> CytonBrain:
-        return CytonBrain(self.daisy, self.firmware, self.seed)
+    def brain(self) -> CytonModel:
+        return CytonModel(self.daisy, self.firmware, self.seed)
 
 
-class CytonBrain:
+class CytonModel:
     """The board and its dongle, without a cable.
 
     The signal is a function of a packet's running number alone; `counts` tells it, so that what a reader makes of it can be checked.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from devices.simulators.lsl import Lsl
 from devices.simulators.treadmill.signal import Signal
-from devices.simulators.walkway import EMG_HZ, MARKERS, Trial, Walkway
+from devices.simulators.walkway import EMG_HZ, MARKERS, Walkway, WalkwayTrial
 from stream.params import param
 
 LABELS = tuple(f"{name}.{axis}" for name in MARKERS for axis in "xyz")
@@ -32,6 +32,6 @@ class Mocap(Lsl):
     def values(self, signal: Signal, start: int, stop: int) -> NDArray[np.float64]:
         walk = Walkway(seed=self.seed)
         index = np.round(np.arange(start, stop) * (EMG_HZ / self.rate_hz)).astype(np.int64)
-        markers = Trial(walk).markers(index)
+        markers = WalkwayTrial(walk).markers(index)
         markers[:, :, 1] -= walk.speed_m_s * 1000 * index[:, None] / EMG_HZ
         return np.asarray(markers.reshape(len(index), -1))

@@ -30,7 +30,7 @@ FACTORY = ((xbus.PACKET_COUNTER, 0xFFFF), (xbus.SAMPLE_TIME_FINE, 0xFFFF), (xbus
 
 
 @dataclass(frozen=True, slots=True)
-class Mti(Simulator):
+class SimulatedMti(Simulator):
     """An MTi on the right foot (or shank) of someone who walks; on a serial line, it measures as soon as it is told to."""
 
     port_name: ClassVar[str] = "ttyMTI"
@@ -39,27 +39,27 @@ class Mti(Simulator):
     cadence_per_min: float = param(57.0, least=20, most=120, help="strides per minute")
     seed: int = param(0, least=0, help="another seed, another walk")
 
-    def brain(self) -> MtiBrain:
-        return MtiBrain(self.site, self.cadence_per_min, self.seed)
+    def brain(self) -> MtiModel:
+        return MtiModel(self.site, self.cadence_per_min, self.seed)
 
     @contextmanager
     def on_usb(self, misbehaviour: Misbehaviour = GOOD) -> Iterator[str]:
         """While the context lasts, the device is on a simulated USB bus of this process; gives what the host opens."""
-        from devices.simulators.usb_bus import BULK, SimulatedBus, UsbLine, Wiring
+        from devices.simulators.usb_bus import BULK, SimulatedBus, UsbLine, UsbWiring
 
-        wiring = Wiring(0x2639, 0x0003, "Xsens", "MTi-300 AHRS", "SIM03700001", BULK, driver="xsens_mt")
+        wiring = UsbWiring(0x2639, 0x0003, "Xsens", "MTi-300 AHRS", "SIM03700001", BULK, driver="xsens_mt")
         line = UsbLine(SimulatedBus.shared(), wiring)
         with Server(self.brain(), line, misbehaviour) as server:
             yield server.address
 
 
-class MtiBrain:
+class MtiModel:
     """The sensor without a cable. Measurement i after GoToMeasurement is sample i of `limb`, and its packet counter is i mod 65536."""
 
     def __init__(self, site: Site = "foot", cadence_per_min: float = 57.0, seed: int = 0) -> None:
         xbus_numbers.prepare()
         self._site, self._cadence, self._seed = site, cadence_per_min, seed
-        self._decoder = xbus.Decoder()
+        self._decoder = xbus.XbusDecoder()
         self._outputs = list(FACTORY)
         self._configure()
         self._measuring = True

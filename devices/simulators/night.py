@@ -40,7 +40,7 @@ class Act:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class NightPlan:
     """
     stages      of every epoch from `bed_s` on: W, N1, N2, N3, R
     bed_s, up_s when the sleeper first gets into bed and finally leaves it; length_s of the whole night, both s since its beginning
@@ -82,7 +82,7 @@ class Plan:
 
 def plan(
     stages: Sequence[str], *, evening_s: float = 300.0, morning_s: float = 300.0, exits: int = 2, seed: int = 0
-) -> Plan:
+) -> NightPlan:
     """A night along these stages (one per 30 s in bed). Exits fall into the longest stretches of wake between sleep."""
     random = np.random.default_rng([seed, 11])
     up = evening_s + len(stages) * EPOCH_S
@@ -102,7 +102,7 @@ def plan(
     second = np.arange(int(length) + 2)
     rate = np.interp(second, evening_s + (np.arange(len(rates)) + 0.5) * EPOCH_S, rates)
     rate = rate + 0.6 * np.sin(2 * np.pi * second / 211) + 0.4 * np.sin(2 * np.pi * second / 47)
-    return Plan(
+    return NightPlan(
         tuple(stages), evening_s, up, length, ordered, np.array(absent), np.concatenate([[0.0], np.cumsum(rate / 60)])
     )
 

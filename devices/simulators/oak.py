@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from devices.oak.camera import QUEUE, Camera, Link
+from devices.oak.camera import QUEUE, Camera, CameraLink
 from devices.oak.library import NONE, library
 from devices.oak.source import Oak as OakSource
 from devices.simulators.misbehaviour import GOOD, Misbehaviour, Mishaps
@@ -39,7 +39,7 @@ GRAVITY = 9.81
 
 
 @dataclass(frozen=True, slots=True)
-class Oak(Simulator):
+class OakSimulator(Simulator):
     """An OAK depth camera above a bed with a sleeper in it (Luxonis, through depthai itself).
 
     Besides what goes wrong with every device, the picture may freeze (the same frame under new numbers), or be blind (no pixel valid).
@@ -88,7 +88,7 @@ class Oak(Simulator):
 class SimulatedCamera:
     """The camera at the end of its cable. Its night began when it was made, and goes on while nobody looks."""
 
-    def __init__(self, of: Oak, misbehaviour: Misbehaviour) -> None:
+    def __init__(self, of: OakSimulator, misbehaviour: Misbehaviour) -> None:
         self.of, self.mishaps = of, Mishaps(misbehaviour)
         self.sleeper = Sleeper(of.width, of.height, seed=of.seed, per_min=of.per_min, invalid=of.invalid)
         self.began = time.monotonic()
@@ -110,7 +110,7 @@ class SimulatedCamera:
         return self._pulled.is_set() or self.mishaps.unplugged(time.monotonic() - self.began)
 
     @contextmanager
-    def opened(self, dai: Any, link: Link) -> Iterator[Camera]:
+    def opened(self, dai: Any, link: CameraLink) -> Iterator[Camera]:
         """As a real camera is opened. Raises DeviceError while the cable is out."""
         if self.out():
             raise DeviceError(NONE)
@@ -135,11 +135,11 @@ class SimulatedCamera:
         with dai.Pipeline(createImplicitDevice=False) as pipeline:
             recorder = pipeline.create(dai.node.RecordMessage)
             recorder.setRecordFile(str(path))
-            self._node(dai, pipeline, Link()).depth.link(recorder.input)
+            self._node(dai, pipeline, CameraLink()).depth.link(recorder.input)
             pipeline.start()
             yield
 
-    def _node(self, dai: Any, pipeline: Any, link: Link) -> Any:
+    def _node(self, dai: Any, pipeline: Any, link: CameraLink) -> Any:
         node = pipeline.create(_node_class())
         node.shown = Shown(dai, self, link)
         return node
@@ -156,7 +156,7 @@ class SimulatedCamera:
 class Shown:
     """One opening of the camera: what is sent as time passes."""
 
-    def __init__(self, dai: Any, camera: SimulatedCamera, link: Link) -> None:
+    def __init__(self, dai: Any, camera: SimulatedCamera, link: CameraLink) -> None:
         self._dai, self._camera, self._link = dai, camera, link
         self._zero_us = round(camera.began * 1e6)
         self._gone = False
@@ -284,7 +284,7 @@ class SimulatedOak(OakSource):
     def of(cls, source: OakSource, camera: SimulatedCamera) -> SimulatedOak:
         return cls(**{f.name: getattr(source, f.name) for f in fields(source)}, camera=camera)
 
-    def open(self, dai: Any, link: Link) -> AbstractContextManager[Camera]:
+    def open(self, dai: Any, link: CameraLink) -> AbstractContextManager[Camera]:
         if self.camera is None:
             raise DeviceError(
                 "a simulated camera is set up by `kinegraph run --simulate`; name devices.oak.Oak instead"

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import ClassVar, Self
 
-from devices.simulators.brain import Brain, Clocked
+from devices.simulators.device_model import Clocked, DeviceModel
 from devices.simulators.lines import Line, line_at
 from devices.simulators.misbehaviour import GOOD, Misbehaviour, Mishaps
 from stream.errors import ParameterError
@@ -20,7 +20,7 @@ TICK_S = 0.002
 class Server:
     """Runs a brain on a line until closed."""
 
-    def __init__(self, brain: Brain, line: Line, misbehaviour: Misbehaviour = GOOD) -> None:
+    def __init__(self, brain: DeviceModel, line: Line, misbehaviour: Misbehaviour = GOOD) -> None:
         self.brain, self.line, self.mishaps = brain, line, Mishaps(misbehaviour)
         self._stop = threading.Event()
         self._cut = threading.Event()
@@ -125,7 +125,7 @@ class Simulator:
         if misbehaviour.jump_every_s and not isinstance(self.brain(), Clocked):
             raise ParameterError("jump_every_s", misbehaviour.jump_every_s, "0, as its packets bring no time")
 
-    def brain(self) -> Brain:
+    def brain(self) -> DeviceModel:
         """The device, just switched on."""
         raise NotImplementedError
 

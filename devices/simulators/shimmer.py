@@ -10,7 +10,7 @@ import numpy as np
 from devices.protocols import shimmer as protocol
 from devices.protocols import shimmer_units as units
 from devices.protocols.shimmer import ACK, IN_STREAM, TICKS_HZ
-from devices.protocols.shimmer_units import Calibration
+from devices.protocols.shimmer_units import ShimmerCalibration
 from devices.simulators.serve import Simulator
 from devices.simulators.treadmill.signal import Signal, Walker
 from devices.simulators.walking_limb import Limb, Site
@@ -30,7 +30,7 @@ BOARD = (47, 5, 0)
 
 
 @dataclass(frozen=True, slots=True)
-class Shimmer(Simulator):
+class SimulatedShimmer(Simulator):
     """A Shimmer3 with EMG electrodes on a shank."""
 
     port_name: ClassVar[str] = "rfcommSHIM"
@@ -43,11 +43,11 @@ class Shimmer(Simulator):
     )
     seed: int = param(0, least=0, help="another seed, another walk")
 
-    def brain(self) -> ShimmerBrain:
-        return ShimmerBrain(self.site, self.firmware, self.seed, self.board)
+    def brain(self) -> ShimmerModel:
+        return ShimmerModel(self.site, self.firmware, self.seed, self.board)
 
 
-class ShimmerBrain:
+class ShimmerModel:
     """The sensor without Bluetooth. Packet i since START holds sample i of its signals; `counts` tells what."""
 
     def __init__(
@@ -68,7 +68,9 @@ class ShimmerBrain:
         """How often the digital sensors themselves measure; from the factory, slower than most packets."""
         self.registers = list(units.registers("emg", TICKS_HZ / FACTORY_TICKS))
         self.calibrated = {
-            name: Calibration(known.offset + 3, known.sensitivity * np.array([1.01, 0.99, 1.02]), known.alignment)
+            name: ShimmerCalibration(
+                known.offset + 3, known.sensitivity * np.array([1.01, 0.99, 1.02]), known.alignment
+            )
             for name in MEASURED
             if (known := units.nominal(name, chips=self.chips))
         }
@@ -137,13 +139,13 @@ class ShimmerBrain:
         rate = TICKS_HZ / self.divider
         return index if hz >= rate else np.floor(np.floor(index / rate * hz) / hz * rate).astype(np.int64)
 
-    def _known(self, name: str) -> Calibration:
+    def _known(self, name: str) -> ShimmerCalibration:
         """By which the sensor measures: as calibrated, but for the ranges of the factory."""
         ranges = (self.wide_range, self.gyro_range, self.chips)
         now = units.nominal(name, *ranges)
         factor = now.sensitivity / units.nominal(name, chips=self.chips).sensitivity
         own = self.calibrated[name]
-        kept = units.stored({name: Calibration(own.offset, own.sensitivity * factor, own.alignment)})
+        kept = units.stored({name: ShimmerCalibration(own.offset, own.sensitivity * factor, own.alignment)})
         return units.calibration(kept, name, *ranges)
 
     def _electrode(self, channel: int, index: Times) -> Samples:

@@ -31,7 +31,7 @@ TRIES = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Trigno(Simulator):
+class SimulatedTrigno(Simulator):
     """A Trigno base station with sixteen sensors on a walking person."""
 
     paired: int = param(SENSORS, least=0, most=SENSORS, help="so many sensors are paired, from the first")
@@ -42,8 +42,8 @@ class Trigno(Simulator):
     def cannot(self) -> dict[str, str]:
         return {"reset_every_s": "its samples have no counter"}
 
-    def brain(self) -> TrignoBrain:
-        return TrignoBrain(self.paired, self.seed, self.duos)
+    def brain(self) -> TrignoModel:
+        return TrignoModel(self.paired, self.seed, self.duos)
 
     @contextmanager
     def serving(self, misbehaviour: Misbehaviour = GOOD, address: str = "") -> Iterator[str]:
@@ -51,7 +51,7 @@ class Trigno(Simulator):
             yield station.address
 
 
-class TrignoBrain:
+class TrignoModel:
     """The base station without its sockets. Sample i since START of all sensors is told by `emg` and `aux`."""
 
     def __init__(self, paired: int = SENSORS, seed: int = 0, duos: int = 0) -> None:

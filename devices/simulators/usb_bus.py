@@ -18,7 +18,7 @@ from devices.usb import bus as real_bus
 from devices.usb.bus import Address
 from devices.usb.pipe import BULK, INTERRUPT
 
-__all__ = ["BULK", "INTERRUPT", "SimulatedBus", "UsbLine", "Wiring"]
+__all__ = ["BULK", "INTERRUPT", "SimulatedBus", "UsbLine", "UsbWiring"]
 
 MOST_WAITING = 4096
 """Packets that wait for the host at most; what comes on top is lost."""
@@ -27,7 +27,7 @@ _GET_DESCRIPTOR, _STRING = 6, 3
 
 
 @dataclass(frozen=True, slots=True)
-class Wiring:
+class UsbWiring:
     """What a device says of itself.
 
     transfer    BULK (with an endpoint to write to) or INTERRUPT
@@ -53,7 +53,7 @@ class Wiring:
 class _Plugged:
     """A device that is plugged in, until it is not."""
 
-    def __init__(self, wiring: Wiring, address: int) -> None:
+    def __init__(self, wiring: UsbWiring, address: int) -> None:
         self.wiring, self.address = wiring, address
         self.changed = threading.Condition()
         self.to_host: deque[bytes] = deque()
@@ -87,7 +87,7 @@ class SimulatedBus(IBackend):  # type: ignore[misc]
         """How often a driver of the system was."""
         self._plugged = 0
 
-    def plug(self, wiring: Wiring) -> _Plugged:
+    def plug(self, wiring: UsbWiring) -> _Plugged:
         self._plugged += 1
         device = _Plugged(wiring, self._plugged)
         self.devices.append(device)
@@ -243,7 +243,7 @@ def _there(device: _Plugged) -> _Plugged:
 class UsbLine:
     """The device's end of a USB cable. What it sends while nobody has claimed it goes nowhere."""
 
-    def __init__(self, bus: SimulatedBus, wiring: Wiring) -> None:
+    def __init__(self, bus: SimulatedBus, wiring: UsbWiring) -> None:
         self._bus, self._wiring = bus, wiring
         self.address = str(Address(wiring.vendor, wiring.product, wiring.serial))
         self._device: _Plugged | None = None

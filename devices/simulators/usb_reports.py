@@ -8,16 +8,16 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from devices.simulators.binary import BinaryBrain
-from devices.simulators.brain import Brain
+from devices.simulators.binary import BinaryModel
+from devices.simulators.device_model import DeviceModel
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from devices.simulators.serve import Server
-from devices.simulators.usb_bus import INTERRUPT, SimulatedBus, UsbLine, Wiring
+from devices.simulators.usb_bus import INTERRUPT, SimulatedBus, UsbLine, UsbWiring
 from devices.simulators.walking_limb import GRAVITY, Limb
 from devices.usb.bus import Address
 from devices.usb.endpoint import Endpoint
 
-DUALSENSE = Wiring(
+DUALSENSE = UsbWiring(
     0x054C, 0x0CE6, "Sony Interactive Entertainment", "Wireless Controller", "SIM0001", INTERRUPT,
     interface=3, endpoint=4, driver="usbhid",
 )  # fmt: skip
@@ -32,13 +32,13 @@ def serving(source: Endpoint, misbehaviour: Misbehaviour = GOOD) -> Iterator[str
     """The address of a device, on a simulated USB bus of this process, that sends what `source` reads."""
     where = Address.parse(source.port)
     if (where.vendor, where.product) == (DUALSENSE.vendor, DUALSENSE.product):
-        brain: Brain = DualSenseBrain()
+        brain: DeviceModel = DualSenseBrain()
         wiring = DUALSENSE
     else:
-        brain = BinaryBrain(source)
+        brain = BinaryModel(source)
         number = (source.endpoint or 0x81) & 0x0F
         size = max(layout.size for layout in source.layouts())
-        wiring = Wiring(
+        wiring = UsbWiring(
             where.vendor, where.product or 1, "kinegraph", "as declared", where.serial or "SIM0001", INTERRUPT,
             packet=size, interface=source.interface or 0, endpoint=number,
         )  # fmt: skip

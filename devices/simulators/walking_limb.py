@@ -27,7 +27,7 @@ Site = Literal["foot", "shank"]
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
+class LimbTurn:
     """One half-sine of turning: by `angle` rad, from and to so many seconds after a cycle's touch-down (0), lift-off (1), next one (2)."""
 
     angle: float
@@ -35,15 +35,15 @@ class Turn:
     end: tuple[int, float]
 
 
-TURNS: dict[Site, tuple[Turn, ...]] = {
+TURNS: dict[Site, tuple[LimbTurn, ...]] = {
     "foot": (
-        Turn(0.35, (0, -0.026), (0, 0.07)),  # the sole comes down
-        Turn(1.13, (1, -0.3), (1, 0.031)),  # the heel rises
-        Turn(-1.48, (1, 0.031), (2, -0.026)),  # the foot swings
+        LimbTurn(0.35, (0, -0.026), (0, 0.07)),  # the sole comes down
+        LimbTurn(1.13, (1, -0.3), (1, 0.031)),  # the heel rises
+        LimbTurn(-1.48, (1, 0.031), (2, -0.026)),  # the foot swings
     ),
     "shank": (
-        Turn(-1.1, (0, -0.04), (1, 0.07)),  # it leans forwards over the foot
-        Turn(1.1, (1, 0.07), (2, -0.04)),  # it swings
+        LimbTurn(-1.1, (0, -0.04), (1, 0.07)),  # it leans forwards over the foot
+        LimbTurn(1.1, (1, 0.07), (2, -0.04)),  # it swings
     ),
 }
 SWING_M = 1.1

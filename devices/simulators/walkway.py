@@ -56,7 +56,7 @@ class Walkway(Source):
         }
 
     def read(self, feed: Feed) -> None:
-        trial, begun = Trial(self), feed.now()
+        trial, begun = WalkwayTrial(self), feed.now()
         last = round(self.duration_s * MARKERS_HZ)
         for frame in range(last) if last else count():
             due = begun + round((frame + 1) * NS / MARKERS_HZ)
@@ -70,7 +70,7 @@ class Walkway(Source):
             feed.emit(Chunk(stamps[:1], trial.markers(index[:1]), int(stamps[0])), "markers")
 
 
-class Trial:
+class WalkwayTrial:
     """The walk itself: any samples of it, in any order. The left leg follows the right one half a mean stride later."""
 
     def __init__(self, walkway: Walkway) -> None:

@@ -13,7 +13,7 @@ from stream.source import Feed
 ANSWER_S, TRIES = 2.0, 3
 
 
-class Talk:
+class ShimmerCommands:
     """Commands and their answers, while the device does not measure."""
 
     def __init__(self, link: Transport, feed: Feed, port: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from devices.protocols import xbus
-from devices.protocols.xbus import Decoder, Run
+from devices.protocols.xbus import XbusDecoder, XbusRun
 from devices.transport.handshake import shown
 from devices.transport.transport import Transport
 from stream.errors import DeviceError
@@ -14,12 +14,12 @@ from stream.source import Feed
 ANSWER_S, TRIES = 1.0, 3
 
 
-class Talk:
+class XbusCommands:
     """Commands and their answers, while measurements may still be coming."""
 
     def __init__(self, link: Transport, feed: Feed, port: str) -> None:
-        self.decoder = Decoder()
-        self.behind: list[Run] = []
+        self.decoder = XbusDecoder()
+        self.behind: list[XbusRun] = []
         """What came in one read with the last answer, behind it."""
         self._link, self._feed, self._port = link, feed, port
 
@@ -47,7 +47,7 @@ class Talk:
         )
 
 
-def reason(run: Run) -> str:
+def reason(run: XbusRun) -> str:
     """What an error message tells of."""
     code = run.data[0] if run.data else -1
     return xbus.ERRORS.get(code, f"error {code:#x}")

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 from devices.binary import Binary
-from devices.protocols.declared import Decoder, Found, Layout
+from devices.protocols.declared import FoundFrames, FrameDecoder, FrameLayout
 from devices.transport.transport import Transport
 from devices.usb.bus import Address
 from devices.usb.pipe import Pipe
@@ -38,7 +38,7 @@ class Endpoint(Binary):
         help="the endpoint's address (0x81 to 0x8F); left out: the interface's first to read",
     )
 
-    def layouts(self) -> list[Layout]:
+    def layouts(self) -> list[FrameLayout]:
         try:
             Address.parse(self.port)
         except DeviceError as error:
@@ -59,19 +59,19 @@ class Endpoint(Binary):
         assert isinstance(link, Pipe)
         feed.identify("USB device", **link.identity)
 
-    def _decoder(self, layouts: list[Layout]) -> Decoder:
+    def _decoder(self, layouts: list[FrameLayout]) -> FrameDecoder:
         return Transfers(layouts)
 
     def _taken(self, link: Transport, timeout_s: float) -> bytes:
         return link.read(timeout_s)
 
 
-class Transfers(Decoder):
+class Transfers(FrameDecoder):
     """Transfers to reports: each is a report as a whole, or nothing."""
 
-    def feed(self, data: bytes) -> Found:
+    def feed(self, data: bytes) -> FoundFrames:
         """`data`: one transfer."""
-        found = Found()
+        found = FoundFrames()
         if not data:
             return found
         for kind in self._order:

@@ -53,7 +53,7 @@ class EnvelopeState:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class EnvelopeRun:
     """Samples start..stop-1 of a chunk, `lost` before them; `anew`: the filters start again."""
 
     start: int
@@ -214,7 +214,7 @@ class Envelope(Operator[EnvelopeState]):
         after = np.round(np.arange(up) / up * (NS / rate_in) - shift_s * NS).astype(np.int64)
         return np.concatenate([np.array([up, down, block], np.int64), after])
 
-    def _runs(self, chunk: Chunk) -> list[Run]:
+    def _runs(self, chunk: Chunk) -> list[EnvelopeRun]:
         """The chunk cut where a gap is long enough to start anew."""
         s = self.state
         before = s.last if s.last != NEVER else int(chunk.time[0])
@@ -224,7 +224,7 @@ class Envelope(Operator[EnvelopeState]):
         while start < len(chunk.time):
             stop = gap(chunk.time, before, s.limit, start + anew)
             if stop > start:
-                runs.append(Run(start, stop, lost, anew))
+                runs.append(EnvelopeRun(start, stop, lost, anew))
             start, lost, anew = stop, -1, True
         return runs
 

@@ -37,7 +37,7 @@ STATISTICS = np.dtype(
 
 
 @dataclass(slots=True)
-class StatisticsState:
+class CycleStatisticsState:
     """
     curve  of the cycles so far, in the space in which deviations are taken
     top    (muscles,) highest value so far
@@ -59,7 +59,7 @@ class StatisticsState:
 
 
 @dataclass(frozen=True, slots=True)
-class CycleStatistics(Operator[StatisticsState]):
+class CycleStatistics(Operator[CycleStatisticsState]):
     """Cycles (100, muscles) and their events in, one event per accepted cycle and muscle out, stamped like the cycle.
 
     peak, peak_pct       the highest of the 100 points and where it lies, in % of the cycle (whole ones; the first of equal ones)
@@ -93,7 +93,7 @@ class CycleStatistics(Operator[StatisticsState]):
         n = spec.shape[1]
         nothing = (NEVER, np.empty(0, np.int64), np.empty(0, STATISTICS))
         self.hold(
-            StatisticsState(
+            CycleStatisticsState(
                 Expected.none(), RunningCurve.none(spec.shape[0], n),
                 np.zeros(n),
                 CycleHistory.none(spec.shape[0], n),

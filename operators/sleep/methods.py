@@ -82,7 +82,7 @@ THESIS_ALPHA = 0.3
 
 
 @dataclass(slots=True)
-class Rule:
+class ScoringRule:
     """A scorer made ready for one epoch length.
 
     weights  (past + 1 + future,)  from the oldest epoch on; for Sadeh ones
@@ -142,11 +142,11 @@ class Rule:
 
 def rule(
     method: str, epoch_s: float, *, threshold: float | None, active_above: float, sigma_epochs: float, whole: bool
-) -> Rule:
+) -> ScoringRule:
     """The rule of a scorer at an epoch length it is defined for. `threshold`: in place of its own; `whole`: counts are rounded."""
     known = METHODS[method]
     weights, unit, limit, clip, at = _constants(method, epoch_s, sigma_epochs)
-    return Rule(
+    return ScoringRule(
         sadeh=method.startswith("sadeh"),
         whole=whole,
         weights=weights,

@@ -11,7 +11,7 @@ import numpy as np
 
 from operators.channels import find_channel, names_of
 from operators.sleep.calibration import Calibration
-from operators.sleep.methods import METHODS, MethodName, Rule, rule
+from operators.sleep.methods import METHODS, MethodName, ScoringRule, rule
 from operators.sleep.rescoring import NAMES, REACH_MIN, SLEEP, UNKNOWN, WAKE, States, rescored, settled
 from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
@@ -48,7 +48,7 @@ class ScorerState:
     calibrated, gain, offset  whether and how motion becomes counts
     """
 
-    rule: Rule
+    rule: ScoringRule
     channel: int
     epoch_ns: int
     most_silent: int

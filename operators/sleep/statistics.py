@@ -55,7 +55,7 @@ log = structlog.get_logger(__name__)
 
 
 @dataclass(slots=True)
-class StatisticsState:
+class SleepStatisticsState:
     """
     onset, states, activity (capacity,)  the newest `count` final epochs, at the front
     asked   (MOST_ASKED, 3)  times in bed whose last epoch is not final yet: begin, end, place in BEDS; the first `asks` hold
@@ -80,7 +80,7 @@ class StatisticsState:
 
 
 @dataclass(frozen=True, slots=True)
-class SleepStatistics(Operator[StatisticsState]):
+class SleepStatistics(Operator[SleepStatisticsState]):
     """Scored epochs in (only final ones count), one row of numbers per night out, as soon as the night's last epoch is final.
 
     What the time in bed is, by what is connected or given:
@@ -139,7 +139,7 @@ class SleepStatistics(Operator[StatisticsState]):
             raise InputError("epochs", "without epoch_s in its meta", "scored epochs of a known length")
         n = int(np.ceil(self.longest_h * 3600 / epoch_s))
         self.hold(
-            StatisticsState(
+            SleepStatisticsState(
                 round(epoch_s * NS), np.zeros(n, np.int64), np.zeros(n, np.int8), np.zeros(n), 0,
                 np.zeros((MOST_ASKED, 3), np.int64), 0, NEVER, np.array([NEVER, NEVER]), NEVER, bed, NEVER, False,
             )

@@ -14,7 +14,7 @@ from stream.plain import say
 from stream.screen import Screen
 
 
-class Format(StrEnum):
+class DrawingFormat(StrEnum):
     tree = "tree"
     mermaid = "mermaid"
     dot = "dot"
@@ -23,8 +23,8 @@ class Format(StrEnum):
 def draw(
     config: Annotated[Path, typer.Argument(help="the graph, a YAML file", metavar="CONFIG")],
     format: Annotated[
-        Format, typer.Option(help="a tree for the terminal, Mermaid for Markdown, DOT for Graphviz")
-    ] = Format.tree,
+        DrawingFormat, typer.Option(help="a tree for the terminal, Mermaid for Markdown, DOT for Graphviz")
+    ] = DrawingFormat.tree,
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="NODE.PARAMETER=VALUE", help="change a parameter of the graph")
     ] = None,
@@ -32,9 +32,9 @@ def draw(
     """Draw a graph: its nodes, what flows between them, and what is recorded."""
     graph = load(config, overrides=overrides.read(settings or ()))
     match format:
-        case Format.mermaid:
+        case DrawingFormat.mermaid:
             say(drawing.mermaid(graph), end="")
-        case Format.dot:
+        case DrawingFormat.dot:
             say(drawing.dot(graph), end="")
-        case Format.tree:
+        case DrawingFormat.tree:
             Screen().print(drawing.tree(graph))

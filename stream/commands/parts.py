@@ -28,9 +28,7 @@ def parts(
     name: Annotated[
         str, typer.Argument(metavar="[NAME]", help="a dotted path, a class name, or a word to search for")
     ] = "",
-    package: Annotated[
-        list[str] | None, typer.Option(help="a package or module of your own to include")
-    ] = None,
+    package: Annotated[list[str] | None, typer.Option(help="a package or module of your own to include")] = None,
 ) -> None:
     """List every source, operator and outlet that a graph can use; with NAME, show its ports and parameters."""
     from pathlib import Path

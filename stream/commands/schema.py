@@ -19,9 +19,7 @@ def schema(
     output: Annotated[
         Path | None, typer.Option("-o", "--out", help="write it to this file instead of printing it")
     ] = None,
-    package: Annotated[
-        list[str] | None, typer.Option(help="a package or module of your own to include")
-    ] = None,
+    package: Annotated[list[str] | None, typer.Option(help="a package or module of your own to include")] = None,
 ) -> None:
     """Write the JSON Schema of graphs, with every source, operator and outlet that is installed.
 

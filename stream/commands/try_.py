@@ -9,11 +9,11 @@ from typing import Annotated
 import typer
 from rich.progress import Progress
 
+from stream.conformance import Broken, Conformance, checks, hold, lags, trials
 from stream.errors import KinegraphError
 from stream.graph.parts import find, import_from
 from stream.operator import Operator
 from stream.screen import Screen
-from stream.trial import Broken, Trial, checks, hold, lags, trials
 
 
 def try_(
@@ -56,7 +56,7 @@ def _hint(output: str, seconds: float) -> str:
     )
 
 
-def _one_case(trial: Trial, examples: int, seed: int, title: str, console: Screen) -> None:
+def _one_case(trial: Conformance, examples: int, seed: int, title: str, console: Screen) -> None:
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(title, total=len(checks(trial)) + examples)
 

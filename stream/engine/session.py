@@ -76,7 +76,10 @@ class Session:
         self.log = SessionLog(folder, graph, self.clock, self._prior)
         self._runners = [Runner(node, self._ready, self.clock, self.log.report, self._fail) for node in graph.sources]
         self._ingress = Ingress(self._ready, self._runners, self.pipeline, self.log, self.clock, self._fail)
-        self._watchdog, self._memory = Watchdog(self.pipeline.slots.values()), MemoryWatch(graph.memory_mb, self.pipeline)
+        self._watchdog, self._memory = (
+            Watchdog(self.pipeline.slots.values()),
+            MemoryWatch(graph.memory_mb, self.pipeline),
+        )
 
     def stop(self) -> None:
         """End the session cleanly; may be called from any thread and from a signal handler."""

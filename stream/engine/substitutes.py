@@ -15,7 +15,7 @@ from stream.chunk import Specs
 from stream.engine.edge import LiveEdge
 from stream.engine.pipeline import Pipeline
 from stream.graph import Edge, Graph, Node
-from stream.recording.tally import RecordedStream
+from stream.recording.recorded_stream import RecordedStream
 from stream.source import Source
 
 

@@ -15,6 +15,7 @@ from stream.arrays import series
 from stream.chunk import Chunk, StreamSpec, add_lost
 from stream.commands.ending import Ending
 from stream.commands.run import simulated
+from stream.conformance import hold, trials
 from stream.engine.replay import Replay
 from stream.engine.session import Session
 from stream.engine.status import Outcome
@@ -28,7 +29,6 @@ from stream.recording.place import refuse_taken_folder
 from stream.recording.series import write_recording
 from stream.series import Series
 from stream.source import Source
-from stream.trial import hold, trials
 
 CHUNK_S = 1.0
 """Arrays are cut into chunks of so much time; by the first law that changes no bit."""
@@ -181,6 +181,6 @@ def _series(name: str, value: Any, wanted: Mapping[str, StreamSpec], rate_hz: fl
 
 
 def try_(operator: type[Operator[Any]], *, examples: int = 50, seed: int = 1) -> None:
-    """Hold an operator's class to the laws on its `cases`; raises `stream.trial.Broken`: which law is broken, where, and what to do."""
+    """Hold an operator's class to the laws on its `cases`; raises `Broken`: which law is broken, where, and what to do."""
     for make in trials(operator):
         hold(make(), examples, seed)

@@ -27,9 +27,7 @@ class Wiring:
         """The output that a text names: "board" for the first output of a node, "board.accel" for another."""
         text = written.value
         if not isinstance(text, str):
-            self._problems.add(
-                f"{written.kind} is not the name of a node or of an output", written, node
-            )
+            self._problems.add(f"{written.kind} is not the name of a node or of an output", written, node)
             return None
         name, dot, output = text.partition(".")
         if name not in self._outputs:

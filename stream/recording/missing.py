@@ -10,7 +10,7 @@ from typing import Any
 from stream.chunk import NS
 from stream.errors import RecordingError
 from stream.recording.checkpoint import Checkpoint
-from stream.recording.recorded import RecordedPart
+from stream.recording.recorded_file import RecordedFile
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Missing:
         return {"bytes": self.bytes, "seconds": round(self.seconds, 3), "samples": self.samples}
 
 
-def missing_after(part: RecordedPart, *, last: bool) -> Missing | None:
+def missing_after(part: RecordedFile, *, last: bool) -> Missing | None:
     """What is missing at the end of a file; None where all its data are there. Beside the `last` file, a checkpoint tells more."""
     if part.whole:
         return None
@@ -50,7 +50,7 @@ def missing_after(part: RecordedPart, *, last: bool) -> Missing | None:
     return Missing(part.torn, (max(known) - end) / NS if end else 0.0)
 
 
-def missing_of(parts: Sequence[RecordedPart], *, open_end: bool = False) -> Missing | None:
+def missing_of(parts: Sequence[RecordedFile], *, open_end: bool = False) -> Missing | None:
     """What is missing of a recording of these files; None where nothing is.
 
     A file that breaks off costs nothing where the next one goes on with the very next sample of every stream: so a resumed session

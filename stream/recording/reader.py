@@ -23,9 +23,9 @@ from stream.recording.format import (
 )
 from stream.recording.missing import missing_of
 from stream.recording.place import parts_of
-from stream.recording.recorded import RecordedPart
+from stream.recording.recorded_file import RecordedFile
+from stream.recording.recorded_stream import RecordedStream
 from stream.recording.records import DAMAGE
-from stream.recording.tally import RecordedStream
 
 
 class Recording:
@@ -37,7 +37,7 @@ class Recording:
     streams    what was recorded, by name
     """
 
-    def __init__(self, path: Path, parts: list[RecordedPart], *, open_end: bool = False) -> None:
+    def __init__(self, path: Path, parts: list[RecordedFile], *, open_end: bool = False) -> None:
         """`open_end`: a further file had been begun, into which nothing was written."""
         self.path = path
         self.parts = parts
@@ -64,12 +64,12 @@ class Recording:
         paths = parts_of(path)
         if not paths:
             raise RecordingError(f"{path}: the folder holds no recording (session.0000.mcap is missing)")
-        parts: list[RecordedPart] = []
+        parts: list[RecordedFile] = []
         try:
             for i, part in enumerate(paths):
                 if i and i == len(paths) - 1 and part.stat().st_size == 0:
                     return cls(path, parts, open_end=True)
-                parts.append(RecordedPart(part))
+                parts.append(RecordedFile(part))
             return cls(path, parts)
         except BaseException:
             for opened in parts:
@@ -133,7 +133,7 @@ class Recording:
 
     @staticmethod
     def _entries(
-        part: RecordedPart, name: str, body: memoryview, ends: dict[str, int], frames: list[memoryview]
+        part: RecordedFile, name: str, body: memoryview, ends: dict[str, int], frames: list[memoryview]
     ) -> list[Entry]:
         """A message's chunks; samples that the recorder had to drop before them count as lost."""
         try:

@@ -15,13 +15,13 @@ from stream.bounded import LEAST
 from stream.chunk import NS, Chunk, StreamSpec
 from stream.errors import RecordingError
 from stream.graph import RecordingOptions
+from stream.recording.file_segments import FileSegments
 from stream.recording.format import LOG, METRICS, Kept, Role
 from stream.recording.image import is_frames
-from stream.recording.lane import OVERHEAD, STREAMS, Lane, RecorderStatus
 from stream.recording.packed import Packer
 from stream.recording.place import claim, give_back
-from stream.recording.scribe import GRACE_S, SPOOL_BYTES, Scribe
-from stream.recording.tape import Tape
+from stream.recording.record_writer import GRACE_S, SPOOL_BYTES, RecordWriter
+from stream.recording.recorder_slot import OVERHEAD, STREAMS, RecorderSlot, RecorderStatus
 
 TURN = 0.8
 """So much of `flush_s` the recorder's thread sleeps, unless much comes; then it writes all that came."""
@@ -60,13 +60,13 @@ class Recorder:
         self._path, self._options = path, options
         self._wait, self._limit = wait, queue_bytes
         self._share = self._much = 0
-        self._lanes = [Lane(LOG), Lane(METRICS)]
+        self._slots = [RecorderSlot(LOG), RecorderSlot(METRICS)]
         self._queue: SimpleQueue[tuple[int, tuple[Any, int, int], int]] = SimpleQueue()
         self._first = self._latest = 0
         self._lock, number = claim(path, taken=resume)
-        self._tape = Tape(path, number, header, options)
+        self._segments = FileSegments(path, number, header, options)
         self._stop, self._wake, self._lull = Event(), Event(), Event()
-        self._scribe = Scribe(path, self._lanes, self._tape, options, self._stop, live=not wait)
+        self._writer = RecordWriter(path, self._slots, self._segments, options, self._stop, live=not wait)
         self._due = time.monotonic()
         self.patient = False
         """Whether the recorder's work is due, and waits a little for a lull in the session's."""
@@ -86,50 +86,55 @@ class Recorder:
 
         Of an `outline`, only when samples came and how many is kept, not the samples.
         """
-        if any(lane.name == name for lane in self._lanes):
+        if any(slot.name == name for slot in self._slots):
             raise RecordingError(f"stream {name!r} is recorded already")
         if not outline and spec.sample_bytes > PIECE_BYTES:
             raise RecordingError(
                 f"stream {name!r}: a sample of it has {spec.sample_bytes} bytes; at most {PIECE_BYTES} can be recorded"
             )
         kept: Kept = "outline" if outline else self._options.frames if is_frames(spec) else "whole"
-        lane = Lane(
-            name, spec, index=first, kept=kept, copied=role == "input", track=self._tape.declare(name, spec, role, kept)
+        slot = RecorderSlot(
+            name,
+            spec,
+            index=first,
+            kept=kept,
+            copied=role == "input",
+            topic=self._segments.declare(name, spec, role, kept),
         )
         if kept in ("image", "packed"):
-            lane.frames = self._tape.declare_frames(name, kept)
-            lane.packer = Packer() if kept == "packed" else None
-        self._lanes.append(lane)
-        self._share = self._limit // (len(self._lanes) - STREAMS)
+            slot.frames = self._segments.declare_frames(name, kept)
+            slot.packer = Packer() if kept == "packed" else None
+        self._slots.append(slot)
+        self._share = self._limit // (len(self._slots) - STREAMS)
         self._much = min(SPOOL_BYTES, self._share // 4)
-        return len(self._lanes) - 1
+        return len(self._slots) - 1
 
     def write(self, stream: int, chunk: Chunk, arrival: int, sequence: int) -> None:
         """Hand over a chunk: its arrival (ns of session time) and its place in the input log. An input is copied;
         other arrays are never written again."""
-        lane = self._lanes[stream]
-        if lane.kept == "outline":
+        slot = self._slots[stream]
+        if slot.kept == "outline":
             chunk = Chunk(chunk.time.copy(), NOTHING, chunk.until, chunk.lost)
-        elif lane.copied:
+        elif slot.copied:
             chunk = Chunk(chunk.time.copy(), chunk.data.copy(), chunk.until, chunk.lost)
         if chunk.data.nbytes + chunk.time.nbytes > PIECE_BYTES:
             for piece in _pieces(chunk):
-                self._put(stream, lane, piece, arrival, sequence)
+                self._put(stream, slot, piece, arrival, sequence)
         else:
-            self._put(stream, lane, chunk, arrival, sequence)
+            self._put(stream, slot, chunk, arrival, sequence)
 
-    def _put(self, stream: int, lane: Lane, chunk: Chunk, arrival: int, sequence: int) -> None:
-        if lane.put - lane.got > self._much and not self._has_room(lane):
-            lane.dropped += 1
-            lane.missed += len(chunk.time)
+    def _put(self, stream: int, slot: RecorderSlot, chunk: Chunk, arrival: int, sequence: int) -> None:
+        if slot.put - slot.got > self._much and not self._has_room(slot):
+            slot.dropped += 1
+            slot.missed += len(chunk.time)
             return
-        lane.put += chunk.data.nbytes + OVERHEAD
+        slot.put += chunk.data.nbytes + OVERHEAD
         if arrival > self._latest:
             self._first = self._first or arrival
             self._latest = arrival
-        self._queue.put((stream, (chunk, arrival, sequence), lane.missed))
-        if lane.missed:
-            lane.missed = 0
+        self._queue.put((stream, (chunk, arrival, sequence), slot.missed))
+        if slot.missed:
+            slot.missed = 0
 
     def log(self, kind: str, time: int, **facts: Any) -> None:
         """A line of the session's log at `time` (ns): a drop, a gap, a reopened source, an alarm. The fact `level` may be given."""
@@ -140,28 +145,28 @@ class Recorder:
         self._hand(1, table, time)
 
     def _hand(self, topic: int, what: Any, time: int) -> None:
-        lane = self._lanes[topic]
-        if lane.put - lane.got > self._limit // 8:
-            lane.dropped += 1
+        slot = self._slots[topic]
+        if slot.put - slot.got > self._limit // 8:
+            slot.dropped += 1
             return
-        lane.put += OVERHEAD
+        slot.put += OVERHEAD
         self._queue.put((topic, (what, time, 0), 0))
 
-    def _has_room(self, lane: Lane) -> bool:
+    def _has_room(self, slot: RecorderSlot) -> bool:
         """Much of a stream waits: the recorder is woken; whether there is still room for more."""
         if not self._wake.is_set():
             self._wake.set()
-        return lane.put - lane.got <= self._share or not self._is_full() or self._wait_for_room()
+        return slot.put - slot.got <= self._share or not self._is_full() or self._wait_for_room()
 
     def _is_full(self) -> bool:
-        return sum(lane.put - lane.got for lane in self._lanes) > self._limit
+        return sum(slot.put - slot.got for slot in self._slots) > self._limit
 
     def _wait_for_room(self) -> bool:
         """Offline, the writer waits; raises RecordingError where the disk refuses for some seconds."""
         well = time.monotonic()
         while self._wait and self._thread.is_alive() and self._is_full():
             now = time.monotonic()
-            well = well if self._scribe.error else now
+            well = well if self._writer.error else now
             if now - well > GRACE_S:
                 raise self._incomplete()
             time.sleep(0.002)
@@ -170,15 +175,15 @@ class Recorder:
     @property
     def part(self) -> int:
         """The number of the file that is being written."""
-        return self._tape.number
+        return self._segments.number
 
     @property
     def status(self) -> RecorderStatus:
         return RecorderStatus(
-            bytes=self._tape.saved,
-            behind_s=max(self._latest - (self._scribe.done or self._first), 0) / NS,
-            dropped={lane.name: lost for lane in self._lanes if (lost := lane.dropped + lane.refused)},
-            error=self._scribe.error,
+            bytes=self._segments.saved,
+            behind_s=max(self._latest - (self._writer.done or self._first), 0) / NS,
+            dropped={slot.name: lost for slot in self._slots if (lost := slot.dropped + slot.refused)},
+            error=self._writer.error,
         )
 
     def lull(self) -> None:
@@ -201,11 +206,11 @@ class Recorder:
 
     def check(self) -> None:
         """Raises RecordingError where something that was handed over is not on the disk; for offline work, after `close`."""
-        if self._scribe.error or self.status.dropped:
+        if self._writer.error or self.status.dropped:
             raise self._incomplete()
 
     def _incomplete(self) -> RecordingError:
-        why = self._scribe.error or "the disk was too slow"
+        why = self._writer.error or "the disk was too slow"
         return RecordingError(
             f"{self._path}: not everything could be written ({why}); free some space or choose another folder"
         )
@@ -222,14 +227,14 @@ class Recorder:
                     self._await_lull()
                 self._turn()
             self._turn(last=True)
-            self._tape.finish()
+            self._segments.finish()
             ended = True
         except OSError as error:
-            self._scribe.fail(error)
+            self._writer.fail(error)
         finally:
             if not ended:
-                self._scribe.error = self._scribe.error or "the recorder has stopped"
-                self._tape.abandon()
+                self._writer.error = self._writer.error or "the recorder has stopped"
+                self._segments.abandon()
 
     def _await_lull(self) -> None:
         self._lull.clear()
@@ -238,26 +243,26 @@ class Recorder:
         self.patient = False
 
     def _turn(self, *, last: bool = False) -> None:
-        """Hand the scribe what has come, and have it written when it is time."""
-        scribe, get = self._scribe, self._queue.get_nowait
+        """Hand the writer what has come, and have it written when it is time."""
+        writer, get = self._writer, self._queue.get_nowait
         while True:
             try:
                 number, what, missed = get()
             except Empty:
                 break
             if number >= STREAMS:
-                scribe.take(number, what, missed)
+                writer.take(number, what, missed)
             elif number == FLUSH:
-                scribe.sync()
+                writer.sync()
                 what[0].set()
             else:
-                scribe.take_line(number, what[0], what[1])
+                writer.take_line(number, what[0], what[1])
         if not self._wait or last:
-            scribe.round()
-        scribe.report_drops(over=last)
+            writer.round()
+        writer.report_drops(over=last)
         now = time.monotonic()
         if not self._wait or last or now >= self._due:
-            scribe.save()
+            writer.save()
             self._due = now + self._options.flush_s * TURN
 
 

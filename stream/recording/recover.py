@@ -11,13 +11,13 @@ from mcap.writer import CompressionType
 
 from stream.complete import private_folder
 from stream.errors import RecordingError
+from stream.recording.file_segment import FileSegment
 from stream.recording.format import LOG, METRICS, encode_log, table
 from stream.recording.missing import Missing, missing_after
-from stream.recording.part import Part
 from stream.recording.place import is_running, part_path, parts_of
-from stream.recording.recorded import RecordedPart
+from stream.recording.recorded_file import RecordedFile
+from stream.recording.recorded_stream import RecordedStream
 from stream.recording.records import messages
-from stream.recording.tally import RecordedStream
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ def rewrite(path: Path, output: Path | None, progress: Callable[[int, int], None
     for number, part in enumerate(paths):
         if part.stat().st_size == 0 and len(paths) > 1:
             continue
-        opened = RecordedPart(part, forgiving=True)
+        opened = RecordedFile(part, forgiving=True)
         missing = missing_after(opened, last=part == paths[-1])
         try:
             if output is not None:
@@ -67,7 +67,7 @@ def rewrite(path: Path, output: Path | None, progress: Callable[[int, int], None
 
 
 def _replace(
-    old: RecordedPart, number: int, missing: Missing | None, progress: Callable[[int, int], None] | None
+    old: RecordedFile, number: int, missing: Missing | None, progress: Callable[[int, int], None] | None
 ) -> Recovered:
     path = old.file.path
     fresh = path.with_name(f".{path.name}.recovering")
@@ -79,10 +79,10 @@ def _replace(
 
 
 def _rewrite(
-    old: RecordedPart, path: Path, number: int, missing: Missing | None, progress: Callable[[int, int], None] | None
+    old: RecordedFile, path: Path, number: int, missing: Missing | None, progress: Callable[[int, int], None] | None
 ) -> Recovered:
     """Copy every message that can be read to a new file at `path`, say in its log what is `missing`, and end it."""
-    part = Part(path, number, old.header, CompressionType.LZ4 if old.images else CompressionType.ZSTD)
+    part = FileSegment(path, number, old.header, CompressionType.LZ4 if old.images else CompressionType.ZSTD)
     try:
         tallies = {name: RecordedStream(s.spec, s.role, s.kept) for name, s in old.streams.items()}
         channels = {name: part.declare(name, s.spec, s.role, s.kept) for name, s in old.streams.items()}

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.bitalino import Bitalino, Channel
-from devices.simulators.bitalino import BitalinoBrain
+from devices.bitalino import Bitalino, BitalinoChannel
+from devices.simulators.bitalino import BitalinoModel
 from devices.simulators.lines import line_at
 from devices.simulators.serve import Server
 from tests.device_feed import reading, wait_for
@@ -39,7 +39,7 @@ print(json.dumps({"version": version, "state": state, "rows": rows}))
 )
 @pytest.mark.parametrize("tcp", [False, True])
 def test_the_package_gets_the_same_numbers(inputs: str, rate_hz: int, tcp: bool) -> None:
-    brain = BitalinoBrain(seed=7)
+    brain = BitalinoModel(seed=7)
     with Server(brain, line_at("tcp://127.0.0.1:0" if tcp else "", "rfcommSIM")) as server:
         where = server.address.removeprefix("tcp://") if tcp else str(Path(server.address).resolve())
         done = subprocess.run(
@@ -49,7 +49,7 @@ def test_the_package_gets_the_same_numbers(inputs: str, rate_hz: int, tcp: bool)
             timeout=60,
         )
         assert done.returncode == 0, done.stderr[-2000:]
-        channels = tuple(Channel(f"A{int(c) + 1}") for c in inputs)  # type: ignore[arg-type]
+        channels = tuple(BitalinoChannel(f"A{int(c) + 1}") for c in inputs)  # type: ignore[arg-type]
         with reading(Bitalino(server.address, channels, rate_hz)) as feed:  # type: ignore[arg-type]
             wait_for(lambda: feed.error is not None or feed.count("analog") >= 60)
     theirs = json.loads(done.stdout.splitlines()[-1])

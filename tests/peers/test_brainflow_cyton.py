@@ -15,7 +15,7 @@ import pytest
 
 from devices.cyton import Cyton
 from devices.protocols.cyton import uv_per_count
-from devices.simulators.cyton import CytonBrain
+from devices.simulators.cyton import CytonModel
 from devices.simulators.lines import line_at
 from devices.simulators.serve import Server
 from tests.device_feed import reading, wait_for
@@ -63,10 +63,10 @@ def brainflow(port: str, kind: int, wanted: int) -> dict[str, Any]:
 
 @pytest.mark.parametrize("daisy", [False, True])
 def test_brainflow_gets_the_same_numbers(daisy: bool) -> None:
-    brain = CytonBrain(daisy=daisy, seed=11)
+    brain = CytonModel(daisy=daisy, seed=11)
     with Server(brain, line_at(name="ttyCYTON")) as server:
         theirs = brainflow(server.address, CYTON_DAISY if daisy else CYTON, 300)
-    again = CytonBrain(daisy=daisy, seed=11)
+    again = CytonModel(daisy=daisy, seed=11)
     with Server(again, line_at(name="ttyCYTON")) as server, reading(Cyton(server.address, daisy=daisy)) as feed:
         wait_for(lambda: feed.count("emg") >= 400)
     ours = feed.data("emg")

@@ -20,7 +20,7 @@ from devices.protocols import shimmer_units as units
 from devices.shimmer import Shimmer
 from devices.simulators.lines import line_at
 from devices.simulators.serve import Server
-from devices.simulators.shimmer import ShimmerBrain
+from devices.simulators.shimmer import ShimmerModel
 from tests.device_feed import reading, wait_for
 
 PYTHON = os.environ.get("KINEGRAPH_PYSHIMMER", sys.executable)
@@ -73,7 +73,7 @@ print(json.dumps({"version": [version.major, version.minor, version.rel], "kind"
 def test_the_package_gets_the_same_numbers(sensors: tuple[str, ...], groups: str) -> None:
     purpose = "ecg" if "ecg" in sensors else "emg"
     registers = [r.hex() for r in units.registers(purpose, 512)]
-    brain = ShimmerBrain(seed=7)
+    brain = ShimmerModel(seed=7)
     wide = brain.chips.wide_rate(512)  # the package does not set how often the sensors themselves measure
     brain.hear(bytes([protocol.WIDE_RATE, wide, protocol.GYRO_RATE, units.gyro_divider(512)]))
     with Server(brain, line_at("", "rfcommSHIM")) as server:

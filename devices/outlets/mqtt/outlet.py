@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import structlog
 
-from devices.mqtt.link import Broker, Link
+from devices.mqtt.link import Broker, BrokerConnection
 from devices.outlets.claim import check_path
 from devices.outlets.mqtt.discovery import OFF, ON, UNKNOWN, Device, Entity, Topics, announcement
 from devices.outlets.mqtt.outbox import Outbox, OutboxState
@@ -58,7 +58,7 @@ class _Desk:
 
     def __init__(self, specs: Specs) -> None:
         self.specs = specs
-        self.link: Link | None = None
+        self.link: BrokerConnection | None = None
         self.outbox: Outbox | None = None
         self.live_from = NEVER
         """What a resumed session works through a second time lies before this."""
@@ -139,7 +139,7 @@ class MqttOutlet(_Sender):
                 self._post_logged(history)
         topics, histories = self._topics, [self._topics.history(h.of) for h in self.history]
         heard = [*([topics.birth] if self.discovery else []), *([topics.mark(), *histories] if histories else [])]
-        desk.link = Link(
+        desk.link = BrokerConnection(
             self.broker, f"kinegraph-{self.device.id}-{socket.gethostname()}-{os.getpid()}", topics.availability(), heard,
             joined=self._joined, heard=self._heard, delivered=desk.outbox.delivered, left=desk.outbox.shut,
         )  # fmt: skip
@@ -175,7 +175,7 @@ class MqttOutlet(_Sender):
                 f"the MQTT broker did not get these events, and will not{kept}", events=undelivered, broker=broker
             )
 
-    def _wait_for_the_last(self, link: Link, outbox: Outbox) -> None:
+    def _wait_for_the_last(self, link: BrokerConnection, outbox: Outbox) -> None:
         """Letters are given a bounded time as long as the broker takes them; one that is away is tried once more, at once."""
         began, failures = time.monotonic(), link.failures
         if outbox.waiting:
@@ -230,15 +230,15 @@ class MqttOutlet(_Sender):
 
     def _post_logged(self, history: History) -> None:
         """What a night's log has, and this session has not sent: it was killed in between."""
-        from devices.outlets.night import shelf
+        from devices.outlets.night import archive
 
         outbox, topic = self.desk.outbox, self._topics.history(history.of)
         assert outbox
         newest = outbox.newest(topic)
-        nights = shelf.nights(Path(history.log)) if newest >= 0 else []
-        nights.sort(key=lambda night: (night[0] / shelf.EPOCHS).stat().st_mtime_ns)  # the one that was written last
+        nights = archive.nights(Path(history.log)) if newest >= 0 else []
+        nights.sort(key=lambda night: (night[0] / archive.EPOCHS).stat().st_mtime_ns)  # the one that was written last
         for folder, _ in nights[-1:]:
-            epochs = shelf.read_epochs(folder)
+            epochs = archive.read_epochs(folder)
             for k in np.flatnonzero(epochs.onset > newest).tolist():
                 told = {"session": self.state.session, "key": int(epochs.onset[k])}
                 told |= {name: utc(int(column[k])) for name, column in (("onset", epochs.onset), ("end", epochs.end))}

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from devices.files.edf_plus import EdfSignal, Head, Note, encode
+from devices.outlets.night.archive import Facts, LoggedEpochs, clock, night_zone
 from devices.outlets.night.numbers import exits
-from devices.outlets.night.shelf import Epochs, Facts, clock, night_zone
 from stream.chunk import NS, Samples
 from stream.complete import write_complete
 
@@ -19,7 +19,7 @@ NOT_SEEN = -1.0
 """What stands in a signal where nothing is known: EDF has no other way."""
 
 
-def write_edf(path: Path, facts: Facts, epochs: Epochs) -> None:
+def write_edf(path: Path, facts: Facts, epochs: LoggedEpochs) -> None:
     """Write the file, whole or not at all; times are those of the wall clock, as EDF wants. Raises OSError or DeviceError."""
     step = round(facts.epoch_s * NS)
     begin = int(epochs.onset[0])
@@ -37,7 +37,7 @@ SIGNALS = (
 )
 
 
-def _notes(facts: Facts, epochs: Epochs) -> list[tuple[int, int | None, str]]:
+def _notes(facts: Facts, epochs: LoggedEpochs) -> list[tuple[int, int | None, str]]:
     """Everything that is annotated: when (ns), how long (ns; None: a moment), and what."""
     step = round(facts.epoch_s * NS)
     notes: list[tuple[int, int | None, str]] = [
@@ -49,7 +49,7 @@ def _notes(facts: Facts, epochs: Epochs) -> list[tuple[int, int | None, str]]:
     return notes
 
 
-def _known(epochs: Epochs, name: str) -> bool:
+def _known(epochs: LoggedEpochs, name: str) -> bool:
     """Whether a signal is written: anything is known of it, or it is the one that is always there."""
     return name == "activity" or bool(np.isfinite(epochs.numbers[name]).any())
 

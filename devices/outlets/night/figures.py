@@ -16,8 +16,8 @@ from matplotlib.dates import AutoDateLocator, DateFormatter
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from devices.outlets.night.numbers import CAVEATS, NO_NUMBERS, Row, exits, runs, span, unseen
-from devices.outlets.night.shelf import Epochs, Facts, clock, night_zone
+from devices.outlets.night.archive import Facts, LoggedEpochs, clock, night_zone
+from devices.outlets.night.numbers import CAVEATS, NO_NUMBERS, ReportRow, exits, runs, span, unseen
 from stream.chunk import NS, Array, Samples
 
 INK, SLEEP, WAKE, OUT, GONE, DOT = "#12395b", "#2f6690", "#d98a29", "#7a7a7a", "#e3e0d9", "#2f7d4f"
@@ -42,7 +42,7 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def night_svg(facts: Facts, epochs: Epochs) -> str:
+def night_svg(facts: Facts, epochs: LoggedEpochs) -> str:
     """Hypnogram, activity and breathing over the clock, as one SVG element."""
     with rc_context(STYLE):
         figure = Figure(figsize=(7.2, 5.0))
@@ -61,9 +61,9 @@ def map_svg(motion: Samples) -> str:
 
 def page_png(
     facts: Facts,
-    epochs: Epochs,
+    epochs: LoggedEpochs,
     motion: Samples | None,
-    rows: list[Row],
+    rows: list[ReportRow],
     seen: list[tuple[str, str]],
     title: str,
     line: str,
@@ -87,7 +87,7 @@ def page_png(
         return file.getvalue()
 
 
-def _three(figure: Figure, facts: Facts, epochs: Epochs, place: tuple[float, float, float, float]) -> None:
+def _three(figure: Figure, facts: Facts, epochs: LoggedEpochs, place: tuple[float, float, float, float]) -> None:
     """The three panels that share the clock."""
     left, bottom, width, height = place
     breathes = bool(np.isfinite(epochs.numbers["breaths_per_min"]).any())
@@ -112,7 +112,7 @@ def _three(figure: Figure, facts: Facts, epochs: Epochs, place: tuple[float, flo
     panels[-1].xaxis.set_major_formatter(DateFormatter("%H:%M"))  # type: ignore[no-untyped-call]
 
 
-def _hypnogram(axes: Axes, facts: Facts, epochs: Epochs, x: tuple[Array, Array]) -> None:
+def _hypnogram(axes: Axes, facts: Facts, epochs: LoggedEpochs, x: tuple[Array, Array]) -> None:
     state = np.array([LEVELS.get(s, np.nan) for s in epochs.texts["state"]])
     state[epochs.texts["bed"] == "out"] = LEVELS["out"]
     begin, end = x
@@ -150,7 +150,7 @@ def _hypnogram(axes: Axes, facts: Facts, epochs: Epochs, x: tuple[Array, Array])
         axes.plot([at], [2.0], marker=7, color=INK, markersize=4, linewidth=0)
 
 
-def _activity(axes: Axes, facts: Facts, epochs: Epochs, x: tuple[Array, Array]) -> None:
+def _activity(axes: Axes, facts: Facts, epochs: LoggedEpochs, x: tuple[Array, Array]) -> None:
     activity = epochs.numbers["activity"]
     out = epochs.texts["bed"] == "out"
     height = np.where(out, 0.0, np.nan_to_num(activity))
@@ -162,7 +162,7 @@ def _activity(axes: Axes, facts: Facts, epochs: Epochs, x: tuple[Array, Array]) 
     axes.set_ylim(0, None if counts else 1.0)
 
 
-def _breathing(axes: Axes, epochs: Epochs, x: tuple[Array, Array]) -> None:
+def _breathing(axes: Axes, epochs: LoggedEpochs, x: tuple[Array, Array]) -> None:
     rate, confidence = epochs.numbers["breaths_per_min"], epochs.numbers["confidence"]
     known = np.isfinite(rate)
     middle = (x[0] + x[1]) / 2
@@ -173,7 +173,7 @@ def _breathing(axes: Axes, epochs: Epochs, x: tuple[Array, Array]) -> None:
     axes.set_ylabel("Breaths\nper minute")
 
 
-def _unseen(axes: Axes, facts: Facts, epochs: Epochs) -> None:
+def _unseen(axes: Axes, facts: Facts, epochs: LoggedEpochs) -> None:
     for stretch in unseen(epochs):
         begin, end = days(np.array([stretch.begin, stretch.end]), facts)
         axes.axvspan(begin, end, facecolor=GONE, edgecolor="#9a978f", hatch="////", linewidth=0, zorder=0)
@@ -200,7 +200,7 @@ def _map(figure: Figure, axes: Axes, motion: Samples) -> None:
     bar.outline.set_linewidth(0.4)
 
 
-def _table(figure: Figure, rows: list[Row], top: float, none: str) -> None:
+def _table(figure: Figure, rows: list[ReportRow], top: float, none: str) -> None:
     figure.text(0.07, top, "The night in numbers", fontsize=9, weight="bold", color=INK, va="top")
     y = top - 0.026
     if not rows:

@@ -13,10 +13,10 @@ import numpy as np
 import structlog
 
 from devices.outlets.claim import check_path, claim, let_go
-from devices.outlets.night import rows, shelf
-from devices.outlets.night.desk import Desk, LogState
-from devices.outlets.night.shelf import Facts, clock, nanoseconds
-from devices.outlets.night.writing import Night, readable, write_map
+from devices.outlets.night import archive, rows
+from devices.outlets.night.archive import Facts, clock, nanoseconds
+from devices.outlets.night.runtime import LogRuntime, LogState
+from devices.outlets.night.writing import OpenNight, readable, write_map
 from devices.outlets.report.words import settings, versions
 from stream.chunk import NEVER, NS, Array, Chunk, Specs
 from stream.errors import DeviceError, ParameterError
@@ -40,7 +40,7 @@ log = structlog.get_logger(__name__)
 
 class _Logger(Outlet[LogState]):
     __slots__ = ("desk",)
-    desk: Desk
+    desk: LogRuntime
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,11 +78,11 @@ class NightLog(_Logger):
         if wrong:
             raise ParameterError("path", self.path, wrong)
         try:
-            shelf.zone_of(self.timezone)
+            archive.zone_of(self.timezone)
         except (KeyError, ValueError):
             raise ParameterError("timezone", self.timezone, "a time zone's name, like Europe/Berlin") from None
         rows.check(specs)
-        object.__setattr__(self, "desk", Desk(specs))
+        object.__setattr__(self, "desk", LogRuntime(specs))
         self.hold(LogState())
         return {}
 
@@ -97,10 +97,10 @@ class NightLog(_Logger):
         desk, root = self.desk, Path(self.path).absolute()
         desk.held = {int(onset): facts for onset, facts in json.loads(self.state.held).items()}
         desk.claim = claim(root / (f"night-{self.sleeper}" if self.sleeper else "night"))
-        desk.zone = shelf.zone_of(self.timezone)
+        desk.zone = archive.zone_of(self.timezone)
         self.state.run = self.state.run or uuid.uuid4().hex
         broken_off = None
-        for folder, facts in shelf.nights(root):
+        for folder, facts in archive.nights(root):
             epochs = readable(folder)
             if facts.sleeper != self.sleeper or not len(epochs) or self._of_another_clock(folder, facts, epochs):
                 continue
@@ -111,11 +111,11 @@ class NightLog(_Logger):
             else:
                 broken_off = folder, facts, epochs
         if broken_off:
-            desk.night = Night.go_on(*broken_off)
+            desk.night = OpenNight.go_on(*broken_off)
             desk.night.facts.run = self.state.run
             self._mark_break(desk.night, int(broken_off[2].end[-1]))
 
-    def _of_another_clock(self, folder: Path, facts: Facts, epochs: shelf.Epochs) -> bool:
+    def _of_another_clock(self, folder: Path, facts: Facts, epochs: archive.LoggedEpochs) -> bool:
         """Whether an earlier session's night lies ahead of this one's beginning: a simulated one, or the clock has been wrong.
 
         Such a night is over, and what is seen now is not taken for what it holds already.
@@ -130,7 +130,7 @@ class NightLog(_Logger):
                 facts.save(folder)
         return True
 
-    def _mark_break(self, night: Night, written: int) -> None:
+    def _mark_break(self, night: OpenNight, written: int) -> None:
         """From the last epoch that is known, final or not, to now, nobody looked."""
         length, now = round(night.facts.epoch_s * NS), self.desk.now
         begin = min(now, max([written, *(onset + length for onset in self.desk.held)]))
@@ -145,7 +145,7 @@ class NightLog(_Logger):
             else:
                 for stamp, row in zip(chunk.time.tolist(), chunk.data, strict=True):
                     self._take(port, row, stamp)
-        self.desk.draughtsman.look()
+        self.desk.renderer.look()
 
     def close(self) -> None:
         desk = self.desk
@@ -153,7 +153,7 @@ class NightLog(_Logger):
         for late in desk.over:
             late.let_go()
         try:
-            desk.draughtsman.finish()
+            desk.renderer.finish()
         finally:
             night, desk.night = desk.night, None
             if desk.claim:
@@ -251,7 +251,7 @@ class NightLog(_Logger):
         self._shut(night)
         self._forget(numbers["end"])
 
-    def _shut(self, night: Night) -> None:
+    def _shut(self, night: OpenNight) -> None:
         self.desk.over.append(night)
         self._settle()
 
@@ -263,7 +263,7 @@ class NightLog(_Logger):
                 desk.over.remove(night)
                 night.let_go()
                 if self.report and not night.deleted:
-                    desk.draughtsman.soon(night.folder)
+                    desk.renderer.soon(night.folder)
 
     def _forget_deleted(self, onset: int) -> None:
         """The open night was deleted while it went on: what follows gets a folder of its own."""
@@ -305,13 +305,13 @@ class NightLog(_Logger):
         desk = self.desk
         folder = desk.night.folder if desk.night else desk.former
         if folder is not None and folder.is_dir() and write_map(folder, frame) and desk.night is None and self.report:
-            desk.draughtsman.soon(folder)
+            desk.renderer.soon(folder)
 
     # nights on the disk --------------------------------------------------------------------------------------------------
 
-    def _opened(self, onset: int) -> Night:
+    def _opened(self, onset: int) -> OpenNight:
         desk = self.desk
-        folder = shelf.new_folder(Path(self.path).absolute(), onset, desk.zone)
+        folder = archive.new_folder(Path(self.path).absolute(), onset, desk.zone)
         spec, graph = desk.specs["epochs"], desk.graph
         facts = Facts(
             folder.name, onset, float(spec.meta["epoch_s"]), self.timezone, self.sleeper,
@@ -325,7 +325,7 @@ class NightLog(_Logger):
             facts.exits.append([onset, self.state.bed])
         if desk.switched and desk.switched[1] == "lights off" and onset - desk.switched[0] < APART_NS:
             facts.switched.append(desk.switched)
-        night = Night.begin(folder, facts)
+        night = OpenNight.begin(folder, facts)
         log.info("a night begins", night=folder.name, at=str(clock(onset, desk.zone)))
         return night
 
@@ -334,11 +334,11 @@ class NightLog(_Logger):
         if not self.keep_days:
             return
         root, oldest = Path(self.path).absolute(), now - self.keep_days * 86_400 * NS
-        old = [folder for folder, facts in shelf.nights(root) if facts.closed and facts.begun < oldest]
-        old += [folder for folder in shelf.damaged(root) if folder.stat().st_mtime_ns < oldest]
+        old = [folder for folder, facts in archive.nights(root) if facts.closed and facts.begun < oldest]
+        old += [folder for folder in archive.damaged(root) if folder.stat().st_mtime_ns < oldest]
         for folder in old:
             try:
-                shelf.remove(folder)
+                archive.remove(folder)
                 log.info("an old night was deleted", night=folder.name, keep_days=self.keep_days)
             except DeviceError as error:
                 log.error(str(error))

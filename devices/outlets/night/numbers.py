@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from devices.outlets.night.shelf import Epochs, Facts, clock, night_zone
+from devices.outlets.night.archive import Facts, LoggedEpochs, clock, night_zone
 from stream.chunk import NS
 
 CAVEATS = (
@@ -28,7 +28,7 @@ AT_ONCE_NS = 60 * NS
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class ReportRow:
     """A line of the table: a name, its value, what the unknown epochs leave open, and what it is."""
 
     name: str
@@ -46,7 +46,7 @@ class Stretch:
     what: str
 
 
-def span(facts: Facts, epochs: Epochs) -> tuple[int, int]:
+def span(facts: Facts, epochs: LoggedEpochs) -> tuple[int, int]:
     """From when to when the report shows the night."""
     if facts.numbers:
         begin = facts.begun if begun_anew(facts, epochs) else int(facts.numbers["onset"]) - SHOWN_NS
@@ -54,7 +54,7 @@ def span(facts: Facts, epochs: Epochs) -> tuple[int, int]:
     return (int(epochs.onset[0]), int(epochs.end[-1])) if len(epochs) else (facts.begun, facts.begun + NS)
 
 
-def begun_anew(facts: Facts, epochs: Epochs) -> Stretch | None:
+def begun_anew(facts: Facts, epochs: LoggedEpochs) -> Stretch | None:
     """The break after which the numbers begin, though the night had begun before it: another session saw that part. None: there is none."""
     n = facts.numbers
     dark = [int(t) for t, what in facts.switched if what == "lights off"]
@@ -70,26 +70,26 @@ def begun_anew(facts: Facts, epochs: Epochs) -> Stretch | None:
     return None
 
 
-def table(facts: Facts, epochs: Epochs) -> list[Row]:
+def table(facts: Facts, epochs: LoggedEpochs) -> list[ReportRow]:
     """The night's numbers with their definitions, by the convention that made them."""
     n = facts.numbers
     if not n:
         return []
     time_in_bed = "from going to bed to leaving it, as it was seen" if n["estimated"] else "lights off to lights on"
     made = [
-        Row("Time in bed (TIB)", _hours(n["tib"]), "", f"{time_in_bed}"),
-        Row("Total sleep time (TST)", _hours(n["tst"]), _bounds(n, "tst", _hours), "all epochs of sleep in the time in bed"),
-        Row("Sleep efficiency (SE)", f"{_plain(n['se'])} %", _bounds(n, "se", _plain), "TST / TIB"),
-        Row(
+        ReportRow("Time in bed (TIB)", _hours(n["tib"]), "", f"{time_in_bed}"),
+        ReportRow("Total sleep time (TST)", _hours(n["tst"]), _bounds(n, "tst", _hours), "all epochs of sleep in the time in bed"),
+        ReportRow("Sleep efficiency (SE)", f"{_plain(n['se'])} %", _bounds(n, "se", _plain), "TST / TIB"),
+        ReportRow(
             f"Sleep onset latency (SOL){', estimated' if n['estimated'] else ''}", _minutes(n["sol"]), _bounds(n, "sol", _minutes),
             "wake before the first epoch of sleep" + ("; without lights off it is an estimate" if n["estimated"] else ""),
         ),
-        Row("Wake after sleep onset (WASO)", _minutes(n["waso"]), _bounds(n, "waso", _minutes), WASO[n["convention"]]),
-        Row("Awakenings", str(n["awakenings"]), "", f"stretches of wake; on average {_minutes(n['mean_awakening'])}"),
-        Row("Longest sleep in one piece", _hours(n["longest_bout"]), "", "without an epoch of wake or unknown"),
-        Row("Bed exits", str(len(exits(facts))), "", "times out of bed between two times in it"),
-        Row("Movement index", f"{_plain(n['movement'])} %", "", "epochs with movement, from the first to the last sleep"),
-        Row("Fragmentation index", f"{_plain(n['fragmentation'])} %", "", "movement index + share of still stretches of at most 1 min"),
+        ReportRow("Wake after sleep onset (WASO)", _minutes(n["waso"]), _bounds(n, "waso", _minutes), WASO[n["convention"]]),
+        ReportRow("Awakenings", str(n["awakenings"]), "", f"stretches of wake; on average {_minutes(n['mean_awakening'])}"),
+        ReportRow("Longest sleep in one piece", _hours(n["longest_bout"]), "", "without an epoch of wake or unknown"),
+        ReportRow("Bed exits", str(len(exits(facts))), "", "times out of bed between two times in it"),
+        ReportRow("Movement index", f"{_plain(n['movement'])} %", "", "epochs with movement, from the first to the last sleep"),
+        ReportRow("Fragmentation index", f"{_plain(n['fragmentation'])} %", "", "movement index + share of still stretches up to 1 min"),
     ]  # fmt: skip
     epochs = epochs.part(int(n["onset"]), int(n["end"]))
     breaths = epochs.numbers["breaths_per_min"]
@@ -98,7 +98,7 @@ def table(facts: Facts, epochs: Epochs) -> list[Row]:
         low, middle, high = np.percentile(known, [5, 50, 95])
         there = epochs.texts["bed"] == "in" if (epochs.texts["bed"] != "").any() else np.ones(len(epochs), np.bool_)
         covered = f"of {_share(np.isfinite(breaths[there]).mean())} of the epochs in bed; half of them are above this"
-        made.append(Row("Breathing rate", f"{middle:.1f} /min", f"90 %: {low:.1f} – {high:.1f}", covered))
+        made.append(ReportRow("Breathing rate", f"{middle:.1f} /min", f"90 %: {low:.1f} – {high:.1f}", covered))
     return made
 
 
@@ -122,7 +122,7 @@ def exits(facts: Facts) -> list[Stretch]:
     return found
 
 
-def unseen(epochs: Epochs) -> list[Stretch]:
+def unseen(epochs: LoggedEpochs) -> list[Stretch]:
     """Stretches that were not scored: unknown epochs, and times between epochs of which no row is there."""
     found = [
         Stretch(int(epochs.onset[a]), int(epochs.end[b - 1]), "") for a, b in runs(epochs.texts["state"] == "unknown")
@@ -140,7 +140,7 @@ def unseen(epochs: Epochs) -> list[Stretch]:
     return joined
 
 
-def quality(facts: Facts, epochs: Epochs) -> list[tuple[str, str]]:
+def quality(facts: Facts, epochs: LoggedEpochs) -> list[tuple[str, str]]:
     """What was seen of the night, and what was not."""
     zone = night_zone(facts)
     n = len(epochs)
@@ -205,7 +205,7 @@ WHY = {
 """Why an epoch was not judged."""
 
 
-def _disturbed(facts: Facts, epochs: Epochs) -> list[tuple[str, str]]:
+def _disturbed(facts: Facts, epochs: LoggedEpochs) -> list[tuple[str, str]]:
     """When the camera was moved, and why epochs were not judged."""
     zone = night_zone(facts)
     told = []

@@ -10,10 +10,10 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
-from devices.outlets.night import shelf
+from devices.outlets.night import archive
+from devices.outlets.night.archive import Facts, LoggedEpochs, clock, night_zone, zone_of
 from devices.outlets.night.edf import write_edf
-from devices.outlets.night.numbers import CAVEATS, NO_NUMBERS, Row, begun_anew, quality, span, table
-from devices.outlets.night.shelf import Epochs, Facts, clock, night_zone, zone_of
+from devices.outlets.night.numbers import CAVEATS, NO_NUMBERS, ReportRow, begun_anew, quality, span, table
 from stream.chunk import Samples
 from stream.complete import write_complete
 from stream.errors import KinegraphError
@@ -25,13 +25,13 @@ def draw(folder: Path) -> Path:
     Every product is made by itself, so that one which cannot be made takes no other with it; what failed is named in the page.
     Raises NightError, which names what failed and why, once all the others are written.
     """
-    facts, epochs = shelf.Facts.load(folder), shelf.read_epochs(folder)
+    facts, epochs = archive.Facts.load(folder), archive.read_epochs(folder)
     epochs = epochs.part(*span(facts, epochs))
     if not len(epochs):
-        raise shelf.NightError(f"{folder} holds no epochs of the night")
-    motion = shelf.read_map(folder)
+        raise archive.NightError(f"{folder} holds no epochs of the night")
+    motion = archive.read_map(folder)
     rows = table(facts, epochs)
-    page, picture, edf = (folder / name for name in shelf.DRAWN)
+    page, picture, edf = (folder / name for name in archive.DRAWN)
     failed: dict[str, str] = {}
     _attempt(picture, failed, lambda: write_complete(picture, _picture(facts, epochs, motion, rows)))
     _attempt(edf, failed, lambda: write_edf(edf, facts, epochs))
@@ -39,7 +39,7 @@ def draw(folder: Path) -> Path:
     if failed:
         why = "; ".join(f"{name}: {reason}" for name, reason in failed.items())
         made = ", ".join(path.name for path in (page, picture, edf) if path.name not in failed)
-        raise shelf.NightError(
+        raise archive.NightError(
             f"of the night {folder.name} not everything could be made: {why} (made: {made or 'nothing'})"
         )
     return page
@@ -56,7 +56,11 @@ def _attempt(product: Path, failed: dict[str, str], make: Callable[[], None]) ->
 
 
 def render(
-    facts: Facts, epochs: Epochs, motion: Samples | None, rows: list[Row], failed: dict[str, str] | None = None
+    facts: Facts,
+    epochs: LoggedEpochs,
+    motion: Samples | None,
+    rows: list[ReportRow],
+    failed: dict[str, str] | None = None,
 ) -> str:
     """The page's HTML; figures that cannot be drawn are named where they would stand, and added to `failed`."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -76,13 +80,13 @@ def render(
         method=_method(facts),
         **_figures(facts, epochs, motion, {} if failed is None else failed),
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        epochs=shelf.EPOCHS,
-        edf=shelf.DRAWN[2],
+        epochs=archive.EPOCHS,
+        edf=archive.DRAWN[2],
         failed=failed or {},
     )
 
 
-def _figures(facts: Facts, epochs: Epochs, motion: Samples | None, failed: dict[str, str]) -> dict[str, str]:
+def _figures(facts: Facts, epochs: LoggedEpochs, motion: Samples | None, failed: dict[str, str]) -> dict[str, str]:
     """The figures of the page as SVG, each by itself; "" where there is none."""
     from devices.outlets.night import figures
 
@@ -105,12 +109,12 @@ HEADLINE = ("Total sleep", "Sleep efficiency", "Sleep onset", "Wake after", "Bed
 
 def title(facts: Facts) -> str:
     """Which night it is: the evening's date, as in the folder's name."""
-    evening = shelf.evening(int(facts.numbers.get("onset", facts.begun)), night_zone(facts))
+    evening = archive.evening(int(facts.numbers.get("onset", facts.begun)), night_zone(facts))
     whose = f", {facts.sleeper}" if facts.sleeper else ""
     return f"Night of {evening:%A}, {evening.day} {evening:%B %Y}{whose}"
 
 
-def line(facts: Facts, epochs: Epochs) -> str:
+def line(facts: Facts, epochs: LoggedEpochs) -> str:
     """From when to when, by which convention, and whether anyone really slept there."""
     zone, n = night_zone(facts), facts.numbers
     if not n:
@@ -146,7 +150,7 @@ def _method(facts: Facts) -> str:
     return ", ".join(told)
 
 
-def _picture(facts: Facts, epochs: Epochs, motion: Samples | None, rows: list[Row]) -> bytes:
+def _picture(facts: Facts, epochs: LoggedEpochs, motion: Samples | None, rows: list[ReportRow]) -> bytes:
     from devices.outlets.night import figures
 
     return figures.page_png(facts, epochs, motion, rows, quality(facts, epochs), title(facts), line(facts, epochs))

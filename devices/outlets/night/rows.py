@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from devices.outlets.night.shelf import iso
+from devices.outlets.night.archive import iso
 from stream.chunk import Specs
 from stream.errors import InputError
 

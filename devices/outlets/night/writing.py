@@ -10,8 +10,8 @@ import numpy as np
 import structlog
 
 from devices.outlets.append_file import AppendFile
-from devices.outlets.night import shelf
-from devices.outlets.night.shelf import COLUMNS, EPOCHS, MAP, Facts
+from devices.outlets.night import archive
+from devices.outlets.night.archive import COLUMNS, EPOCHS, MAP, Facts
 from stream.chunk import Array
 from stream.complete import complete, private_folder
 from stream.errors import DeviceError
@@ -23,7 +23,7 @@ log = structlog.get_logger(__name__)
 
 
 @dataclass(slots=True)
-class Night:
+class OpenNight:
     """`in_bed`: the onset of the last epoch in which somebody was; `stale`: its facts are not on the disk yet."""
 
     folder: Path
@@ -33,7 +33,7 @@ class Night:
     stale: bool = False
 
     @classmethod
-    def begin(cls, folder: Path, facts: Facts) -> Night:
+    def begin(cls, folder: Path, facts: Facts) -> OpenNight:
         """Make the folder and the table of epochs. Raises OSError or DeviceError."""
         private_folder(folder)
         try:
@@ -46,7 +46,7 @@ class Night:
         return night
 
     @classmethod
-    def go_on(cls, folder: Path, facts: Facts, epochs: shelf.Epochs) -> Night:
+    def go_on(cls, folder: Path, facts: Facts, epochs: archive.LoggedEpochs) -> OpenNight:
         """A night that was broken off: a row that was being written is cut off."""
         text = (folder / EPOCHS).read_bytes()
         file = AppendFile(folder / EPOCHS, text.rfind(b"\n") + 1, fresh=False)
@@ -96,14 +96,14 @@ class Night:
             log.error(str(error))
 
 
-def readable(folder: Path) -> shelf.Epochs:
+def readable(folder: Path) -> archive.LoggedEpochs:
     """A night's epochs; none, and a word in the log, where they cannot be read."""
     try:
-        return shelf.read_epochs(folder)
-    except shelf.NightError as error:
+        return archive.read_epochs(folder)
+    except archive.NightError as error:
         log.error("a night cannot be read", folder=str(folder), error=str(error))
         none = np.empty(0, np.int64)
-        return shelf.Epochs(none, none, {}, {})
+        return archive.LoggedEpochs(none, none, {}, {})
 
 
 def write_map(folder: Path, frame: Array) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from devices.outlets.report import words
-from devices.outlets.report.data import Curves, Muscle, Noticed, Rejected, Report, Stream, Value
+from devices.outlets.report.data import Curves, Muscle, Noticed, Rejected, Report, ReportValue, Stream
 from devices.outlets.report.tally import Tally, most_common, numbers
 from stream.chunk import NS, Samples, Specs
 from stream.graph import Graph
@@ -40,11 +40,11 @@ def compose(tally: Tally, specs: Specs, graph: Graph | None, names: Mapping[str,
         alarms=_alarms(tally),
         alarmed=tally.alarmed,
         gait=[
-            Value("cadence", float(centre[0]), "strides/min", float(spread[0])),
-            Value("cycle", float(centre[1]), "s", float(spread[1]), 3),
-            Value("stance", float(centre[2]), "%", float(spread[2])),
+            ReportValue("cadence", float(centre[0]), "strides/min", float(spread[0])),
+            ReportValue("cycle", float(centre[1]), "s", float(spread[1]), 3),
+            ReportValue("stance", float(centre[2]), "%", float(spread[2])),
         ],
-        pairs=[Value(name, value, "%") for name, value in zip(tally.pair_names, tally.pairs, strict=True)],
+        pairs=[ReportValue(name, value, "%") for name, value in zip(tally.pair_names, tally.pairs, strict=True)],
         pairs_note=words.PAIRS.format(normalisation=normalisation) if tally.pairs else "",
         streams=_streams(tally, specs, names),
         settings=list(words.settings(graph)) if graph else [],

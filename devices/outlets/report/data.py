@@ -15,7 +15,7 @@ from stream.params import adapter
 
 
 @dataclass(slots=True)
-class Value:
+class ReportValue:
     """A number for people: "57.1 ± 0.9 strides/min". `spread` is a standard deviation."""
 
     label: str
@@ -108,10 +108,10 @@ class Report:
     rejections: list[Rejected] = field(default_factory=list)
     alarms: list[Noticed] = field(default_factory=list)
     alarmed: int = 0
-    gait: list[Value] = field(default_factory=list)
+    gait: list[ReportValue] = field(default_factory=list)
     columns: list[Column] = field(default_factory=list)
     muscles: list[Muscle] = field(default_factory=list)
-    pairs: list[Value] = field(default_factory=list)
+    pairs: list[ReportValue] = field(default_factory=list)
     pairs_note: str = ""
     streams: list[Stream] = field(default_factory=list)
     settings: list[Setting] = field(default_factory=list)

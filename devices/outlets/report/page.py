@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from devices.outlets.report.data import Curves, Muscle, Report, Stream, Value, load
+from devices.outlets.report.data import Curves, Muscle, Report, ReportValue, Stream, load
 from devices.outlets.report.words import normalisation_text
 from stream.chunk import NS
 from stream.complete import write_complete
@@ -144,7 +144,7 @@ def _lost(stream: Stream) -> str:
     return f"{stream.lost} ({100 * stream.lost / whole:.2f} %)" if stream.lost else "0"
 
 
-def _number(value: Value) -> str:
+def _number(value: ReportValue) -> str:
     if not np.isfinite(value.value):
         return "–"
     spread = f" ± {value.spread:.{value.decimals}f}" if np.isfinite(value.spread) else ""

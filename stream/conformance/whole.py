@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from stream.trial.broken import Broken
-from stream.trial.chance import Choices, smallest
-from stream.trial.checks import checks
-from stream.trial.laws import Trial
+from stream.conformance.broken import Broken
+from stream.conformance.chance import Choices, smallest
+from stream.conformance.checks import checks
+from stream.conformance.laws import Conformance
 
 
-def hold(trial: Trial, examples: int, seed: int, done: Callable[[bool], None] = lambda failed: None) -> None:
+def hold(trial: Conformance, examples: int, seed: int, done: Callable[[bool], None] = lambda failed: None) -> None:
     """Hold one case to the laws; raises Broken. `done` is called after each check and try, with True before a failure is made simpler."""
     for check in checks(trial).values():
         check()

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from stream.chunk import FOREVER, NEVER, Array, Chunk, Specs, StreamSpec, add_lost, utc
+from stream.conformance.broken import Broken
+from stream.conformance.cut import Delivery
 from stream.engine.merge import Merge
 from stream.engine.row import Row, step_of
 from stream.errors import KinegraphError
 from stream.operator import Case, Emitted, Operator, Outlet
 from stream.rows import taking
-from stream.trial.broken import Broken
-from stream.trial.cut import Delivery
 
 TOLERANCE = 0.01
 """How far two stamps of a regular stream may be from one period apart, in periods (and as far again as the inputs' are)."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol, runtime_checkable
 
 
-class Brain(Protocol):
+class DeviceModel(Protocol):
     """A simulated device without its cable. It begins at second 0, when it is switched on, and is asked in order."""
 
     def hear(self, data: bytes) -> bytes:

@@ -16,7 +16,7 @@ Draw: TypeAlias = Callable[[int, int], int]
 
 
 @dataclass(frozen=True, slots=True)
-class Tape:
+class CaseSamples:
     """All samples of one input.
 
     time  (n,) int64, data (n, *shape); lost (n,) int64: how many samples are missing just before each (-1: nobody knows)
@@ -30,7 +30,7 @@ class Tape:
     def __len__(self) -> int:
         return len(self.time)
 
-    def keep(self, chosen: Array | slice) -> Tape:
+    def keep(self, chosen: Array | slice) -> CaseSamples:
         return replace(self, time=self.time[chosen], data=self.data[chosen], lost=self.lost[chosen])
 
     @property
@@ -42,7 +42,7 @@ class Tape:
         return self.data.reshape(len(self), -1)
 
 
-Tapes: TypeAlias = dict[str, Tape]
+Tapes: TypeAlias = dict[str, CaseSamples]
 """By port, in port order."""
 
 
@@ -51,7 +51,7 @@ def tapes_of(case: Case) -> Tapes:
     tapes = {}
     for port, (spec, time, data) in case.inputs.items():
         stamps = np.ascontiguousarray(time, np.int64)
-        tapes[port] = Tape(spec, stamps, np.ascontiguousarray(data, spec.dtype), np.zeros(len(stamps), np.int64))
+        tapes[port] = CaseSamples(spec, stamps, np.ascontiguousarray(data, spec.dtype), np.zeros(len(stamps), np.int64))
     return tapes
 
 
@@ -74,13 +74,13 @@ def repeat(tapes: Tapes, times: int) -> Tapes:
         if len(tape) and (missing := _missing(tape, shift)):
             for part in parts[1:]:
                 part.lost[0] = add_lost(int(part.lost[0]), missing)
-        again[port] = Tape(
+        again[port] = CaseSamples(
             tape.spec, *(np.concatenate([getattr(p, name) for p in parts]) for name in ("time", "data", "lost"))
         )
     return again
 
 
-def _missing(tape: Tape, shift: int) -> int:
+def _missing(tape: CaseSamples, shift: int) -> int:
     """How many samples lack between a regular stream's last and its first, `shift` later; -1: a broken number of them."""
     if not tape.spec.period_ns:
         return 0
@@ -88,7 +88,7 @@ def _missing(tape: Tape, shift: int) -> int:
     return round(periods) - 1 if abs(periods - round(periods)) < 1e-3 else -1
 
 
-def _later(tape: Tape, since: int, shift: int) -> Tape:
+def _later(tape: CaseSamples, since: int, shift: int) -> CaseSamples:
     """Every time at or after `since`, be it a stamp or an event's field in ns, `shift` later."""
     data = tape.data.copy()
     for name in tape.spec.dtype.names or ():

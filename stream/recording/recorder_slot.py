@@ -31,7 +31,7 @@ class RecorderStatus:
 
 
 @dataclass(slots=True)
-class Lane:
+class RecorderSlot:
     """A stream (or the log, or the metrics) on its way to the recorder's thread. Each counter has one thread that writes it.
 
     put, dropped, missed   of the stream's thread: bytes handed over; chunks dropped; samples dropped since the last chunk accepted
@@ -55,6 +55,6 @@ class Lane:
     first: int = 0
     kept: Kept = "whole"
     copied: bool = False
-    track: int = 0
+    topic: int = 0
     frames: int = 0
     packer: Packer | None = None

@@ -7,7 +7,7 @@ from itertools import cycle
 from typing import TypeAlias
 
 from stream.chunk import FOREVER, NS, Chunk, empty
-from stream.trial.tape import Draw, Tape, Tapes, span
+from stream.conformance.case_samples import CaseSamples, Draw, Tapes, span
 
 Delivery: TypeAlias = list[tuple[str, Chunk]]
 """Chunks, each with its port, in the order in which they arrive."""
@@ -30,7 +30,7 @@ def anyhow(draw: Draw, tapes: Tapes) -> Delivery:
     return order
 
 
-def _chunks(draw: Draw, tape: Tape, horizon: int) -> Iterator[Chunk]:
+def _chunks(draw: Draw, tape: CaseSamples, horizon: int) -> Iterator[Chunk]:
     """One input's chunks. `horizon`: up to where all inputs are complete before they end."""
     gaps = [k for k in range(len(tape)) if tape.lost[k]]
     cuts = sorted([*gaps, *_places(draw, len(tape)), *(k for k in gaps for _ in range(draw(0, 1)))])

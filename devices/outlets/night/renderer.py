@@ -19,7 +19,7 @@ AGAIN_S = (60.0, 300.0, 1800.0, 7200.0)
 log = structlog.get_logger(__name__)
 
 
-class Draughtsman:
+class ReportRenderer:
     """`soon` orders the report of a night's folder, `look` sees to what is due and never waits, `finish` waits for what was ordered."""
 
     def __init__(self) -> None:

@@ -10,19 +10,19 @@ from typing import Any
 
 import numpy as np
 
+from stream.conformance.broken import RULES, Broken
+from stream.conformance.case_samples import Draw, Tapes, repeat, span, tapes_of, with_faults
+from stream.conformance.cut import Delivery, anyhow, describe, steps, whole
+from stream.conformance.play import Player, Stepping, differ, row_of
+from stream.conformance.watch import compiling
 from stream.errors import KinegraphError
 from stream.operator import Case, Operator
-from stream.trial.broken import RULES, Broken
-from stream.trial.cut import Delivery, anyhow, describe, steps, whole
-from stream.trial.play import Player, Stepping, differ, row_of
-from stream.trial.tape import Draw, Tapes, repeat, span, tapes_of, with_faults
-from stream.trial.watch import compiling
 
 ROUNDS = 8
 """How often a case is repeated to see whether the state stops growing."""
 
 
-class Trial:
+class Conformance:
     """One case of an operator, held to the laws. Making it is the warm-up; every method raises `Broken`."""
 
     def __init__(self, case: Case) -> None:
@@ -155,7 +155,7 @@ class Trial:
         return span(self.tapes)[1]
 
 
-def trials(cls: type[Operator[Any]]) -> list[Callable[[], Trial]]:
+def trials(cls: type[Operator[Any]]) -> list[Callable[[], Conformance]]:
     """What makes a trial of each case of a class; raises `Broken` where it has none."""
     try:
         cases = list(cls.cases())
@@ -165,7 +165,7 @@ def trials(cls: type[Operator[Any]]) -> list[Callable[[], Trial]]:
         raise Broken("cases", f"cases() raised {type(error).__name__}: {error}") from error
     if not cases:
         raise Broken("cases", f"{cls.__name__} has none")
-    return [lambda case=case: Trial(case) for case in cases]  # type: ignore[misc]
+    return [lambda case=case: Conformance(case) for case in cases]  # type: ignore[misc]
 
 
 def _copy(tapes: Tapes) -> Tapes:

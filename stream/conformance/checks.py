@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from stream.trial.bad import bad_samples, gaps
-from stream.trial.laws import Trial
-from stream.trial.promises import delay, settling, time
+from stream.conformance.bad import bad_samples, gaps
+from stream.conformance.laws import Conformance
+from stream.conformance.promises import delay, settling, time
 
 
-def checks(trial: Trial) -> dict[str, Callable[[], None]]:
+def checks(trial: Conformance) -> dict[str, Callable[[], None]]:
     """The checks by name; each raises `Broken`."""
     return {
         "replay": trial.replay,

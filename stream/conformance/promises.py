@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from stream.chunk import NS, empty, utc
-from stream.trial.broken import Broken
-from stream.trial.cut import steps
-from stream.trial.laws import Trial
-from stream.trial.play import Player
-from stream.trial.tape import span
+from stream.conformance.broken import Broken
+from stream.conformance.case_samples import span
+from stream.conformance.cut import steps
+from stream.conformance.laws import Conformance
+from stream.conformance.play import Player
 
 HOUR_NS = 3600 * NS
 
 
-def delay(trial: Trial) -> None:
+def delay(trial: Conformance) -> None:
     """Law 5: sample by sample, nothing comes later than declared."""
     start = max(0, trial.longest - 2000)
     with trial.warm("one sample at a time"):
@@ -31,7 +31,7 @@ def delay(trial: Trial) -> None:
             )
 
 
-def time(trial: Trial) -> None:
+def time(trial: Conformance) -> None:
     """Law 5: an hour of nothing."""
     player = trial.player()
     _, last = span(trial.tapes)
@@ -43,7 +43,7 @@ def time(trial: Trial) -> None:
         _time_passed(trial, player, last)
 
 
-def _time_passed(trial: Trial, player: Player, last: int) -> None:
+def _time_passed(trial: Conformance, player: Player, last: int) -> None:
     periods = [spec.period_ns for spec in player.specs.values()]
     for name, output in player.outputs.items():
         reached = (
@@ -56,7 +56,7 @@ def _time_passed(trial: Trial, player: Player, last: int) -> None:
             )
 
 
-def settling(trial: Trial) -> None:
+def settling(trial: Conformance) -> None:
     """Law 6: a regular signal's spec tells what has still to settle in its inputs, too."""
     longer = {port: spec.derive(settling_s=spec.settling_s + 5.0) for port, spec in trial.reference.specs.items()}
     opened = trial.case.operator.fresh().open(longer)

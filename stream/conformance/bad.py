@@ -7,21 +7,21 @@ from dataclasses import replace
 import numpy as np
 
 from stream.chunk import NS, Array, StreamSpec, utc
-from stream.trial.broken import Broken
-from stream.trial.cut import steps
-from stream.trial.laws import Trial
-from stream.trial.play import Player, differ
-from stream.trial.tape import Tape, Tapes, pause, spoil
+from stream.conformance.broken import Broken
+from stream.conformance.case_samples import CaseSamples, Tapes, pause, spoil
+from stream.conformance.cut import steps
+from stream.conformance.laws import Conformance
+from stream.conformance.play import Player, differ
 
 
-def bad_samples(trial: Trial) -> None:
+def bad_samples(trial: Conformance) -> None:
     """Law 6: a stretch of NaN, and of infinity, in one number of each float input in turn."""
     for port, tape in trial.tapes.items():
         if tape.is_float and len(tape) >= 8:
             _bad_stretch(trial, port, tape)
 
 
-def _bad_stretch(trial: Trial, port: str, tape: Tape) -> None:
+def _bad_stretch(trial: Conformance, port: str, tape: CaseSamples) -> None:
     slowest = max([tape.spec.period_ns, *(o.spec.period_ns for o in trial.reference.outputs.values())])
     length = max(3, len(tape) // 20, 3 * slowest // tape.spec.period_ns if tape.spec.period_ns else 0)
     rows = slice(len(tape) // 4, min(len(tape) // 4 + length, len(tape) // 2))
@@ -42,7 +42,7 @@ def _bad_stretch(trial: Trial, port: str, tape: Tape) -> None:
         _recovers(trial, runs[0], int(tape.time[rows.stop - 1]))
 
 
-def _channel_by_channel(trial: Trial, name: str, run: Player, bad: int) -> None:
+def _channel_by_channel(trial: Conformance, name: str, run: Player, bad: int) -> None:
     good, now = trial.reference.outputs[name], run.outputs[name]
     if "channels" not in trial.excused:
         if good.time.tobytes() != now.time.tobytes():
@@ -54,7 +54,7 @@ def _channel_by_channel(trial: Trial, name: str, run: Player, bad: int) -> None:
         raise Broken("nan", f"output '{name}': channel {bad} has no NaN")
 
 
-def _recovers(trial: Trial, run: Player, bad_until: int) -> None:
+def _recovers(trial: Conformance, run: Player, bad_until: int) -> None:
     """In the last tenth of what comes out, as many values are finite, and about as many samples come, as without the bad ones."""
     if "poison" in trial.excused:
         return
@@ -76,7 +76,7 @@ def _recovers(trial: Trial, run: Player, bad_until: int) -> None:
                 )
 
 
-def gaps(trial: Trial) -> None:
+def gaps(trial: Conformance) -> None:
     """Law 6: a silence far longer than any limit, reported by every input."""
     lead = max(trial.tapes.values(), key=len)
     at = int(lead.time[len(lead) // 2])
@@ -96,7 +96,7 @@ def gaps(trial: Trial) -> None:
             _begins_anew(trial, run, tapes, middle)
 
 
-def _begins_anew(trial: Trial, run: Player, tapes: Tapes, middle: int) -> None:
+def _begins_anew(trial: Conformance, run: Player, tapes: Tapes, middle: int) -> None:
     """Signals after the silence are those of a new instance that begins there."""
     rest = {port: tape.keep(tape.time > middle) for port, tape in tapes.items()}
     rest = {port: replace(tape, lost=np.zeros_like(tape.lost)) for port, tape in rest.items()}

@@ -22,11 +22,11 @@ from stream.recording.format import (
     spec_of,
     table,
 )
+from stream.recording.recorded_stream import RecordedStream
 from stream.recording.records import DAMAGE, RawMessage, Record, RecordFile, declared, messages
-from stream.recording.tally import RecordedStream
 
 
-class RecordedPart:
+class RecordedFile:
     """One file of a recording, and what is known of its streams."""
 
     def __init__(self, path: Path, *, forgiving: bool = False) -> None:

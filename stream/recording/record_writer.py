@@ -1,4 +1,4 @@
-"""The scribe: makes messages of what a recorder was handed, and gets them onto the disk in spite of what it does. One thread uses it."""
+"""The recorder's writer: makes messages of what the recorder was handed, and gets them onto the disk in spite of what it does. One thread."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import structlog
 
 from stream.chunk import NS
 from stream.graph import RecordingOptions
+from stream.recording.file_segments import FileSegments
 from stream.recording.format import Logged, dump, encode, encode_log
 from stream.recording.image import encode_image
-from stream.recording.lane import OVERHEAD, STREAMS, Lane
-from stream.recording.tape import Tape
+from stream.recording.recorder_slot import OVERHEAD, STREAMS, RecorderSlot
 
 log = structlog.get_logger(__name__)
 
@@ -29,7 +29,7 @@ GRACE_S = 5.0
 """How long one that must stop goes on trying to write to a disk that refuses."""
 
 
-class Scribe:
+class RecordWriter:
     """Gathers chunks for about 100 ms, makes one message per stream of them, and writes.
 
     done    up to which arrival everything is on the disk (ns); 0: nothing has come yet
@@ -37,10 +37,17 @@ class Scribe:
     """
 
     def __init__(
-        self, path: Path, lanes: Sequence[Lane], tape: Tape, options: RecordingOptions, stop: Event, *, live: bool
+        self,
+        path: Path,
+        slots: Sequence[RecorderSlot],
+        segments: FileSegments,
+        options: RecordingOptions,
+        stop: Event,
+        *,
+        live: bool,
     ) -> None:
         """`stop` is set when the recorder is to close; `live` says that a session goes on meanwhile."""
-        self._path, self._lanes, self._tape, self._stop, self._live = path, lanes, tape, stop, live
+        self._path, self._slots, self._segments, self._stop, self._live = path, slots, segments, stop, live
         self._gather_ns = round(options.gather_s * NS)
         self._batch = self._opened = self._newest = self._gathered = 0
         self._sync_due = time.monotonic()
@@ -51,7 +58,7 @@ class Scribe:
 
     def take(self, number: int, what: tuple[Any, int, int], missed: int) -> None:
         """A chunk of a stream, with how many samples were dropped before it."""
-        lane = self._lanes[number]
+        slot = self._slots[number]
         chunk, arrival, _ = what
         if arrival > self._newest:
             self._newest = arrival
@@ -64,21 +71,21 @@ class Scribe:
             self._opened = now
         if missed:
             self._message(number)
-            lane.index += missed
-        pending = lane.pending
+            slot.index += missed
+        pending = slot.pending
         if not pending:
-            lane.first = lane.index
+            slot.first = slot.index
         pending.append(what)
-        lane.index += len(chunk.time)
+        slot.index += len(chunk.time)
         size = chunk.data.nbytes + OVERHEAD
-        lane.got += size
+        slot.got += size
         self._gathered += size
 
     def take_line(self, number: int, content: Any, time: int) -> None:
         """A line of the log (0): its kind and facts; or the metrics (1): the table."""
-        self._lanes[number].got += OVERHEAD
+        self._slots[number].got += OVERHEAD
         body = dump({"time": time, "table": content}) if number else encode_log(content[0], time, content[1])
-        self._tape.add(number, time, time, self._batch, body)
+        self._segments.add(number, time, time, self._batch, body)
 
     def sync(self) -> None:
         """Get everything taken so far onto the disk itself."""
@@ -90,38 +97,38 @@ class Scribe:
         """Make one message per stream of what was gathered; all of them bear one batch number, so that readers can sort them."""
         if not self._gathered:
             return
-        for number in range(STREAMS, len(self._lanes)):
+        for number in range(STREAMS, len(self._slots)):
             self._message(number)
         self._gathered = 0
         self._batch += 1
-        if self._tape.waiting > SPOOL_BYTES:
+        if self._segments.waiting > SPOOL_BYTES:
             self.save()
 
     def _message(self, number: int) -> None:
-        lane = self._lanes[number]
-        if not lane.pending or lane.spec is None:
+        slot = self._slots[number]
+        if not slot.pending or slot.spec is None:
             return
-        entries, lane.pending = lane.pending, []
+        entries, slot.pending = slot.pending, []
         try:
-            body = encode(lane.spec, entries, lane.first, lane.kept)
+            body = encode(slot.spec, entries, slot.first, slot.kept)
         except (ValueError, TypeError) as error:
-            log.error("a chunk could not be recorded", stream=lane.name, error=str(error))
-            self._note("not recorded", level="error", stream=lane.name, error=str(error))
-            lane.refused += len(entries)
+            log.error("a chunk could not be recorded", stream=slot.name, error=str(error))
+            self._note("not recorded", level="error", stream=slot.name, error=str(error))
+            slot.refused += len(entries)
             return
         chunk, arrival, _ = entries[0]
         stamp = int(chunk.time[0]) if len(chunk.time) else arrival
-        if lane.frames:
-            self._frames(lane, entries)
-        self._tape.add(lane.track, entries[-1][1] or self._newest, stamp, self._batch, body)
+        if slot.frames:
+            self._frames(slot, entries)
+        self._segments.add(slot.topic, entries[-1][1] or self._newest, stamp, self._batch, body)
 
-    def _frames(self, lane: Lane, entries: Sequence[Logged]) -> None:
+    def _frames(self, slot: RecorderSlot, entries: Sequence[Logged]) -> None:
         """Frames go before the table of their chunks."""
-        index = lane.first
+        index = slot.first
         for chunk, arrival, _ in entries:
             for stamp, frame in zip(chunk.time.tolist(), chunk.data, strict=True):
-                body = lane.packer.pack(index, stamp, frame) if lane.packer else encode_image(stamp, index, frame)
-                self._tape.add(lane.frames, arrival or self._newest, stamp, self._batch, body)
+                body = slot.packer.pack(index, stamp, frame) if slot.packer else encode_image(stamp, index, frame)
+                self._segments.add(slot.frames, arrival or self._newest, stamp, self._batch, body)
                 index += 1
 
     def save(self) -> None:
@@ -130,7 +137,7 @@ class Scribe:
         while True:
             now = time.monotonic()
             try:
-                self._tape.save(sync=now >= self._sync_due)
+                self._segments.save(sync=now >= self._sync_due)
                 break
             except OSError as error:
                 self.fail(error)
@@ -149,7 +156,7 @@ class Scribe:
 
     def _note(self, kind: str, **facts: Any) -> None:
         """The recorder's own line in the session's log."""
-        self._tape.add(0, self._newest, self._newest, self._batch, encode_log(kind, self._newest, facts))
+        self._segments.add(0, self._newest, self._newest, self._batch, encode_log(kind, self._newest, facts))
 
     def fail(self, error: OSError) -> None:
         text = error.strerror or str(error)
@@ -160,7 +167,7 @@ class Scribe:
 
     def report_drops(self, *, over: bool) -> None:
         """Say once when chunks begin to be dropped; write into the session's log, when it is over, how many there were."""
-        dropped = {lane.name: lane.dropped for lane in self._lanes if lane.dropped}
+        dropped = {slot.name: slot.dropped for slot in self._slots if slot.dropped}
         news = {
             name: n - self._reported.get(name, 0) for name, n in dropped.items() if n != self._reported.get(name, 0)
         }

@@ -9,8 +9,8 @@ from typing import Any
 
 from filelock import FileLock
 
-from devices.outlets.night.draughtsman import Draughtsman
-from devices.outlets.night.writing import Night
+from devices.outlets.night.renderer import ReportRenderer
+from devices.outlets.night.writing import OpenNight
 from stream.chunk import NEVER, Specs
 from stream.graph import Graph
 
@@ -30,7 +30,7 @@ class LogState:
     run: str = ""
 
 
-class Desk:
+class LogRuntime:
     """What belongs to a running outlet but not to its state: files, and the night that is being written."""
 
     def __init__(self, specs: Specs) -> None:
@@ -38,8 +38,8 @@ class Desk:
         self.graph: Graph | None = None
         self.claim: FileLock | None = None
         self.zone: tzinfo | None = None
-        self.night: Night | None = None
-        self.over: list[Night] = []
+        self.night: OpenNight | None = None
+        self.over: list[OpenNight] = []
         """Nights that are over, and not on the disk yet as they should be: it is full."""
         self.deleted = NEVER
         """Onset of the epoch before which the open night was deleted by somebody; its numbers are then of what is no more."""
@@ -56,4 +56,4 @@ class Desk:
         """Rows of a night whose folder could not be made yet: the disk is full."""
         self.switched: list[Any] = []
         """When the lights were switched last, and to what."""
-        self.draughtsman = Draughtsman()
+        self.renderer = ReportRenderer()

@@ -33,7 +33,7 @@ PIECE = 1 << 20
 """Bytes per write call."""
 
 
-class Part:
+class FileSegment:
     """A file in which every byte up to the last `save` that returned is whole messages; a `save` that raised can be tried again."""
 
     def __init__(self, path: Path, number: int, header: dict[str, Any], compression: CompressionType) -> None:
@@ -131,7 +131,7 @@ class _Spool:
         return len(data)
 
     def flush(self) -> None:
-        """What is pending goes to the disk by `Part.save` only."""
+        """What is pending goes to the disk by `FileSegment.save` only."""
 
     def tell(self) -> int:
         return self._total

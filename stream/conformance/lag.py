@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from stream.chunk import NS, Array
+from stream.conformance.case_samples import CaseSamples
+from stream.conformance.cut import whole
+from stream.conformance.laws import Conformance
+from stream.conformance.play import Player
 from stream.operator import Case
-from stream.trial.cut import whole
-from stream.trial.laws import Trial
-from stream.trial.play import Player
-from stream.trial.tape import Tape
 
 ONE_WAY = 0.7
 """The part of a response that goes one way, as smoothing does; what lets slow changes not pass has no lag to speak of."""
@@ -19,7 +19,7 @@ PERIODS = 1.0
 """Up to so many periods of the slower stream are a matter of taste."""
 
 
-def lags(trial: Trial) -> dict[str, float]:
+def lags(trial: Conformance) -> dict[str, float]:
     """Seconds from an impulse to the centre of what it leads to, by outputs' stamps, where that is more than a sample.
 
     Only for an operator of one regular input and regular outputs of as many numbers, whose answer to an impulse goes one way.
@@ -44,13 +44,13 @@ def lags(trial: Trial) -> dict[str, float]:
     return found
 
 
-def _impulse(tape: Tape, at: int, size: float) -> Tape:
+def _impulse(tape: CaseSamples, at: int, size: float) -> CaseSamples:
     data = np.zeros_like(tape.data)
     data[at] = size
     return replace(tape, data=data)
 
 
-def _answer(trial: Trial, port: str, tape: Tape) -> dict[str, tuple[Array, Array]]:
+def _answer(trial: Conformance, port: str, tape: CaseSamples) -> dict[str, tuple[Array, Array]]:
     """Stamps (n,) and numbers (n, m) of every regular output."""
     case = Case(trial.case.operator, {port: (tape.spec, tape.time, tape.data)})
     player = Player(case, excused=frozenset(trial.excused)).play(whole({port: tape}))

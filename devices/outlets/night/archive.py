@@ -108,7 +108,7 @@ class Facts:
 
 
 @dataclass(frozen=True, slots=True)
-class Epochs:
+class LoggedEpochs:
     """A night's epochs in order: (n,) each; NaN and "" where not known. Times in ns UTC."""
 
     onset: Array
@@ -119,21 +119,21 @@ class Epochs:
     def __len__(self) -> int:
         return len(self.onset)
 
-    def part(self, begin: int, end: int) -> Epochs:
+    def part(self, begin: int, end: int) -> LoggedEpochs:
         """Those whose middle lies between two times."""
         middle = (self.onset + self.end) // 2
         here = (middle >= begin) & (middle < end)
         texts = {name: column[here] for name, column in self.texts.items()}
-        return Epochs(self.onset[here], self.end[here], texts, {n: c[here] for n, c in self.numbers.items()})
+        return LoggedEpochs(self.onset[here], self.end[here], texts, {n: c[here] for n, c in self.numbers.items()})
 
 
-def read_epochs(folder: Path) -> Epochs:
+def read_epochs(folder: Path) -> LoggedEpochs:
     """All whole rows of a night; a last row that a power cut left unfinished is passed over. Raises NightError."""
     with reading(folder / EPOCHS, "a night's table", NightError):
         return _epochs(folder)
 
 
-def _epochs(folder: Path) -> Epochs:
+def _epochs(folder: Path) -> LoggedEpochs:
     try:
         text = (folder / EPOCHS).read_text(encoding="utf-8")
     except OSError as error:
@@ -146,7 +146,7 @@ def _epochs(folder: Path) -> Epochs:
         numbers = {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}
     except (KeyError, ValueError, TypeError) as error:
         raise NightError(f"{folder / EPOCHS} is damaged: {error}") from None
-    return Epochs(onset, end, texts, numbers)
+    return LoggedEpochs(onset, end, texts, numbers)
 
 
 def _cell(row: dict[str, str], name: str) -> str:

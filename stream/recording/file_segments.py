@@ -13,11 +13,11 @@ from mcap.writer import CompressionType
 from stream.chunk import StreamSpec
 from stream.complete import private_folder
 from stream.graph import RecordingOptions
+from stream.recording.file_segment import FileSegment
 from stream.recording.format import LOG, METRICS, Kept, Role, table
-from stream.recording.part import Part
 from stream.recording.place import part_path
 from stream.recording.quota import keep_quota
-from stream.recording.tally import RecordedStream
+from stream.recording.recorded_stream import RecordedStream
 
 log = structlog.get_logger(__name__)
 
@@ -28,7 +28,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 @dataclass(slots=True)
-class Track:
+class Topic:
     """A topic: a stream's chunks, its frames (`frames`), or (without a spec) the log or the metrics."""
 
     name: str
@@ -40,27 +40,27 @@ class Track:
     frames: bool = False
 
 
-class Tape:
+class FileSegments:
     """Used by the recorder's thread alone, but for `declare`, which any thread may call, and `saved`, which it may read."""
 
     def __init__(self, path: Path, number: int, header: dict[str, Any], options: RecordingOptions) -> None:
         """`number` is that of the first part to be written."""
         self._path, self._number, self._header, self._options = path, number, header, options
-        self._tracks = [Track(LOG), Track(METRICS)]
-        self._part: Part | None = None
+        self._topics = [Topic(LOG), Topic(METRICS)]
+        self._part: FileSegment | None = None
         self._declared = self._saves = 0
         self._closed_bytes = 0
         self._unsaved: list[tuple[int, int, int, int, bytes]] = []
 
     def declare(self, name: str, spec: StreamSpec, role: Role, kept: Kept = "whole") -> int:
         """A further stream; returns its number (0 and 1 are the log and the metrics)."""
-        self._tracks.append(Track(name, spec, role, kept, tally=RecordedStream(spec, role, kept)))
-        return len(self._tracks) - 1
+        self._topics.append(Topic(name, spec, role, kept, tally=RecordedStream(spec, role, kept)))
+        return len(self._topics) - 1
 
     def declare_frames(self, name: str, kept: Kept) -> int:
         """Where a stream's frames go; returns the number."""
-        self._tracks.append(Track(name, kept=kept, frames=True))
-        return len(self._tracks) - 1
+        self._topics.append(Topic(name, kept=kept, frames=True))
+        return len(self._topics) - 1
 
     @property
     def number(self) -> int:
@@ -105,7 +105,7 @@ class Tape:
         """Write the end of the current file. Raises OSError; it can be tried again."""
         if self._part is None:
             return
-        self._part.finish({t.name: t.tally.to_json() for t in self._tracks if t.tally is not None})
+        self._part.finish({t.name: t.tally.to_json() for t in self._topics if t.tally is not None})
         self._closed_bytes += self._part.saved
         self._part = None
         self._number += 1
@@ -117,20 +117,20 @@ class Tape:
 
     def _begin(self) -> None:
         """A new file, which holds first what could not be saved in the last one. Frames are compressed fast, the rest well."""
-        frames = any(track.frames for track in self._tracks)
+        frames = any(topic.frames for topic in self._topics)
         for gone in keep_quota(self._path, self._options.quota_mb):
             log.info("an old recording was deleted to keep the quota", path=str(gone), quota_mb=self._options.quota_mb)
         path = part_path(self._path, self._number)
         private_folder(path.parent)  # it may have been deleted since
-        part = Part(
+        part = FileSegment(
             path,
             self._number,
             self._header,
             CompressionType.LZ4 if frames else CompressionType.ZSTD,
         )
         self._part, self._declared, self._saves = part, 0, 0
-        for track in self._tracks:
-            track.tally = RecordedStream(track.spec, track.role, track.kept) if track.spec else None
+        for topic in self._topics:
+            topic.tally = RecordedStream(topic.spec, topic.role, topic.kept) if topic.spec else None
         self._declare(part)
         for message in self._unsaved:
             self._write(part, *message)
@@ -146,20 +146,20 @@ class Tape:
         except OSError as error:
             log.warning("a part of the recording could not be closed", path=str(part.path), error=str(error))
 
-    def _declare(self, part: Part) -> None:
-        while self._declared < len(self._tracks):
-            track = self._tracks[self._declared]
-            if track.frames:
-                track.channel = part.declare_frames(track.name, track.kept)
-            elif track.spec is None:
-                track.channel = part.channel_of(track.name)
+    def _declare(self, part: FileSegment) -> None:
+        while self._declared < len(self._topics):
+            topic = self._topics[self._declared]
+            if topic.frames:
+                topic.channel = part.declare_frames(topic.name, topic.kept)
+            elif topic.spec is None:
+                topic.channel = part.channel_of(topic.name)
             else:
-                track.channel = part.declare(track.name, track.spec, track.role, track.kept)
+                topic.channel = part.declare(topic.name, topic.spec, topic.role, topic.kept)
             self._declared += 1
 
-    def _write(self, part: Part, number: int, log_time: int, publish_time: int, batch: int, body: bytes) -> None:
+    def _write(self, part: FileSegment, number: int, log_time: int, publish_time: int, batch: int, body: bytes) -> None:
         self._declare(part)
-        track = self._tracks[number]
-        part.add(track.channel, log_time, publish_time, batch, body)
-        if track.tally is not None:
-            track.tally.count(table(body))
+        topic = self._topics[number]
+        part.add(topic.channel, log_time, publish_time, batch, body)
+        if topic.tally is not None:
+            topic.tally.count(table(body))

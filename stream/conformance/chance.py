@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from random import Random
 
-from stream.trial.broken import Broken
-from stream.trial.tape import Draw
+from stream.conformance.broken import Broken
+from stream.conformance.case_samples import Draw
 
 
 class Choices:
