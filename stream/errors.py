@@ -84,7 +84,7 @@ class RunError(KinegraphError):
 class MemoryExceeded(RunError):
     """A session that took more memory than it may: it was ended before the system does that, with its recording closed."""
 
-    exit_code = 6
+    exit_code = 7
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:

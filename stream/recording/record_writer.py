@@ -1,4 +1,4 @@
-"""The recorder's writer: makes messages of what the recorder was handed, and gets them onto the disk in spite of what it does. One thread."""
+"""The recorder's writer: makes messages of what the recorder was handed, and gets them onto the disk in spite of what it does."""
 
 from __future__ import annotations
 
