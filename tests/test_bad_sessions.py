@@ -124,7 +124,7 @@ def test_an_operator_that_grows_without_bound_is_named_before_the_memory_is_gone
     board = (BOARD % 60).replace("realtime: false, ", "")
     most = round(taken() / 1e6) + 60
     (tmp_path / "g.yaml").write_text(f"memory_mb: {most}\n{board}  bad: {{use: growing.Raises, from: board.emg}}\n")
-    refused(kinegraph("run", "g.yaml", *QUIET, "-o", "s"), "node 'bad' has grown by", f"at most {most} MB", code=6)
+    refused(kinegraph("run", "g.yaml", *QUIET, "-o", "s"), "node 'bad' has grown by", f"at most {most} MB", code=7)
     with Recording.open(tmp_path / "s") as recording:
         assert recording.finished and recording.streams["board.emg"].samples > 1000
 

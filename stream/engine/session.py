@@ -76,10 +76,8 @@ class Session:
         self.log = SessionLog(folder, graph, self.clock, self._prior)
         self._runners = [Runner(node, self._ready, self.clock, self.log.report, self._fail) for node in graph.sources]
         self._ingress = Ingress(self._ready, self._runners, self.pipeline, self.log, self.clock, self._fail)
-        self._watchdog, self._memory = (
-            Watchdog(self.pipeline.slots.values()),
-            MemoryWatch(graph.memory_mb, self.pipeline),
-        )
+        self._watchdog = Watchdog(self.pipeline.slots.values())
+        self._memory = MemoryWatch(graph.memory_mb, self.pipeline)
 
     def stop(self) -> None:
         """End the session cleanly; may be called from any thread and from a signal handler."""
@@ -169,7 +167,10 @@ class Session:
                 now = time.monotonic()
                 if now - tick > TICK_S:
                     self._ingress.forgive(now, now - tick)
-                self._look_after(now)
+                self.pipeline.fold()
+                for runner in self._runners:
+                    runner.watch()
+                self._ingress.look_after(now)
                 tick = min(now + (REST_S if self._ingress.at_ease(now) else TICK_S), ends)
                 if now >= metrics:
                     metrics = now + METRICS_S
@@ -179,12 +180,6 @@ class Session:
                     self._checkpoint()
             if now >= ends:
                 return
-
-    def _look_after(self, now: float) -> None:
-        self.pipeline.fold()
-        for runner in self._runners:
-            runner.watch()
-        self._ingress.look_after(now)
 
     def _pump(self) -> None:
         """Take what workers send home."""
