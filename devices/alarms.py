@@ -9,7 +9,7 @@ from typing import ClassVar
 import structlog
 from rich.table import Table
 
-from devices.outlets.terminal import View
+from devices.outlets.terminal import TerminalView
 from stream.chunk import NS, Chunk, Specs, utc
 from stream.errors import InputError
 from stream.operator import Outlet
@@ -67,11 +67,11 @@ class Alarms(Outlet[AlarmsState]):
             s.what.append(what)
             s.advice.append(advice)
             s.count += 1
-        if View.current is None:
+        if TerminalView.current is None:
             with suppress(BrokenPipeError):
                 print(line, flush=True)
         else:
-            View.current.hang_out("alarms", self._table(), line)
+            TerminalView.current.hang_out("alarms", self._table(), line)
 
     def _table(self) -> Table:
         s = self.state

@@ -276,7 +276,7 @@ class _Stream:
         feed.emit(timing_chunk(-1, packets.device, arrival, packets.stamp), "timing")
         return len(found)
 
-    def _moved(self, found: protocol.Packets) -> Samples | None:
+    def _moved(self, found: protocol.ShimmerPackets) -> Samples | None:
         if not self._motion:
             return None
         parts = [
@@ -285,7 +285,7 @@ class _Stream:
         ]
         return np.concatenate(parts, axis=1)
 
-    def _measured(self, found: protocol.Packets) -> Samples | None:
+    def _measured(self, found: protocol.ShimmerPackets) -> Samples | None:
         return protocol.columns(found, self._channels, self._exg) * self._uv if self._exg else None
 
     def _tell_battery(self, volts: float, feed: Feed) -> None:

@@ -30,7 +30,7 @@ SILENCE_S = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Electrode:
+class TrignoSensor:
     """A sensor of the base station."""
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -70,7 +70,7 @@ class Trigno(Source):
     port: str = param(
         help="the server's command port, tcp://127.0.0.1:50040 on its own machine; data ports lie behind it"
     )
-    sensors: tuple[Electrode, ...] = param(help="which sensors, and what they are called")
+    sensors: tuple[TrignoSensor, ...] = param(help="which sensors, and what they are called")
     aux: bool = param(False, help="the sensors' auxiliary channels, too")
     layout: Layout = param("legacy", help="legacy: ports 50041 and 50042; current: ports 50043 and 50044")
     emg_hz: float = param(2000.0, above=0, most=5000, help="EMG samples per second, as the server sends them")
@@ -167,7 +167,7 @@ class Trigno(Source):
             self._aside(control, feed, setting)
         return columns
 
-    def _column(self, one: Electrode, control: Transport, feed: Feed) -> int:
+    def _column(self, one: TrignoSensor, control: Transport, feed: Feed) -> int:
         """Where a channel's samples stand: a Duo or Quattro moves those of all sensors behind it. Raises DeviceError."""
         count = self._aside(control, feed, f"SENSOR {one.sensor} EMGCHANNELCOUNT?")
         if count.isdigit() and one.channel > int(count):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from devices.protocols import shimmer as protocol
 from devices.protocols import shimmer_units as units
-from devices.protocols.shimmer import TICKS, Packets, ShimmerDecoder, answer_in, columns, packet
+from devices.protocols.shimmer import TICKS, ShimmerDecoder, ShimmerPackets, answer_in, columns, packet
 from devices.shimmer import Shimmer
 from devices.simulators.lines import line_at
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
@@ -38,7 +38,7 @@ WANTED = [[(BEGIN + i * DIVIDER) % TICKS, *row[:6], *row[7:]] for i, row in enum
 def decoded(pieces: list[bytes]) -> tuple[list[list[int]], int, int, int]:
     """(ticks and counts of every packet, bytes dropped, resyncs, repeated)."""
     decoder = ShimmerDecoder(CHANNELS, DIVIDER)
-    found: list[Packets] = [decoder.feed(piece) for piece in pieces]
+    found: list[ShimmerPackets] = [decoder.feed(piece) for piece in pieces]
     rows = [[int(t), *map(int, c)] for f in found for t, c in zip(f.ticks, columns(f, CHANNELS, NAMES), strict=True)]
     return rows, sum(f.dropped for f in found), sum(f.resyncs for f in found), sum(f.repeated for f in found)
 

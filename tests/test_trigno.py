@@ -18,14 +18,14 @@ from devices.protocols import trigno as protocol
 from devices.protocols.trigno import TrignoRows
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from devices.simulators.trigno import Station, StationLine, TrignoModel
-from devices.trigno import Electrode, Trigno
+from devices.trigno import Trigno, TrignoSensor
 from stream.chunk import NS
 from stream.errors import DeviceError, ParameterError, RunError
 from stream.params import build
 from tests.device_feed import Kept, check, cut, reading, wait_for
 
 RNG = np.random.default_rng(3)
-SENSORS = (Electrode(3, "TA"), Electrode(1), Electrode(16, "SO"))
+SENSORS = (TrignoSensor(3, "TA"), TrignoSensor(1), TrignoSensor(16, "SO"))
 
 
 # bytes ---------------------------------------------------------------------------------------------------------------
@@ -96,12 +96,12 @@ def test_another_rate_is_told(policy: Policy) -> None:
 
 def test_a_duo_moves_the_columns_of_the_sensors_behind_it() -> None:
     brain = TrignoModel(duos=2)
-    wanted = (Electrode(1), Electrode(1, channel=2), Electrode(2, channel=2), Electrode(3))
+    wanted = (TrignoSensor(1), TrignoSensor(1, channel=2), TrignoSensor(2, channel=2), TrignoSensor(3))
     feed = read(brain, 2000, sensors=wanted)
     n = feed.count("emg")
     assert np.allclose(feed.data("emg"), brain.emg(np.arange(n))[:, [0, 1, 3, 4]] * 1e6, rtol=1e-5, atol=1e-3)
     assert feed.identity["emg1.2_hz"] == "2000"
-    assert "sensor 3 has 1 EMG channels" in str(read(brain, 1, sensors=(Electrode(3, channel=2),)).error)
+    assert "sensor 3 has 1 EMG channels" in str(read(brain, 1, sensors=(TrignoSensor(3, channel=2),)).error)
 
 
 # the source ----------------------------------------------------------------------------------------------------------

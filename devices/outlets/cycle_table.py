@@ -10,7 +10,7 @@ import numpy as np
 from rich.table import Table
 
 from devices.outlets.report.words import decimals, relative_to
-from devices.outlets.terminal import View
+from devices.outlets.terminal import TerminalView
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
 from stream.operator import Outlet
@@ -174,8 +174,8 @@ def _numbers(field: str, values: Array) -> list[str]:
 
 
 def _show(notice: Any, line: str) -> None:
-    if View.current is None:
+    if TerminalView.current is None:
         with suppress(BrokenPipeError):  # nobody reads on
             say(line, flush=True)
     else:
-        View.current.hang_out("cycle", notice, line)
+        TerminalView.current.hang_out("cycle", notice, line)

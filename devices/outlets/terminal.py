@@ -31,13 +31,13 @@ Metrics = Mapping[str, Mapping[str, Any]]
 """Per source stream, node, and "recording": what `stream.engine.status.table_of` measures."""
 
 
-class View:
+class TerminalView:
     """Shows a session's metrics, and whatever running outlets hang out, until it is left.
 
     `update` only keeps what it is given; a thread of its own draws, so that the graph never waits for a terminal.
     """
 
-    current: ClassVar[View | None] = None
+    current: ClassVar[TerminalView | None] = None
     """The view that is open; outlets that show something on the terminal look here."""
 
     def __init__(self, graph: Graph, file: TextIO | None = None) -> None:
@@ -63,14 +63,14 @@ class View:
 
     def __enter__(self) -> Self:
         self._began = time.monotonic()
-        View.current = self
+        TerminalView.current = self
         return self
 
     def __exit__(self, *_: object) -> None:
-        View.current = None
+        TerminalView.current = None
 
 
-class LiveView(View):
+class LiveView(TerminalView):
     """A panel at the foot of the terminal, drawn twice a second; log lines run above it."""
 
     def __init__(self, graph: Graph, file: TextIO | None = None) -> None:
@@ -105,7 +105,7 @@ class LiveView(View):
         return Group(head, Columns([*self.notices.values(), metrics_table(self.metrics)], padding=(0, 4)))
 
 
-class LineView(View):
+class LineView(TerminalView):
     """One line every ten seconds, and one for whatever an outlet has to say; for pipes, log files and screen readers."""
 
     def __init__(self, graph: Graph, file: TextIO | None = None) -> None:

@@ -121,7 +121,7 @@ def _between(data: bytes, at: int) -> int:
 
 
 @dataclass(slots=True)
-class Packets:
+class ShimmerPackets:
     """The packets found.
 
     ticks      (n,) int64, the device's time
@@ -154,10 +154,10 @@ class ShimmerDecoder:
         self._packet = b""
         self._astray = False
 
-    def feed(self, data: bytes) -> Packets:
+    def feed(self, data: bytes) -> ShimmerPackets:
         buffer, at, size = self._buffer + data, 0, self.size
         found = bytearray()
-        told = Packets(np.empty(0, np.int64), np.empty((0, size), np.uint8))
+        told = ShimmerPackets(np.empty(0, np.int64), np.empty((0, size), np.uint8))
         while at < len(buffer):
             if between := _between(buffer, at):
                 if between < 0:
@@ -240,7 +240,7 @@ def _integers(table: np.ndarray[tuple[int, ...], np.dtype[np.uint8]], at: int, c
     return values - ((values >> 8 * channel.size - 1) << 8 * channel.size) if channel.signed else values
 
 
-def columns(packets: Packets, channels: tuple[int, ...], wanted: list[str]) -> Samples:
+def columns(packets: ShimmerPackets, channels: tuple[int, ...], wanted: list[str]) -> Samples:
     """Counts (n, len(wanted)) of the named channels."""
     places, at = {}, 4
     for number in channels:

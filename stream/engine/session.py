@@ -24,7 +24,7 @@ from stream.engine.pipeline import Pipeline
 from stream.engine.queues import DROPPED, ReadyQueue
 from stream.engine.resume import catch_up
 from stream.engine.session_log import PriorSession, SessionLog
-from stream.engine.status import MemoryWatch, Outcome, Table, View, recording_row, table_of
+from stream.engine.status import MemoryWatch, Outcome, SessionView, Table, recording_row, table_of
 from stream.engine.supervisor import GRACE_S, REST_S, Runner
 from stream.engine.warmup import Compilations, warm_up
 from stream.engine.workers import Call, Watchdog, Workers
@@ -59,7 +59,7 @@ class Session:
         *,
         resume: bool = False,
         duration_s: float = 0.0,
-        view: View | None = None,
+        view: SessionView | None = None,
     ) -> None:
         refuse_unsuited(graph)
         self.graph, self.folder, self._view, self._duration_s = graph, folder, view, duration_s

@@ -102,7 +102,7 @@ def _stage_row(stage: Stage, workers: Workers) -> dict[str, Any]:
     }
 
 
-class View(Protocol):
+class SessionView(Protocol):
     """Something that shows a running session."""
 
     def update(self, table: Table) -> None:
