@@ -76,7 +76,7 @@ class LslStamps:
             leaps is not None
             and self._last is not None
             and self._correction == self._target
-            and arrival - OLDEST_S < raws[0]
+            and arrival - OLDEST_S < raws[0] < arrival + NEWEST_S
             and raws[-1] < arrival + NEWEST_S
             and round(raws[0] * NS) + self._shift > self._last
             and leaps.none(raws)

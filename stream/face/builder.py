@@ -119,7 +119,8 @@ class GraphBuilder:
             **options,
             **parameters_given(name, part),
         }
-        node = grown(self._nodes, name, entry)
+        written = self._document["nodes"]
+        node = grown({n: known for n, known in self._nodes.items() if n != name or n in written}, name, entry)
         self._nodes[name] = node
         self._document["nodes"][name] = entry
         self._text = ""
