@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 Event = tuple[Any, ...]
+KNOWN, SHARED, FAR, STILL, TRAVELS = 2, 4, 100.0, 0.12, 0.5
 DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 0.8, 1.25, 64, 24
 
 
@@ -23,6 +24,7 @@ class Exemplar:
     frames: Any
     used: int = 0
     lead: float = 0.0
+    travel: float = 0.0
 
 
 @dataclass
@@ -95,14 +97,17 @@ class Reference:
         mirrored: Any = None,
         firsts: Any = None,
     ) -> None:
-        self.good = np.isfinite(x).all(1)
-        self.x = np.array(x, float)
-        for i in np.flatnonzero(~self.good):
-            self.x[i] = self.x[i - 1] if i else 0.0
-        self.mirrored, self.firsts = mirrored, firsts
-        if mirrored is not None:
-            self.mirrored = np.array(mirrored, float)
-            self.mirrored[~self.good | ~np.isfinite(mirrored).all(1)] = np.nan
+        self.came = np.where(np.isfinite(x), x, np.nan)
+        self.known = np.isfinite(x)
+        self.x, self.firsts = np.empty_like(self.came), firsts
+        self.images = None if mirrored is None else np.where(np.isfinite(mirrored), mirrored, np.nan)
+        self.mirrored = None if mirrored is None else np.empty_like(self.came)
+        self.frames: list[int] = []
+        self.present, self.good = np.zeros(len(x), int), np.zeros(len(x), bool)
+        self.moves: list[float] = []
+        self.moved = self.peak = 0.0
+        self.peak_at = 0
+        self.resting: list[int] = []
         self.p, self.share, self.fixed = frames, share, radius
         self.radius, self.band = radius or 0.0, frames["BAND_MOST"]
         self.events: list[Event] = []
@@ -114,34 +119,96 @@ class Reference:
         self.seed = self.untold = self.when = self.repeated = 0
         self.open = False
         self.flags = np.zeros(len(self.x), bool)
-        for t in range(len(self.x)):
-            self.now = t
-            self.step(t)
+        for i in range(len(self.came)):
+            self.frame = i
+            if self.rests(i):
+                if len(self.resting) == self.p["LAG"]:
+                    self.close_all(0)
+            else:
+                self.now = len(self.frames)
+                self.take(i)
+                self.step(self.now)
         if end and len(self.x):
             self.end()
         return self.events
 
     def tell(self, kind: str, *what: int) -> None:
-        self.events.append((kind, self.now, *(int(v) for v in what)))
+        """An event; frames that were worked through are told by what number they came with."""
+        spans = {"rest": 0, "begin": 1, "activity": 2, "primitive": 2, "bout": 2, "provisional": 2}.get(kind, 0)
+        numbers = [self.frames[v] for v in what[:spans]] + [int(v) for v in what[spans:]]
+        self.events.append((kind, self.frame, *numbers))
 
-    def apart(self, i: int, j: int) -> float:
+    # Rest
+
+    def rests(self, i: int) -> bool:
+        """Whether frame `i`, as it came, is left out: it has moved less than a share of what the liveliest frames do."""
+        n = self.p["REST"]
+        self.moved = self.movement(i)
+        if i < n or self.moved >= STILL * self.peak:
+            if self.resting:
+                self.tell("rest", max(0, self.resting[0] - n), self.resting[-1])
+                self.resting = []
+            return False
+        self.resting.append(i)
+        return True
+
+    def movement(self, i: int) -> float:
+        """Mean distance to the REST frames before, over what is known in both."""
+        before = self.came[max(0, i - self.p["REST"]) : i]
+        far = self.distances(before - self.came[i], 0)
+        far = far[np.isfinite(far)]
+        return (float(far.mean()) if len(far) else self.moved) if i else 0.0
+
+    def at_rest(self, i: int) -> bool:
+        return self.moves[i] < STILL * self.peak
+
+    def choose_peak(self, t: int) -> None:
+        """What frames worth MASS, of the window, move at least."""
+        if t >= self.peak_at:
+            self.peak_at = t + self.p["EVERY"]
+            found = sorted(self.moves[max(0, t - self.p["WINDOW"] + 1) : t + 1])
+            self.peak = found[-self.p["MASS"]] if len(found) >= self.p["MASS"] else 0.0
+
+    def take(self, i: int) -> None:
+        """Frame `i`, as it came, is the next one to be worked through; it stands for the one before it if too little of it is known."""
+        t = self.now
+        self.frames.append(i)
+        self.moves.append(self.moved)
+        lately = self.known[self.frames[max(0, t - self.p["WINDOW"] + 1) :]]
+        self.present[t], known = lately.any(0).sum(), self.known[i].sum()
+        self.good[t] = known > 0 and known * KNOWN >= self.present[t]
+        self.x[t] = self.came[i] if self.good[t] else self.x[t - 1] if t else 0.0
+        if self.mirrored is not None and self.images is not None:
+            self.mirrored[t] = self.images[i] if self.good[t] else np.nan
+
+    def apart(self, i: int, j: int, present: int = 0) -> float:
         assert i <= self.now and j <= self.now
         self.back = max(self.back, self.now - min(i, j))
-        return float(np.sqrt(np.sum((self.x[i] - self.x[j]) ** 2) / self.x.shape[1]))
+        return float(self.distances(self.x[i] - self.x[j], present or self.present[max(i, j)]))
+
+    @staticmethod
+    def distances(differences: Any, present: Any) -> Any:
+        """Over the features that both frames have, (..., features); infinity where too few of those present are common."""
+        common = np.isfinite(differences).sum(-1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            far = np.sqrt(np.nansum(differences**2, axis=-1) / common)
+        return np.where((common == 0) | (common * SHARED < present), np.inf, far)
 
     def along(self, i: int, frames: Any) -> Any:
         """Distances of frame `i` to an exemplar's frames."""
         self.back = max(self.back, self.now - i)
-        return np.sqrt(np.sum((frames - self.x[i]) ** 2, axis=1) / self.x.shape[1])
+        far = self.distances(frames - self.x[i], self.present[self.now])
+        return np.where(np.isinf(far), FAR * self.radius, far)
 
     # Activities
 
     def has_neighbour(self, i: int) -> bool:
         lags = range(self.band, min(self.p["LAG"], i - self.seed) + 1)
-        return bool(self.good[i]) and any(self.apart(i, i - k) <= self.radius for k in lags)
+        return bool(self.good[i]) and not self.at_rest(i) and any(self.apart(i, i - k) <= self.radius for k in lags)
 
     def step(self, t: int) -> None:
         p = self.p
+        self.choose_peak(t)
         if not self.open:
             if t + 1 < p["LEARN"]:
                 return
@@ -174,11 +241,14 @@ class Reference:
     def choose_radius(self, t: int) -> None:
         p = self.p
         if self.fixed is None:
-            first = max(0, t - p["WINDOW"] + 1)
-            chosen = range(first, t + 1, max(1, (t - first + 1) // SAMPLED))
-            self.radius = self.share * float(np.median([self.apart(i, j) for i in chosen for j in chosen if j < i]))
+            moving = [i for i in range(max(0, t - p["WINDOW"] + 1), t + 1) if not self.at_rest(i)]
+            chosen = moving[:: max(1, len(moving) // SAMPLED)]
+            apart = [d for i in chosen for j in chosen if j < i and (d := self.apart(i, j, self.present[t])) < np.inf]
+            self.radius = self.share * float(np.median(apart)) if apart else 0.0
         stays = []
         for i in range(max(0, t - p["LAG"]), t):
+            if self.at_rest(i):
+                continue
             k = 1
             while k < p["BAND_MOST"] and k <= i and self.apart(i, i - k) <= self.radius:
                 k += 1
@@ -200,7 +270,7 @@ class Reference:
         p, first, found = self.p, self.last, 0
         for i in range(self.last, max(self.seed, self.opened - 2 * p["LAG"]) - 1, -1):
             lags = range(self.band, min(p["LAG"], self.last - i) + 1)
-            if self.good[i] and any(self.apart(i + k, i) <= self.radius for k in lags):
+            if self.good[i] and not self.at_rest(i) and any(self.apart(i + k, i) <= self.radius for k in lags):
                 first, found = i, found + 1
             elif first - i >= p["QUIET"] and found >= p["MASS"]:
                 break
@@ -266,15 +336,22 @@ class Reference:
         self.seed = self.untold = last + 1
 
     def end(self) -> None:
+        if self.resting:
+            self.tell("rest", max(0, self.resting[0] - self.p["REST"]), self.resting[-1])
+        self.close_all(1)
+
+    def close_all(self, forced: int) -> None:
         if self.open:
             if not self.begun:
                 self.begin()
             while self.done < self.now:
                 self.done += 1
                 self.explore(self.done)
-            self.finish(True)
+            self.finish(bool(forced))
         if self.untold <= self.now:
-            self.stretch(self.now, 1)
+            self.stretch(self.now, forced)
+        self.seed = self.untold = self.now + 1
+        self.when = 0
 
     # Cycles
 
@@ -320,7 +397,8 @@ class Reference:
             n = min(max(k, p["MASS"]), seen - k)
             rows = np.arange(i - n + 1, i + 1)
             self.back = max(self.back, self.now - int(rows[0]) + k)
-            means[k] = float(np.sqrt(((self.x[rows] - self.x[rows - k]) ** 2).sum(1) / self.x.shape[1]).mean())
+            far = self.distances(self.x[rows] - self.x[rows - k], self.present[rows])
+            means[k] = float(np.where(np.isinf(far), FAR * self.radius, far).mean())
         for k in lags:
             if (
                 k >= self.band
@@ -355,9 +433,18 @@ class Reference:
                 start = begin
         return start
 
+    def travel(self, first: int, last: int, length: int) -> float:
+        """How far frames move, from stride to stride, of which a cycle of `length` frames has eight."""
+        stride = max(1, length // 8)
+        far = [self.apart(i, i - stride) for i in range(first + stride, last + 1, stride)]
+        return sum(d for d in far if d < np.inf)
+
     def track(self, paths: Paths, i: int) -> bool:
         mean = paths.advance(self.along(i, paths.frames), i, self.radius)
-        if mean <= TRUSTS * self.radius and (paths.best is None or mean < paths.best[0]):
+        exemplar = self.exemplars[self.slot]
+        assert exemplar
+        better = mean <= TRUSTS * self.radius and (paths.best is None or mean < paths.best[0])
+        if better and self.travel(paths.begin[-1], i, len(paths.frames)) >= TRAVELS * exemplar.travel:
             paths.best = (mean, paths.begin[-1], i)
         return paths.best is not None and i - paths.best[2] >= paths.patience
 
@@ -466,7 +553,7 @@ class Reference:
         empty = [slot for slot, exemplar in enumerate(self.exemplars) if exemplar is None]
         slot = empty[0] if empty else min(range(MOST_CLUSTERS), key=lambda k: self.exemplars[k].used)  # type: ignore[union-attr]
         frames = self.x[first : first + length].copy()
-        self.exemplars[slot] = Exemplar(self.clusters, frames)
+        self.exemplars[slot] = Exemplar(self.clusters, frames, travel=self.travel(first, first + length - 1, length))
         self.clusters += 1
         self.use(slot)
         return slot
@@ -487,8 +574,8 @@ class Reference:
         """1, if the first of each pair moves more in the first steps of the cluster's cycles so far than in the second ones; else 2."""
         exemplar = self.exemplars[self.slot]
         assert exemplar
-        own, other = ((np.diff(y[first:stop, self.firsts > 0], axis=0) ** 2).sum(1) for y in (self.x, self.mirrored))
-        more, cut = own - other, half - first - 1
+        own, other = (np.diff(y[first:stop, self.firsts > 0], axis=0) ** 2 for y in (self.x, self.mirrored))
+        more, cut = np.nansum(own - other, axis=1), half - first - 1
         exemplar.lead += float(more[:cut].sum() - more[cut:].sum())
         return 1 if exemplar.lead >= 0 else 2
 
@@ -511,7 +598,8 @@ class Reference:
     def mean_apart(self, rows: Any, images: Any) -> float:
         """Mean distance of frames to the mirror images of others."""
         self.back = max(self.back, self.now - int(rows[0]))
-        return float(np.sqrt(((self.x[rows] - self.mirrored[images]) ** 2).mean(1)).mean())
+        far = self.distances(self.x[rows] - self.mirrored[images], 0)
+        return float(np.where(np.isinf(far), np.nan, far).mean())
 
     def use(self, slot: int) -> Exemplar:
         self.clock += 1

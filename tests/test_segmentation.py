@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from reference import Event, Reference
+from structlog.testing import capture_logs
 
 from devices.simulators.walking_limb import Limb
 from operators.features.mirror import Mirror
@@ -30,10 +31,11 @@ FIELDS = {
     "begin": ("onset", "activity"),
     "count": ("activity", "count"),
     "merge": ("cluster", "into"),
+    "rest": ("onset", "end"),
     "provisional": ("onset", "end", "activity", "repetition"),
     "radius": (),
 }
-FINAL = ("activity", "primitive", "bout", "begin", "merge")
+FINAL = ("activity", "primitive", "bout", "begin", "merge", "rest")
 
 
 def played(
@@ -77,7 +79,7 @@ def frames_of(operator: Segment) -> dict[str, int]:
     seconds = {
         "LAG": operator.cycle_s, "WINDOW": operator.window_s, "LEARN": operator.learn_s, "QUIET": operator.quiet_s,
         "MASS": operator.mass_s, "SETTLE": operator.settle_s, "FIRM": operator.firm_s, "BAND_LEAST": operator.band_s[0],
-        "BAND_MOST": operator.band_s[1], "EVERY": 0.5,
+        "BAND_MOST": operator.band_s[1], "EVERY": 0.5, "REST": operator.rest_s,
     }  # fmt: skip
     return {name: round(value * RATE) for name, value in seconds.items()}
 
@@ -90,8 +92,8 @@ def told(reference: list[Event]) -> dict[str, list[Event]]:
     return found
 
 
-def motion(seed: int, bad: bool = False) -> Any:
-    """Cycles of three kinds at changing pace in random turn, with wandering between them: (n, 6)."""
+def motion(seed: int, bad: bool = False, rests: bool = False) -> Any:
+    """Cycles of three kinds at changing pace in random turn, with wandering between them, or rests: (n, 6)."""
     rng = np.random.default_rng(seed)
     made = []
     for _ in range(6):
@@ -103,11 +105,55 @@ def motion(seed: int, bad: bool = False) -> Any:
             made.append(np.stack([np.sin(turn), np.cos(turn), np.sin(2 * turn), np.cos(2 * turn)], 1) @ mix)
         else:
             made.append(np.cumsum(rng.normal(size=(n, 6)) * 0.15, 0))
+        if rests:
+            made.append(np.repeat(made[-1][-1:], int(rng.integers(20, 160)), 0))
     x = np.concatenate(made)
     x += 0.05 * rng.normal(size=x.shape)
     if bad:
         x[rng.integers(0, len(x), 5), rng.integers(0, 6, 5)] = np.nan
+        x[rng.integers(0, len(x), 12)] = np.nan
+        x[len(x) // 2 : len(x) // 2 + 90, 1] = np.inf
+        x[rng.random(x.shape) < 0.1] = np.nan
     return x
+
+
+def lossy(x: Any, kind: str) -> Any:
+    """The recording with values that are not known."""
+    rng, x = np.random.default_rng(3), x.copy()
+    if kind == "one throughout":
+        x[:, 1] = np.nan
+    elif kind == "one in the middle":
+        x[len(x) // 3 : 2 * len(x) // 3, 1] = np.nan
+    elif kind == "frames":
+        x[rng.random(len(x)) < 0.2] = np.nan
+    elif kind == "values":
+        x[rng.random(x.shape) < 0.2] = np.nan
+    return x
+
+
+@pytest.mark.parametrize("kind", ["none", "one throughout", "one in the middle", "frames", "values"])
+@pytest.mark.parametrize("stacks", [True, False])
+def test_repetitions_are_counted_though_values_are_missing(kind: str, stacks: bool) -> None:
+    x = lossy(walking(16, seed=2), kind)
+    events, _ = played(Segment(**QUICK), stacked(x) if stacks else x)
+    assert abs(int(events["activity"]["repetitions"].max()) - (15 if stacks else 16)) <= 1
+
+
+def test_a_feature_that_never_comes_is_said(capture: list[dict[str, Any]]) -> None:
+    for x in (walking(9), walking(9)[:20]):
+        capture.clear()
+        played(Segment(**QUICK), lossy(x, "one throughout"))
+        (said,) = capture
+        assert said["features"] == "1" and (said["left"], said["of"]) == (5, 6)
+    capture.clear()
+    played(Segment(**QUICK), lossy(walking(9), "values"))
+    assert not capture
+
+
+@pytest.fixture
+def capture() -> Any:
+    with capture_logs() as logs:
+        yield logs
 
 
 def circling(cycles: int, length: int = 36, seed: int = 1) -> Any:
@@ -123,7 +169,7 @@ def circling(cycles: int, length: int = 36, seed: int = 1) -> Any:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_the_live_events_are_the_references_for_any_length_of_the_recording(seed: int) -> None:
-    operator, x = Segment(**QUICK), motion(seed, bad=seed % 3 == 0)
+    operator, x = Segment(**QUICK), motion(seed, bad=seed % 3 == 0, rests=seed % 2 == 0)
     for n in (len(x), len(x) * 2 // 3, 100):
         reference = Reference(x[:n], frames_of(operator), operator.radius_share)
         expected = told(reference.run())
@@ -384,8 +430,7 @@ def test_a_mirror_image_must_be_one_of_these_features() -> None:
 
 def test_steps_whose_mirror_image_is_missing_have_no_side() -> None:
     x = walking(9)
-    bad = x.copy()
-    bad[:, 2] = np.nan
+    bad = np.full(x.shape, np.nan)
     spec, time, operator = StreamSpec((6,), rate_hz=RATE), grid(RATE, len(x)), Segment(**QUICK)
     operator.open({"in": spec, "mirrored": SIDES.open({"in": spec})["out"]})
     made = []
@@ -468,3 +513,34 @@ def test_a_recording_whose_frames_are_shuffled_is_not_cut(name: str) -> None:
     assert events["activity"]["repeats"].any()
     for seed in range(3):
         assert_not_cut(stacked(np.random.default_rng(seed).permutation(x)))
+
+
+def lifts(seed: int, repetitions: int, length: int, pause: int, still: int = 60) -> Any:
+    """Something raised and put down again, at changing tempo, with so many frames of rest after each, and `still` ones before: (n, 8)."""
+    rng = np.random.default_rng(seed)
+    mix, made = rng.normal(size=(4, 8)), [np.zeros((still, 8))]
+    for _ in range(repetitions):
+        n = round(length * rng.uniform(0.9, 1.1))
+        turn = np.arange(n) / n * 2 * np.pi
+        parts = np.stack([1 - np.cos(turn), np.sin(turn), 1 - np.cos(2 * turn), 0.5 * np.sin(2 * turn)], 1)
+        made += [10.0 * parts @ mix, np.zeros((pause, 8))]
+    x = np.concatenate([*made, np.zeros((60, 8))])
+    noisy: Any = x + 0.3 * rng.normal(size=x.shape)
+    return noisy
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_pause_is_rest_and_no_repetition(seed: int) -> None:
+    events, _ = played(Segment(), stacked(lifts(seed, 10, 60, 120)))
+    assert (events["primitive"]["repetition"] > 0).sum() == 10
+    assert len(events["rest"]) >= 9
+    told = (events["rest"]["end"] - events["rest"]["onset"]) / 1e9
+    assert (told > 2.5).sum() >= 9 and (told[:9] < 5.0).all()
+
+
+@pytest.mark.parametrize("still_s", [2, 20, 60])
+def test_stillness_before_the_motion_does_not_change_what_is_found(still_s: int) -> None:
+    events, _ = played(Segment(), stacked(lifts(2, 9, 50, 0, still=round(still_s * RATE))))
+    (action,) = events["activity"][events["activity"]["repeats"]]
+    assert action["repetitions"] == 9
+    assert (events["primitive"]["repetition"] > 0).sum() == 9

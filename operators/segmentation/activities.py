@@ -39,7 +39,9 @@ from operators.segmentation.layout import (
     RADIUS,
     RADIUS_AT,
     RADIUS_EVENT,
+    RECENT,
     REPEATED,
+    RESTED,
     RETURNED,
     ROWS,
     SEARCH,
@@ -63,6 +65,7 @@ from operators.segmentation.repetitions import (
     take_up,
     under_way,
 )
+from operators.segmentation.rest import at_rest, choose_peak, rests, tell_rest
 from stream.chunk import Samples, Times
 from stream.kernel import kernel
 
@@ -84,10 +87,14 @@ def follow(s: Memory, x: Samples, mirrored: Samples, time: Times, first: int, ga
         s.books[NOW] = time[i]
         if gap and i == first:
             end(s)
-        t = insert(s, x[i], time[i])
-        if mirrored.shape[0]:
-            reflect(s, t, mirrored[i])
-        step(s, t)
+        if rests(s, x[i], time[i]):
+            if s.books[RESTED] == s.books[LAG]:
+                stand(s)
+        else:
+            t = insert(s, x[i], time[i])
+            if mirrored.shape[0]:
+                reflect(s, t, mirrored[i])
+            step(s, t)
         i += 1
     return i
 
@@ -95,6 +102,7 @@ def follow(s: Memory, x: Samples, mirrored: Samples, time: Times, first: int, ga
 @kernel
 def step(s: Memory, t: int) -> None:
     b = s.books
+    choose_peak(s, t)
     if t == b[UNTOLD]:
         b[UNTOLD_AT] = s.times[t % s.times.shape[0]]
     if not b[OPEN]:
@@ -154,7 +162,7 @@ def begin(s: Memory) -> None:
     i = b[LAST]
     while i >= oldest(s):
         near = False
-        if s.near[i % s.near.shape[0]] != 2:
+        if s.near[i % s.near.shape[0]] != 2 and not at_rest(s, i):
             for k in range(b[BAND], min(b[LAG], b[LAST] - i) + 1):
                 if s.rows[(i + k) % s.rows.shape[0], k] <= s.values[RADIUS]:
                     near = True
@@ -231,6 +239,23 @@ def finish(s: Memory, forced: bool) -> None:
 def end(s: Memory) -> None:
     """The stream ends, or a gap follows: what is open closes by force, and all but the exemplars is forgotten."""
     b = s.books
+    tell_rest(s)
+    b[RECENT] = 0
+    close_all(s, True)
+    b[SINCE] = b[NEXT]
+    b[REPEATED] = 0
+
+
+@kernel
+def stand(s: Memory) -> None:
+    """Somebody has rested for as long as a cycle may last: what is open closes. What the motion was like stays known."""
+    close_all(s, False)
+
+
+@kernel
+def close_all(s: Memory, forced: bool) -> None:
+    """What is open closes, with the newest frame that was worked through."""
+    b = s.books
     newest = b[NEXT] - 1
     if b[NEXT] == b[SINCE]:
         return
@@ -240,9 +265,8 @@ def end(s: Memory) -> None:
         while b[DONE] < newest:
             b[DONE] += 1
             explore(s, b[DONE])
-        finish(s, True)
+        finish(s, forced)
     if b[UNTOLD] <= newest:
-        stretch(s, newest, True)
-    b[SEED] = b[UNTOLD] = b[SINCE] = b[NEXT]
-    b[REPEATED] = 0
+        stretch(s, newest, forced)
+    b[SEED] = b[UNTOLD] = b[NEXT]
     b[RADIUS_AT] = b[ROWS] = 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from operators.segmentation.cycles import GAIN, advance, columns
+from operators.segmentation.cycles import GAIN, advance, columns, travel
 from operators.segmentation.layout import (
     CLOCK,
     NEXT_CLUSTER,
@@ -65,6 +65,7 @@ def keep(s: Memory, first: int, length: int) -> int:
     s.clusters[slot, NUMBER] = s.books[NEXT_CLUSTER]
     s.clusters[slot, SIZE] = length
     s.leads[slot] = 0.0
+    s.travels[slot] = travel(s, first, first + length - 1, length)
     s.books[NEXT_CLUSTER] += 1
     use(s, slot)
     return slot

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from operators.segmentation.distances import scaled
 from operators.segmentation.layout import (
     BAND,
     BEST,
@@ -36,6 +37,10 @@ GAIN = 0.3
 """What a path's step costs is its distance less this share of the radius; without it paths would shrink to their cheapest part."""
 TRUSTS = 1.25
 """A known cycle's repetition may lie so many radii away on the mean, and so may motion that comes back."""
+FAR = 100.0
+"""So many radii apart are frames that have too few features in common, where a mean is taken."""
+TRAVELS = 0.5
+"""A repetition moves at least this share of how far its exemplar does, from stride to stride: who stands, repeats nothing."""
 LONGEST = 2
 """Paths advance by slopes from 1 / LONGEST to LONGEST, on the whole."""
 
@@ -49,7 +54,7 @@ def sum_up(s: Memory, i: int) -> None:
         if k > i - b[ORIGIN]:
             sums[k] = 0.0
         else:
-            sums[k] = before[k] + row[k]
+            sums[k] = before[k] + (row[k] if row[k] < math.inf else FAR * s.values[RADIUS])
 
 
 @kernel
@@ -96,18 +101,22 @@ def cycle_length(s: Memory, i: int, last_chance: bool) -> int:
 @kernel
 def columns(s: Memory, i: int, slot: int, length: int) -> None:
     """Distances of frame `i` to the exemplar's frames, into `scratch`."""
-    out = s.scratch
+    out, common = s.scratch, s.common
     ring = s.times.shape[0]
     for c in range(length):
-        out[c] = 0.0
+        out[c] = common[c] = 0.0
     for d in range(s.frames.shape[0]):
         v = s.frames[d, i % ring]
         line = s.exemplars[slot, d]
         for c in range(length):
             apart = v - line[c]
-            out[c] += apart * apart
+            if not math.isnan(apart):
+                out[c] += apart * apart
+                common[c] += 1.0
     for c in range(length):
-        out[c] = math.sqrt(out[c] / s.frames.shape[0])
+        out[c] = scaled(s, out[c], common[c])
+        if out[c] == math.inf:
+            out[c] = FAR * s.values[RADIUS]
 
 
 @kernel
@@ -159,6 +168,16 @@ def patience(length: int) -> int:
 
 
 @kernel
+def travel(s: Memory, first: int, last: int, length: int) -> float:
+    """How far frames first..last move, from stride to stride, of which a cycle of `length` frames has eight."""
+    stride, total = max(1, length // 8), 0.0
+    for i in range(first + stride, last + 1, stride):
+        far = s.rows[i % s.rows.shape[0], stride]
+        total += far if far < math.inf else 0.0
+    return total
+
+
+@kernel
 def track(s: Memory, i: int) -> bool:
     """Follow the exemplar's paths to frame `i`; True if the best one (BEST_START to BEST_END) is now accepted."""
     b = s.books
@@ -166,7 +185,8 @@ def track(s: Memory, i: int) -> bool:
     columns(s, i, b[SLOT], length)
     radius = s.values[RADIUS]
     mean = advance(s.scratch, i, length, b[FREE], GAIN * radius, s.cost, s.begin)
-    if mean <= TRUSTS * radius and mean < s.values[BEST]:
+    better = mean <= TRUSTS * radius and mean < s.values[BEST]
+    if better and travel(s, s.begin[0, length - 1], i, length) >= TRAVELS * s.travels[b[SLOT]]:
         s.values[BEST] = mean
         b[BEST_START], b[BEST_END] = s.begin[0, length - 1], i
     return bool(b[BEST_END] >= 0 and i - b[BEST_END] >= patience(length))

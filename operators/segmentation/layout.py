@@ -10,28 +10,31 @@ import numpy as np
 from stream.chunk import Array, Samples, Times
 
 NAMES = [
-    "LAG", "WINDOW", "LEARN", "QUIET", "MASS", "SETTLE", "FIRM", "BAND_LEAST", "BAND_MOST", "EVERY", "FIXED",
+    "LAG", "WINDOW", "LEARN", "QUIET", "MASS", "SETTLE", "FIRM", "BAND_LEAST", "BAND_MOST", "EVERY", "REST", "FIXED",
     "NEXT", "SINCE", "SEED", "UNTOLD", "UNTOLD_AT", "BAND", "RADIUS_AT", "ROWS", "OPEN", "OPENED", "LAST", "BEGUN",
     "RETURNED", "REPEATED", "START", "START_AT", "ACTIVITY",
     "MODE", "ORIGIN", "DONE", "SLOT", "LENGTH", "FREE", "BEST_START", "BEST_END", "COUNT", "PENDING", "FROM", "TO", "CYCLES",
     "PIECES_FROM", "PIECES_AT", "TOLD_TO", "BOUT", "BOUT_COUNT", "BOUT_AT", "BOUT_TO", "BOUT_END",
-    "CLUSTER", "NEXT_CLUSTER", "CLOCK", "TURN", "EVENTS", "TOLD", "NOW",
+    "CLUSTER", "NEXT_CLUSTER", "CLOCK", "TURN", "EVENTS", "TOLD", "NOW", "PRESENT", "PATCHY",
+    "RECENT", "RESTED", "REST_FROM", "REST_TO", "PEAK_AT",
 ]  # fmt: skip
 (
-    LAG, WINDOW, LEARN, QUIET, MASS, SETTLE, FIRM, BAND_LEAST, BAND_MOST, EVERY, FIXED,
+    LAG, WINDOW, LEARN, QUIET, MASS, SETTLE, FIRM, BAND_LEAST, BAND_MOST, EVERY, REST, FIXED,
     NEXT, SINCE, SEED, UNTOLD, UNTOLD_AT, BAND, RADIUS_AT, ROWS, OPEN, OPENED, LAST, BEGUN,
     RETURNED, REPEATED, START, START_AT, ACTIVITY,
     MODE, ORIGIN, DONE, SLOT, LENGTH, FREE, BEST_START, BEST_END, COUNT, PENDING, FROM, TO, CYCLES,
     PIECES_FROM, PIECES_AT, TOLD_TO, BOUT, BOUT_COUNT, BOUT_AT, BOUT_TO, BOUT_END,
-    CLUSTER, NEXT_CLUSTER, CLOCK, TURN, EVENTS, TOLD, NOW,
+    CLUSTER, NEXT_CLUSTER, CLOCK, TURN, EVENTS, TOLD, NOW, PRESENT, PATCHY,
+    RECENT, RESTED, REST_FROM, REST_TO, PEAK_AT,
 ) = range(len(NAMES))  # fmt: skip
 """
-LAG                       longest cycle, and how far back neighbours are looked for, in frames; as all down to EVERY
+LAG                       longest cycle, and how far back neighbours are looked for, in frames; as all down to REST
 WINDOW, LEARN             frames that the radius is taken from; how many there must be
 QUIET, MASS               frames without a neighbour that end an activity; frames with one that open it
 SETTLE, FIRM              how long after its opening an activity's start is sought; and is decided at the latest
 BAND_LEAST, BAND_MOST     bounds of the band around the diagonal
 EVERY                     frames between two choices of the radius while nothing is open
+REST                      frames in which nothing moves, after which a rest is one
 FIXED                     whether the radius is given
 NEXT, SINCE               number of the next frame; of the first since the start or a gap
 SEED                      first frame after the last activity: neighbours are not looked for before it
@@ -61,15 +64,22 @@ BOUT_END                  the frame of that end
 CLUSTER, NEXT_CLUSTER     cluster of the pending repetition; number of the next new one
 CLOCK, TURN               counts uses of exemplars; whose turn it is to be compared
 EVENTS, NOW               rows written to the table of events; the stamp of what is decided now
+PRESENT                   features that have been known within the newest WINDOW frames
+PATCHY                    the last frame in which a feature was not known
+RECENT                    frames seen since the start or a gap, those at rest included
+RESTED                    frames left out by the rest under way; 0: there is none
+REST_FROM, REST_TO        stamps of its first and newest frame
+PEAK_AT                   when it is judged again how much the liveliest frames move
 """
 SEARCH, TRACK = 0, 1
-RADIUS, BEST, FACTOR, PRICE = range(4)
+RADIUS, BEST, FACTOR, PRICE, MOVED, PEAK = range(6)
 """Places in `values`: the radius, the best path's mean distance, the radius as a share of the median distance, the
-pending repetition's mean distance."""
+pending repetition's mean distance, how much the newest frame moves, and the window's liveliest ones."""
 
 (
     ACTIVITY_EVENT, PRIMITIVE_EVENT, BEGIN_EVENT, COUNT_EVENT, MERGE_EVENT, RADIUS_EVENT, BELIEVED_EVENT, BOUT_EVENT,
-) = range(8)  # fmt: skip
+    REST_EVENT,
+) = range(9)  # fmt: skip
 EVENT_WIDTH = 8
 """A row of the table of events: kind, stamp of the decision, then what the kind has; see operator.py."""
 
@@ -78,11 +88,15 @@ NUMBER, SIZE, USED = range(3)
 
 MOST_CLUSTERS = 24
 
+NEVER_KNOWN = -(1 << 60)
+
 
 class Memory(NamedTuple):
     """The arrays that kernels work on.
 
-    frames     (features, 2 ring)  frames by number modulo ring, twice, so that any `ring` in a row stand side by side
+    frames     (features, 2 ring)  frames by number modulo ring, twice, so that any `ring` in a row stand side by side; NaN: not known
+    known      (features,)         the last frame in which each feature was known
+    common     (LAG + 1,)          how many features both frames of a distance have
     times      (ring,)             their stamps
     rows       (rows, LAG + 1)     distance of a frame to the one 1, 2, ... LAG before it, by number modulo `rows`
     near       (rows,)             whether a frame has a neighbour;  2: it was bad, and never has
@@ -95,12 +109,17 @@ class Memory(NamedTuple):
     mirrored   (ring, features)    mirror images of frames, by number modulo ring; NaN: not known. (0, features) where there are none
     firsts     (features,)         1: the first of a pair that changes places in the mirror
     leads      (clusters,)         how much more the firsts have moved in the first steps of a cluster's cycles than in the second ones
+    recent     (REST, features)    the newest frames as they came, by RECENT modulo REST, and their stamps recent_at (REST,)
+    moves      (ring,)             how much each frame moves: its mean distance to the REST before it
+    travels    (clusters,)         how far the exemplars move, from stride to stride
     kinds      (4,)                repetitions of the open activity by their symmetry
     books, values                  the numbers named above
     events     (m, EVENT_WIDTH)    what a call leads to; radii (m,): the radius of that moment. Not part of the state
     """
 
     frames: Samples
+    known: Times
+    common: Samples
     times: Times
     rows: Samples
     near: Array
@@ -113,6 +132,10 @@ class Memory(NamedTuple):
     mirrored: Samples
     firsts: Times
     leads: Samples
+    recent: Samples
+    recent_at: Times
+    moves: Samples
+    travels: Samples
     kinds: Times
     books: Times
     values: Samples
@@ -125,6 +148,8 @@ class Remembered:
     """`Memory` as a state: the same arrays by the same names."""
 
     frames: Samples
+    known: Times
+    common: Samples
     times: Times
     rows: Samples
     near: Array
@@ -137,6 +162,10 @@ class Remembered:
     mirrored: Samples
     firsts: Times
     leads: Samples
+    recent: Samples
+    recent_at: Times
+    moves: Samples
+    travels: Samples
     kinds: Times
     books: Times
     values: Samples
@@ -155,7 +184,7 @@ class Remembered:
 def allocate(
     width: int, frames: dict[str, int], radius: float | None, factor: float, firsts: Times | None = None
 ) -> Remembered:
-    """Nothing seen yet. `frames`: the numbers LAG to EVERY, by name. `firsts`: where frames have a mirror image."""
+    """Nothing seen yet. `frames`: the numbers LAG to REST, by name. `firsts`: where frames have a mirror image."""
     lag = frames["LAG"]
     ring = max(frames["WINDOW"], 5 * lag + frames["FIRM"] + 64)
     rows = 3 * lag + frames["FIRM"] + 64
@@ -165,10 +194,13 @@ def allocate(
     books[FIXED] = radius is not None
     books[BAND] = frames["BAND_MOST"]
     books[[BEST_START, BEST_END]] = -1
+    books[PATCHY] = NEVER_KNOWN
     clusters = np.zeros((MOST_CLUSTERS, 3), np.int64)
     clusters[:, NUMBER] = -1
     return Remembered(
         frames=np.zeros((width, 2 * ring)),
+        known=np.full(width, NEVER_KNOWN),
+        common=np.zeros(lag + 1),
         times=np.zeros(ring, np.int64),
         rows=np.full((rows, lag + 1), np.inf),
         near=np.zeros(rows, np.int8),
@@ -181,7 +213,11 @@ def allocate(
         mirrored=np.full((0 if firsts is None else ring, width), np.nan),
         firsts=np.zeros(width, np.int64) if firsts is None else firsts,
         leads=np.zeros(MOST_CLUSTERS),
+        recent=np.full((frames["REST"], width), np.nan),
+        recent_at=np.zeros(frames["REST"], np.int64),
+        moves=np.zeros(ring),
+        travels=np.zeros(MOST_CLUSTERS),
         kinds=np.zeros(4, np.int64),
         books=books,
-        values=np.array([0.0 if radius is None else radius, np.inf, factor, np.inf]),
+        values=np.array([0.0 if radius is None else radius, np.inf, factor, np.inf, 0.0, 0.0]),
     )

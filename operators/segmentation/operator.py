@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+import structlog
 
 from operators.channels import names_of
 from operators.continuity import Continuity, watch
@@ -21,10 +22,15 @@ from operators.segmentation.layout import (
     COUNT_EVENT,
     EVENT_WIDTH,
     EVENTS,
+    LEARN,
     MERGE_EVENT,
+    NEXT,
     NOW,
+    PRESENT,
     PRIMITIVE_EVENT,
     RADIUS_EVENT,
+    REST_EVENT,
+    WINDOW,
     Remembered,
     allocate,
 )
@@ -35,6 +41,7 @@ from stream.operator import Case, Operator, grid
 from stream.params import param
 from stream.require import numeric, regular, samples_in
 
+log = structlog.get_logger(__name__)
 SPAN = [("onset", "<i8"), ("end", "<i8"), ("activity", "<i8")]
 ACTIVITY = np.dtype(
     [
@@ -53,6 +60,7 @@ BEGIN = np.dtype([("onset", "<i8"), ("activity", "<i8")])
 COUNT = np.dtype([("activity", "<i8"), ("count", "<i4")])
 MERGE = np.dtype([("cluster", "<i8"), ("into", "<i8")])
 BELIEVED = np.dtype([*SPAN, ("repetition", "<i4")])
+REST = np.dtype([("onset", "<i8"), ("end", "<i8")])
 RADIUS = np.dtype([("radius", "<f8")])
 OUTPUTS = {
     "activity": (ACTIVITY, ACTIVITY_EVENT),
@@ -62,6 +70,7 @@ OUTPUTS = {
     "count": (COUNT, COUNT_EVENT),
     "merge": (MERGE, MERGE_EVENT),
     "provisional": (BELIEVED, BELIEVED_EVENT),
+    "rest": (REST, REST_EVENT),
     "radius": (RADIUS, RADIUS_EVENT),
 }
 """By the name of an output: its events, and their kind in the kernels' table."""
@@ -69,12 +78,17 @@ OUTPUTS = {
 
 @dataclass(slots=True)
 class SegmentState(Continuity):
-    """memory: see layout.py; longest: ns, of a transition; mirrored: the newest mirror image (features,), if any; its stamp."""
+    """memory: see layout.py; longest: ns, of a transition; mirrored: the newest mirror image (features,), if any; its stamp.
+
+    absent: features (features,) of which it has been said that nothing comes; names: theirs.
+    """
 
     memory: Remembered
     longest: int
     mirrored: Samples
     mirrored_at: int
+    absent: Array
+    names: list[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +110,7 @@ class Segment(Operator[SegmentState]):
     count        at once: activity, and how many repetitions have come in it so far, this one included
     merge        two clusters are found to be one: from now on `cluster` is `into`, the older one. Clusters never split
     provisional  at once: what is believed of an activity (repetition 0) or a repetition that has just been seen, before it is final
+    rest         final, when it is over: onset, end of a stretch in which hardly anything moves
     radius       the radius that an activity is opened with
 
     A frame's neighbours are the frames up to `cycle_s` before it within the radius, outside of a band around the diagonal; distances are
@@ -108,8 +123,9 @@ class Segment(Operator[SegmentState]):
     radius_share  of the median distance between frames of the window: the radius, while no activity is open; `radius` fixes it
 
     A repetition and its steps are final at the latest 2.75 cycles after its end, a bout 3. Memory, in numbers, with times in frames:
-    8 cycle_s^2 + 2 features window_s (mirrored: 3), and 24 exemplars of cycle_s frames. A frame with a bad value has no neighbour. A gap
-    longer than `reset_gap_s` ends what is open; exemplars are kept.
+    8 cycle_s^2 + 2 features window_s (mirrored: 3), and 24 exemplars of cycle_s frames. Distances are taken over
+    what both frames have; a frame has no neighbour if it lacks more than half of what has been there within `window_s`, and a feature
+    that has not is left out, which is logged. A gap longer than `reset_gap_s` ends what is open; exemplars are kept.
     Source: thesis, 2.3 to 2.5. Departures: docs/segmentation.md.
     """
 
@@ -119,7 +135,7 @@ class Segment(Operator[SegmentState]):
     outputs: ClassVar[tuple[str, ...]] = tuple(OUTPUTS)
     departures: ClassVar[dict[str, str]] = {
         "time": "what the end of the stream forces to close is stamped with the newest frame, so time is promised up to there only",
-        "channels": "all features of a frame make one pose: with one of them bad the frame has no neighbours",
+        "channels": "all features of a frame make one pose: a bad one is left out; the frame has no neighbours with most of them bad",
     }
 
     radius: float | None = param(
@@ -134,6 +150,7 @@ class Segment(Operator[SegmentState]):
     settle_s: float = param(2.0, above=0.0, help="after its opening, until its start is looked for")
     firm_s: float = param(8.0, above=0.0, help="after its opening, until its start is final")
     band_s: tuple[float, float] = param((0.4, 0.7), above=0.0, help="bounds of the band around the diagonal")
+    rest_s: float = param(1.0, above=0.0, help="who has hardly moved for so long is at rest")
     transition_s: float = param(2.5, least=0.0, help="a longer stretch between two activities is one of its own")
     reset_gap_s: float = reset_gap(1.0, "a longer gap ends what is open")
 
@@ -159,6 +176,7 @@ class Segment(Operator[SegmentState]):
             "LAG": ("cycle_s", self.cycle_s), "WINDOW": ("window_s", self.window_s), "LEARN": ("learn_s", self.learn_s),
             "QUIET": ("quiet_s", self.quiet_s), "MASS": ("mass_s", self.mass_s), "SETTLE": ("settle_s", self.settle_s),
             "FIRM": ("firm_s", self.firm_s), "BAND_LEAST": ("band_s", self.band_s[0]), "BAND_MOST": ("band_s", self.band_s[1]),
+            "REST": ("rest_s", self.rest_s),
         }  # fmt: skip
         frames = {name: samples_in(parameter, value, rate_hz) for name, (parameter, value) in seconds.items()}
         frames["LEARN"] = max(2, frames["LEARN"])
@@ -171,6 +189,8 @@ class Segment(Operator[SegmentState]):
                 longest=round(self.transition_s * 1e9),
                 mirrored=np.full(0 if firsts is None else spec.shape[0], np.nan),
                 mirrored_at=NEVER,
+                absent=np.zeros(spec.shape[0], bool),
+                names=list(names_of(spec)),
             )
         )
         unit = spec.units[0] if len(set(spec.units)) == 1 else ""
@@ -203,10 +223,28 @@ class Segment(Operator[SegmentState]):
             memory = s.memory.with_room(4 * ROOM)
             done = follow(memory, x, images, chunk.time, done, gap and not done)
             tables.append(s.memory.told(memory))
+        self._say_missing(1)
         return self._emitted(tables, min(chunk.until, s.last.item(0) - 1), -1 if chunk.lost else 0)
+
+    def _say_missing(self, learnt: int) -> None:
+        """Which features are left out, as nothing has come of them for a window, or since the start: said once each."""
+        s = self.state
+        books = s.memory.books
+        if books[PRESENT] == s.width or books[NEXT] < learnt * books[LEARN]:
+            return
+        missing = books[NEXT] - s.memory.known > books[WINDOW]
+        fresh = missing & ~s.absent
+        s.absent[:] = missing
+        if fresh.any():
+            names = dict.fromkeys(STACKED.sub("", s.names[k]) for k in np.flatnonzero(fresh))
+            log.warning(
+                "features are left out of the comparison: no value has come for as long as the window, or since the start",
+                features=", ".join(names), left=int(s.width - missing.sum()), of=s.width, t_ns=int(books[NOW]),
+            )  # fmt: skip
 
     def close(self) -> list[tuple[str, Chunk]]:
         s = self.state
+        self._say_missing(0)
         s.memory.books[EVENTS] = 0
         s.memory.books[NOW] = s.last[0]
         memory = s.memory.with_room(ROOM)
@@ -286,6 +324,7 @@ COLUMNS: dict[np.dtype[Any], tuple[str, ...]] = {
     BOUT: ("onset", "end", "activity", "bout", "repetitions", "cluster"),
     BEGIN: ("onset", "activity"),
     COUNT: ("activity", "count"),
+    REST: ("onset", "end"),
     MERGE: ("cluster", "into"),
     BELIEVED: ("onset", "end", "activity", "repetition"),
 }

@@ -59,10 +59,13 @@ def second_step(s: Memory, first: int, stop: int) -> int:
 def apart(s: Memory, i: int, j: int) -> float:
     """Distance of frame `i` to the mirror image of frame `j`."""
     i, j = i % s.times.shape[0], j % s.mirrored.shape[0]
-    total = 0.0
+    total, common = 0.0, 0.0
     for d in range(s.frames.shape[0]):
-        total += (s.frames[d, i] - s.mirrored[j, d]) ** 2
-    return math.sqrt(total / s.frames.shape[0])
+        far = s.frames[d, i] - s.mirrored[j, d]
+        if not math.isnan(far):
+            total += far * far
+            common += 1.0
+    return math.sqrt(total / common) if common else math.nan
 
 
 @kernel
@@ -91,5 +94,6 @@ def moves(s: Memory, first: int, stop: int) -> float:
         for d in np.flatnonzero(s.firsts):
             own = s.frames[d, i % ring] - s.frames[d, (i - 1) % ring]
             other = s.mirrored[i % ring, d] - s.mirrored[(i - 1) % ring, d]
-            total += own * own - other * other
+            more = own * own - other * other
+            total += more if not math.isnan(more) else 0.0
     return total

@@ -1,0 +1,104 @@
+"""Rest: frames in which nothing has moved for a while, of all that has moved lately, are left out of everything and told apart."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from operators.segmentation.events import tell
+from operators.segmentation.layout import (
+    EVERY,
+    MASS,
+    MOVED,
+    PEAK,
+    PEAK_AT,
+    RECENT,
+    REST,
+    REST_EVENT,
+    REST_FROM,
+    REST_TO,
+    RESTED,
+    SINCE,
+    WINDOW,
+    Memory,
+)
+from stream.chunk import Samples
+from stream.kernel import kernel
+
+STILL = 0.12
+"""Who has moved less than this share of what the window's liveliest frames do, is at rest."""
+
+
+@kernel
+def rests(s: Memory, x: Samples, stamp: int) -> bool:
+    """Whether frame `x` (features,) belongs to a rest: so it is not worked through. A rest that it ends is told."""
+    b = s.books
+    s.values[MOVED] = moved(s, x)
+    b[RECENT] += 1
+    place = b[RECENT] % s.recent.shape[0]
+    oldest = s.recent_at[place]
+    s.recent[place], s.recent_at[place] = x, stamp
+    if b[RECENT] <= b[REST] or s.values[MOVED] >= STILL * s.values[PEAK]:
+        tell_rest(s)
+        return False
+    if not b[RESTED]:
+        b[REST_FROM] = oldest
+    b[RESTED] += 1
+    b[REST_TO] = stamp
+    return True
+
+
+@kernel
+def tell_rest(s: Memory) -> None:
+    """A rest, if there was one, is over."""
+    b = s.books
+    if b[RESTED]:
+        tell(s, REST_EVENT, b[REST_FROM], b[REST_TO], 0, 0, 0, 0)
+        b[RESTED] = 0
+
+
+@kernel
+def moved(s: Memory, x: Samples) -> float:
+    """Mean distance of frame `x` to those of the last REST frames, rests included; where nothing of it is known, as of the one before."""
+    b = s.books
+    total, count = 0.0, 0
+    for k in range(min(b[REST], b[RECENT])):
+        row = s.recent[(b[RECENT] - k) % s.recent.shape[0]]
+        squares, common = 0.0, 0.0
+        for d in range(x.shape[0]):
+            apart = x[d] - row[d]
+            if math.isfinite(apart):
+                squares += apart * apart
+                common += 1.0
+        if common:
+            total += math.sqrt(squares / common)
+            count += 1
+    if not b[RECENT]:
+        return 0.0
+    return total / count if count else s.values[MOVED]
+
+
+@kernel
+def choose_peak(s: Memory, t: int) -> None:
+    """How much the liveliest frames of the window move: those worth MASS do no less."""
+    b = s.books
+    if t < b[PEAK_AT]:
+        return
+    b[PEAK_AT] = t + b[EVERY]
+    first = max(b[SINCE], t - b[WINDOW] + 1)
+    n = t - first + 1
+    if n < b[MASS]:
+        s.values[PEAK] = 0.0
+        return
+    found = np.empty(n)
+    for i in range(n):
+        found[i] = s.moves[(first + i) % s.moves.shape[0]]
+    found.sort()
+    s.values[PEAK] = found[n - b[MASS]]
+
+
+@kernel
+def at_rest(s: Memory, i: int) -> bool:
+    """Whether frame `i`, which was worked through, would be left out by what is known of the motion now."""
+    return bool(s.moves[i % s.moves.shape[0]] < STILL * s.values[PEAK])
