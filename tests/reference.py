@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 Event = tuple[Any, ...]
-KNOWN, SHARED, FAR, STILL, TRAVELS = 2, 4, 100.0, 0.12, 0.5
+KNOWN, SHARED, FAR, STILL, TRAVELS = 2, 4, 100.0, 0.12, 0.7
 DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 0.8, 1.25, 64, 24
 
 
@@ -219,22 +219,24 @@ class Reference:
                     self.flags[i] = self.has_neighbour(i)
             self.flags[t] = self.has_neighbour(t)
             recent = slice(max(self.seed, t - p["LAG"] + 1), t + 1)
-            if self.flags[recent].sum() >= p["MASS"]:
+            if self.flags[t] and self.flags[recent].sum() >= p["MASS"]:
                 self.open_up(t)
         elif self.has_neighbour(t):
             self.last = t
         if self.open:
-            if not self.begun and (t - self.last >= p["QUIET"] or t >= self.opened + p["SETTLE"]):
+            due = t - self.last >= p["QUIET"] or t >= self.opened + p["SETTLE"]
+            if due and (not self.begun or not (self.told or self.returned or (t - self.opened) % p["SETTLE"])):
                 self.begin()
             if self.begun:
                 while self.done < t:
                     self.done += 1
                     self.explore(self.done)
                 if not self.told and t >= self.opened + p["FIRM"]:
-                    if not self.counts():
+                    if self.counts():
+                        self.tell_start()
+                    elif t >= self.start + 2 * p["LAG"]:
                         self.open, self.when = False, 0
                         return
-                    self.tell_start()
             if t - self.last >= p["QUIET"] and not self.under_way(t):
                 self.finish(False)
 
@@ -274,6 +276,8 @@ class Reference:
                 first, found = i, found + 1
             elif first - i >= p["QUIET"] and found >= p["MASS"]:
                 break
+        if self.begun and first >= self.start:
+            return
         self.begun, self.start, self.paths, self.origin, self.done = True, first, None, first, first - 1
         self.returned = False
         self.forget()
@@ -316,7 +320,7 @@ class Reference:
             if length:
                 self.take_up(self.done, length)
         if not self.told and not self.counts():
-            self.open, self.seed, self.when = False, self.last + 1, 0
+            self.open, self.when = False, 0
             return
         if not self.told:
             self.tell_start()

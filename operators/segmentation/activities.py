@@ -113,24 +113,28 @@ def step(s: Memory, t: int) -> None:
             b[RADIUS_AT] = t + b[EVERY]
         elif t - b[LAG] >= b[SEED]:
             b[ROWS] -= s.near[(t - b[LAG]) % s.near.shape[0]] == 1
-        b[ROWS] += mark(s, t, b[SEED])
-        if b[ROWS] >= b[MASS]:
+        near = mark(s, t, b[SEED])
+        b[ROWS] += near
+        if near and b[ROWS] >= b[MASS]:
             open_up(s, t)
     elif mark(s, t, b[SEED]):
         b[LAST] = t
     if b[OPEN]:
         quiet = t - b[LAST] >= b[QUIET]
-        if not b[BEGUN] and (quiet or t >= b[OPENED] + b[SETTLE]):
-            begin(s)
+        if quiet or t >= b[OPENED] + b[SETTLE]:
+            sought = b[BEGUN] and (b[TOLD] or b[RETURNED] or (t - b[OPENED]) % b[SETTLE])
+            if not sought:
+                begin(s)
         if b[BEGUN]:
             while b[DONE] < t:
                 b[DONE] += 1
                 explore(s, b[DONE])
             if not b[TOLD] and t >= b[OPENED] + b[FIRM]:
-                if not counts(s):
+                if counts(s):
+                    tell_start(s)
+                elif t >= b[START] + 2 * b[LAG]:
                     b[OPEN] = b[BEGUN] = b[ROWS] = b[RADIUS_AT] = 0
                     return
-                tell_start(s)
         if t - b[LAST] >= b[QUIET] and not under_way(s, t):
             finish(s, False)
 
@@ -156,7 +160,7 @@ def open_up(s: Memory, t: int) -> None:
 
 @kernel
 def begin(s: Memory) -> None:
-    """Grow backward from the newest frame that has a neighbour to the activity's first."""
+    """Grow backward from the newest frame that has a neighbour to the activity's first; later again, when more has come back."""
     b = s.books
     first, found = b[LAST], 0
     i = b[LAST]
@@ -173,6 +177,8 @@ def begin(s: Memory) -> None:
         elif first - i >= b[QUIET] and found >= b[MASS]:
             break
         i -= 1
+    if b[BEGUN] and first >= b[START]:
+        return
     b[BEGUN], b[TOLD], b[RETURNED] = 1, 0, 0
     b[START] = first
     b[COUNT] = b[PENDING] = b[CYCLES] = b[BOUT] = 0
@@ -205,7 +211,6 @@ def finish(s: Memory, forced: bool) -> None:
             take_up(s, b[DONE], length)
     if not b[TOLD] and not counts(s):
         b[OPEN] = b[BEGUN] = b[ROWS] = b[RADIUS_AT] = 0
-        b[SEED] = b[LAST] + 1
         return
     if not b[TOLD]:
         tell_start(s)

@@ -39,7 +39,7 @@ TRUSTS = 1.25
 """A known cycle's repetition may lie so many radii away on the mean, and so may motion that comes back."""
 FAR = 100.0
 """So many radii apart are frames that have too few features in common, where a mean is taken."""
-TRAVELS = 0.5
+TRAVELS = 0.7
 """A repetition moves at least this share of how far its exemplar does, from stride to stride: who stands, repeats nothing."""
 LONGEST = 2
 """Paths advance by slopes from 1 / LONGEST to LONGEST, on the whole."""

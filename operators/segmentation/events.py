@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from operators.segmentation.layout import EVENTS, NOW, RADIUS, START, START_AT, UNTOLD, UNTOLD_AT, Memory
+from operators.segmentation.layout import EVENTS, NOW, RADIUS, START, START_AT, TOLD, UNTOLD, UNTOLD_AT, Memory
 from stream.kernel import kernel
 
 
@@ -21,6 +21,6 @@ def stamp(s: Memory, i: int) -> int:
     """When a frame was; the first one after the last activity, and the activity's first, may have left the window."""
     if i == s.books[UNTOLD]:
         return int(s.books[UNTOLD_AT])
-    if i == s.books[START]:
+    if i == s.books[START] and s.books[TOLD]:
         return int(s.books[START_AT])
     return int(s.times[i % s.times.shape[0]])

@@ -62,6 +62,8 @@ MERGE = np.dtype([("cluster", "<i8"), ("into", "<i8")])
 BELIEVED = np.dtype([*SPAN, ("repetition", "<i4")])
 REST = np.dtype([("onset", "<i8"), ("end", "<i8")])
 RADIUS = np.dtype([("radius", "<f8")])
+REACH = 1.43
+"""So many of the longest cycles back neighbours are looked for: it may be a sixth longer in turn, and must be the lowest lag around."""
 OUTPUTS = {
     "activity": (ACTIVITY, ACTIVITY_EVENT),
     "primitive": (PRIMITIVE, PRIMITIVE_EVENT),
@@ -142,7 +144,7 @@ class Segment(Operator[SegmentState]):
         None, above=0.0, help="radius per feature, in their unit; left out: found from the data"
     )
     radius_share: float = param(0.45, above=0.0, most=2.0, help="the radius as a share of the median distance")
-    cycle_s: float = param(10.0, above=0.0, most=60.0, help="longest cycle, and how far back neighbours are looked for")
+    cycle_s: float = param(7.0, above=0.0, most=60.0, help="longest cycle")
     window_s: float = param(60.0, above=0.0, help="the radius is found from so much")
     learn_s: float = param(5.0, above=0.0, help="nothing is decided before so much has been seen")
     quiet_s: float = param(0.4, above=0.0, help="so long without a neighbour ends an activity")
@@ -160,11 +162,11 @@ class Segment(Operator[SegmentState]):
         if not spec.is_signal or not 1 <= spec.shape[0] <= 4096:
             raise InputError("in", spec.describe(), "a signal of 1 to 4096 features")
         rate_hz = regular(spec)
-        if rate_hz * self.cycle_s > 2000:
+        if rate_hz * REACH * self.cycle_s > 2000:
             raise InputError(
                 "in",
                 spec.describe(),
-                f"at most {2000 / self.cycle_s:g} Hz with cycle_s {self.cycle_s:g}; 30 Hz suffice",
+                f"at most {2000 / REACH / self.cycle_s:.4g} Hz with cycle_s {self.cycle_s:g}; 30 Hz suffice",
             )
         if self.settle_s > self.firm_s:
             raise ParameterError("settle_s", self.settle_s, f"at most firm_s ({self.firm_s:g})")
@@ -173,7 +175,7 @@ class Segment(Operator[SegmentState]):
         if len(self.band_s) != 2 or not self.band_s[0] <= self.band_s[1] < self.cycle_s / 2:
             raise ParameterError("band_s", list(self.band_s), "two numbers, not falling, below half of cycle_s")
         seconds = {
-            "LAG": ("cycle_s", self.cycle_s), "WINDOW": ("window_s", self.window_s), "LEARN": ("learn_s", self.learn_s),
+            "LAG": ("cycle_s", REACH * self.cycle_s), "WINDOW": ("window_s", self.window_s), "LEARN": ("learn_s", self.learn_s),
             "QUIET": ("quiet_s", self.quiet_s), "MASS": ("mass_s", self.mass_s), "SETTLE": ("settle_s", self.settle_s),
             "FIRM": ("firm_s", self.firm_s), "BAND_LEAST": ("band_s", self.band_s[0]), "BAND_MOST": ("band_s", self.band_s[1]),
             "REST": ("rest_s", self.rest_s),
