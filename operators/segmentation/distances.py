@@ -168,7 +168,7 @@ def mark(s: Memory, i: int, seed: int) -> bool:
 
 @kernel
 def choose_radius(s: Memory, t: int) -> None:
-    """The radius is a share of the median distance between the window's frames that are not at rest; the band follows; then who has a neighbour."""
+    """A share of the median distance between the window's frames that are not at rest; then the band, and who has a neighbour."""
     b = s.books
     if not b[FIXED]:
         moving = lively(s, max(b[SINCE], t - b[WINDOW] + 1), t)
