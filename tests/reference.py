@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 Event = tuple[Any, ...]
-KNOWN, SHARED, FAR, STILL, TRAVELS = 2, 4, 100.0, 0.12, 0.7
+KNOWN, SHARED, FAR, STILL, TRAVELS = 2, 4, 100.0, 0.12, 0.5
 DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 0.8, 1.25, 64, 24
 
 
@@ -114,6 +114,7 @@ class Reference:
         self.now = self.back = 0
         self.exemplars: list[Exemplar | None] = [None] * MOST_CLUSTERS
         self.clock = self.turn = self.clusters = self.activity = 0
+        self.believed = self.believed_of = 0
 
     def run(self, *, end: bool = True) -> list[Event]:
         self.seed = self.untold = self.when = self.repeated = 0
@@ -236,7 +237,13 @@ class Reference:
                         self.tell_start()
                     elif t >= self.start + 2 * p["LAG"]:
                         self.open, self.when = False, 0
+                        self.conclude(0)
                         return
+                if self.paths:
+                    more = self.paths.best is not None and not self.replaces(self.paths)
+                    self.believe(self.activity, self.count + more)
+            else:
+                self.foresee(self.grown(), t)
             if t - self.last >= p["QUIET"] and not self.under_way(t):
                 self.finish(False)
 
@@ -267,7 +274,7 @@ class Reference:
         self.tell("radius")
         self.tell("provisional", first - k, t, self.activity + (first - k > self.untold), 0)
 
-    def begin(self) -> None:
+    def grown(self) -> int:
         """Grow backward from the last frame with a neighbour."""
         p, first, found = self.p, self.last, 0
         for i in range(self.last, max(self.seed, self.opened - 2 * p["LAG"]) - 1, -1):
@@ -276,11 +283,46 @@ class Reference:
                 first, found = i, found + 1
             elif first - i >= p["QUIET"] and found >= p["MASS"]:
                 break
+        return first
+
+    def begin(self) -> None:
+        first = self.grown()
         if self.begun and first >= self.start:
             return
         self.begun, self.start, self.paths, self.origin, self.done = True, first, None, first, first - 1
         self.returned = False
         self.forget()
+
+    # What is believed
+
+    def believe(self, activity: int, count: int) -> None:
+        """So many repetitions have come: every number is told once, and a lower one than the last is a correction."""
+        if self.believed_of != activity:
+            if self.believed:
+                self.tell("count", self.believed_of, 0)
+            self.believed_of, self.believed = activity, 0
+        if count < self.believed:
+            self.tell("count", activity, count)
+        for k in range(self.believed, count):
+            self.tell("count", activity, k + 1)
+        self.believed = count
+
+    def conclude(self, count: int) -> None:
+        self.believe(self.activity if count else self.believed_of, count)
+        self.believed = 0
+
+    def replaces(self, q: Paths) -> bool:
+        """Whether the best path is to replace the pending repetition, or the other way round."""
+        return bool(self.pending and q.best and q.best[1] - self.pending[0] < q.slack)
+
+    def foresee(self, first: int, t: int) -> None:
+        """Before anything is decided of an activity that began about frame `first`: its repetitions, if it has a cycle by now."""
+        length, _ = self.first_dip(self.means(first, t), last_chance=False)
+        if length:
+            activity = self.activity + (first > self.untold)
+            for k in range(self.believed if self.believed_of == activity else 0, (t - first + 1) // length):
+                self.tell("provisional", first + k * length, first + (k + 1) * length - 1, activity, k + 1)
+                self.believe(activity, k + 1)
 
     def counts(self) -> bool:
         """Motion that does not come back is no activity, unless there were repetitions within a window."""
@@ -321,6 +363,7 @@ class Reference:
                 self.take_up(self.done, length)
         if not self.told and not self.counts():
             self.open, self.when = False, 0
+            self.conclude(0)
             return
         if not self.told:
             self.tell_start()
@@ -332,6 +375,7 @@ class Reference:
             self.pending = (self.pending[0], min(self.pending[1], last))
             self.settle(last if last - self.pending[1] <= self.paths.slack else self.pending[1])
         self.close_bout()
+        self.conclude(self.cycles)
         if self.pieces <= last:
             self.piece(last, forced)
         self.tell("activity", self.start, last, self.activity, self.cycles, self.cluster, forced, self.how())
@@ -375,6 +419,7 @@ class Reference:
         found = self.use(slot)
         if self.told and self.cycles and found.number != self.cluster:
             self.close_bout()
+            self.conclude(self.cycles)
             self.tell("activity", self.start, self.pieces - 1, self.activity, self.cycles, self.cluster, 0, self.how())
             self.activity += 1
             self.seed = self.untold = self.pieces
@@ -393,32 +438,40 @@ class Reference:
                 self.pursue(j)
 
     def cycle_length(self, i: int, *, last_chance: bool = False) -> int:
-        p, largest = self.p, 0.0
-        seen = i - self.origin + 1
-        lags = [k for k in range(1, p["LAG"] + 1) if seen - k >= SEEN * max(k, p["MASS"])]
+        length, returned = self.first_dip(self.means(self.origin, i), last_chance=last_chance)
+        self.returned = self.returned or returned
+        return length
+
+    def means(self, origin: int, i: int) -> dict[int, float]:
+        """By lag: mean distance of the newest frames, up to `i`, to those before them, back to `origin`."""
+        seen = i - origin + 1
         means: dict[int, float] = {}
-        for k in lags:
-            n = min(max(k, p["MASS"]), seen - k)
+        for k in [k for k in range(1, self.p["LAG"] + 1) if seen - k >= SEEN * max(k, self.p["MASS"])]:
+            n = min(max(k, self.p["MASS"]), seen - k)
             rows = np.arange(i - n + 1, i + 1)
             self.back = max(self.back, self.now - int(rows[0]) + k)
             far = self.distances(self.x[rows] - self.x[rows - k], self.present[rows])
             means[k] = float(np.where(np.isinf(far), FAR * self.radius, far).mean())
-        for k in lags:
+        return means
+
+    def first_dip(self, means: dict[int, float], *, last_chance: bool) -> tuple[int, bool]:
+        largest, returned = 0.0, False
+        for k in means:
             if (
                 k >= self.band
                 and largest >= LEAVES * self.radius
                 and means[k] < RETURNS * largest
                 and means[k] <= TRUSTS * self.radius
             ):
-                self.returned = True
+                returned = True
                 wide = max(2, k // 5)
                 if means[k] < DIP * largest and means[k] <= self.radius:
                     if k + wide not in means and not last_chance:
-                        return 0
+                        return 0, True
                     if all(means.get(j, np.inf) >= means[k] for j in range(k - wide, k + wide + 1)):
-                        return k
+                        return k, True
             largest = max(largest, means[k])
-        return 0
+        return 0, returned
 
     def look_back(self, i: int, start: int, floor: int) -> int:
         first = max(floor, start - self.p["LAG"])
@@ -459,8 +512,8 @@ class Reference:
         if self.track(q, i):
             self.accept()
         elif fresh and q.best:
-            self.tell("count", self.activity, self.count + 1)
-            self.tell("provisional", q.best[1], q.best[2], self.activity, self.count + 1)
+            number = self.count + (not self.replaces(q))
+            self.tell("provisional", q.best[1], q.best[2], self.activity, number)
         since = self.pending[1] if self.pending else self.origin
         if q.best is None and i - since > q.slack + 2 * len(q.frames) + q.patience:
             if self.pending:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 
 from devices.simulators.exerciser import EXERCISES, JOINTS, Exerciser, Routine, skeleton
 from operators.segmentation.found import read_found
@@ -22,6 +23,14 @@ def kinegraph(*arguments):
     with pytest.raises(SystemExit) as ended:
         cli.call(str(arguments[0]), [str(a) for a in arguments[1:]])
     assert not ended.value.code
+
+
+@pytest.mark.parametrize("name", ["count_repetitions", "segment_emg", "segment_kinect", "segment_mocap"])
+def test_the_configurations_record_what_is_believed_as_well_as_what_is_final(name):
+    graph = YAML(typ="safe").load((CONFIGS / f"{name}.yaml").read_text())
+    (node,) = [n for n, what in graph["nodes"].items() if what["use"] == "operators.segmentation.Segment"]
+    outputs = ("activity", "primitive", "count", "provisional", "rest")
+    assert {f"{node}.{output}" for output in outputs} <= set(graph["record"])
 
 
 def test_the_simulated_person_is_the_same_whoever_asks_and_moves_smoothly():

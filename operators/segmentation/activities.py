@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operators.segmentation.belief import conclude, foresee, keep_count
 from operators.segmentation.bouts import close_bout
 from operators.segmentation.cycles import cycle_length
 from operators.segmentation.distances import choose_radius, insert, mark, reflect
@@ -134,7 +135,11 @@ def step(s: Memory, t: int) -> None:
                     tell_start(s)
                 elif t >= b[START] + 2 * b[LAG]:
                     b[OPEN] = b[BEGUN] = b[ROWS] = b[RADIUS_AT] = 0
+                    conclude(s, 0)
                     return
+            keep_count(s)
+        else:
+            foresee(s, grown(s), t)
         if t - b[LAST] >= b[QUIET] and not under_way(s, t):
             finish(s, False)
 
@@ -160,7 +165,23 @@ def open_up(s: Memory, t: int) -> None:
 
 @kernel
 def begin(s: Memory) -> None:
-    """Grow backward from the newest frame that has a neighbour to the activity's first; later again, when more has come back."""
+    """The open activity's start is sought; later again, when more has come back."""
+    b = s.books
+    first = grown(s)
+    if b[BEGUN] and first >= b[START]:
+        return
+    b[BEGUN], b[TOLD], b[RETURNED] = 1, 0, 0
+    b[START] = first
+    b[COUNT] = b[PENDING] = b[CYCLES] = b[BOUT] = 0
+    s.kinds[:] = 0
+    b[CLUSTER] = -1
+    search_from(s, first)
+    b[DONE] = first - 1
+
+
+@kernel
+def grown(s: Memory) -> int:
+    """Grow backward from the newest frame that has a neighbour to the activity's first."""
     b = s.books
     first, found = b[LAST], 0
     i = b[LAST]
@@ -177,15 +198,7 @@ def begin(s: Memory) -> None:
         elif first - i >= b[QUIET] and found >= b[MASS]:
             break
         i -= 1
-    if b[BEGUN] and first >= b[START]:
-        return
-    b[BEGUN], b[TOLD], b[RETURNED] = 1, 0, 0
-    b[START] = first
-    b[COUNT] = b[PENDING] = b[CYCLES] = b[BOUT] = 0
-    s.kinds[:] = 0
-    b[CLUSTER] = -1
-    search_from(s, first)
-    b[DONE] = first - 1
+    return int(first)
 
 
 @kernel
@@ -211,6 +224,7 @@ def finish(s: Memory, forced: bool) -> None:
             take_up(s, b[DONE], length)
     if not b[TOLD] and not counts(s):
         b[OPEN] = b[BEGUN] = b[ROWS] = b[RADIUS_AT] = 0
+        conclude(s, 0)
         return
     if not b[TOLD]:
         tell_start(s)
@@ -221,6 +235,7 @@ def finish(s: Memory, forced: bool) -> None:
         b[TO] = min(b[TO], last)
         settle(s, last if last - b[TO] <= slack(b[LENGTH]) else b[TO])
     close_bout(s)
+    conclude(s, b[CYCLES])
     if b[PIECES_FROM] <= last:
         piece(s, last, forced)
     tell(

@@ -20,6 +20,7 @@ from operators.segmentation.layout import (
     RADIUS,
     RETURNED,
     SLOT,
+    TRAVEL_SHARE,
     Memory,
 )
 from stream.chunk import Samples, Times
@@ -39,8 +40,6 @@ TRUSTS = 1.25
 """A known cycle's repetition may lie so many radii away on the mean, and so may motion that comes back."""
 FAR = 100.0
 """So many radii apart are frames that have too few features in common, where a mean is taken."""
-TRAVELS = 0.7
-"""A repetition moves at least this share of how far its exemplar does, from stride to stride: who stands, repeats nothing."""
 LONGEST = 2
 """Paths advance by slopes from 1 / LONGEST to LONGEST, on the whole."""
 
@@ -68,34 +67,52 @@ def last_cycle(s: Memory, i: int, k: int) -> float:
 
 @kernel
 def cycle_length(s: Memory, i: int, last_chance: bool) -> int:
-    """The shortest lag at which the newest frames come back to themselves (as YIN finds a pitch, on distances); 0: none.
-
-    It must be the lowest among lags about as long; at its `last_chance`, among those that there are. Notes in RETURNED whether frames
-    come back at all, if not as closely as for a cycle.
+    """The cycle's length by what the newest frames, up to `i`, have in common with those before them; 0: none. Notes in RETURNED
+    whether they come back at all, if not as closely as for a cycle.
     """
     b = s.books
-    largest = 0.0
-    radius = s.values[RADIUS]
-    seen = i - b[ORIGIN] + 1
-    last = 0
+    last = longest_lag(s, i - b[ORIGIN] + 1)
+    for k in range(1, last + 1):
+        s.scratch[k] = last_cycle(s, i, k)
+    length, returned = first_dip(s, last, last_chance)
+    if returned:
+        b[RETURNED] = 1
+    return length
+
+
+@kernel
+def longest_lag(s: Memory, seen: int) -> int:
+    """The longest lag that `seen` frames say something about."""
+    b, last = s.books, 0
     for k in range(1, b[LAG] + 1):
         if seen - k < SEEN * max(k, b[MASS]):
             break
         last = k
+    return last
+
+
+@kernel
+def first_dip(s: Memory, last: int, last_chance: bool) -> tuple[int, bool]:
+    """The shortest lag at which frames come back to themselves (as YIN finds a pitch, on distances; 0: none), and whether they do at all.
+
+    Mean distances at the lags 1..last are in `scratch`. The lag must be the lowest among those about as long; at its `last_chance`, among
+    those that there are.
+    """
+    largest, returned, radius, means = 0.0, False, s.values[RADIUS], s.scratch
     for k in range(1, last + 1):
-        mean = last_cycle(s, i, k)
-        if k >= b[BAND] and largest >= LEAVES * radius and mean < RETURNS * largest and mean <= TRUSTS * radius:
-            b[RETURNED] = 1
+        mean = means[k]
+        if k >= s.books[BAND] and largest >= LEAVES * radius and mean < RETURNS * largest and mean <= TRUSTS * radius:
+            returned = True
             wide = max(2, k // 5)
             lowest = mean < DIP * largest and mean <= radius
             if lowest and k + wide > last and not last_chance:
-                return 0
+                return 0, True
             for j in range(k - wide, min(k + wide, last) + 1):
-                lowest = lowest and last_cycle(s, i, j) >= mean
+                lowest = lowest and means[j] >= mean
             if lowest:
-                return k
+                return k, True
         largest = max(largest, mean)
-    return 0
+    return 0, returned
 
 
 @kernel
@@ -186,7 +203,7 @@ def track(s: Memory, i: int) -> bool:
     radius = s.values[RADIUS]
     mean = advance(s.scratch, i, length, b[FREE], GAIN * radius, s.cost, s.begin)
     better = mean <= TRUSTS * radius and mean < s.values[BEST]
-    if better and travel(s, s.begin[0, length - 1], i, length) >= TRAVELS * s.travels[b[SLOT]]:
+    if better and travel(s, s.begin[0, length - 1], i, length) >= s.values[TRAVEL_SHARE] * s.travels[b[SLOT]]:
         s.values[BEST] = mean
         b[BEST_START], b[BEST_END] = s.begin[0, length - 1], i
     return bool(b[BEST_END] >= 0 and i - b[BEST_END] >= patience(length))

@@ -16,7 +16,7 @@ NAMES = [
     "MODE", "ORIGIN", "DONE", "SLOT", "LENGTH", "FREE", "BEST_START", "BEST_END", "COUNT", "PENDING", "FROM", "TO", "CYCLES",
     "PIECES_FROM", "PIECES_AT", "TOLD_TO", "BOUT", "BOUT_COUNT", "BOUT_AT", "BOUT_TO", "BOUT_END",
     "CLUSTER", "NEXT_CLUSTER", "CLOCK", "TURN", "EVENTS", "TOLD", "NOW", "PRESENT", "PATCHY",
-    "RECENT", "RESTED", "REST_FROM", "REST_TO", "PEAK_AT",
+    "RECENT", "RESTED", "REST_FROM", "REST_TO", "PEAK_AT", "BELIEVED", "BELIEVED_OF",
 ]  # fmt: skip
 (
     LAG, WINDOW, LEARN, QUIET, MASS, SETTLE, FIRM, BAND_LEAST, BAND_MOST, EVERY, REST, FIXED,
@@ -25,7 +25,7 @@ NAMES = [
     MODE, ORIGIN, DONE, SLOT, LENGTH, FREE, BEST_START, BEST_END, COUNT, PENDING, FROM, TO, CYCLES,
     PIECES_FROM, PIECES_AT, TOLD_TO, BOUT, BOUT_COUNT, BOUT_AT, BOUT_TO, BOUT_END,
     CLUSTER, NEXT_CLUSTER, CLOCK, TURN, EVENTS, TOLD, NOW, PRESENT, PATCHY,
-    RECENT, RESTED, REST_FROM, REST_TO, PEAK_AT,
+    RECENT, RESTED, REST_FROM, REST_TO, PEAK_AT, BELIEVED, BELIEVED_OF,
 ) = range(len(NAMES))  # fmt: skip
 """
 LAG                       longest cycle, and how far back neighbours are looked for, in frames; as all down to REST
@@ -70,11 +70,17 @@ RECENT                    frames seen since the start or a gap, those at rest in
 RESTED                    frames left out by the rest under way; 0: there is none
 REST_FROM, REST_TO        stamps of its first and newest frame
 PEAK_AT                   when it is judged again how much the liveliest frames move
+BELIEVED, BELIEVED_OF     the count told last, and of which activity
 """
 SEARCH, TRACK = 0, 1
-RADIUS, BEST, FACTOR, PRICE, MOVED, PEAK = range(6)
+RADIUS, BEST, FACTOR, PRICE, MOVED, PEAK, STILL_SHARE, TRAVEL_SHARE = range(8)
 """Places in `values`: the radius, the best path's mean distance, the radius as a share of the median distance, the
-pending repetition's mean distance, how much the newest frame moves, and the window's liveliest ones."""
+pending repetition's mean distance, how much the newest frame moves, and the window's liveliest ones; STILL and TRAVELS."""
+
+STILL = 0.12
+"""Who has moved less than this share of what the window's liveliest frames do, is at rest."""
+TRAVELS = 0.5
+"""A repetition moves at least this share of how far its exemplar does, from stride to stride: who stands, repeats nothing."""
 
 (
     ACTIVITY_EVENT, PRIMITIVE_EVENT, BEGIN_EVENT, COUNT_EVENT, MERGE_EVENT, RADIUS_EVENT, BELIEVED_EVENT, BOUT_EVENT,
@@ -219,5 +225,5 @@ def allocate(
         travels=np.zeros(MOST_CLUSTERS),
         kinds=np.zeros(4, np.int64),
         books=books,
-        values=np.array([0.0 if radius is None else radius, np.inf, factor, np.inf, 0.0, 0.0]),
+        values=np.array([0.0 if radius is None else radius, np.inf, factor, np.inf, 0.0, 0.0, STILL, TRAVELS]),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from operators.segmentation.belief import conclude, replaces
 from operators.segmentation.bouts import close_bout, part
 from operators.segmentation.clusters import keep, recognise, use
 from operators.segmentation.cycles import GAIN, LONGEST, begin_tracking, cycle_length, patience, release, sum_up, track
@@ -19,7 +20,6 @@ from operators.segmentation.layout import (
     BOUT,
     CLUSTER,
     COUNT,
-    COUNT_EVENT,
     CYCLES,
     FROM,
     LAG,
@@ -122,6 +122,7 @@ def change(s: Memory, origin: int) -> None:
     """Another cycle than before: the activity ends with its last repetition, and another begins."""
     b = s.books
     close_bout(s)
+    conclude(s, b[CYCLES])
     tell(s, ACTIVITY_EVENT, b[START_AT], b[TOLD_TO], b[ACTIVITY], b[CYCLES], b[CLUSTER], how(s))
     b[ACTIVITY] += 1
     b[SEED] = b[UNTOLD] = b[PIECES_FROM]
@@ -139,17 +140,8 @@ def pursue(s: Memory, i: int) -> None:
     if track(s, i):
         accept(s)
     elif fresh < 0 and b[BEST_END] >= 0:
-        tell(s, COUNT_EVENT, b[ACTIVITY], b[COUNT] + 1, 0, 0, 0, 0)
-        tell(
-            s,
-            BELIEVED_EVENT,
-            stamp(s, b[BEST_START]),
-            stamp(s, b[BEST_END]),
-            b[ACTIVITY],
-            b[COUNT] + 1,
-            0,
-            0,
-        )
+        number = b[COUNT] + (not replaces(s))
+        tell(s, BELIEVED_EVENT, stamp(s, b[BEST_START]), stamp(s, b[BEST_END]), b[ACTIVITY], number, 0, 0)
     length = b[LENGTH]
     since = b[TO] if b[PENDING] else b[ORIGIN]
     if b[BEST_END] < 0 and i - since > slack(length) + LONGEST * length + patience(length):
@@ -172,7 +164,7 @@ def accept(s: Memory) -> None:
     """The best path is a repetition: the one before it ends where it starts. Of two that start within half a cycle the cheaper one is."""
     b = s.books
     start, end = b[BEST_START], b[BEST_END]
-    close = b[PENDING] and start - b[FROM] < slack(b[LENGTH])
+    close = replaces(s)
     if close and s.values[BEST] >= s.values[PRICE]:
         b[LAST] = max(b[LAST], end)
         release(s)

@@ -20,14 +20,12 @@ from operators.segmentation.layout import (
     REST_TO,
     RESTED,
     SINCE,
+    STILL_SHARE,
     WINDOW,
     Memory,
 )
 from stream.chunk import Samples
 from stream.kernel import kernel
-
-STILL = 0.12
-"""Who has moved less than this share of what the window's liveliest frames do, is at rest."""
 
 
 @kernel
@@ -39,7 +37,7 @@ def rests(s: Memory, x: Samples, stamp: int) -> bool:
     place = b[RECENT] % s.recent.shape[0]
     oldest = s.recent_at[place]
     s.recent[place], s.recent_at[place] = x, stamp
-    if b[RECENT] <= b[REST] or s.values[MOVED] >= STILL * s.values[PEAK]:
+    if b[RECENT] <= b[REST] or s.values[MOVED] >= s.values[STILL_SHARE] * s.values[PEAK]:
         tell_rest(s)
         return False
     if not b[RESTED]:
@@ -101,4 +99,4 @@ def choose_peak(s: Memory, t: int) -> None:
 @kernel
 def at_rest(s: Memory, i: int) -> bool:
     """Whether frame `i`, which was worked through, would be left out by what is known of the motion now."""
-    return bool(s.moves[i % s.moves.shape[0]] < STILL * s.values[PEAK])
+    return bool(s.moves[i % s.moves.shape[0]] < s.values[STILL_SHARE] * s.values[PEAK])
