@@ -53,3 +53,37 @@ def test_samples_after_the_last_event_are_met_too() -> None:
     graph = load_text(f"nodes:\n  a: {{use: parts.{Counting.__name__}}}\n  b: {{use: test_warmup.TwoInputs, from: a}}")
     warm_up(graph)
     assert MET == {"in": 200, "mark": 2}
+
+
+@dataclass(slots=True)
+class Newest:
+    """The newest stamp."""
+
+    stamp: int
+
+
+@dataclass(frozen=True, slots=True)
+class InOrder(Operator[Newest]):
+    """Two signals, whose samples must come in the order of time: an operator may rely on it, and index its memory by it."""
+
+    inputs: ClassVar[tuple[str, ...]] = ("in", "other")
+
+    def open(self, specs: Specs) -> Specs:
+        self.hold(Newest(0))
+        return {"out": specs["in"]}
+
+    def process(self, port: str, chunk: Chunk) -> Chunk | None:
+        if len(chunk):
+            assert int(chunk.time[0]) >= self.state.stamp, f"{port} goes back in time"
+            self.state.stamp = int(chunk.time[-1])
+        return chunk if port == "in" else None
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        return []
+
+
+def test_made_up_samples_of_several_inputs_come_in_the_order_of_time() -> None:
+    counting = f"parts.{Counting.__name__}"
+    order = "test_warmup.InOrder, from: {in: a, other: b}"
+    warm_up(load_text(f"nodes:\n  a: {{use: {counting}}}\n  b: {{use: {counting}}}\n  c: {{use: {order}}}"))

@@ -56,7 +56,7 @@ Rows = list[tuple[Any, ...]]
 def collect(x: Samples, time: Times, begin: int, slot_ns: int, sums: Samples, counts: Samples) -> None:
     """Add the samples `x` (n, k) to the slots (s, k) of the epoch that began at `begin`; what is not finite, or older, was not seen."""
     for i in range(x.shape[0]):
-        if time[i] < begin:  # of another input, tried out of order: never a slot before the first
+        if time[i] < begin:  # only out of order could it come; there is no slot before the first
             continue
         slot = min((time[i] - begin) // slot_ns, sums.shape[0] - 1)
         for k in range(x.shape[1]):

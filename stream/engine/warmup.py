@@ -76,19 +76,20 @@ def _run_cases(part: Operator[Any]) -> None:
 
 
 def _run_made_up(graph: Graph, node: Node) -> None:
-    """Made-up signals and frames under the node's own specs; events are left to the cases, for their fields have meanings."""
+    """Made-up signals and frames under the node's own specs, in the order of time as in a session; events are left to the cases, for their
+    fields have meanings."""
     assert isinstance(node.part, Operator)
     operator = node.part.fresh()
     specs = graph.input_specs(node)
     promised = operator.open(specs)
     take = taking(operator, specs)
-    for port, spec in specs.items():
-        if spec.is_event:
-            _process(operator, port, empty(spec, NS))
-            continue
-        times, data = made_up(spec, SAMPLES)
-        for piece in _pieces(spec, times, data):
-            check_promises(node, promised, _process(operator, port, take(port, piece)))
+    merge = Merge(specs, in_turn=operator.in_turn)
+    given = {port: made_up(spec, SAMPLES) for port, spec in specs.items() if not spec.is_event}
+    horizon = max((int(times[-1]) for times, _ in given.values() if len(times)), default=NS)
+    pieces = [(port, piece) for port, samples in given.items() for piece in _pieces(specs[port], *samples)]
+    for port, piece in [*pieces, *((port, empty(spec, horizon)) for port, spec in specs.items())]:
+        for name, merged in merge.push(port, piece):
+            check_promises(node, promised, _process(operator, name, take(name, merged)))
     if len(specs) == len(promised) == 1:
         try:
             step_of(operator, *specs.values(), *promised.values())
