@@ -79,7 +79,9 @@ def test_exercises_of_a_simulated_person_are_told_apart_by_their_symmetry(tmp_pa
             times = np.linspace(step["onset"], min(step["end"], starts[-1]), 20)
             share = np.interp(times, starts, np.arange(len(starts))) % 1.0
             wrong += (np.sin(2 * np.pi * share).sum() > 0) != (step["side"] == 1)  # the left knee is raised first
-        assert wrong <= 1  # half of the first raise may pass for one more squat, and its other half for a step of the other side
+        assert (
+            wrong <= 1
+        )  # half of the first raise may pass for one more squat, and its other half for a step of the other side
 
 
 @needs_data

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from structlog.testing import capture_logs
 
 from operators.sleep.periods import EPOCH
 from operators.sleep.statistics import SleepStatistics
@@ -72,14 +73,14 @@ def test_scheduled_nights_of_which_nothing_was_recorded_have_no_numbers() -> Non
 
 
 @pytest.mark.parametrize(("hours", "rows"), [(23, 1), (24, 1), (24.5, 0), (30, 0), (80, 0)])
-def test_lights_that_stay_off_longer_than_a_day_are_no_night_and_it_is_said(
-    hours: float, rows: int, capsys: pytest.CaptureFixture[str]
-) -> None:
-    made = numbers([epochs(0, hours + 12)], [(1, False), (1 + hours, True), (3 + hours, False), (11 + hours, True)])
+def test_lights_that_stay_off_longer_than_a_day_are_no_night_and_it_is_said(hours: float, rows: int) -> None:
+    with capture_logs() as said:
+        made = numbers([epochs(0, hours + 12)], [(1, False), (1 + hours, True), (3 + hours, False), (11 + hours, True)])
     assert len(made) == rows + 1 and made[-1] == (3 + hours, 11 + hours, 480, 480, 0)
-    said = capsys.readouterr().out
-    assert ("longer than longest_h" in said) == (rows == 0)
+    assert any("longer than longest_h" in entry["event"] for entry in said) == (rows == 0)
 
 
-def test_lights_that_never_came_on_again_are_told_of_too(capsys: pytest.CaptureFixture[str]) -> None:
-    assert numbers([epochs(0, 40)], [(1, False)]) == [] and "longer than longest_h" in capsys.readouterr().out
+def test_lights_that_never_came_on_again_are_told_of_too() -> None:
+    with capture_logs() as said:
+        assert numbers([epochs(0, 40)], [(1, False)]) == []
+    assert any("longer than longest_h" in entry["event"] for entry in said)
