@@ -22,7 +22,17 @@ Live, recorded, and again from the recording, bit for bit:
 
     kg.run("treadmill_emg", "session", duration_s=5)
     kg.replay("treadmill_emg", "session").differing              # ()
-    with kg.Recording.open("session") as recording: ...
+    with kg.Recording.open("session") as recording:
+        recording.series("envelope", 60, 70).to_xarray()         # ten seconds; also to_pandas, to_polars, to_mne
+
+While it runs, in a program or a notebook (`async for`):
+
+    with kg.live("treadmill_emg", ["cycles.closed"]) as session:
+        for piece in session: piece.series
+
+What `kinegraph batch` made of many recordings (docs/batch.md):
+
+    kg.BatchResults("results").to_pandas("smooth")
 
 An operator of one's own is a frozen dataclass (docs/operators.md), held to the laws by `kg.try_(Gain)`:
 
@@ -39,11 +49,12 @@ from typing import TYPE_CHECKING
 from stream.lazy import offered
 
 if TYPE_CHECKING:
+    from stream.batch.results import BatchResults
     from stream.chunk import Chunk, StreamSpec
     from stream.errors import KinegraphError
     from stream.face.builder import GraphBuilder as Graph
     from stream.face.results import Results
-    from stream.face.running import load, replay, run, try_
+    from stream.face.running import live, load, replay, run, try_
     from stream.given import Input
     from stream.kernel import kernel
     from stream.operator import Case, Operator, Outlet
@@ -54,6 +65,7 @@ if TYPE_CHECKING:
 
 __version__ = version("kinegraph")
 __all__ = [
+    "BatchResults",
     "Case",
     "Chunk",
     "Graph",
@@ -68,6 +80,7 @@ __all__ = [
     "StreamSpec",
     "__version__",
     "kernel",
+    "live",
     "load",
     "param",
     "replay",
@@ -78,6 +91,7 @@ __all__ = [
 __getattr__, __dir__ = offered(
     __name__,
     {
+        "BatchResults": "stream.batch.results",
         "Case": "stream.operator",
         "Chunk": "stream.chunk",
         "Graph": "stream.face.builder:GraphBuilder",
@@ -91,6 +105,7 @@ __getattr__, __dir__ = offered(
         "Source": "stream.source",
         "StreamSpec": "stream.chunk",
         "kernel": "stream.kernel",
+        "live": "stream.face.running",
         "load": "stream.face.running",
         "param": "stream.params",
         "replay": "stream.face.running",

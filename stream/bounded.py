@@ -21,6 +21,7 @@ import lz4.frame
 import numpy as np
 import zstandard
 
+from stream.ceiling import writable
 from stream.chunk import Array
 from stream.errors import KinegraphError, RecordingError
 
@@ -144,7 +145,7 @@ DAMAGE = (
 def reading(path: Path, kind: str, error: type[KinegraphError] = RecordingError) -> Iterator[None]:
     """Within: a file is read. Whatever is raised there that is no error of ours becomes one, which names the file.
 
-    A file that cannot be opened is told in the system's words. `kind` completes the sentence "cannot be read as ...".
+    A file that cannot be opened is reported in the system's words. `kind` completes the sentence "cannot be read as ...".
     """
     try:
         with _ceiling(path):
@@ -169,19 +170,11 @@ def _ceiling(path: Path) -> Iterator[None]:
     if soft != resource.RLIM_INFINITY:
         yield
         return
-    resource.setrlimit(resource.RLIMIT_DATA, (_data_bytes() + ROOM + RATIO * path.stat().st_size, hard))
+    resource.setrlimit(resource.RLIMIT_DATA, (writable() + ROOM + RATIO * path.stat().st_size, hard))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
-
-
-def _data_bytes() -> int:
-    """What this process holds already."""
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith("VmData:"):
-            return int(line.split()[1]) << 10
-    return 0
 
 
 def _short(failed: Exception) -> str:

@@ -47,6 +47,14 @@ class StreamSpec:
     settling_s: float = 0.0
     meta: dict[str, Any] = field(default_factory=dict)
 
+    def _repr_html_(self) -> str:
+        """For notebooks: what a sample is, and its channels with their units."""
+        from stream.html import table_html
+
+        units = self.units if len(self.units) == len(self.channels) else self.units[:1] * len(self.channels)
+        rows = [(name, units[i] if i < len(units) else "") for i, name in enumerate(self.channels)]
+        return table_html((self.describe(), ""), rows)
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "dtype", np.dtype(self.dtype))
         if self.dtype.names and not self.channels:

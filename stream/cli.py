@@ -15,12 +15,13 @@ from io import TextIOWrapper
 from typing import Any, NoReturn
 
 from stream.complete import be_private
-from stream.errors import Interrupted, KinegraphError, nearest
+from stream.errors import Interrupted, KinegraphError, Terminated, nearest
 from stream.plain import say
 
 COMMANDS = {
     "run": ("stream.commands.run:run", "Run a graph on live devices; record the session."),
     "replay": ("stream.commands.replay:replay", "Run a graph on a recording; same results, bit for bit."),
+    "batch": ("stream.commands.batch:batch", "Replay a graph over many recordings, into Parquet tables."),
     "check": ("stream.commands.check:check", "Check a graph; print its streams, delays and memory."),
     "draw": ("stream.commands.draw:draw", "Draw a graph in the terminal, or as Mermaid or DOT."),
     "parts": (
@@ -42,10 +43,6 @@ A real-time engine for motion and biosignal devices: graphs in YAML, live or rep
 """
 
 
-class Terminated(Interrupted):
-    """SIGTERM came. No SystemExit, for that would be taken for one of the operator at work, which must not end the program."""
-
-
 def main() -> None:
     """The entry point: errors that a user can act on are printed without a traceback; the exit code tells what kind they were."""
     arguments = sys.argv[1:]
@@ -56,11 +53,19 @@ def main() -> None:
             try:
                 _main(arguments)
             except SystemExit as end:
-                if terminated and end.code == 130:  # which is what click makes of any interruption
+                if end.code == 130 and (
+                    terminated or _by_termination(end)
+                ):  # which is what click makes of any interruption
                     raise Terminated from None
                 raise
     except Terminated as end:
         _stop(end)
+
+
+def _by_termination(end: BaseException) -> bool:
+    """Whether it was SIGTERM that led to this, whoever heard it."""
+    before = end.__cause__ or end.__context__
+    return before is not None and (isinstance(before, Terminated) or _by_termination(before))
 
 
 def _stop(end: KeyboardInterrupt) -> NoReturn:

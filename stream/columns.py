@@ -57,7 +57,7 @@ def _index(place: tuple[int, ...]) -> str:
 def columns(spec: StreamSpec, data: Array) -> list[Array]:
     """The columns (n,) of samples (n, *shape), in the order of `column_names`."""
     if not spec.is_event:
-        flat = data.reshape(len(data), -1)
+        flat = data.reshape(len(data), int(np.prod(data.shape[1:])))
         return [flat[:, i] for i in range(flat.shape[1])]
     assert spec.dtype.names is not None
     return [data[name][(slice(None), *i)] for name in spec.dtype.names for i in np.ndindex(spec.dtype[name].shape)]

@@ -30,11 +30,23 @@ class Interrupted(KeyboardInterrupt):
     """A person, or the system, asked the program to end at once: what our own handlers of signals raise."""
 
 
+class Terminated(Interrupted):
+    """SIGTERM came. No SystemExit, for that would be taken for one of the operator at work, which must not end the program."""
+
+
 def asked_to_end(error: BaseException) -> bool:
     """Whether a signal raised this, and not an operator's own code, in which `raise KeyboardInterrupt` is a fault like any other."""
     if not isinstance(error, KeyboardInterrupt) or threading.current_thread() is not threading.main_thread():
         return False
     return isinstance(error, Interrupted) or signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def interruption(error: BaseException) -> Interrupted | None:
+    """What asked the program to end, where a library has made another error of it."""
+    at: BaseException | None = error
+    while at is not None and not isinstance(at, Interrupted):
+        at = at.__cause__ or at.__context__
+    return at
 
 
 class ParameterError(KinegraphError):
@@ -67,6 +79,10 @@ class GraphError(KinegraphError):
 
 class RecordingError(KinegraphError):
     """A recording that cannot be read, or is not what was asked for."""
+
+
+class NothingRecorded(RecordingError):
+    """A file of a recording that was begun, and in which nothing was recorded before the session ended."""
 
 
 class DeviceError(KinegraphError):

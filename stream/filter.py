@@ -34,7 +34,6 @@ from stream.errors import KinegraphError, nearest
 from stream.operator import Operator, Takes
 from stream.params import param
 from stream.require import numeric, width_of
-from stream.spare import Spare
 from stream.state import pack, unpack
 
 S = TypeVar("S")
@@ -85,8 +84,8 @@ class Bound:
     """What `process` needs, looked up once.
 
     run       the kernel, to be called with the flow alone
-    both      samples and stamps to write to, of so many; `samples`: without stamps
     width     numbers per sample that the kernel takes; `plain`: chunks are rows of these already
+    wide      numbers per sample that comes out
     shape     of a sample that comes out, where that is not a row
     last      (1,) where the newest stamp is noted; None: nowhere
     moves     whether stamps that come out are others than those that came in
@@ -98,9 +97,8 @@ class Bound:
 
     run: Run
     call: KernelCall
-    both: Callable[[int], tuple[Array, Times]]
-    samples: Callable[[int], Array]
     width: int
+    wide: int
     plain: bool
     dtype: np.dtype[Any]
     shape: tuple[int, ...] | None
@@ -156,14 +154,13 @@ class SampleWise(Operator[S]):
         settling_s = spec.settling_s + getattr(state, "settling_s", 0.0)
         out = self.gives(spec.derive(dtype=dtype, settling_s=settling_s))
         run, call = self._bind(kernel)
-        spare, width = Spare(width_of(out)), width_of(out)
+        wide = width_of(out)
         plain, flat = len(spec.shape) == 1 and spec.dtype == dtype, len(out.shape) == 1
         bound = Bound(
             run=run,
             call=call,
-            both=spare.both,
-            samples=spare.rows if dtype == np.float64 else lambda n: np.empty((n, width), dtype),
             width=width_of(spec),
+            wide=wide,
             plain=plain,
             dtype=dtype,
             shape=None if flat else out.shape,
@@ -174,7 +171,7 @@ class SampleWise(Operator[S]):
             period_ns=spec.period_ns,
             limit_ns=round(getattr(self, "reset_gap_s", 0.0) * NS),
             delay_ns=round(self.delay_s * NS),
-            nothing=(np.empty((0, width), dtype), np.empty(0, STAMP)),
+            nothing=(np.empty((0, wide), dtype), np.empty(0, STAMP)),
             rest=pack(state),
         )
         object.__setattr__(self, "bound", bound)
@@ -219,7 +216,7 @@ class SampleWise(Operator[S]):
             return self._process_any(chunk)
         if bound.last is not None:
             bound.last[0] = time[-1]
-        out, stamps = bound.both(n) if bound.moves else (bound.samples(n), time)
+        out, stamps = np.empty((n, bound.wide), bound.dtype), np.empty(n, STAMP) if bound.moves else time
         bound.run(chunk.data, time, out, stamps)
         until = chunk.until
         return Chunk(stamps, out, until if until == FOREVER else until - bound.delay_ns)
@@ -239,7 +236,7 @@ class SampleWise(Operator[S]):
         if not m:
             out, stamps = bound.nothing
         else:
-            out, stamps = bound.both(m) if bound.moves else (bound.samples(m), time)
+            out, stamps = np.empty((m, bound.wide), bound.dtype), np.empty(m, STAMP) if bound.moves else time
         bound.run(x, time, out, stamps)
         if not m:
             return None if bound.sparse and not lost else self._nothing(chunk, lost)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from stream.chunk import Samples
 from stream.kernel import kernel
 
 
@@ -11,3 +14,8 @@ from stream.kernel import kernel
 def finite(v: float) -> float:
     """`v`, or the quiet NaN where it is infinite or any NaN; for kernels, into which it is inlined."""
     return v if abs(v) < math.inf else math.nan
+
+
+def only_finite(x: Samples) -> Samples:
+    """`finite` of every number of an array, outside of kernels."""
+    return np.where(np.isfinite(x), x, np.nan)

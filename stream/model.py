@@ -8,6 +8,7 @@ of another kind, or one that was trained on another stream.
 from __future__ import annotations
 
 import json
+import stat
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
@@ -21,6 +22,7 @@ import numpy as np
 from stream.chunk import Array, StreamSpec
 from stream.complete import complete
 from stream.errors import InputError, KinegraphError, nearest
+from stream.owners import refuse_shared
 
 VERSION = 1
 MOST_BYTES = 1 << 30
@@ -100,7 +102,8 @@ def write_model(path: Path, kind: str, header: Mapping[str, Any], arrays: Mappin
 
 
 def read_model(path: Path, kind: str) -> Model:
-    """Read a model of this kind. Raises ModelError."""
+    """Read a model of this kind, from a place that nobody else may write. Raises ModelError."""
+    _refuse_planted(path)
     try:
         with zipfile.ZipFile(path) as archive:
             if sum(entry.file_size for entry in archive.infolist()) > MOST_BYTES:
@@ -132,6 +135,16 @@ def read_model(path: Path, kind: str) -> Model:
         if array.dtype.kind not in NUMBERS:
             raise ModelError(f"{path}: array {name!r} does not hold numbers")
     return Model(kind, header, arrays, path)
+
+
+def _refuse_planted(path: Path) -> None:
+    """A model decides what a session says of people: nobody else may have put it there."""
+    for place in (path.absolute().parent, path):
+        try:
+            if place.exists() and not (place.is_dir() and place.stat().st_mode & stat.S_ISVTX):
+                refuse_shared(place, "a model", "results follow from what it holds")
+        except KinegraphError as error:
+            raise ModelError(str(error)) from None
 
 
 def _header(path: Path, entry: Array | None) -> dict[str, Any]:

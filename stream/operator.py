@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar
 
 import numpy as np
+import typing_extensions
 
 from stream.arrays import applied, series
 from stream.chunk import Array, Chunk, Specs, StreamSpec, stamps
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from stream.graph import Graph
 
 S = TypeVar("S")
+R = typing_extensions.TypeVar("R", default=None)
 
 Takes: TypeAlias = Literal["any", "rows", "finite"]
 """In what form an operator's ports ask for numbers."""
@@ -37,13 +39,15 @@ class Operator(Generic[S]):
         class Gain(Operator[GainState]):
             factor: float = param(1.0)
 
-    inputs     names of the input ports; an operator with several gets its samples in global time order (ties: port order)
+    inputs     names of the input ports; an operator with several gets its samples in global time order (of equal stamps, see `acts`)
     optional   those inputs that a graph may leave unconnected
     variadic   any number of inputs (at least one), named after what they are connected to; `inputs` is then empty
     outputs    names of the output ports; the first is meant where a graph names none
     in_turn    whether samples of several inputs come strictly in global time order, cut wherever another input's is due. Off, for operators
                that wait for `until` in any case (joins): each input's own order, and far fewer pieces. Either way a piece's `until` holds
                for all inputs at once
+    acts       ports whose samples are answered from what the others have said: of equal stamps they come after all others, in this order.
+               No answer depends on the order in which `inputs` names the ports (the law "ties")
     takes      what its ports ask for, where numbers come: "rows" are C-contiguous float64 (n, width), whatever the dtype and shape of a
                sample was; "finite" are rows in which NaN stands for what is not a finite number; "any" is the stream as it is
     contiguous whether what it emits always is C-contiguous, aligned and writable, so that the engine need not look (the laws do)
@@ -52,12 +56,13 @@ class Operator(Generic[S]):
     departures rules of the laws (stream/conformance/broken.py) that do not hold here on purpose, each with the reason, for the docs
     """
 
-    __slots__ = ("delay_s", "state")
+    __slots__ = ("decision_s", "delay_s", "state")
     inputs: ClassVar[tuple[str, ...]] = ("in",)
     optional: ClassVar[tuple[str, ...]] = ()
     variadic: ClassVar[bool] = False
     outputs: ClassVar[tuple[str, ...]] = ("out",)
     in_turn: ClassVar[bool] = True
+    acts: ClassVar[tuple[str, ...]] = ()
     takes: ClassVar[Takes] = "any"
     contiguous: ClassVar[bool] = False
     delays: ClassVar[str] = "none"
@@ -67,6 +72,10 @@ class Operator(Generic[S]):
     state: S
     delay_s: float
     """How much later than the newest input sample an output sample's stamp is reached (group delay, windows, look-ahead); set by `hold`."""
+    decision_s: Mapping[str, float]
+    """By output of events: how long after what an event describes (its `end`, else its `onset`) it comes at the latest, in time of the
+    operator's own input; what an event that led to it was late itself comes on top. Set by `hold`; an output that is left out promises
+    nothing."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -101,10 +110,11 @@ class Operator(Generic[S]):
         """What the laws try this operator on: at least one case, with enough samples that its windows fill and outputs come."""
         return ()
 
-    def hold(self, state: S, *, delay_s: float = 0.0) -> None:
-        """Keep the state (a slotted dataclass of arrays, numbers and texts) and declare the delay; called by `open`."""
+    def hold(self, state: S, *, delay_s: float = 0.0, decision_s: Mapping[str, float] | None = None) -> None:
+        """Keep the state (a slotted dataclass of arrays, numbers and texts) and declare the delays; called by `open`."""
         object.__setattr__(self, "state", state)
         object.__setattr__(self, "delay_s", delay_s)
+        object.__setattr__(self, "decision_s", dict(decision_s or {}))
 
     def fresh(self) -> Self:
         """The same operator, not opened."""
@@ -144,12 +154,13 @@ class Operator(Generic[S]):
         return size_of(self.state)
 
 
-class Outlet(Operator[S]):
+class Outlet(Operator[S], Generic[S, R]):
     """Where streams leave the graph: a file, a network, a screen. It has inputs and no outputs.
 
     An outlet is silent in replay unless it is asked to speak. It runs on the worker `outlets` unless told otherwise, and when it fails it
     is reported and switched off while the graph goes on. `open` only checks and allocates (a graph is opened to be checked, too); what
-    touches the world begins in `begin`.
+    touches the world begins in `begin`. Whatever a running outlet needs besides its state (specs, open files, a connection) is
+    its `runtime`, of the type that `Outlet[State, Runtime]` names: `hold` keeps it, and no snapshot has it.
 
     durable    whether the outlet can take its words back: after a crash it is restored to its last snapshot (a file is cut back to the
                length it had) and given again what followed, so that nothing is doubled or missing. One that is not durable, a network,
@@ -158,10 +169,24 @@ class Outlet(Operator[S]):
                them says: each input's own order, and no waiting for the others
     """
 
-    __slots__ = ()
+    __slots__ = ("runtime",)
     outputs: ClassVar[tuple[str, ...]] = ()
     durable: ClassVar[bool] = False
     in_order: ClassVar[bool] = True
+
+    runtime: R
+
+    def hold(
+        self,
+        state: S,
+        runtime: R | None = None,
+        *,
+        delay_s: float = 0.0,
+        decision_s: Mapping[str, float] | None = None,
+    ) -> None:
+        """Keep the state and what belongs to a running outlet only (see `runtime`); called by `open`."""
+        super().hold(state, delay_s=delay_s, decision_s=decision_s)
+        object.__setattr__(self, "runtime", runtime)
 
     @property
     def file(self) -> str:

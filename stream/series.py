@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Self
 
-from stream.chunk import Array, StreamSpec, Times
+import numpy as np
+
+from stream.chunk import Array, Chunk, StreamSpec, Times, add_lost
 from stream.errors import KinegraphError
 
 if TYPE_CHECKING:
     import pandas
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, repr=False)
 class Series:
     """A stream.
 
@@ -26,6 +29,21 @@ class Series:
     time: Times
     data: Array
     lost: Array | None = None
+
+    @classmethod
+    def of_chunks(cls, name: str, spec: StreamSpec, chunks: Iterable[Chunk]) -> Self:
+        """Chunks of a stream, joined."""
+        kept = list(chunks)
+        time = np.concatenate([np.empty(0, np.int64), *(chunk.time for chunk in kept)])
+        data = np.concatenate([np.empty((0, *spec.shape), spec.dtype), *(chunk.data for chunk in kept)])
+        lost = np.zeros(len(time), np.int64)
+        at = owed = 0
+        for chunk in kept:
+            owed = add_lost(owed, chunk.lost)
+            if len(chunk):
+                lost[at], owed = owed, 0
+                at += len(chunk)
+        return cls(name, spec, time, data, lost if lost.any() else None)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -48,3 +66,32 @@ class Series:
         )
         table.attrs = {"name": self.name, "rate_hz": self.spec.rate_hz, "units": dict(named)}
         return table
+
+    def between(self, start_s: float = 0.0, end_s: float | None = None) -> Series:
+        """The samples from `start_s` to before `end_s`, in seconds after the first one; no copy is made."""
+        begin = int(self.time[0]) if len(self) else 0
+        low, high = np.searchsorted(self.time, [begin + round(start_s * 1e9), begin + round((end_s or 0.0) * 1e9)])
+        part = slice(int(low), None if end_s is None else int(high))
+        lost = None if self.lost is None else self.lost[part]
+        return Series(self.name, self.spec, self.time[part], self.data[part], lost)
+
+    def to_xarray(self) -> Any:
+        """An xarray.DataArray by time and channel; of events, a Dataset with a variable per field."""
+        from stream.conversions import to_xarray
+
+        return to_xarray(self)
+
+    def to_polars(self) -> Any:
+        """A polars.DataFrame with the columns of `to_pandas`, and `time` in UTC."""
+        from stream.conversions import to_polars
+
+        return to_polars(self)
+
+    def to_mne(self, kind: str = "emg") -> Any:
+        """An mne.io.RawArray of a regular signal, in volts; gaps are annotated BAD_gap. `kind`: MNE's channel type."""
+        from stream.conversions import to_mne
+
+        return to_mne(self, kind)
+
+    def __repr__(self) -> str:
+        return f"Series {self.name!r}: {len(self)} samples of {self.spec.describe()}"

@@ -99,7 +99,14 @@ class Source:
         """This source as it reads a simulated device, which is there for as long as the context lasts; None: it needs or has none.
 
         `kinegraph run --simulate` puts it in the source's place. The simulated device speaks the real protocol through the real transport.
+        It comes from the entry-point group `kinegraph.simulators`, under the class's dotted path: a function of the source.
         """
+        from importlib.metadata import entry_points
+
+        for cls in type(self).__mro__:
+            for entry in entry_points(group="kinegraph.simulators", name=f"{cls.__module__}.{cls.__qualname__}"):
+                device: AbstractContextManager[Source] = entry.load()(self)
+                return device
         return None
 
     def fresh(self) -> Self:

@@ -1,7 +1,4 @@
-"""State as plain arrays: a dataclass of arrays, numbers, texts, and lists or dataclasses of these, packed and unpacked by name.
-
-A `Spare` in it is no state, and left as it is.
-"""
+"""State as plain arrays: a dataclass of arrays, numbers, texts, and lists or dataclasses of these, packed and unpacked by name."""
 
 from __future__ import annotations
 
@@ -13,7 +10,6 @@ import numpy as np
 
 from stream.chunk import Array
 from stream.errors import KinegraphError
-from stream.spare import Spare
 
 
 class StateError(KinegraphError):
@@ -47,8 +43,7 @@ def size_of(state: Any) -> int:
 def _entries(state: Any) -> list[tuple[str, Any]]:
     if not is_dataclass(state):
         raise TypeError(f"a state is a dataclass of arrays, numbers and texts, not {type(state).__name__}")
-    found = [(f.name, getattr(state, f.name)) for f in fields(state)]
-    return [(name, value) for name, value in found if value.__class__ is not Spare]
+    return [(f.name, getattr(state, f.name)) for f in fields(state)]
 
 
 def _pack(name: str, value: Any, packed: dict[str, Array]) -> None:
@@ -72,7 +67,7 @@ def _pack(name: str, value: Any, packed: dict[str, Array]) -> None:
 
 
 def _unpack(name: str, old: Any, hint: Any, arrays: dict[str, Array]) -> Any:
-    """The value called `name`. `old` stands there now; `hint` is its annotated type, for what has to be made anew."""
+    """The value called `name`. `old` stands there now; `hint` is its annotated type, for what has to be made again."""
     if f"{name}[]" in arrays:
         items = old if isinstance(old, list) else []
         hint = _item(hint)
@@ -84,8 +79,6 @@ def _unpack(name: str, old: Any, hint: Any, arrays: dict[str, Array]) -> Any:
     if made is None or not any(key.startswith(f"{name}.") for key in arrays):
         raise StateError(f"the snapshot has no {name!r}: it was made by another version, or with other parameters")
     for part in fields(made):
-        if getattr(made, part.name, None).__class__ is Spare:
-            continue
         value = _unpack(f"{name}.{part.name}", getattr(old, part.name, None), _hint(type(made), part.name), arrays)
         object.__setattr__(made, part.name, value)
     return made

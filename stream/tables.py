@@ -13,7 +13,7 @@ import numpy as np
 
 from stream.bounded import arrays, reading
 from stream.chunk import Array
-from stream.errors import RecordingError
+from stream.errors import KinegraphError, RecordingError
 
 DELIMITERS = ",;\t|"
 
@@ -38,24 +38,34 @@ def read_npz(path: Path) -> dict[str, FileColumn]:
         return {name: FileColumn(array, path) for name, array in arrays(path).items()}
 
 
-def read_csv(path: Path) -> dict[str, FileColumn]:
+def read_csv(path: Path, skip_rows: int | None = None) -> dict[str, FileColumn]:
     """The columns of a CSV file with a header line: names, with units in brackets ("emg [uV]").
 
     The delimiter (comma, semicolon, tab or bar) is found in the header; with another one than a comma, numbers may have decimal commas.
-    Empty cells are NaN; lines before the header that begin with # are skipped. Raises RecordingError with file and line.
+    Empty cells are NaN; lines before the header that begin with # are skipped, and the first `skip_rows` whatever they hold; after these
+    the header may be missing (then the columns are column1, column2, ...). A line of units may follow the header.
+    Raises RecordingError with file and line.
     """
     text = read_text(path, "CSV")
     if "\0" in text:
         raise RecordingError(f"{path}: holds zero bytes; it is no text, or was damaged")
     lines = text.split("\n")
-    at = next((i for i, line in enumerate(lines) if line.strip() and not line.startswith("#")), None)
+    skip = skip_rows or 0
+    at = next((i for i, line in enumerate(lines) if i >= skip and line.strip() and not line.startswith("#")), None)
     if at is None:
         raise RecordingError(f"{path}: the file is empty")
+    if _by_spaces(lines, at):
+        lines = ["\t".join(line.split()) for line in lines]
     delimiter = max(DELIMITERS, key=lines[at].count)
     header = [name.strip() for name in next(csv.reader([lines[at]], delimiter=delimiter))]
+    headless = skip_rows is not None and all(not name or _is_number(name) for name in header)
+    if headless:
+        header = [f"column{i + 1}" for i in range(len(header))]
+        at -= 1
     if any(_is_number(name) for name in header):
         raise RecordingError(
-            f"{path}: line {at + 1}: the first line must name the columns, but holds the number {next(filter(_is_number, header))}"
+            f"{path}: line {at + 1}: the first line must name the columns, but holds the number {next(filter(_is_number, header))};"
+            " say how many lines to pass over with --skip-rows N (0: none, but there is no header)"
         )
     names = [_split(name) for name in header]
     if nameless := [str(i + 1) for i, (name, _) in enumerate(names) if not name]:
@@ -69,6 +79,9 @@ def read_csv(path: Path) -> dict[str, FileColumn]:
         )
     while not lines[-1].strip():
         lines.pop()
+    if units := _units(lines, at + 1, delimiter, len(names)):
+        names = [(name, unit or told) for (name, unit), told in zip(names, units, strict=True)]
+        at += 1
     data = _fast(lines[at + 1 :], delimiter, len(names))
     if data is None:
         data = _careful(path, lines, at + 1, delimiter, header)
@@ -104,6 +117,15 @@ def read_rows(path: Path) -> Array | None:
     return made
 
 
+def read_records(path: Path) -> list[tuple[int, dict[str, str]]]:
+    """The rows of a CSV file whose first line names the columns: the line of each, and its cells by name. Raises KinegraphError."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            return list(enumerate(csv.DictReader(file), 2))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise KinegraphError(f"{path}: cannot be read: {error}") from None
+
+
 def read_text(path: Path, kind: str) -> str:
     """The whole of a text file in UTF-8; raises RecordingError where it cannot be one of this kind."""
     try:
@@ -128,6 +150,25 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _by_spaces(lines: list[str], at: int) -> bool:
+    """Whether a table has blanks between its cells: no other delimiter, and as many words in its first line as numbers in a later one."""
+    words = lines[at].split()
+    if len(words) < 2 or any(delimiter in lines[at] for delimiter in DELIMITERS):
+        return False
+    rows = [line.split() for line in lines[at : at + 3] if line.strip()]
+    return any(len(row) == len(words) and all(map(_is_number, row)) for row in rows)
+
+
+def _units(lines: list[str], at: int, delimiter: str, columns: int) -> list[str]:
+    """The units in a line of short words, one for each column, or blank; [] where the line is none."""
+    cells = next(csv.reader([lines[at]], delimiter=delimiter), []) if at < len(lines) else []
+    told = [cell.strip().strip("[]()") for cell in cells]
+    words = [cell for cell in told if cell and cell != "-"]
+    known = all(re.fullmatch(r"[A-Za-z\u00b5\u03bc%\u00b0][A-Za-z0-9/*.^\u00b2]{0,7}|-", word) for word in words)
+    fits = len(told) == columns and words and known and not any(map(_is_number, words))
+    return ["" if cell == "-" else cell for cell in told] if fits else []
 
 
 def _fast(body: list[str], delimiter: str, columns: int) -> Array | None:

@@ -15,7 +15,7 @@ from stream.graph import Edge, Graph, Node, overrides
 from stream.graph.drawing import shown
 from stream.graph.load import load
 from stream.graph.parts import beside, import_from
-from stream.graph.plan import Plan, duration, plan, refuse_late
+from stream.graph.plan import Decision, Plan, duration, plan, refuse_late
 from stream.graph.shipped import resolve
 from stream.graph.yaml_lines import parse
 from stream.plain import say
@@ -51,6 +51,8 @@ def check(
     if console.width >= WIDE:
         console.print(_nodes(graph))
         console.print(_paths(planned))
+        if planned.decisions:
+            console.print(_events(planned))
     else:
         console.print(_narrow(graph, planned, console.width))
     for hint in _unread(graph):
@@ -86,6 +88,10 @@ def _narrow(graph: Graph, planned: Plan, width: int) -> str:
         lines.append(fill(str(path), width, subsequent_indent="    ", break_on_hyphens=False))
         told = f"{path.explain()}; memory {size(path.memory_bytes)}"
         lines.append(fill(told, width, initial_indent="  delay ", subsequent_indent=" " * 10, break_on_hyphens=False))
+    if planned.decisions:
+        lines += ["", "events, at the latest"]
+    for decided in planned.decisions:
+        lines.append(fill(f"{decided.origin}  {_after(decided)}", width, subsequent_indent="    "))
     return "\n".join(lines)
 
 
@@ -121,6 +127,21 @@ def _paths(planned: Plan) -> Table:
     for path in planned.paths:
         table.add_row(str(path), duration(path.delay_s), path.explain(), size(path.memory_bytes))
     return table
+
+
+def _events(planned: Plan) -> Table:
+    table = Table(title="\nevents", title_justify="left", box=None, padding=(0, 2, 0, 0))
+    table.add_column("event", overflow="fold")
+    table.add_column("comes at the latest", overflow="fold")
+    for decided in planned.decisions:
+        table.add_row(str(decided.origin), _after(decided))
+    return table
+
+
+def _after(decided: Decision) -> str:
+    """When an event comes: "200 ms after its end or onset, 240 ms with the delay of its input"."""
+    told = f"{duration(decided.after_s)} after its end or onset"
+    return f"{told}, {duration(decided.total_s)} with the delay of what it is found in"
 
 
 def _unread(graph: Graph) -> list[str]:

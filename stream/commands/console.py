@@ -94,9 +94,12 @@ def _single_keys() -> Iterator[None]:
     try:
         import termios
         import tty
-
+    except ImportError:  # Windows has neither
+        yield
+        return
+    try:
         before = termios.tcgetattr(sys.stdin.fileno())
-    except (ImportError, OSError, ValueError, termios.error):
+    except (OSError, ValueError, termios.error):
         yield
         return
     tty.setcbreak(sys.stdin.fileno())

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Self
 import structlog
 
 from stream.chunk import NS, utc
-from stream.errors import Interrupted, RunError
+from stream.errors import Interrupted, RunError, Terminated
 
 if TYPE_CHECKING:
     from stream.engine.session import Session
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 HANG_UP: signal.Signals | None = getattr(signal, "SIGHUP", None)
 """What a terminal that is closed says to those in it; Windows has no such thing."""
 LOOK_S = 5.0
-"""So often it is looked whether the session goes on; a node's call that takes longer is told."""
+"""So often it is looked whether the session goes on; a node's call that takes longer is reported."""
 STUCK_S = 1.0
 """A call that has taken so long is not waited for at the second signal."""
 CLOSING_S = 20.0
@@ -51,6 +51,7 @@ class Ending:
         self._terminals = [file for file in (0, 1, 2) if os.isatty(file)]
         self._asked = 0
         self._interrupts = self._ours = False
+        self._raises = Interrupted
         self._table: object = None
         self._told: int | None = None
         self._thread = threading.Thread(target=self._listen, name="signals", daemon=True)
@@ -82,7 +83,7 @@ class Ending:
     def _in_main(self, _number: int, _frame: object) -> None:
         if self._interrupts:
             self._interrupts = False
-            raise Interrupted
+            raise self._raises
 
     # the thread that hears signals -----------------------------------------------------------------------------------
 
@@ -110,6 +111,9 @@ class Ending:
                 self._table = self._session.table
                 self._session.in_hand()  # what it finds now, and at the second signal still, is stuck
                 self._session.stop()
+                if self._session.warming:  # nothing is open yet that would have to be closed in order
+                    self._raises = Terminated if number == signal.SIGTERM else Interrupted
+                    self._interrupt()
             elif (call := self._session.in_hand()) and call.lasts_s >= STUCK_S:
                 self._break_off(call)
             else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from stream.engine.replay import Replay, Replayed
     from stream.engine.substitutes import Substitutes
     from stream.graph import Graph
+    from stream.recording import Recording
 
 
 def replay(
@@ -42,39 +43,56 @@ def replay(
             help="exit with 1 unless every recorded edge is reproduced bit for bit, and every node keeps its spec",
         ),
     ] = False,
+    page: Annotated[
+        bool,
+        typer.Option("--page", help="show the replay in a browser, at --speed 1 unless it is said; prints the address"),
+    ] = False,
+    page_at: Annotated[str, typer.Option(metavar="HOST:PORT", help="serve the page there")] = "",
     quiet: Annotated[bool, typer.Option("-q", "--quiet", help="no progress bar")] = False,
     trusted_only: Annotated[
         bool, typer.Option("--trusted-only", help="run installed code only, no files next to the graph")
     ] = False,
 ) -> None:
-    """Run a graph on a recording: its streams stand in for the sources of the same names.
+    """Run a graph on a recording: its streams replace the sources of the same names.
 
     The graph gives what it gave live, bit for bit. Outlets (files, networks) stay silent unless asked with --speak.
     """
     from stream.commands import logs
+    from stream.commands.run import page_of
     from stream.engine.replay import Replay
-    from stream.graph.load import load
     from stream.graph.overrides import read
+    from stream.pace import Pace
     from stream.recording import Recording
     from stream.recording.place import is_running
 
     logs.set_up()
     with Recording.open(recording) as source:
         asked = read(settings or [])
-        graph = load(
-            config, recorded={n: s.spec for n, s in source.streams.items()}, overrides=asked, trusted_only=trusted_only
-        )
+        graph = _graph_of(config, source, asked, trusted_only)
         _take_facts(graph, source.header.get("session") or {}, asked, quiet=quiet)
         speaking = _speaking(graph, speak or [])
-        run = Replay(graph, source, speaking=speaking, speed=speed or None, output=out, strict=verify)
+        shown = page_of(graph, page_at, mode="replay") if page or page_at else None
+        pace = Pace(speed or 1.0, forwards_only=out is not None) if shown else speed or None
+        run = Replay(graph, source, speaking=speaking, speed=pace, output=out, strict=verify)
+        if shown:
+            shown.replays(run)
         recorded = [name for name, stream in source.streams.items() if stream.role == "edge"]
         if verify and not recorded:
             raise KinegraphError(
                 f"--verify: {recording} holds no output of a graph, so there is nothing to compare with; name some under `record`"
             )
         _tell_missing(run.substitutes)
-        with _interruptible(run):
-            result = _with_progress(run, source.duration_ns / 1e9, quiet)
+        with shown or nullcontext():
+            while True:
+                with _interruptible(run):
+                    result = _with_progress(run, source.duration_ns / 1e9, quiet)
+                if not shown or not isinstance(pace, Pace) or pace.again is None:
+                    break
+                graph = _graph_of(config, source, asked, trusted_only)
+                _take_facts(graph, source.header.get("session") or {}, asked, quiet=True)
+                pace.begin_again()
+                run = Replay(graph, source, speaking=speaking, speed=pace, output=out, strict=verify)
+                shown.replays(run)
     _tell(result)
     unseen = _not_compared(recorded, result, run.substitutes) if verify else []
     for name in unseen:
@@ -87,6 +105,13 @@ def replay(
         raise OutletFailed(", ".join(f"{stage.node.name!r}: {stage.failed}" for stage in failed))
     if source.missing and not is_running(recording):
         raise Incomplete(recording, result.seconds, source.missing.words)
+
+
+def _graph_of(config: Path, source: Recording, asked: dict[str, Any], trusted_only: bool) -> Graph:
+    from stream.graph.load import load
+
+    recorded = {name: stream.spec for name, stream in source.streams.items()}
+    return load(config, recorded=recorded, overrides=asked, trusted_only=trusted_only)
 
 
 class Incomplete(KinegraphError):

@@ -21,7 +21,7 @@ from stream.plain import say
 from stream.source import Source
 
 if TYPE_CHECKING:
-    from stream.engine.status import Outcome
+    from stream.engine.status import Outcome, SessionPage
     from stream.graph import Graph
 
 
@@ -48,6 +48,15 @@ def run(
         bool, typer.Option("--simulate", help="use simulated devices instead of real ones, with the real protocols")
     ] = False,
     view: Annotated[str, typer.Option(help="how the session is shown: auto, live, lines or none")] = "auto",
+    page: Annotated[bool, typer.Option("--page", help="show the session in a browser; prints the address")] = False,
+    page_at: Annotated[
+        str,
+        typer.Option(
+            metavar="HOST:PORT", help="serve the page there; on other addresses than this machine's own with a token"
+        ),
+    ] = "",
+    page_certificate: Annotated[str, typer.Option(metavar="FILE", help="encrypt the page with this certificate")] = "",
+    page_key: Annotated[str, typer.Option(metavar="FILE", help="the certificate's key")] = "",
     json_log: Annotated[bool, typer.Option("--log-json", help="log lines as JSON")] = False,
     verbose: Annotated[bool, typer.Option("-v", "--verbose", help="log more")] = False,
     trusted_only: Annotated[
@@ -60,7 +69,7 @@ def run(
     Ctrl-C ends the session cleanly; a second one aborts whatever hangs.
 
     Exit codes: 0 success; 2 the graph or an argument is wrong; 3 a device is missing; 4 an operator stopped the graph; 5 an outlet or the
-    recording lost data; 6 the session took more memory than memory_mb.
+    recording lost data; 7 the session took more memory than memory_mb.
     """
     from stream.commands import logs
     from stream.graph.load import load
@@ -78,7 +87,8 @@ def run(
     folder = session_folder(graph, out, resume) if record or resume else None
     if folder and not resume:
         refuse_taken_folder(folder)
-    conduct(graph, folder, resume=resume, duration_s=duration_s, view=view, simulate=simulate)
+    shown = page_of(graph, page_at, page_certificate, page_key) if page or page_at else None
+    conduct(graph, folder, resume=resume, duration_s=duration_s, view=view, simulate=simulate, page=shown)
 
 
 def conduct(
@@ -89,18 +99,24 @@ def conduct(
     duration_s: float = 0.0,
     view: str = "auto",
     simulate: bool = False,
+    page: SessionPage | None = None,
 ) -> NoReturn:
     """Run a session from start to end, with its view and its console, and exit with its code."""
     from stream.commands.console import Console
     from stream.commands.ending import Ending
     from stream.engine.session import Session
+    from stream.engine.status import Views
 
     with simulated(graph) if simulate else nullcontext():
         screen = _screen(view, graph)
-        session = Session(graph, folder, resume=resume, duration_s=duration_s, view=screen)
+        views = Views(shown for shown in (screen, page) if shown)
+        session = Session(graph, folder, resume=resume, duration_s=duration_s, view=views)
+        if page:
+            page.attach(session)
         ending = Ending(session, _tell_end)
         with ending, ending.shown as shown:
             shown.enter_context(Console(session).listening())
+            shown.enter_context(page or nullcontext())
             shown.enter_context(screen or nullcontext())
             outcome = session.run()
     _tell_end(outcome)
@@ -152,6 +168,13 @@ def _screen(view: str, graph: Any) -> Any:
         return entry.load()(graph)
     names = ", ".join(sorted(e.name for e in entry_points(group="kinegraph.views")))
     raise KinegraphError(f"there is no view {view!r}; valid are auto, none, {names}")
+
+
+def page_of(graph: Graph, *address: str, **more: str) -> Any:
+    """The page of a graph; it comes from the entry-point group `kinegraph.pages`. Raises KinegraphError where there is none."""
+    for entry in entry_points(group="kinegraph.pages", name="page"):
+        return entry.load()(graph, *address, **more)
+    raise KinegraphError("no page is installed: `pip install kinegraph` has one")
 
 
 def _tell_end(outcome: Outcome) -> None:

@@ -32,6 +32,11 @@ RULES: dict[str, Rule] = {
         "any cutting of the same samples gives the same samples, stamps and gap positions, bit for bit",
         "whatever spans two samples belongs into the state: no window per call, no padding by the first chunk, no BLAS on what is emitted",
     ),
+    "ties": Rule(
+        1,
+        "equal stamps on several inputs give the same, whatever order the ports are named in",
+        "name in `acts` the ports whose samples are answered from what the others have said, or act once `until` has passed the stamp",
+    ),
     "replay": Rule(
         2,
         "the same input gives the same output, chunk for chunk",

@@ -8,6 +8,7 @@ from functools import partial
 from stream.conformance.bad import bad_samples, gaps
 from stream.conformance.laws import Conformance
 from stream.conformance.promises import delay, settling, time
+from stream.conformance.ties import ties
 
 
 def checks(trial: Conformance) -> dict[str, Callable[[], None]]:
@@ -15,5 +16,5 @@ def checks(trial: Conformance) -> dict[str, Callable[[], None]]:
     return {
         "replay": trial.replay,
         "memory": trial.memory,
-        **{check.__name__: partial(check, trial) for check in (delay, time, settling, bad_samples, gaps)},
+        **{check.__name__: partial(check, trial) for check in (ties, delay, time, settling, bad_samples, gaps)},
     }

@@ -70,7 +70,7 @@ class Conformance:
 
     @contextmanager
     def warm(self, how: str = "") -> Iterator[None]:
-        """Nothing compiles meanwhile, and whatever is broken is told with `how` it was brought about."""
+        """Nothing compiles meanwhile, and whatever is broken is reported with `how` it was brought about."""
         with compiling() as kernels:
             try:
                 yield

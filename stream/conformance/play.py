@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -57,12 +58,19 @@ class Player:
         self._fresh, self._jitter_ns, self._excused = case.operator, jitter_ns, excused
         self.specs: Specs = {port: spec for port, (spec, _, _) in case.inputs.items()}
         self.operator, outputs = self._open()
-        self.merge = Merge(self.specs, in_turn=self.operator.in_turn) if len(self.specs) > 1 else None
+        self.merge = (
+            Merge(self.specs, in_turn=self.operator.in_turn, acts=self.operator.acts) if len(self.specs) > 1 else None
+        )
         self.outputs = {name: Output(spec) for name, spec in outputs.items()}
         self.newest = self.reached = NEVER
         self._singly = False
         self.log: list[tuple[Any, ...]] = []
         """Every emission in order, as bytes: for comparing runs chunk for chunk."""
+
+    def name_ports(self, order: Sequence[str]) -> None:
+        """Merge the inputs as if the operator named its ports in this order; before anything is fed."""
+        operator = self.operator
+        self.merge = Merge({port: self.specs[port] for port in order}, in_turn=operator.in_turn, acts=operator.acts)
 
     def _open(self) -> tuple[Operator[Any], Specs]:
         operator = self._fresh.fresh()
@@ -124,7 +132,7 @@ class Player:
         self.operator = operator
         if self.merge:
             held = self.merge.snapshot()
-            self.merge = Merge(self.specs, in_turn=operator.in_turn)
+            self.merge = Merge(self.specs, in_turn=operator.in_turn, acts=operator.acts)
             self.merge.restore(through_file(held) if by_file else held)
 
     def _snapshot(self) -> dict[str, Array]:
@@ -185,13 +193,13 @@ class Player:
                 f"{where} has until={chunk.until!r} and lost={chunk.lost!r}; both are whole numbers, lost at least -1",
             )
         if chunk.until < output.until:
-            raise Broken("until", f"{where} has until {utc(chunk.until)}, after {utc(output.until)} had been told")
+            raise Broken("until", f"{where} has until {utc(chunk.until)}, after {utc(output.until)} had been promised")
         if not len(time):
             return
         if time[0] <= output.until:
             raise Broken(
                 "until",
-                f"{where} holds a sample of {utc(int(time[0]))}; complete until {utc(output.until)} had been told",
+                f"{where} holds a sample of {utc(int(time[0]))}; complete until {utc(output.until)} had been promised",
             )
         steps = np.diff(time, prepend=output.last) if output.last != NEVER else np.diff(time)
         if (steps < 0).any():

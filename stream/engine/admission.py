@@ -1,8 +1,8 @@
 """What may enter the graph: every rule about a source's chunk, as functions of the chunk and a few numbers, without thread or clock.
 
-`conform` puts a chunk into the arrays that its spec declares, `ordered` refuses time that runs backwards, `admit` decides lateness, gaps
-and the watermark, and `on_full` says what a full queue does. Whichever way a chunk takes into the graph (`stream.engine.ingress`), inline
-on its source's thread or through a queue, these are what it passes.
+`is_sound` tells a chunk to which nothing needs to be done; else `conform` puts it into the arrays that its spec declares and `ordered`
+refuses time that runs backwards. `admit` decides lateness, gaps and the watermark, and `on_full` says what a full queue does. Whichever
+way a chunk takes into the graph (`stream.engine.ingress`), inline on its source's thread or through a queue, these are what it passes.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from enum import Enum
 import msgspec
 import numpy as np
 
-from stream.chunk import FOREVER, NS, STAMP, Chunk, StreamSpec, add_lost
+from stream.chunk import FOREVER, NS, STAMP, Chunk, StreamSpec, Times, add_lost
 from stream.graph import Policy
+from stream.kernel import kernel
+from stream.promise import END, MOST_LOST
 
 AHEAD_NS = NS
 """A live sample's stamp may lie this far after its arrival, by what a device's clock is wrong; beyond that it is reported."""
-FEW = 64
-"""The order of so few stamps is looked at in Python, which after a rest is much faster than numpy."""
 
 
 class Verdict(msgspec.Struct, gc=False):
@@ -35,6 +35,19 @@ class Verdict(msgspec.Struct, gc=False):
 
 
 NOTHING_NEW = Verdict(None)
+
+
+def is_sound(spec: StreamSpec, chunk: Chunk) -> bool:
+    """Whether a source's chunk is as it should be in every respect: `conform` and `ordered` would give it back as it is."""
+    time, data = chunk.time, chunk.data
+    if time.__class__ is not np.ndarray or data.__class__ is not np.ndarray:
+        return False
+    if time.dtype is not STAMP or data.dtype is not spec.dtype or data.shape != (len(time), *spec.shape):
+        return False
+    if not (time.flags.carray and _is_ordered(time)) or not -1 <= chunk.lost <= MOST_LOST:
+        return False
+    first, last = (time.item(0), time.item(-1)) if len(time) else (chunk.until, chunk.until)
+    return -END < first <= last <= chunk.until < END
 
 
 def conform(spec: StreamSpec, chunk: Chunk) -> Chunk:
@@ -55,7 +68,7 @@ def ordered(chunk: Chunk) -> tuple[Chunk, int]:
     """The chunk without samples older than one before them, complete up to its last sample; and how many were dropped."""
     time, dropped = chunk.time, 0
     n = len(time)
-    if n > 1 and not _is_ordered(chunk):
+    if n > 1 and (time[1:] < time[:-1]).any():
         keep = time >= np.maximum.accumulate(time)
         dropped = n - int(keep.sum())
         time = np.ascontiguousarray(time[keep])
@@ -65,16 +78,12 @@ def ordered(chunk: Chunk) -> tuple[Chunk, int]:
     return chunk, dropped
 
 
-def _is_ordered(chunk: Chunk) -> bool:
-    time = chunk.time
-    if len(time) > FEW:
-        return not (time[1:] < time[:-1]).any()
-    stamps = time.tolist()
-    before = stamps[0]
-    for stamp in stamps:
-        if stamp < before:
+@kernel
+def _is_ordered(time: Times) -> bool:
+    """Whether no stamp of `time` (n,) lies before the one before it."""
+    for i in range(1, time.shape[0]):  # noqa: SIM110 - a kernel
+        if time[i] < time[i - 1]:
             return False
-        before = stamp
     return True
 
 

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from stream.chunk import FOREVER, NEVER, STAMP, Array, Chunk, StreamSpec, add_lost, utc
-from stream.errors import KinegraphError, RunError, asked_to_end, explain
+from stream.errors import KinegraphError, MemoryExceeded, RunError, asked_to_end, explain
 from stream.graph import Edge
 from stream.graph.parts import is_ours
 from stream.metrics import Timing
@@ -227,6 +227,8 @@ def failure(node: str, error: BaseException, port: str = "", chunk: Chunk | None
     text = str(error) if isinstance(error, KinegraphError) else explain(error)
     if isinstance(error, ValueError) and "read-only" in str(error):
         text += "; an input must not be written to, for others read it: work on a copy"
+    if isinstance(error, MemoryError):
+        return MemoryExceeded(f"node {node!r} asked for more memory than memory_mb leaves: {text}{where}")
     return RunError(f"node {node!r}: {text}{where}")
 
 

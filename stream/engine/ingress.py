@@ -54,6 +54,7 @@ class IngressPort:
     last       when its last chunk came (monotonic s)
     late       samples dropped because they came too late
     owed       what is missing before the next sample, beyond what its chunk says
+    awaited    whether anybody waits for what time brings here; where nobody does, only samples are let in
     watched    whether it is still to be seen to that stamps do not lie ahead of the session's clock
     """
 
@@ -67,10 +68,11 @@ class IngressPort:
     owed: int = 0
     silent: bool = False
     stale: bool = False
+    awaited: bool = field(init=False)
     watched: bool = field(init=False)
 
     def __post_init__(self) -> None:
-        self.watched = self.runner.source.live
+        self.awaited, self.watched = bool(self.edge.readers), self.runner.source.live
 
     @property
     def queue(self) -> BoundedQueue:
@@ -83,11 +85,6 @@ class IngressPort:
     @property
     def ended(self) -> bool:
         return self.watermark == FOREVER
-
-    @property
-    def awaited(self) -> bool:
-        """Whether anybody waits for what time brings here. Where nobody does, only samples are let in."""
-        return bool(self.edge.readers)
 
     @property
     def minded(self) -> bool:
@@ -209,8 +206,8 @@ class Ingress:
                 self._let_in(self._start.pass_on(queue.owner, queue.owner.runner, *item))
             self._slot.port = None
 
-    def enter(self, port: IngressPort, chunk: Chunk, arrival: int) -> None:
-        """A source's chunk enters the graph, as far as it is admitted, and all that it leads to is done."""
+    def enter(self, port: IngressPort, chunk: Chunk, arrival: int) -> int:
+        """A source's chunk enters the graph, as far as it is admitted, and all that it leads to is done: returns how many ns that took."""
         verdict = admit(chunk, port.watermark, port.owed, arrival, awaited=port.awaited, watched=port.watched)
         port.last = time.monotonic()
         port.silent = port.stale = False
@@ -218,15 +215,17 @@ class Ingress:
             self._tell(port, chunk, verdict.late, verdict.ahead_ns)
         admitted = verdict.chunk
         if admitted is None:
-            return
+            return 0
         if len(admitted.time):
             port.owed = 0
         port.watermark = admitted.until
         self._log.enter(port.number, admitted, arrival)
-        port.edge.send(admitted, perf_counter_ns())
+        start = perf_counter_ns()
+        end = port.edge.send(admitted, start)
         if admitted.until == FOREVER:
             lasting = [p for p in self.ports if not p.runner.source.background]
             self.over = bool(lasting) and all(p.ended for p in lasting)
+        return end - start
 
     def _tell(self, port: IngressPort, chunk: Chunk, late: int, ahead_ns: int) -> None:
         """Report samples that came too late, and, once, stamps that lie ahead of the clock."""
@@ -342,9 +341,7 @@ def _inline(
                 return False
             queue.index += len(chunk.time)
             queue.chunks += 1
-            start = perf_counter_ns()
-            enter(port, chunk, arrival)
-            long = long + 1 if perf_counter_ns() - start > LONG_NS else 0
+            long = long + 1 if enter(port, chunk, arrival) > LONG_NS else 0
         except Exception as error:  # noqa: BLE001 - an operator's, or the engine's own: it ends the session
             fail(error)
             return True

@@ -1,9 +1,11 @@
-"""Several inputs, one order: samples leave in global time order (ties: port order) as far as every input's `until` reaches."""
+"""Several inputs, one order: samples leave in global time order, of equal stamps those of the ports that act last, as far as every input's
+`until` reaches."""
 
 from __future__ import annotations
 
 from bisect import bisect_right
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -31,12 +33,12 @@ class Merge:
         "_until",
     )
 
-    def __init__(self, specs: Specs, *, in_turn: bool = True) -> None:
-        """`specs` by port, in port order. With `in_turn` off, pieces are not cut where another port's samples are due: see `Operator`."""
+    def __init__(self, specs: Specs, *, in_turn: bool = True, acts: Sequence[str] = ()) -> None:
+        """`specs` by port. With `in_turn` off, pieces are not cut where another port's samples are due: see `Operator`, also for `acts`."""
         self._in_turn = in_turn
-        self._ports = list(specs)
-        self._index = {port: i for i, port in enumerate(specs)}
-        self._empty = [empty(spec, NEVER) for spec in specs.values()]
+        self._ports = [*(port for port in specs if port not in acts), *(port for port in acts if port in specs)]
+        self._index = {port: i for i, port in enumerate(self._ports)}
+        self._empty = [empty(specs[port], NEVER) for port in self._ports]
         n = len(specs)
         self._pending: list[deque[Chunk]] = [deque() for _ in range(n)]
         self._start = [0] * n

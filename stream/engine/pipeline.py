@@ -52,7 +52,7 @@ class Stage:
         for edge in self.edges.values():
             edge.strict = not is_ours(self.operator)
         merged = len(specs) > 1 and getattr(self.operator, "in_order", True)
-        self.merge = Merge(specs, in_turn=self.operator.in_turn) if merged else None
+        self.merge = Merge(specs, in_turn=self.operator.in_turn, acts=self.operator.acts) if merged else None
         self.timing = Timing()
         self.feeds: list[LiveEdge] = []
         self.limits: list[LiveEdge | BoundedQueue] = []

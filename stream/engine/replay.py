@@ -1,4 +1,4 @@
-"""Replay: a recording stands in for the sources of the same names; the graph gives what it gave live, bit for bit."""
+"""Replay: a recording replaces the sources of the same names; the graph gives what it gave live, bit for bit."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from stream.engine.substitutes import Substitutes
 from stream.engine.warmup import Compilations, warm_up
 from stream.graph import Edge, Graph
 from stream.graph.suited import refuse_unsuited
+from stream.pace import Pace
 from stream.promise import Inside
 from stream.recording import Recorder, Recording, versions
 from stream.recording.image import is_picture
@@ -83,7 +84,7 @@ class Replay:
     """A graph fed from a recording, on the caller's thread.
 
     speaking   names of the outlets that take part; the others stay silent
-    speed      how many times real time; None: as fast as it goes
+    speed      how many times real time; None: as fast as it goes; or a `Pace`, which others may change meanwhile
     output     record the graph's edges again, into this file or folder
     strict     look at every chunk whether it keeps its node's promises
     """
@@ -94,13 +95,14 @@ class Replay:
         recording: Recording,
         *,
         speaking: Container[str] = (),
-        speed: float | None = None,
+        speed: float | Pace | None = None,
         output: Path | None = None,
         strict: bool = False,
     ) -> None:
         refuse_unsuited(graph)
         self.substitutes = Substitutes.of(graph, recording.streams)
-        self.graph, self.recording, self._speed = self.substitutes.reduced(graph), recording, speed
+        self.graph, self.recording = self.substitutes.reduced(graph), recording
+        self.pace: Pace | None = speed if isinstance(speed, Pace) else Pace(speed) if speed else None
         self.graph.replays = recording.path.name
         self.graph.imported = tuple((recording.header.get("imported") or {}).get("files", ()))
         self._drops = recorded_drops(recording.log)
@@ -119,9 +121,17 @@ class Replay:
         drops = self._drops.get(f"{edge} -> {stage.node.name}.{port}")
         return push if drops is None else lambda chunk, start: push(drops.repeat(chunk), start)
 
+    @property
+    def length_s(self) -> float:
+        """From the first input's arrival to the last one's."""
+        first = next(iter(self.recording.inputs(also=self.substitutes.taken)), None)
+        return (self.recording.end_of_inputs - first[3]) / NS if first else 0.0
+
     def stop(self) -> None:
         """End after the chunk in slot, cleanly."""
         self._stopping = True
+        if self.pace:
+            self.pace.stop()
 
     def observe(self, edge: str, observer: Observer) -> None:
         """Give every chunk of an edge that the graph computes to `observer`; to be said before `run`."""
@@ -140,7 +150,7 @@ class Replay:
         compilations = Compilations()
         began = time.monotonic()
         try:
-            self._feed_all(recorder, progress, result, began, recorded)
+            self._feed_all(recorder, progress, result, recorded)
             self._close()
         finally:
             compilations.stop()
@@ -172,7 +182,6 @@ class Replay:
         recorder: Recorder | None,
         progress: Callable[[float], None],
         result: Replayed,
-        began: float,
         recorded: dict[str, Digest],
     ) -> None:
         entries = {name: edge.send for name, edge in self.pipeline.entries.items()}
@@ -189,8 +198,9 @@ class Replay:
                 continue
             self.sequence, self._arrival = sequence, arrival
             first = arrival if first is None else first
-            if self._speed:
-                self._keep_pace((arrival - first) / NS, began)
+            if self.pace and not self.pace.keep((arrival - first) / NS):
+                result.stopped = True
+                break
             if recorder:
                 recorder.write(numbers[stream], chunk, arrival, sequence)
             send(chunk, perf_counter_ns())
@@ -201,12 +211,6 @@ class Replay:
         else:
             result.seconds = self.recording.duration_ns / NS
             progress(result.seconds)
-
-    def _keep_pace(self, session_s: float, began: float) -> None:
-        assert self._speed
-        ahead = session_s / self._speed - (time.monotonic() - began)
-        if ahead > 0 and not self._stopping:
-            time.sleep(ahead)
 
     def _close(self) -> None:
         """As a live session ends: every source's stream is over, then every operator emits what is pending."""

@@ -16,12 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from stream.chunk import NEVER, Array, Chunk, StreamSpec
+from stream.chunk import NEVER, STAMP, Array, Chunk, StreamSpec
 from stream.filter import FLOW, KernelCall, SampleWise, arguments
 from stream.kernel import compile_written, is_kernel
 from stream.metrics import Timing, add
 from stream.operator import Operator
-from stream.spare import Spare
 
 POSSIBLE = sys.platform == "linux"
 TIMED = 1024
@@ -65,7 +64,6 @@ class Row:
     moves     whether stamps that come out are others than those that came in
     delay_ns  by how much they are earlier
     width     numbers in a sample that comes out
-    spare     arrays for what comes out
     """
 
     def __init__(self, steps: Sequence[KernelCall], widths: Sequence[int]) -> None:
@@ -80,7 +78,6 @@ class Row:
         self.moves = any("stamps" in arguments(step.kernel) for step in steps)
         self.delay_ns = sum(step.delay_ns for step in steps)
         self.width = widths[-1]
-        self.spare = Spare(self.width)
         source = HEAD + "\n".join(self._written()) + "\n"
         self.run: Callable[..., int] = compile_written("run", SIGNATURE, source, [step.kernel for step in steps])
         self.table = np.array(self._cells, np.int64)
@@ -92,12 +89,13 @@ class Row:
         n = len(chunk.time)
         if n > self.room:
             self.grow(n)
-        out, stamps = self.spare.both(self.rows(n) if self.rows else n)
+        m = self.rows(n) if self.rows else n
+        out, stamps = np.empty((m, self.width)), np.empty(m, STAMP) if self.moves else chunk.time
         if self.run(chunk.data, chunk.time, out, stamps, self.table, 0) < 0:
             raise ValueError("its step gives stamps that run backwards, or ahead of what it is given")
         if not len(out):
             return None
-        return Chunk(stamps if self.moves else chunk.time, out, chunk.until - self.delay_ns)
+        return Chunk(stamps, out, chunk.until - self.delay_ns)
 
     def grow(self, n: int) -> None:
         """Make room for chunks of `n` samples."""

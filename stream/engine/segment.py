@@ -28,7 +28,6 @@ from stream.errors import asked_to_end
 from stream.filter import KernelCall
 from stream.metrics import add
 from stream.promise import PromiseError
-from stream.spare import Spare
 
 REST = 7
 """After a passage that was timed, others pass untimed for this many times its length."""
@@ -67,7 +66,7 @@ class CompiledSegment:
         self._timed: list[list[tuple[int, ...]]] = [[] for _ in self.spans]
         self._code = Code(self.edges, self.spans)
         names: dict[str, Any] = {"clock": perf_counter_ns, "Chunk": Chunk, "due": 0, "trouble": self._trouble}
-        names |= {"FOREVER": FOREVER, "STAMP": STAMP, "slot0": edge.slot}
+        names |= {"FOREVER": FOREVER, "STAMP": STAMP, "slot0": edge.slot, "empty": np.empty}
         for i, edge in enumerate(self.edges):
             names |= {f"edge{i}": edge, f"carry{i}": edge.carry, f"dtype{i}": edge.spec.dtype}
             names |= {f"observe{i}_{k}": observe for k, observe in enumerate(edge.observers)}
@@ -83,8 +82,7 @@ class CompiledSegment:
             names |= {f"note{i}": self._timed[i].append}
             if row := span.row:
                 names[f"stray{i}"] = partial(self._stray, span)
-                names |= {f"row{i}": row, f"run{i}": row.run, f"table{i}": row.table, f"spare{i}": row.spare.both}
-                names |= {f"rows{i}": row.rows, f"nothing{i}": Spare(row.width).both(0)}
+                names |= {f"row{i}": row, f"run{i}": row.run, f"table{i}": row.table, f"rows{i}": row.rows}
         names |= {f"push{k}": push for k, push in enumerate(self.edges[-1].readers)}
         exec(compile("\n".join(self._code.lines), f"<segment behind {edge.origin}>", "exec"), names)
         self.send: Push = names["send"]
@@ -200,7 +198,7 @@ class Code:
         if span.ports[0].is_ours:
             return [f"given = process{i}(port{i}, c{a})"]
         return [
-            f"if c{a}.time is not slot.time or c{a}.data is not slot.data:",
+            f"if c{a}.data is not slot.data or c{a}.time is not slot.time:",
             f"    slot.show(c{a})",
             f"shown = Chunk(slot.seen_time, slot.seen_data, c{a}.until, 0)",
             f"given = process{i}(port{i}, shown)",
@@ -245,14 +243,15 @@ class Code:
             *(f"edge{k}.samples += n" for k in range(a + 1, kept)),
             *([f"n = rows{i}(n)"] if row.rows else []),
             *(f"edge{k}.samples += n" for k in range(kept, b)),
-            f"out, stamps = spare{i}(n) if n else nothing{i}" if row.rows else f"out, stamps = spare{i}(n)",
+            f"out = empty((n, {row.width}))",
+            f"stamps = {'empty(n, STAMP)' if row.moves else f'c{a}.time'}",
             f"slot.port = in{i}",
             f"slot.chunk = c{a}",
             f"t{i + 1} = run{i}({given}, {f't{i}' if timed else 0})",
             f"if t{i + 1} < 0:",
             f"    stray{i}(-t{i + 1}, c{a})",
             *(["if not n:", *(f"    {line}" for line in noted), f"    return {end}"] if row.rows else []),
-            f"c{b} = Chunk({'stamps' if row.moves else f'c{a}.time'}, out, {out}, 0)",
+            f"c{b} = Chunk(stamps, out, {out}, 0)",
             f"if edge{b}.owed:",
             *(f"    {line}" for line in noted),
             f"    return carry{b}(c{b}, {end})",

@@ -17,6 +17,7 @@ from queue import SimpleQueue
 
 import structlog
 
+from stream.ceiling import ceiling, refused_beyond
 from stream.chunk import NEVER
 from stream.clock import SessionClock
 from stream.engine.ingress import Ingress
@@ -66,7 +67,7 @@ class Session:
         self._prior = PriorSession(folder, graph) if resume and folder else None
         self.clock = SessionClock(after=self._prior.last_time if self._prior else NEVER)
         self._ready: ReadyQueue = SimpleQueue()
-        self._stopping = self._broken_off = self._down = False
+        self._stopping = self._broken_off = self._down = self.warming = False
         self._error: Exception | None = None
         self._began = self._ran_s = 0.0
         self.table: Table = {}
@@ -93,12 +94,14 @@ class Session:
         self.tell("annotations", f"{self.clock.now() if onset is None else onset} {text}")
 
     def run(self) -> Outcome:
-        """Run until every source has ended, `stop` is called, or something fails; closes everything in every case."""
-        warm_up(self.graph)
+        """Run until every source has ended, `stop` is called, or something fails; closes everything. Raises Interrupted while `warming`."""
+        self.warming = True
+        warm_up(self.graph, lambda: self._stopping)
+        self.warming = False
         self._open()
         compilations = Compilations()
         try:
-            with calm():
+            with calm(), refused_beyond(ceiling(self.graph.memory_mb)):
                 self._begin()
                 self._began = time.monotonic()
                 try:
@@ -106,7 +109,7 @@ class Session:
                 finally:
                     self._ran_s = time.monotonic() - self._began
         except Exception as error:  # noqa: BLE001 - told to the caller in the outcome, after everything is closed
-            self._error = error
+            self._error = self._memory.of(error)
         finally:
             compilations.stop()
             try:

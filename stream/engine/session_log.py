@@ -27,7 +27,7 @@ QUIET = {"device", "source ended", "session resumed", "source reopened"}
 LOSSES = {"late samples dropped", "source queue dropped", DROPPED}
 """Reports that may come with every chunk."""
 TOLD_EVERY_S = 10.0
-"""On the screen, a stream's or queue's losses are told at once, and then so often; the recording keeps each."""
+"""On the screen, a stream's or queue's losses are reported at once, and then so often; the recording keeps each."""
 
 log = structlog.get_logger(__name__)
 
@@ -36,7 +36,7 @@ log = structlog.get_logger(__name__)
 class Loss:
     """What a stream or queue has lost since it was last told on the screen.
 
-    next    when it may be told again (monotonic s)
+    next    when it may be reported again (monotonic s)
     facts   of the first of these losses
     """
 
@@ -51,7 +51,7 @@ class Loss:
         self.samples += facts["samples"]
 
     def told(self, now: float) -> dict[str, Any]:
-        """The facts to be told now, with all samples lost; from here on it is counted anew."""
+        """The facts to be reported now, with all samples lost; from here on it is counted from zero."""
         facts = self.facts | {"samples": self.samples} | ({"times": self.times} if self.times > 1 else {})
         self.next, self.times, self.samples = now + TOLD_EVERY_S, 0, 0
         return facts
@@ -94,6 +94,10 @@ class PriorSession:
     def recorded(self, edge: str) -> int:
         """How many samples of an edge are recorded."""
         return self.recording.last_samples(edge) if edge in self.recording.streams else 0
+
+    def recorded_through(self, edge: str) -> int:
+        """The place in the input log of the last input of which an edge's answer is recorded; -1: of none."""
+        return self.recording.streams[edge].last_sequence if edge in self.recording.streams else -1
 
 
 class SessionLog:
@@ -151,10 +155,11 @@ class SessionLog:
                 edge = pipeline.edges[name]
                 done = self._prior.recorded(name) if self._prior else 0
                 number = self.recorder.add_stream(name, edge.spec, "edge", max(done, edge.samples))
-                edge.observers.append(self._observer(number, max(0, done - edge.samples)))
+                through = self._prior.recorded_through(name) if self._prior else -1
+                edge.observers.append(self._observer(number, max(0, done - edge.samples), through))
 
-    def _observer(self, number: int, skip: int) -> Callable[[Chunk], None]:
-        """Record an edge, but not again the `skip` samples that are recorded already."""
+    def _observer(self, number: int, skip: int, through: int) -> Callable[[Chunk], None]:
+        """Record an edge, but not again the `skip` samples, nor the watermarks up to input `through`, that are recorded already."""
         recorder = self.recorder
         assert recorder
 
@@ -166,6 +171,8 @@ class SessionLog:
                 if skip or n == len(chunk.time):
                     return
                 chunk = chunk.part(n, len(chunk.time))
+            if not len(chunk.time) and self.sequence <= through:
+                return
             recorder.write(number, chunk, self.arrival, self.sequence)
 
         return observe
@@ -185,7 +192,7 @@ class SessionLog:
     def report(self, kind: str, **facts: Any) -> None:
         """Something worth knowing happened: to the log, and into the recording."""
         if kind in LOSSES:
-            with self._losing:  # what a source's queue drops is told on its own thread
+            with self._losing:  # what a source's queue drops is reported on its own thread
                 self._losses.setdefault((kind, facts.get("stream") or facts["queue"]), Loss()).add(facts)
             self._tell_losses(monotonic())
         else:

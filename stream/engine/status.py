@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeAlias
 
 from stream.ceiling import ceiling, taken
 from stream.errors import MemoryExceeded
@@ -15,6 +15,7 @@ from stream.metrics import rounded
 if TYPE_CHECKING:
     from stream.engine.ingress import IngressPort
     from stream.engine.pipeline import Pipeline, Stage
+    from stream.engine.session import Session
     from stream.engine.workers import Workers
     from stream.recording import RecorderStatus
 
@@ -109,6 +110,25 @@ class SessionView(Protocol):
         """Take the newest metrics, once a second; must not wait."""
 
 
+class SessionPage(SessionView, Protocol):
+    """A view that also takes samples, and through which people steer."""
+
+    def attach(self, session: Session) -> None:
+        """Observe what is to be shown; called before the session runs."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *error: object) -> None: ...
+
+
+class Views(list[SessionView]):
+    """Several views as one."""
+
+    def update(self, table: Table) -> None:
+        for view in self:
+            view.update(table)
+
+
 @dataclass(slots=True)
 class Outcome:
     """How a session ended.
@@ -138,8 +158,13 @@ class MemoryWatch:
 
     def exceeded(self) -> MemoryExceeded | None:
         """The error that ends the session; None while all is well. Call it between two chunks."""
-        if not 0 < self._most < (held := taken()):
-            return None
+        return self._error(held) if 0 < self._most < (held := taken()) else None
+
+    def of(self, error: Exception) -> Exception:
+        """What ended the session: a want of memory is reported as such, with whose state has grown; any other error stays as it is."""
+        return self._error(taken()) if isinstance(error, MemoryError) else error
+
+    def _error(self, held: int) -> MemoryExceeded:
         rise = {name: stage.operator.memory_bytes - self._first[name] for name, stage in self._stages.items()}
         worst = max(rise, key=lambda name: rise[name], default="")
         grown = worst and rise[worst] > 1e6

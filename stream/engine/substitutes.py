@@ -1,4 +1,4 @@
-"""What a recording lacks, because its images were not kept, and what stands in for it: edges that were recorded live.
+"""What a recording lacks, because its images were not kept, and what replaces it: edges that were recorded live.
 
 A source's images are stored only where the graph says so (DESIGN). Replay of a session without them cannot compute the nodes that read
 them; but where such a node's output was recorded, it is taken from there, and everything after it is computed as ever.

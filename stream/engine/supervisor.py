@@ -11,9 +11,9 @@ from typing import Generic, Literal, TypeAlias, TypeVar
 
 import structlog
 
-from stream.chunk import FOREVER, NS, Chunk, empty, utc
+from stream.chunk import FOREVER, NS, Chunk, StreamSpec, empty, utc
 from stream.clock import SessionClock
-from stream.engine.admission import conform, ordered
+from stream.engine.admission import conform, is_sound, ordered
 from stream.engine.queues import BoundedQueue, ReadyQueue
 from stream.errors import DeviceError, KinegraphError, RunError, explain, nearest
 from stream.graph import Edge, Node
@@ -256,6 +256,10 @@ class Runner:
             raise DeviceError(
                 f"source {self.node.name!r} gave samples for an output {output!r}, which it has not: {nearest(output, self.node.specs)}"
             )
+        return chunk if is_sound(spec, chunk) else self._mended(spec, chunk, output)
+
+    def _mended(self, spec: StreamSpec, chunk: Chunk, output: str) -> Chunk:
+        """A chunk that is not sound, as the graph can take it."""
         chunk = conform(spec, chunk)
         time, data = chunk.time, chunk.data
         if data.shape != (len(time), *spec.shape):

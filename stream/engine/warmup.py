@@ -7,7 +7,7 @@ whether the operator keeps the promises of its specs.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Any
 
@@ -15,10 +15,11 @@ import numpy as np
 import structlog
 
 from stream.chunk import FOREVER, NS, Chunk, StreamSpec, empty
+from stream.engine.admission import is_sound
 from stream.engine.edge import CallSlot
 from stream.engine.merge import Merge
 from stream.engine.row import step_of
-from stream.errors import GraphError, KinegraphError, asked_to_end, explain
+from stream.errors import GraphError, Interrupted, KinegraphError, asked_to_end, explain, interruption
 from stream.graph import Graph, Node, parts
 from stream.metrics import Timing
 from stream.operator import Emitted, Operator, grid
@@ -30,14 +31,20 @@ SAMPLES = 64
 log = structlog.get_logger(__name__)
 
 
-def warm_up(graph: Graph) -> None:
-    """Compile (or load from the cache) all kernels of a graph, and the engine's own; raises GraphError where an operator breaks its specs'
-    promises."""
+def warm_up(graph: Graph, stopped: Callable[[], bool] = bool) -> None:
+    """Compile (or load from the cache) all kernels of a graph, and the engine's own.
+
+    `stopped` is asked between two nodes. Raises GraphError where an operator breaks its specs' promises, Interrupted once `stopped`: a
+    compiler may make another error of Ctrl-C, or none.
+    """
     timing = Timing()
     timing.durations.append(1)
     timing.read()
+    is_sound(StreamSpec(()), empty(StreamSpec(()), NS))
     seen: set[type[Any]] = set()
     for node in graph.nodes.values():
+        if stopped():
+            raise Interrupted
         if isinstance(node.part, Source):
             node.part.prepare()
         if not isinstance(node.part, Operator) or node.is_outlet:
@@ -47,11 +54,11 @@ def warm_up(graph: Graph) -> None:
                 seen.add(type(node.part))
                 _run_cases(node.part)
             _run_made_up(graph, node)
-        except KinegraphError:
-            raise
         except BaseException as error:
-            if asked_to_end(error):
+            if asked_to_end(error) or isinstance(error, KinegraphError):
                 raise
+            if stopped() or interruption(error):
+                raise interruption(error) or Interrupted() from None
             raise GraphError(
                 f"fails on samples made up to try it: {explain(error)}", path=graph.path, line=node.line, node=node.name
             ) from error
@@ -63,7 +70,7 @@ def _run_cases(part: Operator[Any]) -> None:
         specs = {port: spec for port, (spec, _, _) in case.inputs.items()}
         operator.open(specs)
         take = taking(operator, specs)
-        merge = Merge(specs, in_turn=operator.in_turn)
+        merge = Merge(specs, in_turn=operator.in_turn, acts=operator.acts)
         pieces = [(port, piece) for port, given in case.inputs.items() for piece in _pieces(*given)]
         ends = [
             (port, empty(spec, FOREVER)) for port, spec in specs.items()
@@ -83,7 +90,7 @@ def _run_made_up(graph: Graph, node: Node) -> None:
     specs = graph.input_specs(node)
     promised = operator.open(specs)
     take = taking(operator, specs)
-    merge = Merge(specs, in_turn=operator.in_turn)
+    merge = Merge(specs, in_turn=operator.in_turn, acts=operator.acts)
     given = {port: made_up(spec, SAMPLES) for port, spec in specs.items() if not spec.is_event}
     horizon = max((int(times[-1]) for times, _ in given.values() if len(times)), default=NS)
     pieces = [(port, piece) for port, samples in given.items() for piece in _pieces(specs[port], *samples)]

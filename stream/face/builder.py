@@ -22,6 +22,7 @@ from stream.graph.plan import plan
 from stream.graph.problems import Problems
 from stream.graph.wiring import Wiring
 from stream.graph.yaml_lines import locate, parse
+from stream.html import as_html
 from stream.manual import Annotations
 from stream.operator import Operator
 from stream.params import build, plain
@@ -178,7 +179,7 @@ class GraphBuilder:
         keep      edges that come back; left out: those that the graph records, or else all outputs of operators
         outlets   names of outlets that take part; the others stay silent
         """
-        from stream.face.running import on_arrays, on_recording
+        from stream.face.feeding import on_arrays, on_recording
 
         if isinstance(data, Recording | Path | str):
             return on_recording(self, data, keep, outlets)
@@ -196,6 +197,12 @@ class GraphBuilder:
         if parse(out.getvalue(), "").plain() != document:
             raise GraphError("this graph holds what YAML cannot write")
         return out.getvalue()
+
+    def _repr_html_(self) -> str:
+        """The drawing of `kinegraph draw`, in a notebook."""
+        from stream.graph.drawing import tree
+
+        return as_html(tree(self.check()))
 
     def __repr__(self) -> str:
         rows = [f"  {name}: {type(part).__name__}" for name, part in self.nodes.items()]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from stream.errors import KinegraphError, nearest
+from stream.html import table_html
 from stream.series import Series
 
 
@@ -18,6 +19,10 @@ class Results(dict[str, Series]):
 
     def __missing__(self, name: str) -> Series:
         raise NoSuchOutput(f"no output {name!r} was kept; {nearest(name, self)}")
+
+    def _repr_html_(self) -> str:
+        rows = [(name, len(s), s.spec.describe()) for name, s in self.items()]
+        return table_html(("output", "samples", "of"), rows)
 
     def __repr__(self) -> str:
         rows = [f"  {name}: {len(s.time)} samples of {s.spec.describe()}" for name, s in self.items()]

@@ -37,7 +37,7 @@ class Draft:
 
     @property
     def outputs(self) -> tuple[str, ...] | None:
-        """The names of its outputs; None where they hang on parameters (`devices.binary.Binary`) and one of these is wrong."""
+        """The names of its outputs; None where they depend on parameters (`devices.binary.Binary`) and one of these is wrong."""
         if self.part is not None:
             return self.part.outputs
         return self.kind.outputs or (None if issubclass(self.kind, Source) else ())

@@ -1,6 +1,6 @@
 """From YAML to a checked graph: every name resolved, every parameter built, every spec agreed, before any device opens.
 
-Whatever is wrong is told with file and line, and all of it at once as far as one fault does not hide another.
+Whatever is wrong is reported with file and line, and all of it at once as far as one fault does not hide another.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from stream.graph import Edge, Graph, RecordingOptions
 from stream.graph.draft import Draft, build_from, read_node
 from stream.graph.opening import open_nodes
 from stream.graph.overrides import override, rewrite
+from stream.graph.page_section import read_page
 from stream.graph.parts import import_from
 from stream.graph.problems import Problems
 from stream.graph.shipped import resolve, shipped
@@ -50,7 +51,7 @@ class Settings:
 
 MOST_NODES = 1000
 """A graph with more is refused before any of them is made."""
-SECTIONS = ("session", "record", "recording", "nodes")
+SECTIONS = ("session", "record", "recording", "page", "nodes")
 
 
 def load(
@@ -63,13 +64,19 @@ def load(
     """Read and check a graph; raises GraphError. A bare name that is no file here is that of a shipped graph (`kinegraph configs`).
 
     trusted_only   only what is installed is run, no file beside the graph; it is so for a graph that another user owns
-    recorded    specs of recorded streams by edge name ("board", "treadmill.emg"), which then stand in for the sources' own
+    recorded    specs of recorded streams by edge name ("board", "treadmill.emg"), which then replace the sources' own
     overrides   settings from the command line, {"envelope.cutoff_hz": 10}, which replace what the file says
     """
-    path = resolve(Path(path))
+    path, text = read_text(Path(path))
     trusted_only = trusted_only or is_foreign(path)
+    return load_text(text, path.stem, path=str(path), recorded=recorded, overrides=overrides, trusted_only=trusted_only)
+
+
+def read_text(path: Path) -> tuple[Path, str]:
+    """Where a graph's file is, and what it says; a bare name may be that of a shipped graph. Raises GraphError."""
+    path = resolve(path)
     try:
-        text = path.read_text(encoding="utf-8")
+        return path, path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise GraphError(f"this is not UTF-8 text (byte {error.start})", path=str(path)) from None
     except OSError as error:
@@ -77,7 +84,6 @@ def load(
         there += shipped() if path.parent == Path() else ()
         hint = f"; {nearest(path.name, there)}" if there and not path.exists() else ""
         raise GraphError(f"the graph cannot be read: {error.strerror}{hint}", path=str(path)) from None
-    return load_text(text, path.stem, path=str(path), recorded=recorded, overrides=overrides, trusted_only=trusted_only)
 
 
 def load_text(
@@ -123,6 +129,7 @@ class _Loading:
             if draft:
                 draft.wires = wiring.wires(draft.name, draft.kind, draft.entry.items().get("from"), draft.entry)
         record = self._record(top.get("record"), wiring)
+        page = read_page(self._section(top, "page"), wiring, self._problems)
         nodes = open_nodes(drafts, self._problems, self._recorded)
         self._problems.stop()
         if self._recorded is not None:
@@ -136,6 +143,7 @@ class _Loading:
             memory_mb=settings.memory_mb,
             record=record,
             recording=recording,
+            page=page,
             session=session,
         )
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
 
 from stream.chunk import Specs, StreamSpec
+from stream.graph.page_options import PageOptions
 from stream.operator import Operator, Outlet
 from stream.params import param
 from stream.source import Source
@@ -75,7 +76,8 @@ class Node:
 
 @dataclass(slots=True)
 class Graph:
-    """A checked graph. `nodes` is in topological order; operators in it are opened (scratch), see `fresh_operator`."""
+    """A checked graph. `nodes` is in topological order; its operators have been opened to be checked, and
+    none of them is run: whatever runs the graph opens a `fresh` one of each."""
 
     name: str
     nodes: dict[str, Node]
@@ -87,11 +89,12 @@ class Graph:
     record: tuple[Edge, ...] = ()
     """Edges that are recorded beside the input log; a source's images are only in it if they are named here."""
     recording: RecordingOptions = field(default_factory=lambda: RecordingOptions())
+    page: PageOptions = field(default_factory=PageOptions)
     session: dict[str, Any] = field(default_factory=dict)
     """Free facts about the session that stand in its recording: subject code, speed, side, electrode sites."""
 
     replays: str = ""
-    """The recording that stands in for the sources; "" where they are live."""
+    """The recording that replaces the sources; "" where they are live."""
     imported: tuple[str, ...] = ()
     """The files that this recording was imported from; none if a session left it."""
 

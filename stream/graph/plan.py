@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from stream.ceiling import ceiling
 from stream.chunk import StreamSpec
 from stream.errors import GraphError
-from stream.graph import Graph, Node
+from stream.graph import Edge, Graph, Node
 from stream.operator import Operator
 from stream.source import Source
 
@@ -72,11 +72,25 @@ class Path:
 
 
 @dataclass(frozen=True, slots=True)
+class Decision:
+    """When the events of an output come.
+
+    after_s  how long after what an event describes (its end, else its onset) it comes at the latest, in time of its node's input
+    total_s  the same in time of the source: with the delay of the ways to the node
+    """
+
+    origin: Edge
+    after_s: float
+    total_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Plan:
-    """Every path of a graph, and what all its nodes hold together."""
+    """Every path of a graph, when its events come, and what all its nodes hold together."""
 
     paths: tuple[Path, ...]
     memory_bytes: int
+    decisions: tuple[Decision, ...] = ()
 
     @property
     def slowest(self) -> Path | None:
@@ -90,7 +104,7 @@ def plan(graph: Graph, *, enforce: bool = True) -> Plan:
     if enforce:
         refuse_late(graph, paths)
     refuse_large(graph, steps)
-    return Plan(paths, sum(step.memory_bytes for step in steps.values()))
+    return Plan(paths, sum(step.memory_bytes for step in steps.values()), tuple(_decisions(graph, steps)))
 
 
 def refuse_large(graph: Graph, steps: dict[str, Step]) -> None:
@@ -131,6 +145,24 @@ def _paths(graph: Graph, steps: dict[str, Step]) -> Iterator[Path]:
     for node in graph.nodes.values():
         if node.name not in read and not node.is_source:
             yield from (Path(way) for way in best[node.name].values())
+
+
+def _decisions(graph: Graph, steps: dict[str, Step]) -> Iterator[Decision]:
+    """Of every output whose operator says when its events come."""
+    late: dict[str, float] = {}
+    found: dict[Edge, Decision] = {}
+    for node in graph.nodes.values():
+        waited = max((late[edge.node] for edge in node.inputs.values()), default=0.0)
+        late[node.name] = waited + steps[node.name].delay_s
+        if not isinstance(node.part, Operator):
+            continue
+        came = [found[edge] for edge in node.inputs.values() if edge in found]
+        after_s = max((before.after_s for before in came), default=0.0)
+        total_s = max([waited, *(before.total_s for before in came)])
+        for output, own_s in node.part.decision_s.items():
+            origin = Edge(node.name, output)
+            found[origin] = Decision(origin, after_s + own_s, total_s + own_s)
+            yield found[origin]
 
 
 def _own(way: tuple[Step, ...]) -> float:

@@ -1,4 +1,4 @@
-"""Everything that is wrong with a graph, gathered, so that it is told in one go."""
+"""Everything that is wrong with a graph, gathered, so that it is reported in one go."""
 
 from __future__ import annotations
 

@@ -11,6 +11,7 @@ from typing import Any
 from stream.graph import NodeOptions, RecordingOptions
 from stream.graph.draft import NODE_NAME, OPERATOR_OPTIONS, SOURCE_OPTIONS, parameters_of
 from stream.graph.load import Settings
+from stream.graph.page_options import PageOptions, Panel
 from stream.graph.parts import Part, kind_of
 from stream.operator import Operator
 from stream.params import schema as parameters
@@ -65,6 +66,7 @@ def graph_schema(parts: dict[str, Part]) -> Json:
                     {"type": "null"},
                 ],
             },
+            "page": _page(),
             "nodes": {
                 "type": "object",
                 "minProperties": 1,
@@ -85,6 +87,20 @@ def _settings() -> Json:
     recording = _described(RecordingOptions)
     recording.update(additionalProperties=False, type=["object", "null"])
     return {**properties, "recording": recording}
+
+
+def _page() -> Json:
+    """The section `page:` and its panels."""
+    page, panel = _described(PageOptions), _described(Panel)
+    page.update(additionalProperties=False, type=["object", "null"])
+    edge: Json = {"$ref": "#/$defs/edge"}
+    panel["properties"]["of"] = {
+        "description": "the streams it draws",
+        "oneOf": [edge, {"type": "array", "items": edge}],
+    }
+    panel.update(additionalProperties=False)
+    page["properties"]["panels"] = {"type": ["array", "null"], "items": panel, "description": "what is shown, in order"}
+    return page
 
 
 def _any_node(parts: dict[str, Part]) -> Json:

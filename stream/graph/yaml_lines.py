@@ -1,6 +1,6 @@
 """YAML as plain values that know their line: texts, numbers, switches, lists and mappings, nothing else; never an object.
 
-The text is composed, not constructed: tags that would make objects are refused, names given twice too, and what is no YAML at all is told
+The text is composed, not constructed: tags that would make objects are refused, names given twice too, and what is no YAML is reported
 in a plain sentence with its line.
 """
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any, cast
 
@@ -11,7 +12,7 @@ from mcap.writer import CompressionType, Writer
 
 from stream.chunk import StreamSpec
 from stream.complete import PRIVATE
-from stream.recording import packed
+from stream.recording import overview, packed
 from stream.recording.format import (
     ENCODING,
     FORMAT,
@@ -99,10 +100,12 @@ class FileSegment:
             if os.fstat(self._file).st_nlink == 0 and not self.path.exists():
                 raise FileNotFoundError(errno.ENOENT, "the file was deleted", str(self.path))
 
-    def finish(self, summary: dict[str, Any]) -> None:
-        """Write the end: counts per stream, the index, the footer. Raises OSError; it can be tried again."""
+    def finish(self, summary: dict[str, Any], overviews: Mapping[str, bytes]) -> None:
+        """Write the end: overviews of signals, counts per stream, the index, the footer. Raises OSError; it can be tried again."""
         if not self._finished:
             self._finished = True
+            for name, packed_overview in overviews.items():
+                self._writer.add_attachment(0, 0, overview.NAME + name, overview.MEDIA_TYPE, packed_overview)
             self._writer.add_metadata(SUMMARY, {"streams": dump(summary).decode()})
             self._writer.finish()  # type: ignore[no-untyped-call]
         self.save(sync=True)

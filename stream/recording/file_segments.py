@@ -15,6 +15,7 @@ from stream.complete import private_folder
 from stream.graph import RecordingOptions
 from stream.recording.file_segment import FileSegment
 from stream.recording.format import LOG, METRICS, Kept, Role, table
+from stream.recording.overview import OverviewWriter, overview_of
 from stream.recording.place import part_path
 from stream.recording.quota import keep_quota
 from stream.recording.recorded_stream import RecordedStream
@@ -38,6 +39,7 @@ class Topic:
     channel: int = 0
     tally: RecordedStream | None = None
     frames: bool = False
+    overview: OverviewWriter | None = None
 
 
 class FileSegments:
@@ -54,7 +56,9 @@ class FileSegments:
 
     def declare(self, name: str, spec: StreamSpec, role: Role, kept: Kept = "whole") -> int:
         """A further stream; returns its number (0 and 1 are the log and the metrics)."""
-        self._topics.append(Topic(name, spec, role, kept, tally=RecordedStream(spec, role, kept)))
+        topic = Topic(name, spec, role, kept, tally=RecordedStream(spec, role, kept))
+        topic.overview = overview_of(spec, kept)
+        self._topics.append(topic)
         return len(self._topics) - 1
 
     def declare_frames(self, name: str, kept: Kept) -> int:
@@ -105,7 +109,8 @@ class FileSegments:
         """Write the end of the current file. Raises OSError; it can be tried again."""
         if self._part is None:
             return
-        self._part.finish({t.name: t.tally.to_json() for t in self._topics if t.tally is not None})
+        overviews = {t.name: packed for t in self._topics if t.overview and (packed := t.overview.pack())}
+        self._part.finish({t.name: t.tally.to_json() for t in self._topics if t.tally is not None}, overviews)
         self._closed_bytes += self._part.saved
         self._part = None
         self._number += 1
@@ -131,6 +136,7 @@ class FileSegments:
         self._part, self._declared, self._saves = part, 0, 0
         for topic in self._topics:
             topic.tally = RecordedStream(topic.spec, topic.role, topic.kept) if topic.spec else None
+            topic.overview = overview_of(topic.spec, topic.kept) if topic.spec else None
         self._declare(part)
         for message in self._unsaved:
             self._write(part, *message)
@@ -163,3 +169,5 @@ class FileSegments:
         part.add(topic.channel, log_time, publish_time, batch, body)
         if topic.tally is not None:
             topic.tally.count(table(body))
+        if topic.overview is not None:
+            topic.overview.add(body)

@@ -35,7 +35,8 @@ Kept: TypeAlias = Literal["whole", "image", "packed", "outline"]
 """How a stream's samples are kept: in its messages; as frames beside them, images or packed; or not at all, only when they came."""
 
 HEAD = struct.Struct("<IIq")
-"""Chunks, samples, cumulative index of the first sample."""
+"""Chunks, samples, cumulative index of the first sample. After it come the table (chunks, 5), the stamps (n,), and, where they are kept
+whole, the samples (n, *shape) as the spec's dtype lays them out: see `stream.recording.gathering`."""
 INT = np.dtype("<i8")
 COLUMNS = 5
 """Per chunk: samples, until, lost, arrival, sequence (int64 each)."""
@@ -47,31 +48,6 @@ class Entry(NamedTuple):
     chunk: Chunk
     arrival: int
     sequence: int
-
-
-Logged: TypeAlias = tuple[Chunk, int, int]
-"""The same as a plain tuple, which the recorder's writers make."""
-
-
-def encode(spec: StreamSpec, entries: Sequence[Logged], first: int, kept: Kept = "whole") -> bytes:
-    """One message: HEAD, the table (chunks, 5), the stamps (n,), the samples (n, *shape) as the spec's dtype lays them out.
-
-    Depth frames are messages of their own, before this one, and are left out here; so is what is not kept.
-    """
-    rows = [(len(chunk.time), chunk.until, chunk.lost, arrival, sequence) for chunk, arrival, sequence in entries]
-    head = HEAD.pack(len(rows), sum(row[0] for row in rows), first)
-    table, stamps = np.array(rows, INT), np.concatenate([chunk.time for chunk, _, _ in entries])
-    parts: list[Any] = [head, table, stamps.astype(INT, copy=False)]
-    if kept == "outline":
-        return b"".join(parts)
-    for (chunk, _, _), row in zip(entries, rows, strict=True):
-        if len(chunk.data) != row[0] or chunk.data.shape[1:] != spec.shape:
-            raise ValueError(f"samples of shape {chunk.data.shape[1:]} in a stream of shape {spec.shape}")
-    if kept == "whole":
-        samples = np.concatenate([chunk.data for chunk, _, _ in entries]) if len(entries) > 1 else entries[0][0].data
-        samples = samples.astype(spec.dtype, copy=False)
-        parts.append(samples.tobytes() if spec.dtype.names else np.ascontiguousarray(samples))
-    return b"".join(parts)
 
 
 class Table(NamedTuple):

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Container, Iterator
+from html import escape
+from itertools import takewhile
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
-from stream.chunk import Array, Chunk, Times
-from stream.errors import RecordingError, nearest
+from stream.chunk import FOREVER, NS, Array, Chunk, Times
+from stream.errors import NothingRecorded, RecordingError, nearest
+from stream.html import table_html
 from stream.recording.format import (
     HEAD,
     LOG,
@@ -22,10 +25,12 @@ from stream.recording.format import (
     table,
 )
 from stream.recording.missing import missing_of
+from stream.recording.overview import Overview
 from stream.recording.place import parts_of
 from stream.recording.recorded_file import RecordedFile
 from stream.recording.recorded_stream import RecordedStream
 from stream.recording.records import DAMAGE
+from stream.series import Series
 
 
 class Recording:
@@ -33,6 +38,7 @@ class Recording:
 
     header     of the first part: the graph, versions, the session's facts (as handed to the recorder)
     finished   whether it was closed in order, if need be by the session that resumed it; one left by a killed process is read all the same
+    parts      its files, but for those that were begun and hold nothing
     missing    what is known to be missing where it was not, and its data are not all there; None otherwise
     streams    what was recorded, by name
     """
@@ -65,12 +71,17 @@ class Recording:
         if not paths:
             raise RecordingError(f"{path}: the folder holds no recording (session.0000.mcap is missing)")
         parts: list[RecordedFile] = []
+        begun: NothingRecorded | None = None
         try:
-            for i, part in enumerate(paths):
-                if i and i == len(paths) - 1 and part.stat().st_size == 0:
-                    return cls(path, parts, open_end=True)
-                parts.append(RecordedFile(part))
-            return cls(path, parts)
+            for part in paths:
+                try:
+                    parts.append(RecordedFile(part))
+                    begun = None
+                except NothingRecorded as error:  # killed as the file began: what is before and after it is there
+                    begun = error
+            if not parts and begun:
+                raise begun
+            return cls(path, parts, open_end=begun is not None)
         except BaseException:
             for opened in parts:
                 opened.file.close()
@@ -149,6 +160,20 @@ class Recording:
         """The chunks of one stream, in order."""
         return (entry.chunk for entry in self.entries(name))
 
+    def chunks_from(self, name: str, time: int) -> Iterator[Chunk]:
+        """The chunks of one stream from the one on that holds `time` (ns), or from a little before."""
+        for part in self.parts:
+            stream = part.streams.get(name)
+            if stream is None or stream.kept == "outline" or stream.last is None or stream.last < time:
+                continue
+            for _, _, body, frames in part.messages({name}, part.chunk_at(time, name)):
+                yield from (entry.chunk for entry in self._entries(part, name, body, {}, frames))
+
+    def overviews(self, name: str) -> list[Overview] | None:
+        """What the recorder saw of a signal from afar, of each part that holds any of it; None where one of them has none."""
+        found = [part.overview(name) for part in self.parts if (s := part.streams.get(name)) and s.samples]
+        return [seen for seen in found if seen] if found and all(found) else None
+
     def read(self, name: str) -> tuple[Times, Array]:
         """The whole of a stream: stamps (n,) int64 ns, samples (n, *shape)."""
         spec = self.stream(name).spec
@@ -156,6 +181,36 @@ class Recording:
         times = [np.empty(0, np.int64), *(c.time for c in chunks)]
         data = [np.empty((0, *spec.shape), spec.dtype), *(c.data for c in chunks)]
         return np.concatenate(times), np.concatenate(data)
+
+    def series(self, name: str, start_s: float = 0.0, end_s: float | None = None) -> Series:
+        """A stream from `start_s` to before `end_s`, in seconds after the recording's first input; only that much of the file is read."""
+        stream = self.stream(name)
+        if stream.kept == "outline":
+            return Series.of_chunks(name, stream.spec, self.chunks(name))  # which says why there is nothing
+        begin = self.begin_of_inputs + round(start_s * NS)
+        end = FOREVER if end_s is None else self.begin_of_inputs + round(end_s * NS)
+        chunks = takewhile(lambda chunk: not len(chunk) or chunk.time[0] < end, self.chunks_from(name, begin))
+        whole = Series.of_chunks(name, stream.spec, chunks)
+        low, high = np.searchsorted(whole.time, [begin, end])
+        lost = None if whole.lost is None else whole.lost[low:high]
+        return Series(name, stream.spec, whole.time[low:high], whole.data[low:high], lost)
+
+    def _repr_html_(self) -> str:
+        """What it holds, in a notebook."""
+        rows = [
+            (
+                name,
+                s.role,
+                s.spec.describe(),
+                s.samples,
+                f"{(s.last - s.first) / NS:.1f}" if s.first and s.last else "",
+                s.gaps,
+            )
+            for name, s in self.streams.items()
+        ]
+        table = table_html(("stream", "role", "of", "samples", "seconds", "gaps"), rows)
+        state = "closed in order" if self.finished else "not closed cleanly"
+        return f"<p>{escape(str(self.path))}: {self.duration_ns / NS:.1f} s, {state}</p>{table}"
 
     @property
     def log(self) -> list[dict[str, Any]]:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from struct import Struct
 from typing import Any
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema
+from mcap.records import Attachment, Channel, Schema
 
-from stream.errors import RecordingError
+from stream.errors import NothingRecorded, RecordingError
+from stream.recording import overview
 from stream.recording.format import (
     ENCODING,
     HEADER,
@@ -22,8 +24,12 @@ from stream.recording.format import (
     spec_of,
     table,
 )
+from stream.recording.overview import Overview
 from stream.recording.recorded_stream import RecordedStream
 from stream.recording.records import DAMAGE, RawMessage, Record, RecordFile, declared, messages
+
+_ATTACHMENT = Struct("<QQI")
+"""An attachment begins with two times and the length of its name."""
 
 
 class RecordedFile:
@@ -68,7 +74,7 @@ class RecordedFile:
             whose = f"profile {head.profile!r}" if head.profile else f"written by {head.library!r}"
             raise RecordingError(f"{path}: an MCAP file, but not a kinegraph recording ({whose})")
         if facts is None:
-            raise RecordingError(f"{path}: truncated before anything was recorded; nothing can be recovered from it")
+            raise NothingRecorded(f"{path}: truncated before anything was recorded; nothing can be recovered from it")
         version = facts.get("format", "")
         check_format(int(version) if version.isdigit() else version, path)
         try:
@@ -177,6 +183,22 @@ class RecordedFile:
                 elif number in images:
                     waiting[images[number]].append(body)
 
+    def overview(self, name: str) -> Overview | None:
+        """What the recorder saw of a signal from afar; None where it left nothing, or it is damaged."""
+        wanted = (overview.NAME + name).encode()
+        for record in self.file.records:
+            if record.opcode != Opcode.ATTACHMENT:
+                continue
+            head = self.file.content(record._replace(length=min(record.length, _ATTACHMENT.size + len(wanted))))
+            if len(head) < _ATTACHMENT.size or head[_ATTACHMENT.size :] != wanted:
+                continue
+            try:
+                if _ATTACHMENT.unpack_from(head)[2] == len(wanted):
+                    return overview.unpack(self.file.read(Attachment, record).data, self.streams[name].spec)
+            except (RecordingError, *DAMAGE):
+                return None
+        return None
+
     def chunk_before(self, sequence: int, topics: set[str]) -> int:
         """A chunk of records before which no input comes after `sequence`: found by bisection, for sequences grow."""
         low, high = 0, len(self.chunks)
@@ -192,6 +214,20 @@ class RecordedFile:
         while start > 0 and self._first_batch(start) == batch:
             start -= 1
         return start
+
+    def chunk_at(self, time: int, topic: str) -> int:
+        """A chunk of records before which no sample of `topic` is at or after `time`: found by bisection, for stamps grow."""
+        low, high = 0, len(self.chunks)
+        while low < high:
+            middle = (low + high) // 2
+            first = next(
+                (table(body).times for _, _, body, _ in self.messages({topic}, middle) if len(table(body).times)), None
+            )
+            if first is not None and int(first[0]) < time:
+                low = middle + 1
+            else:
+                high = middle
+        return max(low - 1, 0)
 
     def _first_sequence(self, start: int, topics: set[str]) -> int | None:
         for _, _, body, _ in self.messages(topics, start):

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from stream.chunk import NS, StreamSpec
 from stream.recording.format import Kept, Role, Table
 
@@ -44,23 +46,22 @@ class RecordedStream:
     def count(self, message: Table) -> None:
         """Take a further message into account."""
         table, times, first, _ = message
-        rows = table.tolist()
         if self.chunks and first > self.end:
             self.dropped += first - self.end
             self.gaps += 1
         elif not self.chunks:
             self.begin = first
-        for _, _, lost, _, _ in rows:
-            if lost:
-                self.gaps += 1
-                self.lost += max(lost, 0)
-        self.chunks += len(rows)
+        lost = table[:, 2]
+        if lost.any():
+            self.gaps += int(np.count_nonzero(lost))
+            self.lost += int(lost[lost > 0].sum())
+        self.chunks += len(table)
         self.samples += len(times)
         self.end = first + len(times)
         if len(times):
             self.first = int(times[0]) if self.first is None else self.first
             self.last = int(times[-1])
-        _, self.until, _, self.last_arrival, self.last_sequence = rows[-1]
+        _, self.until, _, self.last_arrival, self.last_sequence = table[-1].tolist()
 
     def follow(self, part: RecordedStream) -> None:
         """Take a further part of the recording into account."""
@@ -85,7 +86,7 @@ class RecordedStream:
     @property
     def rate_hz(self) -> float | None:
         """The rate that was reached, over the whole recording; None below two samples."""
-        return (self.samples - 1) / self.duration_s if self.samples > 1 and self.duration_s > 0 else None
+        return (self.samples - 1) / self.duration_s if self.duration_s > 0 else None
 
     def to_json(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in COUNTED}

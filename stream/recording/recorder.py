@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Event, Thread
-from typing import Any, Self
+from typing import Any, Self, TypeAlias
 
-import numpy as np
+import structlog
 
 from stream.bounded import LEAST
 from stream.chunk import NS, Chunk, StreamSpec
@@ -22,17 +22,18 @@ from stream.recording.packed import Packer
 from stream.recording.place import claim, give_back
 from stream.recording.record_writer import GRACE_S, SPOOL_BYTES, RecordWriter
 from stream.recording.recorder_slot import OVERHEAD, STREAMS, RecorderSlot, RecorderStatus
+from stream.recording.rounds import Round, Rounds
 
 TURN = 0.8
 """So much of `flush_s` the recorder's thread sleeps, unless much comes; then it writes all that came."""
 PATIENCE_S = 0.02
 """How long the recorder waits for a moment at which the session has nothing to do."""
-NOTHING = np.empty(0)
-"""Stands for samples that are not kept; a view of them would hold them in memory."""
 PIECE_BYTES = LEAST // 2
 """A chunk with more is recorded in pieces. Readers unpack more than this of any piece of a file, whatever it packs to."""
-FLUSH = -1
-"""Stands for a stream's number where everything must be written now."""
+Line: TypeAlias = tuple[int, Any, int]
+"""A line of the log (0) or of the metrics (1), and its time (ns)."""
+
+log = structlog.get_logger(__name__)
 
 
 class Recorder:
@@ -61,12 +62,12 @@ class Recorder:
         self._wait, self._limit = wait, queue_bytes
         self._share = self._much = 0
         self._slots = [RecorderSlot(LOG), RecorderSlot(METRICS)]
-        self._queue: SimpleQueue[tuple[int, tuple[Any, int, int], int]] = SimpleQueue()
-        self._first = self._latest = 0
+        self._queue: SimpleQueue[Round | Line | Event] = SimpleQueue()
+        self._rounds = Rounds(self._slots, round(options.gather_s * NS), self._queue.put)
         self._lock, number = claim(path, taken=resume)
         self._segments = FileSegments(path, number, header, options)
         self._stop, self._wake, self._lull = Event(), Event(), Event()
-        self._writer = RecordWriter(path, self._slots, self._segments, options, self._stop, live=not wait)
+        self._writer = RecordWriter(path, self._slots, self._segments, self._stop, live=not wait)
         self._due = time.monotonic()
         self.patient = False
         """Whether the recorder's work is due, and waits a little for a lull in the session's."""
@@ -113,28 +114,24 @@ class Recorder:
         """Hand over a chunk: its arrival (ns of session time) and its place in the input log. An input is copied;
         other arrays are never written again."""
         slot = self._slots[stream]
-        if slot.kept == "outline":
-            chunk = Chunk(chunk.time.copy(), NOTHING, chunk.until, chunk.lost)
-        elif slot.copied:
-            chunk = Chunk(chunk.time.copy(), chunk.data.copy(), chunk.until, chunk.lost)
-        if chunk.data.nbytes + chunk.time.nbytes > PIECE_BYTES:
+        size = 0 if slot.kept == "outline" else chunk.data.nbytes
+        if size + 8 * len(chunk.time) > PIECE_BYTES:
             for piece in _pieces(chunk):
-                self._put(stream, slot, piece, arrival, sequence)
+                self._put(slot, piece.data.nbytes + OVERHEAD, piece, arrival, sequence)
         else:
-            self._put(stream, slot, chunk, arrival, sequence)
+            self._put(slot, size + OVERHEAD, chunk, arrival, sequence)
 
-    def _put(self, stream: int, slot: RecorderSlot, chunk: Chunk, arrival: int, sequence: int) -> None:
+    def _put(self, slot: RecorderSlot, size: int, chunk: Chunk, arrival: int, sequence: int) -> None:
         if slot.put - slot.got > self._much and not self._has_room(slot):
             slot.dropped += 1
             slot.missed += len(chunk.time)
             return
-        slot.put += chunk.data.nbytes + OVERHEAD
-        if arrival > self._latest:
-            self._first = self._first or arrival
-            self._latest = arrival
-        self._queue.put((stream, (chunk, arrival, sequence), slot.missed))
-        if slot.missed:
-            slot.missed = 0
+        try:
+            self._rounds.add(slot, size, chunk, arrival, sequence)
+        except (ValueError, TypeError) as error:
+            slot.refused += 1
+            log.error("a chunk could not be recorded", stream=slot.name, error=str(error))
+            self.log("not recorded", arrival, level="error", stream=slot.name, error=str(error))
 
     def log(self, kind: str, time: int, **facts: Any) -> None:
         """A line of the session's log at `time` (ns): a drop, a gap, a reopened source, an alarm. The fact `level` may be given."""
@@ -150,7 +147,7 @@ class Recorder:
             slot.dropped += 1
             return
         slot.put += OVERHEAD
-        self._queue.put((topic, (what, time, 0), 0))
+        self._queue.put((topic, what, time))
 
     def _has_room(self, slot: RecorderSlot) -> bool:
         """Much of a stream waits: the recorder is woken; whether there is still room for more."""
@@ -164,6 +161,8 @@ class Recorder:
     def _wait_for_room(self) -> bool:
         """Offline, the writer waits; raises RecordingError where the disk refuses for some seconds."""
         well = time.monotonic()
+        if self._wait and self._rounds.size > self._limit:
+            self._rounds.end()
         while self._wait and self._thread.is_alive() and self._is_full():
             now = time.monotonic()
             well = well if self._writer.error else now
@@ -181,7 +180,7 @@ class Recorder:
     def status(self) -> RecorderStatus:
         return RecorderStatus(
             bytes=self._segments.saved,
-            behind_s=max(self._latest - (self._writer.done or self._first), 0) / NS,
+            behind_s=max(self._rounds.newest - (self._writer.done or self._rounds.oldest), 0) / NS,
             dropped={slot.name: lost for slot in self._slots if (lost := slot.dropped + slot.refused)},
             error=self._writer.error,
         )
@@ -193,7 +192,7 @@ class Recorder:
     def flush(self, timeout_s: float = 5.0) -> bool:
         """Wait until everything handed over so far is on the disk itself; returns whether it is. Not for the graph's thread."""
         done = Event()
-        self._queue.put((FLUSH, (done, 0, 0), 0))
+        self._rounds.end(done)
         self._wake.set()
         return done.wait(timeout_s)
 
@@ -244,21 +243,25 @@ class Recorder:
 
     def _turn(self, *, last: bool = False) -> None:
         """Hand the writer what has come, and have it written when it is time."""
-        writer, get = self._writer, self._queue.get_nowait
+        writer, get, here = self._writer, self._queue.get_nowait, Event()
+        if not self._wait or last:
+            self._rounds.end(
+                None if last else here
+            )  # a line of the log never gets to the disk before the chunks that it is about
         while True:
             try:
-                number, what, missed = get()
+                item = get()
             except Empty:
                 break
-            if number >= STREAMS:
-                writer.take(number, what, missed)
-            elif number == FLUSH:
+            if item is here:
+                break
+            if isinstance(item, Round):
+                writer.take(item)
+            elif isinstance(item, Event):
                 writer.sync()
-                what[0].set()
+                item.set()
             else:
-                writer.take_line(number, what[0], what[1])
-        if not self._wait or last:
-            writer.round()
+                writer.take_line(*item)
         writer.report_drops(over=last)
         now = time.monotonic()
         if not self._wait or last or now >= self._due:

@@ -1,17 +1,18 @@
-"""A stream on its way to the recorder's thread, and what is told of the recording from outside."""
+"""A stream on its way to the recorder's thread, and what is known of the recording from outside."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from stream.chunk import StreamSpec
-from stream.recording.format import Kept, Logged
+from stream.recording.format import Kept
+from stream.recording.gathering import Gathering
 from stream.recording.packed import Packer
 
 STREAMS = 2
-"""The number of the first stream's lane, after those of the log and the metrics."""
+"""The number of the first stream's slot, after those of the log and the metrics."""
 OVERHEAD = 400
-"""Bytes that a waiting chunk takes beside its samples."""
+"""Bytes that a waiting chunk, or a line of the log, is taken to need beside its samples."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,13 +35,15 @@ class RecorderStatus:
 class RecorderSlot:
     """A stream (or the log, or the metrics) on its way to the recorder's thread. Each counter has one thread that writes it.
 
-    put, dropped, missed   of the stream's thread: bytes handed over; chunks dropped; samples dropped since the last chunk accepted
-    got, index, refused    of the recorder's thread: bytes taken; index of the next sample; chunks that were not of the stream's spec
-    pending, first         of the recorder's thread: the chunks of the next message, and the index of their first sample
-    kept                   how its samples are kept
-    copied                 whether chunks are copied when they are handed over: what sources gave, before any operator sees it
-    track, frames          where on the tape its chunks go, and its frames if it has any
-    packer                 packs its frames; None: they are kept as images, or not at all
+    put, dropped, missed, index   of the stream's thread: bytes handed over; chunks dropped; samples dropped since the last chunk accepted;
+                                  index of the next sample
+    refused                       also of the stream's thread: chunks that were not of the stream's spec
+    got                           of the recorder's thread: bytes written
+    gathering                     the message that is being gathered; None where nothing has come since the last
+    kept                          how its samples are kept
+    copied                        whether samples are copied when they are handed over: what sources gave, before any operator sees it
+    topic, frames                 in the file: where its chunks go, and its frames if it has any
+    packer                        packs its frames; None: they are kept as images, or not at all
     """
 
     name: str
@@ -51,8 +54,7 @@ class RecorderSlot:
     missed: int = 0
     got: int = 0
     index: int = 0
-    pending: list[Logged] = field(default_factory=list)
-    first: int = 0
+    gathering: Gathering | None = None
     kept: Kept = "whole"
     copied: bool = False
     topic: int = 0

@@ -20,7 +20,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, Metadata, Schema
 
 from stream import bounded
-from stream.errors import RecordingError
+from stream.errors import NothingRecorded, RecordingError
 
 MAGIC = b"\x89MCAP0\r\n"
 DAMAGE = (*bounded.DAMAGE, struct.error, McapError)
@@ -86,7 +86,11 @@ class RecordFile:
         self.size = os.fstat(self._file.fileno()).st_size
         magic = self._file.read(len(MAGIC))
         if not magic:
-            raise RecordingError(f"{self.path}: the file is empty; nothing was written before the session ended")
+            raise NothingRecorded(f"{self.path}: the file is empty; nothing was written before the session ended")
+        if self.size < len(MAGIC) and MAGIC.startswith(magic):
+            raise NothingRecorded(
+                f"{self.path}: truncated before anything was recorded; nothing can be recovered from it"
+            )
         if magic != MAGIC:
             raise RecordingError(
                 f"{self.path}: not an MCAP recording; CSV, NPZ and XDF files are read by `kinegraph import`"

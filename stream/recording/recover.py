@@ -10,10 +10,11 @@ from pathlib import Path
 from mcap.writer import CompressionType
 
 from stream.complete import private_folder
-from stream.errors import RecordingError
+from stream.errors import NothingRecorded, RecordingError
 from stream.recording.file_segment import FileSegment
 from stream.recording.format import LOG, METRICS, encode_log, table
 from stream.recording.missing import Missing, missing_after
+from stream.recording.overview import overview_of
 from stream.recording.place import is_running, part_path, parts_of
 from stream.recording.recorded_file import RecordedFile
 from stream.recording.recorded_stream import RecordedStream
@@ -49,9 +50,12 @@ def rewrite(path: Path, output: Path | None, progress: Callable[[int, int], None
     if not paths:
         raise RecordingError(f"{path}: the folder holds no recording (session.0000.mcap is missing)")
     for number, part in enumerate(paths):
-        if part.stat().st_size == 0 and len(paths) > 1:
+        try:
+            opened = RecordedFile(part, forgiving=True)
+        except NothingRecorded:
+            if len(paths) == 1:
+                raise
             continue
-        opened = RecordedFile(part, forgiving=True)
         missing = missing_after(opened, last=part == paths[-1])
         try:
             if output is not None:
@@ -84,6 +88,7 @@ def _rewrite(
     """Copy every message that can be read to a new file at `path`, say in its log what is `missing`, and end it."""
     part = FileSegment(path, number, old.header, CompressionType.LZ4 if old.images else CompressionType.ZSTD)
     try:
+        overviews = {name: made for name, s in old.streams.items() if (made := overview_of(s.spec, s.kept))}
         tallies = {name: RecordedStream(s.spec, s.role, s.kept) for name, s in old.streams.items()}
         channels = {name: part.declare(name, s.spec, s.role, s.kept) for name, s in old.streams.items()}
         channels |= {topic: part.channel_of(topic) for topic in (LOG, METRICS)}
@@ -101,6 +106,8 @@ def _rewrite(
                     channel = channels[name]
                     if name in tallies:
                         tallies[name].count(table(message.body))
+                    if name in overviews:
+                        overviews[name].add(message.body)
                 else:
                     continue
                 part.add(channel, message.log_time, message.publish_time, message.batch, bytes(message.body))
@@ -112,7 +119,8 @@ def _rewrite(
         if missing and missing != Missing():
             line = encode_log("recovered", newest, {"level": "warning", **missing.to_json()})
             part.add(part.channel_of(LOG), newest, newest, 0, line)
-        part.finish({name: tally.to_json() for name, tally in tallies.items()})
+        packed = {name: body for name, overview in overviews.items() if (body := overview.pack())}
+        part.finish({name: tally.to_json() for name, tally in tallies.items()}, packed)
     except BaseException:
         part.abandon()
         path.unlink(missing_ok=True)

@@ -1,0 +1,164 @@
+"""All of a batch in order: the graph is checked, workers are started, jobs are done, what came of them is collected."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from stream.batch.cluster import LOCAL, workers
+from stream.batch.jobs import Job
+from stream.batch.manifest import JobEntry, Manifest
+from stream.batch.parquet import ROWS, arrow
+from stream.batch.results import write_lists
+from stream.batch.work import Common, do, recorded_edges
+from stream.ceiling import ceiling
+from stream.complete import private_folder
+from stream.errors import KinegraphError, RecordingError
+from stream.graph import Graph
+from stream.graph.plan import plan
+from stream.recording import Recording
+
+WORKER_BYTES = 400_000_000
+"""What a worker takes before it holds anything of a job: Python, numba, the kernels, Arrow."""
+LOOK_S = 1.0
+"""How often it is looked how many workers there are."""
+
+
+@dataclass(slots=True)
+class BatchState:
+    """How a batch stands.
+
+    made     jobs done now, by status ("done", "incomplete", "failed")
+    kept     jobs whose results were there, and depend on nothing that has changed
+    failed, incomplete   what failed, and what is of recordings that broke off, done now or before
+    seconds  of recordings replayed now
+    """
+
+    jobs: int
+    made: Counter[str] = field(default_factory=Counter)
+    kept: int = 0
+    failed: list[JobEntry] = field(default_factory=list)
+    incomplete: list[JobEntry] = field(default_factory=list)
+    seconds: float = 0.0
+
+    @property
+    def finished(self) -> int:
+        return self.kept + sum(self.made.values())
+
+    def add(self, entry: JobEntry, now: bool) -> None:
+        self.kept += not now
+        self.made[entry.status] += now
+        self.seconds += entry.seconds if now else 0.0
+        if entry.failed:
+            self.failed.append(entry)
+        elif entry.status == "incomplete":
+            self.incomplete.append(entry)
+
+
+def batch(
+    common: Common,
+    jobs: Sequence[Job],
+    folder: Path,
+    *,
+    where: str = LOCAL,
+    count: int = 0,
+    retries: int = 1,
+    progress: Callable[[BatchState], None] = lambda tally: None,
+) -> BatchState:
+    """Do all jobs that are not done, into `folder`; what came of each lies there as soon as it is finished.
+
+    count   of workers; 0: as many as there are cores, and memory for (four on a cluster)
+
+    Raises GraphError where the graph suits no recording, KinegraphError where there are no workers or not enough memory.
+    """
+    arrow()
+    private_folder(folder)
+    needed = memory_of(common, jobs)
+    count = number_of_workers(where, count, len(jobs), needed)
+    common.save(folder)
+    tally, manifest = BatchState(len(jobs)), Manifest(folder)
+    progress(tally)
+    try:
+        for entry, now in _done(folder, jobs, manifest, where=where, count=count, needed=needed, retries=retries):
+            tally.add(entry, now)
+            progress(tally)
+    finally:
+        write_lists(manifest)
+    return tally
+
+
+def memory_of(common: Common, jobs: Sequence[Job]) -> int:
+    """Bytes that a worker needs for the largest of these jobs, as planned on the first recording that can be read.
+
+    Raises GraphError where the graph cannot run on it.
+    """
+    combinations = list({job.key: job for job in jobs}.values())
+    for path in dict.fromkeys(job.recording for job in jobs):
+        try:
+            recording = Recording.open(path)
+        except (KinegraphError, OSError):
+            continue
+        with recording:
+            here = [common.graph(recording, job.settings) for job in combinations if job.recording == path]
+            return WORKER_BYTES + max(plan(graph, enforce=False).memory_bytes + _waiting(graph) for graph in here)
+    raise RecordingError("none of the recordings can be read; `kinegraph info RECORDING` says why")
+
+
+def number_of_workers(where: str, asked: int, jobs: int, needed: int) -> int:
+    """How many work at the same time: on this machine, no more than there is memory for. Raises KinegraphError."""
+    if where != LOCAL:
+        return min(asked or 4, jobs)
+    room = ceiling(0) // needed if ceiling(0) else jobs
+    if not room:
+        raise KinegraphError(f"a job needs {needed / 1e6:.0f} MB; {ceiling(0) / 1e6:.0f} MB may be taken here")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(asked or cores, jobs, room))
+
+
+def _waiting(graph: Graph) -> int:
+    """Bytes of rows that wait for the tables."""
+    specs = [graph.nodes[edge.node].specs[edge.output] for edge in recorded_edges(graph)]
+    return sum(ROWS * (spec.sample_bytes + 16) * 2 for spec in specs)
+
+
+def _done(
+    folder: Path, jobs: Sequence[Job], manifest: Manifest, *, where: str, count: int, needed: int, retries: int
+) -> Iterator[tuple[JobEntry, bool]]:
+    """What comes of the jobs, in the order in which they end."""
+    client: Any  # distributed is not typed
+    with workers(where, count, needed, retries) as client:
+        from distributed import as_completed
+
+        waiting, at_work = deque(jobs), dict[str, Job]()
+        finished: Any = as_completed()  # type: ignore[no-untyped-call]
+        places, looked = 0, -math.inf
+        while waiting or at_work:
+            if time.monotonic() - looked > LOOK_S:
+                places, looked = sum(client.nthreads().values()), time.monotonic()
+            while waiting and len(at_work) < max(places, 1):  # no job waits at a worker, to be lost with it
+                job = waiting.popleft()
+                future = client.submit(do, folder.absolute(), job, pure=False)
+                at_work[future.key] = job
+                finished.add(future)
+            future = next(finished)
+            job = at_work.pop(future.key)
+            if future.status == "finished":
+                yield future.result()
+            else:
+                yield _lost(manifest, job, future.exception()), True
+
+
+def _lost(manifest: Manifest, job: Job, error: BaseException | None) -> JobEntry:
+    """A job whose worker died, which could not write what came of it."""
+    died = type(error).__name__ == "KilledWorker"
+    text = "its worker died while it was at work (killed for memory, or crashed)" if died else f"{error}"
+    manifest.forget(job.key)
+    entry = JobEntry(job.key, job.name, job.settings, "failed", "", error=text)
+    manifest.save(entry)
+    return entry

@@ -1,0 +1,33 @@
+"""A JSON file with one object: a calibration, a reference, whatever a person may want to read."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from stream.complete import write_complete
+from stream.errors import KinegraphError
+
+
+def read_json(path: Path, kind: str, error: type[KinegraphError] = KinegraphError, advice: str = "") -> dict[str, Any]:
+    """The object that a file holds; raises `error` for a file that is missing, broken or no object. `kind`: what it must be."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as failed:
+        raise error(f"{path}: cannot be read: {failed.strerror}{advice and '; ' + advice}") from None
+    except (ValueError, RecursionError) as failed:
+        raise error(f"{path}: is no {kind} (not JSON: {failed})") from None
+    if not isinstance(found, dict):
+        raise error(f"{path}: is no {kind} (a JSON {type(found).__name__}, not an object)")
+    return found
+
+
+def write_json(path: Path, record: Mapping[str, Any], error: type[KinegraphError] = KinegraphError) -> None:
+    """Write an object; the file appears when it is complete. Raises `error` where it cannot be written."""
+    text = json.dumps(record, indent=2, allow_nan=False)
+    try:
+        write_complete(path, text + "\n")
+    except OSError as failed:
+        raise error(f"{path}: cannot be written: {failed.strerror}") from None

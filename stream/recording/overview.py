@@ -1,0 +1,140 @@
+"""A recorded signal seen from afar: the least and the greatest value of equal pieces of time, written beside it as it is recorded.
+
+Each file of a recording ends with one MCAP attachment per signal, which other readers pass over:
+
+    u32 length of the header | header, JSON, padded to a multiple of 8 (with the u32) | int64 (n,) numbers of pieces |
+    float32 (n, channels) least values | float32 (n, channels) greatest values; NaN: no finite value
+
+Piece k lasts from k to k + 1 times `width_ns` since 1970; pieces without a sample are not there. A file of before, or of a killed process,
+has none: it has to be read as a whole.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from math import prod
+from struct import Struct
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stream.chunk import StreamSpec, Times
+from stream.recording.format import Kept, table
+
+NAME, MEDIA_TYPE = "kinegraph.overview/", "application/x-kinegraph-overview"
+LEAST_WIDTH_NS = 1 << 26
+SAMPLES_IN_A_PIECE = 16
+MOST_CHANNELS, MOST_GAPS = 64, 1000
+LENGTH = Struct("<I")
+Rows: TypeAlias = NDArray[np.float32]
+
+
+def width_of(spec: StreamSpec) -> int:
+    """How long a piece of a stream's overview is (ns); 0: it has none. It pays for itself where a piece holds many samples."""
+    if not spec.is_signal or not spec.period_ns or prod(spec.shape) > MOST_CHANNELS or spec.dtype.kind not in "fiu":
+        return 0
+    return max(LEAST_WIDTH_NS, 1 << (SAMPLES_IN_A_PIECE * spec.period_ns - 1).bit_length())
+
+
+@dataclass(frozen=True, slots=True)
+class Overview:
+    """pieces    (n,) their numbers, ascending
+    low, high    (n, channels)
+    gaps         where samples are missing (ns): until when there were any, and from when again; at most `MOST_GAPS`
+    """
+
+    width_ns: int
+    pieces: Times
+    low: Rows
+    high: Rows
+    gaps: list[tuple[int, int]]
+
+
+class OverviewWriter:
+    """Takes a signal's messages as they are written. `width_ns` must not be 0."""
+
+    def __init__(self, spec: StreamSpec, width_ns: int) -> None:
+        self._spec, self._width = spec, width_ns
+        self._channels = prod(spec.shape)
+        self._pieces, self._low, self._high = bytearray(), bytearray(), bytearray()
+        self._open: tuple[int, Rows, Rows] | None = None
+        self._before: int | None = None
+        self._gaps: list[tuple[int, int]] = []
+
+    def add(self, body: bytes | memoryview) -> None:
+        """Take the samples of a message."""
+        rows, times, _, start = table(body)
+        if not len(times):
+            return
+        count = len(times) * self._channels
+        data = np.frombuffer(body, self._spec.dtype, count, start).reshape(len(times), self._channels)
+        self._note_gaps(rows, times)
+        piece = times // self._width
+        starts = np.flatnonzero(np.diff(piece, prepend=piece[0] - 1))
+        values = data.astype(np.float32)
+        values[~np.isfinite(values)] = np.nan
+        low, high = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
+        self._append(piece[starts], low, high)
+
+    def _append(self, pieces: Times, low: Rows, high: Rows) -> None:
+        """All but the last piece are complete."""
+        if self._open and self._open[0] == pieces[0]:
+            low[0], high[0] = np.fmin(low[0], self._open[1]), np.fmax(high[0], self._open[2])
+        elif self._open:
+            self._keep(np.array([self._open[0]]), self._open[1], self._open[2])
+        self._keep(pieces[:-1], low[:-1], high[:-1])
+        self._open = int(pieces[-1]), low[-1].copy(), high[-1].copy()
+
+    def _keep(self, pieces: Times, low: Rows, high: Rows) -> None:
+        self._pieces += pieces.astype("<i8").tobytes()
+        self._low += low.astype("<f4").tobytes()
+        self._high += high.astype("<f4").tobytes()
+
+    def _note_gaps(self, rows: Times, times: Times) -> None:
+        first = int(times[0]) if self._before is None else self._before
+        steps = np.diff(times, prepend=first)
+        torn = steps > 2 * self._spec.period_ns
+        begins = np.cumsum(rows[:, 0]) - rows[:, 0]
+        torn[begins[(rows[:, 2] != 0) & (rows[:, 0] > 0)]] = True
+        for i in np.flatnonzero(torn)[: MOST_GAPS - len(self._gaps)]:
+            self._gaps.append((int(times[i] - steps[i]), int(times[i])))
+        self._before = int(times[-1])
+
+    def pack(self) -> bytes:
+        """The attachment; b"" where no sample came."""
+        if self._open:
+            self._keep(np.array([self._open[0]]), self._open[1], self._open[2])
+            self._open = None
+        if not self._pieces:
+            return b""
+        facts = {
+            "width_ns": self._width,
+            "pieces": len(self._pieces) // 8,
+            "channels": self._channels,
+            "gaps": self._gaps,
+        }
+        text = json.dumps(facts).encode()
+        text += b" " * (-(len(text) + LENGTH.size) % 8)
+        return b"".join((LENGTH.pack(len(text)), text, self._pieces, self._low, self._high))
+
+
+def overview_of(spec: StreamSpec, kept: Kept) -> OverviewWriter | None:
+    """What sums up a stream while it is recorded; None for one that has no overview."""
+    width = width_of(spec) if kept == "whole" else 0
+    return OverviewWriter(spec, width) if width else None
+
+
+def unpack(data: bytes, spec: StreamSpec) -> Overview:
+    """What `pack` gave. Raises ValueError, KeyError, TypeError or struct.error for anything else."""
+    end = LENGTH.size + LENGTH.unpack_from(data)[0]
+    facts = json.loads(data[LENGTH.size : end])
+    n, channels, width = facts["pieces"], facts["channels"], facts["width_ns"]
+    if channels != prod(spec.shape) or width < 1 or n < 1 or len(data) != end + n * (8 + 8 * channels):
+        raise ValueError("an overview of another size")
+    pieces = np.frombuffer(data, "<i8", n, end).astype(np.int64)
+    if (np.diff(pieces) <= 0).any():
+        raise ValueError("an overview whose pieces are out of order")
+    low, high = np.frombuffer(data, "<f4", 2 * n * channels, end + 8 * n).astype(np.float32).reshape(2, n, channels)
+    return Overview(width, pieces, low, high, [(int(a), int(b)) for a, b in facts["gaps"]][:MOST_GAPS])
