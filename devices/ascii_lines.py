@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
 import structlog
 
-from devices.clocks.clock_log import ClockLog
 from devices.clocks.device_clock import ClockState
-from devices.clocks.packet_clock import Packets
 from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
-from devices.clocks.stamps import Stamps, runs
+from devices.clocks.stamps import Stamps, chunks, tell_losses, tell_problems
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols.ascii_lines import LineDecoder
-from devices.transport.handshake import all_there, shown
-from devices.transport.transport import Transport, connect, present
-from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
-from stream.errors import DeviceError, ParameterError
+from devices.transport.handshake import shown
+from devices.transport.serial_source import SerialSource
+from devices.transport.transport import Transport
+from stream.chunk import NS, Array, Samples, Specs, StreamSpec
+from stream.errors import ParameterError
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed
 
 NS_PER = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": NS}
 HEADER_S = 5.0
@@ -33,7 +29,7 @@ log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class AsciiLines(Source):
+class AsciiLines(SerialSource):
     """Numbers in lines of text, one sample a line.
 
     out      (channels,) float64: every column that is neither the device's time nor its counter, times `scale`, plus `offset`, in `units`
@@ -59,10 +55,10 @@ class AsciiLines(Source):
     time: str = param("", help="the column that holds the device's time")
     time_unit: Literal["ns", "us", "ms", "s"] = param("us", help="unit of that column")
     time_bits: int = param(
-        32, least=0, most=64, help="after how many bits the time begins anew (micros() and millis(): 32); 0: never"
+        32, least=0, most=64, help="after how many bits the time starts again (micros() and millis(): 32); 0: never"
     )
     counter: str = param("", help="the column that counts lines")
-    counter_bits: int = param(16, least=1, most=32, help="after how many bits the counter begins anew")
+    counter_bits: int = param(16, least=1, most=32, help="after how many bits the counter starts again")
     rate_hz: float | None = param(None, above=0, help="lines per second; left out: irregular")
     start: str = param("", help='sent when the port has been opened, e.g. "b\\n"')
     stop: str = param("", help="sent before it is closed")
@@ -100,83 +96,28 @@ class AsciiLines(Source):
                 )
         if self.counter and not self.rate_hz:
             raise ParameterError(
-                "rate_hz", self.rate_hz, "given with `counter`: it tells how often the counter has begun anew"
+                "rate_hz", self.rate_hz, "given with `counter`: it tells how often the counter has started again"
             )
         if not self.delimiter or self.delimiter in "\r\n.+-#" or self.delimiter.isalnum():
             raise ParameterError("delimiter", self.delimiter, "what stands between numbers, as ',' ';' ' ' or a tab")
 
-    @contextmanager
-    def simulated(self) -> Iterator[Source]:
-        from devices.simulators.ascii_lines import SimulatedAsciiLines as Simulated
+    def greet(self, link: Transport, feed: Feed) -> LinesReading:
+        if self.start:
+            link.write(self.start.encode())
+        return LinesReading(self)
 
-        device = Simulated(
-            columns=self.columns,
-            delimiter=self.delimiter,
-            header=self.header,
-            rate_hz=self.rate_hz or 100.0,
-            time=self.time,
-            time_unit=self.time_unit,
-            counter=self.counter,
-            counter_bits=self.counter_bits,
-        )
-        with device.serving() as address:
-            yield replace(self, port=address)
-
-    def present(self) -> bool | None:
-        return present(self.port)
-
-    def read(self, feed: Feed) -> None:
-        with connect(self.port, self.baud) as link:
-            if self.start:
-                link.write(self.start.encode())
-            try:
-                self._stream(link, feed)
-            finally:
-                if self.stop:
-                    with suppress(DeviceError):
-                        link.write(self.stop.encode())
-
-    def _stream(self, link: Transport, feed: Feed) -> None:
-        decoder = LineDecoder(self.columns, self.delimiter, self.header)
-        stream = _Stream(self)
-        opened, clock_log = time.monotonic(), ClockLog(self.port, feed, lambda: stream.clock)
-        seen, came = False, b""
-        while not feed.stopped:
-            data = link.read(0.1)
-            if len(data) > 1000:
-                data = all_there(link, data)
-            lines = decoder.feed(data)
-            if lines.rejected:
-                feed.problem("bad line", lines.rejected)
-                log.debug("bad line", port=self.port, line=lines.example.decode("ascii", "replace"))
-            if len(lines.rows):
-                seen = True
-                stream.pass_on(lines.rows, feed)
-                clock_log.tell()
-            elif not seen:
-                came = (came + data)[-64:]
-                self._check_beginning(time.monotonic() - opened, bool(decoder.names), came)
-
-    def _check_beginning(self, waited_s: float, has_header: bool, came: bytes) -> None:
-        """Raise DeviceError where what was expected has not come in time."""
-        names = self.delimiter.join(self.columns)
-        if not has_header and waited_s > HEADER_S:
-            raise DeviceError(
-                f"no header from {self.port} within {HEADER_S:g} s: expected a line that names {names}; came {shown(came)}"
-                " (an Arduino prints it when it is reset; or leave `header` out)"
-            )
-        if has_header and came and waited_s > FIRST_LINE_S + (self.chunk_s and 2 * self.chunk_s):
-            raise DeviceError(
-                f"no good line from {self.port} within {waited_s:.0f} s: expected {len(self.columns)} numbers, {names};"
-                f" came {shown(came)} (is baud {self.baud} right?)"
-            )
+    def rest(self, link: Transport, feed: Feed) -> None:
+        if self.stop:
+            link.write(self.stop.encode())
 
 
-class _Stream:
-    """Rows to samples: what is remembered between two reads."""
+class LinesReading:
+    """Rows to samples."""
 
     def __init__(self, of: AsciiLines) -> None:
         columns = of.columns
+        self._of, self._decoder, self._seen = of, LineDecoder(columns, of.delimiter, of.header), False
+        self._row: Samples | None = None
         self._time = columns.index(of.time) if of.time else None
         self._counter = columns.index(of.counter) if of.counter else None
         self._data = [columns.index(name) for name in of.channels]
@@ -197,29 +138,59 @@ class _Stream:
 
     @property
     def clock(self) -> ClockState | None:
-        """What is known of the device's clock; None if it has none."""
         return self._stamps.state
 
-    def pass_on(self, rows: Samples, feed: Feed) -> None:
-        """Emit what a read has brought."""
+    def wrong(self, silent_s: float, came: bytes) -> str:
+        """Once there has been a good line, silence is for the engine to judge."""
+        of, names = self._of, self._of.delimiter.join(self._of.columns)
+        if self._seen:
+            return ""
+        if not self._decoder.names and silent_s > HEADER_S:
+            return (
+                f"no header from {of.port} within {HEADER_S:g} s: expected a line that names {names}; came {shown(came)}"
+                " (an Arduino prints it when it is reset; or leave `header` out)"
+            )
+        if self._decoder.names and came and silent_s > FIRST_LINE_S + (of.chunk_s and 2 * of.chunk_s):
+            return (
+                f"no good line from {of.port} within {silent_s:.0f} s: expected {len(of.columns)} numbers, {names};"
+                f" came {shown(came)}" + (f" (is baud {of.baud} right?)" if "://" not in of.port else "")
+            )
+        return ""
+
+    def take(self, data: bytes, feed: Feed) -> int:
+        lines = self._decoder.feed(data)
+        if lines.rejected:
+            feed.problem("bad line", lines.rejected)
+            log.debug("bad line", port=self._of.port, line=lines.example.decode("ascii", "replace"))
+        if len(lines.rows):
+            self._seen = True
+            self._emit(lines.rows, feed)
+        return len(lines.rows)
+
+    def _emit(self, rows: Samples, feed: Feed) -> None:
         rows = self._sound(rows, feed)
         if not len(rows):
             return
         arrival = feed.now()
         device = None if self._time is None else np.round(rows[:, self._time] * self._ns).astype(np.int64)
         counter = None if self._counter is None else rows[:, self._counter].astype(np.int64) % (1 << self._bits)
-        packets = self._stamps.take(len(rows), arrival, device, counter)
-        self._count(rows, packets, feed)
-        missing = int(packets.lost.clip(0).sum()) if counter is not None else 0
-        if hz := self._rate.see(len(packets.stamp), missing, arrival, feed, device):
+        packets = self._stamps.take(len(rows), arrival, device, counter, self._again(rows))
+        missing = tell_losses(packets, feed, "lost line", "device restarted")
+        tell_problems(feed, repeated_line_or_wrong_time=len(rows) - len(packets.stamp))
+        if hz := self._rate.see(len(packets.stamp), missing * (counter is not None), arrival, feed, device):
             self._stamps.follow(hz)
         if not len(packets.stamp):
             return
         data = rows[packets.kept][:, self._data] * self._scale + self._offset
-        for start, stop in runs(packets.lost):
-            times = packets.stamp[start:stop]
-            feed.emit(Chunk(times, data[start:stop], int(times[-1]), int(packets.lost[start])))
+        for chunk in chunks(packets.stamp, packets.lost, data):
+            feed.emit(chunk)
         feed.emit(timing_chunk(packets.number, packets.device, arrival, packets.stamp), "timing")
+
+    def _again(self, rows: Samples) -> Array:
+        """(n,) Whether each row is the one before it."""
+        before = np.concatenate([rows[:1] + np.nan if self._row is None else self._row, rows])[:-1]
+        self._row = rows[-1:].copy()
+        return np.asarray((before == rows).all(axis=1))
 
     def _sound(self, rows: Samples, feed: Feed) -> Samples:
         """The rows whose time and counter are numbers."""
@@ -228,12 +199,3 @@ class _Stream:
         if not good.all():
             feed.problem("bad line", int((~good).sum()))
         return rows[good]
-
-    def _count(self, rows: Samples, packets: Packets, feed: Feed) -> None:
-        missing = int(packets.lost.clip(0).sum())
-        if missing:
-            feed.problem("lost line", missing)
-        if (packets.lost < 0).any():
-            feed.problem("device restarted")
-        if len(packets.stamp) < len(rows):
-            feed.problem("repeated line or wrong time", len(rows) - len(packets.stamp))

@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 import structlog
 
-from devices.clocks.clock_log import ClockLog
+from devices.clocks.device_clock import ClockState
 from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.short_counter import ShortCounter
-from devices.clocks.stamps import runs
+from devices.clocks.stamps import chunks, tell_losses, tell_problems
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import bitalino as protocol
 from devices.protocols.bitalino import GAINS, BitalinoDecoder, BitalinoFrames, Sensor
-from devices.transport.handshake import all_there, answer, quiet, shown
-from devices.transport.transport import Transport, connect, present
-from stream.chunk import Chunk, Specs, StreamSpec
+from devices.transport.handshake import answer, quiet, shown, silence
+from devices.transport.serial_source import SerialSource
+from devices.transport.transport import Transport
+from stream.chunk import Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed
 
 ANSWER_S = 3.0
 PAUSE_S = 0.1
@@ -47,7 +46,7 @@ class BitalinoChannel:
 
 
 @dataclass(frozen=True, slots=True)
-class Bitalino(Source):
+class Bitalino(SerialSource):
     """A BITalino (r)evolution, which is told to send `channels` at `rate_hz`.
 
     analog    (channels,) float64, in each sensor's unit, by its data sheet
@@ -93,31 +92,7 @@ class Bitalino(Source):
             "timing": timing_spec(),
         }
 
-    @contextmanager
-    def simulated(self) -> Iterator[Source]:
-        from devices.simulators.bitalino import SimulatedBitalino as Simulated
-
-        with Simulated(sensors=tuple(channel.sensor for channel in self._all_inputs())).serving() as address:
-            yield replace(self, port=address)
-
-    def _all_inputs(self) -> list[BitalinoChannel]:
-        known = {channel.input: channel for channel in self.channels}
-        return [known.get(name, BitalinoChannel(name)) for name in ("A1", "A2", "A3", "A4", "A5", "A6")]
-
-    def present(self) -> bool | None:
-        return present(self.port)
-
-    def read(self, feed: Feed) -> None:
-        with connect(self.port) as link:
-            self._greet(link, feed)
-            try:
-                self._stream(link, feed)
-            finally:
-                with suppress(DeviceError):
-                    link.write(protocol.STOP)
-
-    def _greet(self, link: Transport, feed: Feed) -> None:
-        """Bring the device to rest and ask who it is; raises DeviceError if it is not there."""
+    def greet(self, link: Transport, feed: Feed) -> BitalinoReading:
         link.write(protocol.STOP)
         quiet(link, feed, PAUSE_S, 2.0)
         link.write(protocol.VERSION)
@@ -132,6 +107,10 @@ class Bitalino(Source):
         link.write(protocol.rate_command(self.rate_hz))
         feed.wait(PAUSE_S)
         link.write(protocol.start_command([int(channel.input[1]) for channel in self.ordered]))
+        return BitalinoReading(self)
+
+    def rest(self, link: Transport, feed: Feed) -> None:
+        link.write(protocol.STOP)
 
     def _battery(self, link: Transport, feed: Feed, version: str) -> dict[str, float]:
         """The battery's voltage, from a device that tells it; those before (r)evolution do not."""
@@ -142,56 +121,46 @@ class Bitalino(Source):
         volts = protocol.battery_v(came, size)
         return {} if volts is None else {"battery_v": round(volts, 2)}
 
-    def _stream(self, link: Transport, feed: Feed) -> None:
-        decoder, stream = BitalinoDecoder(len(self.channels)), _Stream(self)
-        patience = SILENCE_S + 2 * protocol.AGREE / self.rate_hz
-        heard, clock_log = time.monotonic(), ClockLog(self.port, feed, lambda: stream.counter.state)
-        strange = b""
-        while not feed.stopped:
-            data = link.read(0.1)
-            now = time.monotonic()
-            if data and now - heard > 0.1:
-                data = all_there(link, data)
-            frames = decoder.feed(data)
-            if frames.dropped:
-                feed.problem("bytes that are no frame", frames.dropped)
-            if frames.resyncs:
-                feed.problem("resync", frames.resyncs)
-            if len(frames):
-                stream.pass_on(frames, feed)
-                heard, strange = now, b""
-            else:
-                strange = (strange + data)[:64]
-            if now - heard > patience:
-                size = protocol.size_of(len(self.channels))
-                raise DeviceError(
-                    f"no frame from {self.port} for {patience:g} s: expected {size} bytes with a right CRC; came {shown(strange)}"
-                )
-            clock_log.tell()
 
-
-class _Stream:
-    """Frames to samples: what is remembered between two reads."""
+class BitalinoReading:
+    """Frames to samples."""
 
     def __init__(self, of: Bitalino) -> None:
-        self.counter = ShortCounter(4, of.rate_hz, of.latency_s)
+        self._port, self._size = of.port, protocol.size_of(len(of.channels))
+        self._patience_s = SILENCE_S + 2 * protocol.AGREE / of.rate_hz
+        self._decoder = BitalinoDecoder(len(of.channels))
+        self._counter = ShortCounter(4, of.rate_hz, of.latency_s)
         parts = [GAINS[channel.sensor] for channel in of.ordered]
         self._scale, self._zero = np.array([p[0] for p in parts]), np.array([p[1] for p in parts])
         self._rate = RateCheck(of.port, float(of.rate_hz), of.rate_mismatch, counted=True)
         self._full = np.array([1 << bits for bits in protocol.widths(len(parts))], float)
 
-    def pass_on(self, frames: BitalinoFrames, feed: Feed) -> None:
-        """Emit what a read has brought."""
+    @property
+    def clock(self) -> ClockState:
+        return self._counter.state
+
+    def wrong(self, silent_s: float, came: bytes) -> str:
+        expected = f"{self._size} bytes with a right CRC"
+        return silence("frame", self._port, silent_s, self._patience_s, expected, came)
+
+    def take(self, data: bytes, feed: Feed) -> int:
+        frames = self._decoder.feed(data)
+        tell_problems(feed, bytes_that_are_no_frame=frames.dropped, resync=frames.resyncs)
+        if len(frames):
+            self._emit(frames, feed)
+        return len(frames)
+
+    def _emit(self, frames: BitalinoFrames, feed: Feed) -> None:
         arrival = feed.now()
-        packets = self.counter.take(frames.sequence, arrival)
-        if missing := int(packets.lost.sum()):
-            feed.problem("lost frame", missing)
+        packets = self._counter.take(frames.sequence, arrival)
+        missing = tell_losses(packets, feed, "lost frame", "counter reset")
         if hz := self._rate.see(len(packets.stamp), missing, arrival, feed):
-            self.counter.follow(hz)
+            self._counter.follow(hz)
         analog = (frames.counts / self._full - self._zero) * self._scale
         digital = frames.digital.astype(np.float64)
-        for start, stop in runs(packets.lost):
-            times, lost = packets.stamp[start:stop], int(packets.lost[start])
-            feed.emit(Chunk(times, analog[start:stop], int(times[-1]), lost), "analog")
-            feed.emit(Chunk(times, digital[start:stop], int(times[-1]), lost), "digital")
+        for first, second in zip(
+            chunks(packets.stamp, packets.lost, analog), chunks(packets.stamp, packets.lost, digital), strict=True
+        ):
+            feed.emit(first, "analog")
+            feed.emit(second, "digital")
         feed.emit(timing_chunk(packets.number, packets.device, arrival, packets.stamp), "timing")

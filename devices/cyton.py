@@ -2,38 +2,40 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from devices.clocks.clock_log import ClockLog
+from devices.clocks.device_clock import ClockState
 from devices.clocks.packet_clock import PacketClock, Packets
 from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
-from devices.clocks.stamps import runs
+from devices.clocks.stamps import chunks, tell_losses, tell_problems
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import cyton as protocol
 from devices.protocols.cyton import ChannelSetting, CytonDecoder, CytonFrames
-from devices.transport.handshake import all_there, answer, quiet, shown
-from devices.transport.transport import Transport, connect, present
+from devices.transport.handshake import answer, quiet, silence
+from devices.transport.serial_source import SerialSource
+from devices.transport.transport import Transport
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed
 
 PACKETS_HZ = 250.0
 ACCEL_HZ = 25.0
 SILENCE_S = 2.0
-"""A board that was streaming and says nothing for so long is asked anew."""
+"""A board that was streaming and says nothing for so long is asked again."""
 ANSWER_S = 5.0
+ASIDE_S = 1.0
+"""How long an answer may take that not every board gives."""
+SENDING_S = 0.05
+"""A board that sends has sent something within this."""
 BOARD_RATE = "set the board's firmware back (command '~6')"
 
 
 @dataclass(frozen=True, slots=True)
-class Cyton(Source):
+class Cyton(SerialSource):
     """An OpenBCI Cyton (8 channels at 250 Hz) or Cyton+Daisy (16 channels at 125 Hz) on the serial port of its dongle.
 
     emg      (8,) or (16,) float64, uV at the electrodes, by each channel's gain
@@ -83,29 +85,10 @@ class Cyton(Source):
             "timing": timing_spec(),
         }
 
-    @contextmanager
-    def simulated(self) -> Iterator[Source]:
-        from devices.simulators.cyton import SimulatedCyton as Simulated
-
-        with Simulated(daisy=self.daisy).serving() as address:
-            yield replace(self, port=address)
-
-    def present(self) -> bool | None:
-        return present(self.port)
-
-    def read(self, feed: Feed) -> None:
-        with connect(self.port) as link:
-            self._greet(link, feed)
-            try:
-                self._stream(link, feed)
-            finally:
-                with suppress(DeviceError):
-                    link.write(protocol.STOP)
-
-    def _greet(self, link: Transport, feed: Feed) -> None:
-        """Bring the board to a known state; raises DeviceError if it is not there, or not this one."""
-        link.write(protocol.STOP)
-        quiet(link, feed, 0.05, 1.0)
+    def greet(self, link: Transport, feed: Feed) -> CytonReading:
+        if link.read(SENDING_S):  # it was left running
+            link.write(protocol.STOP)
+            quiet(link, feed, SENDING_S, 1.0)
         link.write(protocol.SOFT_RESET)
         text = answer(
             link,
@@ -124,47 +107,46 @@ class Cyton(Source):
         feed.identify("OpenBCI Cyton+Daisy" if has_daisy else "OpenBCI Cyton", port=self.port, **_identity(text))
         if has_daisy:
             self._ask(link, feed, protocol.WITH_DAISY if self.daisy else protocol.ONLY_BOARD)
-        self._ask(link, feed, protocol.DEFAULTS)
+        self._restore_defaults(link, feed)
         for setting in self.settings:
             self._ask(link, feed, setting.command)
+        link.write(protocol.START)
+        return CytonReading(self)
+
+    def rest(self, link: Transport, feed: Feed) -> None:
+        link.write(protocol.STOP)
+
+    def _restore_defaults(self, link: Transport, feed: Feed) -> None:
+        """The reset has set them already: an emulator that knows no such command is read as it is."""
+        link.write(protocol.DEFAULTS)
+        try:
+            text = answer(link, feed, until=protocol.ENDING, within_s=ASIDE_S, expected="")
+        except DeviceError:
+            if feed.stopped:
+                raise
+            feed.problem("no answer to 'd'")
+            return
+        self._check_obeyed(protocol.DEFAULTS, text)
 
     def _ask(self, link: Transport, feed: Feed, command: bytes) -> None:
         """Send a command; raises DeviceError unless the board says that it was done."""
         link.write(command)
         expected = f"an answer to {command.decode()!r} ending in '$$$'"
         text = answer(link, feed, until=protocol.ENDING, within_s=ANSWER_S, expected=expected)
+        self._check_obeyed(command, text)
+
+    @staticmethod
+    def _check_obeyed(command: bytes, text: bytes) -> None:
         if b"Failure" in text:
             raise DeviceError(f"the board refused {command.decode()!r}: {text.decode('ascii', 'replace').strip()}")
 
-    def _stream(self, link: Transport, feed: Feed) -> None:
-        decoder, stream = CytonDecoder(), _Stream(self)
-        link.write(protocol.START)
-        heard, clock_log = time.monotonic(), ClockLog(self.port, feed, lambda: stream.clock.state)
-        strange = b""
-        while not feed.stopped:
-            data = link.read(0.1)
-            now = time.monotonic()
-            if data and now - heard > 0.1:
-                data = all_there(link, data)
-            frames = decoder.feed(data)
-            if len(frames):
-                stream.pass_on(frames, feed)
-                heard, strange = now, b""
-            else:
-                strange = (strange + data)[:64]
-            _count(frames, feed)
-            if now - heard > SILENCE_S:
-                raise DeviceError(
-                    f"no packet from {self.port} for {SILENCE_S:g} s: expected 33 bytes from A0 to C0; came {shown(strange)}"
-                )
-            clock_log.tell()
 
-
-class _Stream:
-    """Packets to samples: what is remembered between two reads."""
+class CytonReading:
+    """Packets to samples."""
 
     def __init__(self, of: Cyton) -> None:
-        self.clock = PacketClock(8, PACKETS_HZ, of.latency_s)
+        self._port = of.port
+        self._decoder, self._clock = CytonDecoder(), PacketClock(8, PACKETS_HZ, of.latency_s)
         self._rate = RateCheck(of.port, PACKETS_HZ, of.rate_mismatch, setting=BOARD_RATE, counted=True)
         self._daisy = of.daisy
         gains = {setting.channel: setting.gain for setting in of.settings}
@@ -175,46 +157,44 @@ class _Stream:
         self._accelerated = 0
         self._unknown = False
 
-    def pass_on(self, frames: CytonFrames, feed: Feed) -> None:
-        """Emit what a read has brought."""
+    @property
+    def clock(self) -> ClockState:
+        return self._clock.state
+
+    def wrong(self, silent_s: float, came: bytes) -> str:
+        return silence("packet", self._port, silent_s, SILENCE_S, "33 bytes from A0 to C0", came)
+
+    def take(self, data: bytes, feed: Feed) -> int:
+        frames = self._decoder.feed(data)
+        if len(frames):
+            self._emit(frames, feed)
+        tell_problems(feed, bytes_that_are_no_packet=frames.dropped, resync=frames.resyncs)
+        return len(frames)
+
+    def _emit(self, frames: CytonFrames, feed: Feed) -> None:
         arrival = feed.now()
-        packets = self.clock.take(frames.counter, arrival)
+        packets = self._clock.take(frames.counter, arrival)
         repeated = len(frames) - len(packets.number)
-        if repeated:
-            feed.problem("repeated packet", repeated)
+        tell_problems(feed, repeated_packet=repeated)
         if not len(packets.number):
             return
-        gaps = bool(packets.lost.any())
-        missing = int(packets.lost.clip(0).sum()) if gaps else 0
+        missing = tell_losses(packets, feed, "lost packet", "counter reset")
         if hz := self._rate.see(len(packets.number), missing, arrival, feed):
-            self.clock.follow(hz)
-        if gaps:
-            self._tell_gaps(packets, feed)
-        self._emg(packets, frames.counts[packets.kept] if repeated else frames.counts, gaps, feed)
+            self._clock.follow(hz)
+        self._emg(packets, frames.counts[packets.kept] if repeated else frames.counts, feed)
         self._accel(frames, packets, feed)
-        missing = _all_lost(packets.lost) if gaps else 0
+        missing = -1 if (packets.lost < 0).any() else missing
         feed.emit(timing_chunk(packets.number, packets.device, arrival, packets.stamp, missing), "timing")
 
-    def _tell_gaps(self, packets: Packets, feed: Feed) -> None:
-        missing = int(packets.lost.clip(0).sum())
-        if missing:
-            feed.problem("lost packet", missing)
-        if (packets.lost < 0).any():
-            feed.problem("counter reset")
-
-    def _emg(self, packets: Packets, counts: Samples, gaps: bool, feed: Feed) -> None:
+    def _emg(self, packets: Packets, counts: Samples, feed: Feed) -> None:
         stamp, lost = packets.stamp, packets.lost
         if self._daisy:
             stamp, lost, counts = self._samples(packets, counts)
-        if not self._daisy and not gaps:
-            feed.emit(Chunk(stamp, counts * self._uv, int(stamp[-1])), "emg")
-            return
-        for start, stop in runs(lost):
-            times = stamp[start:stop]
-            feed.emit(Chunk(times, counts[start:stop] * self._uv, int(times[-1]), int(lost[start])), "emg")
+        for chunk in chunks(stamp, lost, counts * self._uv):
+            feed.emit(chunk, "emg")
 
     def _samples(self, packets: Packets, counts: Samples) -> tuple[Times, Times, Samples]:
-        """A Daisy's samples (stamp, lost, counts (k, 16)); a counter that began anew makes the next one's loss unknown."""
+        """A Daisy's samples (stamp, lost, counts (k, 16)); a counter that started again makes the next one's loss unknown."""
         self._unknown |= bool((packets.lost < 0).any())
         number, stamp, counts = self._pairs(packets, counts)
         if not len(number):
@@ -248,17 +228,6 @@ class _Stream:
             self._accelerated = int(stamp[i])
             lost = max(0, round(period) - 1) if period > 1.75 else 0
             feed.emit(Chunk(stamp[i : i + 1], values[i : i + 1], int(stamp[i]), lost), "accel")
-
-
-def _all_lost(lost: Times) -> int:
-    return -1 if (lost < 0).any() else int(lost.sum())
-
-
-def _count(frames: CytonFrames, feed: Feed) -> None:
-    if frames.dropped:
-        feed.problem("bytes that are no packet", frames.dropped)
-    if frames.resyncs:
-        feed.problem("resync", frames.resyncs)
 
 
 def _identity(text: str) -> dict[str, str]:

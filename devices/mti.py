@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import structlog
 
 from devices.clocks import tick_clock
-from devices.clocks.clock_log import ClockLog
+from devices.clocks.device_clock import ClockState
 from devices.clocks.packet_clock import Packets
 from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
-from devices.clocks.stamps import runs
+from devices.clocks.stamps import chunks, tell_losses, tell_problems
 from devices.clocks.tick_clock import TickClock
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import xbus, xbus_numbers
 from devices.protocols.xbus import XbusLayout, XbusRun
-from devices.transport.handshake import all_there, shown
-from devices.transport.transport import Transport, connect, present
+from devices.transport.handshake import all_there, silence
+from devices.transport.serial_source import READ_S, STALL_S, SerialSource
+from devices.transport.transport import Transport
 from devices.transport.xbus_commands import XbusCommands, reason
 from stream.chunk import NS, Chunk, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed
 
 Measure = Literal["acceleration", "angular_velocity", "magnetic_field", "orientation"]
 
@@ -48,7 +47,7 @@ QUANTITIES: dict[Measure, Quantity] = {
 }
 
 SILENCE_S = 2.0
-"""A sensor that was measuring and says nothing for so long is asked anew."""
+"""A sensor that was measuring and says nothing for so long is asked again."""
 FEW_HZ = 500.0
 """Above so many packets a second they are taken some at a time, and `timing` has an event per read instead of per packet."""
 GATHER_S = 0.01
@@ -61,7 +60,7 @@ log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class Mti(Source):
+class Mti(SerialSource):
     """An MTi of the 1, 10, 100 or 600 series, which is set to send what `measure` asks for at `rate_hz`.
 
     imu      (channels,) float64, in this order: ax ay az m/s2 (gravity included), gx gy gz rad/s, mx my mz (1: the field where it was
@@ -152,33 +151,12 @@ class Mti(Source):
                 f"at least {bits}, which {self.rate_hz} measurements a second take (set it in the sensor first)",
             )
 
-    @contextmanager
-    def simulated(self) -> Iterator[Source]:
-        from devices.simulators.mti import SimulatedMti as Simulated
-
-        device = Simulated()
-        with device.on_usb() if self.port.startswith("usb://") else device.serving() as address:
-            yield replace(self, port=address)
-
     def prepare(self) -> None:
         xbus_numbers.prepare()
         tick_clock.prepare()
 
-    def present(self) -> bool | None:
-        return present(self.port)
-
-    def read(self, feed: Feed) -> None:
-        with connect(self.port, self.baud) as link:
-            talk = XbusCommands(link, feed, self.port)
-            self._greet(talk, feed)
-            try:
-                self._stream(link, talk, feed)
-            finally:
-                with suppress(DeviceError):
-                    link.write(xbus.message(xbus.GO_TO_CONFIG))
-
-    def _greet(self, talk: XbusCommands, feed: Feed) -> None:
-        """Bring the sensor to measure what is wanted; raises DeviceError if it is not there, or cannot."""
+    def greet(self, link: Transport, feed: Feed) -> MtiReading:
+        talk = XbusCommands(link, feed, self.port)
         talk.ask(xbus.GO_TO_CONFIG)
         number = talk.ask(xbus.REQUEST_DEVICE_ID).hex().upper()
         product = talk.ask(xbus.REQUEST_PRODUCT).decode("ascii", "replace").strip(" \0")
@@ -188,6 +166,10 @@ class Mti(Source):
             answer = talk.ask(xbus.OUTPUT_CONFIGURATION, xbus.configuration(self.wanted))
             self._check_outputs(dict(xbus.outputs_of(answer)), product)
         talk.ask(xbus.GO_TO_MEASUREMENT)
+        return MtiReading(self, talk)
+
+    def rest(self, link: Transport, feed: Feed) -> None:
+        link.write(xbus.message(xbus.GO_TO_CONFIG))
 
     def _check_outputs(self, there: dict[int, int], product: str) -> None:
         """Raise DeviceError for what the sensor does not do."""
@@ -198,35 +180,13 @@ class Mti(Source):
                 offers = f"{got} Hz" if got else "nothing"
                 raise DeviceError(f"{product} on {self.port} was asked for {name} at {rate} Hz and offers {offers}")
 
-    def _stream(self, link: Transport, talk: XbusCommands, feed: Feed) -> None:
-        stream = _Stream(self)
-        stream.pass_on(talk.behind, feed)
-        heard, clock_log = time.monotonic(), ClockLog(self.port, feed, lambda: stream.clock.state)
-        strange = b""
-        while not feed.stopped:
-            data = link.read(0.1)
-            now = time.monotonic()
-            if data and now - heard > 0.1:
-                data = all_there(link, data)
-            elif self.gathered_s and data and (len(data) > PIECE or self.port.startswith("usb://")):
-                data = _waiting(link, data, self.gathered_s)
-            found = talk.decoder.feed(data)
-            if found.dropped:
-                feed.problem("bytes that are no packet", found.dropped)
-            if found.resyncs:
-                feed.problem("resync", found.resyncs)
-            if found.runs and stream.pass_on(found.runs, feed):
-                heard, strange = now, b""
-                if self.gathered_s:
-                    feed.wait(self.gathered_s)
-            else:
-                strange = (strange + data)[:64]
-            if now - heard > SILENCE_S:
-                raise DeviceError(
-                    f"no measurement from {self.port} for {SILENCE_S:g} s: expected {', '.join(self.measure)} in FA FF 36 ...; "
-                    f"came {shown(strange)}"
-                )
-            clock_log.tell()
+    def fetch(self, link: Transport, heard: float) -> bytes:
+        data = link.read(READ_S)
+        if data and time.monotonic() - heard > STALL_S:
+            return all_there(link, data)
+        if self.gathered_s and data and (len(data) > PIECE or self.port.startswith("usb://")):
+            return _waiting(link, data, self.gathered_s)
+        return data
 
 
 def _waiting(link: Transport, first: bytes, within_s: float) -> bytes:
@@ -237,11 +197,13 @@ def _waiting(link: Transport, first: bytes, within_s: float) -> bytes:
     return b"".join(pieces)
 
 
-class _Stream:
-    """Measurements to samples: what is remembered between two reads."""
+class MtiReading:
+    """Measurements to samples."""
 
-    def __init__(self, of: Mti) -> None:
-        self.clock = TickClock(
+    def __init__(self, of: Mti, talk: XbusCommands) -> None:
+        self._port, self._gather_s, self._measure = of.port, of.gathered_s, ", ".join(of.measure)
+        self._decoder, self._behind = talk.decoder, talk.behind
+        self._clock = TickClock(
             counter_bits=16,
             tick_bits=32,
             tick_ns=NS / xbus.TICKS_HZ,
@@ -255,50 +217,57 @@ class _Stream:
         """How the last sample was laid out."""
         self._burst = of.rate_hz > FEW_HZ
 
-    def pass_on(self, found: list[XbusRun], feed: Feed) -> int:
-        """Emit what a read has brought; returns how many samples that was."""
+    @property
+    def clock(self) -> ClockState | None:
+        return self._clock.state
+
+    def wrong(self, silent_s: float, came: bytes) -> str:
+        expected = f"{self._measure} in FA FF 36 ..."
+        return silence("measurement", self._port, silent_s, SILENCE_S, expected, came)
+
+    def take(self, data: bytes, feed: Feed) -> int:
+        if self._behind:
+            self._emit_all(self._behind, feed)
+            self._behind = []
+        found = self._decoder.feed(data)
+        tell_problems(feed, bytes_that_are_no_packet=found.dropped, resync=found.resyncs)
+        n = self._emit_all(found.runs, feed) if found.runs else 0
+        if n and self._gather_s:
+            feed.wait(self._gather_s)
+        return n
+
+    def _emit_all(self, found: list[XbusRun], feed: Feed) -> int:
+        """Emit measurements, and act on what else came; returns how many samples that was."""
         arrival, n = feed.now(), 0
         for run in found:
             if run.layout is self._layout or (run.mid == xbus.MEASUREMENT and all(map(run.has, self._needed))):
                 self._layout = run.layout
-                packets = self.clock.take(
-                    run.integers(xbus.PACKET_COUNTER), run.integers(xbus.SAMPLE_TIME_FINE), arrival
-                )
-                missing = 0 if packets.clean else int(packets.lost.clip(0).sum())
-                self._rate.see(len(packets.stamp), missing, arrival, feed)
+                counter, ticks = run.integers(xbus.PACKET_COUNTER), run.integers(xbus.SAMPLE_TIME_FINE)
+                packets = self._clock.take(counter, ticks, arrival)
                 self._emit(run, packets, arrival, feed)
                 n += len(packets.stamp)
             elif run.mid == xbus.MEASUREMENT and run.has(xbus.PACKET_COUNTER):
-                self.clock.pass_by(run.integers(xbus.PACKET_COUNTER))
+                self._clock.pass_by(run.integers(xbus.PACKET_COUNTER))
             elif run.mid == xbus.ERROR:
                 feed.problem("device error", len(run))
                 log.warning("MTi", says=reason(run))
             elif run.mid == xbus.WAKE_UP:
-                raise DeviceError("the sensor was switched on anew, and measures what it did when it left the factory")
+                raise DeviceError("the sensor was switched on again, and measures what it did when it left the factory")
         return n
 
     def _emit(self, run: XbusRun, packets: Packets, arrival: int, feed: Feed) -> None:
+        missing = tell_losses(packets, feed, "lost packet", "counter reset")
+        self._rate.see(len(packets.stamp), missing, arrival, feed)
         if packets.clean:
             feed.emit(Chunk(packets.stamp, run.columns(self._kinds), packets.stamp.item(-1)), "imu")
         else:
-            _count(len(run), packets, feed)
+            tell_problems(feed, repeated_packet=len(run) - len(packets.stamp))
             if not len(packets.stamp):
                 return
             data = run.columns(self._kinds)
             if len(packets.stamp) < len(run):
                 data = data[packets.kept]
-            for start, stop in runs(packets.lost):
-                times = packets.stamp[start:stop]
-                feed.emit(Chunk(times, data[start:stop], int(times[-1]), int(packets.lost[start])), "imu")
+            for chunk in chunks(packets.stamp, packets.lost, data):
+                feed.emit(chunk, "imu")
         told = slice(-1, None) if self._burst else slice(None)
         feed.emit(timing_chunk(packets.number[told], packets.device[told], arrival, packets.stamp[told]), "timing")
-
-
-def _count(n: int, packets: Packets, feed: Feed) -> None:
-    if len(packets.stamp) < n:
-        feed.problem("repeated packet", n - len(packets.stamp))
-    if packets.lost.any():
-        if (missing := int(packets.lost.clip(0).sum())) > 0:
-            feed.problem("lost packet", missing)
-        if (packets.lost < 0).any():
-            feed.problem("counter reset")

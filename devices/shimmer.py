@@ -4,28 +4,28 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import structlog
 
-from devices.clocks.clock_log import ClockLog
+from devices.clocks.device_clock import ClockState
 from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
-from devices.clocks.stamps import Stamps, runs
+from devices.clocks.stamps import Stamps, chunks, tell_losses, tell_problems
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import shimmer as protocol
 from devices.protocols import shimmer_units as units
 from devices.protocols.shimmer import TICKS_HZ, Inquiry, ShimmerDecoder
 from devices.protocols.shimmer_units import Chips
-from devices.transport.handshake import all_there, shown
+from devices.transport.handshake import silence
+from devices.transport.serial_source import SerialSource
 from devices.transport.shimmer_commands import ShimmerCommands
-from devices.transport.transport import Transport, connect, present
-from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
+from devices.transport.transport import Transport
+from stream.chunk import NS, Samples, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed
 
 Sensor = Literal["acceleration", "wide_acceleration", "angular_velocity", "emg", "ecg"]
 MOTION: dict[str, tuple[tuple[str, ...], str]] = {
@@ -57,7 +57,7 @@ class _Outputs:
 
 
 @dataclass(frozen=True, slots=True)
-class Shimmer(Source):
+class Shimmer(SerialSource):
     """A Shimmer3, which is told to send what `sensors` asks for at `rate_hz`.
 
     motion   (channels,) float64, in this order: ax ay az m/s2 (low noise, +-2 g), wx wy wz m/s2 (wide range), gx gy gz rad/s, by the
@@ -120,7 +120,7 @@ class Shimmer(Source):
 
     @property
     def bits(self) -> int:
-        """The sensors as the device is told them."""
+        """The sensors as the device receives them."""
         chips = {"emg": ("exg1",), "ecg": ("exg1", "exg2")}.get(self.purpose, ())
         return sum(protocol.SENSOR_BITS[name] for name in (*self.motion, *chips))
 
@@ -133,27 +133,8 @@ class Shimmer(Source):
         }
         return {channel for sensor in self.motion for channel in MOTION[sensor][0]} | exg
 
-    @contextmanager
-    def simulated(self) -> Iterator[Source]:
-        from devices.simulators.shimmer import SimulatedShimmer as Simulated
-
-        with Simulated().serving() as address:
-            yield replace(self, port=address)
-
-    def present(self) -> bool | None:
-        return present(self.port)
-
-    def read(self, feed: Feed) -> None:
-        with connect(self.port) as link:
-            inquiry, calibration, chips = self._greet(ShimmerCommands(link, feed, self.port), feed)
-            try:
-                self._stream(link, feed, _Stream(self, inquiry, calibration, chips))
-            finally:
-                with suppress(DeviceError):
-                    link.write(bytes([protocol.STOP]))
-
-    def _greet(self, talk: ShimmerCommands, feed: Feed) -> tuple[Inquiry, bytes, Chips]:
-        """Bring the device to what is wanted; raises DeviceError if it is not there, or is another."""
+    def greet(self, link: Transport, feed: Feed) -> ShimmerReading:
+        talk = ShimmerCommands(link, feed, self.port)
         talk.rest()
         version = talk.ask(bytes([protocol.FIRMWARE]), protocol.VERSION, 6)
         kind, numbers = int.from_bytes(version[:2], "little"), (int.from_bytes(version[2:4], "little"), *version[4:])
@@ -181,7 +162,12 @@ class Shimmer(Source):
                 f"{self.port} was asked for {', '.join(sorted(self.expected))} every {protocol.divider(self.rate_hz)} ticks "
                 f"and offers {', '.join(sorted(offered)) or 'nothing'} every {inquiry.divider}"
             )
-        return inquiry, talk.ask(bytes([protocol.CALIBRATION]), protocol.CALIBRATED, units.ALL), chips
+        calibration = talk.ask(bytes([protocol.CALIBRATION]), protocol.CALIBRATED, units.ALL)
+        link.write(bytes([protocol.START]))
+        return ShimmerReading(self, link, inquiry, calibration, chips)
+
+    def rest(self, link: Transport, feed: Feed) -> None:
+        link.write(bytes([protocol.STOP]))
 
     def _settings(self, chips: Chips) -> Iterator[bytes]:
         """The commands that set what is wanted."""
@@ -197,38 +183,16 @@ class Shimmer(Source):
             for chip, registers in enumerate(units.registers(self.purpose, self.true_hz)):
                 yield bytes([protocol.EXG, chip, 0, len(registers)]) + registers
 
-    def _stream(self, link: Transport, feed: Feed, stream: _Stream) -> None:
-        link.write(bytes([protocol.START]))
-        heard = asked = time.monotonic()
-        clock_log, strange = ClockLog(self.port, feed, lambda: stream.stamps.state), b""
-        patience = SILENCE_S + 2 * protocol.AGREE / self.true_hz
-        while not feed.stopped:
-            data = link.read(0.1)
-            now = time.monotonic()
-            if data and now - heard > 0.1:
-                data = all_there(link, data)
-            if stream.pass_on(data, feed):
-                heard, strange = now, b""
-            else:
-                strange = (strange + data)[:64]
-            if now - heard > patience:
-                raise DeviceError(
-                    f"no packet from {self.port} for {patience:g} s: expected {stream.decoder.size} bytes from 00 on; "
-                    f"came {shown(strange)}"
-                )
-            if now - asked > BATTERY_S:
-                asked = now
-                link.write(bytes([protocol.BATTERY]))
-            clock_log.tell()
 
+class ShimmerReading:
+    """Packets to samples, and the battery's voltage once a minute."""
 
-class _Stream:
-    """Packets to samples: what is remembered between two reads."""
-
-    def __init__(self, of: Shimmer, inquiry: Inquiry, calibration: bytes, chips: Chips) -> None:
-        self.decoder = ShimmerDecoder(inquiry.channels, inquiry.divider)
+    def __init__(self, of: Shimmer, link: Transport, inquiry: Inquiry, calibration: bytes, chips: Chips) -> None:
+        self._link, self._asked = link, time.monotonic()
+        self._decoder = ShimmerDecoder(inquiry.channels, inquiry.divider)
+        self._patience_s = SILENCE_S + 2 * protocol.AGREE / of.true_hz
         wraps = round(protocol.TICKS * NS / TICKS_HZ)
-        self.stamps = Stamps(of.true_hz, has_time=True, wraps_ns=wraps, latency_s=of.latency_s)
+        self._stamps = Stamps(of.true_hz, has_time=True, wraps_ns=wraps, latency_s=of.latency_s)
         self._rate = RateCheck(of.port, of.true_hz, of.rate_mismatch)
         self._channels, self._port = inquiry.channels, of.port
         ranges = (inquiry.wide_range, inquiry.gyro_range, chips)
@@ -242,39 +206,43 @@ class _Stream:
             places = [int(name[-1]) - 1 for name in self._exg]
             self._uv = units.exg_uv(of.purpose, 4)[places]
 
-    def pass_on(self, data: bytes, feed: Feed) -> int:
-        """Emit what a read has brought; returns how many packets that was."""
-        found = self.decoder.feed(data)
-        for kind, count in (
-            ("bytes that are no packet", found.dropped), ("resync", found.resyncs), ("repeated packet", found.repeated)
-        ):  # fmt: skip
-            if count:
-                feed.problem(kind, count)
+    @property
+    def clock(self) -> ClockState | None:
+        return self._stamps.state
+
+    def wrong(self, silent_s: float, came: bytes) -> str:
+        expected = f"{self._decoder.size} bytes from 00 on"
+        return silence("packet", self._port, silent_s, self._patience_s, expected, came)
+
+    def take(self, data: bytes, feed: Feed) -> int:
+        found = self._decoder.feed(data)
+        tell_problems(
+            feed, bytes_that_are_no_packet=found.dropped, resync=found.resyncs, repeated_packet=found.repeated
+        )
         for told in found.battery:
             self._tell_battery(protocol.battery_v(told), feed)
-        if not len(found):
-            return 0
+        if len(found):
+            self._emit(found, feed)
+        if time.monotonic() - self._asked > BATTERY_S:
+            self._asked = time.monotonic()
+            self._link.write(bytes([protocol.BATTERY]))
+        return len(found)
+
+    def _emit(self, found: protocol.ShimmerPackets, feed: Feed) -> None:
         arrival = feed.now()
         raw = np.round(found.ticks * (NS / TICKS_HZ)).astype(np.int64)
-        packets = self.stamps.take(len(found), arrival, raw)
+        packets = self._stamps.take(len(found), arrival, raw)
         if hz := self._rate.see(len(found), 0, arrival, feed, raw):
-            self.stamps.follow(hz)
-        if not packets.kept.all():
-            feed.problem("wrong time", int((~packets.kept).sum()))
+            self._stamps.follow(hz)
+        tell_problems(feed, wrong_time=int((~packets.kept).sum()))
         if not len(packets.stamp):
-            return len(found)
-        if missing := int(packets.lost.clip(0).sum()):
-            feed.problem("lost packet", missing)
-        if (packets.lost < 0).any():
-            feed.problem("device restarted")
+            return
+        tell_losses(packets, feed, "lost packet", "device restarted")
         for output, values in (("motion", self._moved(found)), ("exg", self._measured(found))):
             if values is not None:
-                kept = values[packets.kept]
-                for start, stop in runs(packets.lost):
-                    times = packets.stamp[start:stop]
-                    feed.emit(Chunk(times, kept[start:stop], int(times[-1]), int(packets.lost[start])), output)
+                for chunk in chunks(packets.stamp, packets.lost, values[packets.kept]):
+                    feed.emit(chunk, output)
         feed.emit(timing_chunk(-1, packets.device, arrival, packets.stamp), "timing")
-        return len(found)
 
     def _moved(self, found: protocol.ShimmerPackets) -> Samples | None:
         if not self._motion:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
 from devices.clocks.clock_log import ClockLog
-from devices.clocks.pace import Pace
+from devices.clocks.pace import DevicePace
 from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import trigno as protocol
@@ -115,13 +114,6 @@ class Trigno(Source):
             )
         return specs
 
-    @contextmanager
-    def simulated(self) -> Iterator[Source]:
-        from devices.simulators.trigno import SimulatedTrigno as Simulated
-
-        with Simulated().serving() as address:
-            yield replace(self, port=address, emg_hz=2000.0)
-
     def read(self, feed: Feed) -> None:
         with ExitStack() as links:
             control = links.enter_context(TcpTransport(self.port))
@@ -202,10 +194,10 @@ class Trigno(Source):
 
     def _stream(self, emg: Transport, aux: Transport | None, columns: list[int], feed: Feed) -> None:
         per = len(PORTS[self.layout].aux_channels)
-        streams = {"emg": _Stream(self, "emg", SENSORS, columns, self.emg_hz)}
+        streams = {"emg": TrignoPort(self, "emg", SENSORS, columns, self.emg_hz)}
         if aux:
             places = [c * per + i for c in columns for i in range(per)]
-            streams["aux"] = _Stream(self, "aux", SENSORS * per, places, protocol.AUX_HZ)
+            streams["aux"] = TrignoPort(self, "aux", SENSORS * per, places, protocol.AUX_HZ)
         heard = dict.fromkeys(streams, time.monotonic())
         clock_log = ClockLog(self.port, feed, lambda: streams["emg"].pace.state)
         while not feed.stopped:
@@ -217,11 +209,11 @@ class Trigno(Source):
             clock_log.tell()
 
 
-class _Stream:
-    """One data port: what is remembered between two reads."""
+class TrignoPort:
+    """One data port: its rows to samples."""
 
     def __init__(self, of: Trigno, name: str, channels: int, columns: list[int], rate_hz: float) -> None:
-        self.pace = Pace(rate_hz, of.latency_s)
+        self.pace = DevicePace(rate_hz, of.latency_s)
         setting = "emg_hz" if name == "emg" else "set the sensors' mode back"
         self._rate = RateCheck(
             f"{of.port} ({name})", rate_hz, of.rate_mismatch, setting=setting, counted=True

@@ -48,7 +48,7 @@ class ClockState:
     uncertainty_s    spread of the seconds' least delays about the line: how far the mapping may be off beside the constant part; in the
                      first seconds with what a drift that is not known yet may make
     seconds          how many seconds it rests on
-    jumps            how often the device's clock was set, or began anew
+    jumps            how often the device's clock was set, or started again
     jump_s           by how much the last time; below 0: back
     """
 
@@ -161,7 +161,7 @@ class DeviceClock:
         return self._last
 
     def restart(self, jump_ns: int | None = None) -> None:
-        """The device's own time began anew: everything known of it is forgotten, but stamps still never run backwards.
+        """The device's own time started again: everything known of it is forgotten, but stamps still never run backwards.
 
         `jump_ns`: by how much it leapt; None: only its packets are counted otherwise from here on.
         """
@@ -241,19 +241,34 @@ def _edge(x: Samples, y: Samples, middle: float) -> tuple[int, int]:
     return hull[-2], hull[-1]
 
 
+FORGOTTEN = 0.02
+"""The share of a rate by which a device may be slower than it says without seeming to come ever later."""
+
+
 class Counter:
-    """A packet counter of a few bits, unwrapped: what is missing is counted, also over an outage longer than the counter's range."""
+    """A packet counter of a few bits, unwrapped: what is missing is counted, also over an outage longer than the counter's range.
+
+    A number that runs ahead of time, such as one with a changed digit, is left out, unless the next one goes on from it.
+    """
 
     def __init__(self, bits: int, rate_hz: float) -> None:
         """`rate_hz`: packets per second, by which the number of whole turns in an outage is chosen."""
         self._range, self.rate_hz = 1 << bits, rate_hz
         self._last: int | None = None
-        self._arrival = 0
+        self._former: tuple[int, int] | None = None
+        """Counter and running number of the one before the last."""
+        self._doubtful: int | None = None
+        self._arrival = self._highest = 0
+        self._late = self._least = 0.0
+        """By how many packets the last one came later than the first, and the least that it has been."""
         self.value = 0
         """The running number of the last packet."""
+        self.restarted = False
+        """Whether with the last packet the device was found to count from the beginning: nobody knows what is missing."""
 
     def lost_before(self, counter: int, arrival_ns: int) -> int:
-        """How many packets are missing just before this one; -1: it is one that was there already (a repetition)."""
+        """How many packets are missing just before this one; -1: it was there already (a repetition), or its number cannot be right."""
+        self.restarted = False
         if self._last is None:
             self._last, self._arrival = counter, arrival_ns
             return 0
@@ -261,8 +276,33 @@ class Counter:
         elapsed = (arrival_ns - self._arrival) / NS * self.rate_hz
         if step == 0 and elapsed < self._range / 2:
             return -1
-        turns = max(0, round((elapsed - step) / self._range))
-        advance = step + turns * self._range
+        advance: int | None = step + max(0, round((elapsed - step) / self._range)) * self._range
+        if advance is not None and advance > self._late + elapsed - self._least + self._slack:
+            advance = self._otherwise(counter)
+        if advance is None:
+            return -1
+        self._former, self._doubtful = (self._last, self.value), None
         self._last, self._arrival = counter, arrival_ns
         self.value += advance
-        return advance - 1
+        self._late += elapsed - advance
+        self._least = min(self._least + FORGOTTEN * max(0, advance), self._late)
+        missing = self.value - self._highest - 1
+        self._highest = max(self._highest, self.value)
+        return max(missing, -1)
+
+    @property
+    def _slack(self) -> float:
+        """By how many packets a number may be ahead of its time."""
+        return 8 + 0.1 * self.rate_hz
+
+    def _otherwise(self, counter: int) -> int | None:
+        """The advance of a number that is ahead of its time; None where it is left out."""
+        if self._former and (counter - self._former[0]) % self._range == 2:
+            return self._former[1] + 2 - self.value  # it was the last one's number that was wrong
+        if self._doubtful is None or not 0 < (counter - self._doubtful) % self._range <= self._slack:
+            self._doubtful = counter
+            return None
+        assert self._last is not None
+        back = (self._last - counter) % self._range
+        self.restarted = back > self._slack
+        return 1 if self.restarted else -back

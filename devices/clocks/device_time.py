@@ -1,4 +1,4 @@
-"""A device's own time, unwrapped: it begins anew at some value, is set while it runs, and now and then a number is wrong."""
+"""A device's own time, unwrapped: it starts again at some value, is set while it runs, and now and then a number is wrong."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from devices.clocks.device_clock import JUMP_NS, DeviceClock
 SLACK_NS = 10_000_000_000
 """A device's time may advance by so much more than what has passed here: what was made during a stall comes all at once."""
 BELIEVED = 3
-"""So many numbers in a row that fit each other, but not what was before, mean that the device's clock was set or began anew."""
+"""So many numbers in a row that fit each other, but not what was before, mean that the device's clock was set or started again."""
 
 
 class DeviceTime:
     """Turns what a device says into ns that only grow, for a clock that maps them."""
 
     def __init__(self, clock: DeviceClock, wraps_ns: int = 0) -> None:
-        """`wraps_ns`: at which value the device's time begins anew; 0: never."""
+        """`wraps_ns`: at which value the device's time wraps around; 0: never."""
         self._clock, self._wraps = clock, wraps_ns
         self._raw: int | None = None
         self._value = self._arrival = 0
@@ -25,7 +25,7 @@ class DeviceTime:
         self._step = 0
         self._doubtful: list[int] = []
         self.restarted = False
-        """Whether with the last number the device's clock was found to have been set, or to have begun anew."""
+        """Whether with the last number the device's clock was found to have been set, or to have started again."""
         self.jump_ns = 0
         """By how much."""
 

@@ -24,7 +24,7 @@ class Counted:
     astray: bool
 
 
-class Pace:
+class DevicePace:
     """Counts samples of a steady rate that reach us in order (TCP), and maps the count onto session time.
 
     The count goes wrong where the sender left something out, which nothing tells; but from then on everything comes late by as much, while

@@ -19,7 +19,7 @@ class Packets(msgspec.Struct, eq=False, gc=False):
     """The packets of one read. Repeated ones are left out: `kept` (n,) says of all which stand here, the rest has (m,) entries.
 
     number    running number of each packet; the first one ever has its own counter's, and odd ones stay odd
-    lost      how many are missing just before each; -1: the counter has begun anew, and nobody knows
+    lost      how many are missing just before each; -1: the counter has started again, and nobody knows
     device    the device's time by that number (ns)
     stamp     session time (ns), increasing
     """
@@ -40,8 +40,9 @@ class PacketClock:
     the time that has passed, the packets still to come in the read taken off; so read all that is there at once after a silence.
     """
 
-    def __init__(self, bits: int, rate_hz: float, latency_s: float = 0.0) -> None:
-        self._range, self._rate, self._period = 1 << bits, rate_hz, NS / rate_hz
+    def __init__(self, bits: int, rate_hz: float, latency_s: float = 0.0, turn: int = 0) -> None:
+        """`turn`: after how many packets the counter starts again, where that is no power of two."""
+        self._range, self._rate, self._period = turn or 1 << bits, rate_hz, NS / rate_hz
         self._clock = DeviceClock(latency_s)
         self._counter = self._number = -1
         self._arrival = 0

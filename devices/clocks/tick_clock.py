@@ -44,7 +44,7 @@ def prepare() -> None:
 class TickClock:
     """Unwraps both and maps the device's time onto session time.
 
-    A time that goes back, or that advances by more than has passed, means that the device has begun anew: what is known of its clock is
+    A time that goes back, or that advances by more than has passed, means that the device has started again: what is known of its clock is
     forgotten, and how many packets are missing nobody knows. A packet with the same counter and time as the one before is a repetition.
     """
 
@@ -106,7 +106,7 @@ class TickClock:
         return Packets(kept, number, lost, device_ns, self._clock.stamps(device_ns), clean)
 
     def _in_order(self, counters: Times, ticks: Times, arrival_ns: int, number: Times, device_ns: Times) -> bool:
-        """Whether all is as it mostly is: each packet the next one, nothing has begun anew, no number has run over.
+        """Whether all is as it mostly is: each packet the next one, nothing has started again, no number has run over.
 
         If so, `number` (n,) and `device_ns` (n,) are filled.
         """
@@ -119,7 +119,7 @@ class TickClock:
         return _follow(counters, ticks, begin, self._whole_ns, float(self._tick_ns), number, device_ns)
 
     def _leaps(self, counters: Times, steps: Times, arrival_ns: int) -> NDArray[np.bool_]:
-        """Before which packets (n,) the device's clock was set or began anew: `steps` (n,) in ticks that cannot be."""
+        """Before which packets (n,) the device's clock was set or started again: `steps` (n,) in ticks that cannot be."""
         anew: NDArray[np.bool_] = steps * self._tick_ns > arrival_ns - self._arrival + SLACK_NS
         device = np.round((self._device + np.cumsum(steps)) * self._tick_ns)
         if not anew.any() and self._clock.is_ahead(int(device[-1]), arrival_ns):
@@ -136,7 +136,7 @@ class TickClock:
         return np.asarray(np.where((lost < 0) & (steps > 0), 0, lost))
 
     def _begin_anew(self, at: int, counters: Times, ticks: Times, arrival_ns: int) -> Packets:
-        """The device began anew with packet `at`."""
+        """The device started again with packet `at`."""
         before = self.take(counters[:at], ticks[:at], arrival_ns) if at else None
         leapt = round((int(ticks[at]) - self._tick) * self._tick_ns) - (arrival_ns - self._arrival)
         self._clock.restart(leapt)

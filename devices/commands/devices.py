@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 def devices(
     kinds: Annotated[
         list[str] | None,
-        typer.Argument(help="look only for these: serial, usb, oak, lsl; left out: all", metavar="[KIND]..."),
+        typer.Argument(
+            help="look only for these: serial, usb, ble, lsl, natnet, oak, orbbec, realsense; left out: all",
+            metavar="[KIND]...",
+        ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print JSON")] = False,
 ) -> None:

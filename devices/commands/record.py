@@ -32,7 +32,7 @@ def record(
         Path | None, typer.Option("-o", "--out", help="the recording's folder (default: a new one in recordings/)")
     ] = None,
     duration_s: Annotated[
-        float, typer.Option("--for", metavar="SECONDS", min=0.0, help="end after so many seconds; 0: when stopped")
+        float, typer.Option("--for", metavar="SECONDS", min=0.0, help="end after this many seconds; 0: when stopped")
     ] = 0.0,
     simulate: Annotated[bool, typer.Option("--simulate", help="simulated devices in the place of real ones")] = False,
     store_frames: Annotated[

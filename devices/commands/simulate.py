@@ -33,7 +33,7 @@ def simulate(
 
     It speaks the real device's protocol, so kinegraph or any other software can be pointed at it. What goes wrong is told the same way for
     all: lose=0.01, duplicate=, corrupt= (shares of packets), stall_every_s=, stall_s=, reset_every_s=, unplug_every_s=, unplug_s=, from_s=.
-    What means nothing to a device (a counter begun anew where there is none) is refused.
+    What means nothing to a device (a counter started again where there is none) is refused.
     """
     from devices.simulators.misbehaviour import Misbehaviour
     from devices.simulators.named import find, named

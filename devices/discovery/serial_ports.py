@@ -1,4 +1,4 @@
-"""Serial ports: what hangs on each, as far as its USB ids tell, and the node that reads it."""
+"""Serial ports: what is connected to each, as far as its USB ids tell, and the node that reads it."""
 
 from __future__ import annotations
 

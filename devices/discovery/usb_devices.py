@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from devices.discovery.found import FoundDevice
-from devices.usb.bus import Address, backends, connected, rule, text_of
+from devices.usb.bus import UsbAddress, backends, connected, rule, text_of
 
 MTI = "use: devices.mti.Mti\nport: {port}"
 DUALSENSE = (
@@ -41,10 +41,10 @@ def find() -> Iterator[FoundDevice]:
         if known is None:
             continue
         name, number = text_of(device, device.iProduct), text_of(device, device.iSerialNumber)
-        where = Address(device.idVendor, device.idProduct, number or "")
+        where = UsbAddress(device.idVendor, device.idProduct, number or "")
         said = ", ".join(part for part in (name, number and f"serial number {number}") if part)
         allowed = number is not None and _may_write(device)
-        note = "" if allowed else rule(Address(device.idVendor, device.idProduct))
+        note = "" if allowed else rule(UsbAddress(device.idVendor, device.idProduct))
         yield FoundDevice(
             "usb", str(where), f"{known.what} ({said})" if said else known.what, known.yaml.format(port=where), note
         )

@@ -6,15 +6,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from devices.files.kinematics import in_turn, place
 from devices.files.timing import grid_of, snapped
 from stream.chunk import Samples, StreamSpec
 from stream.errors import RecordingError, nearest
+from stream.joint_tree import JointTree
 from stream.recording.series import Series
 from stream.tables import read_text
 
 CHANNELS = ("Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation")
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 
 @dataclass(slots=True)
@@ -29,8 +32,9 @@ class Joint:
 
 
 def read_bvh(path: Path, unit: str = "", scale: float = 1.0, start_ns: int = 0) -> list[Series]:
-    """Two streams: the file's name, joint positions (joints, 3) in world coordinates, ends of limbs included ("Head_end"); and, with
-    ".angles" behind it, the file's own channels, turns in degrees.
+    """Streams: the file's name, joint positions (joints, 3) in world coordinates, ends of limbs included ("Head_end"); with ".angles"
+    behind it, the file's own channels, turns in degrees; and, where the unit is said and only the root has positions, with ".pose"
+    behind it the same motion as poses (stream/joint_tree.py), in metres.
 
     BVH says neither unit nor axes; `unit` names what `scale` times the numbers are. A joint with position channels stands where these say,
     in its parent's frame, instead of at its offset. Raises RecordingError with file and line.
@@ -50,13 +54,27 @@ def read_bvh(path: Path, unit: str = "", scale: float = 1.0, start_ns: int = 0) 
         units=tuple("deg" if channel.endswith("rotation") else unit for _, channel in named),
     )
     moved = frames * np.array([1.0 if channel.endswith("rotation") else scale for _, channel in named])
-    return [
-        Series(path.stem, spec, time, _positions(joints, frames) * scale),
-        Series(f"{path.stem}.angles", angles, time, moved),
-    ]
+    steps, turns = _steps_and_turns(joints, frames)
+    placed = place([joint.parent for joint in joints], steps, turns, ends=False)
+    made = [Series(path.stem, spec, time, placed * scale), Series(f"{path.stem}.angles", angles, time, moved)]
+    if unit in METRES and not any(c.endswith("position") for joint in joints[1:] for c in joint.channels):
+        tree, poses = _poses(joints, steps[0], turns, scale * METRES[unit])
+        made.append(Series(f"{path.stem}.pose", tree.spec(rate), time, poses))
+    return made
 
 
-def _positions(joints: list[Joint], frames: Samples) -> Samples:
+def _poses(joints: list[Joint], root: Samples, turns: list[Samples], to_m: float) -> tuple[JointTree, Samples]:
+    """The joints that turn as a skeleton, and their poses."""
+    kept = [j for j, joint in enumerate(joints) if joint.channels or joint.parent < 0]
+    offsets = to_m * np.array([joints[j].offset for j in kept])
+    parents = [kept.index(joints[j].parent) if joints[j].parent >= 0 else -1 for j in kept]
+    tree = JointTree(tuple(joints[j].name for j in kept), np.array(parents), offsets)
+    quaternions = [Rotation.from_matrix(turns[j]).as_quat(scalar_first=True) for j in kept]
+    return tree, np.hstack([to_m * root, *quaternions])
+
+
+def _steps_and_turns(joints: list[Joint], frames: Samples) -> tuple[list[Samples], list[Samples]]:
+    """Per joint its place (n, 3) and its rotation (n, 3, 3), seen from its parent."""
     steps, turns = [], []
     for joint in joints:
         step = np.tile(np.array(joint.offset), (len(frames), 1))
@@ -69,7 +87,7 @@ def _positions(joints: list[Joint], frames: Samples) -> Samples:
                 columns.append(i)
         steps.append(step)
         turns.append(in_turn(axes, frames[:, columns]))
-    return place([joint.parent for joint in joints], steps, turns, ends=False)
+    return steps, turns
 
 
 def _hierarchy(path: Path, lines: list[str]) -> tuple[list[Joint], int]:

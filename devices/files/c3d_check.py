@@ -15,6 +15,8 @@ INTEL, DEC, MIPS = 84, 85, 86
 """Processors, as a C3D file marks them: the first two put the low byte first."""
 TYPES = {-1: 1, 1: 1, 2: 2, 4: 4}
 """Bytes of a parameter's values: characters, bytes, whole numbers, floating point numbers."""
+LONGEST = 9000
+"""Bytes of a record that are believed where there is a choice: 255 labels of 32 letters, and a description."""
 WIDEST = 128
 """Characters of a name, at the most."""
 
@@ -43,6 +45,15 @@ def broken_at(head: bytes) -> int:
     return -1
 
 
+def step_at(data: bytes, offset: int, order: str) -> int:
+    """How far it is from here to the next record. Some SGI files have single steps in a PC's order: those that are shorter are meant."""
+    (step,) = struct.unpack_from(f"{order}h", data, offset)
+    if order == ">" and not 0 <= step <= LONGEST:
+        (other,) = struct.unpack_from("<h", data, offset)
+        return int(other) if 0 <= other <= LONGEST else int(step)
+    return int(step)
+
+
 def _record(data: bytes, at: int, order: str) -> int:
     """Where the record after this one begins; 0: this is the last; -1: it cannot be."""
     length, group = struct.unpack_from("bb", data, at)
@@ -50,7 +61,7 @@ def _record(data: bytes, at: int, order: str) -> int:
     offset = name + abs(length)
     if group == 0 or abs(length) > WIDEST or offset + 2 > len(data) or not data[name:offset].isascii():
         return -1
-    (step,) = struct.unpack_from(f"{order}h", data, offset)
+    step = step_at(data, offset, order)
     end = offset + step if step else len(data)
     if step < 0 or end > len(data):
         return -1

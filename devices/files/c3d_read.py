@@ -6,11 +6,15 @@ import re
 import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
-from devices.files.c3d_check import DEC, HEAD, INTEL, broken_at
+from devices.files.c3d_check import DEC, HEAD, INTEL, MIPS, broken_at
+from devices.files.c3d_facts import note
+from devices.files.c3d_turn import low_byte_first
+from devices.files.findings import Findings
 from devices.files.timing import grid_of
 from stream.chunk import NS, Array, StreamSpec
 from stream.errors import RecordingError
@@ -25,23 +29,39 @@ UNITS = {
     "meters": "m",
     "metres": "m",
     "v": "V",
+    "volts": "V",
+    "uv": "uV",
+    "mv": "mV",
+    "nt": "N",
+    "n": "N",
+    "newtons": "N",
+    "ntmm": "Nmm",
+    "nmm": "Nmm",
+    "ntm": "Nm",
+    "nm": "Nm",
+    "g": "g",
 }
 SIDES = ("left", "right")
+HEADER_EVENTS = 12345
+"""A header with this key holds events."""
 MOST_FRAMES = 0xFFFF
 """A C3D header counts frames in 16 bits: longer recordings say so elsewhere, each program in its own place."""
 
 
-def read_c3d(path: Path, start_ns: int = 0) -> list[Series]:
+def read_c3d(path: Path, start_ns: int = 0, findings: Findings | None = None) -> list[Series]:
     """The streams of a C3D file, as far as it has them, by its name and
 
     .markers   positions (markers, 3), NaN where a marker was not seen; names without what is before a colon, if they differ all the same
     .analog    the analogue channels, at their own rate
     .right_foot_strike, ...  one stream of events for each context and label, each event with its `onset`; the side stands in `meta`
 
-    The file's first frame is at `start_ns` if it is number 1, else as much later. Raises RecordingError.
+    The file's first frame is at `start_ns` if it is number 1, else as much later. What else stands in it is noted in `findings`.
+    Raises RecordingError.
     """
     made = _open(path)
     parameters, header = made["parameters"], made["header"]
+    if findings is not None:
+        note(path, parameters, header, findings)
     first = int(header["points"]["first_frame"])
     frames = _announced(path)
     rate = float(header["points"]["frame_rate"])
@@ -77,6 +97,12 @@ def _open(path: Path) -> Any:
     if (byte := broken_at(head)) >= 0:
         raise RecordingError(f"{path}: cannot be read as a C3D file (its parameters break off at byte {byte})")
     try:
+        whole = path.read_bytes()
+        if (turned := _for_a_pc(whole)) is not whole:
+            with TemporaryDirectory() as folder:
+                copy = Path(folder, "turned.c3d")
+                copy.write_bytes(turned)
+                return ezc3d.c3d(str(copy))
         return ezc3d.c3d(str(path))
     except (OSError, RuntimeError, ValueError, IndexError, KeyError, TypeError, MemoryError) as error:
         reason = str(error).splitlines()[0].partition(": iostream")[0] if str(error) else type(error).__name__
@@ -84,13 +110,15 @@ def _open(path: Path) -> Any:
 
 
 def _announced(path: Path) -> int:
-    """How many frames the header speaks of; 0 where it does not say so in 16 bits of this machine's kind."""
-    head = path.read_bytes()[:512]
-    first, last = struct.unpack("<HH", head[6:10])
+    """How many frames the header speaks of; 0 where it does not say so in 16 bits."""
     with path.open("rb") as file:
+        head = file.read(512)
         file.seek((head[0] - 1) * 512 + 3)
         kind = file.read(1)
-    return max(0, last - first + 1) if kind and kind[0] in (INTEL, DEC) and last < 0xFFFF else 0
+    if not kind or kind[0] not in (INTEL, DEC, MIPS):
+        return 0
+    first, last = struct.unpack(">HH" if kind[0] == MIPS else "<HH", head[6:10])
+    return max(0, last - first + 1) if last < MOST_FRAMES else 0
 
 
 def _there(path: Path, header: Mapping[str, Any], parameters: Any) -> int:
@@ -123,7 +151,8 @@ def _markers(path: Path, parameters: Any, points: Array, residuals: Array, rate:
 def _analogue(path: Path, parameters: Any, data: Array, rate: float, start: int) -> Series:
     names = _distinct(_texts(parameters, "ANALOG", "LABELS"), data.shape[1], "channel")
     units = [UNITS.get(unit.lower(), unit) for unit in _texts(parameters, "ANALOG", "UNITS")]
-    told = tuple(units) if len(units) == len(names) and len(set(units)) > 1 else tuple(units[:1]) or ("",)
+    units = (units + [""] * len(names))[: len(names)] if len(units) > 1 else units
+    told = tuple(units) if len(set(units)) > 1 else tuple(units[:1]) or ("",)
     spec = StreamSpec((data.shape[1],), rate_hz=rate, channels=names, units=told)
     stamps = grid_of(rate, np.arange(len(data)), start)
     return Series(f"{path.stem}.analog", spec, stamps, np.ascontiguousarray(data, np.float64))
@@ -132,14 +161,52 @@ def _analogue(path: Path, parameters: Any, data: Array, rate: float, start: int)
 def _events(path: Path, parameters: Any, start_ns: int) -> list[Series]:
     labels, contexts = _texts(parameters, "EVENT", "LABELS"), _texts(parameters, "EVENT", "CONTEXTS")
     times = np.asarray(parameters.get("EVENT", {}).get("TIMES", {}).get("value", np.zeros((2, 0))), np.float64)
-    if not labels:
-        return []
+    used = np.asarray(parameters.get("EVENT", {}).get("USED", {}).get("value", [len(labels)])).ravel()
+    count = min(len(labels), int(used[0])) if len(used) else len(labels)
+    if times.ndim == 2 and times.shape[1] > count >= 0:
+        times = times[:, :count]
+    labels, contexts = labels[: max(0, count)], contexts[: max(0, count)]
+    if not any(labels):
+        return _header_events(path, _for_a_pc(path.read_bytes()), start_ns)
     if times.shape != (2, len(labels)) or not np.isfinite(times).all():
         raise RecordingError(
             f"{path}: {len(labels)} events, but times for {times.shape[-1]}; they cannot be told apart"
         )
     onsets = start_ns + np.round((times[0] * 60.0 + times[1]) * 1e6).astype(np.int64) * 1000
     contexts += [""] * (len(labels) - len(contexts))
+    return _event_streams(path, labels, contexts, onsets)
+
+
+def _for_a_pc(data: bytes) -> bytes:
+    """A file's bytes, those of an SGI machine turned."""
+    place = (data[0] - 1) * 512 + 3
+    return low_byte_first(data) if data[place : place + 1] == bytes([MIPS]) else data
+
+
+def _header_events(path: Path, head: bytes, start_ns: int) -> list[Series]:
+    """The events of the header, as older programs write them: labels of four letters, times since frame 1, each shown or not."""
+    key, count = struct.unpack_from("<h", head, 298)[0], struct.unpack_from("<h", head, 300)[0]
+    if key != HEADER_EVENTS or not 0 < count <= 18:
+        return []
+    times = np.frombuffer(_float_order(head, head[304:376]), "<f4")[:count].astype(np.float64)
+    labels = [head[396 + 4 * i : 400 + 4 * i].decode("latin-1").strip() or f"event{i + 1}" for i in range(count)]
+    if not (np.abs(times) < 1e6).all():
+        raise RecordingError(f"{path}: the times of the header's events are none; the file is damaged")
+    onsets = start_ns + np.round(times * 1e6).astype(np.int64) * 1000
+    return _event_streams(path, labels, [""] * count, onsets)
+
+
+def _float_order(head: bytes, data: bytes) -> bytes:
+    """Floating-point numbers of a header as IEEE has them, low byte first: DEC puts the high word first, and an exponent greater by two."""
+    if head[(head[0] - 1) * 512 + 3] != DEC:
+        return data
+    words = np.frombuffer(data, "<u2").reshape(-1, 2)[:, ::-1]
+    values = np.ascontiguousarray(words).view("<f4").ravel() / 4.0
+    return values.astype("<f4").tobytes()
+
+
+def _event_streams(path: Path, labels: list[str], contexts: list[str], onsets: Array) -> list[Series]:
+    """A stream for each context and label."""
     made, taken = [], ["markers", "analog"]
     for context, label in dict.fromkeys(zip(contexts, labels, strict=False)):
         mine = np.array([c == context and k == label for c, k in zip(contexts, labels, strict=False)])

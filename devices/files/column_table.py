@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from devices.files.findings import Findings
 from devices.files.timing import (
     MOST_HZ,
     MOST_NS,
@@ -85,8 +86,23 @@ class Wishes:
     scale: dict[str, str] = field(default_factory=dict)
     meta: dict[str, dict[str, Any]] = field(default_factory=dict)
     repeated: bool = False
-    start_ns: int = 0
-    """When time 0 of the files was (ns UTC)."""
+    begin: int | None = None
+    """When time 0 of the files was (ns UTC); None: nobody said."""
+    text_width: int | None = None
+    """Characters that a marker of an XDF file may have; None: as many as it has."""
+    dejitter: bool = True
+    clock_sync: bool = True
+    """Of XDF files: whether the jitter of regular streams' times is removed, and clock offsets are applied."""
+    skip_rows: int | None = None
+    """Lines of text files before the header that are passed over; None: nobody said."""
+    preview: bool = False
+    """Whether files are only looked at: a rate that nobody told is then no error."""
+    findings: Findings = field(default_factory=Findings)
+
+    @property
+    def start_ns(self) -> int:
+        """What is added to the files' times."""
+        return self.begin or 0
 
     def of(self, what: dict[str, str], stream: str) -> str:
         return what.get(stream, what.get("", ""))

@@ -32,11 +32,11 @@ def read_motion(files: Sequence[Path], wishes: Wishes, *, alone: bool = True) ->
     """The streams of BVH, C3D, AMC and Kinect files, called after their files or as `--stream NAME=STREAM` names those that are chosen;
     and what was wished of other files, which there are unless these are `alone`. Raises RecordingError.
     """
-    skeletons = {file.stem: read_asf(file) for file in files if file.suffix.lower() == ".asf"}
+    skeletons = {file.stem: read_asf(file) for file in files if kind_of(file) == ".asf"}
     made: list[Series] = []
     for file in files:
         made += _read(file, skeletons, wishes)
-    if skeletons and not any(file.suffix.lower() == ".amc" for file in files):
+    if skeletons and not any(kind_of(file) == ".amc" for file in files):
         raise RecordingError(
             f"{next(iter(skeletons.values())).path}: a skeleton alone does not move; name its AMC files too"
         )
@@ -44,7 +44,7 @@ def read_motion(files: Sequence[Path], wishes: Wishes, *, alone: bool = True) ->
     chosen = {name: parts[0] for name, parts in wishes.streams.items() if parts and parts[0] in known}
     rest = _rest(files, wishes, chosen, known)
     if alone:
-        _nothing_left(rest, known, {file.suffix.lower() for file in files})
+        _nothing_left(rest, known, {kind_of(file) for file in files})
     for one in made:
         names = (one.name, *(new for new, old in chosen.items() if old == one.name))
         facts = {key: value for name in names for key, value in wishes.meta.get(name, {}).items()}
@@ -60,7 +60,7 @@ def _rest(files: Sequence[Path], wishes: Wishes, chosen: Mapping[str, str], know
         given = getattr(wishes, option)
         for file in files:
             for name in _names(given, file, wishes):
-                if option not in TAKES.get(file.suffix.lower(), TABLE):
+                if option not in TAKES.get(kind_of(file), TABLE):
                     raise RecordingError(f"{_option(option)} {name}=...: {file.name} says this itself; leave it out")
         mine = {name for file in files for name in _names(given, file, wishes)}
         left[option] = {name: value for name, value in given.items() if name not in mine}
@@ -81,6 +81,24 @@ def _nothing_left(rest: Wishes, known: Sequence[str], kinds: Iterable[str]) -> N
     for option in ("events", *OPTIONS):
         if option not in taken and getattr(rest, option):
             raise RecordingError(f"{_option(option)}: files of motion say this themselves; leave it out")
+
+
+def kind_of(file: Path) -> str:
+    """The suffix that a file should have, by its content where that tells, else as its name has it."""
+    try:
+        with file.open("rb") as opened:
+            head = opened.read(512)
+    except OSError:
+        return file.suffix.lower()
+    if claims(file, head):
+        return ".c3d" if head[1:2] == b"\x50" else ".bvh"
+    return file.suffix.lower()
+
+
+def claims(file: Path, head: bytes) -> bool:
+    """Whether a file is C3D or BVH by its first bytes, whatever it is called."""
+    c3d = len(head) >= 512 and head[1] == 0x50 and head[0] > 0
+    return (c3d and b"\0" in head) or head.lstrip().startswith(b"HIERARCHY")
 
 
 def _option(name: str) -> str:
@@ -107,14 +125,17 @@ def _read(file: Path, skeletons: dict[str, Skeleton], wishes: Wishes) -> list[Se
 
 
 def _of_kind(file: Path, skeletons: dict[str, Skeleton], wishes: Wishes) -> list[Series]:
-    kind, unit = file.suffix.lower(), _said(wishes.unit, file, wishes)
+    kind, unit = kind_of(file), _said(wishes.unit, file, wishes)
+    wishes.findings.kinds[file] = {".bvh": "BVH", ".asf": "ASF skeleton", ".amc": "AMC"}.get(
+        kind, "table of a skeleton's joints"
+    )
     scale = _number(_said(wishes.scale, file, wishes) or "1", f"--scale {file.stem}")
     if kind == ".asf":
         return []
     if kind == ".bvh":
         return read_bvh(file, unit, scale, wishes.start_ns)
     if kind == ".c3d":
-        return read_c3d(file, wishes.start_ns)
+        return read_c3d(file, wishes.start_ns, wishes.findings)
     said = _said(wishes.rate, file, wishes)
     rate = _number(said or str(RATE_HZ), f"--rate {file.stem}")
     if kind == ".amc":

@@ -82,9 +82,30 @@ def regular(time: Times, rate_hz: float | None) -> tuple[float, Times, Array] | 
     """
     if len(time) < 3:
         return None
-    rate = rate_hz or _estimate(time)
-    if rate is None:
+    if rate_hz is not None:
+        return _on_grid(time, rate_hz)
+    measured = _estimate(time)
+    if measured is None:
         return None
+    meant = snapped(measured)
+    rates = (measured, meant) if _tells_apart(time, measured, meant) else (meant, measured)
+    return next((found for rate in rates if (found := _on_grid(time, rate))), None)
+
+
+def resolution(time: Times) -> int:
+    """The decimal place to which stamps were written, in ns, from 1 ms down to 1 us; 1 for finer ones."""
+    return next((step for step in (10**6, 10**5, 10**4, 10**3) if not (time % step).any()), 1)
+
+
+def _tells_apart(time: Times, measured: float, meant: float) -> bool:
+    """Whether stamps with few decimals are too exact, over their whole length, to be those of the rate that was meant."""
+    step = resolution(time)
+    off = len(time) * abs(meant - measured) / measured
+    return step > 1 and off > 0.05 + 2 * step * measured / NS
+
+
+def _on_grid(time: Times, rate: float) -> tuple[float, Times, Array] | None:
+    """As `regular`, for one rate."""
     period = NS / rate
     index = np.round((time - time[0]) / period).astype(np.int64)
     anchor = round(float(np.median((time - time[0]) - index * period)))
@@ -96,14 +117,14 @@ def regular(time: Times, rate_hz: float | None) -> tuple[float, Times, Array] | 
 
 
 def _estimate(time: Times) -> float | None:
-    """The rate from the median distance, made finer by the whole recording's length where there are no gaps in it."""
+    """The measured rate from the median distance, made finer by the mean of all distances like it."""
     steps = np.diff(time)
     middle = float(np.median(steps))
     if middle <= 0:
         return None
     near = steps[np.abs(steps - middle) <= TOLERANCE * middle]
     count = len(near)
-    return snapped(NS / float(near.mean()) if count else NS / middle)
+    return NS / float(near.mean()) if count else NS / middle
 
 
 def snapped(rate: float) -> float:

@@ -34,15 +34,15 @@ UNITS = {
 """Units as LSL's metadata conventions spell them, and as we do."""
 log = structlog.get_logger(__name__)
 
-TEXT_WIDTH = 64
-"""Characters that a string marker may have; a longer one is refused unless a greater width is asked for."""
+TEXT_WIDTH, MOST_TEXT = 64, 4096
+"""Characters that a string marker has room for: at least the first, where nobody asks for a number, and never more than the second."""
 
 
 def read_xdf(
     path: Path,
     *,
     streams: dict[str, str],
-    text_width: int = TEXT_WIDTH,
+    text_width: int | None = None,
     start_ns: int | None = None,
     dejitter: bool = True,
     synchronize: bool = True,
@@ -50,7 +50,8 @@ def read_xdf(
     """The streams of an XDF file, or the chosen ones: {our name: the name in the file, or name/type where that is ambiguous}.
 
     `start_ns` is when the first sample was (ns UTC). Without it, times are those that kinegraph's own export wrote down, or
-    else begin at the file's date. String streams become events with the fields `onset` and `text` (at most `text_width` characters).
+    else begin at the file's date. String streams become events with the fields `onset` and `text` (at most
+    `text_width` characters; None: as long as they are).
     Raises RecordingError.
     """
     with reading(path, "an XDF file"):
@@ -63,7 +64,7 @@ def _chosen(
     found: list[dict[str, Any]],
     head: dict[str, Any] | None,
     streams: dict[str, str],
-    text_width: int,
+    text_width: int | None,
     start_ns: int | None,
 ) -> list[Series]:
     found = [s for s in found if int(s["info"]["channel_count"][0]) > 0]
@@ -147,7 +148,7 @@ def _anchor(path: Path, streams: Sequence[dict[str, Any]], head: dict[str, Any] 
     return round(moment.timestamp()) * NS - first
 
 
-def _series(path: Path, name: str, stream: dict[str, Any], anchor: int, text_width: int) -> Series:
+def _series(path: Path, name: str, stream: dict[str, Any], anchor: int, text_width: int | None) -> Series:
     info = stream["info"]
     seconds = np.asarray(stream["time_stamps"], np.float64)
     if not (np.abs(seconds) <= MOST_NS / NS).all():
@@ -216,7 +217,7 @@ def _markers(
     order: Array,
     labels: list[str],
     meta: dict[str, Any],
-    width: int,
+    wanted: int | None,
 ) -> Series:
     """A string stream as events: `onset` (ns), and one text for each channel."""
     rows = [stream["time_series"][i] for i in order]
@@ -224,6 +225,7 @@ def _markers(
     fields = labels if count > 1 and len({*labels, "onset"}) == count + 1 and all(labels) else ["text"]
     fields = fields if len(fields) == count else [f"text{i + 1}" for i in range(count)]
     longest = max((len(cell) for row in rows for cell in row), default=0)
+    width = wanted or max(TEXT_WIDTH, min(longest, MOST_TEXT))
     if longest > width:
         raise RecordingError(
             f"{path}: a marker of stream {name!r} has {longest} characters; allow them with --text-width {longest}"

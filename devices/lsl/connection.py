@@ -1,4 +1,4 @@
-"""An open inlet: samples, the sender's clock, and whether LSL had to connect anew meanwhile."""
+"""An open inlet: samples, the sender's clock, and whether LSL had to reconnect meanwhile."""
 
 from __future__ import annotations
 

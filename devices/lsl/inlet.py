@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import uuid
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
@@ -12,7 +9,7 @@ from devices.clocks.timing import timing_spec
 from devices.lsl.connection import Connection, opened
 from devices.lsl.find import Wanted, find
 from devices.lsl.metadata import TEXT, describe, differences, marker_spec, signal_spec
-from devices.lsl.network import ANY, MACHINE, Network, library, unsettled
+from devices.lsl.network import ANY, Network, library
 from devices.lsl.pull import Pull
 from stream.chunk import Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
@@ -41,7 +38,7 @@ class LslInlet(_Probing):
     Stamps are the sender's, moved to this computer's clock by LSL's own measurement of the offset (every 5 s or so, within 0.2 ms on a
     cable; a new estimate is blended in, so that stamps keep their pace) and less `latency_s`. LSL counts no samples: what is lost shows
     as a leap of the stamps (see `gap_s`). LSL itself connects again when an outlet comes back with the same source_id; what was missed is
-    then marked as lost, of unknown number. One that has brought nothing for `lost_after_s` is given up and looked for anew, by name and
+    then marked as lost, of unknown number. One that has brought nothing for `lost_after_s` is given up and searched for again, by name and
     type, so that it may come back with another source_id. A stream without a rate may be silent for ever as long as its outlet
     answers.
     """
@@ -59,7 +56,7 @@ class LslInlet(_Probing):
     text_width: int = param(64, least=1, most=4096, help="characters that a marker may have; longer ones are cut")
     probe: bool = param(False, help="look at the stream when the graph is loaded, instead of declaring it")
     resolve_s: float = param(5.0, above=0, most=600, help="how long the stream is looked for")
-    lost_after_s: float = param(5.0, above=0, help="after how long without a sample it is looked for anew")
+    lost_after_s: float = param(5.0, above=0, help="after how long without a sample it is searched for again")
     gap_s: float = param(
         0.5, above=0, help="a longer step between stamps is a gap; an even sender's gaps are seen at two periods"
     )
@@ -78,25 +75,6 @@ class LslInlet(_Probing):
         if hasattr(self, "probed"):
             object.__setattr__(made, "probed", self.probed)
         return made
-
-    @contextmanager
-    def simulated(self) -> Iterator[Source]:
-        from devices.simulators.lsl import Lsl
-
-        network = MACHINE if self.network == ANY and unsettled() else self.network
-        source_id = self.source_id or f"kinegraph.simulated.{uuid.uuid4().hex[:12]}"
-        device = Lsl(
-            name=self.name or "simulated",
-            type=self.type or ("Markers" if self.markers else "EMG"),
-            source_id=source_id,
-            channels=self.channels or 1,
-            rate_hz=self.rate_hz,
-            unit=self.unit if isinstance(self.unit, str) else (self.unit[0] if self.unit else ""),
-            markers=self.markers,
-            network=network,
-        )
-        with device.serving():
-            yield replace(self, source_id=source_id, host="", network=network)
 
     def read(self, feed: Feed) -> None:
         lsl = library(self.network)

@@ -57,7 +57,7 @@ class Pull:
                 anew = connection.connected_anew() or anew
             if len(stamps):
                 if anew:
-                    feed.problem("connected anew")
+                    feed.problem("reconnected")
                     log.warning("LSL stream is back", name=connection.described.name, host=connection.described.host)
                 if anew or not known:
                     known = self._learn_clock(float(stamps[-1]))
@@ -137,7 +137,7 @@ class Pull:
             return
         if not self._feed.stopped:
             raise DeviceError(
-                f"{self._connection.wanted} has brought nothing for {seconds:.1f} s; it is looked for anew"
+                f"{self._connection.wanted} has brought nothing for {seconds:.1f} s; it is searched for again"
             )
 
     def _look_after(self, now: float) -> None:

@@ -129,7 +129,7 @@ class LslStamps:
 class Leaps:
     """Where the stamps of a regular stream leap. LSL counts nothing, so this is all that can be known of a loss.
 
-    A sender that stamps evenly loses a number of samples that can be told. One that stamps as it happens to get at its samples does not:
+    A sender that stamps evenly loses a number of samples that is known. One that stamps as it happens to get at its samples does not:
     its leaps are gaps only above `gap_s`, of unknown size.
     """
 

@@ -68,7 +68,7 @@ class Broker:
 
 
 class BrokerConnection:
-    """A thread that keeps a connection to the broker. Everything it is told while there is none is the caller's to say again.
+    """A thread that keeps a connection to the broker. Everything it is given while there is none is the caller's to say again.
 
     greeting       topic that says `online` (retained) while we are there; the broker itself says `offline` when we vanish
     subscriptions  topics that are heard

@@ -10,6 +10,7 @@ from queue import Empty, SimpleQueue
 from typing import ClassVar
 
 import numpy as np
+import structlog
 
 from devices.mqtt.link import Broker, BrokerConnection
 from devices.outlets.mqtt.discovery import OFF, ON, Device, Topics, switch
@@ -17,7 +18,13 @@ from stream.chunk import Chunk, Specs, StreamSpec, empty
 from stream.params import param
 from stream.source import Feed, Source
 
+log = structlog.get_logger(__name__)
+
 SWITCHED = np.dtype([("on", "?")])
+MOST_SHOWN = 200
+"""Characters of a message that is neither ON nor OFF, of which the log tells."""
+MOST_TOLD = 20
+"""Such messages of one opening that the log tells of; whoever sends more has been named often enough."""
 HEARTBEAT_S = 0.05
 """How often it says that it was not switched: so long does an operator that reads it wait for it."""
 
@@ -67,7 +74,7 @@ class _Hand:
 
     def __init__(self, of: MqttSwitch) -> None:
         self._of, self._topics = of, Topics(of.base, of.device.id, of.discovery)
-        self._on, self._settled = of.initial, False
+        self._on, self._settled, self._strange = of.initial, False, 0
         self._switched: SimpleQueue[bool] = SimpleQueue()
         state, command = self._topics.state(of.name), self._topics.command(of.name)
         self.link = BrokerConnection(
@@ -94,6 +101,9 @@ class _Hand:
                 self._say_state()
         elif text.strip().upper() in (ON, OFF):
             self._turn(text.strip().upper() == ON, topic, retained)
+        elif self._strange < MOST_TOLD:
+            self._strange += 1
+            log.warning("MQTT message is neither ON nor OFF", topic=topic, text=text[:MOST_SHOWN])
 
     def _turn(self, on: bool, topic: str, retained: bool) -> None:
         """A command, or at the start what the broker remembers; a command that the broker kept from long ago is none."""

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from devices.clocks.stamps import Losses, runs
+from devices.clocks.stamps import Losses, chunks
 from devices.oak.library import ns
 from stream.chunk import Array, Chunk, StreamSpec
 from stream.errors import DeviceError
@@ -32,8 +32,17 @@ class Message(NamedTuple):
 
 def message_of(dai: Any, message: Any) -> Message:
     """What is needed of depthai's ImgFrame, nothing copied. Raises DeviceError where it is no depth frame of 16 bits."""
-    if message.getType() != dai.ImgFrame.Type.RAW16:
-        raise DeviceError(f"expected frames of type RAW16 (depth in mm), came {message.getType().name}")
+    return _taken(dai, message, ("RAW16",), "depth in mm")
+
+
+def image_of(dai: Any, message: Any) -> Message:
+    """What is needed of an image: grey (GRAY8, RAW8) or colour (RGB888i). Raises DeviceError where it is none of these."""
+    return _taken(dai, message, ("GRAY8", "RAW8", "RGB888i"), "an image of 8 bits")
+
+
+def _taken(dai: Any, message: Any, types: tuple[str, ...], wanted: str) -> Message:
+    if message.getType().name not in types:
+        raise DeviceError(f"expected frames of type {' or '.join(types)} ({wanted}), came {message.getType().name}")
     stride, height = message.getStride(), message.getHeight()
     data = message.getData()
     rows = data[: stride * height].reshape(height, stride) if len(data) >= stride * height else data[:0].reshape(0, 0)
@@ -51,12 +60,13 @@ class Taken(NamedTuple):
 
 
 class Frames:
-    """A camera's frames, one after the other. Holds the newest frame, to see whether the next one is the same."""
+    """A camera's frames, of depth or images, one after the other. Holds the newest frame, to see whether the next one is the same."""
 
     def __init__(self, spec: StreamSpec, zero_ns: int, latency_ns: int = 0, *, recorded: bool = False) -> None:
         """`zero_ns`: session time of the host clock's zero. Times of what was `recorded` are not compared with their arrival."""
         self._recorded = recorded
-        self._shape: tuple[int, int] = spec.shape  # type: ignore[assignment]
+        self._shape, self._dtype = spec.shape, spec.dtype
+        self._pixel_bytes = spec.sample_bytes // (spec.shape[0] * spec.shape[1])
         self._zero, self._latency = zero_ns, latency_ns
         self._number: int | None = None
         self._stamp = 0
@@ -98,22 +108,22 @@ class Frames:
 
     def _copy(self, message: Message) -> Array | None:
         """The one copy; None where the message is shorter than it says."""
-        height, width = self._shape
+        height, width = self._shape[:2]
         rows = message.rows
-        if not rows.size or rows.shape[1] < 2 * message.width:
+        if not rows.size or rows.shape[1] < self._pixel_bytes * message.width:
             return None
-        if (len(rows), message.width) != self._shape:
+        if (len(rows), message.width) != (height, width):
             raise DeviceError(
                 f"the camera gives frames of {message.width} x {len(rows)}, the graph says {width} x {height}; "
                 f"write width: {message.width} and height: {len(rows)}"
             )
-        frame = np.empty((1, height, width), np.uint16)
-        frame.view(np.uint8)[0] = rows[:, : 2 * width]
+        frame = np.empty((1, *self._shape), self._dtype)
+        frame.view(np.uint8).reshape(height, -1)[:] = rows[:, : self._pixel_bytes * width]
         return frame
 
     def _judge(self, frame: Array, problems: list[str]) -> None:
         if not frame.max():
-            problems.append("frame without depth")
+            problems.append("frame without depth" if self._dtype == np.uint16 else "black image")
         elif self._frame is not None and _same(frame, self._frame):
             problems.append("frozen frame")
         self._frame = frame
@@ -161,4 +171,4 @@ class ImuPackets:
             device = ns(a.getTimestampDevice())
             lost[i] = self._losses.before(device, None, arrival, restarted=self._interrupted)
             self._interrupted = False
-        return [Chunk(time[a:b], data[a:b], int(time[b - 1]), int(lost[a])) for a, b in runs(lost)]
+        return list(chunks(time, lost, data))

@@ -53,12 +53,14 @@ class Camera:
 
     depth      queue of depth frames
     imu        queue of inertial packets, where they are wanted
+    image      queue of images, where they are wanted
     identity   serial number, model, sensors, USB speed
     light      sets the projector and the flood light; what the camera lacks of them
     """
 
     depth: Any
     imu: Any = None
+    image: Any = None
     identity: dict[str, Any] = field(default_factory=dict)
     light: Callable[[], list[str]] = list
 
@@ -78,13 +80,15 @@ def opened(dai: Any, of: Oak, link: CameraLink) -> Iterator[Camera]:
         raise not_opened(dai, of.device, error) from None
     with device, dai.Pipeline(device) as pipeline:
         try:
-            depth = _depth(dai, pipeline, of).createOutputQueue(maxSize=QUEUE, blocking=False)
+            node = _depth(dai, pipeline, of)
+            depth = node.depth.createOutputQueue(maxSize=QUEUE, blocking=False)
+            image = _image(dai, pipeline, of, node) if of.image else None
             imu = _imu(dai, pipeline, of) if of.imu_hz else None
             pipeline.setDeviceStateCallback(link.tell)
             pipeline.start()
         except RuntimeError as error:
             raise not_opened(dai, of.device, error) from None
-        yield Camera(depth, imu, identity_of(device), lambda: lit(device, of.projector, of.flood))
+        yield Camera(depth, imu, image, identity_of(device), lambda: lit(device, of.projector, of.flood))
 
 
 def lit(device: Any, projector: float, flood: float) -> list[str]:
@@ -109,18 +113,31 @@ def lit(device: Any, projector: float, flood: float) -> list[str]:
 
 
 def _depth(dai: Any, pipeline: Any, of: Oak) -> Any:
-    """The pipeline's output of depth frames."""
+    """The node of the pipeline that gives depth frames."""
     if of.depth == "tof":
         preset = {"profile": dai.ToFConfig.Profile.__members__[of.preset.upper()]} if of.preset else {}
-        return pipeline.create(dai.node.ToF).build(fps=of.fps, **preset).depth
+        return pipeline.create(dai.node.ToF).build(fps=of.fps, **preset)
     presets = dai.node.StereoDepth.PresetMode.__members__
-    node = pipeline.create(dai.node.StereoDepth).build(
+    return pipeline.create(dai.node.StereoDepth).build(
         autoCreateCameras=True,
         presetMode=presets[(of.preset or "default").upper()],
         size=(of.width, of.height),
         fps=of.fps,
     )
-    return node.depth
+
+
+def _image(dai: Any, pipeline: Any, of: Oak, depth: Any) -> Any:
+    """The queue of images that show what the depth shows, pixel by pixel: the rectified right camera, or colour to which depth is aligned.
+
+    Written after depthai's documentation; not tried on a camera.
+    """
+    if of.image == "mono":
+        output = depth.rectifiedRight
+    else:
+        colour = pipeline.create(dai.node.Camera).build(dai.CameraBoardSocket.CAM_A)
+        output = colour.requestOutput((of.width, of.height), type=dai.ImgFrame.Type.RGB888i, fps=of.fps)
+        output.link(depth.inputAlignTo)
+    return output.createOutputQueue(maxSize=QUEUE, blocking=False)
 
 
 def _imu(dai: Any, pipeline: Any, of: Oak) -> Any:

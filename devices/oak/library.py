@@ -7,7 +7,7 @@ from collections.abc import Callable
 from datetime import timedelta
 from typing import Any
 
-from devices.usb.bus import Address, rule
+from devices.usb.bus import UsbAddress, rule
 from stream.errors import DeviceError
 
 VENDOR = 0x03E7
@@ -52,7 +52,7 @@ def forbidden(dai: Any, info: Any) -> bool:
 
 def permission() -> str:
     """What to do about that."""
-    return f"permission denied; {rule(Address(VENDOR, None))}"
+    return f"permission denied; {rule(UsbAddress(VENDOR, None))}"
 
 
 def not_opened(dai: Any, device: str, error: Exception) -> DeviceError:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, replace
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any, Literal
 
@@ -13,7 +12,7 @@ import numpy as np
 import structlog
 
 from devices.clocks.timing import timing_chunk, timing_spec
-from devices.oak.adapter import Frames, ImuPackets, message_of
+from devices.oak.adapter import Frames, ImuPackets, image_of, message_of
 from devices.oak.camera import Camera, CameraLink, opened
 from devices.oak.library import library, zero_ns
 from stream.chunk import NS, Specs, StreamSpec
@@ -28,16 +27,20 @@ PRESETS = {
     "tof": ("low_range", "mid_range", "high_range"),
 }
 """depthai's own settings for a purpose."""
+USUAL_FOCAL = 0.70
+"""Focal length in widths of the frame: 71 degrees from side to side, as most of these cameras have. Nominal, not of any one camera."""
 MOTION = ("ax", "ay", "az", "gx", "gy", "gz")
 
 log = structlog.get_logger(__name__)
 
 
 class _Outputs:
-    """The outputs of a class whose instances have an inertial one only where it is wanted."""
+    """The outputs of a class whose instances have images and an inertial one only where they are wanted."""
 
     def __get__(self, instance: Oak | None, owner: type) -> tuple[str, ...]:
-        return ("depth", "imu", "timing") if instance is not None and instance.imu_hz else ("depth", "timing")
+        if instance is None:
+            return "depth", "timing"
+        return "depth", *filter(None, (instance.image, "imu" if instance.imu_hz else "")), "timing"
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,11 +49,16 @@ class Oak(Source):
 
     depth    (height, width) uint16: distance from the camera's plane in mm; 0: no measurement there. Regular, at `fps`
     imu      (6,) float64, with `imu_hz`: acceleration (m/s2) and angular velocity (rad/s) of the camera itself
+    mono     (height, width) uint8, with `image: mono`: what the right camera sees, the same pixels as the depth; with the projector's dots
+    colour   (height, width, 3) uint8, with `image: colour`: red, green, blue, and the depth is that of the colour camera's pixels
     timing   an event per frame: its number, the camera's time, arrival, stamp
+
+    Images are recorded only where the graph names them in `record`, as depth is. Their stamps are their own. The specs of depth and images
+    say `camera`: fx, fy, cx, cy, in pixels, from `intrinsics`, or from the angle of view that these cameras usually have (`known: false`).
 
     A frame's stamp is the middle of its exposure, on the host clock that depthai keeps in step with the camera's. Frames that are missing
     are known from their numbers. depthai itself connects again to a camera that comes back; one that stays away for `reconnect_s`, or
-    brings no frame for `lost_after_s` though it is connected, is closed and looked for anew.
+    brings no frame for `lost_after_s` though it is connected, is closed and searched for again.
 
     `projector` and `flood` are set once the pipeline runs, and again whenever the camera has come back: it forgets them. A camera that
     lacks what is asked for goes on without it; that is logged, and counted as a problem.
@@ -65,6 +73,10 @@ class Oak(Source):
     width: int = param(640, least=16, most=4096, help="pixels in a row of a frame")
     height: int = param(400, least=16, most=4096, help="rows of a frame; 480 for time of flight")
     fps: float = param(30.0, above=0, most=240, help="frames per second")
+    image: Literal["", "mono", "colour"] = param("", help="images beside the depth: mono (the right camera) or colour")
+    intrinsics: tuple[float, ...] = param(
+        (), least=0.0, help="fx, fy, cx, cy in pixels at this width and height; left out: about what these cameras have"
+    )
     preset: str = param(
         "",
         help="depthai's preset: for stereo default, accuracy, density, ...; for tof low_range, mid_range, high_range",
@@ -80,7 +92,7 @@ class Oak(Source):
     )
     lit_room: bool = param(False, help="the room stays light all night, so that a stereo camera needs no projector")
     imu_hz: float = param(0.0, least=0, most=1000, help="rate of the inertial output; 0: there is none")
-    lost_after_s: float = param(5.0, above=0, help="after how long without a frame it is opened anew")
+    lost_after_s: float = param(5.0, above=0, help="after how long without a frame it is opened again")
     reconnect_s: float = param(30.0, above=0, help="how long depthai may try to reach a camera that was unplugged")
     latency_s: float = param(0.0, least=0, most=1, help="how long before its stamp a frame really was taken")
 
@@ -100,27 +112,29 @@ class Oak(Source):
     def specs(self) -> Specs:
         if self.preset and self.preset not in PRESETS[self.depth]:
             raise ParameterError("preset", self.preset, f"one of {', '.join(PRESETS[self.depth])}, or left out")
-        meta = {"device": "OAK", "depth": self.depth, "invalid": 0}
+        if len(self.intrinsics) not in (0, 4):
+            raise ParameterError("intrinsics", list(self.intrinsics), "four numbers, fx, fy, cx, cy, or left out")
+        if self.image and self.depth == "tof":
+            raise ParameterError("image", self.image, "left out for a camera that measures the time of flight")
+        usual = (USUAL_FOCAL * self.width, USUAL_FOCAL * self.width, (self.width - 1) / 2, (self.height - 1) / 2)
+        camera: dict[str, Any] = dict(zip(("fx", "fy", "cx", "cy"), self.intrinsics or usual, strict=True))
+        camera["known"] = bool(self.intrinsics)
+        meta = {"device": "OAK", "depth": self.depth, "invalid": 0, "camera": camera}
         specs = {
             "depth": StreamSpec(
                 (self.height, self.width), np.dtype(np.uint16), rate_hz=self.fps, units=("mm",), meta=meta
             ),
             "timing": timing_spec(),
         }
+        if self.image:
+            shape = (self.height, self.width) if self.image == "mono" else (self.height, self.width, 3)
+            light = "dots" if self.projector else "flood" if self.flood else "room"
+            facts = {"device": "OAK", "camera": camera, "light": light}
+            specs[self.image] = StreamSpec(shape, np.dtype(np.uint8), rate_hz=self.fps, meta=facts)
         if self.imu_hz:
             units = ("m/s2",) * 3 + ("rad/s",) * 3
             specs["imu"] = StreamSpec((6,), rate_hz=self.imu_hz, channels=MOTION, units=units, meta={"device": "OAK"})
         return specs
-
-    @contextmanager
-    def simulated(self) -> Iterator[Source]:
-        from devices.simulators.oak import OakSimulator as Simulated
-        from devices.simulators.oak import SimulatedOak
-
-        device = Simulated(width=self.width, height=self.height, fps=self.fps, imu_hz=self.imu_hz)
-        with device.plugged_in() as camera:
-            made: SimulatedOak = SimulatedOak.of(replace(self, device=""), camera)
-            yield made
 
     def open(self, dai: Any, link: CameraLink) -> AbstractContextManager[Camera]:
         """The camera; a simulated one gives its own."""
@@ -144,22 +158,26 @@ class _Reading:
         latency, zero = round(of.latency_s * NS), zero_ns(dai, feed.now)
         self._frames = Frames(of.specs()["depth"], zero, latency)
         self._motion = ImuPackets(of.imu_hz, zero, latency) if of.imu_hz else None
+        self._images = Frames(of.specs()[of.image], zero, latency) if of.image else None
         self._patience_s = FIRST_FRAME_S
         self._heard = time.monotonic()
 
     def run(self) -> None:
         """Until told to stop; raises DeviceError when the camera is lost."""
         self._light()
-        wait = timedelta(milliseconds=10 if self._motion else 100)
+        wait = timedelta(milliseconds=10 if self._motion or self._images else 100)
         while not self._feed.stopped:
             try:
                 message = self._camera.depth.get(wait)
                 motion = self._camera.imu.tryGetAll() if self._motion else ()
             except self._dai.MessageQueue.QueueException:
                 raise DeviceError(f"the OAK camera's pipeline has ended ({self._link.state})") from None
+            images = self._camera.image.tryGetAll() if self._images else ()
             self._look_at_link()
             if message is not None:
                 self._frame(message)
+            for image in images:
+                self._image(image)
             for packets in motion:
                 self._packets(packets)
             self._check_silence()
@@ -187,6 +205,14 @@ class _Reading:
         self._feed.emit(chunk, "depth")
         self._feed.emit(timing_chunk(taken.number, taken.device, arrival, chunk.time, chunk.lost), "timing")
 
+    def _image(self, message: Any) -> None:
+        assert self._images
+        taken = self._images.take(image_of(self._dai, message), self._feed.now())
+        for problem in taken.problems:
+            self._feed.problem(problem)
+        if taken.chunk is not None:
+            self._feed.emit(taken.chunk, self._of.image)
+
     def _packets(self, message: Any) -> None:
         assert self._motion
         for chunk in self._motion.take(message.packets, self._feed.now()):
@@ -204,6 +230,8 @@ class _Reading:
             if state == "DISCONNECTED":
                 self._feed.problem("connection lost")
             self._frames.interrupted()
+            if self._images:
+                self._images.interrupted()
             if self._motion:
                 self._motion.interrupted()
 

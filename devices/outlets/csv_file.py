@@ -36,7 +36,7 @@ class CsvState:
     missing: int = 0
 
 
-class _Desk:
+class CsvRuntime:
     """What belongs to a running outlet but not to its state: the spec, the open file, the claim on its name."""
 
     def __init__(self, spec: StreamSpec) -> None:
@@ -45,13 +45,8 @@ class _Desk:
         self.claim: FileLock | None = None
 
 
-class _Writer(Outlet[CsvState]):
-    __slots__ = ("desk",)
-    desk: _Desk
-
-
 @dataclass(frozen=True, slots=True)
-class CsvFile(_Writer):
+class CsvFile(Outlet[CsvState, CsvRuntime]):
     """A stream or event as CSV: a header with units, then one row per sample, there as soon as its chunk has passed.
 
     Columns: `time (UTC)`, ISO 8601 to the nanosecond; `seconds (s)`, counted from the first row; `lost`, how many samples are missing just
@@ -80,8 +75,7 @@ class CsvFile(_Writer):
             raise InputError(
                 "in", f"{spec.describe()}: {n} columns", f"a stream of at most {MOST_COLUMNS} numbers a sample"
             )
-        object.__setattr__(self, "desk", _Desk(spec))
-        self.hold(CsvState())
+        self.hold(CsvState(), CsvRuntime(spec))
         return {}
 
     @property
@@ -89,39 +83,42 @@ class CsvFile(_Writer):
         return str(Path(self.path).with_name(Path(self.state.path).name)) if self.state.path else self.path
 
     def begin(self) -> None:
-        desk = self.desk
-        desk.claim = claim(Path(self.path).absolute())
+        runtime = self.runtime
+        runtime.claim = claim(Path(self.path).absolute())
         try:
-            desk.file = self._begin(self.state)
+            runtime.file = self._begin(self.state)
         except BaseException:
-            let_go(desk.claim)
+            let_go(runtime.claim)
             raise
 
     def process(self, port: str, chunk: Chunk) -> None:
-        state, file = self.state, self.desk.file
+        state, file = self.state, self.runtime.file
         if not len(chunk):
             return
         assert file is not None
         if state.start_ns == UNKNOWN:
             state.start_ns = int(chunk.time[0])
         missing = add_lost(state.missing, chunk.lost)
-        dropped = file.write(rows(self.desk.spec, chunk, state.start_ns, missing))
+        dropped = file.write(rows(self.runtime.spec, chunk, state.start_ns, missing))
         state.missing = add_lost(missing, dropped) if dropped else 0
         state.rows += len(chunk) - dropped
 
     def close(self) -> None:
-        desk = self.desk
+        runtime = self.runtime
         try:
-            if desk.file is not None:
-                desk.file.close()
+            if runtime.file is not None:
+                runtime.file.close()
         finally:
-            desk.file = None
-            if desk.claim is not None:
-                let_go(desk.claim)
+            runtime.file = None
+            if runtime.claim is not None:
+                let_go(runtime.claim)
 
     def snapshot(self) -> dict[str, Array]:
-        if self.desk.file is not None:
-            self.state.offset, self.state.pending = self.desk.file.offset, self.desk.file.pending.decode("latin-1")
+        if self.runtime.file is not None:
+            self.state.offset, self.state.pending = (
+                self.runtime.file.offset,
+                self.runtime.file.pending.decode("latin-1"),
+            )
         return pack(self.state)
 
     def _begin(self, state: CsvState) -> AppendFile:
@@ -136,7 +133,7 @@ class CsvFile(_Writer):
             state.path = str(path)
             file = AppendFile(path)
         if not file.offset and not file.pending:
-            file.write(_line(header(self.desk.spec)))
+            file.write(_line(header(self.runtime.spec)))
         return file
 
 

@@ -23,7 +23,7 @@ CYCLE = ("number", "duration_s", "stance_pct", "cadence", "rejected")
 @dataclass(slots=True)
 class CycleTableState:
     """The cycle whose numbers are awaited: its event (1,), the numbers (fields, m) so far; counts of cycles; and the latest, a ring:
-    their numbers, and whether they were accepted."""
+    their numbers, and whether they were accepted. Of several limbs, each one's latest rows."""
 
     event: Array
     values: Samples
@@ -32,24 +32,26 @@ class CycleTableState:
     rejected: int
     numbers: Times
     taken: Times
-
-
-class _Shown(Outlet[CycleTableState]):
-    __slots__ = ("specs",)
-    specs: Specs
+    limbs: list[str]
+    latest: list[Array]
 
 
 @dataclass(frozen=True, slots=True)
-class CycleTable(_Shown):
+class CycleTable(Outlet[CycleTableState, StreamSpec]):
     """Every cycle as it closes: its duration, stance and cadence, and what was measured of each muscle; rejected ones with the reason.
 
     closed       of `operators.gait.cycles.Cycles`
     statistics   of `operators.gait.statistics.CycleStatistics`
 
+    stages       of `operators.gait.stages.Stages`: which stage has begun, and what is to be said
+
+    Of several limbs the table shows each one's latest cycle, muscle by muscle over one another.
+
     `kinegraph run` shows the newest cycle as a table in its live view; where the output is no terminal, every cycle is a line.
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("closed", "statistics")
+    inputs: ClassVar[tuple[str, ...]] = ("closed", "statistics", "stages")
+    optional: ClassVar[tuple[str, ...]] = ("stages",)
 
     fields: tuple[str, ...] = param(
         ("peak", "peak_pct", "mean", "integrated", "deviation"), help="which numbers of `statistics` are shown"
@@ -65,7 +67,6 @@ class CycleTable(_Shown):
             if field not in statistics.channels or statistics.dtype[field].kind != "f":
                 known = [name for name in statistics.channels if statistics.dtype[name].kind == "f"]
                 raise ParameterError("fields", field, f"a number of `statistics`; {nearest(field, known)}")
-        object.__setattr__(self, "specs", specs)
         self.hold(
             CycleTableState(
                 np.zeros(0, closed.dtype),
@@ -75,13 +76,19 @@ class CycleTable(_Shown):
                 0,
                 np.full(64, -1),
                 np.zeros(64, np.int64),
-            )
+                [],
+                [],
+            ),
+            statistics,
         )
         return {}
 
     def process(self, port: str, chunk: Chunk) -> None:
         state = self.state
-        if port == "closed":
+        if port == "stages":
+            for row in chunk.data:
+                _tell_stage(row)
+        elif port == "closed":
             for i in range(len(chunk)):
                 event = chunk.data[i : i + 1]
                 again = _count(state, int(event["number"][0]), not event["rejected"][0])
@@ -94,13 +101,44 @@ class CycleTable(_Shown):
         elif len(chunk) and len(state.event):
             rows = chunk.data[chunk.data["number"] == state.event["number"][0]]
             if len(rows):
-                spec = self.specs["statistics"]
-                table = cycle_table(headline(state.event, state), rows, self.fields, spec)
+                spec = self.runtime
+                table = cycle_table(headline(state.event, state), _beside(state, rows, spec), self.fields, spec)
                 _show(table, cycle_line(state.event, rows, self.fields, spec))
 
 
+def _beside(state: CycleTableState, rows: Array, spec: StreamSpec) -> Array:
+    """The rows to be shown: of several limbs, each one's latest, a muscle's over one another."""
+    limbs, muscles = dict(spec.meta.get("limbs") or {}), dict(spec.meta.get("muscles") or {})
+    limb = next((name for name, mine in limbs.items() if str(rows["name"][0]) in mine), "")
+    if not limb:
+        return rows
+    if limb not in state.limbs:
+        state.limbs.append(limb)
+        state.latest.append(rows)
+    state.latest[state.limbs.index(limb)] = rows.copy()
+    both = np.concatenate(state.latest)
+    order = list(dict.fromkeys(muscles.values()))
+    places = [order.index(muscles[str(name)]) for name in both["name"]]
+    return both[np.lexsort((both["name"], np.array(places)))]
+
+
+def _tell_stage(row: Any) -> None:
+    """A stage has begun, or the last one has ended."""
+    speed = f" at {row['speed_m_s']:.2f} m/s" if np.isfinite(row["speed_m_s"]) else ""
+    before = f" ({row['cycles']} good cycles before it)" if row["number"] > 1 else ""
+    what = (
+        f"stage {row['number']}: {row['stage']}{speed}{before}" if row["stage"] else f"the protocol has ended{before}"
+    )
+    line = f"{what}. {row['say']}" if row["say"] else what
+    if TerminalView.current is None:
+        with suppress(BrokenPipeError):  # nobody reads on
+            say(line, flush=True)
+    else:
+        TerminalView.current.hang_out("stage", line, line)
+
+
 def _count(state: CycleTableState, number: int, taken: bool) -> bool:
-    """Count a cycle; gives whether it had been told before, which then no longer counts."""
+    """Count a cycle; gives whether it had been reported before, which then no longer counts."""
     found = np.flatnonzero(state.numbers == number)
     k = int(found[0]) if len(found) else (state.accepted + state.rejected) % len(state.numbers)
     if len(found):
@@ -159,7 +197,8 @@ def cycle_line(event: Array, rows: Array, fields: tuple[str, ...], spec: StreamS
 def _what(event: Array) -> str:
     row: Any = event[0]
     stance = f"  stance {row['stance_pct']:.1f} %" if np.isfinite(row["stance_pct"]) else ""
-    return f"cycle {row['number']}  {row['duration_s']:.3f} s{stance}  {row['cadence']:.1f} strides/min"
+    where = "".join(f"  {row[name]}" for name in ("limb", "stage") if name in row.dtype.names and row[name])
+    return f"cycle {row['number']}{where}  {row['duration_s']:.3f} s{stance}  {row['cadence']:.1f} strides/min"
 
 
 def _short(field: str) -> str:

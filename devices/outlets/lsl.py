@@ -33,7 +33,7 @@ class Nothing:
     """An outlet to a network has no state."""
 
 
-class _Desk:
+class LslRuntime:
     """What belongs to a running outlet. `zero`: session time (ns) at which LSL's clock stood at 0; None: not known yet."""
 
     def __init__(self, form: Form) -> None:
@@ -44,13 +44,8 @@ class _Desk:
         self.outlet: Any = None
 
 
-class _Sender(Outlet[Nothing]):
-    __slots__ = ("desk",)
-    desk: _Desk
-
-
 @dataclass(frozen=True, slots=True)
-class LslOutlet(_Sender):
+class LslOutlet(Outlet[Nothing, LslRuntime]):
     """Offers a stream of the graph on the Lab Streaming Layer, with labels, units, type and the full spec in its description.
 
     Signals, markers and small frames go out as they are, one LSL channel for each number of a sample (LANK.x, LANK.y, ...), in the
@@ -75,47 +70,46 @@ class LslOutlet(_Sender):
     def open(self, specs: Specs) -> Specs:
         if not self.name:
             raise ParameterError("name", self.name, "a name, by which others find the stream")
-        object.__setattr__(self, "desk", _Desk(form_of(specs["in"], self.events, self.fields)))
-        self.hold(Nothing())
+        self.hold(Nothing(), LslRuntime(form_of(specs["in"], self.events, self.fields)))
         return {}
 
     def keep_time(self, clock: SessionClock) -> None:
-        self.desk.clock = clock
+        self.runtime.clock = clock
 
     def begin(self) -> None:
-        desk = self.desk
-        lsl = desk.lsl = library(self.network)
-        form = desk.form
+        runtime = self.runtime
+        lsl = runtime.lsl = library(self.network)
+        form = runtime.form
         source_id = self.source_id or f"kinegraph.{socket.gethostname()}.{self.name}"
         kind = self.type or form.type
         info = lsl.StreamInfo(self.name, kind, len(form.labels), form.rate_hz, form.format, source_id)
         form.describe(info.desc(), kind)
         try:
-            desk.outlet = lsl.StreamOutlet(info, max_buffered=BUFFER_S)
+            runtime.outlet = lsl.StreamOutlet(info, max_buffered=BUFFER_S)
         except RuntimeError as error:
             raise DeviceError(f"the LSL outlet {self.name!r} cannot be opened: {error}") from None
-        if desk.clock:
-            desk.zero = zero_ns(lsl, desk.clock.now)
+        if runtime.clock:
+            runtime.zero = zero_ns(lsl, runtime.clock.now)
         log.info(
             "LSL outlet", name=self.name, type=kind, source_id=source_id, channels=len(form.labels), format=form.format
         )
 
     def process(self, port: str, chunk: Chunk) -> None:
-        desk = self.desk
+        runtime = self.runtime
         if not len(chunk):
             return
-        if desk.zero is None:
-            desk.zero = int(chunk.time[-1]) - round(desk.lsl.local_clock() * NS)
-        stamps = ((chunk.time - desk.zero) / NS).tolist()
-        if isinstance(desk.form, Numbers):
-            desk.outlet.push_chunk(desk.form.rows(chunk), stamps)
+        if runtime.zero is None:
+            runtime.zero = int(chunk.time[-1]) - round(runtime.lsl.local_clock() * NS)
+        stamps = ((chunk.time - runtime.zero) / NS).tolist()
+        if isinstance(runtime.form, Numbers):
+            runtime.outlet.push_chunk(runtime.form.rows(chunk), stamps)
         else:
-            for text, stamp in zip(desk.form.rows(chunk), stamps, strict=True):
-                desk.outlet.push_sample([text], stamp)
+            for text, stamp in zip(runtime.form.rows(chunk), stamps, strict=True):
+                runtime.outlet.push_sample([text], stamp)
 
     def close(self) -> None:
-        desk = self.desk
-        if desk.outlet is not None:
-            if desk.outlet.have_consumers():
+        runtime = self.runtime
+        if runtime.outlet is not None:
+            if runtime.outlet.have_consumers():
                 time.sleep(LINGER_S)
-            desk.outlet = None
+            runtime.outlet = None

@@ -1,4 +1,4 @@
-"""A running session on the terminal: one panel that is drawn anew on a screen, plain lines where there is none (a pipe, a log file)."""
+"""A running session on the terminal: one panel that is redrawn on a screen, plain lines where there is none (a pipe, a log file)."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class TerminalView:
         self.metrics = metrics
 
     def hang_out(self, title: str, notice: RenderableType, line: str) -> None:
-        """Show `notice` before the metrics until the next one of this title; `line` says the same where lines are shown."""
+        """Show `notice` before the metrics until the next one of this title; `line` says the same where lines are shown, "" nothing."""
         self.notices[title] = notice
 
     @property
@@ -119,7 +119,8 @@ class LineView(TerminalView):
             self._say(f"{_clock(self.elapsed_s)}  {metrics_line(metrics)}")
 
     def hang_out(self, title: str, notice: RenderableType, line: str) -> None:
-        self._say(line)
+        if line:
+            self._say(line)
 
     def __enter__(self) -> Self:
         self._say(f"{self.name}: {WAITING}")

@@ -7,7 +7,7 @@ from itertools import product
 from typing import Literal
 
 from devices.protocols.checksums import CHECKSUMS
-from devices.protocols.declared import FrameLayout
+from devices.protocols.frame_layout import FrameLayout
 
 LEAST = 5
 """So many different frames must have come; fewer may fit by chance."""

@@ -30,6 +30,8 @@ INPUTS = ("normal", "shorted", "bias_measured", "supply", "temperature", "test",
 
 SOFT_RESET, START, STOP, DEFAULTS = b"v", b"b", b"s", b"d"
 ONLY_BOARD, WITH_DAISY = b"c", b"C"
+NEAR = 8
+"""So far the counter may go from one packet to the next for them to be believed to follow each other."""
 ENDING = b"$$$"
 """What every answer ends with."""
 
@@ -131,23 +133,37 @@ class CytonDecoder:
         self._buffer = b""
         self._following = False
         """Whether what stands at the head of the buffer follows a packet directly."""
-        self._counter = -1
+        self._counter, self._last = -1, b""
+        """The last packet, and what its counter said (or should have said for what follows it to be believed)."""
 
     def feed(self, data: bytes) -> CytonFrames:
-        if self._following and not self._buffer and len(data) == SIZE and _ONE.fullmatch(data):
-            self._counter = data[1]  # nearly every read: one packet, whole
+        if (
+            self._following
+            and not self._buffer
+            and len(data) == SIZE
+            and _ONE.fullmatch(data)
+            and _near(self._counter, data[1])
+        ):
+            self._counter, self._last = data[1], data  # nearly every read: one packet, whole
             return CytonFrames(data)
         buffer = self._buffer + data if self._buffer else data
         pieces: list[bytes] = []
         at = dropped = resyncs = 0
         while len(buffer) - at >= SIZE:
-            run = _RUN.match(buffer, at) if self._following else None
-            if run:
-                pieces.append(run.group())
-                at = run.end()
-                self._counter = buffer[at - SIZE + 1]
+            end = self._run(buffer, at) if self._following else at
+            if end > at:
+                pieces.append(buffer[at:end])
+                at = end
+                self._last = buffer[at - SIZE : at]
+                self._counter = self._last[1]
                 continue
             if self._following:
+                believed = self._borne_out(buffer, at)  # the board has begun to count again, or was away
+                if believed is None:
+                    break
+                if believed:
+                    self._counter = (buffer[at + 1] - 1) % 256
+                    continue
                 resyncs += 1
                 self._following = False
             start, found = self._seek(buffer, at)
@@ -155,28 +171,50 @@ class CytonDecoder:
             at = start
             if not found:
                 break
-        if not self._following:
+        if not self._following and len(buffer) - at < SIZE:
             start = _tail(buffer, at)
             dropped += start - at
             at = start
         self._buffer = buffer[at:]
         return CytonFrames(pieces[0] if len(pieces) == 1 else b"".join(pieces), dropped, resyncs)
 
+    def _run(self, buffer: bytes, at: int) -> int:
+        """How far packets follow each other from here on, by their places and counters; one may come twice."""
+        run, counter, last = _RUN.match(buffer, at), self._counter, self._last
+        for start in range(at, run.end() if run else at, SIZE):
+            one = buffer[start : start + SIZE]
+            if not _near(counter, one[1]) and one != last:
+                return start
+            counter, last = one[1], one
+        return run.end() if run else at
+
+    def _borne_out(self, buffer: bytes, at: int) -> bool | None:
+        """Whether a packet begins here into which the one right behind goes on; None: that has not come yet."""
+        end = at + SIZE
+        if not _ONE.match(buffer, at) or buffer[end : end + 1] not in (b"", b"\xa0"):
+            return False
+        if len(buffer) < end + SIZE:
+            return None
+        return bool(_ONE.match(buffer, end)) and _near(buffer[at + 1], buffer[end + 1])
+
     def _seek(self, buffer: bytes, at: int) -> tuple[int, bool]:
         """Where the next packet begins, if there is one to be believed, else where to look again when more has come."""
-        while True:
-            one = _ONE.search(buffer, at)
-            if one is None:
-                return _tail(buffer, at), False
-            start, end = one.span()
-            if (buffer[start + 1] - self._counter) % 256 != 1 or self._counter < 0:
-                if end == len(buffer):
-                    return start, False
-                if buffer[end] != 0xA0:
-                    at = start + 1
-                    continue
-            self._following = True
-            return start, True
+        while one := _ONE.search(buffer, at):
+            at = one.start()
+            goes_on = self._counter >= 0 and (buffer[at + 1] - self._counter) % 256 == 1
+            believed = goes_on or self._borne_out(buffer, at)
+            if believed is None:
+                return at, False
+            if believed:
+                self._following, self._counter = True, (buffer[at + 1] - 1) % 256
+                return at, True
+            at += 1
+        return _tail(buffer, at), False
+
+
+def _near(counter: int, later: int) -> bool:
+    """Whether a packet may follow another one, by their counters: with a few lost in between."""
+    return 1 <= (later - counter) % 256 <= NEAR
 
 
 def _tail(buffer: bytes, at: int) -> int:

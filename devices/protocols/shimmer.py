@@ -34,7 +34,7 @@ AGREE = 3
 STRAY = 3
 """At most so many periods lie between two packets of which one makes the other likely."""
 LONGEST = 10 * TICKS_HZ
-"""A packet after a longer silence than 10 s begins anew."""
+"""A packet after a longer silence than 10 s starts again."""
 
 
 @dataclass(frozen=True, slots=True)

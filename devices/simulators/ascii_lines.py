@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
-from devices.simulators.serve import Simulator
+from devices.simulators.serve import Simulator, in_place
 from devices.simulators.treadmill.signal import BURSTS, Signal, Walker
 from stream.chunk import Samples
 from stream.params import param
+
+if TYPE_CHECKING:
+    from devices.ascii_lines import AsciiLines
 
 PER_S = {"ns": 1_000_000_000, "us": 1_000_000, "ms": 1000, "s": 1}
 COUNTS_PER_UV = 0.5
@@ -31,7 +35,7 @@ class SimulatedAsciiLines(Simulator):
     time: str = param("micros", help="the column of the device's time; empty: none")
     time_unit: Literal["ns", "us", "ms", "s"] = param("us", help="its unit")
     counter: str = param("", help="the column that counts lines; empty: none")
-    counter_bits: int = param(16, least=1, most=32, help="after how many bits it begins anew")
+    counter_bits: int = param(16, least=1, most=32, help="after how many bits it starts again")
     seed: int = param(0, least=0, help="another seed, another walk")
 
     @property
@@ -91,3 +95,18 @@ class LinesModel:
             else:
                 fields.append(str(int(values[name])))
         return (of.delimiter.join(fields) + "\r\n").encode()
+
+
+def simulated(source: AsciiLines) -> AbstractContextManager[AsciiLines]:
+    """What `--simulate` puts in its place."""
+    device = SimulatedAsciiLines(
+        columns=source.columns,
+        delimiter=source.delimiter,
+        header=source.header,
+        rate_hz=source.rate_hz or 100.0,
+        time=source.time,
+        time_unit=source.time_unit,
+        counter=source.counter,
+        counter_bits=source.counter_bits,
+    )
+    return in_place(source, device)

@@ -123,12 +123,13 @@ class Bedside(Source):
         room = Bedroom(self.width, self.height, plans, extras=Extras(self.pet, self.lamp, self.invalid), seed=self.seed)
         now = feed.now()
         length_s = max(p.length_s for p in plans)
-        begun = (
-            _evening(self.evening, now, length_s)
-            if self.evening
-            else -(-now // round(EPOCH_S * NS)) * round(EPOCH_S * NS)
-        )
+        begun = _evening(self.evening, now, length_s) if self.evening else self._next_epoch(now)
         _Night(self, room, feed, begun, now).run(length_s)
+
+    def _next_epoch(self, now: int) -> int:
+        """A boundary of epochs (ns) near `now`: the next one; in real time the last one, as no stamp may lie ahead of the clock."""
+        epoch = round(EPOCH_S * NS)
+        return now // epoch * epoch if self.live else -(-now // epoch) * epoch
 
 
 class _Night:

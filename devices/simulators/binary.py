@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
-from devices.binary import Binary as Source
+from devices.binary import Binary
 from devices.protocols.declared import NS_PER, Field, Frame
+from devices.protocols.packet_decoder import escaped
+from devices.simulators.ble_radio import PeripheralInReach, radio
+from devices.simulators.datagrams import sending
 from devices.simulators.lines import line_at
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from devices.simulators.serve import Server, Simulator
+from devices.transport.bluetooth import parse
 from stream.chunk import NS
 from stream.errors import KinegraphError
 from stream.params import param
@@ -38,7 +43,7 @@ class SimulatedBinary(Simulator):
     def brain(self) -> BinaryModel:
         from stream.graph.load import load
 
-        nodes = {n.name: n.part for n in load(Path(self.config)).sources if isinstance(n.part, Source)}
+        nodes = {n.name: n.part for n in load(Path(self.config)).sources if isinstance(n.part, Binary)}
         if not nodes or (self.node and self.node not in nodes):
             raise KinegraphError(
                 f"{self.config} has the devices.binary nodes {list(nodes)}; {self.node or 'one'} is wanted"
@@ -59,10 +64,10 @@ class BinaryModel:
     `number` tells what field `place` of a frame holds in turn `i`, so that what a reader makes of it can be checked.
     """
 
-    def __init__(self, of: Source) -> None:
+    def __init__(self, of: Binary) -> None:
         self._layouts = of.layouts()
         self._rate = max((f.rate_hz for f in of.frames if f.rate_hz), default=OTHERWISE_HZ)
-        self._wraps = of.wraps_ns
+        self._wraps, self._framing = of.wraps_ns, of.framing
         self._said = self._zero = 0
         self.heard = b""
         self.ahead_s = 0.0
@@ -84,12 +89,16 @@ class BinaryModel:
     def frame(self, kind: int, turn: int) -> bytes:
         """One frame as it is sent."""
         layout = self._layouts[kind]
-        return layout.build(
-            {place: self.number(layout.frame, place, turn) for place in range(len(layout.frame.fields))}
-        )
+        frame, seen = layout.frame, Counter[str]()
+        numbers: dict[int, float] = {}
+        for i, f in enumerate(layout.fields):
+            earlier = (frame.samples - 1 - seen[f.name]) / frame.samples if f.is_channel else 0.0
+            numbers[i] = self.number(frame, frame.fields.index(f), turn, earlier)
+            seen[f.name] += 1
+        return escaped(layout.build(numbers), self._framing)
 
-    def number(self, frame: Frame, place: int, turn: int) -> float:
-        """What stands in a field: a whole number, unless it is of type f."""
+    def number(self, frame: Frame, place: int, turn: int, earlier: float = 0.0) -> float:
+        """What stands in a field: a whole number, unless it is of type f. `earlier`: than the frame, in frames."""
         f = frame.fields[place]
         if f.role == "counter":
             return (turn - self._zero) % (1 << f.bits)
@@ -97,7 +106,7 @@ class BinaryModel:
             return self._clock(frame, f, turn - self._zero)
         if not f.name:
             return 0
-        wave = np.sin(2 * np.pi * STRIDES_HZ * turn / self._rate + 0.9 * place)
+        wave = np.sin(2 * np.pi * STRIDES_HZ * (turn - earlier) / self._rate + 0.9 * place)
         high = 2.0 ** (f.bits - 1) - 1
         low = 0.0 if f.type[0] == "u" else -high
         if f.unit in SWING:
@@ -123,3 +132,44 @@ class BinaryModel:
             return float(round(ns / (NS_PER[f.unit] * f.scale)) % (1 << f.bits))
         larger = [NS_PER[g.unit] for g in frame.with_role("time") if NS_PER[g.unit] > NS_PER[f.unit]]
         return float((ns % min(larger) if larger else ns) // NS_PER[f.unit] % (1 << f.bits))
+
+
+class NotifyingModel:
+    """Frames as a Bluetooth LE peripheral notifies them."""
+
+    def __init__(self, source: Binary, model: BinaryModel) -> None:
+        self.name, self._notify, written = parse(source.port)
+        self.advertised: tuple[str, ...] = ("ffe5",)
+        self._model = model
+        self.services = {"ffe5": {self._notify: ["notify"]} | ({written: ["write"]} if written else {})}
+
+    def connected(self, yes: bool) -> None: ...
+
+    def hold(self, characteristic: str) -> bytes:
+        return b""
+
+    def hear(self, characteristic: str, data: bytes) -> list[tuple[str, bytes]]:
+        self._model.hear(data)
+        return []
+
+    def say(self, seconds: float) -> list[tuple[str, bytes]]:
+        return [(self._notify, frame) for frame in self._model.say(seconds)]
+
+
+@contextmanager
+def notifying(source: Binary, model: BinaryModel, misbehaviour: Misbehaviour = GOOD) -> Iterator[PeripheralInReach]:
+    """A peripheral that notifies a device's frames."""
+    with radio() as air:
+        yield air.put(NotifyingModel(source, model), misbehaviour=misbehaviour)
+
+
+@contextmanager
+def simulated(source: Binary) -> Iterator[Binary]:
+    """What `--simulate` puts in its place."""
+    model = BinaryModel(source)
+    if source.port.startswith("ble://"):
+        with notifying(source, model):
+            yield source
+        return
+    with sending(model) if source.port.startswith("udp://") else serving(model) as address:
+        yield replace(source, port=address)

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from devices.protocols import bitalino as protocol
 from devices.protocols.bitalino import GAINS, RATES_HZ, Sensor
-from devices.simulators.serve import Simulator
+from devices.simulators.serve import Simulator, in_place
 from devices.simulators.treadmill.signal import Signal, Walker
 from stream.params import param
+
+if TYPE_CHECKING:
+    from devices.bitalino import Bitalino
 
 MUSCLES = ("TA", "SO", "GM", "VM", "RF", "BF")
 MOST_BEHIND_S = 10.0
@@ -99,3 +103,9 @@ class BitalinoModel:
                 self._inputs = [i for i in range(6) if command >> (2 + i) & 1]
                 self._live, self._began, self._said, self._zero = bool(self._inputs), None, 0, 0
         return b""
+
+
+def simulated(source: Bitalino) -> AbstractContextManager[Bitalino]:
+    """What `--simulate` puts in its place."""
+    plugged: dict[str, Sensor] = {channel.input: channel.sensor for channel in source.channels}
+    return in_place(source, SimulatedBitalino(sensors=tuple(plugged.get(f"A{i}", "volt") for i in range(1, 7))))

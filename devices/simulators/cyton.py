@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from devices.protocols import cyton as protocol
 from devices.protocols.cyton import CHANNELS, GAINS, packet, uv_per_count
-from devices.simulators.serve import Simulator
+from devices.simulators.serve import Simulator, in_place
 from devices.simulators.treadmill.signal import BURSTS, Signal, Walker
 from stream.chunk import Samples
 from stream.params import param
+
+if TYPE_CHECKING:
+    from devices.cyton import Cyton
 
 PACKETS_HZ = 250.0
 ACCEL_EVERY = 10
@@ -165,3 +169,8 @@ class CytonModel:
         lines += ["On Daisy ADS1299 Device ID: 0x3E"] if self._has_daisy else []
         lines += ["LIS3DH Device ID: 0x33", f"Firmware: {self._firmware}", "$$$"]
         return "\r\n".join(lines).encode()
+
+
+def simulated(source: Cyton) -> AbstractContextManager[Cyton]:
+    """What `--simulate` puts in its place."""
+    return in_place(source, SimulatedCyton(daisy=source.daisy))

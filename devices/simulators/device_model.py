@@ -15,7 +15,7 @@ class DeviceModel(Protocol):
         """The packets that were sent since the last call, up to this second."""
 
     def restart(self) -> None:
-        """Counters begin anew, as after a failing supply; what was set stays set."""
+        """Counters start again, as after a failing supply; what was set stays set."""
 
 
 @runtime_checkable

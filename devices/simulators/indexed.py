@@ -19,7 +19,7 @@ class Indexed(Simulator):
     rate_hz: float = param(250.0, above=0, most=5000, help="lines per second, truly")
     time_unit: str = param("us", help="unit of the time: ns, us, ms or s")
     drift_ppm: float = param(0.0, help="how much faster the device's clock runs than true time")
-    counter_bits: int = param(16, least=1, most=32, help="after how many bits the counter begins anew")
+    counter_bits: int = param(16, least=1, most=32, help="after how many bits the counter starts again")
     trailing: str = param("", help="what stands behind the last number")
 
     def brain(self) -> IndexedBrain:

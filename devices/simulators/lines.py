@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-import pty
 import select
 import shutil
 import socket
 import tempfile
-import tty
 from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
@@ -59,6 +57,9 @@ class PseudoTerminal:
     def plug(self) -> None:
         if self._master >= 0:
             return
+        import pty
+        import tty
+
         self._master, self._host = pty.openpty()
         tty.setraw(self._host)
         os.set_blocking(self._master, False)
@@ -162,12 +163,22 @@ class TcpLine:
 
 
 def line_at(address: str = "", name: str = "ttySIM") -> Line:
-    """A pseudo-terminal, or, for "tcp://host:port", a TCP server."""
+    """A pseudo-terminal, where the system has such, or, for "tcp://host:port" and elsewhere, a TCP server."""
     if not address:
-        return PseudoTerminal(name)
+        return PseudoTerminal(name) if _has_pseudo_terminals() else TcpLine()
     host, _, port = address.removeprefix("tcp://").rpartition(":")
     if not address.startswith("tcp://") or not host or not port.isdigit():
         raise DeviceError(
             f"{address!r} is no address to serve; write tcp://host:port, or nothing for a pseudo-terminal"
         )
     return TcpLine(host.strip("[]"), int(port))
+
+
+def _has_pseudo_terminals() -> bool:
+    """Windows has none."""
+    try:
+        import pty  # noqa: F401
+        import tty  # noqa: F401
+    except ImportError:
+        return False
+    return True

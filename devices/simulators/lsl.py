@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import threading
+import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.lsl.network import ANY, Network, library
+from devices.lsl.network import ANY, MACHINE, Network, library, unsettled
 from devices.outlets.lsl_samples import write_channels
 from devices.simulators.misbehaviour import GOOD, Misbehaviour, Mishaps
 from devices.simulators.serve import TICK_S, Simulator
 from devices.simulators.treadmill.signal import BURSTS, Signal, Walker
 from stream.errors import DeviceError
 from stream.params import param
+
+if TYPE_CHECKING:
+    from devices.lsl.inlet import LslInlet
 
 GAIT_HZ = 1000.0
 """How finely the footfalls of a stream without a rate are timed."""
@@ -89,7 +93,7 @@ class Lsl(Simulator):
         return np.asarray(signal.read(start, stop)[0] * UNITS.get(self.unit, 1.0))
 
 
-class Walk:
+class WalkPackets:
     """What is said as time passes: packets, each a row of bytes, by the number of samples since LSL's clock stood at 0."""
 
     def __init__(self, of: Lsl) -> None:
@@ -128,7 +132,7 @@ class Sender:
     """An outlet at work in a thread, misbehaving as told."""
 
     def __init__(self, of: Lsl, misbehaviour: Misbehaviour) -> None:
-        self._of, self._walk, self.mishaps = of, Walk(of), Mishaps(misbehaviour)
+        self._of, self._walk, self.mishaps = of, WalkPackets(of), Mishaps(misbehaviour)
         self._lsl = library(of.network)
         self._stop, self._lock = threading.Event(), threading.Lock()
         self._out = False
@@ -199,3 +203,22 @@ class Sender:
         names = range(1, of.channels + 1) if isinstance(of.channels, int) else of.channels
         write_channels(info.desc(), [(str(name), "" if of.markers else of.unit) for name in names], of.type)
         self._outlet = lsl.StreamOutlet(info)
+
+
+@contextmanager
+def simulated(source: LslInlet) -> Iterator[LslInlet]:
+    """What `--simulate` puts in its place."""
+    network = MACHINE if source.network == ANY and unsettled() else source.network
+    source_id = source.source_id or f"kinegraph.simulated.{uuid.uuid4().hex[:12]}"
+    device = Lsl(
+        name=source.name or "simulated",
+        type=source.type or ("Markers" if source.markers else "EMG"),
+        source_id=source_id,
+        channels=source.channels or 1,
+        rate_hz=source.rate_hz,
+        unit=source.unit if isinstance(source.unit, str) else (source.unit[0] if source.unit else ""),
+        markers=source.markers,
+        network=network,
+    )
+    with device.serving():
+        yield replace(source, source_id=source_id, host="", network=network)

@@ -16,7 +16,7 @@ class Misbehaviour:
 
     lose, duplicate, corrupt   a packet is left out, sent twice, has one byte changed
     stall_every_s, stall_s     nothing is sent for so long, then everything at once
-    reset_every_s              the device's counters begin anew
+    reset_every_s              the device's counters start again
     jump_every_s, jump_s       the device's clock is set, forward or back, by so much
     unplug_every_s, unplug_s   the cable is pulled out in mid-packet, and put in again after so long
     """
@@ -26,7 +26,7 @@ class Misbehaviour:
     corrupt: float = param(0.0, least=0, most=1, help="share of packets of which one byte is changed")
     stall_every_s: float = param(0.0, least=0, help="how often nothing is sent for a while; 0: never")
     stall_s: float = param(0.1, above=0, help="how long nothing is sent")
-    reset_every_s: float = param(0.0, least=0, help="how often the counters begin anew; 0: never")
+    reset_every_s: float = param(0.0, least=0, help="how often the counters start again; 0: never")
     jump_every_s: float = param(0.0, least=0, help="how often the device's clock is set; 0: never")
     jump_s: float = param(3600.0, help="by how much it is set forward; below 0: back")
     unplug_every_s: float = param(0.0, least=0, help="how often the cable is pulled out; 0: never")
@@ -75,7 +75,7 @@ class Mishaps:
         return self._within(seconds, self._of.unplug_every_s, self._of.unplug_s)
 
     def resets(self, seconds: float) -> int:
-        """How often the counters have begun anew so far."""
+        """How often the counters have started again so far."""
         return self._times(seconds, self._of.reset_every_s)
 
     def jumped_s(self, seconds: float) -> float:

@@ -1,19 +1,23 @@
-"""A simulated Xsens/Movella MTi on a walking person's foot or shank: its answers to commands and its measurements."""
+"""A simulated Xsens/Movella MTi on a walking person's foot, shank or lower back: its answers to commands and its measurements."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
 from devices.protocols import xbus, xbus_numbers
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from devices.simulators.serve import Server, Simulator
+from devices.simulators.walking_back import Back, Manner
 from devices.simulators.walking_limb import Limb, Site
 from stream.params import param
+
+if TYPE_CHECKING:
+    from devices.mti import Mti
 
 MOST_BEHIND_S = 10.0
 """Measurements of so much time are made at once at most; what is older by then is left out and lost."""
@@ -35,12 +39,13 @@ class SimulatedMti(Simulator):
 
     port_name: ClassVar[str] = "ttyMTI"
 
-    site: Site = param("foot", help="where it is worn: foot or shank")
+    site: Site | Literal["lower_back"] = param("foot", help="where it is worn: foot, shank or lower_back")
+    manner: Manner = param("brisk", help="at the lower back: brisk or shuffling")
     cadence_per_min: float = param(57.0, least=20, most=120, help="strides per minute")
     seed: int = param(0, least=0, help="another seed, another walk")
 
     def brain(self) -> MtiModel:
-        return MtiModel(self.site, self.cadence_per_min, self.seed)
+        return MtiModel(self.site, self.cadence_per_min, self.seed, self.manner)
 
     @contextmanager
     def on_usb(self, misbehaviour: Misbehaviour = GOOD) -> Iterator[str]:
@@ -56,9 +61,15 @@ class SimulatedMti(Simulator):
 class MtiModel:
     """The sensor without a cable. Measurement i after GoToMeasurement is sample i of `limb`, and its packet counter is i mod 65536."""
 
-    def __init__(self, site: Site = "foot", cadence_per_min: float = 57.0, seed: int = 0) -> None:
+    def __init__(
+        self,
+        site: Site | Literal["lower_back"] = "foot",
+        cadence_per_min: float = 57.0,
+        seed: int = 0,
+        manner: Manner = "brisk",
+    ) -> None:
         xbus_numbers.prepare()
-        self._site, self._cadence, self._seed = site, cadence_per_min, seed
+        self._site, self._cadence, self._seed, self._manner = site, cadence_per_min, seed, manner
         self._decoder = xbus.XbusDecoder()
         self._outputs = list(FACTORY)
         self._configure()
@@ -133,6 +144,11 @@ class MtiModel:
                 return xbus.message(xbus.ERROR, b"\x04")
         return xbus.message(mid + 1)
 
+    def _worn(self, rate_hz: float) -> Limb | Back:
+        if self._site == "lower_back":
+            return Back(self._manner, self._seed, rate_hz)
+        return Limb(self._site, rate_hz, self._cadence, self._seed)
+
     def _possible_rate(self, identifier: int, rate: int) -> int:
         """What it gives where it is asked for `rate`: at most its fastest."""
         fastest = FASTEST_HZ.get(identifier & xbus.KIND)
@@ -141,7 +157,7 @@ class MtiModel:
     def _configure(self) -> None:
         rates = [rate for _, rate in self._outputs if rate != xbus.EVERY_PACKET]
         self.rate_hz = max(rates, default=0)
-        self.limb = Limb(self._site, float(self.rate_hz or 100), self._cadence, self._seed)
+        self.limb = self._worn(float(self.rate_hz or 100))
         self._dtype = np.dtype([(f"{i:04x}", _item(i)) for i, _ in self._outputs])
 
 
@@ -153,3 +169,11 @@ def _item(identifier: int) -> np.dtype[np.void]:
     return np.dtype(
         [("head", [("id", ">u2"), ("size", "u1")]), ("data", *(data if isinstance(data, tuple) else (data,)))]
     )
+
+
+@contextmanager
+def simulated(source: Mti) -> Iterator[Mti]:
+    """What `--simulate` puts in its place."""
+    device = SimulatedMti()
+    with device.on_usb() if source.port.startswith("usb://") else device.serving() as address:
+        yield replace(source, port=address)

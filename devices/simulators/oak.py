@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from datetime import timedelta
 from functools import cache
 from pathlib import Path
@@ -23,6 +23,7 @@ from devices.oak.camera import QUEUE, Camera, CameraLink
 from devices.oak.library import NONE, library
 from devices.oak.source import Oak as OakSource
 from devices.simulators.misbehaviour import GOOD, Misbehaviour, Mishaps
+from devices.simulators.rendered_performer import RenderedPerformer
 from devices.simulators.serve import Simulator
 from devices.simulators.sleeper import Sleeper
 from stream.errors import DeviceError
@@ -36,11 +37,15 @@ MOST_BEHIND = 10
 BOOTED_S, DRIFT = 3.25, 20e-6
 """The camera's own clock: when it started, and by how much it is fast."""
 GRAVITY = 9.81
+MOVING_S = 5.0
+"""By then somebody moves before the camera."""
 
 
 @dataclass(frozen=True, slots=True)
 class OakSimulator(Simulator):
     """An OAK depth camera above a bed with a sleeper in it (Luxonis, through depthai itself).
+
+    With `image` it stands before a person who walks on the spot and moves the arms, rendered in depth and grey (colour: grey three times).
 
     Besides what goes wrong with every device, the picture may freeze (the same frame under new numbers), or be blind (no pixel valid).
     After the camera was unplugged its frames are numbered from 0 again. A fault that changes a byte mostly changes a pixel.
@@ -50,6 +55,7 @@ class OakSimulator(Simulator):
     height: int = param(400, least=16, help="rows")
     fps: float = param(30.0, above=0, most=240, help="frames per second")
     imu_hz: float = param(0.0, least=0, most=1000, help="inertial packets per second; 0: none")
+    image: str = param("", help="mono or colour: images beside the depth, of someone who moves before the camera")
     seed: int = param(0, least=0, help="another seed, another night")
     per_min: float = param(1.5, least=0, help="movements per minute, on average")
     invalid: float = param(0.1, least=0, most=1, help="share of pixels without a measurement")
@@ -61,7 +67,7 @@ class OakSimulator(Simulator):
 
     @property
     def cannot(self) -> dict[str, str]:
-        return {"reset_every_s": "its frames are numbered anew whenever it was unplugged, and only then"}
+        return {"reset_every_s": "its frames are numbered again from 0 whenever it was unplugged, and only then"}
 
     @contextmanager
     def serving(self, misbehaviour: Misbehaviour = GOOD, address: str = "") -> Iterator[str]:
@@ -90,6 +96,7 @@ class SimulatedCamera:
 
     def __init__(self, of: OakSimulator, misbehaviour: Misbehaviour) -> None:
         self.of, self.mishaps = of, Mishaps(misbehaviour)
+        self.performer = RenderedPerformer(of.width, of.height, seed=of.seed)
         self.sleeper = Sleeper(of.width, of.height, seed=of.seed, per_min=of.per_min, invalid=of.invalid)
         self.began = time.monotonic()
         self._freeze = Mishaps(Misbehaviour(stall_every_s=of.freeze_every_s, stall_s=of.freeze_s))
@@ -118,9 +125,14 @@ class SimulatedCamera:
             node = self._node(dai, pipeline, link)
             depth = node.depth.createOutputQueue(maxSize=QUEUE, blocking=False)
             imu = node.imu.createOutputQueue(maxSize=16 * QUEUE, blocking=False) if self.of.imu_hz else None
+            image = node.image.createOutputQueue(maxSize=QUEUE, blocking=False) if self.of.image else None
             pipeline.start()
             yield Camera(
-                depth, imu, {"id": "simulated", "model": "OAK without hardware", "depthai": dai.__version__}, self.light
+                depth,
+                imu,
+                image,
+                {"id": "simulated", "model": "OAK without hardware", "depthai": dai.__version__},
+                self.light,
             )
 
     def light(self) -> list[str]:
@@ -141,7 +153,7 @@ class SimulatedCamera:
 
     def _node(self, dai: Any, pipeline: Any, link: CameraLink) -> Any:
         node = pipeline.create(_node_class())
-        node.shown = Shown(dai, self, link)
+        node.shown = RunningScene(dai, self, link)
         return node
 
     def frame(self, index: int, seconds: float) -> np.ndarray:
@@ -149,11 +161,11 @@ class SimulatedCamera:
         if self._freeze.stalled(seconds):
             index = int((seconds - seconds % self.of.freeze_every_s) * self.of.fps)
             seconds = index / self.of.fps
-        frame = self.sleeper.frame(index, seconds)
+        frame = (self.performer if self.of.image else self.sleeper).frame(index, seconds)
         return np.zeros_like(frame) if self._blind.stalled(seconds) else frame
 
 
-class Shown:
+class RunningScene:
     """One opening of the camera: what is sent as time passes."""
 
     def __init__(self, dai: Any, camera: SimulatedCamera, link: CameraLink) -> None:
@@ -164,7 +176,7 @@ class Shown:
         self._begin()
 
     def _begin(self) -> None:
-        """Nothing of what was before is sent, and numbers begin anew."""
+        """Nothing of what was before is sent, and numbers start again."""
         now = time.monotonic() - self._camera.began
         self._first = self._said = int(now * self._camera.of.fps) + 1
         self._moved = int(now * self._camera.of.imu_hz)
@@ -183,7 +195,10 @@ class Shown:
             return
         seconds = time.monotonic() - camera.began
         for packet in self._due(seconds):
-            node.depth.send(self._message(packet))
+            message = self._message(packet)
+            if camera.of.image and message.getSequenceNum() >= 0:
+                node.image.send(self._image(message.getSequenceNum()))
+            node.depth.send(message)
         if camera.of.imu_hz:
             self._send_motion(node, seconds)
 
@@ -214,6 +229,24 @@ class Shown:
         message.setHeight(of.height)
         message.setStride(2 * of.width)
         message.setSequenceNum(number)
+        message.setTimestamp(timedelta(microseconds=host_us))
+        message.setTimestampDevice(timedelta(microseconds=self._by_camera(host_us)))
+        return message
+
+    def _image(self, number: int) -> Any:
+        """The image that belongs to the depth frame of this number."""
+        of, k = self._camera.of, self._first + number
+        seconds = k / of.fps
+        grey = self._camera.performer.image(k, seconds)
+        message = self._dai.ImgFrame()
+        kind, pixels = ("GRAY8", grey) if of.image == "mono" else ("RGB888i", np.repeat(grey[..., None], 3, 2))
+        message.setData(np.ascontiguousarray(pixels).reshape(-1))
+        message.setType(self._dai.ImgFrame.Type.__members__[kind])
+        message.setWidth(of.width)
+        message.setHeight(of.height)
+        message.setStride(pixels.nbytes // of.height)
+        message.setSequenceNum(number)
+        host_us = self._zero_us + round(seconds * 1e6)
         message.setTimestamp(timedelta(microseconds=host_us))
         message.setTimestampDevice(timedelta(microseconds=self._by_camera(host_us)))
         return message
@@ -263,7 +296,7 @@ def _node_class() -> type[Any]:
 
         def __init__(self) -> None:
             dai.node.ThreadedHostNode.__init__(self)
-            self.depth, self.imu = self.createOutput(), self.createOutput()
+            self.depth, self.imu, self.image = self.createOutput(), self.createOutput(), self.createOutput()
 
         def run(self) -> None:
             with suppress(dai.MessageQueue.QueueException):  # somebody closed the pipeline while we were sending
@@ -284,6 +317,12 @@ class SimulatedOak(OakSource):
     def of(cls, source: OakSource, camera: SimulatedCamera) -> SimulatedOak:
         return cls(**{f.name: getattr(source, f.name) for f in fields(source)}, camera=camera)
 
+    def prepare(self) -> None:
+        """Compiles what the picture is drawn with here, before the session: in depthai's own thread it would hold up the first frames."""
+        OakSource.prepare(self)
+        if self.image:
+            RenderedPerformer(64, 48).frame(0, MOVING_S)
+
     def open(self, dai: Any, link: CameraLink) -> AbstractContextManager[Camera]:
         if self.camera is None:
             raise DeviceError(
@@ -291,3 +330,13 @@ class SimulatedOak(OakSource):
             )
         camera: SimulatedCamera = self.camera
         return camera.opened(dai, link)
+
+
+@contextmanager
+def simulated(source: OakSource) -> Iterator[SimulatedOak]:
+    """What `--simulate` puts in its place."""
+    device = OakSimulator(
+        width=source.width, height=source.height, fps=source.fps, imu_hz=source.imu_hz, image=source.image
+    )
+    with device.plugged_in() as camera:
+        yield SimulatedOak.of(replace(source, device=""), camera)

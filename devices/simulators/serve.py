@@ -6,12 +6,16 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import ClassVar, Self
+from dataclasses import replace
+from typing import ClassVar, Self, TypeVar
 
 from devices.simulators.device_model import Clocked, DeviceModel
 from devices.simulators.lines import Line, line_at
 from devices.simulators.misbehaviour import GOOD, Misbehaviour, Mishaps
 from stream.errors import ParameterError
+from stream.source import Source
+
+S = TypeVar("S", bound=Source)
 
 TICK_S = 0.002
 """How finely time passes for a simulated device."""
@@ -137,3 +141,10 @@ class Simulator:
         """
         with Server(self.brain(), line_at(address, self.port_name), misbehaviour) as server:
             yield server.address
+
+
+@contextmanager
+def in_place(source: S, device: Simulator) -> Iterator[S]:
+    """The source as it reads a simulated device, which is there for as long as the context lasts."""
+    with device.serving() as address:
+        yield replace(source, port=address)  # type: ignore[type-var]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -11,11 +12,14 @@ from devices.protocols import shimmer as protocol
 from devices.protocols import shimmer_units as units
 from devices.protocols.shimmer import ACK, IN_STREAM, TICKS_HZ
 from devices.protocols.shimmer_units import ShimmerCalibration
-from devices.simulators.serve import Simulator
+from devices.simulators.serve import Simulator, in_place
 from devices.simulators.treadmill.signal import Signal, Walker
 from devices.simulators.walking_limb import Limb, Site
 from stream.chunk import Array, Samples, Times
 from stream.params import param
+
+if TYPE_CHECKING:
+    from devices.shimmer import Shimmer
 
 MEASURED = ("acceleration", "angular_velocity", "wide_acceleration")
 MUSCLES = ("TA", "GM", "SO", "PL")
@@ -221,3 +225,8 @@ class ShimmerModel:
         config = self.wide_range << 2 | self.gyro_range << 16
         head = self.divider.to_bytes(2, "little") + config.to_bytes(4, "little")
         return bytes([protocol.INQUIRED]) + head + bytes([len(self.channels), 1, *self.channels])
+
+
+def simulated(source: Shimmer) -> AbstractContextManager[Shimmer]:
+    """What `--simulate` puts in its place."""
+    return in_place(source, SimulatedShimmer())

@@ -5,7 +5,8 @@ from __future__ import annotations
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from devices.simulators.walking_limb import GRAVITY, Limb
 from stream.chunk import Samples, Times
 from stream.errors import DeviceError
 from stream.params import param
+
+if TYPE_CHECKING:
+    from devices.trigno import Trigno
 
 EMG_HZ = 2000.0
 EMG_FRAME, AUX_FRAME = 27, 2
@@ -34,8 +38,8 @@ TRIES = 20
 class SimulatedTrigno(Simulator):
     """A Trigno base station with sixteen sensors on a walking person."""
 
-    paired: int = param(SENSORS, least=0, most=SENSORS, help="so many sensors are paired, from the first")
-    duos: int = param(0, least=0, most=8, help="so many sensors, from the first, are Duos: two EMG channels each")
+    paired: int = param(SENSORS, least=0, most=SENSORS, help="how many sensors are paired, from the first on")
+    duos: int = param(0, least=0, most=8, help="how many sensors, from the first on, are Duos: two EMG channels each")
     seed: int = param(0, least=0, help="another seed, another walk")
 
     @property
@@ -226,3 +230,10 @@ def _free(host: str) -> int:
                 socket.create_server((host, port + i)).close()
             return port
     raise DeviceError("no five ports in a row are free")
+
+
+@contextmanager
+def simulated(source: Trigno) -> Iterator[Trigno]:
+    """What `--simulate` puts in its place."""
+    with SimulatedTrigno().serving() as address:
+        yield replace(source, port=address, emg_hz=2000.0)

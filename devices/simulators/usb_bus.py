@@ -15,7 +15,7 @@ from usb.backend import IBackend
 from usb.core import USBError, USBTimeoutError
 
 from devices.usb import bus as real_bus
-from devices.usb.bus import Address
+from devices.usb.bus import UsbAddress
 from devices.usb.pipe import BULK, INTERRUPT
 
 __all__ = ["BULK", "INTERRUPT", "SimulatedBus", "UsbLine", "UsbWiring"]
@@ -245,7 +245,7 @@ class UsbLine:
 
     def __init__(self, bus: SimulatedBus, wiring: UsbWiring) -> None:
         self._bus, self._wiring = bus, wiring
-        self.address = str(Address(wiring.vendor, wiring.product, wiring.serial))
+        self.address = str(UsbAddress(wiring.vendor, wiring.product, wiring.serial))
         self._device: _Plugged | None = None
         if bus not in real_bus.simulated:
             real_bus.simulated.append(bus)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from devices.simulators.serve import Server
 from devices.simulators.usb_bus import INTERRUPT, SimulatedBus, UsbLine, UsbWiring
 from devices.simulators.walking_limb import GRAVITY, Limb
-from devices.usb.bus import Address
+from devices.usb.bus import UsbAddress
 from devices.usb.endpoint import Endpoint
 
 DUALSENSE = UsbWiring(
@@ -30,7 +31,7 @@ MOST_BEHIND = 2500
 @contextmanager
 def serving(source: Endpoint, misbehaviour: Misbehaviour = GOOD) -> Iterator[str]:
     """The address of a device, on a simulated USB bus of this process, that sends what `source` reads."""
-    where = Address.parse(source.port)
+    where = UsbAddress.parse(source.port)
     if (where.vendor, where.product) == (DUALSENSE.vendor, DUALSENSE.product):
         brain: DeviceModel = DualSenseBrain()
         wiring = DUALSENSE
@@ -90,3 +91,10 @@ class DualSenseBrain:
         report[33] = report[37] = 0x80
         report[53] = 0x0A
         return bytes(report)
+
+
+@contextmanager
+def simulated(source: Endpoint) -> Iterator[Endpoint]:
+    """What `--simulate` puts in its place."""
+    with serving(source) as address:
+        yield replace(source, port=address)

@@ -37,9 +37,25 @@ class Transport(Protocol):
 
 
 def connect(address: str, baud: int = 115200) -> Transport:
-    """Open "/dev/ttyUSB0", "COM3", "tcp://host:port" or "usb://VENDOR:PRODUCT"; raises DeviceError saying what to look at."""
+    """Open "/dev/ttyUSB0", "COM3", "tcp://host:port", "udp://host:port", "usb://VENDOR:PRODUCT", "ble://DEVICE/NOTIFY" or
+    "zmq+tcp://host:port".
+
+    Raises DeviceError saying what to look at.
+    """
     if address.startswith("tcp://"):
         return TcpTransport(address)
+    if address.startswith("udp://"):
+        from devices.transport.datagrams import UdpTransport
+
+        return UdpTransport(address)
+    if address.startswith("ble://"):
+        from devices.transport.bluetooth import BleTransport
+
+        return BleTransport(address)
+    if address.startswith("zmq+"):
+        from devices.transport.zeromq import ZeroMqTransport
+
+        return ZeroMqTransport(address)
     if address.startswith("usb://"):
         from devices.usb.pipe import Pipe
 
@@ -65,8 +81,11 @@ class SerialTransport:
             raise DeviceError(f"serial port {port} cannot be opened: {_hint(error)}") from None
         with suppress(OSError, ValueError, AttributeError, NotImplementedError):
             self._port.set_low_latency_mode(True)
+        self._by_descriptor = _has_descriptor(self._port)
 
     def read(self, timeout_s: float) -> bytes:
+        if not self._by_descriptor:
+            return self._read_by_pyserial(timeout_s)
         try:
             port = self._port.fileno()
             if not select.select([port], [], [], timeout_s)[0]:
@@ -79,6 +98,18 @@ class SerialTransport:
         if not data:
             raise DeviceError(f"serial port {self.address} is gone: the cable was pulled, or the device restarted")
         return data
+
+    def _read_by_pyserial(self, timeout_s: float) -> bytes:
+        """Where a port has no file descriptor (Windows): wait for a byte as pyserial does, then take all that is there."""
+        try:
+            if self._port.timeout != timeout_s:
+                self._port.timeout = timeout_s
+            first: bytes = self._port.read(1)
+            return first + self._port.read(self._port.in_waiting) if first else b""
+        except (OSError, ValueError, TypeError) as error:
+            raise DeviceError(
+                f"serial port {self.address} is gone: the cable was pulled, or the device restarted ({error})"
+            ) from None
 
     def write(self, data: bytes) -> None:
         try:
@@ -140,6 +171,14 @@ class TcpTransport:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _has_descriptor(port: object) -> bool:
+    """Whether the system can wait for a port by its number."""
+    try:
+        return isinstance(port.fileno(), int)  # type: ignore[attr-defined]
+    except (AttributeError, OSError, ValueError):
+        return False
 
 
 def _hint(error: Exception) -> str:

@@ -22,7 +22,7 @@ simulated: list[IBackend] = []
 
 
 @dataclass(frozen=True, slots=True)
-class Address:
+class UsbAddress:
     """Which device: "usb://2639", "usb://2639:0003" or "usb://2639:0003/SERIAL"."""
 
     vendor: int
@@ -30,7 +30,7 @@ class Address:
     serial: str = ""
 
     @staticmethod
-    def parse(text: str) -> Address:
+    def parse(text: str) -> UsbAddress:
         """Raises DeviceError for what is no such address."""
         match = _ADDRESS.fullmatch(text)
         if not match:
@@ -39,7 +39,7 @@ class Address:
                 "hexadecimal ids of four digits, as in usb://2639:0003"
             )
         product = match["product"]
-        return Address(int(match["vendor"], 16), int(product, 16) if product else None, match["serial"] or "")
+        return UsbAddress(int(match["vendor"], 16), int(product, 16) if product else None, match["serial"] or "")
 
     def __str__(self) -> str:
         product = "" if self.product is None else f":{self.product:04x}"
@@ -78,7 +78,7 @@ def connected() -> Iterator[Any]:
         yield from usb.core.find(find_all=True, backend=backend) or ()
 
 
-def find(address: Address) -> Any:
+def find(address: UsbAddress) -> Any:
     """The device (`usb.core.Device`) at an address; raises DeviceError."""
     import usb.core
 
@@ -94,7 +94,7 @@ def find(address: Address) -> Any:
     if not here:
         raise DeviceError(f"{address} is not there; is it plugged in? `kinegraph devices usb` lists what is there")
     if len(here) > 1:
-        known = ", ".join(str(Address(d.idVendor, d.idProduct, serial_number(d) or "?")) for d in here)
+        known = ", ".join(str(UsbAddress(d.idVendor, d.idProduct, serial_number(d) or "?")) for d in here)
         raise DeviceError(f"{address} may be any of {len(here)} devices; write which one: {known}")
     return here[0]
 
@@ -127,7 +127,7 @@ def who(device: Any) -> dict[str, str]:
     return {"usb": f"{device.idVendor:04x}:{device.idProduct:04x}", **{k: v for k, v in texts.items() if v}}
 
 
-def rule(address: Address) -> str:
+def rule(address: UsbAddress) -> str:
     """What to do where permission is missing: the exact udev rule."""
     product = "" if address.product is None else f', ATTR{{idProduct}}=="{address.product:04x}"'
     line = f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{address.vendor:04x}"{product}, MODE="0660", TAG+="uaccess"'
@@ -137,7 +137,7 @@ def rule(address: Address) -> str:
     )
 
 
-def failure(address: str, error: OSError, device: Address | None = None) -> DeviceError:
+def failure(address: str, error: OSError, device: UsbAddress | None = None) -> DeviceError:
     """What an error of pyusb means, and what can be done."""
     match error.errno:
         case errno.EACCES | errno.EPERM if device:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from devices.binary import Binary
-from devices.protocols.declared import FoundFrames, FrameDecoder, FrameLayout
+from devices.frame_reading import FrameReading
+from devices.protocols.frame_layout import FrameLayout
+from devices.protocols.packet_decoder import PacketDecoder
+from devices.transport.serial_source import READ_S
 from devices.transport.transport import Transport
-from devices.usb.bus import Address
+from devices.usb.bus import UsbAddress
 from devices.usb.pipe import Pipe
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +24,8 @@ class Endpoint(Binary):
     NAME     (channels,) float64: the data fields of the report of that name, in their units; an output for each report with data
     timing   an event per report: its counter, the device's time, arrival, stamp
 
-    `port` is usb://VENDOR:PRODUCT; `sync` is what a report begins with (its id), and what is behind the last field is passed over. The
+    `port` is usb://VENDOR:PRODUCT; `sync` is what a report begins with (its id; left empty, every transfer that is long enough
+    is a report), and what is behind the last field is passed over. The
     system's own driver is detached while the source reads. `start` and `stop` are written to the interface's other endpoint. A device that
     sends a stream of bytes over USB, cut into transfers anywhere, is read by `devices.binary.Binary` with the same `port`.
     """
@@ -40,49 +42,25 @@ class Endpoint(Binary):
 
     def layouts(self) -> list[FrameLayout]:
         try:
-            Address.parse(self.port)
+            UsbAddress.parse(self.port)
         except DeviceError as error:
             raise ParameterError("port", self.port, str(error).partition("; write ")[2]) from None
+        if self.framing != "none":
+            raise ParameterError("framing", self.framing, "none: each transfer is a report")
         return super(Endpoint, self).layouts()
 
-    @contextmanager
-    def simulated(self) -> Iterator[Source]:
-        from devices.simulators.usb_reports import serving
+    @property
+    def _alone(self) -> bool:
+        return True
 
-        with serving(self) as address:
-            yield replace(self, port=address)
-
-    def _connect(self) -> Transport:
+    def connect(self) -> Transport:
         return Pipe(self.port, self.interface, self.endpoint)
 
-    def _identify(self, link: Transport, feed: Feed) -> None:
+    def greet(self, link: Transport, feed: Feed) -> FrameReading:
         assert isinstance(link, Pipe)
         feed.identify("USB device", **link.identity)
+        self._send(link, feed, self._commands()[0])
+        return FrameReading(self, PacketDecoder(self.layouts()))
 
-    def _decoder(self, layouts: list[FrameLayout]) -> FrameDecoder:
-        return Transfers(layouts)
-
-    def _taken(self, link: Transport, timeout_s: float) -> bytes:
-        return link.read(timeout_s)
-
-
-class Transfers(FrameDecoder):
-    """Transfers to reports: each is a report as a whole, or nothing."""
-
-    def feed(self, data: bytes) -> FoundFrames:
-        """`data`: one transfer."""
-        found = FoundFrames()
-        if not data:
-            return found
-        for kind in self._order:
-            layout = self._layouts[kind]
-            report = data[: layout.size]
-            if len(report) == layout.size and report.startswith(layout.sync) and report.endswith(layout.footer):
-                if layout.sound(report):
-                    found.kinds.append(kind)
-                    found.frames[kind] = bytearray(report)
-                else:
-                    found.bad += 1
-                return found
-        found.dropped += len(data)
-        return found
+    def fetch(self, link: Transport, heard: float) -> bytes:
+        return link.read(READ_S)

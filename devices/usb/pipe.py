@@ -6,7 +6,7 @@ import errno
 from contextlib import suppress
 from typing import Any, Self
 
-from devices.usb.bus import Address, failure, find, who
+from devices.usb.bus import UsbAddress, failure, find, who
 from stream.errors import DeviceError
 
 BULK, INTERRUPT = 2, 3
@@ -27,11 +27,11 @@ class Pipe:
         import usb.core
 
         self.address = address
-        self._where = Address.parse(address)
+        self._where = UsbAddress.parse(address)
         self._device = find(self._where)
         self.identity = who(self._device)
         """What the device says of itself."""
-        self._where = Address(self._device.idVendor, self._device.idProduct, self._where.serial)
+        self._where = UsbAddress(self._device.idVendor, self._device.idProduct, self._where.serial)
         self._interface: int | None = None
         self._detached = False
         try:

@@ -1,4 +1,4 @@
-"""What Home Assistant is told of a device and its entities, so that they appear by themselves (MQTT discovery)."""
+"""What Home Assistant learns of a device and its entities, so that they appear by themselves (MQTT discovery)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Entity:
     where          only events whose fields have these values ({final: true})
     values         what a value becomes ({in: "ON", out: "OFF"}); one that is not named becomes unknown
     alive_s        in place of a field: ON while samples come, OFF when none has for so long
-    every_s        a signal is told at most so often
+    every_s        a signal is reported at most so often
     decimals       of numbers
     expire_after_s after how long without news Home Assistant shows the entity as unavailable; what has not changed is said again in time
     name, unit, device_class, state_class, category (diagnostic), icon   as Home Assistant takes them

@@ -100,7 +100,7 @@ class Outbox:
             return max(self._posted.get(topic, -1), self._arrived.get(topic, -1))
 
     def open(self) -> None:
-        """The connection stands, and what the broker remembers has been told: everything may be said."""
+        """The connection stands, and what the broker remembers has been reported: everything may be said."""
         with self._lock:
             self._ready = True
             self._unsaid = dict.fromkeys(self._states)

@@ -37,7 +37,7 @@ log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class History:
+class SentEvents:
     """Events of a stream that are sent one by one, each once and in order, as JSON with all their fields.
 
     of      the stream
@@ -53,7 +53,7 @@ class History:
     log: str = ""
 
 
-class _Desk:
+class MqttRuntime:
     """What belongs to a running outlet but not to its state."""
 
     def __init__(self, specs: Specs) -> None:
@@ -69,16 +69,11 @@ class _Desk:
         self.mark = ""
 
 
-class _Sender(Outlet[OutboxState]):
-    __slots__ = ("desk",)
-    desk: _Desk
-
-
 @dataclass(frozen=True, slots=True)
-class MqttOutlet(_Sender):
+class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
     """Fields of events, and channels of signals, as sensors in Home Assistant or for any MQTT client.
 
-    `entities` says by name what is told; states are retained, unknown ones are "None". Home Assistant learns of the entities by its
+    `entities` says by name what is reported; states are retained, unknown ones are "None". Home Assistant learns of the entities by its
     discovery messages (retained, and once more when it has started); they become unavailable when kinegraph vanishes (last will), and each
     by itself when nothing comes for `expire_after_s`. Topics: base/device/entity/state, base/device/availability.
 
@@ -95,10 +90,10 @@ class MqttOutlet(_Sender):
     durable: ClassVar[bool] = True
     in_order: ClassVar[bool] = False
 
-    entities: dict[str, Entity] = param(help="what is told, by name")
+    entities: dict[str, Entity] = param(help="what is reported, by name")
     broker: Broker = param(Broker(), help="where the broker is")
     device: Device = param(Device(), help="the device in Home Assistant that all entities belong to")
-    history: tuple[History, ...] = param((), help="events that are sent one by one")
+    history: tuple[SentEvents, ...] = param((), help="events that are sent one by one")
     base: str = param("kinegraph", help="what all topics begin with")
     discovery: str = param("homeassistant", help="the prefix of discovery messages; left empty: none are sent")
     ledger: str = param("", help="a file that remembers over a power cut which events were sent")
@@ -120,55 +115,54 @@ class MqttOutlet(_Sender):
             if not spec.is_event or history.key not in spec.channels or spec.dtype[history.key].kind not in "iu":
                 raise InputError(history.of, spec.describe(), f"events with a whole number {history.key!r}")
             _check_where(spec, history.where, f"history[{i}].where")
-        object.__setattr__(self, "desk", _Desk(specs))
-        self.hold(OutboxState(""))
+        self.hold(OutboxState(""), MqttRuntime(specs))
         return {}
 
     def keep_time(self, clock: SessionClock) -> None:
-        self.desk.live_from = clock.utc_ns
+        self.runtime.live_from = clock.utc_ns
 
     def begin(self) -> None:
-        desk = self.desk
+        runtime = self.runtime
         self.state.session = self.state.session or uuid.uuid4().hex
         ledger = Path(self.ledger).absolute() if self.ledger else None
         if ledger:
             private_folder(ledger.parent)
-        desk.outbox = Outbox(self.state, self._say, ledger)
+        runtime.outbox = Outbox(self.state, self._say, ledger)
         for history in self.history:
             if history.log:
                 self._post_logged(history)
         topics, histories = self._topics, [self._topics.history(h.of) for h in self.history]
         heard = [*([topics.birth] if self.discovery else []), *([topics.mark(), *histories] if histories else [])]
-        desk.link = BrokerConnection(
+        runtime.link = BrokerConnection(
             self.broker, f"kinegraph-{self.device.id}-{socket.gethostname()}-{os.getpid()}", topics.availability(), heard,
-            joined=self._joined, heard=self._heard, delivered=desk.outbox.delivered, left=desk.outbox.shut,
+            joined=self._joined, heard=self._heard, delivered=runtime.outbox.delivered, left=runtime.outbox.shut,
         )  # fmt: skip
-        desk.link.start()
+        runtime.link.start()
 
     def process(self, port: str, chunk: Chunk) -> None:
-        desk = self.desk
-        assert desk.outbox
+        runtime = self.runtime
+        assert runtime.outbox
         if len(chunk):
-            desk.newest[port] = int(chunk.time[-1])
+            runtime.newest[port] = int(chunk.time[-1])
         for name, entity in self.entities.items():
             if entity.of == port:
                 self._tell(name, entity, chunk)
         for history in self.history:
             if history.of == port and len(chunk):
                 self._post(history, chunk)
-        if chunk.until >= desk.live_from:
-            desk.outbox.flush()
+        if chunk.until >= runtime.live_from:
+            runtime.outbox.flush()
 
     def close(self) -> None:
-        desk = self.desk
-        link = desk.link
-        if link is None or desk.outbox is None:
+        runtime = self.runtime
+        link = runtime.link
+        if link is None or runtime.outbox is None:
             return
-        desk.outbox.flush()
-        self._wait_for_the_last(link, desk.outbox)
-        desk.link = None
+        runtime.outbox.flush()
+        self._wait_for_the_last(link, runtime.outbox)
+        runtime.link = None
         link.stop()
-        if undelivered := desk.outbox.waiting + desk.outbox.dropped:
+        if undelivered := runtime.outbox.waiting + runtime.outbox.dropped:
             broker = f"{self.broker.host}:{self.broker.port}"
             kept = " (the log has those of the night)" if any(h.log for h in self.history) else ""
             log.warning(
@@ -189,29 +183,29 @@ class MqttOutlet(_Sender):
             time.sleep(0.01)
 
     def snapshot(self) -> dict[str, Array]:
-        return pack(self.desk.outbox.keep() if self.desk.outbox else self.state)
+        return pack(self.runtime.outbox.keep() if self.runtime.outbox else self.state)
 
-    # what is told --------------------------------------------------------------------------------------------------------
+    # what is reported --------------------------------------------------------------------------------------------------------
 
     def _tell(self, name: str, entity: Entity, chunk: Chunk) -> None:
         """Tell an entity's state where it has changed, or is about to be forgotten."""
-        desk = self.desk
-        assert desk.outbox
-        before, when, stamp = desk.told.get(name, ("", 0.0, NEVER))
+        runtime = self.runtime
+        assert runtime.outbox
+        before, when, stamp = runtime.told.get(name, ("", 0.0, NEVER))
         text, at = self._state(entity, chunk, before, stamp)
         now = time.monotonic()
         stale = entity.expire_after_s > 0 and now - when >= REFRESH * entity.expire_after_s
         if text and (text != before or stale):
-            desk.told[name] = (text, now, at)
-            desk.outbox.state(self._topics.state(name), text)
+            runtime.told[name] = (text, now, at)
+            runtime.outbox.state(self._topics.state(name), text)
 
     def _state(self, entity: Entity, chunk: Chunk, before: str, told: int) -> tuple[str, int]:
-        """What is to be told after a chunk, and of which sample; "": nothing is known yet."""
+        """What is to be reported after a chunk, and of which sample; "": nothing is known yet."""
         if entity.alive_s:
-            newest = self.desk.newest.get(entity.of, NEVER)
+            newest = self.runtime.newest.get(entity.of, NEVER)
             alive = newest != NEVER and chunk.until < FOREVER and chunk.until - newest <= entity.alive_s * NS
             return (ON if alive else OFF), newest
-        spec = self.desk.specs[entity.of]
+        spec = self.runtime.specs[entity.of]
         rows = chunk.data[_chosen(chunk.data, entity.where)] if spec.is_event else chunk.data
         if not len(rows) or (not spec.is_event and told != NEVER and chunk.time[-1] - told < entity.every_s * NS):
             return before, told
@@ -219,20 +213,20 @@ class MqttOutlet(_Sender):
         value = row[entity.field or spec.channels[0]] if spec.is_event else row.reshape(-1)[_place(spec, entity.field)]
         return _text(value, entity), int(chunk.time[-1])
 
-    def _post(self, history: History, chunk: Chunk) -> None:
-        desk = self.desk
-        assert desk.outbox
-        spec = desk.specs[history.of]
+    def _post(self, history: SentEvents, chunk: Chunk) -> None:
+        runtime = self.runtime
+        assert runtime.outbox
+        spec = runtime.specs[history.of]
         for row in chunk.data[_chosen(chunk.data, history.where)]:
             told: dict[str, Any] = {"session": self.state.session, "key": int(row[history.key])}
             told |= {field: _plain(row[field], spec.unit_of(field)) for field in spec.channels}
-            desk.outbox.post(self._topics.history(history.of), told["key"], json.dumps(told))
+            runtime.outbox.post(self._topics.history(history.of), told["key"], json.dumps(told))
 
-    def _post_logged(self, history: History) -> None:
+    def _post_logged(self, history: SentEvents) -> None:
         """What a night's log has, and this session has not sent: it was killed in between."""
         from devices.outlets.night import archive
 
-        outbox, topic = self.desk.outbox, self._topics.history(history.of)
+        outbox, topic = self.runtime.outbox, self._topics.history(history.of)
         assert outbox
         newest = outbox.newest(topic)
         nights = archive.nights(Path(history.log)) if newest >= 0 else []
@@ -257,24 +251,24 @@ class MqttOutlet(_Sender):
         return Topics(self.base, self.device.id, self.discovery)
 
     def _say(self, topic: str, text: str, retain: bool) -> int | None:
-        link = self.desk.link
+        link = self.runtime.link
         return link.say(topic, text, retain=retain) if link else None
 
     def _joined(self) -> None:
         """The broker is there. What it remembers of our history comes before our own mark does."""
         self._announce()
         if self.history:
-            self.desk.mark = uuid.uuid4().hex
-            if self.desk.link:
-                self.desk.link.say(self._topics.mark(), self.desk.mark)
-        elif self.desk.outbox:
-            self.desk.outbox.open()
+            self.runtime.mark = uuid.uuid4().hex
+            if self.runtime.link:
+                self.runtime.link.say(self._topics.mark(), self.runtime.mark)
+        elif self.runtime.outbox:
+            self.runtime.outbox.open()
 
     def _heard(self, topic: str, text: str, retained: bool) -> None:
-        outbox = self.desk.outbox
+        outbox = self.runtime.outbox
         assert outbox
         if topic == self._topics.mark():
-            if text == self.desk.mark:
+            if text == self.runtime.mark:
                 outbox.open()
         elif topic == self._topics.birth:
             if text == "online" and not retained:

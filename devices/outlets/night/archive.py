@@ -231,7 +231,7 @@ def zone_of(name: str) -> tzinfo | None:
 
 
 def night_zone(facts: Facts) -> tzinfo:
-    """The clock that a night began with, by which every time of it is told: no hour comes twice where the clocks change."""
+    """The clock that a night began with, in which all its times are given: no hour comes twice where the clocks change."""
     begun = clock(facts.begun, zone_of(facts.timezone))
     return timezone(begun.utcoffset() or timedelta(), begun.tzname() or "UTC")
 

@@ -38,13 +38,8 @@ MOST_WAITING = 3000
 log = structlog.get_logger(__name__)
 
 
-class _Logger(Outlet[LogState]):
-    __slots__ = ("desk",)
-    desk: LogRuntime
-
-
 @dataclass(frozen=True, slots=True)
-class NightLog(_Logger):
+class NightLog(Outlet[LogState, LogRuntime]):
     """Every final epoch as a row on the disk, a folder for each night; in the morning a report: HTML, PNG, EDF+.
 
     epochs     of `operators.sleep.scorer.SleepScorer`
@@ -82,45 +77,44 @@ class NightLog(_Logger):
         except (KeyError, ValueError):
             raise ParameterError("timezone", self.timezone, "a time zone's name, like Europe/Berlin") from None
         rows.check(specs)
-        object.__setattr__(self, "desk", LogRuntime(specs))
-        self.hold(LogState())
+        self.hold(LogState(), LogRuntime(specs))
         return {}
 
     def meet(self, graph: Graph) -> None:
-        self.desk.graph = graph
+        self.runtime.graph = graph
 
     def keep_time(self, clock: SessionClock) -> None:
-        self.desk.now = clock.utc_ns
+        self.runtime.now = clock.utc_ns
 
     def begin(self) -> None:
         """Go on with the night that was broken off, if there is one."""
-        desk, root = self.desk, Path(self.path).absolute()
-        desk.held = {int(onset): facts for onset, facts in json.loads(self.state.held).items()}
-        desk.claim = claim(root / (f"night-{self.sleeper}" if self.sleeper else "night"))
-        desk.zone = archive.zone_of(self.timezone)
+        runtime, root = self.runtime, Path(self.path).absolute()
+        runtime.held = {int(onset): facts for onset, facts in json.loads(self.state.held).items()}
+        runtime.claim = claim(root / (f"night-{self.sleeper}" if self.sleeper else "night"))
+        runtime.zone = archive.zone_of(self.timezone)
         self.state.run = self.state.run or uuid.uuid4().hex
         broken_off = None
         for folder, facts in archive.nights(root):
             epochs = readable(folder)
             if facts.sleeper != self.sleeper or not len(epochs) or self._of_another_clock(folder, facts, epochs):
                 continue
-            desk.last = max(desk.last, int(epochs.onset[-1]))
+            runtime.last = max(runtime.last, int(epochs.onset[-1]))
             if facts.closed:
-                desk.former, desk.former_end = folder, int(facts.numbers.get("end", desk.last))
+                runtime.former, runtime.former_end = folder, int(facts.numbers.get("end", runtime.last))
                 self.state.rests = self.state.rests or str(epochs.texts["bed"][-1]) == "in"
             else:
                 broken_off = folder, facts, epochs
         if broken_off:
-            desk.night = OpenNight.go_on(*broken_off)
-            desk.night.facts.run = self.state.run
-            self._mark_break(desk.night, int(broken_off[2].end[-1]))
+            runtime.night = OpenNight.go_on(*broken_off)
+            runtime.night.facts.run = self.state.run
+            self._mark_break(runtime.night, int(broken_off[2].end[-1]))
 
     def _of_another_clock(self, folder: Path, facts: Facts, epochs: archive.LoggedEpochs) -> bool:
         """Whether an earlier session's night lies ahead of this one's beginning: a simulated one, or the clock has been wrong.
 
         Such a night is over, and what is seen now is not taken for what it holds already.
         """
-        ahead = self.desk.now != NEVER and int(epochs.onset[-1]) > self.desk.now + round(facts.epoch_s * NS)
+        ahead = self.runtime.now != NEVER and int(epochs.onset[-1]) > self.runtime.now + round(facts.epoch_s * NS)
         if facts.run == self.state.run or not ahead:
             return False
         log.warning("a night in the log is ahead of the clock; another one begins beside it", night=folder.name)
@@ -132,8 +126,8 @@ class NightLog(_Logger):
 
     def _mark_break(self, night: OpenNight, written: int) -> None:
         """From the last epoch that is known, final or not, to now, nobody looked."""
-        length, now = round(night.facts.epoch_s * NS), self.desk.now
-        begin = min(now, max([written, *(onset + length for onset in self.desk.held)]))
+        length, now = round(night.facts.epoch_s * NS), self.runtime.now
+        begin = min(now, max([written, *(onset + length for onset in self.runtime.held)]))
         if now != NEVER:
             night.note(night.facts.breaks, [begin, now])
             log.info("the night goes on", night=night.folder.name, away_s=(now - begin) // NS)
@@ -145,25 +139,25 @@ class NightLog(_Logger):
             else:
                 for stamp, row in zip(chunk.time.tolist(), chunk.data, strict=True):
                     self._take(port, row, stamp)
-        self.desk.renderer.look()
+        self.runtime.renderer.look()
 
     def close(self) -> None:
-        desk = self.desk
+        runtime = self.runtime
         self._settle()
-        for late in desk.over:
+        for late in runtime.over:
             late.let_go()
         try:
-            desk.renderer.finish()
+            runtime.renderer.finish()
         finally:
-            night, desk.night = desk.night, None
-            if desk.claim:
-                let_go(desk.claim)
+            night, runtime.night = runtime.night, None
+            if runtime.claim:
+                let_go(runtime.claim)
             if night:
                 night.save()
                 night.file.close()
 
     def snapshot(self) -> dict[str, Array]:
-        self.state.held = json.dumps(self.desk.held)
+        self.state.held = json.dumps(self.runtime.held)
         return pack(self.state)
 
     # what comes in -------------------------------------------------------------------------------------------------------
@@ -184,7 +178,7 @@ class NightLog(_Logger):
                 self._hold(int(row["onset"]), rows.seen(row) if port == "seen" else rows.breathing(row))
 
     def _hold(self, onset: int, facts: dict[str, Any]) -> None:
-        held = self.desk.held
+        held = self.runtime.held
         held.setdefault(onset, {}).update(facts)
         while len(held) > HELD:
             del held[min(held)]
@@ -195,99 +189,99 @@ class NightLog(_Logger):
         if not row["final"]:
             self._hold(onset, {"provisional": str(row["state"])})
             return
-        known = self.desk.held.pop(onset, {})
-        if onset <= self.desk.last:
+        known = self.runtime.held.pop(onset, {})
+        if onset <= self.runtime.last:
             return
         facts = {**known, **rows.final(row)}
         self._settle()
         self._forget_deleted(onset)
         if self._begins_or_goes_on(onset, str(known.get("bed", "")), str(row["state"])):
-            self.desk.last = onset
-            self.desk.waiting = [*self.desk.waiting[-MOST_WAITING:], facts]
+            self.runtime.last = onset
+            self.runtime.waiting = [*self.runtime.waiting[-MOST_WAITING:], facts]
             self._write()
 
     def _begins_or_goes_on(self, onset: int, bed: str, state: str) -> bool:
         """Whether an epoch belongs to a night: one that is open (or waits for the disk), or one that begins with it."""
-        desk, night = self.desk, self.desk.night
-        told = "seen" in desk.specs
+        runtime, night = self.runtime, self.runtime.night
+        told = "seen" in runtime.specs
         here = bed == "in" if told else state != "unknown"
         if night is not None and onset - night.in_bed > APART_NS:
             if not here:
                 return False
             self._shut(night)
-            night = desk.night = None
-        if bed == "out" or onset > desk.former_end + APART_NS:
+            night = runtime.night = None
+        if bed == "out" or onset > runtime.former_end + APART_NS:
             self.state.rests = False
         if night is not None and here:
             night.in_bed = onset
-        if night is not None or desk.waiting:
+        if night is not None or runtime.waiting:
             return True
-        return here and not self.state.rests and (told or onset >= desk.former_end + APART_NS)
+        return here and not self.state.rests and (told or onset >= runtime.former_end + APART_NS)
 
     def _write(self) -> None:
         """Write what waits, in a new folder if need be; a disk that is full is tried again with the next epoch."""
-        desk = self.desk
-        if desk.night is None:
+        runtime = self.runtime
+        if runtime.night is None:
             try:
-                desk.night = self._opened(nanoseconds(desk.waiting[0]["onset"]))
+                runtime.night = self._opened(nanoseconds(runtime.waiting[0]["onset"]))
             except (OSError, DeviceError) as error:
                 log.error("the night has no folder yet; its epochs wait in memory", path=self.path, error=str(error))
                 return
-        for row in desk.waiting:
-            desk.night.write(row)
-        desk.waiting = []
+        for row in runtime.waiting:
+            runtime.night.write(row)
+        runtime.waiting = []
 
     def _night(self, row: Any) -> None:
         """The numbers of a night that is over."""
-        desk, night = self.desk, self.desk.night
+        runtime, night = self.runtime, self.runtime.night
         numbers = {name: row[name].item() for name in row.dtype.names}
         if night is None or not numbers["onset"] - APART_NS < night.facts.begun < numbers["end"]:
             return
-        if numbers["onset"] >= desk.deleted:
+        if numbers["onset"] >= runtime.deleted:
             night.facts.numbers = {k: (None if v != v else v) for k, v in numbers.items()}
-        desk.former, desk.former_end, desk.night, desk.deleted = night.folder, numbers["end"], None, NEVER
+        runtime.former, runtime.former_end, runtime.night, runtime.deleted = night.folder, numbers["end"], None, NEVER
         self.state.rests = True
         log.info("the night is over", night=night.folder.name, folder=str(night.folder))
         self._shut(night)
         self._forget(numbers["end"])
 
     def _shut(self, night: OpenNight) -> None:
-        self.desk.over.append(night)
+        self.runtime.over.append(night)
         self._settle()
 
     def _settle(self) -> None:
         """See that nights that are over are on the disk, and have them drawn."""
-        desk = self.desk
-        for night in [*desk.over]:
+        runtime = self.runtime
+        for night in [*runtime.over]:
             if night.deleted or night.shut():
-                desk.over.remove(night)
+                runtime.over.remove(night)
                 night.let_go()
                 if self.report and not night.deleted:
-                    desk.renderer.soon(night.folder)
+                    runtime.renderer.soon(night.folder)
 
     def _forget_deleted(self, onset: int) -> None:
         """The open night was deleted while it went on: what follows gets a folder of its own."""
-        desk = self.desk
-        if desk.night is not None and desk.night.deleted:
+        runtime = self.runtime
+        if runtime.night is not None and runtime.night.deleted:
             log.warning(
                 "the night was deleted while it went on; what follows is kept in another folder",
-                night=desk.night.folder.name,
+                night=runtime.night.folder.name,
             )
-            desk.night.let_go()
-            desk.night, desk.deleted = None, onset
+            runtime.night.let_go()
+            runtime.night, runtime.deleted = None, onset
 
     def _bed(self, row: Any) -> None:
         self.state.bed = str(row["state"])
-        night = self.desk.night
+        night = self.runtime.night
         if night is not None:
             night.note(night.facts.exits, [int(row["onset"]), self.state.bed])
 
     def _switched(self, row: Any, stamp: int) -> None:
-        night = self.desk.night
-        self.desk.switched = [stamp, "lights on" if row["on"] else "lights off"]
+        night = self.runtime.night
+        self.runtime.switched = [stamp, "lights on" if row["on"] else "lights off"]
         # a switch that says after a restart what it was before was not switched
-        if night is not None and self.desk.switched[1] not in [what for _, what in night.facts.switched[-1:]]:
-            night.note(night.facts.switched, self.desk.switched)
+        if night is not None and self.runtime.switched[1] not in [what for _, what in night.facts.switched[-1:]]:
+            night.note(night.facts.switched, self.runtime.switched)
 
     def _looks(self, row: Any) -> None:
         """The camera was moved: that belongs into the night's facts, and into the log."""
@@ -295,24 +289,30 @@ class NightLog(_Logger):
             return
         onset = int(row["onset"])
         by = [float(row[name]) if np.isfinite(row[name]) else None for name in ("down", "right")]
-        log.warning("the camera was moved", at=str(clock(onset, self.desk.zone)), down_px=by[0], right_px=by[1])
-        night = self.desk.night
+        log.warning("the camera was moved", at=str(clock(onset, self.runtime.zone)), down_px=by[0], right_px=by[1])
+        night = self.runtime.night
         if night is not None:
             night.note(night.facts.moved, [onset, *by])
 
     def _map(self, frame: Array) -> None:
         """The map comes with the night's numbers, before or after them."""
-        desk = self.desk
-        folder = desk.night.folder if desk.night else desk.former
-        if folder is not None and folder.is_dir() and write_map(folder, frame) and desk.night is None and self.report:
-            desk.renderer.soon(folder)
+        runtime = self.runtime
+        folder = runtime.night.folder if runtime.night else runtime.former
+        if (
+            folder is not None
+            and folder.is_dir()
+            and write_map(folder, frame)
+            and runtime.night is None
+            and self.report
+        ):
+            runtime.renderer.soon(folder)
 
     # nights on the disk --------------------------------------------------------------------------------------------------
 
     def _opened(self, onset: int) -> OpenNight:
-        desk = self.desk
-        folder = archive.new_folder(Path(self.path).absolute(), onset, desk.zone)
-        spec, graph = desk.specs["epochs"], desk.graph
+        runtime = self.runtime
+        folder = archive.new_folder(Path(self.path).absolute(), onset, runtime.zone)
+        spec, graph = runtime.specs["epochs"], runtime.graph
         facts = Facts(
             folder.name, onset, float(spec.meta["epoch_s"]), self.timezone, self.sleeper,
             meta={k: v for k, v in spec.meta.items() if isinstance(v, str | int | float | bool)},
@@ -323,10 +323,10 @@ class NightLog(_Logger):
         )  # fmt: skip
         if self.state.bed:
             facts.exits.append([onset, self.state.bed])
-        if desk.switched and desk.switched[1] == "lights off" and onset - desk.switched[0] < APART_NS:
-            facts.switched.append(desk.switched)
+        if runtime.switched and runtime.switched[1] == "lights off" and onset - runtime.switched[0] < APART_NS:
+            facts.switched.append(runtime.switched)
         night = OpenNight.begin(folder, facts)
-        log.info("a night begins", night=folder.name, at=str(clock(onset, desk.zone)))
+        log.info("a night begins", night=folder.name, at=str(clock(onset, runtime.zone)))
         return night
 
     def _forget(self, now: int) -> None:

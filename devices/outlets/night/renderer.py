@@ -95,7 +95,7 @@ class ReportRenderer:
             log.debug("report drawn at normal priority")
 
     def _again(self, folder: Path, why: str) -> None:
-        """A report has failed: once more after a while, or not before the end; the first failure and the last are told."""
+        """A report has failed: once more after a while, or not before the end; the first failure and the last are reported."""
         failures = self._failures[folder] = self._failures.get(folder, 0) + 1
         if failures > len(AGAIN_S):
             self._left[folder] = None

@@ -89,7 +89,7 @@ class OpenNight:
         return not self.stale and not self.file.pending
 
     def let_go(self) -> None:
-        """Close the file. What could not be written is told, and ends nothing else."""
+        """Close the file. What could not be written is reported, and ends nothing else."""
         try:
             self.file.close()
         except DeviceError as error:

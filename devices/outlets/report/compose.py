@@ -9,6 +9,7 @@ import numpy as np
 
 from devices.outlets.report import words
 from devices.outlets.report.data import Curves, Muscle, Noticed, Rejected, Report, ReportValue, Stream
+from devices.outlets.report.grids import accepted_of, fill_groups
 from devices.outlets.report.tally import Tally, most_common, numbers
 from stream.chunk import NS, Samples, Specs
 from stream.graph import Graph
@@ -53,7 +54,16 @@ def compose(tally: Tally, specs: Specs, graph: Graph | None, names: Mapping[str,
         stance_percent=float(centre[2]),
     )
     _fill_table(report, tally, specs, words.sites(session, cycles.meta))
-    return report, Curves(tally.curve.centre(), tally.curve.spread(), np.asarray(tally.single.chosen(), np.float64))
+    fill_groups(report, tally, specs)
+    groups = tally.groups
+    by_stage = np.array([curve.centre() for curve in groups.stage_curves]).reshape(-1, *tally.curve.mean.shape)
+    return report, Curves(
+        tally.curve.centre(),
+        tally.curve.spread(),
+        np.asarray(tally.single.chosen(), np.float64),
+        groups.active,
+        by_stage,
+    )
 
 
 def _facts(tally: Tally, specs: Specs, session: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -104,13 +114,14 @@ def _streams(tally: Tally, specs: Specs, names: Mapping[str, str]) -> list[Strea
     return told
 
 
-def _remark(tally: Tally, i: int) -> str:
+def _remark(tally: Tally, specs: Specs, i: int) -> str:
     """What is to be said of a muscle's signal: of the electrode, how often it was not good, and of its cycles' likeness."""
     judged, troubled = (int(n) for n in tally.windows[:, i])
     electrode = tally.remarks[i] or tally.trouble[i]
     often = f"{f'{electrode}, ' if electrode else ''}{troubled} of {judged} windows not good" if troubled else electrode
-    missing = tally.accepted - int(tally.curve.n[0, i])
-    left = f"left out of {missing} of {tally.accepted} cycles" if missing > 0 else ""
+    cycles = accepted_of(tally, specs, i)
+    missing = cycles - int(tally.curve.n[0, i])
+    left = f"left out of {missing} of {cycles} cycles" if missing > 0 else ""
     return "; ".join(
         part for part in (often, left, tally.repeatable[i] if tally.repeatable[i] != "repeatable" else "") if part
     )
@@ -136,5 +147,5 @@ def _fill_table(report: Report, tally: Tally, specs: Specs, sites: Mapping[str, 
     for i, name in enumerate(specs["cycles"].channels):
         values = [(float(centre[i]), float(spread[i])) for centre, spread in table]
         report.muscles.append(
-            Muscle(name, sites.get(name, ""), tally.flags[i], _remark(tally, i), values, _troubled(tally, i))
+            Muscle(name, sites.get(name, ""), tally.flags[i], _remark(tally, specs, i), values, _troubled(tally, i))
         )

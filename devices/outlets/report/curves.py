@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from html import escape
+from itertools import cycle, pairwise
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.transforms import blended_transform_factory
 
-from devices.outlets.report.data import Curves
+from devices.outlets.report.data import Curves, LimbPanel
 from stream.chunk import Samples
 
 SIZES_IN = {4: (3.55, 1.9), 12: (2.36, 1.42), 10_000: (2.36, 1.18)}
@@ -38,6 +39,104 @@ _STYLE: dict[Any, Any] = {
     "xtick.major.size": 2.0,
     "ytick.major.size": 2.0,
 }
+
+
+LIMBS = ("#b25b00", "#12395b", "#2f7d4f", "#7a3b8f")
+STAGES = ("#12395b", "#b25b00", "#2f7d4f", "#a3211b", "#7a3b8f", "#55534e", "#0b7d8f", "#8f6b0b")
+
+
+def draw_limbs(curves: Curves, panels: list[LimbPanel], unit: str) -> list[str]:
+    """One SVG element per muscle: the limbs' mean curves over one another, each with its band of one standard deviation."""
+    size = next(size for most, size in SIZES_IN.items() if len(panels) <= most)
+    with rc_context(_STYLE):
+        made = []
+        for panel in panels:
+            figure, axes = _empty_panel(size)
+            tops = []
+            for limb, channel, colour in zip(panel.limbs, panel.channels, cycle(LIMBS), strict=False):
+                mean, sd = curves.mean[:, channel], np.nan_to_num(curves.sd[:, channel])
+                _band(axes, mean, sd, colour, limb)
+                tops.append(np.nan_to_num(mean + sd).max())
+            _finish(axes, figure, 1.05 * max([*tops, 1e-9]), unit)
+            made.append(_svg(figure, f"{panel.name}, {' and '.join(panel.limbs)}"))
+        return made
+
+
+def draw_stages(curves: Curves, names: list[str], stages: list[str], unit: str) -> list[str]:
+    """One SVG element per channel: the mean curve of each stage."""
+    size = next(size for most, size in SIZES_IN.items() if len(names) <= most)
+    with rc_context(_STYLE):
+        made = []
+        for i, name in enumerate(names):
+            figure, axes = _empty_panel(size)
+            for k, stage in enumerate(stages):
+                _band(axes, curves.stages[k, :, i], None, STAGES[k % len(STAGES)], stage)
+            _finish(axes, figure, 1.05 * max(float(np.nan_to_num(curves.stages[:, :, i]).max(initial=0)), 1e-9), unit)
+            made.append(_svg(figure, f"{name} by stage"))
+        return made
+
+
+def draw_footfalls(footfalls: list[tuple[str, float, float]]) -> str:
+    """The footfall diagram: when in the stride each limb stands, on the mean."""
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(4.6, 0.35 + 0.2 * len(footfalls)))
+        axes = figure.add_axes((0.16, 0.3, 0.82, 0.66))
+        for k, (_, phase, duty) in enumerate(reversed(footfalls)):
+            if np.isfinite(phase) and np.isfinite(duty):
+                for begin in (phase - 100, phase):
+                    axes.barh(k, duty, left=begin, height=0.6, color=INK)
+        axes.set_yticks(range(len(footfalls)), [limb for limb, *_ in reversed(footfalls)])
+        axes.set_xlim(0, 100)
+        axes.set_xlabel("% of the reference limb's stride")
+        return _svg(figure, "footfall diagram")
+
+
+def draw_active(active: Samples, names: list[str]) -> str:
+    """Bars: a row per muscle, as dark as the share of the cycles in which it was active."""
+    shown = [i for i in range(len(names)) if np.isfinite(active[:, i]).any()]
+    height = 0.4 + 0.16 * max(len(shown), 1)
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(7.0, height))
+        axes = figure.add_axes((0.1, 0.32 / height, 0.88, 0.98 - 0.34 / height))
+        for k, i in enumerate(reversed(shown)):
+            for start, stop, level in _stretches(active[:, i]):
+                axes.barh(k, stop - start, left=start, height=0.7, align="center", color=INK, alpha=level, linewidth=0)
+        axes.set_yticks(range(len(shown)), [names[i] for i in reversed(shown)])
+        axes.set_xlim(0, 100)
+        axes.set_ylim(-0.6, max(len(shown), 1) - 0.4)
+        axes.set_xlabel("% of the cycle")
+        return _svg(figure, "when muscles are active")
+
+
+def _stretches(share: Samples) -> list[tuple[int, int, float]]:
+    """Runs of one shade, in steps of a tenth; those below a twentieth are left white."""
+    levels = np.round(np.nan_to_num(share), 1)
+    edges = [0, *(np.flatnonzero(np.diff(levels)) + 1).tolist(), len(levels)]
+    return [(a, b, float(levels[a])) for a, b in pairwise(edges) if levels[a] > 0]
+
+
+def _empty_panel(size: tuple[float, float]) -> tuple[Figure, Axes]:
+    width, height = size
+    figure = Figure(figsize=size)
+    return figure, figure.add_axes((0.28 / width, 0.16 / height, 1 - 0.4 / width, 1 - 0.29 / height))
+
+
+def _band(axes: Axes, mean: Samples, sd: Samples | None, colour: str, label: str) -> None:
+    percent = np.arange(len(mean)) * (100 / len(mean))
+    if np.isfinite(mean).any():
+        if sd is not None:
+            axes.fill_between(percent, np.maximum(mean - sd, 0), mean + sd, color=colour, alpha=0.2, linewidth=0)
+        axes.plot(percent, mean, color=colour, linewidth=1.2, label=label)
+
+
+def _finish(axes: Axes, figure: Figure, top: float, unit: str) -> None:
+    axes.set_xlim(0, 100)
+    axes.set_ylim(0, top)
+    axes.set_xticks([0, 25, 50, 75, 100])
+    axes.locator_params(axis="y", nbins=4)
+    if axes.get_legend_handles_labels()[1]:
+        axes.legend(frameon=False, fontsize=5.5, loc="upper right", handlelength=1.2, borderaxespad=0.1)
+    _write_unit(axes, figure, unit)
 
 
 def draw(curves: Curves, stance_percent: float, unit: str, titles: list[str]) -> list[str]:
@@ -70,7 +169,9 @@ def _muscle(
     else:
         axes.text(50, 0.5, "no valid cycle", ha="center", color="#777777", transform=axes.get_xaxis_transform())
     axes.set_xlim(0, 100)
-    axes.set_ylim(0, _top(mean, sd, single))
+    top = _top(mean, sd, single)
+    axes.set_ylim(0, top)
+    _mark_cut(axes, single, top)
     axes.set_xticks([0, 25, 50, 75, 100])
     axes.locator_params(axis="y", nbins=4)
     _write_unit(axes, figure, unit)
@@ -94,6 +195,20 @@ def _top(mean: Samples, sd: Samples, single: Samples) -> float:
         return 1.0
     band = (mean + np.nan_to_num(sd))[np.isfinite(mean)]
     return float(1.05 * max(band.max() if len(band) else 0.0, np.quantile(values, 0.95), 1e-9))
+
+
+def _mark_cut(axes: Axes, single: Samples, top: float) -> None:
+    """Say where the axis ends below a cycle's peak: a mark where it leaves the picture, and up to where it goes."""
+    highest = np.nan_to_num(single).max(axis=1) if single.size else np.empty(0)
+    over = np.flatnonzero(highest > top)
+    if not len(over):
+        return
+    at = np.nan_to_num(single[over]).argmax(axis=1) * (100 / single.shape[1])
+    axes.plot(at, np.full(len(at), top), "^", color="#a3211b", markersize=2.5, clip_on=False)
+    axes.text(
+        0.99, 0.99, f"cut off: {len(over)} up to {highest.max():.3g}", ha="right", va="top", fontsize=5, color="#a3211b",
+        transform=axes.transAxes,
+    )  # fmt: skip
 
 
 def _shorter(number: re.Match[str]) -> str:

@@ -22,22 +22,29 @@ NONE = -1
 
 @dataclass(slots=True)
 class Held:
-    """A cycle whose numbers have not all come: its event (1,), and the numbers (fields, m) so far; number -1: none is held."""
+    """A cycle whose numbers have not all come: its event (1,), and the numbers (fields, m) so far; number -1: none is held. `limbs`,
+    `sizes`: where there are several, how many muscles each has."""
 
     number: int
     event: Array
     values: Samples
     came: int
     flags: list[str]
+    limbs: list[str]
+    sizes: list[int]
 
 
 def nothing_held(specs: Specs) -> Held:
     fields, muscles = len(numbers(specs.get("statistics"))), specs["cycles"].shape[1]
-    return Held(NONE, np.zeros(1, specs["closed"].dtype), np.full((fields, muscles), np.nan), 0, _no_flags(specs))
+    limbs = dict(specs["cycles"].meta.get("limbs") or {}) if "limb" in (specs["closed"].dtype.names or ()) else {}
+    return Held(
+        NONE, np.zeros(1, specs["closed"].dtype), np.full((fields, muscles), np.nan), 0, _no_flags(specs),
+        list(limbs), [len(mine) for mine in limbs.values()],
+    )  # fmt: skip
 
 
 def _no_flags(specs: Specs) -> list[str]:
-    """One per muscle, if flags are told."""
+    """One per muscle, if flags are reported."""
     told = "statistics" in specs and "flag" in (specs["statistics"].dtype.names or ())
     return [""] * specs["cycles"].shape[1] if told else []
 
@@ -49,6 +56,7 @@ def header(specs: Specs) -> bytes:
         "touch-down (UTC)",
         "touch-down (s)",
         "number",
+        *(_named(f, closed) for f in _more(closed.dtype)),
         *(_named(f, closed) for f in CYCLE),
         "rejected",
         "amplitudes",
@@ -82,7 +90,19 @@ def take_statistics(held: Held, rows: Array, fields: Sequence[str], start_ns: in
     for row in mine if held.flags else ():
         held.flags[int(row["muscle"])] = str(row["flag"])
     held.came += len(mine)
-    return release(held, start_ns, about) if held.came >= held.values.shape[1] else b""
+    return release(held, start_ns, about) if held.came >= _awaited(held) else b""
+
+
+def _more(closed: np.dtype[Any]) -> list[str]:
+    """What is known of a cycle beside its times: its limb, its stage, the belt's speed."""
+    return [name for name in ("limb", "stage", "speed_m_s") if name in (closed.names or ())]
+
+
+def _awaited(held: Held) -> int:
+    """How many muscles the held cycle has."""
+    if not held.limbs or held.number == NONE:
+        return int(held.values.shape[1])
+    return held.sizes[held.limbs.index(str(held.event["limb"][0]))]
 
 
 def release(held: Held, start_ns: int, about: str) -> bytes:
@@ -92,6 +112,7 @@ def release(held: Held, start_ns: int, about: str) -> bytes:
     event = held.event[0]
     onset = int(event["onset"])
     values: list[Any] = [f"{np.datetime64(onset, 'ns')}Z", f"{(onset - start_ns) / NS:.6f}", held.number]
+    values += [event[name].item() for name in _more(event.dtype)]
     values += [float(event[name]) for name in CYCLE]
     values += [str(event["rejected"]), about, *held.values.T.ravel().tolist(), *held.flags]
     held.number = NONE
@@ -99,7 +120,7 @@ def release(held: Held, start_ns: int, about: str) -> bytes:
 
 
 def settle(path: Path) -> None:
-    """Leave one row per cycle in a finished table: of those told twice, what was told last, where it was told first. Raises OSError."""
+    """Leave one row per cycle in a finished table: of those reported twice, the last one, where the first one was. Raises OSError."""
     with path.open(newline="", encoding="utf-8") as file:
         head, *rows = csv.reader(file)
     where = head.index("number")
@@ -111,7 +132,7 @@ def settle(path: Path) -> None:
 def _named(field: str, spec: StreamSpec) -> str:
     """The field with its unit, unless its name ends with it."""
     unit = spec.unit_of(field)
-    return f"{field} ({unit})" if unit and not field.endswith(("_s", "_pct")) else field
+    return f"{field} ({unit})" if unit and not field.endswith(("_s", "_pct", "_m_s")) else field
 
 
 def _line(values: Sequence[Any]) -> bytes:

@@ -92,6 +92,25 @@ class Setting:
 
 
 @dataclass(slots=True)
+class LimbPanel:
+    """A muscle of several limbs: where each limb's curve stands among the channels, and the limbs' names."""
+
+    name: str
+    channels: list[int]
+    limbs: list[str]
+
+
+@dataclass(slots=True)
+class Grid:
+    """A table that is ready to be printed: headings with units, rows of texts; the first column is text, the others are numbers."""
+
+    title: str
+    note: str
+    columns: list[tuple[str, str]]
+    rows: list[list[str]]
+
+
+@dataclass(slots=True)
 class Report:
     """Everything on the page but the curves. Times in ns of session time (UTC)."""
 
@@ -119,6 +138,10 @@ class Report:
     graph: str = ""
     table_file: str = ""
     stance_percent: float = float("nan")
+    panels: list[LimbPanel] = field(default_factory=list)
+    grids: list[Grid] = field(default_factory=list)
+    stages: list[str] = field(default_factory=list)
+    footfalls: list[tuple[str, float, float]] = field(default_factory=list)
 
 
 @dataclass(slots=True)
@@ -127,18 +150,30 @@ class Curves:
 
     mean, sd   (100, m)     over all accepted cycles; NaN where there are too few
     single     (k, 100, m)  some of the single cycles, evenly chosen
+    active     (100, m)     in which share of the cycles each muscle was active
+    stages     (s, 100, m)  mean curves of each stage
     """
 
     mean: Samples
     sd: Samples
     single: Samples
+    active: Samples = field(default_factory=lambda: np.zeros((0, 0)))
+    stages: Samples = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
 
 def save(path: Path, report: Report, curves: Curves) -> None:
     """Write both into one file, whole or not at all. Raises OSError."""
     with complete(path) as draft, draft.open("wb") as file:
         head = np.frombuffer(json.dumps(asdict(report)).encode(), np.uint8)
-        np.savez(file, report=head, mean=curves.mean, sd=curves.sd, single=curves.single.astype(np.float32))
+        np.savez(
+            file,
+            report=head,
+            mean=curves.mean,
+            sd=curves.sd,
+            single=curves.single.astype(np.float32),
+            stages=curves.stages,
+            active=curves.active,
+        )
 
 
 def load(path: Path) -> tuple[Report, Curves]:
@@ -146,4 +181,6 @@ def load(path: Path) -> tuple[Report, Curves]:
     with reading(path, "a report's data"):
         file = arrays(path)
         report: Report = adapter(Report).validate_json(file["report"].tobytes())
-        return report, Curves(file["mean"], file["sd"], file["single"].astype(np.float64))
+        return report, Curves(
+            file["mean"], file["sd"], file["single"].astype(np.float64), file["active"], file["stages"]
+        )

@@ -45,7 +45,16 @@ def render(report: Report, curves: Curves) -> str:
         lost=_lost,
         columns=3 if len(report.muscles) > 4 else 2,
         judged=any(m.verdict for m in report.muscles),
-        svgs=report_curves.draw(curves, stance, pretty(report.unit), [m.name for m in report.muscles]),
+        shown=_shown(report, curves),
+        stage_svgs=report_curves.draw_stages(
+            curves, [m.name for m in report.muscles], report.stages, pretty(report.unit)
+        )
+        if report.stages
+        else [],
+        active_svg=report_curves.draw_active(curves.active, [m.name for m in report.muscles])
+        if any(grid.title == "Bursts" for grid in report.grids) and curves.active.size
+        else "",
+        footfall_svg=report_curves.draw_footfalls(report.footfalls) if report.footfalls else "",
         figures=_figures(report),
         marks=MARKS,
         quality=quality_sentence(report.muscles),
@@ -61,6 +70,33 @@ def render(report: Report, curves: Curves) -> str:
         number=_number,
         thousands=lambda n: f"{n:,}".replace(",", " "),
     )
+
+
+def _shown(report: Report, curves: Curves) -> list[dict[str, Any]]:
+    """The panels: name, site, verdicts and drawing of each muscle, or of each muscle of several limbs."""
+    from devices.outlets.report import curves as report_curves
+
+    muscles, unit = report.muscles, pretty(report.unit)
+    if report.panels:
+        svgs = report_curves.draw_limbs(curves, report.panels, unit)
+        return [
+            {
+                "name": panel.name,
+                "site": "",
+                "flags": [
+                    (muscles[i].verdict, f"{limb} {MARKS[muscles[i].verdict]}")
+                    for limb, i in zip(panel.limbs, panel.channels, strict=True)
+                    if muscles[i].verdict
+                ],
+                "svg": svg,
+            }
+            for panel, svg in zip(report.panels, svgs, strict=True)
+        ]
+    svgs = report_curves.draw(curves, report.stance_percent, unit, [m.name for m in muscles])
+    return [
+        {"name": m.name, "site": m.site, "flags": [(m.verdict, MARKS[m.verdict])] if m.verdict else [], "svg": svg}
+        for m, svg in zip(muscles, svgs, strict=True)
+    ]
 
 
 def quality_sentence(muscles: list[Muscle]) -> str:
@@ -104,7 +140,7 @@ def limits(report: Report) -> list[str]:
         )
     if report.normalisation in ("", "none"):
         told.append(
-            "Amplitudes are not normalised. They hang on electrodes, skin and their exact place: compare shapes and times between people"
+            "Amplitudes are not normalised. They depend on electrodes, skin and their exact place: compare shapes and times between people"
             " and sessions, not sizes, and do not compare sizes between muscles."
         )
     return [

@@ -1,4 +1,4 @@
-"""What was added up of the latest cycles, so that one that is told again can be taken out first."""
+"""What was added up of the latest cycles, so that one that is reported again can be taken out first."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from stream.chunk import Array, Samples, Times
 
 REVISABLE = 64
-"""So many of the latest cycles can be told again; `operators.gait.history` remembers as many."""
+"""So many of the latest cycles can be reported again; `operators.gait.history` remembers as many."""
 ACCEPTED = -1
 
 
@@ -45,7 +45,7 @@ class Revisable:
         return int(found[0]) if len(found) else None
 
     def note(self, row: Array, stamp: int, reason: int) -> int:
-        """Take a cycle's event, in place of one that was told before if there was one; gives where it stands."""
+        """Take a cycle's event, in place of one that was reported before if there was one; gives where it stands."""
         number = int(row["number"])
         k = self.find(number)
         if k is None:

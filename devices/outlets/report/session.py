@@ -16,6 +16,7 @@ from filelock import FileLock
 from devices.outlets.append_file import AppendFile
 from devices.outlets.claim import check_path, claim, let_go
 from devices.outlets.report.compose import compose
+from devices.outlets.report.curve_table import write_curves
 from devices.outlets.report.cycle_rows import Held, header, nothing_held, release, settle, take_closed, take_statistics
 from devices.outlets.report.data import Curves, Report, save
 from devices.outlets.report.tally import GAIT, Tally, hear, nothing_yet, numbers
@@ -44,7 +45,7 @@ class ReportState:
     pending: str = ""
 
 
-class _Desk:
+class ReportRuntime:
     """What belongs to a running outlet but not to its state: specs, the graph, open files, a page being drawn."""
 
     def __init__(self, specs: Specs) -> None:
@@ -57,13 +58,8 @@ class _Desk:
         self.next_interim = 0.0
 
 
-class _Reporter(Outlet[ReportState]):
-    __slots__ = ("desk",)
-    desk: _Desk
-
-
 @dataclass(frozen=True, slots=True)
-class SessionReport(_Reporter):
+class SessionReport(Outlet[ReportState, ReportRuntime]):
     """Gait cycles and what is known of them in; at the session's end a self-contained HTML page and a CSV file beside it.
 
     closed, cycles   of `operators.gait.cycles.Cycles`; with these alone there are curves, cadence and rejected cycles
@@ -71,8 +67,16 @@ class SessionReport(_Reporter):
     muscles, pairs   of `operators.gait.ensemble.CycleEnsemble`: repeatability, co-contraction
     quality          of `operators.emg.quality.SignalQuality`: the verdict on each electrode
     electrodes       of `operators.emg.electrode_watch.ElectrodeWatch`, and
-    contacts         of `operators.gait.cycle_watch.CycleWatch`: the alarms of the session, and how long each lasted
+    contacts         of `operators.gait.cycle_watch.CycleWatch`, and
+    changes          of `operators.emg.mixture_drift.MixtureDrift` (`change`): the alarms of the session, and how long each lasted
+    symmetry         of `operators.gait.symmetry.LimbSymmetry`
+    footfalls, gait  of `operators.gait.footfalls.Footfalls` (`limbs`, `gait`)
+    bursts, active   of `operators.gait.bursts.CycleBursts` (`session`, `active`): when muscles are active, a table and bars
     emg              the raw signal: when the session began, its gaps and losses
+
+    Where cycles name their limb, the limbs' curves of a muscle stand in one panel, and cadence, cycle and stance are told per limb. Where
+    they name their stage (`operators.gait.stages.Stages`), curves and numbers are told per stage, too, and NAME-curves.csv holds the mean
+    curves of each stage (of the session, where there are none) with their standard deviations.
 
     The CSV file has one row per cycle, rejected ones with the reason, written as the cycle closes. A cycle that is
     told again (it was taken back, or counts after all) has two rows while the session runs, of which the last counts, and one at its end.
@@ -82,9 +86,24 @@ class SessionReport(_Reporter):
     """
 
     inputs: ClassVar[tuple[str, ...]] = (
-        "emg", "closed", "cycles", "statistics", "muscles", "pairs", "quality", "electrodes", "contacts",
+        "emg", "closed", "cycles", "statistics", "muscles", "pairs", "quality", "electrodes", "contacts", "changes",
+        "symmetry", "footfalls", "gait", "bursts", "active",
     )  # fmt: skip
-    optional: ClassVar[tuple[str, ...]] = ("emg", "statistics", "muscles", "pairs", "quality", "electrodes", "contacts")
+    optional: ClassVar[tuple[str, ...]] = (
+        "emg",
+        "statistics",
+        "muscles",
+        "pairs",
+        "quality",
+        "electrodes",
+        "contacts",
+        "changes",
+        "symmetry",
+        "footfalls",
+        "gait",
+        "bursts",
+        "active",
+    )
     durable: ClassVar[bool] = True
 
     path: str = param("reports/session.html", help="the page; the CSV file lies beside it")
@@ -104,11 +123,16 @@ class SessionReport(_Reporter):
         _check_fields(specs, "statistics", ("number", "muscle"))
         _check_fields(specs, "muscles", ("muscle", "verdict"))
         _check_fields(specs, "pairs", ("first", "second", "mean_pct"))
+        _check_fields(specs, "symmetry", ("name", "measure", "mean_pct", "low_pct", "high_pct", "pairs"))
+        _check_fields(specs, "footfalls", ("limb", "phase_pct", "duty_pct"))
+        _check_fields(specs, "bursts", ("name", "cycles", "per_cycle", "on_pct", "off_pct", "duration_pct"))
+        if "active" in specs and specs["active"].shape != cycles.shape:
+            raise InputError("active", specs["active"].describe(), "`active` of operators.gait.bursts.CycleBursts")
+        _check_fields(specs, "gait", ("gait", "double_support_pct", "flight_pct", "feet"))
         _check_fields(specs, "quality", ("name", "flag", "reason", "session_flag", "session_reason"))
-        for port in ("electrodes", "contacts"):
+        for port in ("electrodes", "contacts", "changes"):
             _check_fields(specs, port, ("onset", "subject", "state", "what"))
-        object.__setattr__(self, "desk", _Desk(specs))
-        self.hold(ReportState(nothing_yet(specs), nothing_held(specs)))
+        self.hold(ReportState(nothing_yet(specs), nothing_held(specs)), ReportRuntime(specs))
         return {}
 
     @property
@@ -116,82 +140,86 @@ class SessionReport(_Reporter):
         return str(Path(self.path).with_name(f"{Path(self.state.stem).name}.html")) if self.state.stem else self.path
 
     def meet(self, graph: Graph) -> None:
-        self.desk.graph = graph
+        self.runtime.graph = graph
 
     def begin(self) -> None:
-        desk, state = self.desk, self.state
-        desk.claim = claim(Path(self.path).absolute())
+        runtime, state = self.runtime, self.state
+        runtime.claim = claim(Path(self.path).absolute())
         try:
             fresh = not state.stem
             if fresh:
                 state.stem = str(_free_stem(Path(self.path).absolute().with_suffix("")))
-            desk.table = AppendFile(_table(state), state.offset, state.pending.encode("latin-1"), fresh=fresh)
-            if not desk.table.offset and not desk.table.pending:
-                desk.table.write(header(desk.specs))
+            runtime.table = AppendFile(_table(state), state.offset, state.pending.encode("latin-1"), fresh=fresh)
+            if not runtime.table.offset and not runtime.table.pending:
+                runtime.table.write(header(runtime.specs))
         except BaseException:
-            let_go(desk.claim)
+            let_go(runtime.claim)
             raise
-        desk.next_interim = time.monotonic() + min(FIRST_INTERIM_S, self.interim_s)
+        runtime.next_interim = time.monotonic() + min(FIRST_INTERIM_S, self.interim_s)
 
     def process(self, port: str, chunk: Chunk) -> None:
-        desk, state = self.desk, self.state
-        hear(state.tally, desk.specs, port, chunk)
+        runtime, state = self.runtime, self.state
+        hear(state.tally, runtime.specs, port, chunk)
         if len(chunk) and port in ("closed", "statistics"):
             self._write_rows(port, chunk.data)
-        if time.monotonic() >= desk.next_interim:
-            desk.next_interim = time.monotonic() + self.interim_s
+        if time.monotonic() >= runtime.next_interim:
+            runtime.next_interim = time.monotonic() + self.interim_s
             self._draw_interim()
 
     def close(self) -> None:
-        desk, state = self.desk, self.state
+        runtime, state = self.runtime, self.state
         try:
-            if desk.table:
-                desk.table.write(release(state.held, state.tally.started, desk.about))
-            if desk.drawing:
-                desk.drawing.kill()
-                desk.drawing.wait()
+            if runtime.table:
+                runtime.table.write(release(state.held, state.tally.started, runtime.about))
+            if runtime.drawing:
+                runtime.drawing.kill()
+                runtime.drawing.wait()
             self._draw()
         finally:
-            if desk.table:
-                table, desk.table = desk.table, None
+            if runtime.table:
+                table, runtime.table = runtime.table, None
                 table.close()
                 if state.tally.revised:
                     settle(_table(state))
-            if desk.claim:
-                let_go(desk.claim)
+                write_curves(Path(f"{state.stem}-curves.csv"), state.tally, runtime.specs)
+            if runtime.claim:
+                let_go(runtime.claim)
 
     def snapshot(self) -> dict[str, Array]:
-        if self.desk.table:
-            self.state.offset, self.state.pending = self.desk.table.offset, self.desk.table.pending.decode("latin-1")
+        if self.runtime.table:
+            self.state.offset, self.state.pending = (
+                self.runtime.table.offset,
+                self.runtime.table.pending.decode("latin-1"),
+            )
         return pack(self.state)
 
     def report(self, *, interim: bool = False) -> tuple[Report, Curves]:
         """What the page is drawn from, as far as the session has come."""
-        desk, state = self.desk, self.state
-        inputs = next((n.inputs for n in desk.graph.nodes.values() if n.part == self), {}) if desk.graph else {}
+        runtime, state = self.runtime, self.state
+        inputs = next((n.inputs for n in runtime.graph.nodes.values() if n.part == self), {}) if runtime.graph else {}
         names = {port: str(edge) for port, edge in inputs.items()}
-        report, curves = compose(state.tally, desk.specs, desk.graph, names)
+        report, curves = compose(state.tally, runtime.specs, runtime.graph, names)
         report.title, report.interim = self.title, interim
         report.table_file = _table(state).name if state.stem else ""
         return report, curves
 
     def _write_rows(self, port: str, rows: Array) -> None:
-        desk, state = self.desk, self.state
+        runtime, state = self.runtime, self.state
         start = state.tally.started
         if port == "closed":
-            lines = take_closed(state.held, rows, start, desk.about)
+            lines = take_closed(state.held, rows, start, runtime.about)
         else:
-            lines = take_statistics(state.held, rows, numbers(desk.specs[port]), start, desk.about)
-        if lines and desk.table:
-            desk.table.write(lines)
+            lines = take_statistics(state.held, rows, numbers(runtime.specs[port]), start, runtime.about)
+        if lines and runtime.table:
+            runtime.table.write(lines)
 
     def _draw_interim(self) -> None:
-        """Begin to draw a page in a process of its own; whatever goes wrong with it is told and does not matter."""
-        desk = self.desk
-        if desk.drawing and desk.drawing.poll() is None:
+        """Begin to draw a page in a process of its own; whatever goes wrong with it is reported and does not matter."""
+        runtime = self.runtime
+        if runtime.drawing and runtime.drawing.poll() is None:
             return
         try:
-            desk.drawing = self._start_drawing(interim=True)
+            runtime.drawing = self._start_drawing(interim=True)
         except OSError as error:
             log.warning("interim report not drawn", error=str(error))
 
@@ -239,7 +267,7 @@ def _check_fields(specs: Specs, port: str, needed: tuple[str, ...]) -> None:
 def _free_stem(stem: Path) -> Path:
     """`stem`, or the first of stem-2, stem-3, ... of which neither page nor table exists."""
     number, free = 1, stem
-    while any(free.with_name(free.name + suffix).exists() for suffix in (".html", ".csv")):
+    while any(free.with_name(free.name + suffix).exists() for suffix in (".html", ".csv", "-curves.csv")):
         number += 1
         free = stem.with_name(f"{stem.name}-{number}")
     return free

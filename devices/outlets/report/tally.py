@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from devices.outlets.report.groups import Groups
 from devices.outlets.report.revisions import ACCEPTED, Revisable
 from devices.outlets.report.running import Choice, Running
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times, add_lost
@@ -37,9 +38,10 @@ class Tally:
     flags, remarks   per muscle, the electrode's flag over the whole session, and why
     windows          (2, m) how many windows were judged, and how many of them were not good; trouble: why the latest was not
     pairs            (p,) the latest co-contraction over all cycles; pair_names
-    recent           the latest cycles, which may be told again; revised: how often one was
+    recent           the latest cycles, which may be reported again; revised: how often one was
     alarms           (200,) the first alarms; alarmed: how many in all
     heard            (ports, 3) samples, gaps, samples lost (-1: not known) per port
+    groups           the same by limb and by stage
     """
 
     started: int
@@ -65,6 +67,7 @@ class Tally:
     alarms: Array
     alarmed: int
     heard: Times
+    groups: Groups
 
     @property
     def rejected(self) -> int:
@@ -107,6 +110,7 @@ def nothing_yet(specs: Specs) -> Tally:
         alarms=np.zeros(LISTED, NOTICED),
         alarmed=0,
         heard=np.zeros((len(specs), 3), np.int64),
+        groups=Groups.none(specs),
     )
 
 
@@ -133,6 +137,7 @@ def hear(tally: Tally, specs: Specs, port: str, chunk: Chunk) -> None:
             if k is not None:
                 tally.recent.curves[k] = curve
                 tally.curve.add(curve)
+                tally.groups.curve(k, curve)
                 tally.single.add(curve, int(tally.recent.numbers[k]))
     elif port == "statistics":
         _statistics(tally, numbers(specs[port]), chunk.data)
@@ -144,9 +149,11 @@ def hear(tally: Tally, specs: Specs, port: str, chunk: Chunk) -> None:
     elif port == "pairs":
         for row in chunk.data:
             _pair(tally, row)
-    elif port in ("electrodes", "contacts"):
+    elif port in ("electrodes", "contacts", "changes"):
         for stamp, row in zip(chunk.time.tolist(), chunk.data, strict=True):
             _alarm(tally, stamp, row)
+    elif port in ("footfalls", "gait", "symmetry", "bursts", "active"):
+        tally.groups.hear(port, chunk.data)
     elif port == "quality":
         for row in chunk.data:
             _quality(tally, row, specs["cycles"].channels)
@@ -159,6 +166,7 @@ def _closed(tally: Tally, row: Any, stamp: int) -> None:
         tally.accepted += 1
         tally.recent.gait[k] = [row[name] for name in GAIT]
         tally.gait.add(tally.recent.gait[k])
+        tally.groups.closed(k, row, tally.curve.mean.shape, len(tally.fields))
         return
     if tally.rejected < LISTED:
         tally.rejections[tally.rejected] = (row["onset"], row["duration_s"], reason)
@@ -170,7 +178,7 @@ def _closed(tally: Tally, row: Any, stamp: int) -> None:
 
 
 def _take_out(tally: Tally, number: int) -> None:
-    """A cycle is about to be told again: what was added up of it is taken out."""
+    """A cycle is about to be reported again: what was added up of it is taken out."""
     recent = tally.recent
     k = recent.find(number)
     if k is None:
@@ -185,6 +193,7 @@ def _take_out(tally: Tally, number: int) -> None:
         return
     tally.accepted -= 1
     tally.gait.remove(recent.gait[k])
+    tally.groups.take_out(k, recent.gait[k], recent.curves[k], recent.fields[k])
     tally.curve.remove(recent.curves[k])
     tally.single.remove(number)
     for running, values in zip(tally.fields, recent.fields[k], strict=True):
@@ -202,6 +211,8 @@ def _statistics(tally: Tally, names: list[str], rows: Array) -> None:
             running.add(values)
             if k is not None:
                 tally.recent.fields[k, i] = values
+        if k is not None:
+            tally.groups.numbers(k, tally.recent.fields[k])
 
 
 def _alarm(tally: Tally, stamp: int, row: Any) -> None:

@@ -39,7 +39,7 @@ METHODS = {
 
 PAIRS = (
     "Index of Falconer and Winter: 2 × sum of the smaller / sum of both, mean over all cycles. It compares the sizes of two muscles, and so"
-    " hangs on how they were normalised ({normalisation})."
+    " depends on how they were normalised ({normalisation})."
 )
 
 REASONS = {

@@ -24,6 +24,7 @@ class Fault:
     hum         the mains: 50 Hz and a third of it at 150 Hz, `size_uv` high
     clipping    the amplifier's range ends at +-`size_uv`
     artefacts   the cable swings: after one footfall in two, the channel is thrown by some `size_uv` for 0.15 s
+    weak        the muscle tires, or its electrode has moved: the channel has the given `share` of its size
     noise       a dry electrode: white noise of `size_uv` rms
     lost        packets of 10 samples (all muscles) are lost, the given `share` of them
     stall       nothing arrives, then everything at once (only in real time)
@@ -31,12 +32,12 @@ class Fault:
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
 
-    kind: Literal["flat", "hum", "clipping", "artefacts", "noise", "lost", "stall"]
+    kind: Literal["flat", "hum", "clipping", "artefacts", "weak", "noise", "lost", "stall"]
     muscle: str = param("", help="the channel; left out: all of them")
     from_s: float = param(0.0, least=0, help="when the fault begins, counted from the first sample")
     for_s: float = param(0.0, least=0, help="how long it lasts; 0: to the end")
     size_uv: float = param(200.0, above=0, help="hum, clipping, artefacts, noise: how large")
-    share: float = param(1.0, above=0, most=1, help="lost: which share of the packets")
+    share: float = param(1.0, above=0, most=1, help="lost: which share of the packets; weak: of the size")
 
 
 class Faults:
@@ -88,6 +89,8 @@ class Faults:
                 return np.asarray(x + fault.size_uv * (np.sin(turn) + np.sin(3 * turn) / 3))
             case "clipping":
                 return np.clip(x, -fault.size_uv, fault.size_uv)
+            case "weak":
+                return fault.share * x
             case "noise":
                 return x + fault.size_uv * self._white(number, column, index)
             case "artefacts":
@@ -96,7 +99,7 @@ class Faults:
                 return x
 
     def _white(self, number: int, column: int, index: Indices) -> Samples:
-        """Noise in blocks of 100 samples, so that a sample's does not hang on what is asked for with it."""
+        """Noise in blocks of 100 samples, so that a sample's does not depend on what is asked for with it."""
         first = int(index[0]) // 100
         purpose = _FAULTS + number + (column << 16)
         blocks = [

@@ -54,7 +54,10 @@ _WEIGHT_N = 700.0
 
 @dataclass(frozen=True, slots=True)
 class Walker:
-    """Who walks, and how. `cadence_per_min` counts strides (one foot's touch-down to its next); spreads are standard deviations."""
+    """Who walks, and how. `cadence_per_min` counts strides (one foot's touch-down to its next); spreads are standard deviations.
+
+    A leg's touch-downs come `lag` of a stride later, its muscles have the given `share` of their size; legs of one walker share their pace.
+    """
 
     muscles: tuple[str, ...] = tuple(BURSTS)
     rate_hz: float = 1000.0
@@ -63,6 +66,9 @@ class Walker:
     jitter_percent: float = 2.0
     noise_uv: float = 2.0
     seed: int = 0
+    lag: float = 0.0
+    share: float = 1.0
+    pace_seed: int | None = None
 
 
 def random(seed: int, purpose: int, index: int) -> np.random.Generator:
@@ -81,7 +87,8 @@ class Gait:
     def __init__(self, walker: Walker) -> None:
         self._walker = walker
         self._mean = walker.rate_hz * 60.0 / walker.cadence_per_min
-        self._wave = random(walker.seed, STEPS, 0).uniform(0, 2 * np.pi, 2)
+        pace = walker.seed if walker.pace_seed is None else walker.pace_seed
+        self._wave = random(pace, STEPS, 0).uniform(0, 2 * np.pi, 2)
         self._stray = lru_cache(maxsize=64)(self._make_stray)
         self._touch = lru_cache(maxsize=64)(self._make_touch)
 
@@ -122,7 +129,7 @@ class Gait:
         return np.array([row for row in rows if start <= row[0] and row[2] < stop], np.int64).reshape(-1, 3)
 
     def _make_touch(self, cycle: int) -> int:
-        return round(0.4 * self._walker.rate_hz + self._mean * (cycle + self._stray(cycle)[0]))
+        return round(0.4 * self._walker.rate_hz + self._mean * (cycle + self._walker.lag + self._stray(cycle)[0]))
 
     def _make_stray(self, cycle: int) -> tuple[float, float]:
         """How far a touch-down is off its beat, in cycles, and a number in -1..1 for its stance."""
@@ -140,7 +147,9 @@ class Signal:
         self.gait = Gait(walker)
         table = [(column, *burst) for column, m in enumerate(walker.muscles) for burst in BURSTS[m]]
         self._column = np.array([row[0] for row in table])
-        self._centre, self._width, self._size = np.array([row[1:] for row in table]).T
+        self._centre, self._width, self._size = np.array([row[1:] for row in table]).T * np.array(
+            [[1], [1], [walker.share]]
+        )
         self._shape = _shape(walker.rate_hz)
         self.spoil: Callable[[int, Samples], None] = lambda start, emg: None
         """Called with every block of EMG and its first sample's index; may change it in place (see `faults.py`)."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
+from devices.simulators.treadmill.both_legs import LEGS, BothLegs, plates
 from devices.simulators.treadmill.faults import Fault, Faults
 from devices.simulators.treadmill.signal import BURSTS, NAMES, Indices, Signal, Walker
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec, Times
@@ -17,6 +19,7 @@ from stream.params import param
 from stream.source import Feed, Source
 
 CONTACT = np.dtype([("onset", "<i8")])
+LIMB_CONTACT = np.dtype([("onset", "<i8"), ("limb", "<U16")])
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +31,9 @@ class Treadmill(Source):
     liftoff     events: the right foot leaves the belt
     force       (1,) float64, N, at `rate_hz`: vertical ground reaction force under the right foot
 
+    With `legs: both` there are two of each muscle (L_TA, R_TA), contacts have a field `limb`, and there are two belts (Fz_left, Fz_right),
+    whose plates may drift and cross-talk. The right leg's samples are those of the right leg alone.
+
     Sample i is the same whenever, wherever and in whatever chunks it is made (given the seed, and numpy's stream of normal numbers,
     which has not changed since 1.17). Stamps are `start` (or the session's time when reading begins) plus i / `rate_hz`. Lost packets
     leave gaps in `emg` alone: contacts and force come by other wires.
@@ -37,6 +43,12 @@ class Treadmill(Source):
 
     muscles: tuple[str, ...] = param(tuple(BURSTS), help=", ".join(f"{short}: {long}" for short, long in NAMES.items()))
     rate_hz: float = param(1000.0, least=200, most=10000, help="samples per second of EMG and force")
+    legs: Literal["right", "both"] = param("right", help="one leg, or two legs and two belts")
+    left_share: float = param(
+        1.0, above=0, most=10, help="with both legs: how large the left's muscles are beside the right's"
+    )
+    plate_drift_n_per_min: float = param(0.0, help="both belts' plates drift by this much")
+    cross_talk_pct: float = param(0.0, least=0, most=50, help="how much of the other belt's load a belt shows")
     cadence_per_min: float = param(
         57.0, least=20, most=120, help="strides per minute (a stride: right touch-down to the next)"
     )
@@ -59,15 +71,19 @@ class Treadmill(Source):
         return self.chunk_ms / 1000
 
     def specs(self) -> Specs:
-        for muscle in [*self.muscles, *(fault.muscle for fault in self.faults if fault.muscle)]:
+        for muscle in [*self.muscles, *(f.muscle for f in self.faults if f.muscle and self.legs == "right")]:
             if muscle not in BURSTS:
                 raise ParameterError("muscles", muscle, f"a known muscle; {nearest(muscle, BURSTS)}")
         if not self.muscles or len(set(self.muscles)) != len(self.muscles):
             raise ParameterError("muscles", list(self.muscles), "a list of at least one muscle, each named once")
         for fault in self.faults:
-            if fault.muscle and fault.muscle not in self.muscles:
-                raise ParameterError("faults", fault.muscle, f"one of this node's muscles: {', '.join(self.muscles)}")
+            if fault.muscle and fault.muscle not in self._channels():
+                raise ParameterError(
+                    "faults", fault.muscle, f"one of this node's muscles: {', '.join(self._channels())}"
+                )
         self._start_ns(0)
+        if self.legs == "both":
+            return self._both_specs()
         walk = {"side": "right", "simulated": True}
         sites = {short: f"{NAMES[short]}, right" for short in self.muscles}
         contact = StreamSpec((), CONTACT, units=("ns",), meta=walk)
@@ -84,6 +100,29 @@ class Treadmill(Source):
             "force": StreamSpec((1,), rate_hz=self.rate_hz, channels=("Fz",), units=("N",), meta=walk),
         }
 
+    def _channels(self) -> tuple[str, ...]:
+        """The EMG channels' names."""
+        if self.legs == "right":
+            return self.muscles
+        return tuple(f"{prefix}{muscle}" for prefix in LEGS.values() for muscle in self.muscles)
+
+    def _both_specs(self) -> Specs:
+        channels, walk = self._channels(), {"simulated": True}
+        sites = {f"{p}{short}": f"{NAMES[short]}, {side}" for side, p in LEGS.items() for short in self.muscles}
+        contact = StreamSpec((), LIMB_CONTACT, units=("ns", ""), meta={**walk, "limb_names": list(LEGS)})
+        return {
+            "emg": StreamSpec(
+                (len(channels),), rate_hz=self.rate_hz, channels=channels, units=("uV",), meta={**walk, "sites": sites}
+            ),
+            "touchdown": contact,
+            "liftoff": contact,
+            "force": StreamSpec((2,), rate_hz=self.rate_hz, channels=("Fz_left", "Fz_right"), units=("N",), meta=walk),
+        }
+
+    def both(self) -> BothLegs:
+        """What is being simulated with `legs: both`, without faults."""
+        return BothLegs(self.signal().walker, self.left_share)
+
     def signal(self) -> Signal:
         """What is being simulated; its `gait.cycles` and `envelope` are the truth that results can be held against."""
         return Signal(
@@ -99,9 +138,14 @@ class Treadmill(Source):
         )
 
     def read(self, feed: Feed) -> None:
-        signal = self.signal()
-        faults = Faults(self.faults, signal)
-        signal.spoil = faults.spoil
+        signal: Signal | BothLegs
+        if self.legs == "both":
+            signal = self.both()
+            faults = signal.spoil(self.faults)
+        else:
+            signal = self.signal()
+            faults = Faults(self.faults, signal)
+            signal.spoil = faults.spoil
         anchor = self._start_ns(feed.now())
         begun = feed.now()
         feed.ready()
@@ -123,19 +167,37 @@ class Treadmill(Source):
                 return True
         return False
 
-    def _emit(self, feed: Feed, signal: Signal, faults: Faults, anchor: int, span: tuple[int, int], lost: int) -> int:
+    def _emit(
+        self, feed: Feed, signal: Signal | BothLegs, faults: Faults, anchor: int, span: tuple[int, int], lost: int
+    ) -> int:
         """Emit one chunk of every output; returns how many samples were lost at its end."""
         start, stop = span
-        time = self._stamps(anchor, np.arange(start, stop))
+        index = np.arange(start, stop)
+        time = self._stamps(anchor, index)
         until = int(time[-1])
-        for name, contacts in (("touchdown", signal.gait.touchdowns(*span)), ("liftoff", signal.gait.liftoffs(*span))):
-            onset = self._stamps(anchor, contacts)
-            events = np.empty(len(onset), CONTACT)
-            events["onset"] = onset
-            feed.emit(Chunk(onset, events, until), name)
+        for kind in ("touchdown", "liftoff"):
+            onset, events = self._contacts(signal, kind, anchor, span)
+            feed.emit(Chunk(onset, events, until), kind)
         emg, force = signal.read(start, stop)
+        if self.legs == "both":
+            force = plates(force, index / self.rate_hz, self.plate_drift_n_per_min, self.cross_talk_pct)
         feed.emit(Chunk(time, force, until), "force")
         return _emit_what_arrived(feed, faults, start, Chunk(time, emg, until, lost))
+
+    def _contacts(
+        self, signal: Signal | BothLegs, kind: str, anchor: int, span: tuple[int, int]
+    ) -> tuple[Times, NDArray[np.void]]:
+        """Stamps and events of one kind of contact."""
+        if isinstance(signal, BothLegs):
+            index, sides = signal.contacts(kind, *span)
+            events = np.zeros(len(index), LIMB_CONTACT)
+            events["limb"] = sides
+        else:
+            index = getattr(signal.gait, f"{kind}s")(*span)
+            events = np.zeros(len(index), CONTACT)
+        onset = self._stamps(anchor, index)
+        events["onset"] = onset
+        return onset, events
 
     def _stamps(self, anchor: int, index: Indices) -> Times:
         return anchor + np.round(index * (NS / self.rate_hz)).astype(np.int64) if len(index) else index

@@ -1,0 +1,1 @@
+"""Analog inputs by their makers' drivers: NI-DAQ and LabJack."""

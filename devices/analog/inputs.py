@@ -1,0 +1,70 @@
+"""What analog inputs share: channels with a scale, and samples that are counted to be stamped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from devices.clocks.pace import DevicePace
+from devices.clocks.timing import timing_chunk, timing_spec
+from stream.chunk import Chunk, Samples, Specs, StreamSpec
+from stream.errors import ParameterError
+from stream.params import param
+from stream.source import Feed
+
+BLOCK_S = 0.02
+"""About so much time is read at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class AnalogInput:
+    """One input: its volts times `scale`, plus `offset`, in `unit`."""
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+
+    input: str = param(help="as the maker calls it: ai0 (NI), AIN0 (LabJack)")
+    name: str = param("", help="the channel's name; left out: the input's")
+    scale: float = param(1.0, help="factor from volts to the unit")
+    offset: float = param(0.0, help="added after the factor")
+    unit: str = param("V", help="unit of the channel")
+    range_v: float = param(10.0, above=0, help="the largest voltage that is expected, in both directions")
+
+    @property
+    def channel(self) -> str:
+        return self.name or self.input
+
+
+def analog_specs(inputs: tuple[AnalogInput, ...], rate_hz: float) -> Specs:
+    """The outputs of such a device; raises ParameterError."""
+    names = tuple(one.channel for one in inputs)
+    if not names or len(set(names)) != len(names):
+        raise ParameterError("inputs", list(names), "at least one input, each with a name of its own")
+    units = tuple(one.unit for one in inputs)
+    return {"out": StreamSpec((len(names),), rate_hz=rate_hz, channels=names, units=units), "timing": timing_spec()}
+
+
+class AnalogReading:
+    """Volts (n, c), block by block, to chunks: samples are counted, as the device's own clock paces them."""
+
+    def __init__(self, inputs: tuple[AnalogInput, ...], rate_hz: float, latency_s: float) -> None:
+        self.pace = DevicePace(rate_hz, latency_s)
+        self._scale = np.array([one.scale for one in inputs])
+        self._offset = np.array([one.offset for one in inputs])
+
+    def take(self, volts: Samples, feed: Feed) -> None:
+        """A block has come now; NaN: the device lost that sample."""
+        arrival = feed.now()
+        counted = self.pace.take(len(volts), arrival)
+        stamp = counted.stamp
+        if counted.astray:
+            feed.problem("lost count")
+        feed.emit(Chunk(stamp, volts * self._scale + self._offset, int(stamp[-1]), -1 if counted.astray else 0))
+        last = slice(-1, None)
+        feed.emit(timing_chunk(counted.number[last], counted.device[last], arrival, stamp[last]), "timing")
+
+
+def block_of(rate_hz: float) -> int:
+    """How many samples of each channel are read at once."""
+    return max(1, round(rate_hz * BLOCK_S))

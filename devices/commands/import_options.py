@@ -1,0 +1,91 @@
+"""What is said to `kinegraph import` about streams, as its options write it: NAME=VALUE, or VALUE for every stream."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+from stream.errors import RecordingError
+
+if TYPE_CHECKING:
+    from devices.files.column_table import Wishes
+
+Many = list[str] | None
+
+
+def wishes_of(said: Mapping[str, Many], start: str, **flags: Any) -> Wishes:
+    """The wishes from every option's texts, when time 0 was, and flags as they are. Raises RecordingError that names the option."""
+    from devices.files.column_table import Wishes
+
+    return Wishes(
+        streams={name: list_of(text) for name, text in pairs("stream", said["stream"], named=True).items()},
+        events=pairs("events", said["events"], named=True),
+        meta=_meta(said["meta"]),
+        begin=moment_of(start),
+        rate=pairs("rate", said["rate"]),
+        time=pairs("time", said["time"]),
+        time_unit=pairs("time-unit", said["time_unit"]),
+        counter=pairs("counter", said["counter"]),
+        names=pairs("names", said["names"]),
+        unit=pairs("unit", said["unit"]),
+        scale=pairs("scale", said["scale"]),
+        **flags,
+    )
+
+
+def pairs(option: str, given: Many, *, named: bool = False) -> dict[str, str]:
+    """["a=x", "y"] as {"a": "x", "": "y"}: what is said of one stream, and of all others."""
+    made: dict[str, str] = {}
+    for text in given or ():
+        name, equals, told = text.partition("=")
+        if not equals:
+            name, told = "", text
+        if not told or (named and not name):
+            raise RecordingError(f"--{option} {text}: must be NAME=VALUE")
+        if name in made:
+            raise RecordingError(f"--{option}: given twice{f' for {name}' if name else ''}")
+        made[name] = told
+    return made
+
+
+def list_of(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def _meta(given: Many) -> dict[str, dict[str, Any]]:
+    made: dict[str, dict[str, Any]] = {}
+    for text in given or ():
+        key, equals, told = text.partition("=")
+        name, colon, fact = key.rpartition(":")
+        if not (equals and colon and name and fact):
+            raise RecordingError(f"--meta {text}: must be STREAM:KEY=VALUE")
+        made.setdefault(name, {})[fact] = value(told)
+    return made
+
+
+def value(text: str) -> str | int | float:
+    """A finite number where it is one, else the text."""
+    for kind in (int, float):
+        try:
+            number: int | float = kind(text)
+        except ValueError:
+            continue
+        return number if isfinite(number) else text
+    return text
+
+
+def moment_of(text: str) -> int | None:
+    """ns UTC of an ISO time; one without a zone is UTC."""
+    if not text:
+        return None
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        raise RecordingError(f"--start {text}: must be a time like 2024-05-01T09:30:00+02:00") from None
+    moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+    if not 1900 <= moment.year <= 2100:
+        raise RecordingError(f"--start {text}: must lie between 1900 and 2100")
+    whole = moment.replace(microsecond=0)
+    return round(whole.timestamp()) * 1_000_000_000 + moment.microsecond * 1000

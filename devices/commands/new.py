@@ -1,0 +1,211 @@
+"""`kinegraph new`: a declaration for what comes from a port, or a first graph for what a recording holds."""
+
+from __future__ import annotations
+
+import time
+from enum import StrEnum
+from pathlib import Path as File
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from stream.errors import DeviceError, KinegraphError
+from stream.plain import say
+
+if TYPE_CHECKING:
+    from devices.protocols.frame_guess import FrameGuess
+    from devices.protocols.lines_guess import LinesGuess
+
+RATES = (
+    1,
+    2,
+    5,
+    10,
+    20,
+    25,
+    30,
+    40,
+    50,
+    60,
+    64,
+    75,
+    80,
+    100,
+    120,
+    125,
+    128,
+    150,
+    200,
+    240,
+    250,
+    256,
+    300,
+    400,
+    500,
+    512,
+    600,
+    800,
+)
+"""What devices are set to, and ten times as much from 100 on."""
+UNITS_NS = {"ns": 1.0, "us": 1e3, "ms": 1e6, "s": 1e9}
+
+
+class New(StrEnum):
+    device = "device"
+    graph = "graph"
+
+
+def new(
+    what: Annotated[
+        New, typer.Argument(help="device: a declaration for what a port sends; graph: a first graph for a recording")
+    ],
+    port: Annotated[
+        str,
+        typer.Argument(
+            help="/dev/serial/by-id/NAME, COM3 or tcp://host:port; or the recording", metavar="PORT|RECORDING"
+        ),
+    ],
+    output: Annotated[
+        File | None, typer.Option("-o", "--out", help="the graph to be made; left out: it is printed")
+    ] = None,
+    baud: Annotated[int, typer.Option(min=50, help="bits per second of the serial port")] = 115200,
+    seconds: Annotated[
+        float, typer.Option("--for", min=1.0, max=60.0, metavar="SECONDS", help="how long to listen")
+    ] = 5.0,
+    start: Annotated[str, typer.Option(metavar="HEX", help="bytes to send first, if it must be told to begin")] = "",
+    stop: Annotated[str, typer.Option(metavar="HEX", help="bytes to send at the end")] = "",
+) -> None:
+    """Write a graph: for a device, from what its port sends; for a recording, from what it holds.
+
+    kinegraph new device /dev/ttyACM0 -o board.yaml
+
+    kinegraph new graph walk.mcap -o walk.yaml
+
+    Of a device it proposes frame length, sync bytes, counter, time, checksum and rate, which the bytes show; what the numbers are, their
+    types, names and units, must be compared with the device's manual.
+    """
+    from devices.protocols import frame_guess, lines_guess
+    from devices.transport.handshake import shown
+
+    if output and output.exists():
+        raise KinegraphError(f"{output}: is there already; choose another --out")
+    if what is New.graph:
+        _give(_for_recording(File(port)), output)
+        return
+    say(f"listening to {port} for {seconds:g} s", err=True)
+    data, passed = _listen(port, baud, seconds, start, stop)
+    lines = lines_guess.guess(data)
+    frames = None if lines else frame_guess.guess(data)
+    if lines:
+        text = _lines_graph(port, baud, lines, _rate(lines.lines, passed))
+    elif frames:
+        text = _frames_graph(port, baud, frames, _rate(frames.frames, passed), start, stop)
+    else:
+        hint = f"; is baud {baud} right? Does it wait for a command (--start)?" if "://" not in port else ""
+        raise DeviceError(
+            f"{port}: no frames of one length and no lines of numbers in {len(data)} bytes: {shown(data)}{hint}"
+        )
+    _give(text, output)
+
+
+def _give(text: str, output: File | None) -> None:
+    """Write or print a graph that can be loaded."""
+    _check(text)
+    if output:
+        output.write_text(text, encoding="utf-8")
+        say(f"written to {output}; `kinegraph run {output}` reads it")
+    else:
+        say(text.rstrip())
+
+
+def _for_recording(path: File) -> str:
+    """A first graph of a recording's input streams. Raises KinegraphError."""
+    from devices.files.first_graph import graph_text
+    from stream.bounded import reading
+    from stream.recording import Recording
+
+    if path.is_file() and path.suffix != ".mcap":
+        raise KinegraphError(f"{path}: is no recording; make one of it: kinegraph import {path} -o {path.stem}.mcap")
+    with reading(path, "a recording"), Recording.open(path) as opened:
+        specs = {n: s.spec for n, s in opened.streams.items() if s.role == "input" and s.kept != "outline"}
+    if not specs:
+        raise KinegraphError(f"{path}: holds no stream that a graph could take")
+    return graph_text(path, specs)
+
+
+def _listen(port: str, baud: int, seconds: float, start: str, stop: str) -> tuple[bytes, float]:
+    """What comes, and within how many seconds from its first byte to its last."""
+    from devices.protocols.declared import hex_bytes
+    from devices.transport.transport import connect
+
+    data, first, last = b"", 0.0, 0.0
+    with connect(port, baud) as link:
+        if start:
+            link.write(hex_bytes(start, "start"))
+        began = time.monotonic()
+        while time.monotonic() - began < seconds:
+            if more := link.read(0.1):
+                last = time.monotonic()
+                first = first or last
+                data += more
+        if stop:
+            link.write(hex_bytes(stop, "stop"))
+    return data, last - first
+
+
+def _rate(count: int, passed: float) -> float:
+    """The rate that was meant, if one is within 3 %, else what was measured."""
+    measured = count / passed if passed else 0.0
+    near = min(
+        (float(r * k) for r in RATES for k in (1, 10) if k == 1 or r >= 100), key=lambda rate: abs(rate - measured)
+    )
+    return near if abs(near - measured) < 0.03 * measured else round(measured, 1)
+
+
+def _unit(step: float, rate: float) -> tuple[str, float]:
+    """The unit of a device's time that goes on by `step` from record to record, and the factor to it."""
+    ns = 1e9 / rate / step
+    unit = min(UNITS_NS, key=lambda name: abs(ns / UNITS_NS[name] - 1))
+    return (unit, 1.0) if abs(ns / UNITS_NS[unit] - 1) < 0.1 else ("us", round(ns / 1e3, 6))
+
+
+def _lines_graph(port: str, baud: int, found: LinesGuess, rate: float) -> str:
+    facts: dict[str, Any] = {"delimiter": found.delimiter} if found.delimiter != "," else {}
+    facts |= {"counter": found.counter} if found.counter else {}
+    facts |= {"time": found.time, "time_unit": _unit(found.step, rate)[0]} if found.time else {}
+    return _graph("devices.ascii_lines.AsciiLines", port, baud, {"columns": found.columns, **facts, "rate_hz": rate})
+
+
+def _frames_graph(port: str, baud: int, found: FrameGuess, rate: float, start: str, stop: str) -> str:
+    frame: dict[str, Any] = {"name": "out", "sync": found.sync.hex(" ").upper(), "rate_hz": rate}
+    frame |= {"endian": found.endian} if found.endian != "little" else {}
+    if found.checksum != "none":
+        frame |= {"checksum": found.checksum} | ({"checksum_from": found.checksum_from} if found.checksum_from else {})
+    frame["fields"] = found.fields
+    for one in found.fields:
+        if one.get("role") == "time":
+            unit, scale = _unit(found.time_step, rate)
+            one |= {"unit": unit} | ({"scale": scale} if scale != 1.0 else {})
+    facts: dict[str, Any] = {"framing": found.framing} if found.framing != "none" else {}
+    facts |= {name: [given] for name, given in (("start", start), ("stop", stop)) if given}
+    return _graph("devices.binary.Binary", port, baud, {**facts, "frames": [frame]})
+
+
+def _graph(use: str, port: str, baud: int, facts: dict[str, Any]) -> str:
+    """The graph's text."""
+    import io
+
+    from ruamel.yaml import YAML
+
+    node = {"use": use, "port": port, **({} if "://" in port else {"baud": baud}), **facts}
+    text, yaml = io.StringIO(), YAML(typ="safe", pure=True)
+    yaml.default_flow_style, yaml.sort_base_mapping_type_on_output, yaml.width = None, False, 140  # type: ignore[assignment]
+    yaml.dump({"nodes": {"board": node}}, text)
+    return f"# Proposed by `kinegraph new device` from what came; compare types, names and units with the manual.\n{text.getvalue()}"
+
+
+def _check(text: str) -> None:
+    """What is proposed must be taken."""
+    from stream.graph.load import load_text
+
+    load_text(text, "proposal")

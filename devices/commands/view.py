@@ -1,0 +1,65 @@
+"""`kinegraph view`: a recording in a browser, with a time line of all its streams."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from stream.plain import say
+
+if TYPE_CHECKING:
+    from devices.outlets.page.lane import Address
+    from devices.outlets.page.viewing import RecordingHub
+
+
+def view(
+    recording: Annotated[
+        Path, typer.Argument(help="a recording: an .mcap file, or a session's folder", metavar="FILE")
+    ],
+    page_at: Annotated[
+        str,
+        typer.Option(
+            metavar="HOST:PORT", help="serve it there; on other addresses than this machine's own with a token"
+        ),
+    ] = "",
+    page_certificate: Annotated[str, typer.Option(metavar="FILE", help="encrypt the page with this certificate")] = "",
+    page_key: Annotated[str, typer.Option(metavar="FILE", help="the certificate's key")] = "",
+    duration_s: Annotated[
+        float, typer.Option("--for", metavar="SECONDS", min=0.0, help="end after this many seconds; 0: at Ctrl-C")
+    ] = 0.0,
+) -> None:
+    """Open a recording in a browser: scrub through all its streams, see gaps and annotations."""
+    from devices.outlets.page.lane import parsed, refuse_unbuilt
+    from devices.outlets.page.viewing import RecordingHub
+    from stream.commands import logs
+    from stream.recording import Recording
+
+    logs.set_up()
+    address = parsed(page_at, page_certificate, page_key)
+    address.check()
+    refuse_unbuilt()
+    with Recording.open(recording) as opened:
+        asyncio.run(_serve(RecordingHub(opened), address, duration_s))
+
+
+async def _serve(hub: RecordingHub, address: Address, duration_s: float) -> None:
+    from devices.outlets.page.metrics import openmetrics
+    from devices.outlets.page.serving import PageServer, tls_context
+
+    server = PageServer(hub, lambda: openmetrics(hub.recording.path.name, hub.metrics(), len(hub.clients), 0))
+    port = await server.open(address.host, address.port, address.token, tls_context(address.certificate, address.key))
+    say(f"page: {address.url(port)} (Ctrl-C ends it)", err=True)
+    loop = asyncio.get_running_loop()
+    building = asyncio.create_task(asyncio.to_thread(hub.build, lambda message: _in(loop, hub, message)))
+    try:
+        await asyncio.sleep(duration_s or 1e9)
+    finally:
+        building.cancel()
+        await server.close()
+
+
+def _in(loop: asyncio.AbstractEventLoop, hub: RecordingHub, message: bytes) -> None:
+    loop.call_soon_threadsafe(hub.tell, message)

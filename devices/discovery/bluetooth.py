@@ -1,0 +1,56 @@
+"""Bluetooth LE devices that advertise, and the node that reads each. Nothing is connected to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from importlib.util import find_spec
+
+from devices.ble.radio import advertising, uuid
+from devices.discovery.found import FoundDevice
+from devices.protocols import ftms, ganglion, heart_rate, movella_dot
+from stream.errors import DeviceError
+
+SCAN_S = 4.0
+NAMES: tuple[tuple[str, str, str], ...] = (
+    ("Polar", "Polar sensor", "use: devices.ble.polar.Polar"),
+    *((name, "Movella DOT", "use: devices.ble.dot.MovellaDot") for name in movella_dot.NAMES),
+    ("Ganglion", "OpenBCI Ganglion", "use: devices.ble.ganglion.Ganglion"),
+    ("Simblee", "OpenBCI Ganglion", "use: devices.ble.ganglion.Ganglion"),
+)
+WIT = "use: devices.binary.Binary\nport: {port}\nframes: ...   # as in configs/witmotion_ble.yaml"
+"""By how a name begins: what it is, and the node."""
+SERVICES: tuple[tuple[str, str, str], ...] = (
+    (ftms.SERVICE, "a fitness machine; if it is a treadmill:", "use: devices.ble.treadmill.FtmsTreadmill"),
+    (ganglion.SERVICE, "OpenBCI Ganglion", "use: devices.ble.ganglion.Ganglion"),
+    (heart_rate.SERVICE, "a heart rate sensor", "use: devices.ble.heart_rate.HeartRate"),
+)
+
+
+def find() -> Iterator[FoundDevice]:
+    """Every device that advertises for four seconds and says its name, or is of a known kind; none where bleak is not installed."""
+    if find_spec("bleak") is None:
+        return
+    try:
+        around = advertising(SCAN_S)
+    except DeviceError:
+        return  # no radio, or it is switched off
+    for device, said in around:
+        name = said.local_name or device.name or ""
+        what, yaml = _known(name, said.service_uuids)
+        if name or yaml:
+            where = name or device.address
+            node = f'{yaml}\ndevice: "{where}"' if yaml else ""
+            if name.startswith("WT"):
+                what, node = "WitMotion sensor", WIT.format(port=f"ble://{name}/NOTIFY/WRITE")
+            yield FoundDevice("ble", device.address, f"{name or 'nameless'}: {what}", node, f"{said.rssi} dBm")
+
+
+def _known(name: str, services: Sequence[str]) -> tuple[str, str]:
+    for begins, what, yaml in NAMES:
+        if name.startswith(begins):
+            return what, yaml
+    offered = {one.lower() for one in services}
+    for service, what, yaml in SERVICES:
+        if uuid(service) in offered:
+            return what, yaml
+    return "a Bluetooth LE device", ""

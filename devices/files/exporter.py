@@ -1,0 +1,177 @@
+"""A recording's streams out into other programs' formats: what an exporter is, which there are, and those that come with kinegraph.
+
+An exporter is an entry point of the group `kinegraph.exporters`, so that any package can add a format to `kinegraph export`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+from stream.complete import complete, private_folder
+from stream.errors import KinegraphError, RecordingError, explain
+
+if TYPE_CHECKING:
+    from devices.files.csv_write import Clock
+    from stream.chunk import StreamSpec
+    from stream.recording import Recording
+
+GROUP = "kinegraph.exporters"
+
+
+@dataclass(frozen=True, slots=True)
+class Export:
+    """What is wanted.
+
+    recording  is open
+    names      the streams, each of which the format takes
+    place      the file, or the folder, that is to be made
+    clock      how tables write times: seconds since the recording's first sample, ISO 8601 in UTC, or ns since 1970
+    overwrite  whether what is there already is replaced
+    progress   is told how many samples more have been written
+    """
+
+    recording: Recording
+    names: list[str]
+    place: Path
+    clock: Clock
+    overwrite: bool
+    progress: Callable[[int], None]
+
+    @property
+    def origin(self) -> int:
+        """The first sample's time (ns)."""
+        return min((s.first for s in self.recording.streams.values() if s.first is not None), default=0)
+
+    def refuse_existing(self, path: Path) -> None:
+        """Raise RecordingError where a file would be lost."""
+        if path.is_dir():
+            raise RecordingError(f"{path}: is a folder; choose another --out")
+        if path.exists() and not self.overwrite:
+            raise RecordingError(f"{path}: is there already; choose another --out, or replace it with --overwrite")
+
+
+Written: TypeAlias = "tuple[str, Path, int]"
+"""A stream, the file that has it, and how many samples that are."""
+
+
+@dataclass(frozen=True, slots=True)
+class Exporter:
+    """A format.
+
+    what    in words, for the help: "one table per stream"
+    suffix  of what is made; for a folder, how its name ends: "_csv"
+    write   makes it; raises RecordingError or OSError
+    takes   why it cannot have a stream of this spec, "" where it can; left out: it takes what fits into a table
+    """
+
+    what: str
+    suffix: str
+    write: Callable[[Export], list[Written]]
+    takes: Callable[[StreamSpec], str] | None = None
+
+
+@cache
+def exporters() -> dict[str, Exporter]:
+    """All that are installed, by name; raises KinegraphError for one that cannot be loaded."""
+    found: dict[str, Exporter] = {}
+    for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
+        try:
+            found[entry.name] = entry.load()
+        except (ImportError, AttributeError) as error:
+            raise KinegraphError(
+                f"the exporter {entry.name} ({entry.value}) cannot be loaded: {explain(error)}"
+            ) from None
+    return found
+
+
+def chosen(name: str, out: Path | None) -> Exporter:
+    """The exporter of this name; without one, the one whose files end as `out` does, else CSV. Raises RecordingError."""
+    known = exporters()
+    if name:
+        if name not in known:
+            raise RecordingError(f"--format {name}: is not one of {', '.join(known)}")
+        return known[name]
+    suffix = out.suffix.lower() if out else ""
+    return next((one for one in known.values() if suffix and one.suffix == suffix), known["csv"])
+
+
+def _csv(wanted: Export) -> list[Written]:
+    from devices.files.csv_write import write_csv
+
+    folder = wanted.place
+    if folder.suffix.lower() == ".csv" and not folder.is_dir():
+        raise RecordingError(
+            f"--out {folder}: each stream becomes a table of its own; name a folder, as in -o {folder.stem}"
+        )
+    written = []
+    paths = _tables(wanted)
+    private_folder(folder)
+    for name, path in paths.items():
+        spec, chunks = wanted.recording.streams[name].spec, wanted.recording.chunks(name)
+        with complete(path) as draft:
+            rows = write_csv(draft, spec, chunks, clock=wanted.clock, origin=wanted.origin, progress=wanted.progress)
+        written.append((name, path, rows))
+    return written
+
+
+def _tables(wanted: Export) -> dict[str, Path]:
+    """The file of each stream. Raises RecordingError where one would be lost: two of a name, or one that is there already."""
+    folder = wanted.place
+    if folder.exists() and not folder.is_dir():
+        raise RecordingError(f"--out {folder}: is a file; name a folder for the tables")
+    paths: dict[str, Path] = {}
+    for name in wanted.names:
+        path = folder / f"{re.sub(r'[^A-Za-z0-9._-]', '_', name)}.csv"
+        if other := next((n for n, p in paths.items() if p == path), None):
+            raise RecordingError(
+                f"streams {other!r} and {name!r} would both become {path}; export one of them with --stream"
+            )
+        wanted.refuse_existing(path)
+        paths[name] = path
+    return paths
+
+
+def _xdf(wanted: Export) -> list[Written]:
+    from devices.files.xdf_write import XdfWriter
+
+    path, recording = wanted.place, wanted.recording
+    if path.is_dir():
+        raise RecordingError(f"--out {path}: is a folder; name the XDF file")
+    wanted.refuse_existing(path)
+    private_folder(path.parent)
+    with complete(path) as draft, draft.open("wb") as file:
+        writer = XdfWriter(file, wanted.origin)
+        numbers = {name: writer.add_stream(name, recording.streams[name].spec) for name in wanted.names}
+        for name, number in numbers.items():
+            for chunk in recording.chunks(name):
+                writer.write(number, chunk)
+                wanted.progress(len(chunk))
+        writer.close()
+    return [(name, path, recording.streams[name].samples) for name in wanted.names]
+
+
+def _foxglove(wanted: Export) -> list[Written]:
+    from devices.files.foxglove_write import FoxgloveWriter
+
+    path, recording = wanted.place, wanted.recording
+    wanted.refuse_existing(path)
+    private_folder(path.parent)
+    with complete(path) as draft:
+        writer = FoxgloveWriter(draft)
+        counts = {
+            name: writer.write(name, recording.streams[name].spec, recording.chunks(name), wanted.progress)
+            for name in wanted.names
+        }
+        writer.close()
+    return [(name, path, count) for name, count in counts.items()]
+
+
+CSV = Exporter("a folder with one table per stream", "_csv", _csv)
+XDF = Exporter("all streams in one file", ".xdf", _xdf)
+FOXGLOVE = Exporter("all streams in one MCAP file of JSON messages, for Foxglove", ".foxglove.mcap", _foxglove)

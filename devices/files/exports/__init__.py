@@ -1,0 +1,1 @@
+"""Recordings in the formats that laboratories work with."""

@@ -1,0 +1,139 @@
+"""MATLAB files as named arrays: version 5 through scipy, version 7.3 (HDF5) through h5py. Nothing in them is run."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stream.bounded import check_size
+from stream.chunk import Array
+from stream.errors import RecordingError
+
+RATES = re.compile(
+    r"(^|\.)(fs|srate|rate|rate_hz|fs_hz|sampling_?rate|sampling_?frequency|sample_?rate|frame_?rate|frequency|freq)$",
+    re.IGNORECASE,
+)
+DEEPEST = 8
+
+
+def knows(head: bytes) -> bool:
+    return head.startswith((b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"))
+
+
+def read_arrays(path: Path) -> dict[str, Array]:
+    """Every array of numbers or texts by its name, with dots where it stands in a structure; the longer axis of a matrix comes first.
+
+    Raises RecordingError, also for version 7.3 where h5py is not installed.
+    """
+    with path.open("rb") as file:
+        newer = file.read(19).startswith(b"MATLAB 7.3")
+    found = dict(_newer(path) if newer else _older(path))
+    return {name: _time_first(array) for name, array in found.items()}
+
+
+def rate_of(arrays: dict[str, Array], name: str) -> float | None:
+    """The one number called a rate that stands beside an array, else in the structure around it; None if there is none, or several."""
+    inside = name
+    while inside:
+        inside = inside.rpartition(".")[0]
+        mine = [n for n in arrays if RATES.search(n) and n.rpartition(".")[0] == inside]
+        told = {float(arrays[n].ravel()[0]) for n in mine if arrays[n].size == 1 and arrays[n].dtype.kind in "iuf"}
+        if told:
+            return told.pop() if len(told) == 1 else None
+    return None
+
+
+def _time_first(array: Array) -> Array:
+    if array.ndim == 2 and 1 in array.shape:
+        return np.ascontiguousarray(array.ravel())
+    if array.ndim == 2 and array.shape[1] > array.shape[0]:
+        return np.ascontiguousarray(array.T)
+    if array.ndim == 3 and array.shape[2] > max(array.shape[:2]):
+        return np.ascontiguousarray(
+            np.moveaxis(array, 2, 0)
+        )  # markers x coordinates x frames, as motion capture has it
+    return array
+
+
+def _older(path: Path) -> Iterator[tuple[str, Array]]:
+    import scipy.io
+
+    found = scipy.io.loadmat(path, squeeze_me=False, struct_as_record=True, verify_compressed_data_integrity=True)
+    for name, value in found.items():
+        if not name.startswith("__"):
+            yield from _unfolded(name, value)
+
+
+def _unfolded(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, Array]]:
+    """Arrays of a value of scipy's: structures by field, cells of texts as texts."""
+    if not isinstance(value, np.ndarray) or depth > DEEPEST:
+        return
+    if value.dtype.names:
+        for one, at in zip(value.ravel()[:64], range(64), strict=False):
+            inner = name if value.size == 1 else f"{name}{at + 1}"
+            for field in value.dtype.names:
+                yield from _unfolded(f"{inner}.{field}", one[field], depth + 1)
+    elif value.dtype.kind == "O":
+        cells = [np.asarray(cell).ravel() for cell in value.ravel()]
+        if cells and all(cell.dtype.kind == "U" and cell.size <= 1 for cell in cells):
+            yield name, np.array([str(cell[0]) if cell.size else "" for cell in cells])
+        elif value.size <= 64:
+            for i, cell in enumerate(value.ravel()):
+                yield from _unfolded(name if value.size == 1 else f"{name}{i + 1}", np.asarray(cell), depth + 1)
+    elif value.dtype.kind in "iufbU" and value.size:
+        yield name, value
+
+
+def _newer(path: Path) -> Iterator[tuple[str, Array]]:
+    try:
+        import h5py
+    except ModuleNotFoundError:
+        raise RecordingError(
+            f"{path}: is of MATLAB's version 7.3; install h5py to read it: pip install 'kinegraph[matlab]'"
+        ) from None
+    with h5py.File(path, "r") as file:
+        yield from _group(path, file, file, "", 0)
+
+
+def _group(path: Path, file: Any, group: Any, prefix: str, depth: int) -> Iterator[tuple[str, Array]]:
+    import h5py
+
+    if depth > DEEPEST:
+        return
+    for name in group:
+        if name.startswith("#") or not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            continue  # another file's, or HDF5's own
+        item, full = group[name], f"{prefix}{name}"
+        if isinstance(item, h5py.Group):
+            yield from _group(path, file, item, f"{full}.", depth + 1)
+        elif (array := _dataset(path, file, item)) is not None:
+            yield full, array
+
+
+def _dataset(path: Path, file: Any, item: Any) -> Array | None:
+    """A dataset as MATLAB has it (HDF5 has its axes in the other order); None for what is neither numbers nor texts."""
+    import h5py
+
+    kind = item.attrs.get("MATLAB_class", b"")
+    if item.external or item.is_virtual or item.attrs.get("MATLAB_empty", 0):
+        return None
+    check_size(int(item.size) * item.dtype.itemsize, path.stat().st_size, item.name)
+    if kind == b"cell" and item.dtype == h5py.ref_dtype:
+        texts = [_text(file, reference) for reference in item[()].ravel()[:10_000]]
+        return np.array(texts) if texts and all(text is not None for text in texts) else None
+    if kind == b"char":
+        return np.array([_letters(item[()])])
+    return np.asarray(item[()]).T if item.dtype.kind in "iufb" and item.size else None
+
+
+def _text(file: Any, reference: Any) -> str | None:
+    target = file[reference] if reference else None
+    return _letters(target[()]) if target is not None and target.attrs.get("MATLAB_class", b"") == b"char" else None
+
+
+def _letters(codes: Array) -> str:
+    return "".join(chr(int(code)) for code in np.asarray(codes).ravel()[:1000])

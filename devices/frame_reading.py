@@ -1,0 +1,208 @@
+"""Declared frames to samples: stamps and losses of several kinds of frame on one device's clock."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from devices.clocks.device_clock import ClockState, DeviceClock
+from devices.clocks.device_time import DeviceTime
+from devices.clocks.packet_clock import Packets
+from devices.clocks.rate_check import Policy, RateCheck
+from devices.clocks.stamps import REPEATED, Losses, Stamps, chunks, tell_problems
+from devices.clocks.timing import TIMING
+from devices.protocols.checksum_fit import fitting
+from devices.protocols.declared import Frame
+from devices.protocols.frame_decoder import SPOILT, FoundFrames, FrameDecoder
+from devices.protocols.frame_layout import FrameLayout
+from devices.transport.handshake import shown
+from stream.chunk import NS, Array, Chunk, Times
+from stream.source import Feed
+
+FIRST_FRAME_S = 5.0
+
+
+class Declared(Protocol):
+    """A source whose frames are declared, as its reading sees it."""
+
+    @property
+    def port(self) -> str: ...
+
+    @property
+    def frames(self) -> tuple[Frame, ...]: ...
+
+    @property
+    def wraps_ns(self) -> int:
+        """At which value the device's time starts again; 0: never."""
+
+    @property
+    def latency_s(self) -> float: ...
+
+    @property
+    def rate_mismatch(self) -> Policy: ...
+
+    @property
+    def hint(self) -> str:
+        """What else may be the reason when no frame comes."""
+
+
+class FrameReading:
+    """Frames to samples."""
+
+    def __init__(self, of: Declared, decoder: FrameDecoder) -> None:
+        self._port, self._hint = of.port, of.hint
+        self._decoder, self._layouts = decoder, decoder.layouts
+        self._seen = False
+        self._spoilt: deque[tuple[int, bytes]] = deque(maxlen=SPOILT)
+        self._clock = DeviceClock(of.latency_s)
+        self._time = DeviceTime(self._clock, of.wraps_ns)
+        self._now: int | None = None
+        """The device's time by the last frame that brought one."""
+        self._timed = any(f.with_role("time") for f in of.frames)
+        bits = [c[0].bits if (c := f.with_role("counter")) else 0 for f in of.frames]
+        self._losses = [Losses(f.rate_hz, b) for f, b in zip(of.frames, bits, strict=True)]
+        self._stamps = [
+            Stamps(f.rate_hz, counter_bits=b, latency_s=of.latency_s) for f, b in zip(of.frames, bits, strict=True)
+        ]
+        self._rates = [
+            RateCheck(of.port, f.rate_hz, of.rate_mismatch, setting=f"frames[{i}].rate_hz", counted=bool(b))
+            for i, (f, b) in enumerate(zip(of.frames, bits, strict=True))
+        ]
+        self._last = 0
+        self._lasts: dict[int, int] = {}
+        """Each kind's last stamp, of frames that hold several samples."""
+
+    @property
+    def clock(self) -> ClockState | None:
+        return self._clock.state if self._timed else None
+
+    def wrong(self, silent_s: float, came: bytes) -> str:
+        """Once there has been a frame, silence is for the engine to judge."""
+        if self._seen or not came or silent_s <= FIRST_FRAME_S:
+            return ""
+        syncs = " or ".join(layout.sync.hex(" ") or f"{layout.size} bytes" for layout in self._layouts)
+        return (
+            f"no frame from {self._port} within {FIRST_FRAME_S:g} s: expected {syncs} and a right checksum; came {shown(came)}"
+            + _fits(self._spoilt, self._layouts)
+            + self._hint
+        )
+
+    def take(self, data: bytes, feed: Feed) -> int:
+        found = self._decoder.feed(data)
+        if found.kinds:
+            self._seen = True
+            self._emit_all(found, feed)
+        if not self._seen:
+            self._spoilt.extend(found.spoilt)
+        tell_problems(feed, bad_checksum=found.bad, bytes_that_are_no_frame=found.dropped, resync=found.resyncs)
+        return len(found.kinds)
+
+    def _emit_all(self, found: FoundFrames, feed: Feed) -> None:
+        arrival = feed.now()
+        tables = {kind: self._layouts[kind].table(bytes(frames)) for kind, frames in found.frames.items()}
+        if self._timed:
+            packets = self._by_time(np.array(found.kinds), tables, arrival, feed)
+        else:
+            packets = {}
+            for kind, table in tables.items():
+                counters = self._layouts[kind].counters(table)
+                packets[kind] = self._stamps[kind].take(len(table), arrival, None, counters)
+        for kind, table in tables.items():
+            self._check_rate(kind, table, packets[kind], arrival, feed)
+            self._emit(kind, table, packets[kind], feed)
+        self._tell_timing(packets, arrival, feed)
+
+    def _check_rate(self, kind: int, table: Array, packets: Packets, arrival: int, feed: Feed) -> None:
+        layout = self._layouts[kind]
+        counted = bool(layout.frame.with_role("counter"))
+        missing = int(packets.lost.clip(0).sum()) if counted else 0
+        hz = self._rates[kind].see(len(packets.stamp), missing, arrival, feed, layout.times_ns(table))
+        if hz:
+            self._stamps[kind].follow(hz)
+            self._losses[kind].follow(hz)
+
+    def _by_time(self, kinds: Array, tables: dict[int, Array], arrival: int, feed: Feed) -> dict[int, Packets]:
+        """Frames in the order in which they came get the device's time, all through one mapping."""
+        raw = {kind: self._layouts[kind].times_ns(table) for kind, table in tables.items()}
+        counters = {kind: self._layouts[kind].counters(table) for kind, table in tables.items()}
+        seen = dict.fromkeys(tables, 0)
+        device, lost, number, stamp = np.full((4, len(kinds)), -1, np.int64)
+        mapped = 0
+        kept = np.zeros(len(kinds), bool)
+        for i, kind in enumerate(kinds.tolist()):
+            place, seen[kind] = seen[kind], seen[kind] + 1
+            own, restarted = raw[kind], False
+            if own is not None:
+                self._now = self._time.read(int(own[place]), arrival)
+                restarted = self._time.restarted
+                if restarted:
+                    self._clock.map(device[mapped:i], kept[mapped:i], arrival, stamp[mapped:i])
+                    self._clock.restart(self._time.jump_ns)
+                    mapped = i
+                    feed.problem("device restarted")
+            if self._now is None:
+                continue
+            count = counters[kind]
+            lost[i] = self._losses[kind].before(
+                self._now, None if count is None else int(count[place]), arrival, restarted
+            )
+            device[i], number[i], kept[i] = self._now, self._losses[kind].number, lost[i] > REPEATED
+        self._clock.map(device[mapped:], kept[mapped:], arrival, stamp[mapped:])
+        packets = {}
+        for kind in tables:
+            here = kinds == kind
+            good = here & kept
+            packets[kind] = Packets(kept[here], number[good], lost[good], device[good], stamp[good])
+        return packets
+
+    def _emit(self, kind: int, table: Array, packets: Packets, feed: Feed) -> None:
+        tell_problems(
+            feed,
+            repeated_frame_or_wrong_time=len(table) - len(packets.stamp),
+            lost_frame=int(packets.lost.clip(0).sum()),
+        )
+        frame = self._layouts[kind].frame
+        if frame.channels and len(packets.stamp):
+            data = self._layouts[kind].values(table[packets.kept])
+            stamp, lost = self._spread(kind, packets) if frame.samples > 1 else (packets.stamp, packets.lost)
+            for chunk in chunks(stamp, lost, data):
+                feed.emit(chunk, frame.name)
+
+    def _spread(self, kind: int, packets: Packets) -> tuple[Times, Times]:
+        """Stamps and losses of every sample in frames that hold several: a frame's stamp is its last one's, the others lie evenly between
+        it and the frame before; behind a gap, by the declared rate."""
+        frame, last = self._layouts[kind].frame, self._lasts.get(kind)
+        n, period = frame.samples, NS / (frame.sample_hz or 1.0)
+        self._lasts[kind] = int(packets.stamp[-1])
+        first = packets.stamp[0] - round(n * period) if last is None else last
+        before = np.concatenate([[first], packets.stamp[:-1]])
+        step = np.where(packets.lost == 0, (packets.stamp - before) / n, period)
+        stamp = packets.stamp[:, None] - np.round(step[:, None] * np.arange(n - 1, -1, -1)).astype(np.int64)
+        lost = np.zeros(stamp.shape, np.int64)
+        lost[:, 0] = np.where(packets.lost > 0, packets.lost * n, packets.lost)
+        return np.maximum(stamp, before[:, None]).ravel(), lost.ravel()
+
+    def _tell_timing(self, packets: dict[int, Packets], arrival: int, feed: Feed) -> None:
+        """All kinds of frame in one stream, in the order of their stamps."""
+        events = np.empty(sum(len(p.stamp) for p in packets.values()), TIMING)
+        if not len(events):
+            return
+        for name, column in (("counter", "number"), ("device", "device"), ("stamp", "stamp")):
+            events[name] = np.concatenate([getattr(p, column) for p in packets.values()])
+        events["arrival"] = arrival
+        events = events[np.argsort(events["stamp"], kind="stable")]
+        times: Times = np.maximum(events["stamp"], self._last)
+        self._last = int(times[-1])
+        feed.emit(Chunk(times, events, self._last), "timing")
+
+
+def _fits(spoilt: Iterable[tuple[int, bytes]], layouts: Sequence[FrameLayout]) -> str:
+    """For the error's end: which checksums would fit the frames that came."""
+    by_kind: dict[int, list[bytes]] = {}
+    for kind, frame in spoilt:
+        by_kind.setdefault(kind, []).append(frame)
+    told = [f"frames[{kind}]: {text}" for kind, frames in by_kind.items() if (text := fitting(frames, layouts[kind]))]
+    return f"; {', '.join(told)}" if told else ""

@@ -1,0 +1,191 @@
+"""Open Sound Control in, from any program: streams declared by address and arguments, as serial frames are by their fields."""
+
+from __future__ import annotations
+
+import math
+import socket
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
+from devices.clocks.stamps import Stamps, chunks
+from devices.clocks.timing import timing_chunk, timing_spec
+from devices.protocols.declared import NS_PER
+from devices.protocols.osc import Argument, OscError, read_osc
+from stream.chunk import Specs, StreamSpec
+from stream.errors import DeviceError, ParameterError
+from stream.params import param
+from stream.source import Feed, Source
+
+WAIT_S = 0.1
+MOST_BYTES = 65_536
+
+
+@dataclass(frozen=True, slots=True)
+class OscArgument:
+    """One argument of a message, in order: a number that becomes a channel, a counter, the sender's time; nameless ones are passed over."""
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+
+    name: str = param("", help="the channel's name; without one the argument is passed over")
+    role: Literal["data", "counter", "time"] = param(
+        "data", help="data, a counter of messages (32 bits), or the sender's time"
+    )
+    scale: float = param(1.0, help="factor from the number to the unit")
+    unit: str = param("", help="unit of the channel, or of the time: ns, us, ms, s")
+
+
+@dataclass(frozen=True, slots=True)
+class OscStream:
+    """Messages of one address: an output of that name."""
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+
+    name: str = param(help="the output's name")
+    address: str = param(help="the messages' address: /imu/acc")
+    arguments: tuple[OscArgument, ...] = param(help="what the message holds, in order; more than these are passed over")
+    rate_hz: float | None = param(None, above=0, help="messages per second; left out: irregular")
+
+    @property
+    def channels(self) -> tuple[OscArgument, ...]:
+        return tuple(a for a in self.arguments if a.role == "data" and a.name)
+
+
+class _Outputs:
+    """The outputs of a class whose instances have those that they declare."""
+
+    def __get__(self, instance: OscInlet | None, owner: type) -> tuple[str, ...]:
+        return () if instance is None else (*(s.name for s in instance.streams), "timing")
+
+
+@dataclass(frozen=True, slots=True)
+class OscInlet(Source):
+    """Numbers that any program sends by OSC over UDP (phones, Max, TouchDesigner, game engines).
+
+    NAME     (channels,) float64: the declared arguments of that address; an output for each stream
+    timing   an event per message: its counter, the sender's time, arrival, stamp
+
+    Stamps follow the sender's time where a message brings it, else the counter (with `rate_hz`), else the arrival. UDP loses and doubles
+    messages: only a counter or a time tells. A message of another shape is counted and left out.
+    """
+
+    outputs = _Outputs()
+
+    streams: tuple[OscStream, ...] = param(help="what is taken")
+    host: str = param("127.0.0.1", help="the address that is listened on; 0.0.0.0: all, for senders on other machines")
+    port: int = param(9000, least=1, most=65535, help="the UDP port that is listened on")
+    rate_mismatch: Policy = param("fail", help=POLICY_HELP)
+    latency_s: float = param(
+        0.0, least=0, most=1, help="the constant delay from the measurement to its arrival, if you know it"
+    )
+
+    def specs(self) -> Specs:
+        specs: Specs = {}
+        for i, s in enumerate(self.streams):
+            names = tuple(a.name for a in s.channels)
+            if not s.name.isidentifier() or s.name == "timing" or s.name in specs:
+                raise ParameterError(
+                    f"streams[{i}].name", s.name, "letters, digits and '_', another one for each, and not 'timing'"
+                )
+            if not s.address.startswith("/"):
+                raise ParameterError(f"streams[{i}].address", s.address, "an address that begins with a slash")
+            if not names or len(set(names)) != len(names):
+                raise ParameterError(
+                    f"streams[{i}].arguments", list(names), "at least one named number, of different names"
+                )
+            if any(a.role == "time" and a.unit not in NS_PER for a in s.arguments):
+                raise ParameterError(f"streams[{i}].arguments", "time", f"a unit out of {', '.join(NS_PER)} for a time")
+            if any([a.role for a in s.arguments].count(role) > 1 for role in ("counter", "time")):
+                raise ParameterError(f"streams[{i}].arguments", "counter, time", "at most one of each")
+            specs[s.name] = StreamSpec(
+                (len(names),), rate_hz=s.rate_hz, channels=names, units=tuple(a.unit for a in s.channels)
+            )
+        if not specs:
+            raise ParameterError("streams", [], "at least one stream")
+        return {**specs, "timing": timing_spec()}
+
+    def read(self, feed: Feed) -> None:
+        readings: dict[str, list[OscReading]] = {}
+        for s in self.streams:
+            readings.setdefault(s.address, []).append(OscReading(self, s))
+        last = 0
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as port:
+            try:
+                port.bind((self.host, self.port))
+            except OSError as error:
+                raise DeviceError(f"OSC cannot be received on {self.host}:{self.port}: {error.strerror}") from None
+            port.settimeout(WAIT_S)
+            feed.ready()
+            while not feed.stopped:
+                try:
+                    messages = read_osc(port.recv(MOST_BYTES))
+                except TimeoutError:
+                    continue
+                except OscError:
+                    feed.problem("not OSC")
+                    continue
+                arrival = feed.now()
+                for address, arguments in messages:
+                    for reading in readings.get(address, ()):
+                        last = reading.take(arguments, arrival, last, feed)
+
+
+class OscReading:
+    """One stream's messages to chunks."""
+
+    def __init__(self, of: OscInlet, stream: OscStream) -> None:
+        self._of, self._stream = of, stream
+        roles = [a.role for a in stream.arguments]
+        self._counter = roles.index("counter") if "counter" in roles else None
+        self._time = roles.index("time") if "time" in roles else None
+        self._places = [i for i, a in enumerate(stream.arguments) if a in stream.channels]
+        self._scale = np.array([a.scale for a in stream.channels])
+        bits = 32 if self._counter is not None and (stream.rate_hz or self._time is not None) else 0
+        self._stamps = Stamps(
+            stream.rate_hz, counter_bits=bits, has_time=self._time is not None, latency_s=of.latency_s
+        )
+        where = f"OSC {stream.address}"
+        self._rate = RateCheck(
+            where, stream.rate_hz, of.rate_mismatch, setting=f"rate_hz of {stream.name}", counted=bool(bits)
+        )
+
+    def take(self, arguments: list[Argument], arrival: int, last: int, feed: Feed) -> int:
+        """Emit a message; `last`: the stamp of the last event of `timing`, of which the newest is returned."""
+        numbers = self._numbers(arguments)
+        if numbers is None:
+            feed.problem("message of another shape")
+            return last
+        time_ns = counter = None
+        if self._time is not None:
+            a = self._stream.arguments[self._time]
+            time_ns = np.array([round(numbers[self._time] * a.scale * NS_PER[a.unit])])
+        if self._counter is not None:
+            counter = np.array([int(numbers[self._counter]) % (1 << 32)])
+        packets = self._stamps.take(1, arrival, time_ns, counter)
+        if not len(packets.stamp):
+            feed.problem("repeated message or wrong time")
+            return last
+        lost = int(packets.lost[0])
+        if lost:
+            feed.problem("lost message" if lost > 0 else "device restarted", max(lost, 1))
+        if hz := self._rate.see(1, max(lost, 0), arrival, feed, time_ns):
+            self._stamps.follow(hz)
+        row = np.array([[numbers[i] for i in self._places]]) * self._scale
+        for chunk in chunks(packets.stamp, packets.lost, row):
+            feed.emit(chunk, self._stream.name)
+        newest = max(last, int(packets.stamp[0]))
+        feed.emit(timing_chunk(packets.number, packets.device, arrival, np.array([newest])), "timing")
+        return newest
+
+    def _numbers(self, arguments: list[Argument]) -> list[float] | None:
+        """The arguments as numbers; None where one that is wanted is none. Texts that are passed over are NaN."""
+        if len(arguments) < len(self._stream.arguments):
+            return None
+        made = [float(a) if isinstance(a, int | float) else math.nan for a in arguments[: len(self._stream.arguments)]]
+        wanted = [self._time, self._counter]
+        if any(i is not None and not math.isfinite(made[i]) for i in wanted):
+            return None
+        texts = [i for i in self._places if not isinstance(arguments[i], int | float)]
+        return None if texts else made

@@ -1,0 +1,237 @@
+"""What is being done now, on the terminal: which exercise, how often, since when, how sure; and what came before it."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from rich.text import Text
+
+from devices.outlets.terminal import TerminalView
+from stream.chunk import NEVER, NS, Array, Chunk, Specs
+from stream.errors import InputError
+from stream.operator import Outlet
+from stream.params import param
+from stream.plain import one_line, say
+
+FIELDS = {
+    "provisional": ("onset", "end", "activity", "repetition"),
+    "count": ("activity", "count"),
+    "believed": ("activity", "name", "sure"),
+    "repetition": ("activity", "repetition", "name", "sure", "duration_s"),
+    "activity": ("onset", "end", "activity", "repeats", "repetitions", "cluster"),
+    "resting": ("onset",),
+    "rest": ("onset", "end"),
+}
+"""By port: the fields that its events must have."""
+PAST = np.dtype([("what", "<U24"), ("repetitions", "<i4"), ("seconds", "<f8")])
+NAMED = np.dtype([("activity", "<i8"), ("name", "<U24")])
+RECENT = 8
+"""The names of so many activities are remembered: an activity's end is final when the next one goes on already."""
+STRIP = 6
+"""So many stretches before this one are shown."""
+SHORT_S = 2.0
+"""Shorter rests, and what does not repeat and is shorter, are not worth a word."""
+
+
+@dataclass(slots=True)
+class ExerciseState:
+    """What goes on. Times in ns; activity -1: none; rest_since NEVER: nobody rests; last_s: of the newest repetition, NaN: none.
+
+    past (STRIP,): a ring; passed: how many stretches have ended. names (RECENT,): of activities, by number modulo RECENT. began: the first
+    event's time, from which times are counted
+    """
+
+    past: Array
+    names: Array
+    passed: int = 0
+    began: int = NEVER
+    activity: int = -1
+    since: int = NEVER
+    count: int = 0
+    final: int = 0
+    last_s: float = np.nan
+    sure: float = np.nan
+    rest_since: int = NEVER
+
+
+@dataclass(frozen=True, slots=True)
+class ExercisePanel(Outlet[ExerciseState, None]):
+    """The exercise that is being done, how often so far and since when, rest, and what came before: live.
+
+    provisional, count, activity, rest, resting   of `operators.segmentation.Segment`
+    believed, repetition                          of `operators.segmentation.naming.NameRepetitions`: names, and how sure they are
+
+    Any streams of events with the same fields will do. `kinegraph run` shows them in its live view; where the output is no terminal, every
+    repetition and everything that has ended is a line.
+    """
+
+    inputs: ClassVar[tuple[str, ...]] = tuple(FIELDS)
+    optional: ClassVar[tuple[str, ...]] = ("believed", "repetition", "resting", "rest")
+
+    bell: bool = param(False, help="ring the terminal's bell at every repetition")
+
+    def open(self, specs: Specs) -> Specs:
+        for port, spec in specs.items():
+            if not set(FIELDS[port]) <= set(spec.dtype.names or ()):
+                raise InputError(port, spec.describe(), f"events with the fields {', '.join(FIELDS[port])}")
+        names = np.zeros(RECENT, NAMED)
+        names["activity"] = -1
+        self.hold(ExerciseState(np.zeros(STRIP, PAST), names), None)
+        return {}
+
+    def process(self, port: str, chunk: Chunk) -> None:
+        state, line = self.state, ""
+        if state.began == NEVER and chunk.until > NEVER:
+            state.began = int(chunk.time[0]) if len(chunk) else chunk.until
+        before = state.count
+        for stamp, event in zip(chunk.time, chunk.data, strict=True):
+            line = HEAR[port](state, event, int(stamp)) or line
+        if len(chunk):
+            self._show(line)
+        if self.bell and state.count > before:
+            ring()
+
+    def _show(self, line: str) -> None:
+        if TerminalView.current is not None:
+            TerminalView.current.hang_out("exercise", panel(self.state), line)
+        elif line:
+            with suppress(BrokenPipeError):  # nobody reads on
+                say(line, flush=True)
+
+
+def ring() -> None:
+    """The terminal's bell, where there is a terminal."""
+    if sys.stderr.isatty():
+        with suppress(OSError):
+            sys.stderr.write("\a")
+            sys.stderr.flush()
+
+
+def _provisional(state: ExerciseState, event: Any, stamp: int) -> str:
+    """An activity is believed to have begun, or a repetition to have ended."""
+    if event["activity"] != state.activity:
+        _turn_to(state, int(event["activity"]), int(event["onset"]))
+    state.rest_since = NEVER
+    if event["repetition"] == 0:
+        state.since = min(state.since, int(event["onset"]))
+    elif not state.final:
+        state.last_s = (int(event["end"]) - int(event["onset"])) / NS
+    return ""
+
+
+def _count(state: ExerciseState, event: Any, stamp: int) -> str:
+    """So many repetitions so far; a lower number corrects the last one."""
+    if event["activity"] != state.activity:
+        if event["count"] == 0:
+            return ""
+        _turn_to(state, int(event["activity"]), stamp)
+    state.count = int(event["count"])
+    return now_line(state)
+
+
+def _believed(state: ExerciseState, event: Any, stamp: int) -> str:
+    if event["name"]:
+        state.names[event["activity"] % RECENT] = (event["activity"], event["name"])
+        if event["activity"] == state.activity:
+            state.sure = float(event["sure"])
+    return ""
+
+
+def _repetition(state: ExerciseState, event: Any, stamp: int) -> str:
+    if event["activity"] == state.activity:
+        state.final = max(state.final, int(event["repetition"]))
+        state.last_s = float(event["duration_s"])
+    return _believed(state, event, stamp)
+
+
+def _activity(state: ExerciseState, event: Any, stamp: int) -> str:
+    """A stretch is over: it goes into the strip."""
+    seconds = (int(event["end"]) - int(event["onset"])) / NS
+    name = name_of(state, int(event["activity"]))
+    if event["activity"] == state.activity:
+        _turn_to(state, -1, NEVER)
+    if not event["repeats"] and seconds < SHORT_S:
+        return ""
+    what = (name or f"exercise {event['cluster'] + 1}") if event["repeats"] else "other motion"
+    return _past(state, what, int(event["repetitions"]), seconds)
+
+
+def _resting(state: ExerciseState, event: Any, stamp: int) -> str:
+    state.rest_since = int(event["onset"])
+    return ""
+
+
+def _rest(state: ExerciseState, event: Any, stamp: int) -> str:
+    state.rest_since = NEVER
+    seconds = (int(event["end"]) - int(event["onset"])) / NS
+    return _past(state, "rest", 0, seconds) if seconds >= SHORT_S else ""
+
+
+HEAR = {
+    "provisional": _provisional,
+    "count": _count,
+    "believed": _believed,
+    "repetition": _repetition,
+    "activity": _activity,
+    "resting": _resting,
+    "rest": _rest,
+}
+
+
+def _turn_to(state: ExerciseState, activity: int, since: int) -> None:
+    state.activity, state.since = activity, since
+    state.count = state.final = 0
+    state.last_s = state.sure = np.nan
+
+
+def _past(state: ExerciseState, what: str, repetitions: int, seconds: float) -> str:
+    state.past[state.passed % STRIP] = (what, repetitions, seconds)
+    state.passed += 1
+    return f"ended: {past_text(state.past[(state.passed - 1) % STRIP])}"
+
+
+def name_of(state: ExerciseState, activity: int) -> str:
+    """What an activity is called; "" if nobody has said."""
+    one = state.names[activity % RECENT]
+    return str(one["name"]) if one["activity"] == activity else ""
+
+
+def past_text(one: Any) -> str:
+    """A stretch that has ended: "squat x 6, 12.9 s"."""
+    times = f" x {one['repetitions']}" if one["repetitions"] else ""
+    return f"{one_line(one['what'])}{times}, {one['seconds']:.1f} s"
+
+
+def now_line(state: ExerciseState) -> str:
+    """What is being done: "squat x 7, last 1.8 s, since 0:14"."""
+    if state.activity < 0:
+        return "nothing that repeats"
+    parts = [f"{one_line(name_of(state, state.activity)) or 'exercise'} x {state.count}"]
+    if np.isfinite(state.last_s):
+        parts.append(f"last {state.last_s:.1f} s")
+    if state.since > NEVER and state.began > NEVER:
+        seconds = max(0, (state.since - state.began) // NS)
+        parts.append(f"since {seconds // 60}:{seconds % 60:02d}")
+    if np.isfinite(state.sure) and state.sure > 0.0:
+        parts.append(f"{state.sure:.0%} sure")
+    return ", ".join(parts)
+
+
+def panel(state: ExerciseState) -> Text:
+    """What is being done, large enough to be seen from a mat; below it what came before, the newest first."""
+    shown = Text()
+    if state.rest_since > NEVER:
+        shown.append("rest", style="bold")
+    elif state.activity < 0:
+        shown.append("nothing that repeats", style="dim")
+    else:
+        shown.append(now_line(state), style="bold green")
+        shown.append(f"\n{state.final} final, {max(0, state.count - state.final)} may still be corrected", style="dim")
+    past = [state.past[k % STRIP] for k in range(state.passed - 1, max(-1, state.passed - 1 - STRIP), -1)]
+    if past:
+        shown.append("\nbefore: " + " · ".join(past_text(one) for one in past), style="dim")
+    return shown

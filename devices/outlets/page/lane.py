@@ -1,0 +1,319 @@
+"""A live session's way to its page: streams that somebody looks at go to the server's process, and what people ask for comes back.
+
+The graph's own thread only puts chunks into a bounded channel. A thread of the lane's own takes them some 30 times a second and writes them
+to the server; where that one is slow, or gone, views are dropped, and samples never wait. A server that ends is started again.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, MutableMapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import structlog
+
+from devices.outlets.page.access import is_loopback, new_token
+from devices.outlets.page.channel import PageChannel
+from devices.outlets.page.marks import MARKS, SPEC, Marks, shown_with
+from devices.outlets.page.serving import FILES, built, tls_context
+from devices.outlets.page.shown import described, hello, is_newest_only, offered
+from devices.outlets.page.wire import LENGTH, encode
+from stream.chunk import NS, Chunk
+from stream.engine.status import Table
+from stream.errors import KinegraphError
+from stream.graph import Graph
+from stream.plain import plain, say
+
+if TYPE_CHECKING:
+    from stream.engine.pipeline import Pipeline
+    from stream.engine.replay import Replay
+    from stream.engine.session import Session
+
+TICK_S = 1 / 30
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
+START_S = 20.0
+"""How long a server is waited for when a session begins."""
+DEFAULT_PORT = 7790
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """Where the page is served: on this machine alone unless told otherwise, and then with a token."""
+
+    host: str = "127.0.0.1"
+    port: int = DEFAULT_PORT
+    certificate: str = ""
+    key: str = ""
+    token: str = ""
+
+    def check(self) -> None:
+        """Raises KinegraphError for files that are no certificate."""
+        try:
+            tls_context(self.certificate, self.key)
+        except OSError as error:
+            raise KinegraphError(f"--page-certificate {self.certificate}: {error.strerror or error}") from None
+
+    def url(self, port: int) -> str:
+        """What a person types into a browser."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        start = f"{'https' if self.certificate else 'http'}://{host}:{port}/"
+        return f"{start}?token={self.token}" if self.token else start
+
+
+class LivePage:
+    """Shows a session in browsers until it is left."""
+
+    def __init__(
+        self, graph: Graph, address: str = "", certificate: str = "", key: str = "", *, mode: str = "live"
+    ) -> None:
+        """`address` is HOST, HOST:PORT or :PORT. Raises KinegraphError where the page cannot be served."""
+        self._graph, self._mode = graph, mode
+        self._address = parsed(address, certificate, key)
+        self._address.check()
+        refuse_unbuilt()
+        self._specs = offered(graph, outside=not is_loopback(self._address.host))
+        self._channel = PageChannel([is_newest_only(spec) for spec in self._specs.values()])
+        self._steered: dict[str, Callable[..., None]] = {}
+        self._pending: list[bytes] = []
+        self._state = self._pace = b""
+        self._length_s = 0.0
+        self._marks: Marks | None = None
+        self._writing = threading.Lock()
+        self._over, self._listening = threading.Event(), threading.Event()
+        self._server: subprocess.Popen[bytes] | None = None
+        self._port, self._t0 = self._address.port, time.time_ns()
+        self._said = False
+        self._threads = [threading.Thread(target=self._run, name="page", daemon=True)]
+
+    # the session's side ----------------------------------------------------------------------------------------------
+
+    def attach(self, session: Session) -> None:
+        """Observe what is to be shown; called before the session runs."""
+        self._t0 = session.clock.now()
+        self.observe(session.pipeline)
+        self._steered = {"mark": lambda text, at: session.mark(text, self._onset(at)), "tell": session.tell}
+
+    def replays(self, replay: Replay) -> None:
+        """Observe a replay; one that begins again is shown from its beginning."""
+        recording, pace = replay.recording, replay.pace
+        self._t0 = recording.begin_of_inputs
+        if not self._length_s:
+            self._marks = Marks(recording.path)
+            self._specs = {**self._specs, MARKS: SPEC}
+            self._channel = PageChannel([is_newest_only(spec) for spec in self._specs.values()])
+        else:
+            self._channel.take()
+            self._announce({"t": "again"})
+            self._announce_marks()
+        self.observe(replay.pipeline)
+        self._length_s = max(replay.length_s, 1e-9)
+        if pace:
+            self._steered = {"pace": pace.go, "step": pace.step, "seek": pace.seek}
+            pace.report_to(lambda at, speed: self._set_pace(at, speed))
+
+    def _set_pace(self, at: float, speed: float) -> None:
+        self._pace = encode({"t": "pace", "at": at, "speed": speed, "length": self._length_s})
+
+    def _announce_marks(self) -> None:
+        if self._marks and len((chunk := self._marks.chunk()).time):
+            with self._writing:
+                self._pending.append(_message(len(self._specs) - 1, chunk))
+
+    def _announce(self, told: dict[str, Any]) -> None:
+        with self._writing:
+            self._pending.append(encode(told))
+
+    def observe(self, pipeline: Pipeline) -> None:
+        """Observe a pipeline's edges; those that a replay does not compute have no observers."""
+        for number, name in enumerate(self._specs):
+            if name in pipeline.edges:
+                pipeline.edges[name].observers.append(self._channel.observer(number))
+
+    def _onset(self, at: float | None) -> int | None:
+        return None if at is None else self._t0 + round(at * NS)
+
+    def update(self, table: Table) -> None:
+        """Take the newest metrics."""
+        told = {name: {key: value for key, value in row.items() if key in SHOWN} for name, row in table.items()}
+        self._state = encode({"t": "state", "table": told, "dropped": self._channel.dropped})
+
+    def __enter__(self) -> Self:
+        self._before = structlog.get_config()["processors"]
+        structlog.configure(processors=[self._note, *self._before])
+        self._threads[0].start()
+        self._listening.wait(START_S)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        structlog.configure(processors=self._before)
+        self._over.set()
+        self._threads[0].join(5)
+
+    def _note(self, _logger: Any, level: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+        """A line of the log, on its way to wherever it goes."""
+        facts = ", ".join(f"{key} {value}" for key, value in event.items() if key not in ("event", "exc_info"))
+        line = {"level": level, "text": plain(f"{event.get('event', '')}{': ' if facts else ''}{facts}")[:500]}
+        with self._writing:
+            self._pending = [*self._pending[-199:], encode({"t": "log", "line": {"at": time.time(), **line}})]
+        return event
+
+    # the lane's thread -----------------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        pause = FIRST_PAUSE_S
+        while not self._over.is_set():
+            began = time.monotonic()
+            try:
+                self._serve()
+            except (OSError, ValueError) as error:
+                log.debug("the page's server has ended", error=str(error))
+            if self._over.is_set():
+                break
+            self._channel.wanted[:] = [False] * len(self._specs)
+            pause = FIRST_PAUSE_S if time.monotonic() - began > LONGEST_PAUSE_S else min(2 * pause, LONGEST_PAUSE_S)
+            log.warning("the page's server has ended; it is started again", in_s=pause)
+            self._over.wait(pause)
+
+    def _serve(self) -> None:
+        """One server, from its start until it or the session ends."""
+        options = json.dumps(asdict(self._address) | {"port": self._port})
+        command = [sys.executable, "-m", "devices.outlets.page.server", options]
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0) as server:
+            self._server = server
+            hearing = threading.Thread(target=self._hear, args=(server,), name="page answers", daemon=True)
+            hearing.start()
+            try:
+                outside = not is_loopback(self._address.host)
+                greeting = hello(self._graph, outside=outside, mode=self._mode, t0_ns=self._t0)
+                if self._marks:
+                    greeting["streams"].append(described(MARKS, SPEC))
+                    greeting["panels"] = shown_with(greeting["panels"])
+                specs = [spec.to_json() for spec in self._specs.values()]
+                self._write(encode({**greeting, "t0_ns": self._t0, "specs": specs}))
+                self._announce_marks()
+                while not self._over.wait(TICK_S) and server.poll() is None:
+                    self._hand_over()
+                if self._over.is_set():
+                    self._hand_over()
+                    self._write(encode({"t": "over", "why": "the session has ended"}))
+            finally:
+                with suppress(OSError):
+                    server.stdin and server.stdin.close()
+                _end(server)
+
+    def _hand_over(self) -> None:
+        with self._writing:
+            waiting, self._pending = self._pending, []
+        for message in waiting:
+            self._write(message)
+        taken = self._channel.take()
+        for number, chunk in taken:
+            self._write(_message(number, chunk))
+        (state, self._state), (pace, self._pace) = (self._state, b""), (self._pace, b"")
+        for message in (state, pace):
+            if message:
+                self._write(message)
+        if taken or waiting or state or pace:
+            self._write(TICK)
+
+    def _write(self, message: bytes) -> None:
+        assert self._server and self._server.stdin
+        view = memoryview(LENGTH.pack(len(message)) + message)
+        while view:
+            view = view[self._server.stdin.write(view) :]
+
+    def _hear(self, server: subprocess.Popen[bytes]) -> None:
+        """What the server asks for, line by line."""
+        assert server.stdout
+        for line in server.stdout:
+            try:
+                asked = json.loads(line)
+                self._answer(asked)
+            except KinegraphError as error:
+                log.warning("not understood", asked_on_the_page=asked, error=str(error))
+            except Exception as error:  # noqa: BLE001 - the session does not end because of its page
+                log.warning("the page asked for something that cannot be", error=str(error))
+
+    def _answer(self, asked: dict[str, Any]) -> None:
+        match asked.pop("do"):
+            case "listen":
+                self._port = asked["port"]
+                self._listening.set()
+                if not self._said:
+                    self._said = True
+                    say(f"page: {self._address.url(self._port)}", err=True)
+            case "want":
+                wanted = set(asked["streams"])
+                self._channel.wanted[:] = [number in wanted for number in range(len(self._specs))]
+            case what if what in self._steered:
+                self._steered[what](**asked)
+                log.info(SAID[what], **asked)
+
+
+TICK = encode({"t": "tick"})
+SAID = {
+    "tell": "set on the page",
+    "mark": "annotated on the page",
+    "pace": "replay speed",
+    "step": "replay goes a step",
+    "seek": "replay goes to",
+}
+"""What the log says of what was asked for on the page."""
+SHOWN = (
+    *(
+        "kind",
+        "state",
+        "samples",
+        "rate_hz",
+        "age_s",
+        "p50_us",
+        "p99_us",
+        "queue",
+        "queue_limit",
+        "dropped",
+        "late",
+        "gaps",
+    ),
+    *("lost", "error", "openings", "bytes", "behind_s", "dropped_chunks", "worker", "load_pct"),
+)
+
+
+def _message(number: int, chunk: Chunk) -> bytes:
+    """A chunk, for the server's process."""
+    header = {"t": "chunk", "s": number, "n": len(chunk.time), "lost": int(chunk.lost), "until": int(chunk.until)}
+    return encode(header, chunk.time.tobytes(), chunk.data.tobytes())
+
+
+def refuse_unbuilt() -> None:
+    """Raises KinegraphError where the page was not built."""
+    try:
+        [built(name) for name, _ in FILES.values()]
+    except FileNotFoundError:
+        raise KinegraphError(
+            "the page was not built: `python -m pip install -e .` builds it (from the npm registry)"
+        ) from None
+
+
+def parsed(address: str, certificate: str = "", key: str = "") -> Address:
+    """HOST, HOST:PORT or :PORT. Raises KinegraphError for what is none of these."""
+    host, colon, port = address.rpartition(":") if not address.endswith("]") else (address, "", "")
+    host = (host if colon else address).strip("[]") or "127.0.0.1"
+    if colon and not (port.isdigit() and int(port) < 65536):
+        raise KinegraphError(f"--page-at {address}: HOST, HOST:PORT or :PORT, with a port from 0 to 65535")
+    token = "" if is_loopback(host) else new_token()
+    return Address(host, int(port) if colon else DEFAULT_PORT, certificate, key, token)
+
+
+def _end(server: subprocess.Popen[bytes]) -> None:
+    try:
+        server.wait(3)
+    except subprocess.TimeoutExpired:
+        server.kill()

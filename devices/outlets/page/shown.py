@@ -1,0 +1,163 @@
+"""What of a graph the page offers: its streams by kind, its nodes and edges, the values that may be changed, and the panels."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, TypeAlias
+
+from devices.outlets.page.poses import bones_of
+from stream.chunk import StreamSpec
+from stream.filter import SampleWise
+from stream.graph import Edge, Graph
+from stream.manual import Value
+from stream.mesh import Topology
+from stream.recording.image import is_picture
+
+Kind: TypeAlias = Literal["signal", "events", "frame", "points", "curves", "mesh", "pose"]
+
+SLOW_BYTES_S = 4096
+"""A signal below this is kept from the beginning, whether or not somebody looks at it."""
+MANY_CHANNELS = 32
+"""A signal of more channels has no panel unless it is asked for."""
+TIMES = ("ns",)
+
+
+def kind_of(spec: StreamSpec) -> Kind | None:
+    """How a stream is drawn; None: it is not."""
+    if spec.is_event:
+        return "events" if not spec.shape else None
+    if spec.dtype.kind not in "fiub":
+        return None
+    if spec.is_signal:
+        return "pose" if bones_of(spec) else "signal"
+    if len(spec.shape) != 2:
+        return None
+    if "mesh" in spec.meta:
+        return "mesh"
+    if spec.shape[1] == 3 and spec.channel_axis == 0 and (spec.channels or spec.dtype.kind == "f"):
+        return "points"
+    return "curves" if spec.channels and spec.channel_axis == 1 else "frame"
+
+
+def is_newest_only(spec: StreamSpec) -> bool:
+    """Whether of several samples only the last is worth showing."""
+    return kind_of(spec) in ("frame", "points", "mesh", "pose")
+
+
+def always_kept(spec: StreamSpec) -> bool:
+    """Whether the page's server keeps the stream from the beginning, for those who look later."""
+    kind = kind_of(spec)
+    slow = (spec.rate_hz or 10.0) * spec.sample_bytes <= SLOW_BYTES_S
+    return kind in ("events", "curves") or (kind == "signal" and slow)
+
+
+def offered(graph: Graph, *, outside: bool) -> dict[str, StreamSpec]:
+    """The streams that can be looked at, by name. Left out: what lies within a row of filters that run as one, unless it is recorded;
+    pictures that the graph may not record, unless it says `unrecorded_pictures`, and outside this machine in any case."""
+    found = {}
+    for node in graph.nodes.values():
+        for output, spec in node.specs.items():
+            edge = Edge(node.name, output)
+            kept = edge in graph.record
+            hidden = _is_image(spec) and not kept and (outside or not graph.page.unrecorded_pictures)
+            if kind_of(spec) and not hidden and (kept or not _within_a_row(graph, edge)):
+                found[str(edge)] = spec
+    return found
+
+
+def _is_image(spec: StreamSpec) -> bool:
+    """Whether it shows a room: images of any kind, also coarse ones that an operator makes."""
+    return is_picture(spec) or kind_of(spec) == "frame"
+
+
+def _within_a_row(graph: Graph, edge: Edge) -> bool:
+    readers = graph.readers(edge)
+    one = len(readers) == 1 and isinstance(readers[0][0].part, SampleWise)
+    return one and isinstance(graph.nodes[edge.node].part, SampleWise) and str(edge) not in graph.page.streams
+
+
+def described(name: str, spec: StreamSpec) -> dict[str, Any]:
+    """A stream, for the page."""
+    fields = [[field, spec.dtype[field].kind, spec.unit_of(field)] for field in scalar_fields(spec)]
+    skeleton = bones_of(spec)
+    units = [spec.unit_of(c) for c in spec.channels] if spec.channels and not spec.is_event else [*spec.units[:1]]
+    return {
+        "name": name,
+        "kind": "points" if skeleton else kind_of(spec),
+        "shape": [len(skeleton.joints), 3] if skeleton else [*spec.shape],
+        "rate_hz": spec.rate_hz,
+        "channels": skeleton.joints if skeleton else [] if spec.is_event else [*spec.channels],
+        "units": [] if spec.is_event else units,
+        "fields": fields,
+        "describe": spec.describe(),
+        "bones": skeleton.pairs if skeleton else _pairs(spec.meta.get("bones")),
+        "faces": Topology.of(spec).faces.tolist() if kind_of(spec) == "mesh" else None,
+    }
+
+
+def scalar_fields(spec: StreamSpec) -> list[str]:
+    """An event's fields that are one number or text each."""
+    return [f for f in spec.dtype.names or () if not spec.dtype[f].shape and spec.dtype[f].kind in "fiubUS"]
+
+
+def _pairs(bones: Any) -> list[list[Any]]:
+    return [[*pair] for pair in bones] if isinstance(bones, list | tuple) else []
+
+
+def hello(graph: Graph, *, outside: bool, mode: str, t0_ns: int) -> dict[str, Any]:
+    """All that a page must know of a graph before the first sample."""
+    specs = offered(graph, outside=outside)
+    return {
+        "t": "hello",
+        "name": graph.name,
+        "mode": mode,
+        "t0_ms": t0_ns / 1e6,
+        "session": {str(key): str(value) for key, value in graph.session.items()},
+        "streams": [described(name, spec) for name, spec in specs.items()],
+        "nodes": [
+            {"name": n.name, "use": n.use, "kind": "source" if n.is_source else "outlet" if n.is_outlet else "operator"}
+            for n in graph.nodes.values()
+        ],
+        "edges": [[str(edge), node.name, port] for node in graph.nodes.values() for port, edge in node.inputs.items()],
+        "values": [
+            {"node": n.name, "initial": v.initial, "least": v.least, "most": v.most, "unit": v.unit}
+            for n in graph.nodes.values()
+            if mode == "live" and isinstance(v := n.part, Value)
+        ],
+        "panels": panels_of(graph, specs),
+    }
+
+
+def panels_of(graph: Graph, specs: dict[str, StreamSpec]) -> list[dict[str, Any]]:
+    """The panels as the graph arranges them under `page`, else one or more for each kind of stream there is."""
+    if graph.page.panels:
+        return [_known(panel, specs) for panel in graph.page.panels]
+    inputs = {node.name: [str(edge) for edge in node.inputs.values()] for node in graph.nodes.values()}
+    return [*default_panels(specs, inputs), *({"kind": kind, "of": []} for kind in ("graph", "state", "log"))]
+
+
+def _known(panel: dict[str, Any], specs: dict[str, StreamSpec]) -> dict[str, Any]:
+    """A panel as the graph says; streams that are not offered (a picture, outside this machine) are named, so that the page can say so."""
+    return {**panel, "missing": [name for name in panel["of"] if name not in specs]}
+
+
+def default_panels(specs: dict[str, StreamSpec], inputs: dict[str, list[str]]) -> list[dict[str, Any]]:
+    """Panels by the streams' kinds; `inputs` says what each node reads."""
+    of = {
+        kind: [n for n, s in specs.items() if kind_of(s) == kind]
+        for kind in ("signal", "events", "frame", "points", "pose", "mesh")
+    }
+    panels: list[dict[str, Any]] = []
+    panels += [{"kind": "scene", "of": [name]} for name in [*of["mesh"], *of["pose"], *of["points"]]]
+    panels += [{"kind": "frame", "of": [name]} for name in of["frame"]]
+    for name in specs:
+        node, _, output = name.rpartition(".")
+        if output == "mean" and f"{node}.sd" in specs:
+            last = [source for source in inputs.get(node, ()) if source in specs and kind_of(specs[source]) == "curves"]
+            panels.append({"kind": "cycles", "of": [name, f"{node}.sd", *last[:1]], "wide": 2})
+    signals = [
+        n for n in of["signal"] if len(specs[n].channels) <= MANY_CHANNELS and specs[n].shape[0] <= MANY_CHANNELS
+    ]
+    panels += [{"kind": "signal", "of": [name], "wide": 2} for name in signals]
+    if of["events"]:
+        panels += [{"kind": "events", "of": of["events"], "wide": 2}, {"kind": "table", "of": of["events"]}]
+    return panels

@@ -1,0 +1,306 @@
+// The page: what the server tells goes to the streams, the panels draw them, and what a person does goes back.
+
+import { Arranger } from "./arrange";
+import { CyclesPanel } from "./cycles";
+import { EventsPanel, TablePanel } from "./events";
+import { FramePanel } from "./frame";
+import { make, type Page, Panel, type Span } from "./panel";
+import { ScenePanel } from "./scene";
+import { SignalPanel } from "./signal";
+import { GraphPanel, LogPanel, StatePanel } from "./state";
+import { Stream } from "./store";
+import { MARKS, Player, Replayer, Timeline } from "./timeline";
+import { Connection, type Hello, type Message, VERSION } from "./wire";
+
+const WINDOWS_S = [2, 5, 10, 30, 60, 300, 1800, 3600, 36000];
+const LOOK_MS = 80;
+const DRAW_MS = 1000 / 30;
+const SLOW_DRAW_MS = 250;
+/** A machine that draws slowly rests for as long as it drew. */
+const BREATH = 2;
+/** How slowly the right edge gives way where samples come late (s per s). */
+const DRIFT = 0.02;
+
+class Main implements Page {
+  t0_ms = 0;
+  recording = false;
+  private hello: Hello | null = null;
+  private streams: Stream[] = [];
+  private panels: Panel[] = [];
+  private window_s = 10;
+  private held: Span | null = null;
+  private ahead = -Infinity;
+  private next = 0;
+  private readonly seen = new Set<Element>();
+  private readonly watch = new IntersectionObserver((entries) => {
+    for (const { target, isIntersecting } of entries) isIntersecting ? this.seen.add(target) : this.seen.delete(target);
+  });
+  private readonly host = document.getElementById("panels") as HTMLElement;
+  private readonly status = document.getElementById("status") as HTMLOutputElement;
+  private readonly controls = document.getElementById("controls") as HTMLElement;
+  private readonly windows = make("select", { "aria-label": "seconds shown" });
+  private readonly pause = make("button", { type: "button", "aria-pressed": "false", title: "P" }, "pause");
+  private readonly mark = make("input", { type: "text", maxlength: "64", placeholder: "mark this moment", "aria-label": "annotation" });
+  private readonly connection: Connection;
+  private readonly arranger = new Arranger(this.host, () => this.panels, (panels) => this.arrange(panels), () => this.window_s);
+  private readonly footer = document.getElementById("line") as HTMLElement;
+  private readonly player = new Player();
+  private readonly replayer = new Replayer((what) => this.connection.ask(what));
+  private timeline: Timeline | null = null;
+  private at = 0;
+  private length = 0;
+  private moved = true;
+  private looked = 0;
+  private answered = NaN;
+  private onset = NaN;
+
+  constructor() {
+    this.theme(localStorage.getItem("theme") ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"));
+    this.connection = new Connection((m, buffer, at) => this.hear(m, buffer, at), (state) => this.say(state));
+    addEventListener("keydown", (event) => this.key(event));
+    addEventListener("resize", () => this.look());
+    requestAnimationFrame((now) => this.frame(now));
+  }
+
+  clock(at: number, fine = false): string {
+    const time = new Date(this.t0_ms + at * 1000);
+    if (Number.isNaN(time.getTime())) return "";
+    return time.toLocaleTimeString([], { hour12: false }) + (fine ? `.${String(time.getMilliseconds()).padStart(3, "0")}` : "");
+  }
+
+  get runs(): boolean {
+    return this.hello?.mode === "live" || (this.hello?.mode === "replay" && !this.replayer.stands);
+  }
+
+  seek(at: number): void {
+    this.at = Math.max(0, Math.min(this.length, at));
+    this.moved = true;
+  }
+
+  private say(state: string): void {
+    this.status.textContent = state;
+    document.body.dataset["state"] = state;
+  }
+
+  private hear(message: Message, buffer: ArrayBuffer, at: number): void {
+    const now = Date.now();
+    switch (message.t) {
+      case "hello": return this.begin(message);
+      case "signal": return this.streams[message.s]?.addSignal(message, buffer, at, now);
+      case "events": return this.streams[message.s]?.addEvents(message, now);
+      case "state":
+        for (const panel of this.panels) if (panel instanceof StatePanel || panel instanceof GraphPanel) panel.take(message);
+        if (message.over) this.say(message.over);
+        return;
+      case "gaps":
+        this.timeline?.take(message.s, message.gaps);
+        this.moved = true;
+        return;
+      case "log":
+        for (const panel of this.panels) if (panel instanceof LogPanel) panel.take(message);
+        return;
+      case "pace":
+        return this.replayer.take(message);
+      case "looked":
+        this.answered = message.at;
+        return;
+      case "progress":
+        if (message.share === 1) this.moved = true;
+        return this.say(message.share < 1 ? `${message.what}: ${Math.round(100 * message.share)} %` : "recording");
+      default: return this.streams[message.s]?.addNewest(message, buffer, at, now);
+    }
+  }
+
+  private begin(hello: Hello): void {
+    if (hello.v > VERSION) return this.say("this page is older than its server: load it again");
+    this.hello = hello;
+    this.t0_ms = hello.t0_ms;
+    this.recording = hello.mode === "recording";
+    this.ahead = -Infinity;
+    document.title = `${hello.name} · kinegraph`;
+    (document.getElementById("name") as HTMLElement).textContent = [hello.name, ...Object.values(hello.session)].join(" · ");
+    this.streams = hello.streams.map((info, i) => new Stream(info, i));
+    for (const panel of this.panels) panel.leave();
+    this.panels = hello.panels.map((info) => this.panel(info, hello)).filter((p): p is Panel => p !== null);
+    const asked = Math.max(0, ...hello.panels.map((p) => p.window_s ?? 0));
+    if (asked) this.window_s = WINDOWS_S.find((w) => w >= asked) ?? asked;
+    this.arrange(this.panels);
+    this.arranger.renew();
+    this.length = hello.length_s ?? 0;
+    this.timeline = this.recording ? new Timeline(this.footer, hello, this.streams, this) : null;
+    this.toolbar(hello);
+    this.say(hello.mode);
+    this.look();
+  }
+
+  /** Show these panels, in this order. */
+  private arrange(panels: Panel[]): void {
+    for (const panel of this.panels) if (!panels.includes(panel)) panel.leave();
+    this.panels = panels;
+    this.watch.disconnect();
+    this.seen.clear();
+    this.host.replaceChildren(...panels.map((p) => p.element));
+    for (const panel of panels) this.watch.observe(panel.element);
+  }
+
+  private panel(info: Hello["panels"][number], hello: Hello): Panel | null {
+    const streams = info.of.map((name) => this.streams.find((s) => s.info.name === name)).filter((s): s is Stream => s !== undefined);
+    if (info.of.length && !streams.length && !info.missing?.length) return null;
+    switch (info.kind) {
+      case "signal": return streams.length ? new SignalPanel(info, streams, this) : null;
+      case "events": return new EventsPanel(info, streams, this);
+      case "table": return new TablePanel(info, streams, this);
+      case "cycles": return new CyclesPanel(info, streams, this);
+      case "frame": return new FramePanel(info, streams, this);
+      case "scene": return new ScenePanel(info, streams, this);
+      case "state": return new StatePanel(info, this);
+      case "log": return new LogPanel(info, this);
+      case "graph": return new GraphPanel(info, this, hello);
+      default: return null;
+    }
+  }
+
+  private toolbar(hello: Hello): void {
+    this.windows.replaceChildren(...WINDOWS_S.map((w) => make("option", { value: String(w) }, w < 120 ? `${w} s` : `${w / 60} min`)));
+    this.windows.value = String(this.window_s);
+    this.windows.onchange = () => {
+      this.window_s = Number(this.windows.value);
+      this.look();
+    };
+    this.pause.onclick = () => this.hold();
+    this.mark.onfocus = () => { this.onset = this.now(); };
+    this.mark.onkeydown = (event) => {
+      if (event.key === "Enter") this.annotate();
+      if (event.key === "Escape") this.mark.blur();
+    };
+    const button = make("button", { type: "button", title: "M, or a digit" }, "mark");
+    button.onclick = () => this.annotate();
+    const theme = make("button", { type: "button" }, "light or dark");
+    theme.onclick = () => this.theme(document.documentElement.dataset["theme"] === "dark" ? "light" : "dark");
+    const values = hello.values.map((v) => this.slider(v));
+    if (this.recording) {
+      this.seek(Math.min(this.length, this.at || this.window_s / 2));
+      const gap = make("button", { type: "button", title: "G" }, "next gap");
+      gap.onclick = () => this.seek(this.timeline?.nextGap(this.at) ?? this.at);
+      return this.controls.replaceChildren(this.player.button, this.player.speed, this.windows, gap, this.mark, button, this.arranger.button, theme);
+    }
+    const { button: hold, step, speed, whole } = this.replayer;
+    if (hello.mode === "replay") return this.controls.replaceChildren(hold, step, speed, whole, this.windows, this.arranger.button, theme);
+    const marking = hello.mode === "live" ? [this.mark, button] : [];
+    this.controls.replaceChildren(...values, this.windows, this.pause, ...marking, this.arranger.button, theme);
+  }
+
+  private slider(value: Hello["values"][number]): HTMLElement {
+    const bounded = Math.abs(value.least) < 1e6 && Math.abs(value.most) < 1e6;
+    const step = bounded ? String((value.most - value.least) / 200) : "any";
+    const input = make("input", { type: bounded ? "range" : "number", step, min: String(value.least), max: String(value.most), value: String(value.initial) });
+    const shown = make("output", {}, `${value.initial} ${value.unit}`);
+    input.oninput = () => { shown.textContent = `${input.value} ${value.unit}`; };
+    input.onchange = () => this.connection.ask({ do: "tell", node: value.node, text: input.value });
+    return make("label", {}, value.node, input, shown);
+  }
+
+  private annotate(text = this.mark.value.trim() || "mark"): void {
+    const at = Number.isFinite(this.onset) && this.mark.value ? this.onset : this.now();
+    const sent = this.connection.ask({ do: "mark", text, at: Number.isFinite(at) ? at : null });
+    this.say(sent ? `marked: ${text}` : "not connected: not marked");
+    this.mark.value = "";
+    this.onset = NaN;
+    this.mark.blur();
+  }
+
+  private key(event: KeyboardEvent): void {
+    const typing = event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement;
+    if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (this.timeline) {
+      const at = this.timeline.key(event.key, this.span());
+      if (at !== null) this.seek(at);
+      if (event.key === " ") this.player.toggle();
+      if (event.key === "m") this.mark.focus();
+      if (/^[0-9]$/.test(event.key)) this.annotate(event.key);
+      if (at !== null || event.key === " " || event.key === "m") event.preventDefault();
+    } else if (this.hello?.mode === "replay") {
+      if (this.replayer.key(event.key)) event.preventDefault();
+    } else if (event.key === "p") this.hold();
+    else if (event.key === "m" && this.mark.isConnected) {
+      event.preventDefault();
+      this.mark.focus();
+    } else if (this.hello?.mode === "live" && /^[0-9]$/.test(event.key)) this.annotate(event.key);
+  }
+
+  private hold(): void {
+    this.held = this.held ? null : this.span();
+    this.pause.setAttribute("aria-pressed", String(this.held !== null));
+  }
+
+  private theme(name: string): void {
+    document.documentElement.dataset["theme"] = name;
+    localStorage.setItem("theme", name);
+    for (const panel of this.panels ?? []) panel.restyle();
+  }
+
+  /** Tell the server what is looked at. */
+  private look(): void {
+    if (this.recording) {
+      this.moved = true;
+      return;
+    }
+    const streams: Record<string, number> = {};
+    for (const panel of this.panels) {
+      const pixels = Math.max(100, panel.element.clientWidth - 110) * Math.min(2, window.devicePixelRatio);
+      for (const [stream, width] of panel.widths(this.window_s, pixels)) streams[stream] = Math.min(streams[stream] ?? Infinity, width);
+    }
+    this.connection.ask({ do: "see", streams });
+  }
+
+  /** Of a recording: ask for what is around the cursor, not more often than it can be drawn. */
+  private scrub(now: number): void {
+    if (now - this.looked < LOOK_MS) return;
+    const step = this.player.step(Math.min(0.5, (now - this.looked) / 1000));
+    this.looked = now;
+    if (step) this.seek(this.at + step);
+    if (!this.moved) return;
+    const { begin, end, at } = this.span();
+    const streams = [...new Set([...this.panels.flatMap((p) => p.streams.map((s) => s.number)), ...this.marks()])];
+    this.moved = !this.connection.ask({ do: "look", streams, begin, end, at, points: Math.max(200, Math.min(2000, this.host.clientWidth)) });
+  }
+
+  private marks(): number[] {
+    return this.streams.filter((s) => MARKS.has(s.info.name)).map((s) => s.number);
+  }
+
+  /** The session's time now, as far as samples have shown it (s since the beginning). */
+  private now(): number {
+    if (this.recording) return this.at;
+    return this.ahead + Date.now() / 1000;
+  }
+
+  private span(): Span {
+    if (this.held) return this.held;
+    if (this.recording) return { begin: this.at - this.window_s / 2, end: this.at + this.window_s / 2, at: this.at };
+    const newest = Math.max(-Infinity, ...this.streams.filter((s) => s.info.kind !== "events").map((s) => s.last).filter((t) => t === t));
+    if (this.hello?.mode === "replay" && Number.isFinite(newest)) return { begin: newest - this.window_s, end: newest, at: newest };
+    const ahead = newest - Date.now() / 1000;
+    if (Number.isFinite(ahead)) this.ahead = Math.max(ahead, this.ahead - DRIFT / 30);
+    const end = Number.isFinite(this.ahead) ? this.now() : this.hello ? (Date.now() - this.t0_ms) / 1000 : 0;
+    return { begin: end - this.window_s, end, at: end };
+  }
+
+  private frame(now: number): void {
+    requestAnimationFrame((later) => this.frame(later));
+    if (now < this.next) return;
+    const span = this.span();
+    if (this.recording) this.scrub(now);
+    this.timeline?.draw(span);
+    for (const panel of this.panels) {
+      if (this.seen.has(panel.element)) panel.draw(span);
+      panel.age(Date.now());
+    }
+    this.next = now - 2 + Math.max(document.hidden ? SLOW_DRAW_MS : DRAW_MS, BREATH * (performance.now() - now));
+    if (!this.recording) for (const stream of this.streams) stream.forget((this.held ?? span).begin);
+    if (this.recording) document.body.dataset["looked"] = String(this.answered);
+    if (this.hello) document.body.dataset["drawn"] = String(Number(document.body.dataset["drawn"] ?? 0) + 1);
+  }
+}
+
+new Main();

@@ -1,0 +1,206 @@
+// Points with names, skeletons and meshes in three dimensions; several streams stand in one scene.
+
+import {
+  AmbientLight, BufferAttribute, BufferGeometry, Color, DirectionalLight, DoubleSide, GridHelper, LineBasicMaterial, LineSegments, type Material, Mesh,
+  MeshStandardMaterial, type Object3D, PerspectiveCamera, Points, PointsMaterial, Scene, Vector3, WebGLRenderer,
+} from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+
+import { colour, make, type Page, Panel, shade, type Span } from "./panel";
+import type { Newest, Stream } from "./store";
+import type { PanelInfo } from "./wire";
+
+const MOST_NAMES = 40;
+const TO_METRES: Record<string, number> = { m: 1, cm: 0.01, mm: 0.001 };
+const SKIN = 0x8fa8c8;
+
+interface Extent { centre: Vector3; radius: number }
+
+/** One stream in the scene. Where a coordinate is missing, its point, its lines and its triangles are not drawn. */
+class Figure {
+  readonly parts: Object3D[] = [];
+  readonly labels: HTMLElement[];
+  positions = new Float32Array(0);
+  private readonly geometry = new BufferGeometry();
+  private readonly lines = new BufferGeometry();
+  private readonly materials: [Material & { color: Color }, () => string][] = [];
+  private readonly bones: [number, number][];
+  private shown: Newest | null = null;
+
+  constructor(private readonly stream: Stream, number: number, alone: boolean) {
+    const { info } = stream;
+    const place = (end: string | number) => (typeof end === "number" ? end : info.channels.indexOf(end));
+    this.bones = info.bones.map(([a, b]): [number, number] => [place(a), place(b)]).filter(([a, b]) => a >= 0 && b >= 0);
+    if (info.kind === "mesh") {
+      this.geometry.setIndex(new BufferAttribute(Uint32Array.from((info.faces ?? []).flat()), 1));
+      this.parts.push(new Mesh(this.geometry, new MeshStandardMaterial({ color: SKIN, side: DoubleSide, flatShading: true })));
+    } else {
+      this.parts.push(new Points(this.geometry, this.coloured(new PointsMaterial({ size: 7, sizeAttenuation: false }), () => (number ? shade(number) : colour("accent")))));
+      this.parts.push(new LineSegments(this.lines, this.coloured(new LineBasicMaterial(), () => colour("dim"))));
+    }
+    for (const part of this.parts) part.frustumCulled = false;
+    const names = info.kind === "mesh" || !alone ? [] : info.channels.slice(0, MOST_NAMES);
+    this.labels = names.map((name) => make("span", { class: "name" }, name));
+  }
+
+  restyle(): void {
+    for (const [material, found] of this.materials) material.color = new Color(found());
+  }
+
+  /** Take what is newest; whether there is anything new. */
+  take(): boolean {
+    const { newest, info } = this.stream;
+    if (!newest || newest === this.shown) return false;
+    this.shown = newest;
+    const scale = TO_METRES[info.units[0] ?? "m"] ?? 1;
+    if (this.positions.length !== newest.data.length) this.positions = new Float32Array(newest.data.length);
+    for (let i = 0; i < this.positions.length; i++) {
+      const [raw, low] = [newest.data[i] as number, newest.low[i % 3]];
+      this.positions[i] = scale * (low === undefined ? raw : low + (raw * ((newest.high[i % 3] as number) - low)) / 65535);
+    }
+    const attribute = new BufferAttribute(this.positions, 3);
+    this.geometry.setAttribute("position", attribute);
+    this.lines.setAttribute("position", attribute);
+    if (info.kind === "mesh") return true;
+    const there = (i: number) => Number.isFinite(this.positions[3 * i]);
+    this.geometry.setIndex([...Array(this.positions.length / 3).keys()].filter(there));
+    this.lines.setIndex(this.bones.filter(([a, b]) => there(a) && there(b)).flat());
+    return true;
+  }
+
+  private coloured<M extends Material & { color: Color }>(material: M, found: () => string): M {
+    material.color = new Color(found());
+    this.materials.push([material, found]);
+    return material;
+  }
+}
+
+export class ScenePanel extends Panel {
+  private readonly scene = new Scene();
+  private readonly camera = new PerspectiveCamera(40, 1, 0.01, 200);
+  private readonly figures: Figure[];
+  private readonly up = make("button", { type: "button", "aria-pressed": "false" }, "z up");
+  private renderer: WebGLRenderer | null = null;
+  private controls: OrbitControls | null = null;
+  private grid: GridHelper | null = null;
+
+  constructor(info: PanelInfo, streams: Stream[], page: Page) {
+    super(info, streams, page);
+    this.body.style.minHeight = `${this.height * 1.2}px`;
+    this.figures = streams.map((stream, i) => new Figure(stream, i, streams.length === 1));
+    this.up.onclick = () => {
+      this.up.setAttribute("aria-pressed", String(this.up.getAttribute("aria-pressed") !== "true"));
+      this.look();
+    };
+    try {
+      this.begin();
+    } catch (error) {
+      this.note.textContent = `no 3-D here: ${String(error)}`;
+    }
+  }
+
+  private begin(): void {
+    const renderer = new WebGLRenderer({ antialias: true, alpha: true, preserveDrawingBuffer: true });
+    renderer.setPixelRatio(Math.min(2, window.devicePixelRatio));
+    this.renderer = renderer;
+    this.tools.append(this.up);
+    this.body.append(renderer.domElement);
+    renderer.domElement.setAttribute("aria-label", "three-dimensional view; drag turns it");
+    const sun = new DirectionalLight(0xffffff, 2);
+    sun.position.set(0.4, 1, 0.7);
+    this.scene.add(new AmbientLight(0xffffff, 0.9), sun);
+    this.controls = new OrbitControls(this.camera, renderer.domElement);
+    for (const figure of this.figures) {
+      this.scene.add(...figure.parts);
+      for (const label of figure.labels) this.body.append(label);
+    }
+  }
+
+  override leave(): void {
+    this.controls?.dispose();
+    this.renderer?.dispose();
+    this.renderer?.forceContextLoss();
+    this.renderer = null;
+  }
+
+  override resize(): void {
+    this.body.style.minHeight = `${this.height * 1.2}px`;
+    super.resize();
+  }
+
+  override restyle(): void {
+    for (const figure of this.figures) figure.restyle();
+    this.look();
+  }
+
+  draw(_span: Span): void {
+    const { renderer, controls } = this;
+    if (!renderer || !controls) return;
+    const news = this.figures.map((figure) => figure.take()).some((taken) => taken);
+    if (news) {
+      if (!this.grid) this.look();
+      const points = this.figures.reduce((n, f) => n + f.positions.length / 3, 0);
+      this.element.dataset["points"] = String(points);
+    }
+    if (!this.grid) return;
+    const { clientWidth, clientHeight } = this.body;
+    if (renderer.domElement.clientWidth !== clientWidth || renderer.domElement.clientHeight !== clientHeight) {
+      renderer.setSize(clientWidth, clientHeight);
+      this.camera.aspect = clientWidth / clientHeight;
+      this.camera.updateProjectionMatrix();
+    }
+    controls.update();
+    renderer.render(this.scene, this.camera);
+    for (const figure of this.figures) this.label(figure, clientWidth, clientHeight);
+    this.stamp();
+  }
+
+  /** Look at all of it. */
+  private look(): void {
+    const extent = extentOf(this.figures);
+    if (!extent || !this.controls) return;
+    const { centre, radius } = extent;
+    const zUp = this.up.getAttribute("aria-pressed") === "true";
+    this.camera.up.set(0, zUp ? 0 : 1, zUp ? 1 : 0);
+    const from = zUp ? new Vector3(0.5, -0.8, 0.35) : new Vector3(0.5, 0.35, 0.8);
+    this.controls.target.copy(centre);
+    this.camera.position.copy(centre).add(from.normalize().multiplyScalar(3 * radius));
+    this.camera.near = radius / 30;
+    this.camera.far = radius * 300;
+    this.camera.updateProjectionMatrix();
+    if (this.grid) this.scene.remove(this.grid);
+    this.grid = new GridHelper(radius * 4, 8, colour("dim"), colour("rule"));
+    this.grid.position.copy(centre);
+    if (zUp) {
+      this.grid.rotation.x = Math.PI / 2;
+      this.grid.position.z -= radius;
+    } else this.grid.position.y -= radius;
+    this.scene.add(this.grid);
+  }
+
+  private label({ labels, positions }: Figure, width: number, height: number): void {
+    const at = new Vector3();
+    labels.forEach((label, i) => {
+      at.fromArray(positions, 3 * i).project(this.camera);
+      label.hidden = !Number.isFinite(at.x) || at.z > 1;
+      if (!label.hidden) label.style.transform = `translate(${((at.x + 1) * width) / 2 + 6}px, ${((1 - at.y) * height) / 2 - 8}px)`;
+    });
+  }
+}
+
+/** The middle of all points that are there, and how far they reach from it; null where there are none. */
+function extentOf(figures: Figure[]): Extent | null {
+  const [low, high] = [new Vector3(Infinity, Infinity, Infinity), new Vector3(-Infinity, -Infinity, -Infinity)];
+  const point = new Vector3();
+  for (const { positions } of figures) {
+    for (let i = 0; i < positions.length; i += 3) {
+      if (!Number.isFinite(positions[i])) continue;
+      point.fromArray(positions, i);
+      low.min(point);
+      high.max(point);
+    }
+  }
+  if (low.x > high.x) return null;
+  const radius = high.distanceTo(low) / 2;
+  return { centre: low.add(high).multiplyScalar(0.5), radius: Math.max(radius, 1e-3) };
+}

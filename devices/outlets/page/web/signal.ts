@@ -1,0 +1,196 @@
+// Strip charts: one lane per channel, gaps as gaps, a measure between two cursors.
+
+import uPlot from "uplot";
+
+import { colour, make, type Page, Panel, shade, type Span } from "./panel";
+import type { Stream } from "./store";
+import type { PanelInfo } from "./wire";
+
+const FILL = 0.46;
+/** How fast a channel's scale shrinks after a large value has left, per frame. */
+const SHRINK = 0.04;
+const SIGNIFICANT = 3;
+
+interface Scale { middle: number; half: number }
+
+export class SignalPanel extends Panel {
+  private plot: uPlot | null = null;
+  private readonly stream: Stream;
+  private readonly scales: Scale[];
+  private common = false;
+  private span: Span = { begin: 0, end: 1, at: 1 };
+
+  constructor(info: PanelInfo, streams: Stream[], page: Page) {
+    super(info, streams, page);
+    this.stream = streams[0] as Stream;
+    this.scales = this.stream.signal.low.map(() => ({ middle: 0, half: 0 }));
+    const common = make("button", { type: "button", "aria-pressed": "false" }, "one scale");
+    common.onclick = () => {
+      this.common = !this.common;
+      common.setAttribute("aria-pressed", String(this.common));
+    };
+    if (this.scales.length > 1) this.tools.append(common);
+  }
+
+  override widths(span_s: number, pixels: number): Map<number, number> {
+    const rate = this.stream.info.rate_hz ?? 0;
+    const width = rate * span_s > 2 * pixels ? 2 ** Math.ceil(Math.log2((span_s * 1e9) / pixels)) : 0;
+    return new Map([[this.stream.number, width]]);
+  }
+
+  override restyle(): void {
+    this.plot?.destroy();
+    this.plot = null;
+  }
+
+  draw(span: Span): void {
+    this.span = span;
+    const width = this.body.clientWidth;
+    if (!width) return;
+    this.plot ??= this.made(width);
+    if (this.plot.width !== width) this.plot.setSize({ width, height: this.height });
+    const data = this.lanes();
+    this.plot.setData(data, false);
+    this.plot.setScale("x", { min: span.begin, max: span.end });
+    this.element.dataset["points"] = String(data[0].length);
+    this.element.dataset["gaps"] = String(gaps(this.stream.signal.low[0] ?? []));
+  }
+
+  private get channels(): string[] {
+    const { channels } = this.stream.info;
+    return this.scales.map((_, c) => channels[c] ?? String(c + 1));
+  }
+
+  private unit(c: number): string {
+    const { units } = this.stream.info;
+    return units[units.length === 1 ? 0 : c] ?? "";
+  }
+
+  private made(width: number): uPlot {
+    const [count, names] = [this.scales.length, this.channels];
+    const axis = { stroke: colour("dim"), grid: { stroke: colour("rule"), width: 0.5 }, ticks: { stroke: colour("rule") } };
+    const options: uPlot.Options = {
+      width,
+      height: this.height,
+      padding: [4, 8, 0, 0],
+      legend: { show: false },
+      cursor: { sync: { key: "page", scales: ["x", null] }, drag: { x: true, y: false, setScale: false }, points: { show: false } },
+      scales: { x: { time: false }, y: { range: [0, count] } },
+      series: [{}, ...names.map((_, c) => ({ stroke: shade(c), width: 1, points: { show: false }, spanGaps: false }))],
+      axes: [
+        { ...axis, size: 26, space: 90, values: (_: uPlot, at: number[]) => at.map((t) => this.page.clock(t, this.span.end - this.span.begin < 8)) },
+        {
+          ...axis, size: 116, splits: () => names.map((_, c) => count - c - 0.5), filter: (_: uPlot, splits: number[]) => splits,
+          values: () => names.map((name, c) => this.label(name, c)),
+        },
+      ],
+      hooks: {
+        draw: [(plot) => this.cursor(plot)], setCursor: [(plot) => this.read(plot)], setSelect: [(plot) => this.measure(plot)] },
+    };
+    return new uPlot(options, [[], ...names.map(() => [])], this.body);
+  }
+
+  private label(name: string, c: number): string {
+    const scale = this.scales[c] as Scale;
+    return scale.half ? `${name} ±${short(scale.half)} ${this.unit(c)}` : name;
+  }
+
+  /** Each channel in its lane, the least and the greatest value of a bucket one after the other. */
+  private lanes(): uPlot.AlignedData {
+    const { time, low, high, thin, width } = this.stream.signal;
+    let first = 0;
+    while (first < time.length && (time[first] as number) < this.span.begin - 1) first++;
+    this.rescale(first);
+    const step = thin ? 2 : 1;
+    const n = (time.length - first) * step;
+    const x = new Array<number>(n);
+    for (let i = first, k = 0; i < time.length; i++, k += step) {
+      x[k] = time[i] as number;
+      if (thin) x[k + 1] = (time[i] as number) + width / 2;
+    }
+    const data: [number[], ...(number | null)[][]] = [x];
+    for (let c = 0; c < low.length; c++) {
+      const { middle, half } = this.scales[c] as Scale;
+      const [zero, factor] = [low.length - c - 0.5, half ? FILL / half : 0];
+      const y = new Array<number | null>(n);
+      const [lows, highs] = [low[c] as number[], high[c] as number[]];
+      for (let i = first, k = 0; i < time.length; i++, k += step) {
+        const value = lows[i] as number;
+        y[k] = value === value ? zero + (value - middle) * factor : null;
+        if (thin) y[k + 1] = value === value ? zero + ((highs[i] as number) - middle) * factor : null;
+      }
+      data.push(y);
+    }
+    return data;
+  }
+
+  private rescale(first: number): void {
+    const { low, high, thin } = this.stream.signal;
+    const { least, most } = this.info;
+    const found = low.map((lows, c) => extremes(lows, thin ? (high[c] as number[]) : lows, first));
+    const widest = Math.max(...found.map(([a, b]) => (b - a) / 2));
+    found.forEach(([a, b], c) => {
+      const scale = this.scales[c] as Scale;
+      if (least != null && most != null) [a, b] = [least, most];
+      if (a > b) return;
+      const half = Math.max(this.common ? widest : (b - a) / 2, 1e-12);
+      scale.half = half >= scale.half ? half : Math.max(half, scale.half * (1 - SHRINK));
+      scale.middle = (a + b) / 2;
+    });
+  }
+
+  /** Where a recording is looked at. */
+  private cursor(plot: uPlot): void {
+    if (!this.page.recording) return;
+    const x = plot.valToPos(this.span.at, "x", true);
+    plot.ctx.fillStyle = colour("ink");
+    plot.ctx.fillRect(x, plot.bbox.top, 1, plot.bbox.height);
+  }
+
+  /** The value under the cursor. */
+  private read(plot: uPlot): void {
+    const { left, top } = plot.cursor;
+    if (left == null || top == null || left < 0 || top < 0 || this.element.classList.contains("stale") || plot.select.width > 1) return;
+    const at = plot.posToVal(left, "x");
+    const c = Math.min(this.scales.length - 1, Math.max(0, Math.floor(this.scales.length - plot.posToVal(top, "y"))));
+    const value = this.value(c, at);
+    const shown = Number.isNaN(value) ? "gap" : `${value.toPrecision(SIGNIFICANT)} ${this.unit(c)}`;
+    this.note.textContent = `${this.channels[c]} ${shown} at ${this.page.clock(at, true)}`;
+  }
+
+  private value(c: number, at: number): number {
+    const { time, low, high, thin } = this.stream.signal;
+    let i = time.length - 1;
+    while (i > 0 && (time[i] as number) > at) i--;
+    const value = (low[c] as number[])[i] ?? NaN;
+    return thin ? (value + ((high[c] as number[])[i] ?? NaN)) / 2 : value;
+  }
+
+  /** What lies between two cursors: the duration, and per channel how far its values range. */
+  private measure(plot: uPlot): void {
+    const { left, width } = plot.select;
+    if (width < 2) return;
+    const [from, to] = [plot.posToVal(left, "x"), plot.posToVal(left + width, "x")];
+    const { time, low, high, thin } = this.stream.signal;
+    const [first, last] = [time.findIndex((t) => t >= from), time.findLastIndex((t) => t <= to)];
+    const parts = this.channels.slice(0, 6).map((name, c) => {
+      const [a, b] = extremes((low[c] as number[]).slice(0, last + 1), ((thin ? high : low)[c] as number[]).slice(0, last + 1), Math.max(first, 0));
+      return a > b ? `${name} -` : `${name} ${a.toPrecision(SIGNIFICANT)} to ${b.toPrecision(SIGNIFICANT)}`;
+    });
+    this.note.textContent = `${((to - from) * 1000).toFixed(0)} ms: ${parts.join("; ")}`;
+  }
+}
+
+function extremes(low: number[], high: number[], first: number): [number, number] {
+  let [least, most] = [Infinity, -Infinity];
+  for (let i = first; i < low.length; i++) {
+    if ((low[i] as number) < least) least = low[i] as number;
+    if ((high[i] as number) > most) most = high[i] as number;
+  }
+  return [least, most];
+}
+
+/** A number with two digits that count, and no exponent. */
+const short = (value: number): string => (value >= 1e6 || value < 1e-4 ? value.toExponential(0) : String(Number(value.toPrecision(2))));
+
+const gaps = (values: number[]): number => values.reduce((n, v, i) => n + Number(v !== v && (i === 0 || values[i - 1] === values[i - 1])), 0);

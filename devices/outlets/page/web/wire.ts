@@ -1,0 +1,105 @@
+// What travels between the server and this page: see docs/page.md.
+
+export const VERSION = 1;
+
+export interface StreamInfo {
+  name: string;
+  kind: "signal" | "events" | "frame" | "points" | "curves" | "mesh";
+  shape: number[];
+  rate_hz: number | null;
+  channels: string[];
+  units: string[];
+  fields: [string, string, string][];
+  describe: string;
+  bones: [string | number, string | number][];
+  faces: number[][] | null;
+}
+export interface PanelInfo {
+  kind: string;
+  of: string[];
+  title?: string;
+  wide?: number;
+  tall?: number;
+  window_s?: number;
+  least?: number | null;
+  most?: number | null;
+  missing?: string[];
+}
+export interface NodeInfo { name: string; use: string; kind: "source" | "operator" | "outlet" }
+export interface ValueInfo { node: string; initial: number; least: number; most: number; unit: string }
+export interface Hello {
+  t: "hello";
+  v: number;
+  name: string;
+  mode: "live" | "replay" | "recording";
+  t0_ms: number;
+  session: Record<string, string>;
+  streams: StreamInfo[];
+  nodes: NodeInfo[];
+  edges: [string, string, string][];
+  values: ValueInfo[];
+  panels: PanelInfo[];
+  length_s?: number;
+  spans?: [number, number, number][];
+  gaps?: [number, number][][];
+}
+export interface SignalMessage { t: "signal"; s: number; n: number; w: number; thin: boolean; fresh: boolean }
+export type Cell = string | number | boolean | null;
+export interface EventsMessage { t: "events"; s: number; first: number; rows: Cell[][]; fresh: boolean }
+export interface NewestMessage {
+  t: "frame" | "points" | "curves" | "mesh";
+  s: number; at: number; count: number; shape: number[]; type: "u2" | "f4"; low?: number[]; high?: number[];
+}
+export type Row = Record<string, string | number>;
+export interface StateMessage {
+  t: "state"; table: Record<string, Row>; clients: number; skipped: number; dropped: number; over: string;
+}
+export interface LogMessage { t: "log"; lines: { at: number; level: string; text: string }[] }
+export interface ProgressMessage { t: "progress"; share: number; what: string }
+export interface GapsMessage { t: "gaps"; s: number; gaps: [number, number][] }
+export interface LookedMessage { t: "looked"; at: number }
+/** How far a replay is, of how much (s), and its speed; 0: it stands still. */
+export interface PaceMessage { t: "pace"; at: number; length: number; speed: number }
+export type Message = PaceMessage | LookedMessage | GapsMessage | Hello | SignalMessage | EventsMessage | NewestMessage | StateMessage | LogMessage | ProgressMessage;
+
+const text = new TextDecoder();
+
+export function decode(buffer: ArrayBuffer): [Message, ArrayBuffer, number] {
+  const length = new DataView(buffer).getUint32(0, true);
+  return [JSON.parse(text.decode(new Uint8Array(buffer, 4, length))) as Message, buffer, 4 + length];
+}
+
+const FIRST_PAUSE_MS = 300;
+const LONGEST_PAUSE_MS = 5000;
+
+/** One WebSocket, opened again whenever it is lost. */
+export class Connection {
+  private socket: WebSocket | null = null;
+  private pause = FIRST_PAUSE_MS;
+
+  constructor(private hear: (message: Message, buffer: ArrayBuffer, at: number) => void, private told: (state: string) => void) {
+    this.open();
+  }
+
+  ask(what: object): boolean {
+    if (this.socket?.readyState !== WebSocket.OPEN) return false;
+    this.socket.send(JSON.stringify(what));
+    return true;
+  }
+
+  private open(): void {
+    const url = new URL("socket", location.href);
+    url.protocol = url.protocol.replace("http", "ws");
+    url.search = location.search;
+    const socket = new WebSocket(url);
+    socket.binaryType = "arraybuffer";
+    socket.onopen = () => { this.pause = FIRST_PAUSE_MS; this.told("connected"); };
+    socket.onmessage = (event: MessageEvent<ArrayBuffer>) => this.hear(...decode(event.data));
+    socket.onclose = () => {
+      this.told("not connected; trying again");
+      setTimeout(() => this.open(), this.pause);
+      this.pause = Math.min(2 * this.pause, LONGEST_PAUSE_MS);
+    };
+    this.socket = socket;
+  }
+}

@@ -1,0 +1,151 @@
+"""What a report says of limbs and stages: tables ready to be printed, and which curves stand over one another."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from devices.outlets.report import words
+from devices.outlets.report.data import Grid, LimbPanel, Report
+from devices.outlets.report.groups import Groups
+from devices.outlets.report.running import Running
+from devices.outlets.report.tally import Tally, numbers
+from stream.chunk import Specs
+
+SHOWN = ("peak", "mean")
+"""What the table of stages shows of a muscle; the CSV file has the rest."""
+MEASURES = {"peak": "peak", "mean": "mean", "integrated": "iEMG", "duration_s": "stride time", "stance_pct": "stance"}
+SYMMETRY = (
+    "Symmetry index of Robinson (1987): 100 × (X2 − X1) / half of their sum, X1 the {0} limb, X2 the {1} limb, of neighbouring cycles: 0 is"
+    " alike, positive: {1} is larger. Mean over the session with its 95 % interval (Student's t); strides are taken as independent,"
+    " which walking is only in part. Amplitudes that are not normalised compare electrodes, too."
+)
+BURSTS = (
+    "When a muscle is active, by a double threshold with hysteresis (Hodges and Bui 1996; thresholds under Settings). Onset, offset and"
+    " duration of the burst that holds the cycle's peak: circular mean ± deviation; an offset below the onset lies in the next cycle. Bars:"
+    " in which share of the cycles the muscle was active, from none (white) to all (dark)."
+)
+FOOTFALLS = (
+    "Phase: when in the reference limb's stride the limb touches down. Duty factor: for how much of the stride it stands. Support is the"
+    " share of the stride with two feet or more on the ground, flight that with none."
+)
+
+
+def accepted_of(tally: Tally, specs: Specs, channel: int) -> int:
+    """How many cycles of a channel's limb were accepted."""
+    limbs = dict(specs["cycles"].meta.get("limbs") or {})
+    name = specs["cycles"].channels[channel]
+    for i, limb in enumerate(tally.groups.limbs):
+        if name in limbs[limb]:
+            return int(tally.groups.limb_gait[i].n.max(initial=0))
+    return tally.accepted
+
+
+def fill_groups(report: Report, tally: Tally, specs: Specs) -> None:
+    """Put limbs and stages into a report, where there are any."""
+    groups, spec = tally.groups, specs["cycles"]
+    limbs, named = dict(spec.meta.get("limbs") or {}), dict(spec.meta.get("muscles") or {})
+    if limbs:
+        where = {name: i for i, name in enumerate(spec.channels)}
+        muscles = dict.fromkeys(named.get(name, name) for name in spec.channels)
+        for muscle in muscles:
+            mine = [(limb, where[name]) for limb, names in limbs.items() for name in names if named[name] == muscle]
+            report.panels.append(LimbPanel(muscle, [i for _, i in mine], [limb for limb, _ in mine]))
+        report.grids.append(_limbs(groups))
+    if groups.feet:
+        phases = [float(r.centre()[0]) for r in groups.phases]
+        duties = [float(r.centre()[0]) for r in groups.duties]
+        report.footfalls = list(zip(groups.feet, phases, duties, strict=True))
+        report.grids.append(_footfalls(groups))
+    if groups.indices:
+        report.grids.append(_symmetry(groups, [str(name) for name in specs["symmetry"].meta.get("pair", ("", ""))]))
+    if groups.burst_names:
+        report.grids.append(_bursts(groups))
+    if groups.stages:
+        report.stages = list(groups.stages)
+        report.grids += _stages(tally, specs)
+
+
+def _text(running: Running, i: int, decimals: int) -> str:
+    centre, spread = float(running.centre()[i]), float(running.spread()[i])
+    if not np.isfinite(centre):
+        return "–"
+    return f"{centre:.{decimals}f}" + (f" ± {spread:.{decimals}f}" if np.isfinite(spread) else "")
+
+
+def _limbs(groups: Groups) -> Grid:
+    columns = [("Limb", ""), ("Cycles", ""), ("Cadence", "strides/min"), ("Cycle", "s"), ("Stance", "%")]
+    rows = [
+        [limb, str(int(gait.n.max(initial=0))), *(_text(gait, i, d) for i, d in ((0, 1), (1, 3), (2, 1)))]
+        for limb, gait in zip(groups.limbs, groups.limb_gait, strict=True)
+    ]
+    return Grid("Limb by limb", "Mean ± standard deviation over the limb's accepted cycles.", columns, rows)
+
+
+def _footfalls(groups: Groups) -> Grid:
+    rows = [
+        [limb, _text(phase, 0, 1), _text(duty, 0, 1)]
+        for limb, phase, duty in zip(groups.feet, groups.phases, groups.duties, strict=True)
+    ]
+    gaits = ", ".join(f"{gait} {n}" for gait, n in zip(groups.gaits, groups.strides, strict=True))
+    support = " ".join(
+        f"{name} {_text(groups.support, i, 1)} {unit}".strip() + ("." if i == 2 else ",")
+        for i, (name, unit) in enumerate((("Double support", "%"), ("flight", "%"), ("feet on the ground", "(mean)")))
+    )
+    note = f"{FOOTFALLS} {support} Strides by gait: {gaits or 'none'}."
+    return Grid("Footfalls", note, [("Limb", ""), ("Phase", "% of stride"), ("Duty factor", "%")], rows)
+
+
+def _symmetry(groups: Groups, pair: list[str]) -> Grid:
+    rows = []
+    for name, (mean, low, high, pairs) in zip(groups.index_names, groups.indices, strict=True):
+        muscle, _, measure = name.partition("|")
+        wide = f"{low:.1f} to {high:.1f}" if np.isfinite(low) else "–"
+        rows.append([f"{muscle} {MEASURES.get(measure, measure)}".strip(), f"{mean:.1f}", wide, str(int(pairs))])
+    columns = [("Measure", ""), ("Index", "%"), ("95 % interval", "%"), ("Pairs of cycles", "")]
+    return Grid("Symmetry", SYMMETRY.format(*pair), columns, sorted(rows))
+
+
+def _bursts(groups: Groups) -> Grid:
+    rows = []
+    for name, (cycles, each, *ends) in zip(groups.burst_names, groups.bursts, strict=True):
+        cells = [
+            f"{value:.0f}" + (f" ± {sd:.0f}" if np.isfinite(sd) else "") if np.isfinite(value) else "–"
+            for value, sd in zip(ends[::2], ends[1::2], strict=True)
+        ]
+        rows.append([name, str(int(cycles)), f"{each:.1f}" if np.isfinite(each) else "–", *cells])
+    columns = [("Muscle", ""), ("Cycles", ""), ("Bursts", "per cycle")]
+    columns += [("Onset", "% of cycle"), ("Offset", "% of cycle"), ("Duration", "% of cycle")]
+    return Grid("Bursts", BURSTS, columns, rows)
+
+
+def _stages(tally: Tally, specs: Specs) -> list[Grid]:
+    groups, spec = tally.groups, specs["cycles"]
+    columns = [
+        ("Stage", ""), ("Cycles", ""), ("Belt speed", "m/s"), ("Cadence", "strides/min"), ("Cycle", "s"), ("Stance", "%"),
+    ]  # fmt: skip
+    rows = [
+        [stage, str(int(gait.n[0])), *(_text(gait, i, d) for i, d in ((3, 2), (0, 1), (1, 3), (2, 1)))]
+        for stage, gait in zip(groups.stages, groups.stage_gait, strict=True)
+    ]
+    made = [Grid("Stage by stage", "Cycles that lie wholly in a stage; mean ± standard deviation.", columns, rows)]
+    fields = numbers(specs.get("statistics"))
+    for field in (name for name in SHOWN if name in fields):
+        column = words.column(field, specs["statistics"])
+        k = fields.index(field)
+        cells = [
+            [name, *(_muscle(by_stage, k, i, column.decimals if column else 1) for by_stage in groups.stage_fields)]
+            for i, name in enumerate(spec.channels)
+        ]
+        heading = column.heading if column else field
+        unit = specs["statistics"].unit_of(field)
+        made.append(
+            Grid(f"{heading} by stage", "", [("Muscle", ""), *((stage, unit) for stage in groups.stages)], cells)
+        )
+    return made
+
+
+def _muscle(by_stage: Running, field: int, muscle: int, decimals: int) -> str:
+    centre, spread = float(by_stage.centre()[field, muscle]), float(by_stage.spread()[field, muscle])
+    if not np.isfinite(centre):
+        return "–"
+    return f"{centre:.{decimals}f}" + (f" ± {spread:.{decimals}f}" if np.isfinite(spread) else "")

@@ -1,0 +1,75 @@
+"""The page of a training session: one HTML file that needs nothing else, readable on a screen and on A4 paper."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from devices.outlets.training.rows import Exercise, Training, exercises
+from stream.chunk import NEVER, NS
+
+BAR_WIDTH, BARS_HEIGHT = 9, 46
+"""Pixels of a repetition's bar, and of the longest one's height."""
+
+
+def render(title: str, facts: Mapping[str, Any], training: Training, unit: str, table: str) -> str:
+    """The page's HTML. `unit`: of ranges and distances; `table`: the name of the CSV file beside it."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    sets = exercises(training)
+    lasted = (training.ended - training.began) / NS if training.began != NEVER else 0.0
+    return environment.get_template("page.html.j2").render(
+        title=title,
+        facts=[(key.replace("_", " "), str(value)) for key, value in facts.items()],
+        began=_clock(training.began),
+        sets=sets,
+        totals=totals(sets),
+        lasted=minutes(lasted),
+        repetitions=sum(one.repetitions for one in sets),
+        left_out=training.left_out,
+        unit=unit,
+        table=table,
+        number=number,
+        minutes=minutes,
+        bars=bars,
+        mean=lambda values: float(np.nanmean(values)) if np.isfinite(values).any() else np.nan,
+        shown=any(np.isfinite(one.distances).any() for one in sets),
+        made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+    )
+
+
+def totals(sets: list[Exercise]) -> list[tuple[str, int, int]]:
+    """By exercise: name, sets, repetitions; in the order of first appearance."""
+    names = list(dict.fromkeys(one.name for one in sets))
+    return [(n, sum(s.name == n for s in sets), sum(s.repetitions for s in sets if s.name == n)) for n in names]
+
+
+def bars(values: tuple[float, ...]) -> dict[str, Any]:
+    """A bar per repetition, as high as it took long: places and heights, in pixels."""
+    most = max([v for v in values if np.isfinite(v)], default=0.0)
+    heights = [BARS_HEIGHT * v / most if most > 0.0 and np.isfinite(v) else 0.0 for v in values]
+    return {
+        "width": max(1, BAR_WIDTH * len(values)),
+        "height": BARS_HEIGHT,
+        "bars": [(BAR_WIDTH * k, BARS_HEIGHT - h, BAR_WIDTH - 2, h) for k, h in enumerate(heights)],
+    }
+
+
+def number(value: float, digits: int = 1) -> str:
+    return f"{value:.{digits}f}" if np.isfinite(value) else "–"
+
+
+def minutes(seconds: float) -> str:
+    """0:14, 12:03."""
+    return f"{int(seconds) // 60}:{int(seconds) % 60:02d}" if np.isfinite(seconds) else "–"
+
+
+def _clock(stamp: int) -> str:
+    return "" if stamp == NEVER else datetime.fromtimestamp(stamp / NS, UTC).strftime("%Y-%m-%d %H:%M UTC")

@@ -1,0 +1,139 @@
+"""The sets and repetitions of a training session, as they are reported: what a report is made from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stream.chunk import NEVER, NS, Array
+
+MOST_SETS, MOST_REPETITIONS, MOST_RESTS = 500, 20_000, 2000
+"""Of a longer session the first so many are kept; the rest are counted, and the CSV file has them all."""
+REPETITION = np.dtype(
+    [
+        ("activity", "<i8"), ("repetition", "<i4"), ("name", "<U24"), ("onset", "<i8"), ("duration_s", "<f8"),
+        ("range", "<f8"), ("moves", "<U24"), ("distance", "<f8"), ("sure", "<f8"), ("side", "<i4"),
+    ]
+)  # fmt: skip
+SET = np.dtype(
+    [
+        ("activity", "<i8"),
+        ("onset", "<i8"),
+        ("end", "<i8"),
+        ("repetitions", "<i4"),
+        ("symmetry", "<i4"),
+        ("cluster", "<i8"),
+    ]
+)
+REST = np.dtype([("onset", "<i8"), ("end", "<i8")])
+
+
+@dataclass(slots=True)
+class Training:
+    """sets, repetitions, rests: what has come, in order, (n,) each of how many `n_...` are filled. began, ended: ns; left_out: of all."""
+
+    sets: Array
+    repetitions: Array
+    rests: Array
+    n_sets: int = 0
+    n_repetitions: int = 0
+    n_rests: int = 0
+    began: int = NEVER
+    ended: int = NEVER
+    left_out: int = 0
+
+
+def nothing_done() -> Training:
+    return Training(np.zeros(MOST_SETS, SET), np.zeros(MOST_REPETITIONS, REPETITION), np.zeros(MOST_RESTS, REST))
+
+
+def take(training: Training, kind: str, event: Any) -> None:
+    """Keep an event of `kind` (sets, repetitions, rests), if there is room."""
+    table = getattr(training, kind)
+    n = getattr(training, f"n_{kind}")
+    if n == len(table):
+        training.left_out += 1
+        return
+    for field in table.dtype.names or ():
+        table[n][field] = event[field]
+    setattr(training, f"n_{kind}", n + 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Exercise:
+    """One set, as the report shows it. Times in s; NaN: not known. durations, ranges, distances: one number per repetition.
+
+    tempo: repetitions a minute; even: how much the durations scatter, in per cent; rest_s: after the set
+    """
+
+    number: int
+    name: str
+    start_s: float
+    lasted_s: float
+    repetitions: int
+    tempo: float
+    even: float
+    rest_s: float
+    symmetry: str
+    moves: str
+    durations: tuple[float, ...]
+    ranges: tuple[float, ...]
+    distances: tuple[float, ...]
+    sure: float
+
+
+SYMMETRY = {0: "", 1: "both sides at once", 2: "sides in turn", 3: "one side, or unlike"}
+
+
+def exercises(training: Training) -> list[Exercise]:
+    """The sets of a session, with their repetitions; what does not repeat is no set."""
+    sets, all_, rests = training.sets[: training.n_sets], training.repetitions[: training.n_repetitions], training.rests
+    made = []
+    for k, one in enumerate(sets):
+        mine = all_[all_["activity"] == one["activity"]]
+        spans = whole_repetitions(mine)
+        durations = spans["duration_s"]
+        after = sets["onset"][k + 1] if k + 1 < len(sets) else np.iinfo(np.int64).max
+        here = rests[: training.n_rests]
+        here = here[(here["end"] > one["end"]) & (here["onset"] < after)]
+        mean = float(durations.mean()) if len(durations) else np.nan
+        made.append(
+            Exercise(
+                k + 1,
+                most_often(mine["name"]) or f"exercise {one['cluster'] + 1}",
+                (one["onset"] - training.began) / NS,
+                (one["end"] - one["onset"]) / NS,
+                int(one["repetitions"]),
+                60.0 / mean if mean > 0.0 else np.nan,
+                100.0 * float(durations.std()) / mean if len(durations) > 2 and mean > 0.0 else np.nan,
+                float((here["end"] - here["onset"]).sum()) / NS if len(here) else np.nan,
+                SYMMETRY.get(int(one["symmetry"]), ""),
+                most_often(mine["moves"]),
+                tuple(map(float, durations)),
+                tuple(map(float, spans["range"])),
+                tuple(map(float, spans["distance"])),
+                float(np.mean(mine["sure"])) if len(mine) else np.nan,
+            )
+        )
+    return made
+
+
+def whole_repetitions(told: Array) -> Array:
+    """One row per repetition: of two steps the durations add up, the range is the larger, the distance the mean."""
+    made = told[:0].copy()
+    for number in dict.fromkeys(told["repetition"].tolist()):
+        steps = told[told["repetition"] == number]
+        row = steps[:1].copy()
+        row["duration_s"], row["range"], row["distance"] = (
+            steps["duration_s"].sum(), steps["range"].max(), steps["distance"].mean(),
+        )  # fmt: skip
+        made = np.concatenate([made, row])
+    return made
+
+
+def most_often(names: Array) -> str:
+    """The name that most rows have; of equals the first."""
+    known = [str(name) for name in names if name]
+    return max(dict.fromkeys(known), key=known.count) if known else ""

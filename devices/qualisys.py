@@ -1,0 +1,186 @@
+"""Qualisys Track Manager, live by its real-time protocol: labelled markers and rigid bodies."""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from devices.clocks.clock_log import ClockLog
+from devices.clocks.stamps import Stamps, chunks
+from devices.clocks.timing import timing_chunk, timing_spec
+from devices.protocols import qualisys as protocol
+from devices.protocols.qualisys import PORT, QualisysDecoder, QualisysError, QualisysFrame
+from devices.transport.transport import TcpTransport
+from stream.chunk import Samples, Specs, StreamSpec
+from stream.errors import DeviceError, ParameterError, nearest
+from stream.params import param
+from stream.source import Feed, Source
+
+ANSWER_S = 3.0
+SAME_RATE = 0.01
+
+
+class _Outputs:
+    """The outputs of a class whose instances have those that are wanted."""
+
+    def __get__(self, instance: Qualisys | None, owner: type) -> tuple[str, ...]:
+        if instance is None:
+            return "markers", "timing"
+        wanted = ("markers" if instance.markers else "", *(("bodies", "rotations") if instance.bodies else ()))
+        return (*filter(None, wanted), "timing")
+
+
+@dataclass(frozen=True, slots=True)
+class Qualisys(Source):
+    """Qualisys Track Manager (QTM) in the local network, while it captures or plays back with real-time output.
+
+    markers     (m, 3) float64 at `rate_hz`: the named markers in m; NaN: not seen
+    bodies      (b, 3) float64: positions of the named rigid bodies in m
+    rotations   (b, 9) float64: their rotations, nine numbers in the order in which QTM sends them
+    timing      an event per frame: its number, QTM's time, arrival, stamp
+
+    QTM's axes are kept. Stamps follow QTM's time, missing frames are known from their number.
+    """
+
+    outputs = _Outputs()
+
+    server: str = param("127.0.0.1", help="the computer on which QTM runs")
+    markers: tuple[str, ...] = param((), help="labelled markers, as QTM names them")
+    bodies: tuple[str, ...] = param((), help="rigid bodies, as QTM names them")
+    rate_hz: float = param(100.0, above=0, most=10_000, help="frames per second, as set in QTM")
+    port: int = param(PORT, least=1, most=65535, help="QTM's little-endian port")
+    latency_s: float = param(
+        0.0, least=0, most=1, help="the constant delay from the exposure to the arrival, if you know it"
+    )
+
+    @property
+    def chunk_s(self) -> float:
+        return 1 / self.rate_hz
+
+    def specs(self) -> Specs:
+        if not (self.markers or self.bodies):
+            raise ParameterError("markers", [], "at least one of markers and bodies")
+        for name in ("markers", "bodies"):
+            if len(set(getattr(self, name))) != len(getattr(self, name)):
+                raise ParameterError(name, list(getattr(self, name)), "different names")
+        specs: Specs = {"timing": timing_spec()}
+        meta = {"device": "Qualisys"}
+        for output, names, width, unit in (
+            ("markers", self.markers, 3, "m"), ("bodies", self.bodies, 3, "m"), ("rotations", self.bodies, 9, ""),
+        ):  # fmt: skip
+            if names:
+                specs[output] = StreamSpec(
+                    (len(names), width), rate_hz=self.rate_hz, channels=names, units=(unit,), meta=meta
+                )
+        return specs
+
+    def read(self, feed: Feed) -> None:
+        with TcpTransport(f"tcp://{self.server}:{self.port}") as link:
+            talk = QualisysTalk(link, feed)
+            talk.expect(protocol.COMMAND, "")
+            talk.ask(f"version {protocol.VERSION}", protocol.COMMAND, "Version set to")
+            rate, markers, bodies = protocol.names(talk.ask("getparameters general 3d 6d", protocol.XML, "<"))
+            if rate and abs(rate / self.rate_hz - 1) > SAME_RATE:
+                raise DeviceError(f"QTM captures at {rate:g} Hz, not {self.rate_hz:g}; write rate_hz: {rate:g}")
+            feed.identify("Qualisys QTM", server=self.server, markers=float(len(markers)), bodies=float(len(bodies)))
+            reading = QualisysReading(self, markers, bodies)
+            parts = (*(("3d",) if self.markers else ()), *(("6d",) if self.bodies else ()))
+            link.write(protocol.command(f"streamframes allframes {' '.join(parts)}"))
+            feed.ready()
+            clock_log = ClockLog(f"QTM {self.server}", feed, lambda: reading.stamps.state)
+            try:
+                while not feed.stopped:
+                    for kind, payload in talk.packets():
+                        reading.take(kind, payload, feed)
+                    clock_log.tell()
+            finally:
+                with suppress(DeviceError):
+                    link.write(protocol.command("streamframes stop"))
+
+
+class QualisysTalk:
+    """Commands and their answers."""
+
+    def __init__(self, link: TcpTransport, feed: Feed) -> None:
+        self._link, self._feed, self._decoder = link, feed, QualisysDecoder()
+
+    def packets(self) -> list[tuple[int, bytes]]:
+        """What has come within a tenth of a second; raises DeviceError."""
+        try:
+            return self._decoder.feed(self._link.read(0.1))
+        except QualisysError as error:
+            raise DeviceError(f"{self._link.address}: {error}") from None
+
+    def ask(self, text: str, kind: int, begins: str) -> str:
+        self._link.write(protocol.command(text))
+        return self.expect(kind, begins, text)
+
+    def expect(self, kind: int, begins: str, asked: str = "a connection") -> str:
+        """The text of the next packet of that kind; raises DeviceError."""
+        deadline = time.monotonic() + ANSWER_S
+        while time.monotonic() < deadline and not self._feed.stopped:
+            for came, payload in self.packets():
+                said = protocol.text_of(payload)
+                if came == kind and said.startswith(begins):
+                    return said
+                if came in (protocol.ERROR, kind):
+                    raise DeviceError(f"QTM answers {said!r} to {asked!r}")
+        raise DeviceError(f"{self._link.address} does not answer {asked!r}; is QTM's real-time output on?")
+
+
+class QualisysReading:
+    """Packets to chunks. Raises DeviceError for a name that QTM does not have."""
+
+    def __init__(self, of: Qualisys, markers: list[str], bodies: list[str]) -> None:
+        self._of = of
+        self.stamps = Stamps(of.rate_hz, counter_bits=32, has_time=True, latency_s=of.latency_s)
+        self._markers = [_place(markers, name, "marker") for name in of.markers]
+        self._bodies = [_place(bodies, name, "rigid body") for name in of.bodies]
+
+    def take(self, kind: int, payload: bytes, feed: Feed) -> None:
+        if kind != protocol.DATA:
+            feed.problem("capture has ended") if kind == protocol.NO_MORE else None
+            return
+        try:
+            frame = protocol.frame(payload)
+        except QualisysError:
+            feed.problem("cut frame")
+            return
+        arrival = feed.now()
+        packets = self.stamps.take(1, arrival, np.array([frame.time_us * 1000]), np.array([frame.number]))
+        if not len(packets.stamp):
+            feed.problem("repeated frame or wrong time")
+            return
+        if lost := int(packets.lost[0]):
+            feed.problem("lost frame" if lost > 0 else "device restarted", max(lost, 1))
+        for output, row in self._rows(frame).items():
+            for chunk in chunks(packets.stamp, packets.lost, row[None]):
+                feed.emit(chunk, output)
+        feed.emit(timing_chunk(packets.number, packets.device, arrival, packets.stamp), "timing")
+
+    def _rows(self, frame: QualisysFrame) -> dict[str, Samples]:
+        made: dict[str, Samples] = {}
+        if self._markers:
+            made["markers"] = _chosen(frame.markers, self._markers) / 1000
+        if self._bodies:
+            rows = _chosen(frame.bodies, self._bodies)
+            made["bodies"], made["rotations"] = rows[:, :3] / 1000, np.ascontiguousarray(rows[:, 3:])
+        return made
+
+
+def _chosen(rows: np.ndarray, places: list[int]) -> Samples:
+    """Those rows; NaN for one that a frame does not have."""
+    made = np.full((len(places), rows.shape[1]), np.nan)
+    for i, place in enumerate(places):
+        if place < len(rows):
+            made[i] = rows[place]
+    return made
+
+
+def _place(known: list[str], name: str, what: str) -> int:
+    if name not in known:
+        raise DeviceError(f"QTM streams no {what} {name!r}; {nearest(name, known)}")
+    return known.index(name)

@@ -1,0 +1,70 @@
+"""A depth camera of no maker with someone before it, rendered: a source of its own, as fast as the graph takes it if that is wanted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import count
+from typing import ClassVar
+
+import numpy as np
+
+from devices.simulators.rendered_performer import POINTS, RenderedPerformer, camera_of
+from stream.chunk import NS, Chunk, Specs, StreamSpec
+from stream.params import param
+from stream.source import Feed, Source
+
+
+@dataclass(frozen=True, slots=True)
+class BeforeCamera(Source):
+    """Someone who stands, walks on the spot and moves the arms before a depth camera, after two seconds of an empty room.
+
+    depth   (height, width) uint16 mm, 0: no measurement
+    mono    (height, width) uint8, the same pixels
+    joints  (13, 3) m: where the joints are; x right, y down, z away from the camera
+
+    Frame i is the same whenever and in whatever chunks it is made.
+    """
+
+    outputs: ClassVar[tuple[str, ...]] = ("depth", "mono", "joints")
+
+    width: int = param(320, least=64, most=1280, help="pixels in a row")
+    height: int = param(200, least=48, most=1024, help="rows")
+    fps: float = param(30.0, above=1.0, most=120.0, help="frames per second")
+    seed: int = param(0, least=0, help="another seed, other noise")
+    duration_s: float = param(0.0, least=0.0, help="how long; 0: until stopped")
+    realtime: bool = param(True, help="false: as fast as the graph takes it")
+
+    @property
+    def live(self) -> bool:
+        return self.realtime
+
+    @property
+    def chunk_s(self) -> float:
+        return 1 / self.fps
+
+    def specs(self) -> Specs:
+        camera = dict(zip(("fx", "fy", "cx", "cy"), camera_of(self.width, self.height), strict=True))
+        meta = {"simulated": True, "camera": camera}
+        shape = (self.height, self.width)
+        return {
+            "depth": StreamSpec(shape, np.dtype(np.uint16), rate_hz=self.fps, units=("mm",), meta=meta),
+            "mono": StreamSpec(shape, np.dtype(np.uint8), rate_hz=self.fps, meta=meta),
+            "joints": StreamSpec((len(POINTS), 3), rate_hz=self.fps, channels=POINTS, units=("m",), meta=meta),
+        }
+
+    def prepare(self) -> None:
+        RenderedPerformer(64, 48).frame(0, 5.0)  # what it is drawn with is compiled before the session begins
+
+    def read(self, feed: Feed) -> None:
+        performer, begun = RenderedPerformer(self.width, self.height, seed=self.seed), feed.now()
+        last = round(self.duration_s * self.fps)
+        for frame in range(last) if last else count():
+            stamp, seconds = begun + round(frame * NS / self.fps), frame / self.fps
+            if self.realtime and feed.wait(max(0, stamp - feed.now()) / NS):
+                return
+            if feed.stopped:
+                return
+            at = np.array([stamp])
+            feed.emit(Chunk(at, performer.frame(frame, seconds)[None], stamp), "depth")
+            feed.emit(Chunk(at, performer.image(frame, seconds)[None], stamp), "mono")
+            feed.emit(Chunk(at, performer.joints(seconds)[None], stamp), "joints")

@@ -1,0 +1,63 @@
+"""Datagrams that come to this computer by UDP, behind the interface of a serial port: each read gives one."""
+
+from __future__ import annotations
+
+import errno
+import select
+import socket
+from contextlib import suppress
+from typing import Self
+
+from stream.errors import DeviceError
+
+MOST = 65536
+BUFFER = 1 << 20
+"""Bytes that the system is asked to keep while nobody reads."""
+
+
+class UdpTransport:
+    """Listens at "udp://host:port": 127.0.0.1 hears this computer alone, 0.0.0.0 everybody."""
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        host, _, port = address.removeprefix("udp://").rpartition(":")
+        if not host or not port.isdigit() or int(port) > 65535:
+            raise DeviceError(
+                f"{address!r} is no address to listen at; write udp://127.0.0.1:PORT, or udp://0.0.0.0:PORT"
+            )
+        host = host.strip("[]")
+        self._socket = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((host, int(port)))
+        except OSError as error:
+            self._socket.close()
+            why = (
+                "another program listens there; close that one first"
+                if error.errno == errno.EADDRINUSE
+                else error.strerror or error
+            )
+            raise DeviceError(f"{address} cannot be listened at: {why}") from None
+        with suppress(OSError):
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
+
+    def read(self, timeout_s: float) -> bytes:
+        """One datagram."""
+        try:
+            if not select.select([self._socket], [], [], timeout_s)[0]:
+                return b""
+            return self._socket.recv(MOST)
+        except (OSError, ValueError) as error:
+            raise DeviceError(f"{self.address} is gone: {error}") from None
+
+    def write(self, data: bytes) -> None:
+        raise DeviceError(f"{self.address}: nothing can be sent to a device that only sends datagrams")
+
+    def close(self) -> None:
+        with suppress(OSError):
+            self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
