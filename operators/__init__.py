@@ -7,6 +7,13 @@ from stream.lazy import offered
 if TYPE_CHECKING:
     from operators.align import Align
     from operators.arithmetic import Arithmetic
+    from operators.body.background import Background
+    from operators.body.extrema import Extrema
+    from operators.body.markers import Markers
+    from operators.body.persons import Persons
+    from operators.body.pose_network import PoseNetwork
+    from operators.body.relief import Relief
+    from operators.body.surer import Surer
     from operators.channels import Select
     from operators.decimate import Decimate
     from operators.depth.activity import Activity
@@ -20,7 +27,11 @@ if TYPE_CHECKING:
     from operators.depth.view import View
     from operators.derivative import Derivative
     from operators.emg import Envelope
+    from operators.emg.channel_watch import ChannelWatch
     from operators.emg.electrode_watch import ElectrodeWatch
+    from operators.emg.median_frequency import MedianFrequency
+    from operators.emg.mixture_drift import MixtureDrift
+    from operators.emg.mixtures import PeakMixtures
     from operators.emg.normalise import Normalise
     from operators.emg.quality import SignalQuality
     from operators.extremes import MovingMax, MovingMin
@@ -30,46 +41,70 @@ if TYPE_CHECKING:
     from operators.features.rest import SkipRest
     from operators.features.stack import Stack
     from operators.features.standardise import Standardise
+    from operators.force_plate import ForcePlate
     from operators.gait.acceleration import AccelerationContacts
+    from operators.gait.bursts import CycleBursts
+    from operators.gait.cycle_targets import CycleTargets
     from operators.gait.cycle_watch import CycleWatch
     from operators.gait.cycles import Cycles
     from operators.gait.ensemble import CycleEnsemble
+    from operators.gait.footfalls import Footfalls
     from operators.gait.force import ForceContacts, SwitchContacts
     from operators.gait.inertial import InertialContacts
+    from operators.gait.limb_contacts import LimbContacts
+    from operators.gait.limb_cycles import LimbCycles
+    from operators.gait.limb_watch import LimbWatch
     from operators.gait.marker import MarkerContacts
+    from operators.gait.pattern_watch import PatternWatch
     from operators.gait.review import CycleReview
+    from operators.gait.stages import Stages
     from operators.gait.statistics import CycleStatistics
+    from operators.gait.symmetry import LimbSymmetry
     from operators.gaps import FillGaps
     from operators.iir import Bandpass, Highpass, Lowpass, Notch
     from operators.mean import RemoveMean
     from operators.moving import MovingMean, MovingRms
     from operators.neighbours import Neighbours
+    from operators.one_euro import OneEuro
     from operators.pause import Pause
+    from operators.predict import Predict
     from operators.rectify import Rectify
     from operators.resample import Resample
     from operators.scale import Scale
     from operators.segmentation import Segment
+    from operators.segmentation.naming import NameRepetitions
     from operators.sleep.epochs import Epochs
     from operators.sleep.nights import Nights
     from operators.sleep.periods import SleepPeriods
     from operators.sleep.scorer import SleepScorer
     from operators.sleep.statistics import SleepStatistics
     from operators.smooth import Binomial
+    from operators.steering.actors import Actors
+    from operators.steering.operator import SteerMesh
+    from operators.steps.classifier import StepClassifier
+    from operators.steps.steps import Steps
     from operators.threshold import Threshold
+    from operators.whole_pose.footing import Footing
+    from operators.whole_pose.operator import WholePose
 
 __all__ = [
     "AccelerationContacts",
     "Activity",
+    "Actors",
     "Align",
     "Arithmetic",
+    "Background",
     "Bandpass",
     "BedRegion",
     "Binomial",
     "Breathing",
     "Bundle",
+    "ChannelWatch",
+    "CycleBursts",
     "CycleEnsemble",
     "CycleReview",
     "CycleStatistics",
+    "CycleTargets",
     "CycleWatch",
     "Cycles",
     "Decimate",
@@ -77,28 +112,47 @@ __all__ = [
     "ElectrodeWatch",
     "Envelope",
     "Epochs",
+    "Extrema",
     "FillGaps",
+    "Footfalls",
+    "Footing",
     "ForceContacts",
+    "ForcePlate",
     "Highpass",
     "InertialContacts",
+    "LimbContacts",
+    "LimbCycles",
+    "LimbSymmetry",
+    "LimbWatch",
     "Lowpass",
     "MarkerContacts",
+    "Markers",
+    "MedianFrequency",
     "Mirror",
+    "MixtureDrift",
     "Motion",
     "MovingMax",
     "MovingMean",
     "MovingMin",
     "MovingRms",
+    "NameRepetitions",
     "Neighbours",
     "NightMap",
     "Nights",
     "Normalise",
     "Notch",
+    "OneEuro",
+    "PatternWatch",
     "Pause",
+    "PeakMixtures",
+    "Persons",
     "Pose",
+    "PoseNetwork",
+    "Predict",
     "Presence",
     "Rectify",
     "RegionDepth",
+    "Relief",
     "RemoveMean",
     "Resample",
     "Scale",
@@ -111,10 +165,16 @@ __all__ = [
     "SleepScorer",
     "SleepStatistics",
     "Stack",
+    "Stages",
     "Standardise",
+    "SteerMesh",
+    "StepClassifier",
+    "Steps",
+    "Surer",
     "SwitchContacts",
     "Threshold",
     "View",
+    "WholePose",
 ]
 
 __getattr__, __dir__ = offered(
@@ -122,16 +182,21 @@ __getattr__, __dir__ = offered(
     {
         "AccelerationContacts": "operators.gait.acceleration",
         "Activity": "operators.depth.activity",
+        "Actors": "operators.steering.actors",
         "Align": "operators.align",
         "Arithmetic": "operators.arithmetic",
+        "Background": "operators.body.background",
         "Bandpass": "operators.iir",
         "BedRegion": "operators.depth.bed",
         "Binomial": "operators.smooth",
         "Breathing": "operators.depth.breathing",
         "Bundle": "operators.features.bundle",
+        "ChannelWatch": "operators.emg.channel_watch",
+        "CycleBursts": "operators.gait.bursts",
         "CycleEnsemble": "operators.gait.ensemble",
         "CycleReview": "operators.gait.review",
         "CycleStatistics": "operators.gait.statistics",
+        "CycleTargets": "operators.gait.cycle_targets",
         "CycleWatch": "operators.gait.cycle_watch",
         "Cycles": "operators.gait.cycles",
         "Decimate": "operators.decimate",
@@ -139,28 +204,47 @@ __getattr__, __dir__ = offered(
         "ElectrodeWatch": "operators.emg.electrode_watch",
         "Envelope": "operators.emg",
         "Epochs": "operators.sleep.epochs",
+        "Extrema": "operators.body.extrema",
         "FillGaps": "operators.gaps",
+        "Footfalls": "operators.gait.footfalls",
+        "Footing": "operators.whole_pose.footing",
         "ForceContacts": "operators.gait.force",
+        "ForcePlate": "operators.force_plate",
         "Highpass": "operators.iir",
         "InertialContacts": "operators.gait.inertial",
+        "LimbContacts": "operators.gait.limb_contacts",
+        "LimbCycles": "operators.gait.limb_cycles",
+        "LimbSymmetry": "operators.gait.symmetry",
+        "LimbWatch": "operators.gait.limb_watch",
         "Lowpass": "operators.iir",
         "MarkerContacts": "operators.gait.marker",
+        "Markers": "operators.body.markers",
+        "MedianFrequency": "operators.emg.median_frequency",
         "Mirror": "operators.features.mirror",
+        "MixtureDrift": "operators.emg.mixture_drift",
         "Motion": "operators.depth.motion",
         "MovingMax": "operators.extremes",
         "MovingMean": "operators.moving",
         "MovingMin": "operators.extremes",
         "MovingRms": "operators.moving",
+        "NameRepetitions": "operators.segmentation.naming",
         "Neighbours": "operators.neighbours",
         "NightMap": "operators.depth.night_map",
         "Nights": "operators.sleep.nights",
         "Normalise": "operators.emg.normalise",
         "Notch": "operators.iir",
+        "OneEuro": "operators.one_euro",
+        "PatternWatch": "operators.gait.pattern_watch",
         "Pause": "operators.pause",
+        "PeakMixtures": "operators.emg.mixtures",
+        "Persons": "operators.body.persons",
         "Pose": "operators.features.pose",
+        "PoseNetwork": "operators.body.pose_network",
+        "Predict": "operators.predict",
         "Presence": "operators.depth.presence",
         "Rectify": "operators.rectify",
         "RegionDepth": "operators.depth.region",
+        "Relief": "operators.body.relief",
         "RemoveMean": "operators.mean",
         "Resample": "operators.resample",
         "Scale": "operators.scale",
@@ -173,9 +257,15 @@ __getattr__, __dir__ = offered(
         "SleepScorer": "operators.sleep.scorer",
         "SleepStatistics": "operators.sleep.statistics",
         "Stack": "operators.features.stack",
+        "Stages": "operators.gait.stages",
         "Standardise": "operators.features.standardise",
+        "SteerMesh": "operators.steering.operator",
+        "StepClassifier": "operators.steps.classifier",
+        "Steps": "operators.steps.steps",
+        "Surer": "operators.body.surer",
         "SwitchContacts": "operators.gait.force",
         "Threshold": "operators.threshold",
         "View": "operators.depth.view",
+        "WholePose": "operators.whole_pose.operator",
     },
 )

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from operators.align_lane import METHODS, AlignedInput
-from operators.channels import names_of
+from operators.inputs.channels import names_of
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Emitted, Operator, grid

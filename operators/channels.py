@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from operators.inputs.channels import find_channel, names_of
 from stream.chunk import Array, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
 from stream.filter import SampleWise
@@ -93,20 +94,3 @@ class Select(SampleWise[SelectState]):
                 least=200,
             ),
         ]
-
-
-def names_of(spec: StreamSpec) -> tuple[str, ...]:
-    """A stream's channel names, or its channels' numbers as texts."""
-    return spec.channels or tuple(map(str, range(spec.shape[spec.channel_axis])))
-
-
-def find_channel(spec: StreamSpec, given: str | int, parameter: str) -> int:
-    """The place of a channel that a parameter names, or numbers from 0."""
-    names = names_of(spec)
-    if isinstance(given, int) and str(given) not in names:
-        if 0 <= given < len(names):
-            return given
-        raise ParameterError(parameter, given, f"a channel's name, or a number from 0 to {len(names) - 1}")
-    if str(given) not in names:
-        raise ParameterError(parameter, given, f"a channel of the input; {nearest(str(given), names)}")
-    return names.index(str(given))

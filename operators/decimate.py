@@ -46,10 +46,10 @@ class Decimate(Filter[DecimateState]):
 
     There is no filter in it: what lies above half of the new rate folds down, so a low-pass must come before it (or use Resample). In a
     gap the lost samples are counted by time, so that what is kept stays on its grid; a gap above the limit begins a new grid. Bad samples
-    are kept like others, infinity as NaN. While samples flow, `until` is told with every kept sample only.
+    are kept like others, infinity as NaN. While samples flow, `until` is reported with every kept sample only.
     """
 
-    every: int = param(least=1, help="one sample in so many is kept")
+    every: int = param(least=1, help="keep one sample in this many")
     kernel = thin_on
 
     def begin(self, spec: StreamSpec) -> DecimateState:

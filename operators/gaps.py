@@ -9,7 +9,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from operators.continuity import Continuity, watch
+from operators.inputs.continuity import Continuity, watch
 from stream.chunk import FOREVER, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
 from stream.finite import finite

@@ -18,7 +18,6 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from operators.remembered import remembered
 from stream.chunk import Samples, StreamSpec, Times
 from stream.errors import ParameterError
 from stream.filter import Filter, FilterState, Kernel
@@ -26,6 +25,7 @@ from stream.finite import finite
 from stream.kernel import kernel
 from stream.operator import Case, grid
 from stream.params import param
+from stream.remembered import remembered
 from stream.require import regular, width_of
 
 SETTLED = 0.01

@@ -38,6 +38,7 @@ class Pause(_Gate):
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("in", "switch")
+    acts: ClassVar[tuple[str, ...]] = ("switch",)
 
     def open(self, specs: Specs) -> Specs:
         switch = specs["switch"]

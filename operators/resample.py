@@ -11,14 +11,14 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.continuity import Continuity, back, watch
-from operators.remembered import remembered
+from operators.inputs.continuity import Continuity, back, watch
 from stream.chunk import NEVER, NS, STAMP, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
 from stream.filter import reset_gap
 from stream.kernel import kernel
 from stream.operator import Case, Operator, grid
 from stream.params import param
+from stream.remembered import remembered
 from stream.require import numeric, regular
 
 MOST = 1000
@@ -46,7 +46,7 @@ def polyphase(
     table   (up, k)  the filter's phases, each beginning with the weight of the newest sample
     phases  (3, up)  per phase: how much later than the newest sample an output's stamp is (ns; mostly negative), and the first and last
                      age, in samples, of those samples that lie nearest to the output in time (last excluded)
-    held    (c,)     each channel's newest finite value, which stands in for bad ones
+    held    (c,)     each channel's newest finite value, which replaces bad ones
     ring    (2l, c)  the newest l values, each written twice, l rows apart; `bad` (2l, c) says which of them stand for bad samples
     places  (3,)     the place in the ring that is filled next; how far ahead of the next sample the next output lies, in steps of the
                      upsampled signal; the stamp of the newest output

@@ -8,8 +8,8 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from operators.channels import find_channel, names_of
-from operators.continuity import Continuity, watch
+from operators.inputs.channels import names_of, the_channel
+from operators.inputs.continuity import Continuity, watch
 from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.filter import reset_gap
@@ -107,7 +107,7 @@ class Threshold(Operator[ThresholdState]):
         numeric(spec)
         if not spec.is_signal:
             raise InputError("in", spec.describe(), "a signal of channels")
-        channel = self._find(spec)
+        channel = the_channel(spec, self.channel)
         sign = 1.0 if self.direction == "above" else -1.0
         release = self.level if self.release is None else self.release
         if sign * release > sign * self.level:
@@ -122,7 +122,8 @@ class Threshold(Operator[ThresholdState]):
             now=np.array([UNKNOWN, 0, NEVER], np.int64),
             peak=np.zeros(1),
         )
-        self.hold(state)
+        told_s = self.min_duration_s + spec.period_ns / NS
+        self.hold(state, decision_s={"onset": told_s, "interval": spec.period_ns / NS})
         name = names_of(spec)[channel]
         unit = spec.units[channel % len(spec.units)]
         about: dict[str, Any] = {"settling_s": spec.settling_s, "meta": {**spec.meta, "channel": name}}
@@ -130,13 +131,6 @@ class Threshold(Operator[ThresholdState]):
             "onset": StreamSpec((), ONSET, units=("ns",), **about),
             "interval": StreamSpec((), INTERVAL, units=("ns", "ns", unit), **about),
         }
-
-    def _find(self, spec: StreamSpec) -> int:
-        if self.channel is not None:
-            return find_channel(spec, self.channel, "channel")
-        if spec.shape[0] != 1:
-            raise ParameterError("channel", None, f"one of {', '.join(map(repr, names_of(spec)))}")
-        return 0
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
         state = self.state

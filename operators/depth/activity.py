@@ -39,13 +39,13 @@ EPOCH_SEEN = np.dtype(
 LEAST_EPOCHS = 4
 """Fewer tell nothing of the noise."""
 RESTLESS = 3.0
-"""No noise in bed is so many times that of the empty bed, unless it has been as steady as noise is."""
+"""No noise in bed is this many times that of the empty bed, unless it has been as steady as noise is."""
 STEADY, STEADY_EPOCHS = 0.2, 20
-"""Noise, unlike movement, scatters by less than this share of its level, within an epoch's still part and over so many epochs."""
+"""Noise, unlike movement, scatters by less than this share of its level, within an epoch's still part and over this many epochs."""
 LIGHT_S, LIGHT_SHARE = 12.0, 0.9
 """A rise for at least so long, with hardly a pause, and as steady as noise, may be a light that makes depths noisier."""
 DISPLACED = 0.2
-"""It is none where it grows by so much of itself over twice the time: a random walk grows by 0.41, steady movement by 1, noise by 0."""
+"""It is none where it grows by this share of itself over twice the time: a random walk grows by 0.41, steady movement by 1, noise by 0."""
 
 WHYS = np.array(["", "unseen", "dark", "camera", "still", "region", "body"])
 
@@ -145,7 +145,7 @@ class Activity(Operator[ActivityState]):
     is no movement: nothing is displaced, depths have become noisier, as by a light. It counts as not seen, until three quarters of those
     epochs have it. (Trembling faster than the looks follow each other would pass for it, were it as steady.)
 
-    A silence up to `reset_gap_s` gives epochs of NaN; beyond it everything begins anew. Delay: one epoch.
+    A silence up to `reset_gap_s` gives epochs of NaN; beyond it everything starts again. Delay: one epoch.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("view", "bed", "far", "motion")
@@ -155,7 +155,7 @@ class Activity(Operator[ActivityState]):
     epoch_s: float = param(
         30.0, above=0.0, most=3600.0, help="length of an epoch; epochs begin at whole multiples of it since 1970"
     )
-    smooth_s: float = param(0.5, above=0.0, help="movement is judged on averages over so long")
+    smooth_s: float = param(0.5, above=0.0, help="movement is judged on averages of this length")
     sigmas: float = param(6.0, above=0.0, help="how far above the noise movement begins: lower is more sensitive")
     least_rise: float = param(0.05, least=0.0, help="and how far at least, as a share of the noise")
     least_s: float = param(1.0, least=0.0, help="less movement in an epoch is none")

@@ -20,12 +20,12 @@ from stream.params import param
 
 BIN_MM = 50.0
 FLOOR_SHARE = 0.05
-"""The floor: the farthest depth, to 50 mm, at which so much of the frame lies."""
+"""The floor: the farthest depth, to 50 mm, at which this share of the frame lies."""
 LEAST_FILLED = 0.6
 """How much of its rectangle a plateau must fill to be a bed."""
 
 LARGE = 20
-"""A bed of more blocks than this is told without those at its edge."""
+"""A bed of more blocks than this is reported without those at its edge."""
 
 Told: TypeAlias = list[tuple[int, str, int, int, int, int, bool]]
 
@@ -54,11 +54,11 @@ class BedState:
 class BedRegion(Operator[BedState]):
     """Mean depths of blocks in, one event per sleeper out: the rectangle of pixels where that sleeper lies.
 
-    With `regions` they are told with the first sample. Without, the bed is looked for in the mean of `learn_s`: the largest plateau
+    With `regions` they are reported with the first sample. Without, the bed is looked for in the mean of `learn_s`: the largest plateau
     from `lowest_mm` to `highest_mm` above the floor, if it covers `least_share` of the frame and most of its own rectangle; less a block
     at sides of more than 20, for blocks that hold the bed's edge tremble with the pixels that happen to be measured. Several sleepers
     share it side by side, along its longer side, in the order of their names from the left (or the top). That suits a camera that looks
-    down on a bed and some floor; anything else has to be set. While none is found nothing is told, and it is looked for again.
+    down on a bed and some floor; anything else has to be set. While none is found nothing is reported, and it is looked for again.
 
     When the camera was moved (`view`, of operators.depth.view.View), a region without rows says that it is not known. One that was found
     is looked for again; one that was set goes with the picture, as far as the frame reaches, if the jump could be measured. If not, it
@@ -66,6 +66,7 @@ class BedRegion(Operator[BedState]):
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("view", "in")
+    acts: ClassVar[tuple[str, ...]] = ("in",)
     optional: ClassVar[tuple[str, ...]] = ("view",)
 
     sleepers: tuple[str, ...] = param(("sleeper",), help="who lies in the bed: a name for each")

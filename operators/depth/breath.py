@@ -13,7 +13,7 @@ from stream.chunk import Samples
 from stream.kernel import kernel
 
 HALF_WIDTH = 4.0
-"""Power within so many breaths per minute of the peak counts as the peak's: a window of 30 s smears it so far."""
+"""Power within this many breaths per minute of the peak counts as the peak's: a window of 30 s smears it so far."""
 
 
 @kernel

@@ -34,11 +34,11 @@ FASTEST_TICK_HZ = 2.0
 LOWEST, HIGHEST, STEP = 6.0, 40.0, 0.5
 """Breaths per minute that are looked for."""
 BEST = 6
-"""So many cells, those that vary most slowly, are taken for the chest."""
+"""This many cells, those that vary most slowly, are taken for the chest."""
 EDGE_MM = 150.0
 """So far apart are neighbouring cells where there is an edge: their means tremble, see `operators.depth.seconds.steep`."""
 NIGHT_NS = 4 * 3600 * NS
-"""After so long out of bed, coverage is counted anew."""
+"""After this long out of bed, coverage is counted from zero."""
 
 Rows = list[tuple[Any, ...]]
 

@@ -74,7 +74,7 @@ def distance(frame: Frame, other: Frame, regions: Times, least: float, out: Samp
 
 @kernel(nogil=True)
 def conclude(sums: Sums, seen: Seen, cell: int, out: Samples) -> None:
-    """D(p) of the epoch as the mean of each cell, into `out` (h/cell, w/cell), NaN where nothing was measured; the sums begin anew."""
+    """D(p) of the epoch as the mean of each cell, into `out` (h/cell, w/cell), NaN where nothing was measured; the sums start again."""
     for r in range(out.shape[0]):
         for q in range(out.shape[1]):
             total, count = 0.0, 0

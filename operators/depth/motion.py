@@ -69,7 +69,7 @@ class Motion(Operator[MotionState]):
     out  (sleepers,) float64, mm: N(t), the mean change since the look before over the sleeper's region (thesis, eq. 4.2; stamped with
          the later frame); without `regions` over the whole frame, and the channel is called "frame"
     far  (sleepers,) float64, mm: the same over two looks. What is displaced moves farther in twice the time, noise does not: so light on
-         the bed, which makes depths noisier, is told from movement (operators.depth.activity.Activity)
+         the bed, which makes depths noisier, is distinguished from movement (operators.depth.activity.Activity)
     map  an event per epoch: D(p), the mean change from look to look (thesis, eq. 4.1), as means of cells of a block
 
     A look is a frame in `step_s`, the others are passed over. The thesis compares every frame with the next. But a limb that takes a
@@ -85,6 +85,7 @@ class Motion(Operator[MotionState]):
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("scene", "regions", "frames")
+    acts: ClassVar[tuple[str, ...]] = ("frames",)
     optional: ClassVar[tuple[str, ...]] = ("scene", "regions")
     outputs: ClassVar[tuple[str, ...]] = ("out", "far", "map")
 

@@ -54,6 +54,7 @@ class NightMap(Operator[NightMapState]):
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("bed", "seen", "map", "nights")
+    acts: ClassVar[tuple[str, ...]] = ("map", "nights")
     optional: ClassVar[tuple[str, ...]] = ("bed", "seen")
 
     def open(self, specs: Specs) -> Specs:

@@ -49,7 +49,7 @@ class Noise:
         return level + max(sigmas * scatter, least_rise * level)
 
     def steady(self, k: int, most: float, epochs: int) -> bool:
-        """Whether the stillest half of at least so many epochs scatters by at most `most` of its level, in each and among all."""
+        """Whether the stillest half of at least this many epochs scatters by at most `most` of its level, in each and among all."""
         n = min(int(self.count[k]), EPOCHS)
         if n < epochs:
             return False

@@ -28,12 +28,12 @@ NAMES = np.array(["unknown", "in", "out"])
 AGAIN = 0.7
 """Out of bed below this share of what makes in bed."""
 BLIND_S = 300.0
-"""While the empty bed is not known: without movement for so long is an empty bed."""
+"""While the empty bed is not known: without movement for this long is an empty bed."""
 PAUSE_NS = 5 * NS
 CROWD, ALONE = 1.4, 1.2
-"""A second body: from so many times on, and down to so many times, the share that one body raises."""
+"""A second body: from this many times on, and down to this many times, the share that one body raises."""
 CROWD_S, ALONE_S = 30, 300
-"""For so long; and so long after lying down the share of one body is known."""
+"""For this long; and so long after lying down the share of one body is known."""
 DOUBTS = ("", "still", "region", "camera", "dark")
 STILL, ODD, CAMERA, DARK = 1, 2, 3, 4
 ALIVE = 0.005
@@ -86,12 +86,12 @@ class Presence(Operator[PresenceState]):
     height  (sleepers,) float64, mm, once a second: how high the region is above the empty bed, on average; NaN: not known
 
     In bed: a share of `least_share` of the region is more than `rise_mm` above the empty bed; out: less than 0.7 of that share.
-    The empty bed is learned where nothing moves for `learn_s`, breath included, and nobody is known to be in bed; and learned anew
+    The empty bed is learned where nothing moves for `learn_s`, breath included, and nobody is known to be in bed; and learned again
     whenever that is so again (a blanket lies differently, the camera has sunk). Nothing moves: hardly any block of the region varies,
     second by second, by more than `still_mm` and three times what blocks of the frame vary by on average.
     Before the empty bed is known, movement in the region is somebody in bed, and 5 min without any is an empty bed. Afterwards, too, so
     long as `vacant_min` without any movement or breath is an empty bed, however high it is: a heap of blankets. Unseen for `unseen_s` is
-    unknown. Who sleeps without visible breath for so long is taken for absent; set `vacant_min: 0` against that.
+    unknown. Who sleeps without visible breath for this long is taken for absent; set `vacant_min: 0` against that.
 
     What cannot be judged is `unknown`, and `why` says so: no breath and no movement for `unsure_min`, though the bed is high (a heap that
     was left behind, or breath that is not seen): then movement, or a flat bed, decides; movement for `odd_min` without a break where
@@ -106,12 +106,16 @@ class Presence(Operator[PresenceState]):
     rise_mm: float = param(80.0, above=0.0, help="how far above the empty bed a body is")
     least_share: float = param(0.15, above=0.0, most=1.0, help="how much of the region a body covers at least")
     hold_s: float = param(5.0, least=0.0, help="for how long the depth must say so before it is believed")
-    learn_s: float = param(60.0, least=4.0, help="without movement for so long: this is the empty bed")
+    learn_s: float = param(60.0, least=4.0, help="stillness of this length shows the empty bed")
     still_mm: float = param(1.0, above=0.0, help="a block that varies less does not move")
-    vacant_min: float = param(45.0, least=0.0, help="so long without any movement is an empty bed; 0: never")
-    unsure_min: float = param(10.0, least=0.0, help="so long without movement or breath, and nobody knows; 0: never")
-    odd_min: float = param(10.0, least=0.0, help="movement for so long where nobody lies, and nobody knows; 0: never")
-    unseen_s: float = param(30.0, above=0.0, help="not seen for so long: unknown")
+    vacant_min: float = param(45.0, least=0.0, help="a bed without any movement for this long is empty; 0: never")
+    unsure_min: float = param(
+        10.0, least=0.0, help="without movement or breath for this long presence is unknown; 0: never"
+    )
+    odd_min: float = param(
+        10.0, least=0.0, help="with movement for this long where nobody lies it is unknown; 0: never"
+    )
+    unseen_s: float = param(30.0, above=0.0, help="not seen for this long: unknown")
     least_valid: float = param(0.2, above=0.0, most=1.0, help="share of the region's blocks that must be measured")
 
     def open(self, specs: Specs) -> Specs:

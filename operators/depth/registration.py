@@ -57,7 +57,7 @@ def registered(now: Samples, before: Samples) -> Fit:
 
 
 def shifted(depth: Samples, down: float, right: float) -> Samples:
-    """The map (rows, columns) moved by so many blocks; NaN where it came from outside.
+    """The map (rows, columns) moved by this many blocks; NaN where it came from outside.
 
     Where a block lies between two neighbours of other depths an edge runs through it, as far from either as its depth tells; the edge
     moves, nothing is blurred.
@@ -73,7 +73,7 @@ def shifted(depth: Samples, down: float, right: float) -> Samples:
 
 
 def _glided(depth: Samples, cells: int) -> Samples:
-    """Moved to the right by so many of the `CELLS` that a block is wide."""
+    """Moved to the right by this many of the `CELLS` that a block is wide."""
     rows, columns = depth.shape
     left = np.concatenate([depth[:, :1], depth[:, :-1]], axis=1)
     right = np.concatenate([depth[:, 1:], depth[:, -1:]], axis=1)

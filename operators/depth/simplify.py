@@ -59,7 +59,7 @@ class Simplify(Operator[SimplifyState]):
     With one component a block is its mean: of what is finer nothing at all is left. More let the strongest patterns within blocks
     through, mostly slopes and edges. Outlines and habits remain either way: that is not anonymous.
 
-    The thesis takes the components of every frame anew, the level among them (of depth, the first component is the level anyway). Here
+    The thesis takes the components of every frame by itself, the level among them (of depth, the first component is the level anyway). Here
     the others are learned from the blocks of the first `learn_s` and then fixed: that costs a tenth, and does not tremble with the
     frame. Until then a block is its mean. Every further stretch of `learn_s` (64 frames at least) is compared: where its own components
     would leave `1 / worse` of the variance or less, the scene has changed, and they are taken. Components are sought by orthogonal

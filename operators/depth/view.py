@@ -15,6 +15,7 @@ from operators.depth.registration import Fit, cost, registered
 from operators.depth.seconds import Seconds, add
 from stream.chunk import NEVER, NS, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError
+from stream.finite import only_finite
 from stream.operator import Case, Operator, grid
 from stream.params import param
 
@@ -25,7 +26,7 @@ RECENT = 5
 CONFIRM = 3
 """Seconds in a row in which a jump must explain the change."""
 ACCEPT_S = 60
-"""A change that no jump explains is a change in the room: after so long it is what is there."""
+"""A change that no jump explains is a change in the room: after this long it is what is there."""
 FLICKER_MM = 100.0
 """A block that differs so much from the second before was not measured, or something moved there."""
 LEAST_MM = 3.0
@@ -48,7 +49,7 @@ class ViewState:
     changed    seconds since it has differed more. explained, replaced: those in a row which a jump explains, or in which all is another
     since      when the present change was noticed first (ns)
     dark       whether it is; hidden: seconds in a row that say otherwise
-    told       whether anything was told; jumped: whether the newest that was told is a jump
+    told       whether anything was reported; jumped: whether the newest that was reported is a jump
     lost       what the next emission says is missing before it
     """
 
@@ -80,10 +81,10 @@ class View(Operator[ViewState]):
     dark    for `dark_s` less than `least_seen` of the blocks was measured steadily: a camera without a light of its own, at night
     steady  the view at the beginning, after darkness, and a minute after a jump
 
-    A jump is told some 3 to 8 s after it; a change below a quarter of a block, or one that takes longer than a minute, is not noticed.
+    A jump is reported some 3 to 8 s after it; a change below a quarter of a block, or one that takes longer than a minute, is not noticed.
     """
 
-    dark_s: float = param(10.0, least=2.0, help="for so long next to nothing must be measured")
+    dark_s: float = param(10.0, least=2.0, help="for how long next to nothing must be measured")
     least_seen: float = param(
         0.3, above=0.0, most=1.0, help="share of blocks that are measured steadily where it is light enough"
     )
@@ -142,7 +143,7 @@ class View(Operator[ViewState]):
         with np.errstate(invalid="ignore"):
             held = np.isfinite(mean) & ((np.abs(mean - before) < FLICKER_MM) | (s.count == 0))
         self._light(float(held.mean()), end, made)
-        s.newest[s.count % RECENT] = np.where(np.isfinite(mean), mean, np.nan)
+        s.newest[s.count % RECENT] = only_finite(mean)
         s.count += 1
         if not s.told and not s.dark:
             self._tell("steady", end - NS, end, made)

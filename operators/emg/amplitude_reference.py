@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from stream.chunk import Samples, StreamSpec
-from stream.complete import write_complete
 from stream.errors import KinegraphError, nearest
+from stream.json_file import read_json, write_json
 from stream.params import adapter
 
 FORMAT = "kinegraph amplitude reference 1"
@@ -53,26 +52,15 @@ class AmplitudeReference:
 
     def write(self, path: Path) -> None:
         """Raises CalibrationError where the file cannot be written."""
-        text = json.dumps({"format": FORMAT, **asdict(self)}, indent=2, allow_nan=False)
-        try:
-            write_complete(path, text + "\n")
-        except OSError as error:
-            raise CalibrationError(f"{path}: cannot be written: {error.strerror}") from None
+        write_json(path, {"format": FORMAT, **asdict(self)}, CalibrationError)
 
     @staticmethod
     def read(path: Path) -> AmplitudeReference:
         """Raises CalibrationError for a file that is missing, broken or something else."""
         from pydantic import ValidationError
 
-        try:
-            record = json.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise CalibrationError(
-                f"{path}: cannot be read: {error.strerror}; `kinegraph calibrate` makes references"
-            ) from None
-        except ValueError:
-            raise CalibrationError(f"{path}: is no amplitude reference (not JSON)") from None
-        if not isinstance(record, dict) or record.pop("format", None) != FORMAT:
+        record = read_json(path, "amplitude reference", CalibrationError, "`kinegraph calibrate` makes references")
+        if record.pop("format", None) != FORMAT:
             raise CalibrationError(f"{path}: is no amplitude reference; it must hold the format {FORMAT!r}")
         try:
             found: AmplitudeReference = adapter(AmplitudeReference).validate_python(record)

@@ -39,7 +39,7 @@ class ElectrodeState:
 class ElectrodeWatch(Operator[ElectrodeState]):
     """Signal quality (`operators.emg.quality.SignalQuality`) in, an alarm per channel out as soon as it is not good, with what to do.
 
-    A bad window is an alarm at once, a doubtful one if the next is not good either: with windows of 1 s a fault is told within 2 s. The
+    A bad window is an alarm at once, a doubtful one if the next is not good either: with windows of 1 s a fault is reported within 2 s. The
     alarm is over after `calm` good windows in a row. Stamped like the window.
     """
 

@@ -9,14 +9,15 @@ from typing import Literal
 import numpy as np
 
 from operators.emg.envelope_kernel import envelope, gap
+from operators.emg.one_kind import refuse_mixed
 from operators.emg.zero_phase import antialias_phases, highpass_reach, lowpass_phases
 from operators.iir import butterworth, steady_memory
-from operators.remembered import remembered
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.filter import reset_gap
 from stream.operator import Case, Emitted, Operator, grid
 from stream.params import param
+from stream.remembered import remembered
 
 BLOCK_S = 0.02
 """How much is filtered backwards at a time: twice as much costs 20 ms of look-ahead and saves a third of the work."""
@@ -77,7 +78,7 @@ class Envelope(Operator[EnvelopeState]):
 
     Delay: declared by `delay_s`, subtracted from the stamps. The last `delay_s` of a stream lack their look-ahead and do not come out.
     NaN or infinity: the last finite value of that channel stands in; the outputs whose interval holds it are NaN.
-    A gap longer than `reset_gap_s` starts anew, settling for `settling_s`; after a shorter one the samples are taken as consecutive.
+    A gap longer than `reset_gap_s` resets the filters, which take `settling_s` to settle; after a shorter one samples count as consecutive.
     """
 
     cutoff_hz: float = param(20.0, above=0.0, help="cut-off of the low-pass (each way)")
@@ -94,6 +95,7 @@ class Envelope(Operator[EnvelopeState]):
         spec = specs["in"]
         if not spec.is_signal or spec.rate_hz is None or spec.dtype.kind not in "iuf":
             raise InputError("in", spec.describe(), "a signal of channels at a regular rate")
+        refuse_mixed(spec)
         up, down, rate = self._ratio(spec.rate_hz)
         self._check(spec.rate_hz, rate)
         filters = (self._zero if self.phase == "zero" else self._causal)(spec.rate_hz, up, down, rate)
@@ -215,7 +217,7 @@ class Envelope(Operator[EnvelopeState]):
         return np.concatenate([np.array([up, down, block], np.int64), after])
 
     def _runs(self, chunk: Chunk) -> list[EnvelopeRun]:
-        """The chunk cut where a gap is long enough to start anew."""
+        """The chunk cut where a gap is long enough to start again."""
         s = self.state
         before = s.last if s.last != NEVER else int(chunk.time[0])
         same = s.filters.step[0] == s.filters.step[1]

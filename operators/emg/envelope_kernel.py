@@ -53,7 +53,7 @@ def sound(x: Samples, held: Samples) -> bool:
 def hold(
     x: Samples, i: int, held: Samples, bad: Array, slot: int, to: Samples, at: int, start: Samples, z: Samples
 ) -> None:
-    """Copy row i of `x` to row `at` of `to`; the last finite value (`held`) stands in for what is not finite, which `bad` notes.
+    """Copy row i of `x` to row `at` of `to`; the last finite value (`held`) replaces what is not finite, which `bad` notes.
 
     A channel's first finite value also sets the sections' memory as if it had always been there: no step from an offset.
     """
@@ -118,7 +118,7 @@ def envelope(
     step       (3 + up,)     up, down, B, then the ns that each of the `up` positions lies after its sample
     rectified  (2 V, c)      the last V = 2 h + 1 rectified samples, each kept twice, V apart, so that a window never wraps
     lp_sos     (q, 6)        causal low-pass at the output's rate (none: q = 0), lp_z (q, 2, c) its memory
-    held       (c,)          the last finite value; NaN: none yet; stands in for what is not finite
+    held       (c,)          the last finite value; NaN: none yet; replaces what is not finite
     bad        (R, c), stamps (R, 2)   per recent input sample: whether it was not finite; its stamp, and `lost` just before it
     count      (4,)          samples taken, rectified, rows written since the start or the last reset; rows filled in `ahead`
     marks      (rows, 2)     written: the output's stamp, and `lost` just before it

@@ -17,97 +17,103 @@ from stream.chunk import Samples
 from stream.kernel import kernel
 
 CYCLE = 100.0
+NOTHING = -200.0
+"""A share of exp(-200) is none."""
 
 
 @kernel
 def wrapped(place: float) -> float:
     """A place on the cycle, 0 <= place < 100."""
     within = place - CYCLE * floor(place / CYCLE)
-    return 0.0 if within >= CYCLE else within
+    return within if 0.0 <= within < CYCLE else 0.0
 
 
 @kernel
-def expect(
-    points: Samples, weights: Samples, means: Samples, covariances: Samples, turns: int, shares: Samples
-) -> float:
-    """How much each mode and turn accounts for each point; returns the mean log-likelihood of a point.
+def sweep(
+    points: Samples, weights: Samples, means: Samples, covariances: Samples,
+    turns: int, least: Samples, scratch: Samples,
+) -> float:  # fmt: skip
+    """One expectation and maximisation, of the mixture that is given and into it; returns the mean log-likelihood of a point before it.
 
-    points  (n, 2)
-    shares  (n, k, 2 turns + 1), written; the shares of a point add up to 1
+    How much each mode and turn accounts for a point is added up at once, as moments about the mode's mean, so no share is kept.
+
+    points   (n, 2)
+    least    (2,) is added to the variances of place and height (a mode of equal points)
+    scratch  (k, 10 + 2 turns + 1), written over
     """
     n, k, total = points.shape[0], weights.shape[0], 0.0
+    for j in range(k):
+        a, b, c = covariances[j, 0], covariances[j, 1], covariances[j, 2]
+        det = a * c - b * b
+        scratch[j, 0] = (log(weights[j]) if weights[j] > 0.0 else -inf) - log(2.0 * pi) - 0.5 * log(det)
+        scratch[j, 1], scratch[j, 2], scratch[j, 3] = c / det, b / det, a / det
+        scratch[j, 4:10] = 0.0
     for i in range(n):
         highest = -inf
         for j in range(k):
-            a, b, c = covariances[j, 0], covariances[j, 1], covariances[j, 2]
-            det = a * c - b * b
-            base = (log(weights[j]) if weights[j] > 0.0 else -inf) - log(2.0 * pi) - 0.5 * log(det)
             dy = points[i, 1] - means[j, 1]
             for t in range(2 * turns + 1):
                 dx = points[i, 0] + CYCLE * (t - turns) - means[j, 0]
-                value = base - 0.5 * (c * dx * dx - 2.0 * b * dx * dy + a * dy * dy) / det
-                shares[i, j, t] = value
+                far = scratch[j, 1] * dx * dx - 2.0 * scratch[j, 2] * dx * dy + scratch[j, 3] * dy * dy
+                value = scratch[j, 0] - 0.5 * far
+                scratch[j, 10 + t] = value
                 highest = max(highest, value)
         mass = 0.0
         for j in range(k):
             for t in range(2 * turns + 1):
-                shares[i, j, t] = exp(shares[i, j, t] - highest)
-                mass += shares[i, j, t]
+                near = scratch[j, 10 + t] - highest
+                scratch[j, 10 + t] = exp(near) if near > NOTHING else 0.0
+                mass += scratch[j, 10 + t]
         for j in range(k):
+            dy = points[i, 1] - means[j, 1]
             for t in range(2 * turns + 1):
-                shares[i, j, t] /= mass
+                r = scratch[j, 10 + t] / mass
+                if r > 0.0:
+                    dx = points[i, 0] + CYCLE * (t - turns) - means[j, 0]
+                    scratch[j, 4] += r
+                    scratch[j, 5] += r * dx
+                    scratch[j, 6] += r * dy
+                    scratch[j, 7] += r * dx * dx
+                    scratch[j, 8] += r * dx * dy
+                    scratch[j, 9] += r * dy * dy
         total += highest + log(mass)
+    maximise(n, weights, means, covariances, turns, least, scratch)
     return float(total / n)
 
 
 @kernel
 def maximise(
-    points: Samples, shares: Samples, least: Samples, turns: int, weights: Samples, means: Samples, covariances: Samples
+    n: int, weights: Samples, means: Samples, covariances: Samples, turns: int, least: Samples, scratch: Samples
 ) -> None:
-    """The mixture that the shares make likeliest; `least` (2,) is added to the variances of place and height (a mode of equal points)."""
-    n, k = points.shape[0], weights.shape[0]
-    for j in range(k):
-        mass = x = y = 0.0
-        for i in range(n):
-            for t in range(2 * turns + 1):
-                r = shares[i, j, t]
-                mass += r
-                x += r * (points[i, 0] + CYCLE * (t - turns))
-                y += r * points[i, 1]
+    """The mixture that the moments in `scratch[:, 4:10]` make likeliest: mass, place, height, and their products, about the old mean."""
+    for j in range(weights.shape[0]):
+        mass = scratch[j, 4]
         weights[j] = mass / n
         if mass <= 0.0:
             continue  # a mode that accounts for nothing stays where it is, with no weight
-        x /= mass
-        y /= mass
-        xx = xy = yy = 0.0
-        for i in range(n):
-            for t in range(2 * turns + 1):
-                r = shares[i, j, t]
-                dx, dy = points[i, 0] + CYCLE * (t - turns) - x, points[i, 1] - y
-                xx += r * dx * dx
-                xy += r * dx * dy
-                yy += r * dy * dy
-        means[j, 0] = wrapped(x) if turns else x
-        means[j, 1] = y
-        covariances[j, 0], covariances[j, 1], covariances[j, 2] = xx / mass + least[0], xy / mass, yy / mass + least[1]
+        x, y = scratch[j, 5] / mass, scratch[j, 6] / mass
+        covariances[j, 0] = max(scratch[j, 7] / mass - x * x, 0.0) + least[0]
+        covariances[j, 1] = scratch[j, 8] / mass - x * y
+        covariances[j, 2] = max(scratch[j, 9] / mass - y * y, 0.0) + least[1]
+        means[j, 0] = wrapped(means[j, 0] + x) if turns else means[j, 0] + x
+        means[j, 1] += y
 
 
 @kernel
 def fit(
     points: Samples, weights: Samples, means: Samples, covariances: Samples,
-    turns: int, least: Samples, tolerance: float, most: int, shares: Samples,
-) -> tuple[int, float]:  # fmt: skip
-    """Expectation and maximisation in turn, from the mixture that is given and into it, until the mean log-likelihood of a point gains less
-    than `tolerance`, at most `most` times. Returns how often, and the mean log-likelihood before the last maximisation.
+    turns: int, least: Samples, tolerance: float, most: int, before: float, scratch: Samples,
+) -> tuple[int, float, bool]:  # fmt: skip
+    """Sweep until the mean log-likelihood of a point gains less than `tolerance` over `before` (-inf at the start), at most `most` times.
+
+    Returns how often, the mean log-likelihood before the last sweep, and whether that was the end; if not, the next call goes on.
     """
-    before = -inf
     for step in range(most):
-        now = expect(points, weights, means, covariances, turns, shares)
-        maximise(points, shares, least, turns, weights, means, covariances)
+        now = sweep(points, weights, means, covariances, turns, least, scratch)
         if abs(now - before) < tolerance:
-            return step + 1, now
+            return step + 1, now, True
         before = now
-    return most, before
+    return most, before, False
 
 
 @kernel

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from operators.emg.amplitude_reference import AmplitudeReference
+from operators.emg.one_kind import refuse_mixed
 from operators.emg.quality_kernel import powers, runs
 from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
@@ -96,7 +97,7 @@ class SignalQuality(Operator[QualityState]):
     clipped    share of samples at the amplifier's end: amounts from 99 % of `full_scale` on; where that is not known, samples exactly
                at the window's highest or lowest value, if 3 or more are and it lies within 2 % of the end of the range so far
     flat       share of samples in runs of equal ones of at least 50 ms
-    missing    share of samples that are NaN or infinite (the last finite value stands in for them elsewhere)
+    missing    share of samples that are NaN or infinite (the last finite value replaces them elsewhere)
     hum        share of the power from 20 to 450 Hz that mains hum has: lines at 50 Hz and its multiples (or 60 Hz, whichever has more,
                unless `mains_hz` says), each above the level of its neighbours
     artefact   share of the power from 1 to 450 Hz that lies below 20 Hz: cable and skin move, EMG has little there
@@ -132,6 +133,7 @@ class SignalQuality(Operator[QualityState]):
         spec = specs["in"]
         if not spec.is_signal or spec.rate_hz is None or spec.dtype.kind not in "iuf":
             raise InputError("in", spec.describe(), "a signal of channels at a regular rate")
+        refuse_mixed(spec)
         if spec.rate_hz < 200:
             raise InputError("in", spec.describe(), "raw EMG at 200 Hz or more")
         n, c = round(self.window_s * spec.rate_hz), spec.shape[0]
@@ -142,7 +144,8 @@ class SignalQuality(Operator[QualityState]):
                 np.zeros((n, c)), np.zeros(n, np.int64), 0, np.zeros(c), np.hanning(n), bands, np.zeros((7, c)), np.zeros((3, c)), 0,
                 np.outer([np.inf, -np.inf], np.ones(c)), self._rest(names), np.full(c, np.inf), self._most_noise(spec),
                 NEVER, spec.period_ns + round(self.reset_gap_s * NS), names,
-            )
+            ),
+            decision_s={"out": spec.period_ns / NS},
         )  # fmt: skip
         unit = spec.units[0] if len(spec.units) == 1 else ""
         units = ("ns", "ns", "", "", "", "", "", "", "", unit, "", "", "", "", "")

@@ -8,9 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.continuity import Continuity, watch
 from operators.features.bundle_kernel import bundle_frames
 from operators.features.stack import pieces
+from operators.inputs.continuity import Continuity, watch
 from operators.neighbours.index import LIMITS
 from operators.neighbours.layout import IndexState, allocate, clear
 from stream.chunk import FOREVER, Chunk, Samples, Specs, StreamSpec, Times
@@ -21,7 +21,7 @@ from stream.params import param
 from stream.require import numeric, regular, samples_in
 
 APART = 4
-"""Frames further apart than so many periods are not neighbours in time."""
+"""Frames further apart than this many periods are not neighbours in time."""
 
 
 @dataclass(slots=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from operators.features.eigen import symmetric_eigen
+from operators.neighbours.bare import bare_index
 from operators.neighbours.candidates import NOTHING
-from operators.neighbours.lanes import bare
-from operators.neighbours.layout import IN_NEAR, LANES, NEAR, NEXT, Floats
+from operators.neighbours.layout import LANES, BareIndex, Floats
 from operators.neighbours.search import search
 from operators.neighbours.window import insert, prepare, slot_of, tile_at
 from stream.chunk import Samples, Times
@@ -24,7 +24,7 @@ VALUES, REST, WEIGHTS, ASIDE, HERE, THERE = range(6)
 
 @kernel
 def bundle(
-    floats: Floats, books: Times, at: int, k: int, variance: float, pull: Samples, gram: Samples, basis: Samples,
+    ix: BareIndex, at: int, k: int, variance: float, pull: Samples, gram: Samples, basis: Samples,
     room: Samples, ways: Samples, frame: Samples, out: Samples,
 ) -> int:  # fmt: skip
     """Write the bundled `frame` (d,), which is number `at` of the index, into `out` (d,); returns how many steps that took.
@@ -38,15 +38,15 @@ def bundle(
     Scott's bandwidth k^(-1 / (dimensions + 4)), and mean shift climbs from the frame to the next maximum. What lies outside of the
     kept components becomes the neighbours' mean. So the frame stays where it is along its way, and moves only across.
     """
-    prepare(floats, books, frame)
-    search(floats, books, at, 0, k, NOTHING, False)
-    count = books[NEAR]
+    prepare(ix, frame)
+    search(ix, at, 0, k, NOTHING, False)
+    count = ix.near_count
     d = frame.shape[0]
     if count < 3:
         for i in range(d):
             out[i] = frame[i]
         return 0
-    gather_across(floats, books, count, frame, ways, pull)
+    gather_across(ix, count, frame, ways, pull)
     products(pull, count, ways[1], gram, room[ASIDE])
     symmetric_eigen(gram, count, room[VALUES], room[REST], basis)
     kept = principal(count, variance, room[VALUES], basis)
@@ -72,14 +72,14 @@ def bundle(
 
 
 @kernel
-def gather_across(floats: Floats, books: Times, count: int, frame: Samples, ways: Samples, pull: Samples) -> None:
+def gather_across(ix: BareIndex, count: int, frame: Samples, ways: Samples, pull: Samples) -> None:
     """The nearest that were found, less the frame, what lies along `ways[0]`, and their mean: columns of `pull`; mean in `ways[1]`."""
     d = frame.shape[0]
     for j in range(count):
-        slot = slot_of(books, books[books[IN_NEAR] + j])
-        row = tile_at(books, slot // LANES) + slot % LANES
+        slot = slot_of(ix, ix.near[j])
+        row = tile_at(ix, slot // LANES) + slot % LANES
         for i in range(d):
-            pull[i, j] = floats[row + (1 + i) * LANES] - frame[i]
+            pull[i, j] = ix.floats[row + (1 + i) * LANES] - frame[i]
     length = 0.0
     for i in range(d):
         length += ways[0, i] * ways[0, i]
@@ -179,7 +179,7 @@ def bundle_frames(
     places   (2,)            frames since the last break; how many before them do not come out
     when     (2, n)          stamp of each row made, and how many are lost before it
     """
-    f, b = bare(floats), bare(books)
+    ix = bare_index(floats, books)
     ring, d = recent.shape[0], recent.shape[1]
     made = 0
     for i in range(x.shape[0]):
@@ -193,8 +193,8 @@ def bundle_frames(
         newest = places[0]
         for c in range(d):
             recent[newest % ring, c] = x[i, c]
-        good = prepare(f, b, x[i])
-        insert(f, b, good, NOTHING)
+        good = prepare(ix, x[i])
+        insert(ix, good, NOTHING)
         places[0] += 1
         if newest < ahead:
             continue
@@ -211,7 +211,7 @@ def bundle_frames(
                 ways[0, c] = 8.0 * (after[c] - before[c]) - (beyond[c] - behind[c])
                 fine = fine and abs(ways[0, c]) < math.inf and abs(frame[c]) < math.inf
         if fine:
-            bundle(f, b, b[NEXT] - 1 - ahead, k, variance, pull, gram, basis, room, ways, frame, out[made])
+            bundle(ix, ix.next - 1 - ahead, k, variance, pull, gram, basis, room, ways, frame, out[made])
         else:
             for c in range(d):
                 out[made, c] = finite(frame[c])

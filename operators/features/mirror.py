@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.channels import names_of
+from operators.inputs.channels import names_of
 from stream.chunk import Samples, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
 from stream.filter import SampleWise

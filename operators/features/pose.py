@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from operators.features.skeleton import SETS, find_joints, pairs
-from operators.marker_columns import marker_columns
+from operators.inputs.marker_columns import marker_columns
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError
 from stream.kernel import kernel

@@ -8,9 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.continuity import Continuity, watch
 from operators.extremes import moving_extreme
 from operators.features.stack import pieces
+from operators.inputs.continuity import Continuity, watch
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times, add_lost
 from stream.filter import reset_gap
 from stream.operator import Case, Emitted, Operator, grid
@@ -41,7 +41,7 @@ class SkipRest(Operator[RestState]):
     departures: ClassVar[dict[str, str]] = {"channels": "rest is that of all channels together"}
     takes = "finite"
     moves: float = param(above=0.0, help="what moves less is at rest, in the signal's unit")
-    window_s: float = param(2.0, above=0.0, help="for so long")
+    window_s: float = param(2.0, above=0.0, help="for how long nothing must have moved")
     reset_gap_s: float = reset_gap(0.5)
 
     def open(self, specs: Specs) -> Specs:

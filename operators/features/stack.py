@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.continuity import Continuity, watch
+from operators.inputs.continuity import Continuity, watch
 from stream.chunk import FOREVER, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
 from stream.filter import reset_gap

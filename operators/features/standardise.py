@@ -62,7 +62,7 @@ def standardise(
 ) -> None:
     """Each value of `x` (n, c) less its window's median, over its spread, into `out` (n, c).
 
-    most    after so many values a channel's median and spread stay as they are; 0: never
+    most    after this many values a channel's median and spread stay as they are; 0: never
     ring, ranked (c, w), places (3, c): see `enter`; places[2] counts values
     line    (2, c)  each channel's median and spread
     """

@@ -1,1 +1,1 @@
-"""Walking: ground contacts from any sensor, the cycles between them, and what is told of each (thesis, section 6.2)."""
+"""Walking: ground contacts from any sensor, the cycles between them, and what is reported of each (thesis, section 6.2)."""

@@ -96,7 +96,7 @@ class AccelerationContacts(Contacts[AccelerationState]):
     """
 
     acceleration: tuple[str, ...] = param((), help="the three channels of acceleration; empty: those in m/s2, g or mg")
-    reset_gap_s: float = reset_gap(0.3, "a longer gap, or run of bad samples, starts anew", most=1.0)
+    reset_gap_s: float = reset_gap(0.3, "a longer gap, or run of bad samples, restarts detection", most=1.0)
     side: Literal["left", "right", ""] = param("", help="whose foot: left, right, or empty where it is not known")
 
     def open(self, specs: Specs) -> Specs:
@@ -120,7 +120,8 @@ class AccelerationContacts(Contacts[AccelerationState]):
             motion=np.zeros(1, BOUT),
         )
         state.motion["last"] = NEVER
-        self.hold(state, delay_s=1e-9 * (LATEST_NS + STRIKE_NS))
+        delay_s = 1e-9 * (LATEST_NS + STRIKE_NS)
+        self.hold(state, delay_s=delay_s, decision_s={"touchdown": delay_s, "liftoff": delay_s + 1e-9 * LONGEST_NS})
         return self.contacts(spec)
 
     def follow(self, time: Times, data: Array, found: Times) -> tuple[int, int]:

@@ -36,7 +36,7 @@ class Contacts(Operator[F]):
     """A detector of the contacts of one foot: one numeric stream in, touch-downs and lift-offs out.
 
     A gap that it bears (see `reset_gap_s`) is bridged by the straight line between its ends, and not passed on: no contact is lost. After
-    a longer one the detector starts anew and the next contact of either kind is told with `lost` = -1: some may be missing.
+    a longer one the detector starts again and the next contact of either kind is reported with `lost` = -1: some may be missing.
     A sample that is not finite counts as missing.
     """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -46,7 +47,7 @@ MAXIMUM = np.dtype(
 
 @dataclass(frozen=True, slots=True)
 class Closing:
-    """A cycle at the moment at which it is closed: `curve` (102, c) spans -1..100 %. `again`: its event has been told before."""
+    """A cycle at the moment at which it is closed: `curve` (102, c) spans -1..100 %. `again`: its event has been reported before."""
 
     stamp: int
     onset: int
@@ -84,8 +85,8 @@ class Expected:
     waiting: int
 
     @staticmethod
-    def none() -> Expected:
-        return Expected(np.zeros(128, CLOSED), np.zeros(128, np.int64), 0)
+    def none(kind: np.dtype[Any] = CLOSED) -> Expected:
+        return Expected(np.zeros(128, kind), np.zeros(128, np.int64), 0)
 
     def note(self, chunk: Chunk) -> None:
         """Take a chunk of `closed`; rejected cycles have no sample to wait for."""
@@ -111,6 +112,12 @@ class Expected:
         self.waiting -= 1
 
 
+def is_closed(kind: np.dtype[Any]) -> bool:
+    """Whether these are cycles' events: `CLOSED`, or the same with more fields behind (limb, stage)."""
+    names = CLOSED.names or ()
+    return (kind.names or ())[: len(names)] == names and all(kind[name] == CLOSED[name] for name in names)
+
+
 def check_cycles(specs: Specs) -> StreamSpec:
     """The spec of input `cycles`, both inputs being those that `Cycles` gives. Raises InputError."""
     cycles, closed = specs["cycles"], specs["closed"]
@@ -118,7 +125,7 @@ def check_cycles(specs: Specs) -> StreamSpec:
         raise InputError(
             "cycles", cycles.describe(), f"cycles of {POINTS} points (output 'cycles' of operators.gait.cycles.Cycles)"
         )
-    if closed.dtype != CLOSED:
+    if not is_closed(closed.dtype):
         raise InputError(
             "closed", closed.describe(), "the cycles' events (output 'closed' of operators.gait.cycles.Cycles)"
         )

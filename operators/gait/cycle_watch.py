@@ -8,7 +8,7 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 
 from operators.alarm import ALARM, ALARM_UNITS, ON, OVER
-from operators.gait.cycle import CLOSED
+from operators.gait.cycle import CLOSED, is_closed
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Specs, StreamSpec, Times
 from stream.errors import InputError
 from stream.operator import Case, Operator, grid
@@ -52,19 +52,21 @@ class CycleWatch(Operator[CycleWatchState]):
     cadence               the latest 3 cycles' median is `off_pace` times that of the 11 before them, or as much shorter
     cycles too few        accepted cycles cover less than `least_covered` of the session, from its 30th second on
 
-    Each is told once, and once more when it is over. Stamped when it is decided: the silence's at its end, the others' with a cycle.
+    Of several limbs (a field `limb` in `closed`), `operators.gait.limb_watch.LimbWatch` watches each.
+
+    Each is reported once, and once more when it is over. Stamped when it is decided: the silence's at its end, the others' with a cycle.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("signal", "closed")
 
-    silent_cycles: float = param(2.0, above=1.0, most=20.0, help="so many cycles' time without a contact is an alarm")
+    silent_cycles: float = param(2.0, above=1.0, most=20.0, help="this many cycles' time without a contact is an alarm")
     first_s: float = param(10.0, above=0.0, help="the same before the first cycle")
-    off_pace: float = param(1.6, above=1.0, help="cycles so many times longer or shorter than before are an alarm")
+    off_pace: float = param(1.6, above=1.0, help="cycles this many times longer or shorter than before are an alarm")
     least_covered: float = param(0.7, least=0.0, most=1.0, help="the part of a session that cycles must cover")
     subject: str = param("contacts", help="what the alarms are about, where there are several")
 
     def open(self, specs: Specs) -> Specs:
-        if specs["closed"].dtype != CLOSED:
+        if not is_closed(specs["closed"].dtype):
             raise InputError(
                 "closed", specs["closed"].describe(), "cycles' events (`closed` of operators.gait.cycles.Cycles)"
             )

@@ -62,11 +62,11 @@ class Cycles(Operator[CyclesState]):
     panorama   (200, channels) per accepted cycle, in order, -50..149 %: with the halves of its neighbours, NaN where a neighbour was
                rejected or there is none. It comes when the next cycle closes; a session's last cycle has none. (Thesis 6.4.1, outlook.)
 
-    A cycle is closed as soon as its second touch-down has been told, two samples after that are there, and every input is complete up to
+    A cycle is closed as soon as its second touch-down is reported, two samples after that are there, and every input is complete up to
     then, so that the order in which equal stamps arrive does not matter; that is its events' stamp. Rejected is what
     - lasts less than `shortest_s` ("too short") or more than `longest_s` ("too long");
     - has a gap in signal or contacts inside ("gap"; gaps up to `gap_s` are interpolated), begins before the signal has settled
-      ("settling"), begins before the signal did or was told more than `late_s` after it ended ("incomplete");
+      ("settling"), begins before the signal did or was reported more than `late_s` after it ended ("incomplete");
     - holds two lift-offs that are further apart than a tenth of it ("order": a touch-down between them was missed), or stands for less
       than `least_stance_pct` or more than `most_stance_pct` of it ("stance"). Of lift-offs close together the last counts; with none the
       stance is not known, and the cycle counts;
@@ -97,7 +97,7 @@ class Cycles(Operator[CyclesState]):
         90.0, least=0.0, most=100.0, help="rejected if the foot stands for more of the cycle"
     )
     gap_s: float = param(0.05, least=0.0, help="a longer gap inside rejects the cycle, a shorter one is interpolated")
-    late_s: float = param(1.0, least=0.0, help="how long after it happened a touch-down may be told")
+    late_s: float = param(1.0, least=0.0, help="how long after it happened a touch-down may be reported")
     missing: Literal["muscle", "cycle"] = param(
         "muscle", help="what a NaN spoils: its muscle in that cycle, or the cycle"
     )
@@ -134,7 +134,8 @@ class Cycles(Operator[CyclesState]):
             never=np.empty(0, np.int64),
             blanks=[np.empty((0, POINTS, n)), np.empty(0, CLOSED), np.empty(0, MAXIMUM), np.empty((0, 2 * POINTS, n))],
         )
-        self.hold(state, delay_s=(LOOK_AHEAD + 1) / spec.rate_hz)
+        ahead_s = (LOOK_AHEAD + 1) / spec.rate_hz
+        self.hold(state, delay_s=ahead_s, decision_s={"closed": ahead_s, "maxima": self.longest_s + ahead_s})
         meta = {**spec.meta, "side": touch.meta.get("side", spec.meta.get("side", ""))}
         unit = spec.units if len(spec.units) == 1 else ("",)
         curves = StreamSpec(
@@ -193,7 +194,7 @@ class Cycles(Operator[CyclesState]):
         ]
 
     def _touch(self, closings: list[Closing], stamp: int, onset: int) -> None:
-        """A touch-down has been told. Where too many wait for samples that do not come, the first is closed without."""
+        """A touch-down has been reported. Where too many wait for samples that do not come, the first is closed without."""
         s = self.state
         if s.waiting == WAITING:
             self._close(closings, int(s.touches[0, 0]), stamp)

@@ -11,15 +11,17 @@ from operators.gait.cycle import POINTS, REASONS, Expected, check_cycles, some_c
 from operators.gait.deviation_kernel import deviations
 from operators.gait.ensemble_events import MUSCLE, PAIR, SESSION, rows_of
 from operators.gait.history import ACCEPTED, CycleHistory
+from operators.gait.limbs import Belonging
 from operators.gait.running_curve import RunningCurve
 from stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
+from stream.finite import only_finite
 from stream.operator import Case, Operator
 from stream.params import param
 
 SCALES = ("none", "session", "cycle")
 RATIO_FROM = 10
-"""The variance ratio is given from so many cycles on (Hershler and Milner 1978)."""
+"""The variance ratio is given from this many cycles on (Hershler and Milner 1978)."""
 
 
 @dataclass(slots=True)
@@ -31,13 +33,14 @@ class EnsembleState:
     history                   what can still be revised
     accepted, reasons (7,)    counts
     told, never, blanks       the newest `until` that has gone out; stamps and samples of nothing, by output
-    counted                   how many cycles were added up
+    counted (m,)              how many cycles of its limb were added up
     shared, pairs (p,)        sum of the co-contraction over cycles, and their number, per pair
     """
 
     expected: Expected
     curve: RunningCurve
-    counted: int
+    limbs: Belonging
+    counted: Times
     kept: Samples
     kept_numbers: Times
     seen: int
@@ -75,14 +78,16 @@ class CycleEnsemble(Operator[EnsembleState]):
     session    one event per cycle, rejected ones too: cadence, 60 over the mean duration of the latest `over` accepted cycles in
                strides/min; mean stance; counts of accepted and rejected cycles, by reason
 
+    With several limbs (`LimbCycles`) `muscles` has an event per muscle of the cycle's limb; `session` counts the cycles of all limbs.
     A muscle that is missing in a cycle keeps the numbers it had. A second event of one of the latest 64 cycles' numbers replaces the first:
     what was added up of that cycle is taken out again, and its new sample, if it is accepted, comes in.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")
+    acts: ClassVar[tuple[str, ...]] = ("cycles",)
     outputs: ClassVar[tuple[str, ...]] = ("mean", "sd", "muscles", "pairs", "session")
 
-    pairs: tuple[tuple[str, str], ...] = param((), help="muscles whose co-contraction is told, e.g. [[TA, SO]]")
+    pairs: tuple[tuple[str, str], ...] = param((), help="muscles whose co-contraction is reported, e.g. [[TA, SO]]")
     repeatable_below: float = param(0.65, above=0.0, most=1.0, help="a higher variance ratio is 'not repeatable'")
     scale: Literal["session", "cycle", "none"] = param("session", help="what deviations are relative to")
     remember: int = param(64, least=2, most=4096, help="cycles over which deviations are taken")
@@ -94,12 +99,14 @@ class CycleEnsemble(Operator[EnsembleState]):
         flat = self._muscles(spec)
         self.hold(
             EnsembleState(
-                Expected.none(), RunningCurve.none(POINTS, n), 0, np.full((self.remember, POINTS, n), np.nan),
+                Expected.none(specs["closed"].dtype), RunningCurve.none(POINTS, n),
+                Belonging.of(spec), np.zeros(n, np.int64), np.full((self.remember, POINTS, n), np.nan),
                 np.full(self.remember, -1), 0, np.full(self.over, np.nan), np.full(self.over, np.nan), np.full(self.over, -1), 0,
                 CycleHistory.none(POINTS, n), 0, np.zeros(len(REASONS), np.int64),
                 np.zeros(len(self.pairs)), np.zeros(len(self.pairs)), flat, list(spec.channels),
                 NEVER, np.empty(0, np.int64), [self._blank(name, (POINTS, n)) for name in self.outputs],
-            )
+            ),
+            decision_s={"muscles": 0.0, "pairs": 0.0, "session": 0.0},
         )  # fmt: skip
         unit = spec.units[0] if len(spec.units) == 1 else ""
         when, meta = ("ns", "ns", ""), {**spec.meta, "deviation_scale": self.scale}
@@ -136,8 +143,8 @@ class CycleEnsemble(Operator[EnsembleState]):
             for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
                 closed = s.expected.match(stamp)
                 if closed is not None:
-                    curve = np.where(np.isfinite(curve), curve, np.nan)
-                    self._take(int(closed["number"][0]), curve)
+                    curve = only_finite(curve)
+                    self._take(closed[0], curve)
                     self._summary(made, stamp, closed)
                     made["pairs"].append((stamp, self._co_contraction(closed, curve)))
         lost = -1 if chunk.lost else 0
@@ -200,7 +207,7 @@ class CycleEnsemble(Operator[EnsembleState]):
         s.strides[here], s.stances[here], s.stride_numbers[here] = np.nan, np.nan, -1
         curve = s.history.take(number)
         s.curve.remove(curve)
-        s.counted -= 1
+        s.counted -= s.limbs.mine(closed)
         s.kept[s.kept_numbers == number] = np.nan
         index = self._indices(curve)
         known = np.isfinite(index)
@@ -208,11 +215,11 @@ class CycleEnsemble(Operator[EnsembleState]):
         s.pairs[known] -= 1
         return True
 
-    def _take(self, number: int, curve: Samples) -> None:
-        s = self.state
+    def _take(self, closed: np.void, curve: Samples) -> None:
+        s, number = self.state, int(closed["number"])
         s.history.put(number, curve)
         there = s.curve.add(curve)
-        s.counted += 1
+        s.counted += s.limbs.mine(closed)
         s.kept[s.seen % self.remember] = np.where(there, curve, np.nan)
         s.kept_numbers[s.seen % self.remember] = number
         s.seen += 1
@@ -235,7 +242,7 @@ class CycleEnsemble(Operator[EnsembleState]):
             known, np.where(rows["variance_ratio"] > self.repeatable_below, "not repeatable", "repeatable"), ""
         )
         rows["deviation"], rows["mad"] = self._deviations()
-        return rows
+        return np.asarray(rows[s.limbs.mine(closed[0])])
 
     def _deviations(self) -> Samples:
         """Mean distance to the mean curve, and the mean absolute deviation of the distances, of the cycles kept (2, m); NaN below two."""

@@ -102,7 +102,8 @@ class _Press(Contacts[PressState]):
             zero=np.zeros(1, ZERO),
             block=max(2, round(BLOCK_S * (spec.rate_hz or 100.0))),
         )
-        self.hold(state, delay_s=self.debounce_s + spec.period_ns / NS)
+        delay_s = self.debounce_s + spec.period_ns / NS
+        self.hold(state, delay_s=delay_s, decision_s=dict.fromkeys(self.outputs, delay_s))
 
     def run(self, time: Times, load: Samples, threshold: float, hysteresis: float, found: Times) -> tuple[int, int]:
         state, hold_ns = self.state, round(self.debounce_s * NS)

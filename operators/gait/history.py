@@ -1,4 +1,4 @@
-"""The latest cycles as they were told, so that one can be taken back, or counted after all, by whatever adds cycles up."""
+"""The latest cycles as they were reported, so that one can be taken back, or counted after all, by whatever adds cycles up."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from stream.chunk import Samples, Times
 
 REVISABLE = 64
-"""So many of the latest cycles can be revised."""
+"""This many of the latest cycles can be revised."""
 UNKNOWN, ACCEPTED = -2, -1
 
 
@@ -33,7 +33,7 @@ class CycleHistory:
         )
 
     def note(self, number: int, reason: int) -> int:
-        """A cycle's event has come; gives the reason (or ACCEPTED) that was told of it before, UNKNOWN if it is new."""
+        """A cycle's event has come; gives the reason (or ACCEPTED) that was reported for it before, UNKNOWN if it is new."""
         found = np.flatnonzero(self.numbers == number)
         if len(found):
             before = int(self.reasons[found[0]])

@@ -184,7 +184,9 @@ class InertialContacts(Contacts[InertialState]):
     unit: Literal["", "rad/s", "deg/s"] = param(
         "", help="unit of the channels named in angular_velocity; empty: the input's"
     )
-    reset_gap_s: float = reset_gap(0.3, "a longer gap, or run of bad samples, starts anew; the axis is kept", most=1.0)
+    reset_gap_s: float = reset_gap(
+        0.3, "a longer gap, or run of bad samples, restarts detection; the axis is kept", most=1.0
+    )
     side: Literal["left", "right", ""] = param("", help="whose foot: left, right, or empty where it is not known")
 
     def open(self, specs: Specs) -> Specs:
@@ -209,7 +211,8 @@ class InertialContacts(Contacts[InertialState]):
         )
         state.motion["last"] = NEVER
         state.motion["touched_at"] = NEVER // 2
-        self.hold(state, delay_s=1e-9 * (LATEST_NS - FOOT_NS[2]) + spec.period_ns / NS)
+        delay_s = 1e-9 * (LATEST_NS - FOOT_NS[2]) + spec.period_ns / NS
+        self.hold(state, delay_s=delay_s, decision_s={"touchdown": delay_s, "liftoff": delay_s + 1e-9 * LONGEST_NS})
         return self.contacts(spec)
 
     def _angular(self, spec: StreamSpec) -> tuple[list[int], str]:

@@ -31,7 +31,7 @@ LEGS = np.dtype(
         ("touchdown_at", "<i8"),
     ]
 )
-"""The leg under way (`direction` 0: at rest), the size, direction and end of the one before, whether this swing's lift-off has been told,
+"""The leg under way (`direction` 0: at rest), the size, direction and end of the one before, whether its lift-off has been reported,
 the vote on polarity: positive where the swing runs towards positive coordinates, and the onsets of the last contacts. Times are ns."""
 
 LIFTOFF, TOUCHDOWN = 1, 2

@@ -10,10 +10,10 @@ import numpy as np
 import structlog
 
 from operators.gait.contacts import Contacts, Followed
-from operators.gait.legs import LEGS
+from operators.gait.legs import LEGS, LONGEST_NS
 from operators.gait.path import MEMORY_S, WALK, follow
 from operators.iir import butterworth, group_delay, settling, steady_memory
-from operators.marker_columns import marker_columns
+from operators.inputs.marker_columns import marker_columns
 from stream.chunk import NEVER, NS, Array, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, grid
@@ -25,7 +25,7 @@ ORDER = 2
 SWING_M, STANCE_M, REVERSE_M = 0.15, 0.08, 0.03
 STILL_NS = 300_000_000
 STRANGE = 200
-"""So many samples where no leg can be, more than others, are told of; the warm-up shows far fewer."""
+"""This many samples where no leg can be, more than others, are reported; the warm-up shows far fewer."""
 
 log = structlog.get_logger(__name__)
 
@@ -59,8 +59,8 @@ class MarkerContacts(Contacts[MarkerState]):
 
     Positions are smoothed by a causal Butterworth of order 2 at `cutoff_hz` (the thesis: 10 Hz; it names no order), whose delay the
     onsets make up for. Samples that are missing, not finite, or exactly 0, 0, 0 are filled on a straight line up to
-    `fill_gap_s`; a longer gap, and a jump that no limb makes (30 m/s), start anew. Positions that go on making such jumps, or lie less than
-    0.1 m or more than 2.5 m from the reference, are warned of once: their unit is not what it is taken for.
+    `fill_gap_s`; a longer gap, and a jump that no limb makes (30 m/s), restart detection. Positions that keep making such jumps, or lie
+    less than 0.1 m or more than 2.5 m from the reference, are warned of once: their unit is not what it is taken for.
     Decided: touch-down some 70 to 120 ms after its onset, lift-off some 150 ms; a walker who stops within 0.3 s, the declared delay.
     """
 
@@ -69,7 +69,9 @@ class MarkerContacts(Contacts[MarkerState]):
     up: Literal["x", "y", "z"] = param("z", help="the vertical coordinate")
     unit: Literal["", "m", "cm", "mm"] = param("", help="unit of the positions; empty: the input's")
     cutoff_hz: float = param(10.0, above=0.0, help="low-pass of the positions")
-    fill_gap_s: float = param(0.2, least=0.0, most=1.0, help="the longest gap that is filled; a longer one starts anew")
+    fill_gap_s: float = param(
+        0.2, least=0.0, most=1.0, help="the longest gap that is filled; a longer one restarts detection"
+    )
     side: Literal["left", "right", ""] = param("", help="whose foot: left, right, or empty where it is not known")
 
     def open(self, specs: Specs) -> Specs:
@@ -115,7 +117,8 @@ class MarkerContacts(Contacts[MarkerState]):
             told=False,
         )
         state.motion["last"] = NEVER
-        self.hold(state, delay_s=1e-9 * STILL_NS + delay_s + 2 * spec.period_ns / NS)
+        known_s = 1e-9 * STILL_NS + delay_s + 2 * spec.period_ns / NS
+        self.hold(state, delay_s=known_s, decision_s={"touchdown": known_s, "liftoff": known_s + 1e-9 * LONGEST_NS})
         settled_s = settling(sos) / spec.rate_hz
         return self.contacts(spec, settled_s if self.reference else MEMORY_S)
 

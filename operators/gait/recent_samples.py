@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stream.chunk import NEVER, Array, Samples, Times
+from stream.finite import only_finite
 
 
 @dataclass(slots=True)
@@ -37,7 +38,7 @@ class RecentSamples:
             self.data[: self.keep] = self.data[self.fill - self.keep : self.fill].copy()
             self.fill = self.keep
         self.time[self.fill : self.fill + len(time)] = time
-        self.data[self.fill : self.fill + len(time)] = np.where(np.isfinite(data), data, np.nan)
+        self.data[self.fill : self.fill + len(time)] = only_finite(data)
         self.fill += len(time)
 
     def after(self, stamp: int) -> int:

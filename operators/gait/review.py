@@ -9,11 +9,13 @@ import numpy as np
 import structlog
 
 from operators.emg.quality import QUALITY
-from operators.gait.cycle import CLOSED, POINTS, Expected, check_cycles, some_cycles
+from operators.gait.cycle import POINTS, Expected, check_cycles, some_cycles
 from operators.gait.history import REVISABLE
+from operators.gait.limbs import Belonging
 from operators.gait.verdicts import FLAGS, IN, OUT, UNSAID, Windows, understood
 from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
+from stream.finite import only_finite
 from stream.operator import Case, Operator
 from stream.params import param
 
@@ -33,7 +35,7 @@ JUDGED = np.dtype(
 LEAVE, USE = "leave out ", "use "
 
 Told: TypeAlias = list[tuple[int, Array, Samples | None, Array]]
-"""Stamp, event (1,), curve (None: rejected) and judgements of each cycle to be told."""
+"""Stamp, event (1,), curve (None: rejected) and judgements of each cycle to be reported."""
 
 log = structlog.get_logger(__name__)
 
@@ -56,6 +58,7 @@ class ReviewState:
     session: Times
     seen: int
     pending: int
+    limbs: Belonging
     names: list[str]
 
 
@@ -76,6 +79,7 @@ class CycleReview(Operator[ReviewState]):
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("quality", "annotations", "closed", "cycles")
+    acts: ClassVar[tuple[str, ...]] = ("closed", "cycles")
     optional: ClassVar[tuple[str, ...]] = ("quality", "annotations")
     outputs: ClassVar[tuple[str, ...]] = ("closed", "cycles", "judged")
 
@@ -95,10 +99,12 @@ class CycleReview(Operator[ReviewState]):
                 if understood(text, names, -1) is None:
                     raise ParameterError(parameter, text, f"a cycle's number, a muscle ({', '.join(names)}), or both")
         state = ReviewState(
-            Expected.none(), Windows.none(n), np.zeros(REVISABLE, CLOSED), np.zeros((REVISABLE, POINTS, n)),
-            np.ones((REVISABLE, n), np.int64), np.zeros((REVISABLE, n), np.int64), np.zeros(n, np.int64), 0, NEVER, names,
+            Expected.none(specs["closed"].dtype), Windows.none(n),
+            np.zeros(REVISABLE, specs["closed"].dtype), np.zeros((REVISABLE, POINTS, n)),
+            np.ones((REVISABLE, n), np.int64), np.zeros((REVISABLE, n), np.int64), np.zeros(n, np.int64), 0, NEVER,
+            Belonging.of(spec), names,
         )  # fmt: skip
-        self.hold(state)
+        self.hold(state, decision_s={"closed": 0.0, "judged": 0.0})
         units = ("ns", "ns", *(6 * [""]))
         return {
             "closed": specs["closed"],
@@ -162,7 +168,7 @@ class CycleReview(Operator[ReviewState]):
                     number, muscle = understood(text, s.names, -1) or (0, 0)
                     if number in (-1, int(closed["number"][0])):
                         s.said[k, slice(None) if muscle < 0 else muscle] = verdict
-        s.rows[k], s.curves[k] = closed[0], np.where(np.isfinite(curve), curve, np.nan)
+        s.rows[k], s.curves[k] = closed[0], only_finite(curve)
         self._tell(out, stamp, k)
 
     def _apply(self, out: Told, until: int) -> None:
@@ -210,7 +216,8 @@ class CycleReview(Operator[ReviewState]):
         flag, reason = s.windows.of(int(s.rows["onset"][k]), int(s.rows["end"][k]))
         worst = {"bad": 2, "doubtful": 1, "none": 3}[self.leave_out]
         said = np.where(s.said[k] != UNSAID, s.said[k], s.session)
-        return np.where(said == UNSAID, flag < worst, said == IN).astype(np.int64), flag, reason
+        used = np.where(said == UNSAID, flag < worst, said == IN) & s.limbs.mine(s.rows[k])
+        return used.astype(np.int64), flag, reason
 
     def _tell(self, out: Told, stamp: int, k: int) -> None:
         s = self.state
@@ -222,8 +229,10 @@ class CycleReview(Operator[ReviewState]):
             judged[name] = row[name][0]
         judged["muscle"], judged["name"], judged["used"] = np.arange(len(used)), s.names, used
         judged["flag"], judged["reason"] = np.array(FLAGS)[flag], reason
+        mine = s.limbs.mine(row[0])
+        judged = judged[mine]
         if not used.any():
-            row["rejected"] = "by hand" if (s.said[k] == OUT).all() else "quality"
+            row["rejected"] = "by hand" if (s.said[k][mine] == OUT).all() else "quality"
             out.append((stamp, row, None, judged))
         else:
             out.append((stamp, row, np.where(used.astype(bool), s.curves[k], np.nan), judged))
@@ -236,7 +245,12 @@ class CycleReview(Operator[ReviewState]):
         return [
             (
                 "closed",
-                Chunk(stamps, np.concatenate([np.empty(0, CLOSED), *(row for _, row, _, _ in out)]), until, lost),
+                Chunk(
+                    stamps,
+                    np.concatenate([np.empty(0, self.state.rows.dtype), *(row for _, row, _, _ in out)]),
+                    until,
+                    lost,
+                ),
             ),
             (
                 "cycles",

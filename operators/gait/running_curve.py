@@ -46,7 +46,7 @@ class RunningCurve:
 
     def sd(self) -> Samples:
         """The standard deviation (n - 1) point by point; NaN below two curves."""
-        return np.where(self.count > 1, np.sqrt(self.squares / np.maximum(self.count - 1, 1)), np.nan)
+        return np.where(self.count > 1, np.sqrt(np.maximum(self.squares, 0.0) / np.maximum(self.count - 1, 1)), np.nan)
 
     def variance_ratio(self) -> Samples:
         """Variance about the mean curve over variance about the grand mean (m,) (Hershler and Milner 1978)."""

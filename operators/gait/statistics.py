@@ -9,9 +9,11 @@ import numpy as np
 
 from operators.gait.cycle import REASONS, Expected, check_cycles, some_cycles
 from operators.gait.history import ACCEPTED, CycleHistory
+from operators.gait.limbs import Belonging
 from operators.gait.running_curve import RunningCurve
 from operators.gait.verdicts import FLAGS
 from stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec, Times
+from stream.finite import only_finite
 from stream.operator import Case, Operator
 from stream.params import param
 
@@ -52,6 +54,7 @@ class CycleStatisticsState:
     history: CycleHistory
     flags: Times
     flag_of: Times
+    limbs: Belonging
     names: list[str]
     told: int
     never: Times
@@ -79,11 +82,14 @@ class CycleStatistics(Operator[CycleStatisticsState]):
     root of summed squares that eq. 6.9 prints. There the mean curve is that of the whole session; live it can only be that of the
     cycles until now. `CycleEnsemble` gives the tables' own numbers. A muscle that is missing in a cycle has NaN throughout.
 
+    With several limbs (`LimbCycles`) a cycle has events of its own limb's muscles only.
+
     A second event in `closed` of one of the latest 64 cycles' numbers replaces the first. If it is accepted its numbers come again, from
-    its new sample; either way the mean that later deviations are taken from no longer holds what was told first.
+    its new sample; either way the mean that later deviations are taken from no longer holds what was reported first.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("judged", "closed", "cycles")
+    acts: ClassVar[tuple[str, ...]] = ("cycles",)
     optional: ClassVar[tuple[str, ...]] = ("judged",)
 
     scale: Literal["session", "cycle", "none"] = param("session", help="what deviations are relative to")
@@ -94,11 +100,12 @@ class CycleStatistics(Operator[CycleStatisticsState]):
         nothing = (NEVER, np.empty(0, np.int64), np.empty(0, STATISTICS))
         self.hold(
             CycleStatisticsState(
-                Expected.none(), RunningCurve.none(spec.shape[0], n),
+                Expected.none(specs["closed"].dtype), RunningCurve.none(spec.shape[0], n),
                 np.zeros(n),
                 CycleHistory.none(spec.shape[0], n),
-                np.zeros(n, np.int64), np.full(n, -1), list(spec.channels), *nothing,
-            )
+                np.zeros(n, np.int64), np.full(n, -1), Belonging.of(spec), list(spec.channels), *nothing,
+            ),
+            decision_s={"out": 0.0},
         )  # fmt: skip
         unit = spec.units[0] if len(spec.units) == 1 else ""
         area, ratio = f"{unit} s".strip(), unit if self.scale == "none" else ""
@@ -128,11 +135,10 @@ class CycleStatistics(Operator[CycleStatisticsState]):
             for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
                 closed = s.expected.match(stamp)
                 if closed is not None:
-                    rows.append(self._rows(closed[0], curve))
-                    stamps.append(stamp)
-        n = len(s.names)
+                    rows.append(self._rows(closed[0], curve)[s.limbs.mine(closed[0])])
+                    stamps += [stamp] * len(rows[-1])
         data = np.concatenate(rows) if rows else s.blank
-        return Chunk(np.array(stamps, np.int64).repeat(n), data, chunk.until, -1 if chunk.lost else 0)
+        return Chunk(np.array(stamps, np.int64), data, chunk.until, -1 if chunk.lost else 0)
 
     @classmethod
     def cases(cls) -> list[Case]:
@@ -147,7 +153,7 @@ class CycleStatistics(Operator[CycleStatisticsState]):
         for name in ("onset", "end", "number"):
             rows[name] = closed[name]
         rows["muscle"], rows["name"] = np.arange(n), self.state.names
-        curve = np.where(np.isfinite(curve), curve, np.nan)
+        curve = only_finite(curve)
         absent = np.asarray(np.isnan(curve).any(axis=0))
         peak = np.where(absent, 0, curve.argmax(axis=0))
         rows["peak"], rows["peak_pct"] = curve[peak, np.arange(n)], np.where(absent, np.nan, peak * (100 / points))
@@ -164,7 +170,7 @@ class CycleStatistics(Operator[CycleStatisticsState]):
         return rows
 
     def _revise(self, number: int, rejected: str) -> None:
-        """Take a cycle that is told again out of the mean."""
+        """Take a cycle that is reported again out of the mean."""
         s = self.state
         if s.history.note(number, REASONS.index(rejected) if rejected else ACCEPTED) != ACCEPTED:
             return

@@ -11,7 +11,7 @@ from stream.chunk import Array, Times
 FLAGS = ("good", "doubtful", "bad")
 UNSAID, OUT, IN = 0, 1, 2
 WINDOWS = 64
-"""So many of the latest judged windows are kept per channel: more than the longest cycle has."""
+"""This many of the latest judged windows are kept per channel: more than the longest cycle has."""
 
 
 @dataclass(slots=True)

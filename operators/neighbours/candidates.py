@@ -6,29 +6,9 @@ import math
 
 import numpy as np
 
-from operators.neighbours.lanes import array_of, bits_of, count_above, lowest, none_counted, number_of, store_counts
-from operators.neighbours.layout import (
-    AT_NEAR,
-    AT_REACH,
-    AT_SQUARED,
-    BLOCK,
-    BLOCKS,
-    COUNTED,
-    FARTHEST,
-    FOUND,
-    IN_FRAMES,
-    IN_KEYS,
-    IN_MARKS,
-    IN_NEAR,
-    IN_RANKS,
-    LANES,
-    NEAR,
-    ROOM,
-    VECTOR,
-    Floats,
-)
+from operators.neighbours.layout import COUNTED, FARTHEST, LANES, BareIndex
+from operators.neighbours.vectors import array_of, bits_of, count_above, lowest, none_counted, number_of, store_counts
 from operators.neighbours.window import oldest
-from stream.chunk import Times
 from stream.kernel import kernel
 
 NOTHING = np.float32(-1.0)
@@ -37,8 +17,7 @@ NOTHING = np.float32(-1.0)
 
 @kernel
 def gather(
-    floats: Floats,
-    books: Times,
+    ix: BareIndex,
     limit: np.float32,
     slot: int,
     lanes: int,
@@ -50,49 +29,48 @@ def gather(
     both: bool,
 ) -> tuple[np.float32, int]:
     """Keep the frames in some lanes from `slot` on as candidates for the nearest (d2 <= `limit`), and mark those within a radius."""
-    marked, found, room = 0, books[FOUND], books[ROOM]
-    frames, keys, first = books[IN_FRAMES] + slot, books[IN_KEYS], oldest(books)
-    reaches = books[AT_REACH] + slot
+    marked, found, room = 0, ix.found, ix.room
+    keys, first = ix.keys, oldest(ix)
     while lanes:
         lane = lowest(lanes)
         lanes &= lanes - 1
-        frame = books[frames + lane]
+        frame = ix.frames[slot + lane]
         if abs(frame - at) <= band:
             continue
-        squared = floats[sums + lane]
+        squared = ix.floats[sums + lane]
         if squared <= limit:
-            books[keys + found] = bits_of(squared) << 32 | (frame - first)
+            keys[found] = bits_of(squared) << 32 | (frame - first)
             found += 1
             if found == room:
-                books[FOUND] = found
-                sift(books, k)
-                found = books[FOUND]
-                limit = number_of(books[keys + k - 1] >> 32)
-        if squared <= within or (both and squared <= floats[reaches + lane]):
-            place = frame % (books[BLOCKS] * books[BLOCK])
-            floats[books[AT_SQUARED] + place] = squared
-            books[books[IN_MARKS] + place // 64] |= 1 << (place % 64)
+                ix.found = found
+                sift(ix, k)
+                found = ix.found
+                limit = number_of(keys[k - 1] >> 32)
+        if squared <= within or (both and squared <= ix.reach[slot + lane]):
+            place = frame % (ix.blocks * ix.block)
+            ix.squared[place] = squared
+            ix.marks[place // 64] |= 1 << (place % 64)
             marked += 1
-    books[FOUND] = found
+    ix.found = found
     return limit, marked
 
 
 @kernel
-def sift(books: Times, k: int) -> None:
+def sift(ix: BareIndex, k: int) -> None:
     """Keep the k smallest of all candidates' keys, of which there are more, the largest of these at place k - 1 (Hoare's quickselect)."""
-    keys = books[IN_KEYS]
-    low, high = keys, keys + books[FOUND] - 1
-    wanted = keys + k - 1
+    keys = ix.keys
+    low, high = 0, ix.found - 1
+    wanted = k - 1
     while low < high:
-        pivot = books[(low + high) // 2]
+        pivot = keys[(low + high) // 2]
         i, j = low, high
         while i <= j:
-            while books[i] < pivot:
+            while keys[i] < pivot:
                 i += 1
-            while books[j] > pivot:
+            while keys[j] > pivot:
                 j -= 1
             if i <= j:
-                books[i], books[j] = books[j], books[i]
+                keys[i], keys[j] = keys[j], keys[i]
                 i += 1
                 j -= 1
         if wanted <= j:
@@ -101,43 +79,44 @@ def sift(books: Times, k: int) -> None:
             low = i
         else:
             break
-    books[FOUND] = k
+    ix.found = k
 
 
 @kernel
-def put_in_order(floats: Floats, books: Times, k: int) -> None:
+def put_in_order(ix: BareIndex, k: int) -> None:
     """The k smallest keys become the list of the nearest."""
-    if books[FOUND] > COUNTED and books[FOUND] > k:
-        sift(books, k)
-    count, keys, ranks = books[FOUND], books[IN_KEYS], books[IN_RANKS]
-    rank(books, keys, count, ranks)
-    books[NEAR] = min(count, k)
-    first, frames, squared = oldest(books), books[IN_NEAR], books[AT_NEAR]
+    if ix.found > COUNTED and ix.found > k:
+        sift(ix, k)
+    count, keys, ranks = ix.found, ix.keys, ix.ranks
+    rank(ix, count)
+    ix.near_count = min(count, k)
+    first, frames, squared = oldest(ix), ix.near, ix.near_squared
     for i in range(count):
-        key, place = books[keys + i], books[ranks + i]
-        floats[squared + place] = number_of(key >> 32)
-        books[frames + place] = first + (key & 0xFFFFFFFF)
+        key, place = keys[i], ranks[i]
+        squared[place] = number_of(key >> 32)
+        frames[place] = first + (key & 0xFFFFFFFF)
 
 
 @kernel
-def rank(books: Times, keys: int, count: int, ranks: int) -> None:
-    """The places of keys in their order: few by counting, for each, those that are smaller; many by being sorted."""
+def rank(ix: BareIndex, count: int) -> None:
+    """The places of the candidates' keys in their order: few by counting, for each, those that are smaller; many by being sorted."""
+    keys, ranks = ix.keys, ix.ranks
     if count > COUNTED:
-        array_of(books, keys + count)[keys:].sort()
+        array_of(keys, count).sort()
         for i in range(count):
-            books[ranks + i] = i
-    elif books[VECTOR]:
+            ranks[i] = i
+    elif ix.vector:
         for i in range(0, count, LANES):
             smaller = none_counted()
             for j in range(count):
-                smaller = count_above(smaller, books, keys + i, books[keys + j])
-            store_counts(books, ranks + i, smaller)
+                smaller = count_above(smaller, keys, i, keys[j])
+            store_counts(ranks, i, smaller)
     else:
         for i in range(count):
             smaller = 0
             for j in range(count):
-                smaller += books[keys + j] < books[keys + i]
-            books[ranks + i] = smaller
+                smaller += keys[j] < keys[i]
+            ranks[i] = smaller
 
 
 @kernel

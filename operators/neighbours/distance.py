@@ -10,162 +10,163 @@ from __future__ import annotations
 
 import numpy as np
 
-from operators.neighbours.lanes import add_square, add_weighted, at_most, load, outside, store
-from operators.neighbours.layout import AT_QUERY, AT_WEIGHTS, FARTHEST, LANES, VECTOR, WEIGHTED, WIDTH, Floats
-from stream.chunk import Times
+from operators.neighbours.layout import FARTHEST, LANES, BareIndex, Floats
+from operators.neighbours.vectors import add_square, add_weighted, at_most, load, outside, store
 from stream.kernel import kernel
 
 AT_ONCE = 8
-"""After so many features it is asked whether any lane can still qualify."""
+"""After this many features it is asked whether any lane can still qualify."""
 
 
 @kernel
-def tile_distances(floats: Floats, books: Times, tile: int, limit: np.float32, out: int) -> int:
+def tile_distances(ix: BareIndex, tile: int, limit: np.float32, out: int) -> int:
     """The lanes of the tile at place `tile` that are within d2 <= `limit`, as bits, and the 16 sums at place `out`, if there are any."""
-    if books[VECTOR]:
-        return tile_by_vectors(floats, books, tile, limit, out)
-    return tile_by_loops(floats, books, tile, limit, out)
+    if ix.vector:
+        return tile_by_vectors(ix, tile, limit, out)
+    return tile_by_loops(ix, tile, limit, out)
 
 
 @kernel
-def box_distances(floats: Floats, books: Times, boxes: int, limit: np.float32, out: int) -> int:
+def box_distances(ix: BareIndex, boxes: int, limit: np.float32, out: int) -> int:
     """As `tile_distances`, of 16 boxes."""
-    if books[VECTOR]:
-        return boxes_by_vectors(floats, books, boxes, limit, out)
-    return boxes_by_loops(floats, books, boxes, limit, out)
+    if ix.vector:
+        return boxes_by_vectors(ix, boxes, limit, out)
+    return boxes_by_loops(ix, boxes, limit, out)
 
 
 @kernel
-def tile_by_vectors(floats: Floats, books: Times, tile: int, limit: np.float32, out: int) -> int:
-    width, query, weights, weighted = books[WIDTH], books[AT_QUERY], books[AT_WEIGHTS], books[WEIGHTED]
-    total = load(floats, tile)
+def tile_by_vectors(ix: BareIndex, tile: int, limit: np.float32, out: int) -> int:
+    width, query, weights, weighted = ix.width, ix.query, ix.weights, ix.weighted
+    total = load(ix.floats, tile)
     row = tile + LANES
     done = 0
     while done < width:
         stop = min(done + AT_ONCE, width)
         if weighted:
             for i in range(done, stop):
-                total = add_weighted(total, load(floats, row), floats[query + i], floats[weights + i])
+                total = add_weighted(total, load(ix.floats, row), query[i], weights[i])
                 row += LANES
         else:
             for i in range(done, stop):
-                total = add_square(total, load(floats, row), floats[query + i])
+                total = add_square(total, load(ix.floats, row), query[i])
                 row += LANES
         if at_most(total, limit) == 0:
             return 0
         done = stop
-    store(floats, out, total)
+    store(ix.floats, out, total)
     found: int = at_most(total, limit)
     return found
 
 
 @kernel
-def four_distances(floats: Floats, books: Times, first: int, second: int, third: int, fourth: int, out: int) -> None:
+def four_distances(ix: BareIndex, first: int, second: int, third: int, fourth: int, out: int) -> None:
     """All sums of four tiles, at place `out`; infinite where no frame lives. With vectors side by side: no sum waits for another's."""
-    if not books[VECTOR]:
+    if not ix.vector:
         for i, tile in enumerate((first, second, third, fourth)):
-            tile_by_loops(floats, books, tile, FARTHEST, out + i * LANES)
+            tile_by_loops(ix, tile, FARTHEST, out + i * LANES)
         return
-    width, query, weights = books[WIDTH], books[AT_QUERY], books[AT_WEIGHTS]
-    a, b, c, d = load(floats, first), load(floats, second), load(floats, third), load(floats, fourth)
-    if books[WEIGHTED]:
+    width, query, weights = ix.width, ix.query, ix.weights
+    a, b, c, d = load(ix.floats, first), load(ix.floats, second), load(ix.floats, third), load(ix.floats, fourth)
+    if ix.weighted:
         for i in range(width):
-            q, w, row = floats[query + i], floats[weights + i], (1 + i) * LANES
-            a = add_weighted(a, load(floats, first + row), q, w)
-            b = add_weighted(b, load(floats, second + row), q, w)
-            c = add_weighted(c, load(floats, third + row), q, w)
-            d = add_weighted(d, load(floats, fourth + row), q, w)
+            q, w, row = query[i], weights[i], (1 + i) * LANES
+            a = add_weighted(a, load(ix.floats, first + row), q, w)
+            b = add_weighted(b, load(ix.floats, second + row), q, w)
+            c = add_weighted(c, load(ix.floats, third + row), q, w)
+            d = add_weighted(d, load(ix.floats, fourth + row), q, w)
     else:
         for i in range(width):
-            q, row = floats[query + i], (1 + i) * LANES
-            a = add_square(a, load(floats, first + row), q)
-            b = add_square(b, load(floats, second + row), q)
-            c = add_square(c, load(floats, third + row), q)
-            d = add_square(d, load(floats, fourth + row), q)
-    store(floats, out, a)
-    store(floats, out + LANES, b)
-    store(floats, out + 2 * LANES, c)
-    store(floats, out + 3 * LANES, d)
+            q, row = query[i], (1 + i) * LANES
+            a = add_square(a, load(ix.floats, first + row), q)
+            b = add_square(b, load(ix.floats, second + row), q)
+            c = add_square(c, load(ix.floats, third + row), q)
+            d = add_square(d, load(ix.floats, fourth + row), q)
+    store(ix.floats, out, a)
+    store(ix.floats, out + LANES, b)
+    store(ix.floats, out + 2 * LANES, c)
+    store(ix.floats, out + 3 * LANES, d)
 
 
 @kernel
-def four_at_most(floats: Floats, books: Times, limit: np.float32, at: int) -> int:
+def four_at_most(ix: BareIndex, limit: np.float32, at: int) -> int:
     """Of the 64 sums at place `at`, those that are at most `limit`, as bits."""
-    if books[VECTOR]:
-        low = at_most(load(floats, at), limit) | at_most(load(floats, at + LANES), limit) << LANES
-        high = at_most(load(floats, at + 2 * LANES), limit) | at_most(load(floats, at + 3 * LANES), limit) << LANES
+    if ix.vector:
+        low = at_most(load(ix.floats, at), limit) | at_most(load(ix.floats, at + LANES), limit) << LANES
+        high = (
+            at_most(load(ix.floats, at + 2 * LANES), limit) | at_most(load(ix.floats, at + 3 * LANES), limit) << LANES
+        )
         return int(low | high << 2 * LANES)
     found = 0
     for i in range(4):
-        found |= bits_at_most(floats, limit, at + i * LANES) << (i * LANES)
+        found |= bits_at_most(ix.floats, limit, at + i * LANES) << (i * LANES)
     return found
 
 
 @kernel
-def boxes_by_vectors(floats: Floats, books: Times, boxes: int, limit: np.float32, out: int) -> int:
-    width, query, weights, weighted = books[WIDTH], books[AT_QUERY], books[AT_WEIGHTS], books[WEIGHTED]
-    total = load(floats, boxes)
+def boxes_by_vectors(ix: BareIndex, boxes: int, limit: np.float32, out: int) -> int:
+    width, query, weights, weighted = ix.width, ix.query, ix.weights, ix.weighted
+    total = load(ix.floats, boxes)
     zero = np.float32(0.0)
     row = boxes + LANES
     done = 0
     while done < width:
         stop = min(done + AT_ONCE, width)
         for i in range(done, stop):
-            off = outside(load(floats, row), load(floats, row + LANES), floats[query + i])
-            total = add_weighted(total, off, zero, floats[weights + i]) if weighted else add_square(total, off, zero)
+            off = outside(load(ix.floats, row), load(ix.floats, row + LANES), query[i])
+            total = add_weighted(total, off, zero, weights[i]) if weighted else add_square(total, off, zero)
             row += 2 * LANES
         if at_most(total, limit) == 0:
             return 0
         done = stop
-    store(floats, out, total)
+    store(ix.floats, out, total)
     found: int = at_most(total, limit)
     return found
 
 
 @kernel
-def tile_by_loops(floats: Floats, books: Times, tile: int, limit: np.float32, out: int) -> int:
-    width, query, weights = books[WIDTH], books[AT_QUERY], books[AT_WEIGHTS]
+def tile_by_loops(ix: BareIndex, tile: int, limit: np.float32, out: int) -> int:
+    width, query, weights = ix.width, ix.query, ix.weights
     for lane in range(LANES):
-        floats[out + lane] = floats[tile + lane]
+        ix.floats[out + lane] = ix.floats[tile + lane]
     found = 0
     for i in range(width):
         for lane in range(LANES):
-            off = floats[tile + (1 + i) * LANES + lane] - floats[query + i]
-            floats[out + lane] += (floats[weights + i] * off) * off
+            off = ix.floats[tile + (1 + i) * LANES + lane] - query[i]
+            ix.floats[out + lane] += (weights[i] * off) * off
         if i % AT_ONCE == AT_ONCE - 1 or i == width - 1:
-            found = bits_at_most(floats, limit, out)
+            found = bits_at_most(ix.floats, limit, out)
             if found == 0:
                 return 0
     return found
 
 
 @kernel
-def boxes_by_loops(floats: Floats, books: Times, boxes: int, limit: np.float32, out: int) -> int:
-    width, query, weights = books[WIDTH], books[AT_QUERY], books[AT_WEIGHTS]
+def boxes_by_loops(ix: BareIndex, boxes: int, limit: np.float32, out: int) -> int:
+    width, query, weights = ix.width, ix.query, ix.weights
     for lane in range(LANES):
-        floats[out + lane] = floats[boxes + lane]
+        ix.floats[out + lane] = ix.floats[boxes + lane]
     found = 0
     for i in range(width):
-        q, w = floats[query + i], floats[weights + i]
+        q, w = query[i], weights[i]
         for lane in range(LANES):
-            low = floats[boxes + (1 + 2 * i) * LANES + lane] - q
-            high = q - floats[boxes + (2 + 2 * i) * LANES + lane]
+            low = ix.floats[boxes + (1 + 2 * i) * LANES + lane] - q
+            high = q - ix.floats[boxes + (2 + 2 * i) * LANES + lane]
             off = max(max(low, high), np.float32(0.0))
-            floats[out + lane] += (w * off) * off
+            ix.floats[out + lane] += (w * off) * off
         if i % AT_ONCE == AT_ONCE - 1 or i == width - 1:
-            found = bits_at_most(floats, limit, out)
+            found = bits_at_most(ix.floats, limit, out)
             if found == 0:
                 return 0
     return found
 
 
 @kernel
-def lanes_at_most(floats: Floats, books: Times, limit: np.float32, at: int) -> int:
+def lanes_at_most(ix: BareIndex, limit: np.float32, at: int) -> int:
     """The lanes of the 16 sums at place `at` that hold at most `limit`, as bits."""
-    if books[VECTOR]:
-        found: int = at_most(load(floats, at), limit)
+    if ix.vector:
+        found: int = at_most(load(ix.floats, at), limit)
         return found
-    return bits_at_most(floats, limit, at)
+    return bits_at_most(ix.floats, limit, at)
 
 
 @kernel

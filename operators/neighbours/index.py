@@ -8,23 +8,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operators.neighbours.follow import ask_nearest, ask_within, enter, follow, tell_within
-from operators.neighbours.layout import (
-    AT_TILES,
-    AT_WEIGHTS,
-    LANES,
-    MOST,
-    NEXT,
-    SINCE,
-    WEIGHTED,
-    WIDTH,
-    WINDOW,
-    Floats,
-    IndexState,
-    allocate,
-    clear,
-)
-from operators.neighbours.window import slot_of
+from operators.neighbours.follow import ask_nearest, ask_within, enter, follow, slot_in, tell_within
+from operators.neighbours.layout import LANES, Floats, IndexState, allocate, clear
 from stream.chunk import Array, Samples, Times
 from stream.errors import KinegraphError
 from stream.state import pack, unpack
@@ -69,25 +54,25 @@ class Index:
 
     def __len__(self) -> int:
         """How many frames the window holds, bad ones included."""
-        return int(self.state.books[NEXT]) - self.first
+        return int(self.state.head["next"]) - self.first
 
     @property
     def width(self) -> int:
-        return int(self.state.books[WIDTH])
+        return int(self.state.head["width"])
 
     @property
     def window(self) -> int:
-        return int(self.state.books[WINDOW])
+        return int(self.state.head["window"])
 
     @property
     def first(self) -> int:
         """The number of the oldest frame in the window."""
-        return int(max(self.state.books[SINCE], self.state.books[NEXT] - self.state.books[WINDOW]))
+        return int(max(self.state.head["since"], self.state.head["next"] - self.state.head["window"]))
 
     @property
     def newest(self) -> int:
         """The number of the newest frame; -1 before the first."""
-        return int(self.state.books[NEXT]) - 1
+        return int(self.state.head["next"]) - 1
 
     @property
     def memory_bytes(self) -> int:
@@ -151,10 +136,10 @@ class Index:
         s = self.state
         if not self.first <= number <= self.newest:
             raise NeighbourError(f"frame {number} is not in the window, which holds {self.first} to {self.newest}")
-        slot = slot_of(s.books, number)
+        slot = slot_in(s.floats, s.books, number)
         rows = 1 + self.width
-        tile = int(s.books[AT_TILES]) + slot // LANES * rows * LANES
-        lanes: Floats = s.floats[tile : tile + rows * LANES].reshape(rows, LANES)[:, slot % LANES]
+        tiles = s.floats_at("tiles_at", int(s.head["slots"]) * rows).reshape(-1, rows, LANES)
+        lanes = tiles[slot // LANES, :, slot % LANES]
         return lanes[1:].copy() if lanes[0] == 0.0 else np.full(self.width, np.nan, np.float32)
 
     def weigh(self, weights: ArrayLike) -> None:
@@ -180,7 +165,7 @@ class Index:
         return row
 
     def _few(self, k: int) -> int:
-        most = int(self.state.books[MOST])
+        most = int(self.state.head["most"])
         if not 0 <= k <= most:
             raise NeighbourError(f"k is {k}; it must be from 0 to {most} (the index was made for `most` of them)")
         return k
@@ -194,6 +179,5 @@ def set_weights(state: IndexState, weights: Samples | Sequence[float]) -> None:
         raise NeighbourError(
             f"weights are {list(weights)}; they must be finite in float32 (up to 3.4e38) and not negative"
         )
-    start = int(state.books[AT_WEIGHTS])
-    state.floats[start : start + len(row)] = row
-    state.books[WEIGHTED] = bool((row != 1.0).any())
+    state.floats_at("weights_at", len(row))[:] = row
+    state.head["weighted"] = bool((row != 1.0).any())

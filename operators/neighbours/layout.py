@@ -1,8 +1,8 @@
 """Where everything stands in the two flat arrays that an index is: `floats` (float32) and `books` (int64).
 
-Kernels take these two arrays and nothing else, as every array in a call costs time, and as a snapshot is then a copy of both. Within
-kernels they are bare (see lanes.py): only those that Python calls, in follow.py, know them as arrays. `books` begins with the numbers named
-here; those that begin with AT_ are places in `floats`, those with IN_ places in `books`.
+A snapshot is a copy of both, and Python calls a kernel with both and nothing else, as every array in a call costs time. Kernels see them
+as one `BareIndex`, in which every number and every array has a name. To add one, name it there, and for an array give its length in
+`allocate`; nothing else has to know.
 
 A frame lives in a slot: lane `slot % 16` of tile `slot // 16`. Tiles hold one row of 16 lanes per feature, behind a row that is 0 in lanes
 that hold a living frame and infinite in all others; a distance is summed up from there. 16 tiles are a group, 16 groups a top; a box over
@@ -13,7 +13,7 @@ each feature. Slots belong to blocks: 1024 frames where full blocks are sealed, 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,11 +27,11 @@ FOUR = 4 * LANES
 GROUP = LANES * LANES
 SEALED_BLOCK = 1024
 SEAL_FROM = 8192
-"""Windows of at least so many frames have their full blocks sealed; in shorter ones it does not pay."""
+"""Windows of at least this many frames have their full blocks sealed; in shorter ones it does not pay."""
 SCAN_UP_TO = 20_000
-"""Windows of at most so many numbers (frames times 1 + width) are looked through from end to end: measured, sooner than by boxes."""
+"""Windows of at most this many numbers (frames times 1 + width) are looked through from end to end: measured, sooner than by boxes."""
 COUNTED = 96
-"""Up to so many candidates are put in order by counting, for each, those that are nearer: no branches, so faster than a sort."""
+"""Up to this many candidates are put in order by counting, for each, those that are nearer: no branches, so faster than a sort."""
 
 LARGEST = 1e18
 """Features beyond this size (either sign) are not finite for us: sums of squares then stay in float32's range, or overflow to infinity."""
@@ -41,50 +41,91 @@ NO_REACH = -1.0
 FARTHEST = np.float32(np.finfo(np.float32).max)
 """No limit: everything but infinity, which is what lanes without a living frame hold."""
 
-NAMES = [
-    "WIDTH", "WINDOW", "MOST", "BLOCK", "BLOCKS", "SLOTS", "GROUPS", "TOPS", "VECTOR", "WEIGHTED", "SCANNED", "ROOM",
-    "AT_WEIGHTS", "AT_QUERY", "AT_SCRATCH", "AT_KEYS", "AT_NEAR", "AT_WARM", "AT_SQUARED", "AT_REACH",
-    "AT_GROUP_REACH", "AT_TILES", "AT_GROUPS", "AT_TOPS",
-    "IN_FRAMES", "IN_PLACES", "IN_ALIVE", "IN_GROUP_ALIVE", "IN_TABLE", "IN_ORDER", "IN_SORTED", "IN_NEAR", "IN_RANKS",
-    "IN_KEYS", "IN_WARM", "IN_SUMS", "IN_SEEN", "IN_MARKS",
-    "NEXT", "SINCE", "NEAR", "FOUND", "WARM", "WARM_AT", "QUERIES", "PLAIN", "SPARE", "SEAL", "STAGE",
-    "SIZE", "FROM", "PART", "AXIS", "PACE",
-]  # fmt: skip
-(
-    WIDTH, WINDOW, MOST, BLOCK, BLOCKS, SLOTS, GROUPS, TOPS, VECTOR, WEIGHTED, SCANNED, ROOM,
-    AT_WEIGHTS, AT_QUERY, AT_SCRATCH, AT_KEYS, AT_NEAR, AT_WARM, AT_SQUARED, AT_REACH, AT_GROUP_REACH, AT_TILES, AT_GROUPS, AT_TOPS,
-    IN_FRAMES, IN_PLACES, IN_ALIVE, IN_GROUP_ALIVE, IN_TABLE, IN_ORDER, IN_SORTED,
-    IN_NEAR, IN_RANKS, IN_KEYS, IN_WARM, IN_SUMS, IN_SEEN, IN_MARKS,
-    NEXT, SINCE, NEAR, FOUND, WARM, WARM_AT, QUERIES, PLAIN, SPARE, SEAL, STAGE, SIZE, FROM, PART, AXIS, PACE,
-) = range(len(NAMES))  # fmt: skip
-"""
-WIDTH, WINDOW, MOST      features, frames in the window, the largest k
-BLOCK, BLOCKS            frames in a block, and how many blocks take turns (a sealed index has one more, the spare)
-SLOTS, GROUPS, TOPS      how many there are
-VECTOR, WEIGHTED         whether the vector path is used; whether any weight differs from 1
-SCANNED, ROOM            whether queries look through the whole window (scan.py); how many candidates there is room for
-AT_WEIGHTS, AT_QUERY     (width,)         the weights; the frame that is inserted or asked about
-AT_SCRATCH               (3, 16)          sums of a top, a group, a tile
-AT_KEYS                  (block,)         the feature by which a part of a block is being sorted
-AT_NEAR, IN_NEAR         (many,)          squared distances and frames of the nearest, in order; many: most, at least COUNTED
-IN_KEYS, IN_RANKS        (room,), (many,) candidates, FOUND of them: the bits of d2, then the number counted from the oldest; their order
-AT_WARM, IN_SUMS         (most + 3, 16), (tiles,)  the sums of the tiles that were looked into first; where there those of each tile stand
-AT_SQUARED               (blocks * block,)   squared distance of a frame that was marked (scan.py: of any), by its number modulo that length
-AT_REACH, AT_GROUP_REACH (slots,), (groups,) square of every frame's own radius, -1: none; the largest of each group
-AT_TILES                 (tiles, 1 + width, 16)
-AT_GROUPS, AT_TOPS       (.., 1 + 2 width, 16)
-IN_FRAMES, IN_PLACES     (slots,)         which frame a slot holds; the slot of each frame of a block
-IN_ALIVE, IN_GROUP_ALIVE (tiles,), (groups,)  living frames in each
-IN_TABLE                 (blocks,)        which block stands where
-IN_ORDER, IN_SORTED      (block,)         the frames of the block that is being sealed, in the order reached so far
-IN_WARM                  (most,)          the nearest of the query before; WARM how many, WARM_AT for which frame
-IN_SEEN                  (tiles,)         the last query that looked into a tile; QUERIES counts them
-IN_MARKS                 (blocks * block / 64,)  a bit for each frame that was found within the radius
-NEXT, SINCE              the number of the next frame, counted from 0; and of the first one since all were forgotten
-NEAR                     how many of the nearest are known
-PLAIN                    for how many more queries the boxes are left aside
-SPARE, SEAL, ..., PACE   the spare block, the block being sealed (-1: none), how far that is, and the steps done with every frame
-"""
+
+class BareIndex:
+    """An index as kernels see it (bare.py): numbers that stand at the beginning of `books`, and the arrays that it consists of.
+
+    For a number there is a place in the head of `books`, in the order given here, for an array the number of where it begins.
+    """
+
+    floats: Floats
+    books: Times
+
+    width: int  # features
+    window: int  # frames
+    most: int  # the largest k
+    block: int  # frames in a block
+    blocks: int  # how many blocks take turns; a sealed index has one more, the spare
+    slots: int
+    groups: int
+    tops: int
+    vector: int  # whether vectors are used, or plain loops
+    weighted: int  # whether any weight differs from 1
+    scanned: int  # whether queries look through the whole window (scan.py)
+    room: int  # for how many candidates there is room
+
+    weights: Floats  # (width,)
+    query: Floats  # (width,) the frame that is inserted or asked about
+    scratch: Floats  # (3, 16) sums of a top, a group, a tile
+    values: Floats  # (block,) the feature by which a part of a block is being sorted
+    near_squared: Floats  # (many,) squared distances of the nearest, in order; many: most, at least COUNTED
+    warm_sums: Floats  # (most + 3, 16) the sums of the tiles that were looked into first
+    squared: Floats  # (blocks * block,) squared distance of a frame that was marked (scan.py: of any), by its number modulo that length
+    reach: Floats  # (slots,) square of every frame's own radius, -1: none
+    group_reach: Floats  # (groups,) the largest of each group
+    tiles: Floats  # (tiles, 1 + width, 16)
+    group_boxes: Floats  # (groups, 1 + 2 width, 16)
+    top_boxes: Floats  # (tops, 1 + 2 width, 16)
+
+    frames: Times  # (slots,) which frame a slot holds
+    places: Times  # (slots,) the slot of each frame of a block
+    alive: Times  # (tiles,) living frames in each
+    group_alive: Times  # (groups,)
+    table: Times  # (blocks,) which block stands where
+    order: Times  # (block,) the frames of the block that is being sealed, in the order reached so far
+    sorted: Times  # (block,) the order that comes next
+    near: Times  # (many,) the frames of the nearest, in order
+    ranks: Times  # (many,) the candidates' places in their order
+    keys: Times  # (room,) candidates: the bits of d2, then the number counted from the oldest
+    warm: Times  # (most,) the nearest of the query before
+    sums: Times  # (tiles,) where in floats the sums of a tile that was looked into first stand
+    seen: Times  # (tiles,) the last query that looked into a tile
+    marks: Times  # (blocks * block / 64,) a bit for each frame that was found within the radius
+
+    next: int  # the number of the next frame, counted from 0
+    since: int  # that of the first one since all were forgotten
+    near_count: int  # how many of the nearest are known
+    found: int  # how many candidates there are
+    warm_count: int  # how many were nearest to the query before
+    warm_frame: int  # and to which frame
+    queries: int  # counts them
+    plain: int  # for how many more queries the boxes are left aside
+    spare: int  # the spare block; -1: blocks are not sealed
+    sealing: int  # the block that is being sealed; -1: none
+    stage: int  # what is being done with it (seal.py)
+    part_size: int  # frames in the part of it that is being sorted
+    part_from: int  # the first of them
+    part_done: int  # how far the stage has come in it
+    axis: int  # the feature that spreads most so far
+    pace: int  # steps of sealing done with every frame
+
+    scratch_at: int  # places in floats, for what is passed on as a place there
+    warm_sums_at: int
+    squared_at: int
+    tiles_at: int
+    group_boxes_at: int
+    top_boxes_at: int
+
+
+def _head() -> list[tuple[str, type[np.int64]]]:
+    kinds = {name: kind for name, kind in BareIndex.__annotations__.items() if name not in ("floats", "books")}
+    named = [name if kind == "int" else f"{name}_at" for name, kind in kinds.items()]
+    return [(name, np.int64) for name in dict.fromkeys(named)]
+
+
+HEAD = np.dtype(_head())
+"""The beginning of `books`, from Python."""
+HEAD_LENGTH = len(HEAD.names or ())
 
 
 @dataclass(slots=True)
@@ -93,6 +134,16 @@ class IndexState:
 
     floats: Floats
     books: Times
+
+    @property
+    def head(self) -> Any:
+        """The numbers at the beginning of `books`, by name: read and written."""
+        return self.books[:HEAD_LENGTH].view(HEAD)[0]
+
+    def floats_at(self, place: str, count: int) -> Floats:
+        """`count` of the floats, from a place that the head names: a view."""
+        start = int(self.head[place])
+        return self.floats[start : start + count]
 
 
 def allocate(width: int, window: int, most: int, *, vector: bool = True) -> IndexState:
@@ -104,55 +155,55 @@ def allocate(width: int, window: int, most: int, *, vector: bool = True) -> Inde
     slots, tiles, tops, ring = groups * GROUP, groups * LANES, -(-groups // LANES), blocks * block
     rows, many, room = 1 + 2 * width, max(most, COUNTED), 3 * most + 64
     head = {
-        "WIDTH": width, "WINDOW": window, "MOST": most, "BLOCK": block, "BLOCKS": blocks, "SLOTS": slots,
-        "GROUPS": groups, "TOPS": tops, "VECTOR": vector, "SPARE": blocks if sealed else -1, "SEAL": -1, "WARM_AT": -1,
-        "PACE": _pace(width) if sealed else 0, "SCANNED": not sealed and window * (1 + width) <= SCAN_UP_TO, "ROOM": room,
+        "width": width, "window": window, "most": most, "block": block, "blocks": blocks, "slots": slots,
+        "groups": groups, "tops": tops, "vector": vector, "spare": blocks if sealed else -1, "sealing": -1, "warm_frame": -1,
+        "pace": _pace(width) if sealed else 0, "scanned": not sealed and window * (1 + width) <= SCAN_UP_TO, "room": room,
     }  # fmt: skip
     floats = {
-        "AT_WEIGHTS": width, "AT_QUERY": width, "AT_SCRATCH": 3 * LANES, "AT_KEYS": block, "AT_NEAR": many, "AT_WARM": (most + 3) * LANES,
-        "AT_SQUARED": ring, "AT_REACH": slots, "AT_GROUP_REACH": groups,
-        "AT_TILES": tiles * (1 + width) * LANES, "AT_GROUPS": groups * rows * LANES, "AT_TOPS": tops * rows * LANES,
+        "weights_at": width, "query_at": width, "scratch_at": 3 * LANES, "values_at": block, "near_squared_at": many,
+        "warm_sums_at": (most + 3) * LANES, "squared_at": ring, "reach_at": slots, "group_reach_at": groups,
+        "tiles_at": tiles * (1 + width) * LANES, "group_boxes_at": groups * rows * LANES, "top_boxes_at": tops * rows * LANES,
     }  # fmt: skip
     books = {
-        "IN_FRAMES": slots, "IN_PLACES": slots, "IN_ALIVE": tiles, "IN_GROUP_ALIVE": groups, "IN_TABLE": blocks,
-        "IN_ORDER": block, "IN_SORTED": block, "IN_NEAR": many, "IN_RANKS": many, "IN_KEYS": room, "IN_WARM": most,
-        "IN_SUMS": tiles, "IN_SEEN": tiles, "IN_MARKS": ring // 64,
+        "frames_at": slots, "places_at": slots, "alive_at": tiles, "group_alive_at": groups, "table_at": blocks,
+        "order_at": block, "sorted_at": block, "near_at": many, "ranks_at": many, "keys_at": room, "warm_at": most,
+        "sums_at": tiles, "seen_at": tiles, "marks_at": ring // 64,
     }  # fmt: skip
     places, float_count = _lay_out(floats, 0)
-    more, book_count = _lay_out(books, -(-len(NAMES) // LANES) * LANES)
+    more, book_count = _lay_out(books, -(-HEAD_LENGTH // LANES) * LANES)
     state = IndexState(_aligned(float_count), np.zeros(book_count, np.int64))
     for name, value in {**head, **places, **more}.items():
-        state.books[NAMES.index(name)] = value
+        state.head[name] = value
     _begin(state)
     return state
 
 
 def clear(state: IndexState) -> None:
     """Forget all frames, but not how many there were, nor the weights."""
-    b = state.books
-    count, weighted = int(b[NEXT]), int(b[WEIGHTED])
-    weights = state.floats[b[AT_WEIGHTS] : b[AT_WEIGHTS] + b[WIDTH]].copy()
-    fresh = allocate(int(b[WIDTH]), int(b[WINDOW]), int(b[MOST]), vector=bool(b[VECTOR]))
+    head = state.head
+    count, weighted, width = head["next"], head["weighted"], int(head["width"])
+    weights = state.floats_at("weights_at", width).copy()
+    fresh = allocate(width, int(head["window"]), int(head["most"]), vector=bool(head["vector"]))
     state.floats[:], state.books[:] = fresh.floats, fresh.books
-    state.floats[b[AT_WEIGHTS] : b[AT_WEIGHTS] + b[WIDTH]] = weights
-    b[NEXT] = b[SINCE] = count
-    b[WEIGHTED] = weighted
+    state.floats_at("weights_at", width)[:] = weights
+    head["next"] = head["since"] = count
+    head["weighted"] = weighted
 
 
 def _begin(state: IndexState) -> None:
     """All lanes are dead, all weights 1."""
-    f, b = state.floats, state.books
-    width, tiles = int(b[WIDTH]), int(b[SLOTS]) // LANES
-    f[b[AT_WEIGHTS] : b[AT_WEIGHTS] + width] = 1.0
-    for place, count, rows in (
-        (b[AT_TILES], tiles, 1 + width),
-        (b[AT_GROUPS], int(b[GROUPS]), 1 + 2 * width),
-        (b[AT_TOPS], int(b[TOPS]), 1 + 2 * width),
+    width, slots, groups, tops, blocks = (int(state.head[n]) for n in ("width", "slots", "groups", "tops", "blocks"))
+    state.floats_at("weights_at", width)[:] = 1.0
+    for name, count, rows in (
+        ("tiles_at", slots // LANES, 1 + width),
+        ("group_boxes_at", groups, 1 + 2 * width),
+        ("top_boxes_at", tops, 1 + 2 * width),
     ):
-        f[place : place + count * rows * LANES].reshape(count, rows, LANES)[:, 0] = np.inf
-    f[b[AT_REACH] : b[AT_REACH] + b[SLOTS]] = NO_REACH
-    f[b[AT_GROUP_REACH] : b[AT_GROUP_REACH] + b[GROUPS]] = NO_REACH
-    b[b[IN_TABLE] : b[IN_TABLE] + b[BLOCKS]] = np.arange(b[BLOCKS])
+        state.floats_at(name, count * rows * LANES).reshape(count, rows, LANES)[:, 0] = np.inf
+    state.floats_at("reach_at", slots)[:] = NO_REACH
+    state.floats_at("group_reach_at", groups)[:] = NO_REACH
+    table = state.head["table_at"]
+    state.books[table : table + blocks] = np.arange(blocks)
 
 
 def _lay_out(sizes: dict[str, int], start: int) -> tuple[dict[str, int], int]:

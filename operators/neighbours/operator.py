@@ -8,10 +8,10 @@ from typing import ClassVar, TypeAlias
 
 import numpy as np
 
-from operators.continuity import Continuity, watch
+from operators.inputs.continuity import Continuity, watch
 from operators.neighbours.follow import follow_within
 from operators.neighbours.index import LIMITS, set_weights
-from operators.neighbours.layout import NEXT, IndexState, allocate, clear
+from operators.neighbours.layout import IndexState, allocate, clear
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times, empty
 from stream.errors import InputError, ParameterError
 from stream.filter import reset_gap
@@ -66,12 +66,13 @@ class Neighbours(Operator[NeighboursState]):
 
     No delay. Memory: some (4.6 width + 50) bytes per frame of the window and some 1000 frames more, all of it from the start; nothing is
     ever rebuilt as a whole.
-    Source: thesis 2.3.1, which builds one kd-tree of a whole recording; here only what came before is searched, so that a pair is told
+    Source: thesis 2.3.1, which builds one kd-tree of a whole recording; here only what came before is searched, so that a pair is reported
     once, when its later frame comes.
     """
 
     takes = "rows"
     inputs: ClassVar[tuple[str, ...]] = ("in", "weights", "radius")
+    acts: ClassVar[tuple[str, ...]] = ("weights", "radius")
     optional: ClassVar[tuple[str, ...]] = ("weights", "radius")
     outputs: ClassVar[tuple[str, ...]] = ("nearest", "within")
 
@@ -139,7 +140,7 @@ class Neighbours(Operator[NeighboursState]):
         frames, distances = np.empty(nearest.shape, np.int64), np.empty(nearest.shape, np.float32)
         who, others = np.empty(room, np.int64), np.empty(room, np.int64)
         apart, ways = np.empty(room, np.float32), np.empty((room, 2), np.bool_)
-        first = int(s.index.books[NEXT])
+        first = int(s.index.head["next"])
         done = 0
         while done < len(x):
             start, limit = done, min(len(x), done + window)

@@ -10,218 +10,186 @@ from __future__ import annotations
 
 import math
 
-from operators.neighbours.layout import (
-    AT_GROUP_REACH,
-    AT_GROUPS,
-    AT_KEYS,
-    AT_REACH,
-    AT_TILES,
-    AT_TOPS,
-    AT_WEIGHTS,
-    AXIS,
-    BLOCK,
-    BLOCKS,
-    FROM,
-    GROUP,
-    IN_ALIVE,
-    IN_FRAMES,
-    IN_GROUP_ALIVE,
-    IN_ORDER,
-    IN_PLACES,
-    IN_SORTED,
-    IN_TABLE,
-    LANES,
-    NO_REACH,
-    PART,
-    RANK_WORK,
-    SEAL,
-    SIZE,
-    SPARE,
-    SPREAD_WORK,
-    STAGE,
-    WIDTH,
-    Floats,
-)
-from stream.chunk import Times
+from operators.neighbours.layout import GROUP, LANES, NO_REACH, RANK_WORK, SPREAD_WORK, BareIndex
 from stream.kernel import kernel
 
 SPREAD, RANK, COPY, COVER, SWAP = range(5)
 
 
 @kernel
-def begin_sealing(floats: Floats, books: Times, block: int) -> None:
+def begin_sealing(ix: BareIndex, block: int) -> None:
     """Begin with a block that has just been filled (and end what is under way, which by then is done: see layout's pace)."""
-    while books[SEAL] >= 0:
-        seal_step(floats, books)
-    for i in range(books[BLOCK]):
-        books[books[IN_ORDER] + i] = i
-    books[SEAL] = block
-    books[FROM] = 0
-    books[SIZE] = books[BLOCK]
-    begin_part(books)
+    while ix.sealing >= 0:
+        seal_step(ix)
+    for i in range(ix.block):
+        ix.order[i] = i
+    ix.sealing = block
+    ix.part_from = 0
+    ix.part_size = ix.block
+    begin_part(ix)
 
 
 @kernel
-def begin_part(books: Times) -> None:
+def begin_part(ix: BareIndex) -> None:
     """Turn to the part of SIZE frames that begins at FROM."""
-    books[STAGE] = SPREAD if books[SIZE] > LANES else COPY
-    books[PART] = 0
-    books[AXIS] = -1
+    ix.stage = SPREAD if ix.part_size > LANES else COPY
+    ix.part_done = 0
+    ix.axis = -1
 
 
 @kernel
-def seal_step(floats: Floats, books: Times) -> None:
+def seal_step(ix: BareIndex) -> None:
     """One step of whatever is to be done next."""
-    if books[SEAL] < 0:
+    if ix.sealing < 0:
         return
-    if books[STAGE] == SPREAD:
-        find_axis(floats, books)
-    elif books[STAGE] == RANK:
-        rank(floats, books)
-    elif books[STAGE] == COPY:
-        copy_tile(floats, books)
-    elif books[STAGE] == COVER:
-        cover_group(floats, books)
+    if ix.stage == SPREAD:
+        find_axis(ix)
+    elif ix.stage == RANK:
+        rank(ix)
+    elif ix.stage == COPY:
+        copy_tile(ix)
+    elif ix.stage == COVER:
+        cover_group(ix)
     else:
-        swap(floats, books)
+        swap(ix)
 
 
 @kernel
-def member(books: Times, i: int) -> int:
+def member(ix: BareIndex, i: int) -> int:
     """The place of the lane's first number of the i-th frame, in the order reached so far, of the block that is being sealed."""
-    slot = books[SEAL] * books[BLOCK] + books[books[IN_ORDER] + i]
-    return int(books[AT_TILES] + slot // LANES * (1 + books[WIDTH]) * LANES + slot % LANES)
+    slot = ix.sealing * ix.block + ix.order[i]
+    return int(ix.tiles_at + slot // LANES * (1 + ix.width) * LANES + slot % LANES)
 
 
 @kernel
-def find_axis(floats: Floats, books: Times) -> None:
+def find_axis(ix: BareIndex) -> None:
     """Which feature spreads most within the part: a few features in each step. Then its values become the keys."""
-    width, start, size, keys = books[WIDTH], books[FROM], books[SIZE], books[AT_KEYS]
-    stop = min(width, books[PART] + max(1, SPREAD_WORK // size))
-    for feature in range(books[PART], stop):
+    width, start, size, keys = ix.width, ix.part_from, ix.part_size, ix.values
+    stop = min(width, ix.part_done + max(1, SPREAD_WORK // size))
+    for feature in range(ix.part_done, stop):
         low, high = math.inf, -math.inf
         for i in range(start, start + size):
-            at = member(books, i)
-            if floats[at] == 0.0:
-                value = floats[at + (1 + feature) * LANES]
+            at = member(ix, i)
+            if ix.floats[at] == 0.0:
+                value = ix.floats[at + (1 + feature) * LANES]
                 low, high = min(low, value), max(high, value)
-        spread = floats[books[AT_WEIGHTS] + feature] * (high - low) * (high - low) if high >= low else 0.0
-        if books[AXIS] < 0 or spread > floats[keys]:
-            floats[keys] = spread
-            books[AXIS] = feature
-    books[PART] = stop
+        spread = ix.weights[feature] * (high - low) * (high - low) if high >= low else 0.0
+        if ix.axis < 0 or spread > keys[0]:
+            keys[0] = spread
+            ix.axis = feature
+    ix.part_done = stop
     if stop == width:
         for i in range(size):
-            at = member(books, start + i)
-            floats[keys + i] = floats[at + (1 + books[AXIS]) * LANES] if floats[at] == 0.0 else math.inf
-        books[STAGE] = RANK
-        books[PART] = 0
+            at = member(ix, start + i)
+            keys[i] = ix.floats[at + (1 + ix.axis) * LANES] if ix.floats[at] == 0.0 else math.inf
+        ix.stage = RANK
+        ix.part_done = 0
 
 
 @kernel
-def rank(floats: Floats, books: Times) -> None:
+def rank(ix: BareIndex) -> None:
     """Where some of the part's frames belong in order of their keys, equal ones as they were; at the end, on to the next part."""
-    start, size = books[FROM], books[SIZE]
-    keys = books[AT_KEYS]
-    stop = min(size, books[PART] + max(1, RANK_WORK // size))
-    for i in range(books[PART], stop):
-        key = floats[keys + i]
+    start, size = ix.part_from, ix.part_size
+    keys = ix.values
+    stop = min(size, ix.part_done + max(1, RANK_WORK // size))
+    for i in range(ix.part_done, stop):
+        key = keys[i]
         before = 0
         for j in range(i):
-            before += floats[keys + j] <= key
+            before += keys[j] <= key
         for j in range(i + 1, size):
-            before += floats[keys + j] < key
-        books[books[IN_SORTED] + start + before] = books[books[IN_ORDER] + start + i]
-    books[PART] = stop
+            before += keys[j] < key
+        ix.sorted[start + before] = ix.order[start + i]
+    ix.part_done = stop
     if stop < size:
         return
     for i in range(start, start + size):
-        books[books[IN_ORDER] + i] = books[books[IN_SORTED] + i]
-    books[FROM] = start + size
-    if books[FROM] == books[BLOCK]:
-        books[FROM] = 0
-        books[SIZE] = size // 2
-    begin_part(books)
+        ix.order[i] = ix.sorted[i]
+    ix.part_from = start + size
+    if ix.part_from == ix.block:
+        ix.part_from = 0
+        ix.part_size = size // 2
+    begin_part(ix)
 
 
 @kernel
-def copy_tile(floats: Floats, books: Times) -> None:
+def copy_tile(ix: BareIndex) -> None:
     """The next tile of the spare block, and its box."""
-    width, block, spare = books[WIDTH], books[BLOCK], books[SPARE]
-    tile = spare * block // LANES + books[PART]
-    to = books[AT_TILES] + tile * (1 + width) * LANES
+    width, block, spare = ix.width, ix.block, ix.spare
+    tile = spare * block // LANES + ix.part_done
+    to = ix.tiles_at + tile * (1 + width) * LANES
     alive = 0
     for lane in range(LANES):
-        i = books[PART] * LANES + lane
-        at = member(books, i)
+        i = ix.part_done * LANES + lane
+        at = member(ix, i)
         slot = tile * LANES + lane
-        offset = books[books[IN_ORDER] + i]
-        old = books[SEAL] * block + offset
-        books[books[IN_FRAMES] + slot] = books[books[IN_FRAMES] + old]
-        books[books[IN_PLACES] + spare * block + offset] = slot
-        floats[books[AT_REACH] + slot] = floats[books[AT_REACH] + old]
+        offset = ix.order[i]
+        old = ix.sealing * block + offset
+        ix.frames[slot] = ix.frames[old]
+        ix.places[spare * block + offset] = slot
+        ix.reach[slot] = ix.reach[old]
         for row in range(1 + width):
-            floats[to + row * LANES + lane] = floats[at + row * LANES]
-        alive += floats[at] == 0.0
-    books[books[IN_ALIVE] + tile] = alive
-    box = books[AT_GROUPS] + tile // LANES * (1 + 2 * width) * LANES + tile % LANES
-    floats[box] = 0.0 if alive else math.inf
+            ix.floats[to + row * LANES + lane] = ix.floats[at + row * LANES]
+        alive += ix.floats[at] == 0.0
+    ix.alive[tile] = alive
+    box = ix.group_boxes_at + tile // LANES * (1 + 2 * width) * LANES + tile % LANES
+    ix.floats[box] = 0.0 if alive else math.inf
     for feature in range(width):
         low, high = math.inf, -math.inf
         for lane in range(LANES):
-            if floats[to + lane] == 0.0:
-                value = floats[to + (1 + feature) * LANES + lane]
+            if ix.floats[to + lane] == 0.0:
+                value = ix.floats[to + (1 + feature) * LANES + lane]
                 low, high = min(low, value), max(high, value)
-        floats[box + (1 + 2 * feature) * LANES] = low if alive else 0.0
-        floats[box + (2 + 2 * feature) * LANES] = high if alive else 0.0
-    books[PART] += 1
-    if books[PART] * LANES == block:
-        books[STAGE] = COVER
-        books[PART] = 0
+        ix.floats[box + (1 + 2 * feature) * LANES] = low if alive else 0.0
+        ix.floats[box + (2 + 2 * feature) * LANES] = high if alive else 0.0
+    ix.part_done += 1
+    if ix.part_done * LANES == block:
+        ix.stage = COVER
+        ix.part_done = 0
 
 
 @kernel
-def cover_group(floats: Floats, books: Times) -> None:
+def cover_group(ix: BareIndex) -> None:
     """The box over the next group of the spare block. Its lane stays infinite until the swap, so that nobody looks into it."""
-    width = books[WIDTH]
+    width = ix.width
     rows = (1 + 2 * width) * LANES
-    group = books[SPARE] * books[BLOCK] // GROUP + books[PART]
-    tiles = books[AT_GROUPS] + group * rows
-    box = books[AT_TOPS] + group // LANES * rows + group % LANES
+    group = ix.spare * ix.block // GROUP + ix.part_done
+    tiles = ix.group_boxes_at + group * rows
+    box = ix.top_boxes_at + group // LANES * rows + group % LANES
     alive = 0
     for tile in range(LANES):
-        alive += books[books[IN_ALIVE] + group * LANES + tile]
-    books[books[IN_GROUP_ALIVE] + group] = alive
+        alive += ix.alive[group * LANES + tile]
+    ix.group_alive[group] = alive
     for feature in range(width):
         low, high = math.inf, -math.inf
         for tile in range(LANES):
-            if floats[tiles + tile] == 0.0:
-                low = min(low, floats[tiles + (1 + 2 * feature) * LANES + tile])
-                high = max(high, floats[tiles + (2 + 2 * feature) * LANES + tile])
-        floats[box + (1 + 2 * feature) * LANES] = low if alive else 0.0
-        floats[box + (2 + 2 * feature) * LANES] = high if alive else 0.0
+            if ix.floats[tiles + tile] == 0.0:
+                low = min(low, ix.floats[tiles + (1 + 2 * feature) * LANES + tile])
+                high = max(high, ix.floats[tiles + (2 + 2 * feature) * LANES + tile])
+        ix.floats[box + (1 + 2 * feature) * LANES] = low if alive else 0.0
+        ix.floats[box + (2 + 2 * feature) * LANES] = high if alive else 0.0
     farthest = NO_REACH
     for slot in range(group * GROUP, (group + 1) * GROUP):
-        if floats[books[AT_TILES] + slot // LANES * (1 + width) * LANES + slot % LANES] == 0.0:
-            farthest = max(farthest, floats[books[AT_REACH] + slot])
-    floats[books[AT_GROUP_REACH] + group] = farthest
-    books[PART] += 1
-    if books[PART] * GROUP == books[BLOCK]:
-        books[STAGE] = SWAP
+        if ix.tiles[slot // LANES * (1 + width) * LANES + slot % LANES] == 0.0:
+            farthest = max(farthest, ix.reach[slot])
+    ix.group_reach[group] = farthest
+    ix.part_done += 1
+    if ix.part_done * GROUP == ix.block:
+        ix.stage = SWAP
 
 
 @kernel
-def swap(floats: Floats, books: Times) -> None:
+def swap(ix: BareIndex) -> None:
     """The sorted copy takes the block's place; the block becomes the spare one."""
-    groups = books[BLOCK] // GROUP
-    rows = (1 + 2 * books[WIDTH]) * LANES
+    groups = ix.block // GROUP
+    rows = (1 + 2 * ix.width) * LANES
     for k in range(groups):
-        new, old = books[SPARE] * groups + k, books[SEAL] * groups + k
-        if books[books[IN_GROUP_ALIVE] + new]:
-            floats[books[AT_TOPS] + new // LANES * rows + new % LANES] = 0.0
-        floats[books[AT_TOPS] + old // LANES * rows + old % LANES] = math.inf
-        floats[books[AT_GROUP_REACH] + old] = NO_REACH
-    for i in range(books[BLOCKS]):
-        if books[books[IN_TABLE] + i] == books[SEAL]:
-            books[books[IN_TABLE] + i] = books[SPARE]
-    books[SPARE], books[SEAL] = books[SEAL], -1
+        new, old = ix.spare * groups + k, ix.sealing * groups + k
+        if ix.group_alive[new]:
+            ix.top_boxes[new // LANES * rows + new % LANES] = 0.0
+        ix.top_boxes[old // LANES * rows + old % LANES] = math.inf
+        ix.group_reach[old] = NO_REACH
+    for i in range(ix.blocks):
+        if ix.table[i] == ix.sealing:
+            ix.table[i] = ix.spare
+    ix.spare, ix.sealing = ix.sealing, -1

@@ -1,10 +1,10 @@
-"""Frame by frame: an activity opens, begins, and closes; every decision is told as an event."""
+"""Frame by frame: an activity opens, begins, and closes; every decision is reported as an event."""
 
 from __future__ import annotations
 
 from operators.segmentation.belief import conclude, foresee, keep_count
 from operators.segmentation.bouts import close_bout
-from operators.segmentation.cycles import cycle_length
+from operators.segmentation.cycles import cycle_length, slack
 from operators.segmentation.distances import choose_radius, insert, mark, reflect
 from operators.segmentation.events import stamp, tell
 from operators.segmentation.final import how, piece, settle, stretch, tell_start
@@ -62,7 +62,6 @@ from operators.segmentation.repetitions import (
     accept,
     explore,
     search_from,
-    slack,
     take_up,
     under_way,
 )

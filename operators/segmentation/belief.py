@@ -30,7 +30,7 @@ from stream.kernel import kernel
 
 @kernel
 def believe(s: Memory, activity: int, count: int) -> None:
-    """So many repetitions have come in the activity: every number is told once, and a lower one than the last is a correction."""
+    """So many repetitions have come in the activity: every number is reported once, and a lower one than the last is a correction."""
     b = s.books
     if b[BELIEVED_OF] != activity:
         if b[BELIEVED]:

@@ -20,7 +20,7 @@ from stream.kernel import kernel
 
 @kernel
 def join(s: Memory, onset: int, end: int, last: int) -> None:
-    """A repetition is told, with these stamps; it ended with frame `last`."""
+    """A repetition is reported, with these stamps; it ended with frame `last`."""
     b = s.books
     if not b[BOUT_COUNT]:
         b[BOUT_AT] = onset

@@ -19,33 +19,34 @@ from stream.kernel import kernel
 
 
 @kernel
-def fit(s: Memory, slot: int, first: int, last: int, whole: bool) -> float:
-    """Mean distance of the cheapest warping path of an exemplar in frames first..last; `whole`: all along them."""
+def fit(s: Memory, slot: int, first: int, last: int, whole: bool) -> tuple[float, int]:
+    """Mean distance of the cheapest warping path of an exemplar in frames first..last, and where it starts; `whole`: all along them."""
     length = s.clusters[slot, SIZE]
     cost = np.full((2, length), np.inf)
     begin = np.full((2, length), -1, np.int64)
     gain = GAIN * s.values[RADIUS]
-    best = np.inf
+    best, start = np.inf, first
     for i in range(first, last + 1):
         columns(s, i, slot, length)
         mean = advance(s.scratch, i, length, first, gain, cost, begin)
         if whole and (i < last or begin[0, length - 1] > first + length // 8):
             continue
-        best = min(best, mean)
-    return best
+        if mean < best:
+            best, start = mean, begin[0, length - 1]
+    return best, start
 
 
 @kernel
-def recognise(s: Memory, first: int, last: int, length: int) -> int:
-    """The known exemplar that fits best into frames first..last, which hold a cycle of `length` frames; -1: none does."""
-    best, found = s.values[RADIUS], -1
+def recognise(s: Memory, first: int, last: int, length: int) -> tuple[int, int]:
+    """The known exemplar that fits best into frames first..last, which hold a cycle of `length` frames, and where; -1: none does."""
+    best, found, met = s.values[RADIUS], -1, first
     for slot in range(s.clusters.shape[0]):
         size = s.clusters[slot, SIZE]
         if s.clusters[slot, NUMBER] >= 0 and size * 3 <= length * 4 and length * 3 <= size * 4:
-            mean = fit(s, slot, first, last, False)
+            mean, start = fit(s, slot, first, last, False)
             if mean < best:
-                best, found = mean, slot
-    return found
+                best, found, met = mean, slot, start
+    return found, met
 
 
 @kernel
@@ -87,5 +88,5 @@ def alike(s: Memory, slot: int, first: int, last: int) -> int:
         if other == slot or s.clusters[other, NUMBER] < 0 or size > 2 * length or length > 2 * size:
             continue
         s.books[TURN] = other + 1
-        return other if fit(s, other, first, last, True) <= s.values[RADIUS] else -1
+        return other if fit(s, other, first, last, True)[0] <= s.values[RADIUS] else -1
     return -1

@@ -12,9 +12,11 @@ from operators.segmentation.layout import (
     BEST,
     BEST_END,
     BEST_START,
+    FARTHEST,
     FREE,
     LAG,
     LENGTH,
+    LIKE,
     MASS,
     ORIGIN,
     RADIUS,
@@ -38,6 +40,9 @@ GAIN = 0.3
 """What a path's step costs is its distance less this share of the radius; without it paths would shrink to their cheapest part."""
 TRUSTS = 1.25
 """A known cycle's repetition may lie so many radii away on the mean, and so may motion that comes back."""
+SURE, STRAYS, SAME = 3, 4.0, 0.4
+"""Once SURE repetitions have been told, the next may lie STRAYS times as far from the exemplar as they do, or SAME radii: an activity's own
+radius. Half a knee's raise lies within the radius of a squat, but eight times as far from it as one squat from another."""
 FAR = 100.0
 """So many radii apart are frames that have too few features in common, where a mean is taken."""
 LONGEST = 2
@@ -185,6 +190,12 @@ def patience(length: int) -> int:
 
 
 @kernel
+def slack(length: int) -> int:
+    """The longest pause between two repetitions that counts as part of the first."""
+    return length // 2
+
+
+@kernel
 def travel(s: Memory, first: int, last: int, length: int) -> float:
     """How far frames first..last move, from stride to stride, of which a cycle of `length` frames has eight."""
     stride, total = max(1, length // 8), 0.0
@@ -195,6 +206,15 @@ def travel(s: Memory, first: int, last: int, length: int) -> float:
 
 
 @kernel
+def trusted(s: Memory) -> float:
+    """How far a repetition may lie from its exemplar: TRUSTS radii, and as soon as SURE have shown how far theirs do, STRAYS times that."""
+    radius = s.values[RADIUS]
+    if s.books[LIKE] < SURE:
+        return float(TRUSTS * radius)
+    return float(min(TRUSTS * radius, max(STRAYS * s.values[FARTHEST], SAME * radius)))
+
+
+@kernel
 def track(s: Memory, i: int) -> bool:
     """Follow the exemplar's paths to frame `i`; True if the best one (BEST_START to BEST_END) is now accepted."""
     b = s.books
@@ -202,7 +222,7 @@ def track(s: Memory, i: int) -> bool:
     columns(s, i, b[SLOT], length)
     radius = s.values[RADIUS]
     mean = advance(s.scratch, i, length, b[FREE], GAIN * radius, s.cost, s.begin)
-    better = mean <= TRUSTS * radius and mean < s.values[BEST]
+    better = mean <= trusted(s) and mean < s.values[BEST]
     if better and travel(s, s.begin[0, length - 1], i, length) >= s.values[TRAVEL_SHARE] * s.travels[b[SLOT]]:
         s.values[BEST] = mean
         b[BEST_START], b[BEST_END] = s.begin[0, length - 1], i

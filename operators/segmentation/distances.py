@@ -26,6 +26,7 @@ from operators.segmentation.layout import (
 )
 from operators.segmentation.rest import at_rest
 from stream.chunk import Samples, Times
+from stream.finite import finite
 from stream.kernel import kernel
 
 KNOWN, SHARED = 2, 4
@@ -49,9 +50,8 @@ def insert(s: Memory, x: Samples, stamp: int) -> int:
     p = t % ring
     good = is_known(s, x, t)
     for d in range(s.frames.shape[0]):
-        v = x[d] if good else s.frames[d, (t - 1) % ring]
-        if not math.isfinite(v):
-            v = math.nan
+        v = finite(x[d] if good else s.frames[d, (t - 1) % ring])
+        if v != v:
             b[PATCHY] = t
         s.frames[d, p] = v
         s.frames[d, p + ring] = v
@@ -132,7 +132,7 @@ def reflect(s: Memory, t: int, image: Samples) -> None:
     good = s.near[t % s.near.shape[0]] != 2
     row = s.mirrored[t % s.mirrored.shape[0]]
     for d in range(image.shape[0]):
-        row[d] = image[d] if good and math.isfinite(image[d]) else math.nan
+        row[d] = finite(image[d]) if good else math.nan
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""What is final of an activity is told: its start, its repetitions or their steps, and what is none."""
+"""What is final of an activity is reported: its start, its repetitions or their steps, and what is none."""
 
 from __future__ import annotations
 
@@ -11,13 +11,16 @@ from operators.segmentation.layout import (
     BEGIN_EVENT,
     CLUSTER,
     CYCLES,
+    FARTHEST,
     FROM,
+    LIKE,
     MERGE_EVENT,
     NEXT,
     NUMBER,
     PENDING,
     PIECES_AT,
     PIECES_FROM,
+    PRICE,
     PRIMITIVE_EVENT,
     REPEATED,
     SLOT,
@@ -36,12 +39,14 @@ from stream.kernel import kernel
 
 @kernel
 def settle(s: Memory, last: int) -> None:
-    """The pending repetition ends at `last`: it is told, and compared with another cluster's exemplar."""
+    """The pending repetition ends at `last`: it is reported, and compared with another cluster's exemplar."""
     b = s.books
     b[CYCLES] += 1
     if b[CYCLES] > 1:
         b[REPEATED] = b[NEXT] + b[WINDOW]
     b[PENDING] = 0
+    b[LIKE] += 1
+    s.values[FARTHEST] = max(s.values[FARTHEST], s.values[PRICE])
     join(s, stamp(s, b[FROM]), stamp(s, last), last)
     slot = b[SLOT]
     kind, half = symmetry(s, slot, b[FROM], last + 1)
@@ -66,7 +71,7 @@ def settle(s: Memory, last: int) -> None:
 
 @kernel
 def tell_step(s: Memory, first: int, last: int, side: int) -> None:
-    """A repetition, or one side's step of it, is told."""
+    """A repetition, or one side's step of it, is reported."""
     b = s.books
     tell(s, PRIMITIVE_EVENT, stamp(s, first), stamp(s, last), b[ACTIVITY], b[CYCLES], b[CLUSTER], SIDED * side)
 
@@ -77,7 +82,7 @@ SIDED = 2
 
 @kernel
 def how(s: Memory) -> int:
-    """The activity's symmetry, that of most of its repetitions, as it is told with `forced`."""
+    """The activity's symmetry, that of most of its repetitions, as it is reported with `forced`."""
     most = 0
     for kind in range(1, 4):
         if s.kinds[kind] > (s.kinds[most] if most else 0):
@@ -91,7 +96,7 @@ SYMMETRIC = 4
 
 @kernel
 def told_to(s: Memory, last: int) -> None:
-    """Primitives are told up to frame `last`."""
+    """Primitives are reported up to frame `last`."""
     b = s.books
     b[TOLD_TO] = stamp(s, last)
     b[PIECES_FROM], b[PIECES_AT] = last + 1, s.times[(last + 1) % s.times.shape[0]]

@@ -16,7 +16,7 @@ NAMES = [
     "MODE", "ORIGIN", "DONE", "SLOT", "LENGTH", "FREE", "BEST_START", "BEST_END", "COUNT", "PENDING", "FROM", "TO", "CYCLES",
     "PIECES_FROM", "PIECES_AT", "TOLD_TO", "BOUT", "BOUT_COUNT", "BOUT_AT", "BOUT_TO", "BOUT_END",
     "CLUSTER", "NEXT_CLUSTER", "CLOCK", "TURN", "EVENTS", "TOLD", "NOW", "PRESENT", "PATCHY",
-    "RECENT", "RESTED", "REST_FROM", "REST_TO", "PEAK_AT", "BELIEVED", "BELIEVED_OF",
+    "RECENT", "RESTED", "REST_FROM", "REST_TO", "PEAK_AT", "BELIEVED", "BELIEVED_OF", "LIKE",
 ]  # fmt: skip
 (
     LAG, WINDOW, LEARN, QUIET, MASS, SETTLE, FIRM, BAND_LEAST, BAND_MOST, EVERY, REST, FIXED,
@@ -25,7 +25,7 @@ NAMES = [
     MODE, ORIGIN, DONE, SLOT, LENGTH, FREE, BEST_START, BEST_END, COUNT, PENDING, FROM, TO, CYCLES,
     PIECES_FROM, PIECES_AT, TOLD_TO, BOUT, BOUT_COUNT, BOUT_AT, BOUT_TO, BOUT_END,
     CLUSTER, NEXT_CLUSTER, CLOCK, TURN, EVENTS, TOLD, NOW, PRESENT, PATCHY,
-    RECENT, RESTED, REST_FROM, REST_TO, PEAK_AT, BELIEVED, BELIEVED_OF,
+    RECENT, RESTED, REST_FROM, REST_TO, PEAK_AT, BELIEVED, BELIEVED_OF, LIKE,
 ) = range(len(NAMES))  # fmt: skip
 """
 LAG                       longest cycle, and how far back neighbours are looked for, in frames; as all down to REST
@@ -58,7 +58,7 @@ PENDING, FROM, TO         whether a repetition waits for its end; its path
 PIECES_FROM, PIECES_AT    first frame of the activity not yet told as a primitive, and its stamp
 TOLD_TO                   stamp of the frame before that
 CYCLES                    repetitions of the open activity, told
-BOUT, BOUT_COUNT          bouts of the open activity that were told; repetitions in the one under way
+BOUT, BOUT_COUNT          bouts of the open activity that were reported; repetitions in the one under way
 BOUT_AT, BOUT_TO          its first repetition's onset and its last one's end, stamps
 BOUT_END                  the frame of that end
 CLUSTER, NEXT_CLUSTER     cluster of the pending repetition; number of the next new one
@@ -71,11 +71,13 @@ RESTED                    frames left out by the rest under way; 0: there is non
 REST_FROM, REST_TO        stamps of its first and newest frame
 PEAK_AT                   when it is judged again how much the liveliest frames move
 BELIEVED, BELIEVED_OF     the count told last, and of which activity
+LIKE                      repetitions told since the exemplar was taken up
 """
 SEARCH, TRACK = 0, 1
-RADIUS, BEST, FACTOR, PRICE, MOVED, PEAK, STILL_SHARE, TRAVEL_SHARE = range(8)
+RADIUS, BEST, FACTOR, PRICE, MOVED, PEAK, STILL_SHARE, TRAVEL_SHARE, FARTHEST = range(9)
 """Places in `values`: the radius, the best path's mean distance, the radius as a share of the median distance, the
-pending repetition's mean distance, how much the newest frame moves, and the window's liveliest ones; STILL and TRAVELS."""
+pending repetition's mean distance, how much the newest frame moves, and the window's liveliest ones; STILL and TRAVELS; how far those
+that are counted in LIKE lie from their exemplar at the most."""
 
 STILL = 0.12
 """Who has moved less than this share of what the window's liveliest frames do, is at rest."""
@@ -84,8 +86,8 @@ TRAVELS = 0.5
 
 (
     ACTIVITY_EVENT, PRIMITIVE_EVENT, BEGIN_EVENT, COUNT_EVENT, MERGE_EVENT, RADIUS_EVENT, BELIEVED_EVENT, BOUT_EVENT,
-    REST_EVENT,
-) = range(9)  # fmt: skip
+    REST_EVENT, RESTING_EVENT,
+) = range(10)  # fmt: skip
 EVENT_WIDTH = 8
 """A row of the table of events: kind, stamp of the decision, then what the kind has; see operator.py."""
 
@@ -225,5 +227,5 @@ def allocate(
         travels=np.zeros(MOST_CLUSTERS),
         kinds=np.zeros(4, np.int64),
         books=books,
-        values=np.array([0.0 if radius is None else radius, np.inf, factor, np.inf, 0.0, 0.0, STILL, TRAVELS]),
+        values=np.array([0.0 if radius is None else radius, np.inf, factor, np.inf, 0.0, 0.0, STILL, TRAVELS, 0.0]),
     )

@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 import structlog
 
-from operators.channels import names_of
-from operators.continuity import Continuity, watch
 from operators.features.mirror import STACKED
+from operators.inputs.channels import names_of
+from operators.inputs.continuity import Continuity, watch
 from operators.segmentation.activities import ROOM, end, follow
 from operators.segmentation.final import SIDED, SYMMETRIC
 from operators.segmentation.layout import (
@@ -30,6 +30,7 @@ from operators.segmentation.layout import (
     PRIMITIVE_EVENT,
     RADIUS_EVENT,
     REST_EVENT,
+    RESTING_EVENT,
     WINDOW,
     Remembered,
     allocate,
@@ -61,6 +62,7 @@ COUNT = np.dtype([("activity", "<i8"), ("count", "<i4")])
 MERGE = np.dtype([("cluster", "<i8"), ("into", "<i8")])
 BELIEVED = np.dtype([*SPAN, ("repetition", "<i4")])
 REST = np.dtype([("onset", "<i8"), ("end", "<i8")])
+RESTING = np.dtype([("onset", "<i8")])
 RADIUS = np.dtype([("radius", "<f8")])
 REACH = 1.43
 """So many of the longest cycles back neighbours are looked for: it may be a sixth longer in turn, and must be the lowest lag around."""
@@ -73,6 +75,7 @@ OUTPUTS = {
     "merge": (MERGE, MERGE_EVENT),
     "provisional": (BELIEVED, BELIEVED_EVENT),
     "rest": (REST, REST_EVENT),
+    "resting": (RESTING, RESTING_EVENT),
     "radius": (RADIUS, RADIUS_EVENT),
 }
 """By the name of an output: its events, and their kind in the kernels' table."""
@@ -104,15 +107,16 @@ class Segment(Operator[SegmentState]):
                  transition (a stretch between activities no longer than `transition_s`), forced (ended by a gap or the end of the stream),
                  symmetry (of most of its repetitions; 1: both sides do the same at once, 2: in turn, 3: not; 0: not known)
     primitive    final: onset, end, activity, repetition (1, 2, ...; 0: a part that is none, or an activity that does not repeat), cluster
-                 (-1: none), forced, side. A repetition in which the sides take turns is told as two steps of the same number, with
+                 (-1: none), forced, side. A repetition in which the sides take turns is reported as two steps of the same number, with
                  side 1 (where more moves in the first of each pair: left, or A) and 2; else side is 0
     bout         final: repetitions that follow one another without a pause longer than their cycle: onset, end, activity, bout (1, 2, ...
                  in the activity), repetitions (in it), cluster
-    begin        final: onset of an activity that goes on, `settle_s` to `firm_s` after it was noticed
+    begin        final: onset of an activity that goes on, when its cycle is found, or `firm_s` after it was noticed
     count        at once: activity, and how many repetitions have come in it so far, this one included
     merge        two clusters are found to be one: from now on `cluster` is `into`, the older one. Clusters never split
     provisional  at once: what is believed of an activity (repetition 0) or a repetition that has just been seen, before it is final
     rest         final, when it is over: onset, end of a stretch in which hardly anything moves
+    resting      at once: onset of a rest that has begun
     radius       the radius that an activity is opened with
 
     A frame's neighbours are the frames up to `cycle_s` before it within the radius, outside of a band around the diagonal; distances are
@@ -132,6 +136,7 @@ class Segment(Operator[SegmentState]):
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("mirrored", "in")
+    acts: ClassVar[tuple[str, ...]] = ("in",)
     optional: ClassVar[tuple[str, ...]] = ("mirrored",)
     takes = "rows"
     outputs: ClassVar[tuple[str, ...]] = tuple(OUTPUTS)
@@ -148,9 +153,9 @@ class Segment(Operator[SegmentState]):
     window_s: float = param(60.0, above=0.0, help="the radius is found from so much")
     learn_s: float = param(5.0, above=0.0, help="nothing is decided before so much has been seen")
     quiet_s: float = param(0.4, above=0.0, help="so long without a neighbour ends an activity")
-    mass_s: float = param(1.0, above=0.0, help="so many frames with neighbours open one")
+    mass_s: float = param(1.0, above=0.0, help="frames with neighbours that open one, in seconds")
     settle_s: float = param(2.0, above=0.0, help="after its opening, until its start is looked for")
-    firm_s: float = param(8.0, above=0.0, help="after its opening, until its start is final")
+    firm_s: float = param(8.0, above=0.0, help="after its opening, until its start is final; no less than 2.86 cycle_s")
     band_s: tuple[float, float] = param((0.4, 0.7), above=0.0, help="bounds of the band around the diagonal")
     rest_s: float = param(1.0, above=0.0, help="who has hardly moved for so long is at rest")
     transition_s: float = param(2.5, least=0.0, help="a longer stretch between two activities is one of its own")
@@ -182,6 +187,7 @@ class Segment(Operator[SegmentState]):
         }  # fmt: skip
         frames = {name: samples_in(parameter, value, rate_hz) for name, (parameter, value) in seconds.items()}
         frames["LEARN"] = max(2, frames["LEARN"])
+        frames["FIRM"] = max(frames["FIRM"], 2 * frames["LAG"])
         frames["EVERY"] = max(1, round(0.5 * rate_hz))
         firsts = _firsts(spec, specs["mirrored"]) if "mirrored" in specs else None
         self.hold(
@@ -327,6 +333,7 @@ COLUMNS: dict[np.dtype[Any], tuple[str, ...]] = {
     BEGIN: ("onset", "activity"),
     COUNT: ("activity", "count"),
     REST: ("onset", "end"),
+    RESTING: ("onset",),
     MERGE: ("cluster", "into"),
     BELIEVED: ("onset", "end", "activity", "repetition"),
 }

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-import numpy as np
-
+from operators.segmentation.anchor import first_whole, in_phase, lead_in, look_back
 from operators.segmentation.belief import conclude, replaces
 from operators.segmentation.bouts import close_bout, part
 from operators.segmentation.clusters import keep, recognise, use
-from operators.segmentation.cycles import GAIN, LONGEST, begin_tracking, cycle_length, patience, release, sum_up, track
+from operators.segmentation.cycles import (
+    GAIN,
+    LONGEST,
+    begin_tracking,
+    cycle_length,
+    patience,
+    release,
+    slack,
+    sum_up,
+    track,
+)
 from operators.segmentation.events import stamp, tell
 from operators.segmentation.final import how, piece, settle, tell_start
 from operators.segmentation.layout import (
@@ -21,10 +30,12 @@ from operators.segmentation.layout import (
     CLUSTER,
     COUNT,
     CYCLES,
+    FARTHEST,
     FROM,
     LAG,
     LAST,
     LENGTH,
+    LIKE,
     MODE,
     NUMBER,
     ORIGIN,
@@ -75,13 +86,18 @@ def take_up(s: Memory, i: int, length: int) -> None:
     """A cycle of `length` frames is found at frame `i`: follow a known exemplar that fits, or keep this one."""
     b = s.books
     origin = max(b[ORIGIN], i + 1 - 2 * length)
-    slot = recognise(s, origin, i, length)
-    if slot < 0:
-        slot = keep(s, origin, length)
+    slot, met = recognise(s, origin, i, length)
+    known = slot >= 0
+    if not known:
+        if not b[TOLD]:
+            b[START] = lead_in(s, b[START], length)
+            origin = max(b[START], i + 1 - 2 * length)
+        slot = keep(s, in_phase(s, origin if b[TOLD] else b[START], origin, i + 1 - length), length)
     use(s, slot)
     if b[TOLD] and b[CYCLES] and s.clusters[slot, NUMBER] != b[CLUSTER]:
         change(s, origin)
     b[MODE], b[SLOT], b[LENGTH] = TRACK, slot, s.clusters[slot, SIZE]
+    b[LIKE], s.values[FARTHEST] = 0, 0.0
     if not b[TOLD]:
         b[START] = look_back(s, i, b[START])
         origin = b[START]
@@ -89,32 +105,12 @@ def take_up(s: Memory, i: int, length: int) -> None:
     else:
         origin = look_back(s, i, origin)
     b[ORIGIN] = origin
-    begin_tracking(s, origin)
+    begin_tracking(s, first_whole(origin, met, b[LENGTH]) if known else origin)
     for j in range(origin, i + 1):
         if b[MODE] == TRACK:
             pursue(s, j)
         else:
             sum_up(s, j)
-
-
-@kernel
-def look_back(s: Memory, i: int, start: int) -> int:
-    """Where the repetitions up to frame `i` begin, once their cycle is known: those just before `start` belong to them."""
-    b = s.books
-    first = max(b[PIECES_FROM] if b[TOLD] else b[UNTOLD], start - b[LAG])
-    if first >= start:
-        return start
-    starts, ends, count = np.empty(2 * b[LAG], np.int64), np.empty(2 * b[LAG], np.int64), 0
-    begin_tracking(s, first)
-    for j in range(first, i + 1):
-        if track(s, j):
-            starts[count], ends[count] = b[BEST_START], b[BEST_END]
-            count += 1
-            release(s)
-    for k in range(count - 1, -1, -1):
-        if starts[k] < start and ends[k] + slack(b[LENGTH]) >= start:
-            start = starts[k]
-    return start
 
 
 @kernel
@@ -144,19 +140,15 @@ def pursue(s: Memory, i: int) -> None:
         tell(s, BELIEVED_EVENT, stamp(s, b[BEST_START]), stamp(s, b[BEST_END]), b[ACTIVITY], number, 0, 0)
     length = b[LENGTH]
     since = b[TO] if b[PENDING] else b[ORIGIN]
-    if b[BEST_END] < 0 and i - since > slack(length) + LONGEST * length + patience(length):
-        if b[PENDING]:
-            settle(s, b[TO])
-        close_bout(s)
+    if i - since <= slack(length) + LONGEST * length + patience(length):
+        return
+    if b[PENDING]:  # whatever path is under way, it started more than a cycle after the pending repetition's end
+        settle(s, b[TO])
+    close_bout(s)
+    if b[BEST_END] < 0:
         search_from(s, max(b[PIECES_FROM], i - b[LAG]))
         for j in range(b[ORIGIN], i + 1):
             sum_up(s, j)
-
-
-@kernel
-def slack(length: int) -> int:
-    """The longest pause between two repetitions that counts as part of the first."""
-    return length // 2
 
 
 @kernel

@@ -19,6 +19,7 @@ from operators.segmentation.layout import (
     REST_FROM,
     REST_TO,
     RESTED,
+    RESTING_EVENT,
     SINCE,
     STILL_SHARE,
     WINDOW,
@@ -30,7 +31,7 @@ from stream.kernel import kernel
 
 @kernel
 def rests(s: Memory, x: Samples, stamp: int) -> bool:
-    """Whether frame `x` (features,) belongs to a rest: so it is not worked through. A rest that it ends is told."""
+    """Whether frame `x` (features,) belongs to a rest: so it is not worked through. A rest that it ends is reported."""
     b = s.books
     s.values[MOVED] = moved(s, x)
     b[RECENT] += 1
@@ -42,6 +43,7 @@ def rests(s: Memory, x: Samples, stamp: int) -> bool:
         return False
     if not b[RESTED]:
         b[REST_FROM] = oldest
+        tell(s, RESTING_EVENT, oldest, 0, 0, 0, 0, 0)
     b[RESTED] += 1
     b[REST_TO] = stamp
     return True

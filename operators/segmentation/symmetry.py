@@ -11,7 +11,7 @@ from operators.segmentation.layout import RADIUS, Memory
 from stream.kernel import kernel
 
 UNKNOWN, AT_ONCE, IN_TURN, NOT = range(4)
-"""What is told as an activity's symmetry; 1 to 3 are S1 to S3."""
+"""What is reported as an activity's symmetry; 1 to 3 are S1 to S3."""
 CLOSER = 0.6
 """Sides take turns where the second step is so much nearer to the first one's mirror image than the cycle is to its own."""
 

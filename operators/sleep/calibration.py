@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 
 from stream.errors import KinegraphError
+from stream.json_file import read_json
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,14 +31,9 @@ class Calibration:
     @classmethod
     def read(cls, path: Path) -> Calibration:
         """A JSON file with these fields. Raises KinegraphError, which says what is wrong with it."""
-        try:
-            found: Any = json.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise KinegraphError(f"{path}: cannot be read: {error.strerror}") from None
-        except ValueError as error:
-            raise KinegraphError(f"{path}: no JSON: {error}") from None
+        found = read_json(path, "calibration")
         known = [f.name for f in fields(cls)]
-        if not isinstance(found, dict) or not set(found) <= set(known) or not {*known} - {"offset"} <= set(found):
+        if not set(found) <= set(known) or not {*known} - {"offset"} <= set(found):
             raise KinegraphError(f"{path}: a calibration has the fields {', '.join(known)} (offset may be left out)")
         for name in known:
             given = found.get(name, 0.0)

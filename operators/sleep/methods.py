@@ -33,8 +33,8 @@ class Method:
     device     whose wrist counts it was made for; "": any movement
     measure    what an epoch's number must be (`Epochs` says so in the stream's meta); "": not asked
     epochs_s   the epoch lengths it is defined for
-    past, future  how many epochs before and after it looks at (Oakley's hang on the epoch length)
-    before     what stands in for epochs before the first: "zero" counts; only what was "seen"; or the epoch is "unknown"
+    past, future  how many epochs before and after it looks at (Oakley's depend on the epoch length)
+    before     what replaces epochs before the first: "zero" counts; only what was "seen"; or the epoch is "unknown"
     """
 
     device: str

@@ -25,10 +25,10 @@ class NightsState:
     """
     onset   when the open night began; NEVER: none is open. by: "lights" if they went off then
     left    when the bed was left; NEVER: somebody is in it. begun, gone: the stamps at which onset and left became known
-    state   of the bed, as it was told last
+    state   of the bed, as it was reported last
     dark    when the lights went off, while nobody is in bed; NEVER: they did not
     lit     when the lights came on in a night by the lights, which they end unless it is joined; NEVER: they are off
-    done    the lights came on and the night was told; the next begins after the bed was left
+    done    the lights came on and the night was reported; the next begins after the bed was left
     exits   how often the bed was left in the open night; lost: what the next emission says is missing before it
     """
 
@@ -55,19 +55,20 @@ class Nights(Operator[NightsState]):
     A night begins when the lights go off (in bed, or at most `apart_h` before), else when somebody goes to bed. It ends when the lights
     come on, if they went off, else when the bed was left and nobody has come back for `apart_h`: with the moment at which it was left,
     told that much later. Lights that go off again within `rejoin_min`, or a bed that is left and taken again within that, make it one
-    night: a light at three in the morning is a part of it. So an end by the lights is told `rejoin_min` later.
+    night: a light at three in the morning is a part of it. So an end by the lights is reported `rejoin_min` later.
     `moving` counts the times that the bed was left. Shorter times than `shortest_h` are no night. A bed of which
     nothing is known (the camera is gone) counts as it was before; a night ends `longest_h` after its beginning at the latest. When
     everything ends while somebody is in bed, the night has no end, and is not told.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("bed", "lights")
+    acts: ClassVar[tuple[str, ...]] = ("lights",)
     optional: ClassVar[tuple[str, ...]] = ("lights",)
     departures: ClassVar[dict[str, str]] = {}
 
-    apart_h: float = param(1.5, above=0.0, most=8.0, help="so long out of bed ends a night")
+    apart_h: float = param(1.5, above=0.0, most=8.0, help="this long out of bed ends a night")
     rejoin_min: float = param(
-        20.0, least=0.0, most=90.0, help="lights off or the bed taken again within so long: the same night; 0: never"
+        20.0, least=0.0, most=90.0, help="lights off or the bed taken again within this time: the same night; 0: never"
     )
     shortest_h: float = param(1.0, least=0.0, help="shorter times in bed are no night")
     longest_h: float = param(20.0, above=0.0, most=36.0, help="longer than this no night is")

@@ -41,8 +41,8 @@ class SleepPeriods(Operator[PeriodsState]):
     count as neither, and break both rows. Shown equal to ActiLife on its own example, at three settings.
     """
 
-    bedtime_min: float = param(5.0, above=0.0, help="so much sleep in a row begins a period")
-    wake_min: float = param(10.0, above=0.0, help="so much wake in a row ends it")
+    bedtime_min: float = param(5.0, above=0.0, help="this much sleep in a row begins a period")
+    wake_min: float = param(10.0, above=0.0, help="this much wake in a row ends it")
     shortest_min: float = param(160.0, least=0.0, help="shorter periods are passed over")
     longest_min: float = param(1440.0, above=0.0, help="longer periods are passed over")
     least_moving: int = param(0, least=0, help="periods with fewer epochs that have counts are passed over")

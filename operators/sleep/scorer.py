@@ -1,4 +1,4 @@
-"""Sleep or wake, epoch by epoch: at once as provisional, and once more, when all that it hangs on is known, as final."""
+"""Sleep or wake, epoch by epoch: at once as provisional, and once more, when all that it depends on is known, as final."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from operators.channels import find_channel, names_of
+from operators.inputs.channels import names_of, the_channel
 from operators.sleep.calibration import Calibration
 from operators.sleep.methods import METHODS, MethodName, ScoringRule, rule
 from operators.sleep.rescoring import NAMES, REACH_MIN, SLEEP, UNKNOWN, WAKE, States, rescored, settled
@@ -89,7 +89,7 @@ class SleepScorer(Operator[ScorerState]):
 
     Where a neighbour was not seen, its weight is left out of the sum and of the threshold, down to `least_seen` of all weight. What stands
     before the first epoch: zero counts for ActiLife's methods; what was seen otherwise; under Oakley the epoch is unknown (Actiware). After
-    the last one no movement is assumed. A silence gives unknown epochs up to `reset_gap_s`; beyond, scoring begins anew.
+    the last one no movement is assumed. A silence gives unknown epochs up to `reset_gap_s`; beyond, scoring starts again.
     """
 
     method: MethodName = param("thesis", help="the scorer; all but thesis take counts of their own device")
@@ -109,7 +109,7 @@ class SleepScorer(Operator[ScorerState]):
         if not spec.is_signal:
             raise InputError("in", spec.describe(), "a signal of activity per epoch")
         epoch_s = self._epoch_s(epoch_s)
-        channel = self._find(spec)
+        channel = the_channel(spec, self.channel)
         used = self._calibrated(
             spec, spec.unit_of(names_of(spec)[channel]) if spec.channels else spec.units[0], epoch_s
         )
@@ -200,13 +200,6 @@ class SleepScorer(Operator[ScorerState]):
             f"in epochs of {given:g} s",
             f"in epochs of {wanted} s for {self.method}; operators.sleep.epochs.Epochs makes them",
         )
-
-    def _find(self, spec: StreamSpec) -> int:
-        if self.channel is not None:
-            return find_channel(spec, self.channel, "channel")
-        if spec.shape[0] != 1:
-            raise ParameterError("channel", None, f"one of {', '.join(map(repr, names_of(spec)))}")
-        return 0
 
     def _calibrated(self, spec: StreamSpec, unit: str, epoch_s: float) -> Calibration | None:
         """The calibration that is used. Raises where a scorer of counts would be given something else."""

@@ -109,7 +109,9 @@ class SleepStatistics(Operator[SleepStatisticsState]):
     schedule: str = param("", help="lights off and on every day, HH:MM-HH:MM")
     timezone: str = param("UTC", help="in which the schedule is meant, e.g. Europe/Berlin")
     longest_h: float = param(24.0, least=0.1, most=48.0, help="the longest time in bed")
-    apart_h: float = param(3.0, above=0.0, help="of a recording as a whole: so long without a score parts two nights")
+    apart_h: float = param(
+        3.0, above=0.0, help="of a recording as a whole: this long without a score separates two nights"
+    )
 
     def open(self, specs: Specs) -> Specs:
         spec = scored(specs["epochs"], "epochs")

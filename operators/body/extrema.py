@@ -1,0 +1,231 @@
+"""Markers of a body from its depth alone, without a network: ends of limbs by geodesic extrema, the joints on the way to them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from typing import ClassVar
+
+import numpy as np
+
+from operators.body.bones import possible
+from operators.body.facing import CELLS, facing_of, shape_of, weights
+from operators.body.geodesic_kernel import extrema_of, middle_of, surface_of, walk_back
+from operators.body.names import MARKERS, camera_of, markers_specs
+from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
+from stream.errors import InputError
+from stream.operator import Case, Operator, grid
+from stream.params import param
+
+ENDS = ("head", "left hand", "right hand", "left foot", "right foot")
+USUAL = np.array([(0.0, 0.72), (0.35, 0.1), (-0.35, 0.1), (0.12, -0.85), (-0.12, -0.85)])
+"""Where the ends are from the middle of a body that stands, to its left and upwards (m, for 1.75 m)."""
+JOINTS = (
+    ((0.10, "head", 0.09),),
+    ((0.13, "left_wrist", 0.025), (0.38, "left_elbow", 0.035)),
+    ((0.13, "right_wrist", 0.025), (0.38, "right_elbow", 0.035)),
+    ((0.03, "left_toe", 0.02), (0.15, "left_ankle", 0.04), (0.55, "left_knee", 0.055)),
+    ((0.03, "right_toe", 0.02), (0.15, "right_ankle", 0.04), (0.55, "right_knee", 0.055)),
+)
+"""By end: how far back along the surface a marker lies (m, for 1.75 m), which one, how far inside the body."""
+ORDERS = np.array(list(permutations(range(len(ENDS) + 1), len(ENDS))))
+"""Every way to give the ends to what was found; the last number: it is none of them."""
+MOST_WIDTH = 160
+LEAST_PIXELS = 60
+FAR_M, LEAP_M, REMEMBERED_S = 0.55, 0.35, 0.5
+"""An end farther from where it is expected is not taken for it; one that leaps farther from a frame to the next is doubtful."""
+KEEPS = 0.8
+TOWARDS = (0.0, -0.3)
+"""What speaks for facing the camera as long as nothing is known."""
+ALONG = 0.4
+"""The chest is widest along the shoulders if that is so far from where the shape says that the left is (a cosine)."""
+
+
+@dataclass(slots=True)
+class ExtremaState:
+    """
+    camera   (4,)    fx, fy, cx, cy in pixels
+    heading  (2,)    x and z of where the person faces
+    before   (5, 3)  where the ends were when they were seen last (m; NaN: never)
+    seen     (5,)    when that was (ns)
+    last     stamp of the newest frame that showed somebody
+    """
+
+    camera: Samples
+    heading: Samples
+    before: Samples
+    seen: Array
+    last: int
+
+
+@dataclass(frozen=True, slots=True)
+class Extrema(Operator[ExtremaState]):
+    """Depth of one person in (0 elsewhere, of operators.body.persons.Persons), markers out: no network, no image, in the dark.
+
+    out         (20, 3)  as of operators.body.markers.Markers: x right, y down, z away from the camera, m; NaN where a marker is not known
+    confidence  (20,)    0 to 1
+
+    Head, hands and feet are the points farthest along the body's surface from its middle, told apart by where they were and where they
+    usually are; wrists, elbows, ankles and knees lie on the way back from them. Shoulders and hips are where they usually are below the
+    head, across where the body's shape faces. Hands before the trunk are not found, and are missing. Nose, ears and heels always are.
+    Much coarser than the network: what there is where it cannot be used.
+    """
+
+    outputs: ClassVar[tuple[str, ...]] = ("out", "confidence")
+    agrees: ClassVar[str] = "geodesic extrema: Plagemann 2010, Baak 2011"
+
+    height_m: float = param(1.75, above=0.5, most=2.5, help="the person's height: all lengths go with it")
+    apart_m: float = param(0.10, above=0.01, most=0.5, help="pixels side by side are one surface if they are nearer")
+    reset_gap_s: float = param(0.5, above=0.0, help="after so long without a person nothing is remembered")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = specs["in"]
+        if spec.dtype != np.uint16 or len(spec.shape) != 2:
+            raise InputError("in", spec.describe(), "depth frames (height, width) uint16 in mm, 0 but for one person")
+        camera = camera_of(spec)
+        if camera is None:
+            raise InputError("in", "a stream of unknown geometry", "one whose spec says `camera`: fx, fy, cx, cy")
+        n = len(ENDS)
+        self.hold(ExtremaState(np.array(camera), np.zeros(2), np.full((n, 3), np.nan), np.zeros(n, np.int64), 0))
+        return markers_specs(spec)
+
+    def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
+        n = len(chunk)
+        out, confidence = np.full((n, len(MARKERS), 3), np.nan), np.zeros((n, len(MARKERS)))
+        for i, time in enumerate(chunk.time.tolist()):
+            self._find(time, chunk.data[i], out[i], confidence[i])
+        return [
+            ("out", Chunk(chunk.time, out, chunk.until, chunk.lost)),
+            ("confidence", Chunk(chunk.time, confidence, chunk.until, chunk.lost)),
+        ]
+
+    def _find(self, time: int, depth: Array, out: Samples, confidence: Samples) -> None:
+        """One frame."""
+        s, step = self.state, max(1, -(-depth.shape[1] // MOST_WIDTH))
+        points, middle = np.empty((depth.shape[0] // step, depth.shape[1] // step, 3)), np.empty(3)
+        if surface_of(depth, s.camera, step, points) < LEAST_PIXELS:
+            return
+        if time - s.last > self.reset_gap_s * NS:
+            s.heading[:], s.before[:], s.seen[:] = 0.0, np.nan, 0
+        s.last = time
+        self._face(depth)
+        size = self.height_m / 1.75
+        pixels = points.shape[0] * points.shape[1]
+        distance, parent, found = np.empty(pixels), np.empty(pixels, np.int64), np.empty(len(ENDS) + 1, np.int64)
+        count = extrema_of(points, middle_of(points, middle), self.apart_m, distance, parent, found, 0.2 * size)
+        at = points.reshape(-1, 3)[found[:count]]
+        for end, k in enumerate(self._named(time, at, middle, size)):
+            if k < 0:
+                continue
+            doubtful = math.dist(s.before[end], at[k]) > LEAP_M if s.seen[end] else False
+            s.before[end], s.seen[end] = at[k], time
+            self._joints(end, points, parent, int(found[k]), 0.4 if doubtful else 0.7, size, out, confidence)
+        self._trunk(size, middle, self._across(size, points, middle, out), out, confidence)
+        confidence[~possible(size, out)] = 0.0
+        out[confidence < 0.5] = np.nan
+
+    def _face(self, depth: Array) -> None:
+        """Where the body faces, by its shape, smoothed."""
+        shape, facing, heading = np.empty((2, CELLS, CELLS)), np.zeros(2), self.state.heading
+        shape_of(depth, shape)
+        facing_of(shape, *weights(), facing)
+        heading[:] = KEEPS * heading + (1 - KEEPS) * facing if heading.any() else facing + TOWARDS
+
+    def _left(self) -> Samples:
+        """The direction of the person's left."""
+        x, z = self.state.heading
+        length = math.hypot(x, z)
+        return np.array([-z / length, 0.0, x / length]) if length > 0.0 else np.array([1.0, 0.0, 0.0])
+
+    def _named(self, time: int, at: Samples, middle: Samples, size: float) -> list[int]:
+        """By end the number of what was found there; -1: it was not found."""
+        s, n = self.state, len(ENDS)
+        usual = middle + size * (USUAL[:, :1] * self._left() - USUAL[:, 1:] * np.array([0.0, 1.0, 0.0]))
+        fresh = (time - s.seen < REMEMBERED_S * NS) & (s.seen > 0)
+        cost = np.full((n, n + 1), FAR_M * size)
+        for k, place in enumerate(at[:n]):
+            apart = np.linalg.norm(usual - place, axis=1)
+            since = np.linalg.norm(s.before - place, axis=1)
+            cost[:, k] = np.where(fresh, 0.8 * np.nan_to_num(since) + 0.2 * apart, 0.8 * apart)
+        orders = ORDERS if len(at) >= n else ORDERS[((len(at) > ORDERS) | (n == ORDERS)).all(axis=1)]
+        return self._cheapest(cost, orders, len(at))
+
+    @staticmethod
+    def _cheapest(cost: Samples, orders: Array, found: int) -> list[int]:
+        """The cheapest way to name what was found; what costs more than not being found is not."""
+        n = len(ENDS)
+        capped = np.minimum(cost, cost[:, n:])
+        totals = capped[np.arange(n), orders].sum(axis=1)
+        best = orders[int(totals.argmin())] if len(orders) else np.full(n, n)
+        return [int(k) if k < min(found, n) and cost[e, k] < cost[e, n] else -1 for e, k in enumerate(best)]
+
+    def _joints(
+        self,
+        end: int,
+        points: Samples,
+        parent: Array,
+        pixel: int,
+        sure: float,
+        size: float,
+        out: Samples,
+        trust: Samples,
+    ) -> None:
+        """The markers on the way back from an end."""
+        place = np.empty(3)
+        for along, name, inside in JOINTS[end]:
+            if walk_back(points, parent, pixel, along * size, place):
+                k = MARKERS.index(name)
+                out[k], trust[k] = place * (1.0 + inside / place[2]), sure
+
+    def _across(self, size: float, points: Samples, middle: Samples, out: Samples) -> Samples:
+        """The direction of the left shoulder: along which the chest's surface is widest, unless the body is seen from the side."""
+        left, top = self._left(), out[MARKERS.index("head"), 1] + 0.22 * size
+        if not np.isfinite(top):
+            return left
+        level = (points[..., 1] > top) & (points[..., 1] < top + 0.3 * size)
+        chest = points[level & (np.abs(points[..., 0] - middle[0]) < 0.25 * size)][:, ::2]
+        if len(chest) < LEAST_PIXELS:
+            return left
+        x, z = (chest - np.median(chest, axis=0)).T
+        angle = 0.5 * math.atan2(2.0 * float(np.mean(x * z)), float(np.mean(x * x) - np.mean(z * z)))
+        widest = np.array([math.cos(angle), 0.0, math.sin(angle)])
+        along = float(widest @ left)
+        if abs(along) > ALONG:
+            left = widest * math.copysign(1.0, along)
+            self.state.heading[:] = (
+                left[2],
+                -left[0],
+            )  # what has been seen of it is kept against a shape that is not sure
+        return left
+
+    def _trunk(self, size: float, middle: Samples, left: Samples, out: Samples, trust: Samples) -> None:
+        """Shoulders and hips: below the head, towards the body's middle, across where the body faces."""
+        head = MARKERS.index("head")
+        if not trust[head]:
+            return
+        down = middle - out[head]
+        length = float(np.linalg.norm(down))
+        down = down / length if 0.3 * size < length < 1.1 * size else np.array([0.0, 1.0, 0.0])
+        for name, below, half in (("shoulder", 0.22, 0.18), ("hip", 0.70, 0.10)):
+            for side, sign in (("left", 1.0), ("right", -1.0)):
+                k = MARKERS.index(f"{side}_{name}")
+                out[k] = out[head] + size * (below * down + sign * half * left)
+                trust[k] = 0.6
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        n, random = 60, np.random.default_rng(3)
+        frames = np.zeros((n, 60, 48), np.uint16)
+        frames[:, 4:14, 20:28] = 2000
+        frames[:, 14:34, 16:32] = 2000
+        frames[:, 34:58, 17:22] = frames[:, 34:58, 26:31] = 2000
+        for k in range(n):
+            frames[k, 14 + k // 6 : 18 + k // 6, 4:16] = 1980
+            frames[k, 16:36, 33:36] = frames[k, 15:18, 31:34] = 2010
+        frames[40:43] = 0
+        frames[frames > 0] += random.integers(0, 12, int((frames > 0).sum())).astype(np.uint16)
+        meta = {"camera": {"fx": 60.0, "fy": 60.0, "cx": 23.5, "cy": 29.5}}
+        spec = StreamSpec((60, 48), np.dtype(np.uint16), rate_hz=30.0, units=("mm",), meta=meta)
+        return [Case(cls(), {"in": (spec, grid(30.0, n), frames)}, least=2 * n)]

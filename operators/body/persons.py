@@ -1,0 +1,166 @@
+"""The people in what stands before the background: each one's pixels, box and name, kept from frame to frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.body.components import components, overlaps, share_out
+from operators.body.names import camera_of
+from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
+from stream.errors import InputError
+from stream.operator import Case, Operator, grid
+from stream.params import param
+
+PERSON = np.dtype(
+    [("onset", "<i8"), ("person", "<i8"), ("box", "<i8", (4,)), ("pixels", "<i8"), ("place", "<f8", (3,))]
+)
+"""At `onset` `person` (1, 2, ...) fills `box` (first row and column, rows, columns) and `pixels`; the middle is at `place` (m)."""
+MOST_PARTS = 64
+FORGET_S = 3.0
+
+
+@dataclass(slots=True)
+class PersonsState:
+    """
+    labels    (h, w)     who was where in the newest frame: 0 nobody, 1, 2, ...
+    places    (most, 4)  of everyone: middle in pixels and mm (x, y, depth), and of how many pixels; NaN: not there
+    seen      (most,)    stamp at which everyone was seen last
+    followed  who is followed; 0: nobody
+    """
+
+    camera: Samples
+    labels: NDArray[np.uint8]
+    places: Samples
+    seen: NDArray[np.int64]
+    followed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Persons(Operator[PersonsState]):
+    """What stands before the background (operators.body.background.Background) in; who it is, and one person's depth, out.
+
+    out      (height, width) uint16: depth in mm of the one person that is followed, 0 elsewhere
+    labels   (height, width) uint8: whose pixel it is, 0: nobody's
+    persons  an event per person and frame: number, box, pixels, place
+
+    Pixels side by side whose depths differ by less than `apart_mm` are one thing; things of less than `least_share` of the frame are none,
+    unless they touch somebody's box: a forearm before the trunk. People keep their numbers by the pixels they share with the frame before,
+    and where they touch, each pixel is the nearer one's. Whoever was away for 3 s gives up the number. `person` says who is followed: a
+    number, or 0: the largest, who is followed until gone.
+    """
+
+    outputs: ClassVar[tuple[str, ...]] = ("out", "labels", "persons")
+
+    person: int = param(0, least=0, most=8, help="who is followed: a number; 0: the largest, until gone")
+    most: int = param(4, least=1, most=8, help="how many people are told apart")
+    apart_mm: float = param(120.0, above=0.0, help="pixels side by side whose depths differ by more are not one thing")
+    least_share: float = param(0.01, above=0.0, most=1.0, help="how much of the frame a person covers at least")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = specs["in"]
+        if spec.dtype != np.uint16 or len(spec.shape) != 2:
+            raise InputError("in", spec.describe(), "depth frames (height, width) uint16 in mm, 0 where nobody is")
+        camera = camera_of(spec) or (np.nan,) * 4
+        places, seen = np.full((self.most, 4), np.nan), np.zeros(self.most, np.int64)
+        self.hold(PersonsState(np.array(camera), np.zeros(spec.shape, np.uint8), places, seen, 0))
+        labels = spec.derive(dtype=np.dtype(np.uint8), units=("",))
+        units = ("ns", "", "px", "px", "m")
+        return {"out": spec, "labels": labels, "persons": StreamSpec((), PERSON, units=units, meta=dict(spec.meta))}
+
+    def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
+        n = len(chunk)
+        labels, out, told = np.zeros((n, *chunk.data.shape[1:]), np.uint8), np.zeros_like(chunk.data), list[Array]()
+        for i, time in enumerate(chunk.time.tolist()):
+            told += self._told(time, chunk.data[i], labels[i])
+            out[i] = np.where(labels[i] == self._followed(), chunk.data[i], 0) if self._followed() else 0
+        events = np.array(told, PERSON)
+        return [
+            ("out", Chunk(chunk.time, out, chunk.until, chunk.lost)),
+            ("labels", Chunk(chunk.time, labels, chunk.until, chunk.lost)),
+            ("persons", Chunk(events["onset"].copy(), events, chunk.until, 0)),
+        ]
+
+    def _followed(self) -> int:
+        return self.person or self.state.followed
+
+    def _told(self, time: int, frame: Array, labels: NDArray[np.uint8]) -> list[Array]:
+        """Name what is in a frame; `labels` is written."""
+        s = self.state
+        parts, count = np.zeros(frame.shape, np.int32), 0
+        sizes, middles = np.zeros(MOST_PARTS + 1, np.int64), np.zeros((MOST_PARTS + 1, 3))
+        least = max(8, round(self.least_share * frame.size))
+        count = components(frame, self.apart_mm, max(4, least // 12), parts, sizes, middles)
+        shared = np.zeros((count + 1, self.most + 1), np.int64)
+        overlaps(parts, s.labels, shared)
+        owners = self._owners(time, count, sizes, shared, least)
+        self._attach(owners, count, middles)
+        share_out(frame, parts, owners, s.places, labels)
+        return self._measured(time, frame, labels)
+
+    def _owners(self, time: int, count: int, sizes: Array, shared: Array, least: int) -> NDArray[np.int64]:
+        """(count + 1, most + 1): whose part it is; several people's where they touch. New people take free numbers, the largest first."""
+        s = self.state
+        owners = np.zeros((count + 1, self.most + 1), np.int64)
+        for k in range(1, count + 1):
+            if sizes[k] >= least:
+                same = shared[k, 1:] > 0.2 * np.maximum(np.nan_to_num(s.places[:, 3]), 1.0)
+                owners[k, 1:] = same | (shared[k, 1:] > 0.5 * sizes[k])
+        for k in sorted(range(1, count + 1), key=lambda k: (-int(sizes[k]), k)):
+            if sizes[k] < least or owners[k].any():
+                continue
+            idle = owners[:, 1:].sum(axis=0) == 0
+            free = np.flatnonzero(idle & ((s.seen == 0) | (time - s.seen > FORGET_S * NS)))
+            back = np.flatnonzero(idle & np.isnan(s.places[:, 3]))
+            if len(free) or len(back):  # whoever was lost a moment ago is the first to be taken for one who comes
+                owners[k, 1 + (back if len(back) and s.seen[back[0]] else free if len(free) else back)[0]] = 1
+        return owners
+
+    def _attach(self, owners: NDArray[np.int64], count: int, middles: Samples) -> None:
+        """Small parts near somebody's middle are that person's: half a metre before or behind, within half a body's width."""
+        people = np.flatnonzero(owners.any(axis=1))
+        for k in range(1, count + 1):
+            if owners[k].any():
+                continue
+            apart = np.abs(middles[people] - middles[k])
+            far = apart[:, 0] / self.state.labels.shape[1] + apart[:, 2] / 2000.0
+            if len(far) and far.min() < 0.4:
+                owners[k] = owners[people[int(far.argmin())]]
+
+    def _measured(self, time: int, frame: Array, labels: NDArray[np.uint8]) -> list[Array]:
+        """Remember everyone's place; the events of a frame."""
+        s, told = self.state, []
+        s.labels[:] = labels
+        for who in range(1, self.most + 1):
+            y, x = np.nonzero(labels == who)
+            if not len(y):
+                s.places[who - 1] = np.nan
+                continue
+            depth = float(np.median(frame[y, x]))
+            s.places[who - 1], s.seen[who - 1] = (x.mean(), y.mean(), depth, len(y)), time
+            z = depth / 1000
+            fx, fy, cx, cy = s.camera
+            place = ((x.mean() - cx) / fx * z, (y.mean() - cy) / fy * z, z)
+            box = (y.min(), x.min(), np.ptp(y) + 1, np.ptp(x) + 1)
+            told.append(np.array((time, who, box, len(y), place), PERSON))
+        sizes = np.nan_to_num(s.places[:, 3])
+        if not s.followed or (
+            not sizes[s.followed - 1] and (sizes.any() or time - s.seen[s.followed - 1] > FORGET_S * NS)
+        ):
+            s.followed = int(sizes.argmax()) + 1 if sizes.any() else 0
+        return told
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        random, n = np.random.default_rng(9), 60
+        frames = np.zeros((n, 24, 40), np.uint16)
+        for k in range(n):
+            frames[k, 4:22, k // 2 : k // 2 + 6] = 2000 + random.integers(0, 30, (18, 6))
+            frames[k, 6:22, 34 - k // 2 : 39 - k // 2] = 2600 + random.integers(0, 30, (16, 5))
+        meta = {"camera": {"fx": 30.0, "fy": 30.0, "cx": 19.5, "cy": 11.5}}
+        spec = StreamSpec((24, 40), np.dtype(np.uint16), rate_hz=30.0, units=("mm",), meta=meta)
+        return [Case(part, {"in": (spec, grid(30.0, n), frames)}, least=2 * n) for part in (cls(), cls(person=2))]

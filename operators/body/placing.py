@@ -1,0 +1,212 @@
+"""From what a frame shows of a person to places in space: left and right told apart, depths judged, bones kept at their lengths.
+
+Three steps for every frame, each a kernel: `unturned` (a network takes a back for a front and exchanges left and right), `placed` (depth
+where it was measured and can be true, the network's own guess where not, the bone's length where neither can be), `trusted`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stream.chunk import Samples
+from stream.kernel import kernel
+
+INSIDE = np.full(34, 0.03)
+INSIDE[[0, 7, 8, 11, 12, 13, 14, 15, 16]] = 0.02, 0.07, 0.07, 0.055, 0.055, 0.035, 0.035, 0.025, 0.025
+INSIDE[[23, 24, 25, 26, 27, 28, 31, 32, 33]] = 0.10, 0.10, 0.055, 0.055, 0.04, 0.04, 0.02, 0.02, 0.09
+"""How far behind the body's surface a landmark lies (m); measured on rendered bodies."""
+CHAINS = np.array(
+    [(13, 11, 0), (14, 12, 0), (15, 13, 1), (16, 14, 1), (25, 23, 2), (26, 24, 2), (27, 25, 3), (28, 26, 3)]
+)
+"""A limb's joint, the one before it, and the bone between them, from the trunk outwards."""
+PAIRS = np.array([(11, 12, 4), (23, 24, 5)])
+"""Shoulders and hips, and the width between them."""
+LENGTHS = np.array([0.296, 0.270, 0.413, 0.421, 0.361, 0.198])
+"""Upper arm, forearm, thigh, shank, width of the shoulders and of the hips (m) before anything is known of the person."""
+AGREES_M, POSSIBLE_M = 0.22, 0.45
+"""A measured depth is believed if it differs by less from the guess; one that makes the bone as long as it is, by less than the second."""
+BONE_SHARE = 0.25
+"""A bone may differ so much from its length before its outer end is moved."""
+KEEPS, LEARNS, AS_GIVEN, REVERSED = 0.8, 0.2, 0.3, -0.3
+"""The heading: how much of it stays from frame to frame, how much the shape counts, what speaks for the network's word as it is given."""
+
+
+@kernel
+def unturned(points: Samples, facing: Samples, other_side: NDArray[np.int64], heading: Samples, out: Samples) -> int:
+    """`points` (34, 8) with left and right as they should be, into `out`; 0: as given, 1: a back taken for a front, 2: exchanged.
+
+    `heading` (3,) is the memory: x and z of where the person faces, and whether that is known. `facing` (2,) is where the shape faces.
+    A body seen from behind looks like one from the front whose left is its right and whose depths are mirrored: the heading of the newest
+    frames and the shape in the depth image choose.
+    """
+    x = (points[11, 7] - points[12, 7]) + (points[23, 7] - points[24, 7])
+    z = -((points[11, 5] - points[12, 5]) + (points[23, 5] - points[24, 5]))
+    length = math.sqrt(x * x + z * z)
+    if length > 0.0:
+        x, z = x / length, z / length
+    if heading[2] == 0.0:
+        heading[0], heading[1], heading[2] = facing[0], facing[1], 1.0
+    else:
+        for i in range(2):
+            heading[i] = KEEPS * heading[i] + LEARNS * facing[i]
+    scores = (
+        x * heading[0] + z * heading[1] + AS_GIVEN,
+        x * heading[0] - z * heading[1],
+        -x * heading[0] - z * heading[1] + REVERSED,
+    )
+    best = 0
+    if scores[1] > scores[best]:
+        best = 1
+    if scores[2] > scores[best]:
+        best = 2
+    heading[0] += LEARNS * AS_GIVEN * (-x if best == 2 else x)
+    heading[1] += LEARNS * AS_GIVEN * (z if best == 0 else -z)
+    length = math.sqrt(heading[0] ** 2 + heading[1] ** 2)
+    if length > 1.0:
+        heading[0], heading[1] = heading[0] / length, heading[1] / length
+    for k in range(points.shape[0]):
+        out[k] = points[other_side[k] if best else k]
+        if best == 1:
+            out[k, 7] = -out[k, 7]
+    return best
+
+
+@kernel
+def placed(
+    points: Samples, camera: Samples, lengths: Samples, counts: Samples, places: Samples, doubt: Samples
+) -> float:
+    """`points` (34, 8) in space: `places` (34, 3) in m, and `doubt` (34, 2): 1 where guessed; by what share of its length a bone is off.
+
+    `camera` (4,) fx, fy, cx, cy; `lengths` (6,) of bones, learned from what was measured, with `counts` (6,). Returns how far away the
+    trunk is (m); NaN, with nothing placed, where no depth was measured.
+    """
+    trunk = _trunk(points)
+    places[:] = math.nan
+    doubt[:] = 1.0
+    if math.isnan(trunk):
+        return trunk
+    depth = np.empty(34)
+    for k in range(34):
+        guess = trunk + points[k, 7]
+        depth[k] = guess
+        doubt[k, 1] = 0.0
+        measured = points[k, 2] + INSIDE[k]
+        if abs(measured - guess) <= AGREES_M:
+            depth[k], doubt[k, 0] = measured, 0.0
+    for i in range(PAIRS.shape[0]):
+        _hold_pair(points, camera, trunk, PAIRS[i], lengths, counts, depth, doubt)
+    for i in range(CHAINS.shape[0]):
+        _hold_bone(points, camera, trunk, CHAINS[i], lengths, counts, depth, doubt)
+    for k in range(34):
+        places[k, 0] = (points[k, 0] - camera[2]) / camera[0] * depth[k]
+        places[k, 1] = (points[k, 1] - camera[3]) / camera[1] * depth[k]
+        places[k, 2] = depth[k]
+    return trunk
+
+
+@kernel
+def _trunk(points: Samples) -> float:
+    """How far away the middle of the hips is (m), by shoulders and hips; by any landmark, if less than two of these were measured."""
+    found = np.empty(34)
+    n = 0
+    for k in (11, 12, 23, 24):
+        if not math.isnan(points[k, 2]):
+            found[n] = points[k, 2] + INSIDE[k] - points[k, 7]
+            n += 1
+    if n < 2:
+        n = 0
+        for k in range(34):
+            if not math.isnan(points[k, 2]):
+                found[n] = points[k, 2] + INSIDE[k] - points[k, 7]
+                n += 1
+    return float(np.median(found[:n])) if n else math.nan
+
+
+@kernel
+def _hold_pair(
+    points: Samples,
+    camera: Samples,
+    trunk: float,
+    pair: NDArray[np.int64],
+    lengths: Samples,
+    counts: Samples,
+    depth: Samples,
+    doubt: Samples,
+) -> None:
+    """Shoulders or hips: learn their width, or move the far one to where it fits."""
+    a, b, bone = pair
+    long = lengths[bone]
+    apart = _apart(points, camera, a, depth[a], b, depth[b])
+    if abs(apart - long) < BONE_SHARE * long:
+        if doubt[a, 0] + doubt[b, 0] == 0.0 and min(points[a, 3], points[b, 3]) > 0.8:
+            _learn(lengths, counts, bone, apart)
+        return
+    far, near = (a, b) if points[a, 7] > points[b, 7] else (b, a)
+    depth[far], off = _at_length(points, camera, far, near, depth[near], long, trunk + points[far, 7])
+    doubt[far, 0], doubt[far, 1] = 1.0, off
+
+
+@kernel
+def _hold_bone(
+    points: Samples,
+    camera: Samples,
+    trunk: float,
+    chain: NDArray[np.int64],
+    lengths: Samples,
+    counts: Samples,
+    depth: Samples,
+    doubt: Samples,
+) -> None:
+    """A limb's joint: measured if that makes the bone as long as it is, else where its line of sight is a bone's length away."""
+    joint, before, bone = chain
+    long = lengths[bone]
+    guess, measured = trunk + points[joint, 7], points[joint, 2] + INSIDE[joint]
+    apart = _apart(points, camera, joint, measured, before, depth[before])
+    if abs(apart - long) < BONE_SHARE * long and abs(measured - guess) < POSSIBLE_M:
+        depth[joint], doubt[joint, 0] = measured, 0.0
+        if doubt[before, 0] == 0.0 and min(points[joint, 3], points[before, 3]) > 0.7:
+            _learn(lengths, counts, bone, apart)
+        return
+    if not math.isnan(measured):  # what is hidden lies behind what hides it
+        guess = max(guess, measured - 0.05)
+    depth[joint], off = _at_length(points, camera, joint, before, depth[before], long, guess)
+    doubt[joint, 0], doubt[joint, 1] = 1.0, off
+
+
+@kernel
+def _learn(lengths: Samples, counts: Samples, bone: int, apart: float) -> None:
+    if 0.6 < apart / LENGTHS[bone] < 1.5:
+        counts[bone] = min(counts[bone] + 1.0, 40.0)
+        lengths[bone] += 0.25 / counts[bone] ** 0.8 * min(max(apart - lengths[bone], -0.1), 0.1)
+
+
+@kernel
+def _apart(points: Samples, camera: Samples, a: int, depth_a: float, b: int, depth_b: float) -> float:
+    """How far two landmarks are apart (m) if they lie at these depths."""
+    x = (points[a, 0] - camera[2]) / camera[0] * depth_a - (points[b, 0] - camera[2]) / camera[0] * depth_b
+    y = (points[a, 1] - camera[3]) / camera[1] * depth_a - (points[b, 1] - camera[3]) / camera[1] * depth_b
+    return math.sqrt(x * x + y * y + (depth_a - depth_b) ** 2)
+
+
+@kernel
+def _at_length(
+    points: Samples, camera: Samples, joint: int, before: int, depth_before: float, long: float, guess: float
+) -> tuple[float, float]:
+    """The depth, of the two near `guess` the nearer, at which a joint's line of sight is `long` from another joint; 0.
+
+    Where it is nowhere so near: the depth at which it is nearest, and by how much of the length it is too far.
+    """
+    x, y = (points[joint, 0] - camera[2]) / camera[0], (points[joint, 1] - camera[3]) / camera[1]
+    p = (points[before, 0] - camera[2]) / camera[0] * depth_before
+    q = (points[before, 1] - camera[3]) / camera[1] * depth_before
+    a = x * x + y * y + 1.0
+    b = x * p + y * q + depth_before
+    c = p * p + q * q + depth_before * depth_before - long * long
+    root = b * b - a * c
+    if root < 0.0:
+        return b / a, math.sqrt(max(c + long * long - b * b / a, 0.0)) / long - 1.0
+    near, far = (b - math.sqrt(root)) / a, (b + math.sqrt(root)) / a
+    return (near if abs(near - guess) <= abs(far - guess) else far), 0.0

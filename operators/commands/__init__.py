@@ -1,0 +1,1 @@
+"""Commands that packages of operators extend: `kinegraph train` and `kinegraph evaluate`."""

@@ -1,0 +1,21 @@
+"""`kinegraph train`: models learned from recordings, to be named in a graph.
+
+A kind of model is an entry point of the group `kinegraph.trainings`, so that any package may add one.
+"""
+
+from __future__ import annotations
+
+from importlib.metadata import entry_points
+
+import typer
+
+train = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, no_args_is_help=True)
+
+
+@train.callback()
+def group() -> None:
+    """Learn a model from recordings."""
+
+
+for entry in entry_points(group="kinegraph.trainings"):
+    train.command(entry.name, context_settings={"help_option_names": ["-h", "--help"]})(entry.load())

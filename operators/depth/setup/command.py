@@ -1,0 +1,152 @@
+"""`kinegraph bedside check`: a minute out of bed, a minute in it, and whether a night can be seen like that."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from stream.chunk import NS, Chunk
+from stream.errors import KinegraphError
+from stream.plain import say
+
+bedside = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, no_args_is_help=True)
+
+
+@bedside.callback()
+def group() -> None:
+    """Set up a depth camera over a bed."""
+
+
+@bedside.command("check", context_settings={"help_option_names": ["-h", "--help"]})
+def check(
+    config: Annotated[Path, typer.Argument(help="the graph, such as bedside.yaml", metavar="CONFIG")],
+    settings: Annotated[list[str] | None, typer.Option("--set", metavar="NODE.PARAMETER=VALUE")] = None,
+    out_s: Annotated[float, typer.Option("--out", min=10.0, help="how long to stay out of bed, in s")] = 60.0,
+    between_s: Annotated[float, typer.Option("--between", min=0.0, help="how long lying down may take, in s")] = 30.0,
+    in_s: Annotated[float, typer.Option("--in", min=10.0, help="how long to lie still, in s")] = 60.0,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="a simulated camera in the place of the real one")
+    ] = False,
+) -> None:
+    """Stay out of bed for a minute, lie down, and lie still for a minute: says whether the region holds, noise, and light.
+
+    Nothing is stored. Exit codes: 0 all is well; 2 something is not, or the graph is wrong; 3 the camera is missing.
+    """
+    from operators.depth.setup.graph import small
+    from operators.depth.setup.judgement import judge
+    from stream.commands import logs
+    from stream.commands.run import simulated
+
+    logs.set_up(json=False, verbose=False)
+    made = small(config, settings or [])
+    camera: Any = made.graph.nodes["camera"].part
+    if complaint := getattr(camera, "blind_at_night", ""):
+        raise KinegraphError(f"node 'camera': {complaint}")
+    with simulated(made.graph) if simulate else nullcontext():
+        looks = Looks(made.graph, out_s, between_s, in_s)
+        looks.run()
+    findings = judge(looks.out, looks.inn, looks.regions, looks.block, made.rise_mm, made.least_share)
+    for finding in findings:
+        say(f"{'well' if finding.well else 'NOT WELL'}: {finding.text}")
+    for problem in looks.problems:
+        say(f"NOT WELL: the camera says: {problem}")
+    if looks.problems or not all(finding.well for finding in findings):
+        raise KinegraphError("the night would not be seen as it should be; put it right, and check again")
+
+
+class Looks:
+    """A feed that hands the camera's frames straight to the operators, tells the person what to do, and keeps both minutes."""
+
+    again = False
+
+    def __init__(self, graph: Any, out_s: float, between_s: float, in_s: float) -> None:
+        from operators.depth.setup.judgement import Minute
+        from stream.clock import SessionClock
+        from stream.engine.pipeline import Pipeline
+
+        self.graph, self.pipeline, self._clock = graph, Pipeline(graph), SessionClock()
+        self.stopped = False
+        self.regions: list[tuple[int, int, int, int]] = []
+        self.problems: list[str] = []
+        blocks = self.pipeline.stages["simplify"].edges["blocks"]
+        self.block = int(blocks.spec.meta["simplified"]["block"])
+        self.out, self.inn = Minute.of(blocks.spec.shape), Minute.of(blocks.spec.shape)
+        self._ends = [round(s * NS) for s in (out_s, out_s + between_s, out_s + between_s + in_s)]
+        self._said, self._begun = -1, -1
+        self._words = (
+            f"stay out of bed for {out_s:g} s, and out of the camera's way",
+            f"lie down as you sleep; you have {between_s:g} s",
+            f"lie still for {in_s:g} s",
+        )
+        blocks.observers.append(self._blocks)
+        self.pipeline.stages["view"].edges["out"].observers.append(self._views)
+        self.pipeline.stages["bed"].edges["out"].observers.append(self._bed)
+
+    def run(self) -> None:
+        camera = self.graph.nodes["camera"].part.fresh()
+        camera.prepare()
+        camera.read(self)
+
+    def _phase(self, time: int) -> int:
+        """0: out of bed, 1: lying down, 2: in bed, 3: over."""
+        if self._begun < 0:
+            self._begun = time
+        phase = sum(time - self._begun >= end for end in self._ends)
+        while self._said < min(phase, 2):
+            self._said += 1
+            say(self._words[self._said])
+        self.stopped = phase == 3
+        return phase
+
+    def _blocks(self, chunk: Chunk) -> None:
+        for time, frame in zip(chunk.time.tolist(), chunk.data, strict=True):
+            phase = self._phase(time)
+            if phase in (0, 2):
+                (self.out if phase == 0 else self.inn).add(np.asarray(frame))
+
+    def _views(self, chunk: Chunk) -> None:
+        for event in chunk.data:
+            phase = self._phase(int(event["onset"]))
+            (self.out if phase == 0 else self.inn).views.append(str(event["what"]))
+
+    def _bed(self, chunk: Chunk) -> None:
+        if self._said > 0:
+            return  # a bed that is found with somebody in it is not the empty one
+        for e in chunk.data:
+            row, column, rows, columns = (int(e[name]) // self.block for name in ("row", "column", "rows", "columns"))
+            if rows:
+                self.regions.append((row, column, max(1, rows), max(1, columns)))
+
+    # what a source needs of a feed
+    def emit(self, chunk: Chunk, output: str = "out") -> None:
+        stream = f"camera.{output}"
+        if not self.stopped:
+            self.pipeline.feed(stream, chunk)
+
+    def now(self) -> int:
+        return self._clock.now()
+
+    def wait(self, seconds: float) -> bool:
+        from time import sleep
+
+        sleep(0.0 if self.stopped else seconds)
+        return self.stopped
+
+    def ready(self) -> None: ...
+
+    def hear(self, timeout_s: float) -> str | None:
+        return None
+
+    def identify(self, device: str, **facts: str | float) -> None: ...
+
+    def problem(self, kind: str, count: int = 1) -> None:
+        if kind.startswith("no ") and kind not in self.problems:
+            self.problems.append(kind)
+
+    def tell(self, kind: str, **facts: str | float) -> None: ...
+
+    def device_clock(self, **facts: float) -> None: ...

@@ -1,0 +1,135 @@
+"""`kinegraph check-electrodes`: what each electrode is worth, before the session, with what to do."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path as File
+from tempfile import TemporaryDirectory
+from threading import Event, Thread
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from stream.errors import KinegraphError
+from stream.plain import say
+
+if TYPE_CHECKING:
+    from operators.emg.commands.electrode_check import Electrode
+
+Span = tuple[float, float]
+REST_S, CONTRACTION_S = 5.0, 10.0
+
+
+def check_electrodes(
+    source: Annotated[
+        File, typer.Argument(help="the graph whose EMG is to be checked live, or a recording", metavar="GRAPH|FILE")
+    ],
+    rest: Annotated[
+        str, typer.Option(metavar="A-B", help="seconds of rest from the beginning [default: the first 5 s]")
+    ] = "",
+    contraction: Annotated[
+        str,
+        typer.Option(metavar="A-B", help="seconds in which every muscle is contracted [default: the 10 s after rest]"),
+    ] = "",
+    emg: Annotated[str, typer.Option(metavar="STREAM", help="the raw EMG [default: the only one in volts]")] = "",
+    simulate: Annotated[bool, typer.Option("--simulate", help="simulated devices in the place of real ones")] = False,
+) -> None:
+    """Check the electrodes: rest, then a contraction of every muscle; noise, contraction, crosstalk and hum per channel, with what to do.
+
+    Exit code 0 if every channel is good, 1 if one is doubtful or bad.
+    """
+    from stream.recording.place import SUFFIX, parts_of
+
+    quiet = _span(rest, "--rest", (0.0, REST_S))
+    strong = _span(contraction, "--contraction", (quiet[1], quiet[1] + CONTRACTION_S))
+    if source.suffix == SUFFIX or (source.is_dir() and parts_of(source)):
+        found, unit = _judge(source, emg, quiet, strong)
+    else:
+        with TemporaryDirectory(prefix="kinegraph-") as folder:
+            _measure(source, File(folder) / "check", quiet, strong, simulate=simulate)
+            found, unit = _judge(File(folder) / "check", emg, quiet, strong)
+    _show(found, unit)
+    if poor := [f"{e.name} {e.reason}" for e in found if e.flag != "good"]:
+        say(f"{len(poor)} of {len(found)} electrodes need a look: {', '.join(poor)}", err=True)
+        sys.exit(1)
+    say(f"all {len(found)} electrodes are good")
+
+
+def _span(text: str, option: str, default: Span) -> Span:
+    if not text:
+        return default
+    try:
+        begin, end = (float(part) for part in text.split("-"))
+    except ValueError:
+        raise KinegraphError(f"{option} {text}: it must be two times in seconds, such as 0-5") from None
+    if not 0 <= begin < end:
+        raise KinegraphError(f"{option} {text}: the second time must be after the first")
+    return begin, end
+
+
+def _measure(config: File, folder: File, quiet: Span, strong: Span, *, simulate: bool) -> None:
+    """Run the graph as long as the stages last, with its outlets, and say what is to be done meanwhile."""
+    from contextlib import nullcontext
+
+    from stream.commands import logs
+    from stream.commands.run import simulated
+    from stream.engine.session import Session
+    from stream.graph.load import load
+
+    logs.set_up()
+    graph = load(config)
+    for name in graph.outlets:
+        del graph.nodes[name]
+    with simulated(graph) if simulate else nullcontext():
+        session = Session(graph, folder, duration_s=max(quiet[1], strong[1]) + 0.5)
+        over = Event()
+        prompter = Thread(target=_prompt, args=(quiet, strong, over), name="prompts", daemon=True)
+        prompter.start()
+        try:
+            outcome = session.run()
+        finally:
+            over.set()
+    if outcome.exit_code:
+        raise KinegraphError(
+            f"the electrodes could not be measured: the session ended with exit code {outcome.exit_code}"
+        )
+
+
+def _prompt(quiet: Span, strong: Span, over: Event) -> None:
+    begun = time.monotonic()
+    for (begin, end), what in sorted(
+        [(quiet, "rest: no muscle works"), (strong, "contract every muscle in turn, strongly")]
+    ):
+        if over.wait(max(0.0, begin - (time.monotonic() - begun))):
+            return
+        say(f"now, for {end - begin:g} s: {what}", err=True)
+
+
+def _judge(path: File, emg: str, quiet: Span, strong: Span) -> tuple[list[Electrode], str]:
+    from operators.emg.commands.calibrate import raw_emg
+    from operators.emg.commands.electrode_check import check_electrodes as judge
+    from stream.recording import Recording
+
+    with Recording.open(path) as recording:
+        name = emg or raw_emg(recording)
+        spec = recording.stream(name).spec
+        times, data = recording.read(name)
+    return judge(spec, times, data, quiet, strong), spec.units[0]
+
+
+def _show(found: list[Electrode], unit: str) -> None:
+    from rich.table import Table
+
+    from stream.screen import Screen
+
+    table = Table(box=None)
+    for heading in ("muscle", f"rest ({unit})", f"contraction ({unit})", "hum", "shared", "verdict", "what to do"):
+        table.add_column(
+            heading, justify="left" if heading in ("muscle", "verdict", "what to do") else "right", overflow="fold"
+        )
+    for e in found:
+        shared = f"{e.shared:.2f} {e.with_}" if e.with_ else ""
+        verdict = f"{e.flag}: {e.reason}" if e.reason else e.flag
+        table.add_row(e.name, f"{e.rest:.1f}", f"{e.contraction:.1f}", f"{e.hum:.0%}", shared, verdict, e.advice)
+    Screen().print(table)

@@ -1,0 +1,57 @@
+"""`kinegraph compare`: muscle activity of several sessions or legs beside each other."""
+
+from __future__ import annotations
+
+from pathlib import Path as File
+from typing import Annotated
+
+import typer
+
+from stream.errors import KinegraphError
+from stream.plain import say
+
+
+def compare(
+    sessions: Annotated[
+        list[File], typer.Argument(help="recorded sessions, with closed, cycles and maxima", metavar="SESSION...")
+    ],
+    output: Annotated[File, typer.Option("-o", "--out", help="folder for comparison.html and comparison.csv")] = File(
+        "comparison"
+    ),
+    node: Annotated[
+        str, typer.Option(metavar="NODE", help="whose cycles, where a session has those of several legs")
+    ] = "",
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace files that exist")] = False,
+) -> None:
+    """Scatter of cycles, divergence of mixtures, resemblance, and where mean curves differ: before and after, left and right, a group.
+
+    A recording with cycles of two legs counts as two sessions. Sessions whose curves were normalised or filtered otherwise are refused.
+    """
+    from operators.emg.commands.comparison import compare_sessions
+    from operators.emg.commands.comparison_page import stretches, write_page, write_tables
+    from operators.emg.commands.session_cycles import MOST_CYCLES, check_alike, read_sessions
+    from operators.emg.mixtures import PeakMixtures
+    from stream.complete import private_folder
+
+    page, table = output / "comparison.html", output / "comparison.csv"
+    for path in (page, table):
+        if path.exists() and not overwrite:
+            raise KinegraphError(f"{path} exists; --overwrite replaces it, --out names another folder")
+    read = [found for path in sessions for found in read_sessions(path, node)]
+    if len(read) < 2:
+        raise KinegraphError("one session alone has nothing to be compared with; name two, or one with two legs")
+    check_alike(read)
+    shared = set.intersection(*(set(session.muscles) for session in read))
+    if not shared:
+        raise KinegraphError(
+            "the sessions have no muscle in common: " + "; ".join(f"{s.label}: {', '.join(s.muscles)}" for s in read)
+        )
+    found = compare_sessions(read, PeakMixtures(cycles=MOST_CYCLES))
+    private_folder(output)
+    write_page(found, page, " and ".join(found.labels) if len(read) < 4 else f"{len(read)} sessions")
+    write_tables(found, table)
+    for band in found.bands:
+        say(
+            f"{band.muscle}: divergence {found.distances[band.muscle][0, 1]:.3f}, means differ at {stretches(band.places)} % of the cycle"
+        )
+    say(f"{page}: {', '.join(f'{label} ({n} cycles)' for label, n in zip(found.labels, found.cycles, strict=True))}")

@@ -1,0 +1,159 @@
+"""Recorded sessions compared: how far cycles scatter, how far mixtures are apart, who resembles whom, and where mean curves differ."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from operators.emg.commands.session_cycles import SessionCycles
+from operators.emg.mixture_reference import References
+from operators.emg.mixtures import PeakMixtures
+from stream.chunk import Samples
+
+HIGHEST = 5
+RESAMPLINGS = 2000
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """A session's cycles about a mean curve, in shares of the muscle's highest value (thesis tables 6.1 to 6.4).
+
+    deviation, mad    mean distance of a cycle to the curve, and the mean absolute deviation of the distances: what the tables hold
+    eq_6_9, eq_6_10   as printed: the root of the sum of squared distances, and the mean distance
+    """
+
+    session: str
+    muscle: str
+    cycles: int
+    deviation: float
+    mad: float
+    eq_6_9: float
+    eq_6_10: float
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """Where two sessions' mean curves of a muscle differ: the difference (100,), its simultaneous 95 % band, and the places in %."""
+
+    muscle: str
+    difference: Samples
+    width: Samples
+    places: list[int]
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """labels of the sessions, and the muscles that all have; intra, inter: scatter about the own and about the group's mean curve;
+    distances {muscle: (n, n)}: Cauchy-Schwarz divergences; features (n, 11 m): of the 5 highest modes and their number;
+    linkage (n - 1, 4): scipy's, single; bands: of the first two sessions"""
+
+    labels: list[str]
+    cycles: list[int]
+    muscles: list[str]
+    alike: dict[str, object]
+    intra: list[Scatter]
+    inter: list[Scatter]
+    distances: dict[str, Samples]
+    modes: dict[str, list[int]]
+    features: Samples
+    linkage: Samples
+    bands: list[Band]
+
+
+def compare_sessions(sessions: list[SessionCycles], mixer: PeakMixtures) -> Comparison:
+    """At least two sessions that were made alike, by the muscles that all of them have."""
+    from scipy.cluster.hierarchy import linkage
+
+    muscles = [name for name in sessions[0].muscles if all(name in s.muscles for s in sessions)]
+    made = [s.references(mixer, 0, 2)[0] for s in sessions]
+    where = [[s.muscles.index(name) for name in muscles] for s in sessions]
+    tables = {name: _distances(made, [at[k] for at in where], mixer) for k, name in enumerate(muscles)}
+    features = np.array([_features(found, at) for found, at in zip(made, where, strict=True)])
+    curves = [s.curves[:, :, at] for s, at in zip(sessions, where, strict=True)]
+    intra, inter = _scatters([s.label for s in sessions], muscles, curves)
+    bands = [_band(name, curves[0][:, :, k], curves[1][:, :, k]) for k, name in enumerate(muscles)]
+    return Comparison(
+        [s.label for s in sessions], [len(s.curves) for s in sessions], muscles, dict(sessions[0].alike), intra, inter, tables,
+        {name: [int(max(f.modes[at[k]], 0)) for f, at in zip(made, where, strict=True)] for k, name in enumerate(muscles)},
+        features, linkage(standardised(features), "single"), bands,
+    )  # fmt: skip
+
+
+def standardised(features: Samples) -> Samples:
+    """Features in units of their standard deviation; what is not known, or the same everywhere, is 0."""
+    known = np.isfinite(features)
+    count = np.maximum(known.sum(axis=0), 1)
+    off = np.where(known, features - np.where(known, features, 0.0).sum(axis=0) / count, 0.0)
+    spread = np.sqrt((off**2).sum(axis=0) / count)
+    return np.asarray(off / np.where(spread > 0, spread, 1.0))
+
+
+def scatter(curves: Samples, mean: Samples) -> tuple[float, float, float, float]:
+    """Of cycles (k, 100) about a mean curve (100,): deviation, mad, and eq. 6.9 and 6.10 as printed."""
+    away = np.sqrt(((curves - mean) ** 2).sum(axis=1))
+    if not len(away):
+        return (np.nan,) * 4
+    return (
+        float(away.mean()),
+        float(np.abs(away - away.mean()).mean()),
+        float(np.sqrt((away**2).sum())),
+        float(away.mean()),
+    )
+
+
+def _scatters(labels: list[str], muscles: list[str], curves: list[Samples]) -> tuple[list[Scatter], list[Scatter]]:
+    intra, inter = list[Scatter](), list[Scatter]()
+    for m, name in enumerate(muscles):
+        scaled = [_known(c[:, :, m]) for c in curves]
+        scaled = [c / c.max() if len(c) and c.max() > 0 else c for c in scaled]
+        means = [c.mean(axis=0) for c in scaled if len(c)]
+        everyone = np.mean(means, axis=0) if means else np.full(100, np.nan)
+        for label, cycles in zip(labels, scaled, strict=True):
+            own = cycles.mean(axis=0) if len(cycles) else everyone
+            intra.append(Scatter(label, name, len(cycles), *scatter(cycles, own)))
+            inter.append(Scatter(label, name, len(cycles), *scatter(cycles, everyone)))
+    return intra, inter
+
+
+def _known(curves: Samples) -> Samples:
+    return np.asarray(curves[~np.isnan(curves).any(axis=1)])
+
+
+def _distances(made: list[References], at: list[int], mixer: PeakMixtures) -> Samples:
+    """The divergences (n, n) of a muscle's mixtures; NaN where one has none."""
+    turns = mixer.fitting().turns
+    return np.array(
+        [
+            [a.distance(i, b.mixture(j), turns) for b, j in zip(made, at, strict=True)]
+            for a, i in zip(made, at, strict=True)
+        ]
+    )
+
+
+def _features(made: References, at: list[int]) -> Samples:
+    """The eleven features of thesis 6.3.3 for each muscle: place and height of the 5 highest modes, and how many there are."""
+    rows = []
+    for k in at:
+        count = max(int(made.modes[k]), 0)
+        means = np.full((HIGHEST, 2), np.nan)
+        means[: min(count, HIGHEST)] = made.means[k, : min(count, HIGHEST)]
+        rows.append(np.concatenate([means[:, 0], means[:, 1], [count]]))
+    return np.concatenate(rows)
+
+
+def _band(muscle: str, before: Samples, after: Samples) -> Band:
+    """Difference of mean curves (after less before), with a band that holds all 100 points at once in 95 % of resamplings (bootstrap)."""
+    before, after = _known(before), _known(after)
+    if min(len(before), len(after)) < 2:
+        return Band(muscle, np.full(100, np.nan), np.full(100, np.nan), [])
+    rng = np.random.default_rng(1)
+    difference = after.mean(axis=0) - before.mean(axis=0)
+    drawn = np.empty((RESAMPLINGS, 100))
+    for k in range(RESAMPLINGS):
+        a, b = (c[rng.integers(0, len(c), len(c))].mean(axis=0) for c in (before, after))
+        drawn[k] = b - a
+    spread = np.maximum(drawn.std(axis=0), 1e-12)
+    most = np.quantile(np.abs((drawn - difference) / spread).max(axis=1), 0.95)
+    width = most * spread
+    return Band(muscle, difference, width, np.flatnonzero(np.abs(difference) > width).tolist())

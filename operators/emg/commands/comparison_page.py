@@ -1,0 +1,131 @@
+"""A comparison of sessions as one HTML page and as CSV tables."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+
+from operators.emg.commands.comparison import Comparison, Scatter, standardised
+from stream.complete import complete
+
+PAGE = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{{ title }}</title><style>
+body{font:15px/1.4 sans-serif;max-width:60em;margin:2em auto}table{border-collapse:collapse;margin:1em 0}
+td,th{padding:.15em .7em;text-align:right}td:first-child,th:first-child{text-align:left}img{max-width:100%}</style></head><body>
+<h1>{{ title }}</h1>
+<p>{% for s in sessions %}{{ s[0] }}: {{ s[1] }} cycles. {% endfor %}Normalisation: {{ alike.normalisation }};
+heights in {{ alike.height_unit or "no unit" }}. Sessions that were normalised or filtered otherwise are refused.</p>
+{% for table in tables %}<h2>{{ table.title }}</h2><p>{{ table.note }}</p>
+<table><tr>{% for h in table.head %}<th>{{ h }}</th>{% endfor %}</tr>
+{% for row in table.rows %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</table>{% endfor %}
+<h2>Who resembles whom</h2>
+<p>Single linkage on place and height of the five highest modes and their number, of every muscle (thesis 6.3.3), each in units of its
+standard deviation.</p><img alt="dendrogram" src="data:image/png;base64,{{ dendrogram }}">
+</body></html>"""
+
+
+def write_page(found: Comparison, path: Path, title: str) -> None:
+    """Write the page; it appears when it is complete. Raises OSError."""
+    from jinja2 import Environment
+
+    text = Environment(autoescape=True).from_string(PAGE).render(
+        title=title, sessions=list(zip(found.labels, found.cycles, strict=True)), alike=found.alike, tables=_tables(found),
+        dendrogram=_dendrogram(found),
+    )  # fmt: skip
+    with complete(path) as draft:
+        draft.write_text(text, encoding="utf-8")
+
+
+def write_tables(found: Comparison, path: Path) -> None:
+    """Every number, a row each: what, muscle, session, other session, value. Raises OSError."""
+    rows = list[tuple[object, ...]]()
+    for kind, part in (("own mean", found.intra), ("group mean", found.inter)):
+        for s in part:
+            for name in ("deviation", "mad", "eq_6_9", "eq_6_10"):
+                rows.append((f"{name}, {kind}", s.muscle, s.session, "", s.cycles, getattr(s, name)))
+    for muscle, table in found.distances.items():
+        for i, mine in enumerate(found.labels):
+            rows += [
+                ("divergence", muscle, mine, theirs, found.cycles[i], table[i, j])
+                for j, theirs in enumerate(found.labels)
+            ]
+    for band in found.bands:
+        rows += [
+            (f"difference at {p} %", band.muscle, found.labels[0], found.labels[1], "", d)
+            for p, d in enumerate(band.difference)
+        ]
+    with complete(path) as draft, draft.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(("what", "muscle", "session", "other", "cycles", "value", "normalisation"))
+        writer.writerows((*row, found.alike["normalisation"]) for row in rows)
+
+
+def _tables(found: Comparison) -> list[dict[str, object]]:
+    made = [
+        _scatter_table(found.intra, "Scatter of a session's cycles about their own mean curve (tables 6.1, 6.2)"),
+        _scatter_table(found.inter, "Scatter about the group's mean curve (tables 6.3, 6.4)"),
+    ]
+    note = "Cauchy-Schwarz divergence of the peaks' mixtures: 0 for the same, no upper bound; 'not known' where a muscle has no burst."
+    for muscle, table in found.distances.items():
+        rows = [
+            [label, modes, *map(_told, row)]
+            for label, modes, row in zip(found.labels, found.modes[muscle], table, strict=True)
+        ]
+        made.append(
+            {"title": f"{muscle}: how far apart", "note": note, "head": ["", "modes", *found.labels], "rows": rows}
+        )
+    about = f"{found.labels[1]} less {found.labels[0]}: where a simultaneous 95 % bootstrap band of the mean curves' difference excludes 0."
+    places = [
+        [band.muscle, stretches(band.places), _told(float(np.abs(band.difference).max()))] for band in found.bands
+    ]
+    made.append(
+        {
+            "title": "Where the first two differ",
+            "note": about,
+            "head": ["muscle", "% of the cycle", "largest"],
+            "rows": places,
+        }
+    )
+    return made
+
+
+def _scatter_table(part: list[Scatter], title: str) -> dict[str, object]:
+    note = (
+        "In shares of the muscle's highest value in the session. Deviation and MAD are the mean distance of a cycle and the mean absolute "
+        "deviation of the distances, which the thesis's tables hold; eq. 6.9 and 6.10 are as printed."
+    )
+    rows = [[s.session, s.muscle, s.cycles, *map(_told, (s.deviation, s.mad, s.eq_6_9, s.eq_6_10))] for s in part]
+    head = ["session", "muscle", "cycles", "deviation", "MAD", "eq. 6.9", "eq. 6.10"]
+    return {"title": title, "note": note, "head": head, "rows": rows}
+
+
+def stretches(places: list[int]) -> str:
+    """Places in % as stretches: "3-9, 41"; "nowhere" for none."""
+    made = list[list[int]]()
+    for p in places:
+        if made and p == made[-1][1] + 1:
+            made[-1][1] = p
+        else:
+            made.append([p, p])
+    return ", ".join(f"{a}" if a == b else f"{a}-{b}" for a, b in made) or "nowhere"
+
+
+def _told(value: float) -> str:
+    return f"{value:.3f}" if np.isfinite(value) else "not known"
+
+
+def _dendrogram(found: Comparison) -> str:
+    """A PNG in base64."""
+    from matplotlib.figure import Figure
+    from scipy.cluster.hierarchy import dendrogram
+
+    figure = Figure(figsize=(8, 1.5 + 0.3 * len(found.labels)), layout="constrained")
+    axes = figure.add_subplot()
+    dendrogram(found.linkage, labels=found.labels, orientation="right", ax=axes, color_threshold=0.0)
+    axes.set_xlabel(f"distance ({standardised(found.features).shape[1]} features)")
+    held = io.BytesIO()
+    figure.savefig(held, format="png", dpi=110)
+    return base64.b64encode(held.getvalue()).decode()

@@ -1,0 +1,152 @@
+"""The accepted cycles of a recorded session, as they stood at its end, and the mixtures of their peaks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from operators.emg.emg_model import made_alike
+from operators.emg.mixture_reference import ReferenceFit, References
+from operators.emg.mixtures import PeakMixtures, muscle_groups
+from operators.emg.peak_window import PeakWindow
+from operators.gait.cycle import CLOSED, MAXIMUM, POINTS
+from operators.gait.review import JUDGED
+from stream.chunk import Array, Samples, StreamSpec
+from stream.errors import KinegraphError
+from stream.recording import Recording
+
+MOST_CYCLES = 500
+
+
+@dataclass(frozen=True, slots=True)
+class SessionCycles:
+    """Accepted cycles of one leg.
+
+    label      the session's name, and which cycles (the node) where it has several;  subject: as recorded
+    curves     (k, 100, m), NaN where a muscle does not count in a cycle;  maxima: their peaks
+    alike      what sessions must have in common to be compared
+    """
+
+    label: str
+    subject: str
+    spec: StreamSpec
+    numbers: Array
+    curves: Samples
+    maxima: Array
+    alike: dict[str, Any]
+
+    @property
+    def muscles(self) -> tuple[str, ...]:
+        return self.spec.channels
+
+    def window(self) -> PeakWindow:
+        """The cycles as the operators keep them, numbered from 0."""
+        window = PeakWindow.none(max(len(self.curves), 1), len(self.muscles))
+        peaks = self.maxima.copy()
+        order = {int(number): k for k, number in enumerate(self.numbers)}
+        keep = np.array([int(number) in order for number in peaks["number"]], bool)
+        peaks = peaks[keep]
+        peaks["number"] = [order[int(number)] for number in peaks["number"]]
+        window.note_peaks(peaks)
+        for k, curve in enumerate(self.curves):
+            window.accept(k, curve)
+        return window
+
+    def references(self, mixer: PeakMixtures, pairs: int, size: int) -> tuple[References, list[str]]:
+        """Every muscle's mixture of these cycles, with its limit from `pairs` of `size` random cycles and the rest, and their names."""
+        group, names = muscle_groups(self.muscles, mixer.joint)
+        window, made = self.window(), References.none(len(group))
+        slots = window.latest(MOST_CYCLES)
+        fit = ReferenceFit.none(len(slots), group.shape[1], pairs)
+        for which, members in enumerate(group):
+            size_here = min(size, len(slots) // 2)
+            while not fit.go_on(window, slots, members[members >= 0], which, size_here, made, mixer.fitting()):
+                pass
+        return made, names
+
+
+def read_sessions(path: Path, node: str = "") -> list[SessionCycles]:
+    """The cycles of each leg in a recording: of all nodes that gave some, or of `node`. Raises KinegraphError."""
+    with Recording.open(path) as recording:
+        nodes = [
+            name.removesuffix(".closed")
+            for name, stream in recording.streams.items()
+            if name.endswith(".closed") and stream.spec.dtype == CLOSED
+        ]
+        nodes = [name for name in nodes if {f"{name}.cycles", f"{name}.maxima"} <= set(recording.streams)]
+        if node:
+            nodes = [name for name in nodes if name == node]
+        if not nodes:
+            of = f" of node {node!r}" if node else ""
+            raise KinegraphError(
+                f"{path}: there are no cycles{of}; record closed, cycles and maxima of operators.gait.cycles.Cycles"
+            )
+        return [_read(recording, path, name, len(nodes) > 1) for name in nodes]
+
+
+def _read(recording: Recording, path: Path, node: str, several: bool) -> SessionCycles:
+    spec = recording.stream(f"{node}.cycles").spec
+    _, closed = recording.read(f"{node}.closed")
+    _, curves = recording.read(f"{node}.cycles")
+    _, maxima = recording.read(f"{node}.maxima")
+    if maxima.dtype != MAXIMUM or curves.ndim != 3 or curves.shape[1] != POINTS:
+        raise KinegraphError(f"{path}: the cycles of {node!r} were recorded by another version")
+    accepted = closed["number"][closed["rejected"] == ""]
+    final = {int(row["number"]): str(row["rejected"]) for row in closed}
+    curves = curves.copy()
+    used = np.array([final[int(number)] == "" for number in accepted], bool)
+    for name, stream in recording.streams.items():
+        if stream.spec.dtype == JUDGED:
+            _leave_out(recording.read(name)[1], accepted, curves, spec)
+    about = recording.header.get("session") or {}
+    label = f"{recording.path.stem} {node}" if several else recording.path.stem
+    units = spec.units[0] if len(spec.units) == 1 else ""
+    alike = {**made_alike({**spec.meta, "height_unit": units}), "cut at": "touch-down"}
+    return SessionCycles(label, str(about.get("subject", "")), spec, accepted[used], curves[used], maxima, alike)
+
+
+def _leave_out(judged: Array, numbers: Array, curves: Samples, spec: StreamSpec) -> None:
+    """What the review left out is NaN in its cycle; of two verdicts the later counts."""
+    for row in judged:
+        if str(row["name"]) not in spec.channels:
+            continue
+        here = np.flatnonzero(numbers == row["number"])
+        if len(here) and not row["used"]:
+            curves[here[0], :, spec.channels.index(str(row["name"]))] = np.nan
+
+
+def check_alike(sessions: list[SessionCycles]) -> None:
+    """Raise KinegraphError where sessions were not normalised, filtered or measured alike."""
+    first = sessions[0]
+    for other in sessions[1:]:
+        for what, value in first.alike.items():
+            if other.alike[what] != value:
+                raise KinegraphError(
+                    f"{first.label} and {other.label} cannot be compared: {what} {value!r} against {other.alike[what]!r}; "
+                    "replay one of them with the other's"
+                )
+
+
+def joined(sessions: list[SessionCycles]) -> SessionCycles:
+    """All cycles of sessions with the same muscles as one, at most the latest 500. Raises KinegraphError."""
+    first = sessions[0]
+    for other in sessions[1:]:
+        if other.muscles != first.muscles:
+            raise KinegraphError(
+                f"{first.label} has the muscles {', '.join(first.muscles)}, {other.label} {', '.join(other.muscles)}; "
+                "--node chooses one leg's cycles"
+            )
+    numbers, maxima, since = [], [], 0
+    for session in sessions:
+        peaks = session.maxima.copy()
+        peaks["number"] += since
+        maxima.append(peaks)
+        numbers.append(session.numbers + since)
+        since = max(int(part.max()) for part in (numbers[-1], peaks["number"], np.array([since])) if len(part)) + 1
+    label = " + ".join(session.label for session in sessions)
+    curves = np.concatenate([session.curves for session in sessions])[-MOST_CYCLES:]
+    every = np.concatenate(numbers)[-MOST_CYCLES:]
+    return SessionCycles(label, first.subject, first.spec, every, curves, np.concatenate(maxima), first.alike)

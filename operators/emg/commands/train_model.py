@@ -1,0 +1,64 @@
+"""`kinegraph train emg-model`: how a person's muscles are usually active, learned from recorded sessions."""
+
+from __future__ import annotations
+
+from pathlib import Path as File
+from typing import Annotated
+
+import typer
+
+from stream.errors import KinegraphError
+
+
+def emg_model(
+    sessions: Annotated[
+        list[File], typer.Argument(help="recorded sessions, with closed, cycles and maxima", metavar="SESSION...")
+    ],
+    output: Annotated[File, typer.Option("-o", "--out", help="the model to be made")] = File("emg-model.npz"),
+    node: Annotated[str, typer.Option(metavar="NODE", help="whose cycles, where a session has those of several")] = "",
+    cycles: Annotated[int, typer.Option(min=2, max=100, help="of the window that will be compared with it")] = 3,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a model that exists")] = False,
+) -> None:
+    """Mixtures of each muscle's activation peaks over all accepted cycles, for `reference` of operators.emg.mixture_drift.MixtureDrift.
+
+    Beyond the limit a session has moved away: the 99th percentile of divergences between `--cycles` of these, at random, and the rest.
+    """
+    import numpy as np
+    from rich.table import Table
+
+    from operators.emg.commands.session_cycles import MOST_CYCLES, check_alike, joined, read_sessions
+    from operators.emg.emg_model import write_references
+    from operators.emg.mixtures import PeakMixtures
+    from stream.screen import Screen
+
+    if output.exists() and not overwrite:
+        raise KinegraphError(f"{output} exists; --overwrite replaces it, --out names another file")
+    read = [found for path in sessions for found in read_sessions(path, node)]
+    check_alike(read)
+    whole = joined(read)
+    mixer = PeakMixtures(cycles=MOST_CYCLES)
+    made, names = whole.references(mixer, 100, cycles)
+    if not (made.modes > 0).any():
+        raise KinegraphError(
+            f"no muscle has a burst in {len(whole.curves)} cycles; there is nothing to make a model of"
+        )
+    about = {
+        "subjects": sorted({s.subject for s in read if s.subject}), "sessions": [s.label for s in read], "window": cycles,
+        "input": {"muscles": names, "unit": whole.alike["height_unit"]},
+    }  # fmt: skip
+    write_references(output, made, names, {**whole.alike, "fitting": {"circular": mixer.circular}}, about)
+    table = Table(
+        title=f"{output}: {len(whole.curves)} cycles of {len(read)} sessions, amplitudes: {whole.alike['normalisation']}",
+        box=None,
+    )
+    for heading in ("muscle", "cycles", "modes", "limit", "all points", "noise"):
+        table.add_column(heading, justify="left" if heading == "muscle" else "right")
+    for k, name in enumerate(names):
+        numbers = [
+            f"{value:.3f}" if np.isfinite(value) else "not known"
+            for value in (made.limit[k], made.full[k], made.noise[k])
+        ]
+        table.add_row(
+            name, str(made.cycles[k]), str(max(made.modes[k], 0)) if made.modes[k] > 0 else "no burst", *numbers
+        )
+    Screen().print(table)

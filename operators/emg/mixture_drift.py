@@ -1,0 +1,312 @@
+"""How far a muscle's activity has moved: its latest mixture against the session's first cycles, the other leg, and a stored reference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from operators.alarm import ALARM, ALARM_UNITS, ON, OVER
+from operators.emg.emg_model import read_references
+from operators.emg.mixture_distance import cauchy_schwarz
+from operators.emg.mixture_events import MIXTURE, WHEN
+from operators.emg.mixture_reference import ReferenceFit, References
+from operators.emg.mixtures import PeakMixtures, muscle_groups, some_maxima
+from operators.emg.peak_window import PeakWindow
+from operators.emg.refit import Fitting, Refit
+from operators.gait.cycle import MAXIMUM, Expected, check_cycles, some_cycles
+from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec, Times
+from stream.errors import InputError, ParameterError
+from stream.operator import Case, Operator, grid
+from stream.params import param
+
+DISTANCE = np.dtype(
+    [
+        *WHEN,
+        ("from_first", "<f8"),
+        ("limit", "<f8"),
+        ("from_stored", "<f8"),
+        ("stored_limit", "<f8"),
+        ("from_other", "<f8"),
+        ("full", "<f8"),
+        ("noise", "<f8"),
+        ("moved", "<U8"),
+    ]
+)
+"""Cauchy-Schwarz divergences of a muscle's latest mixture; NaN: not known (yet). `full` and `noise` are the reference's own, to read the
+others by. `moved` says from what it has moved away: "", "first", "stored" or "both"."""
+DISTANCE_UNITS = ("ns", "ns", *("",) * 11)
+FIRST, STORED = 0, 1
+ALARM_TEXT = ("moved from its first {} cycles", "moved from the stored reference")
+ADVICE = "compare the curves before and after: fatigue, another speed, a shifted electrode"
+
+
+@dataclass(slots=True)
+class MixtureDriftState:
+    """
+    window    the latest cycles;  held, slots: the session's first, once there are enough (`frozen`), and where they stand in it
+    fit, job  the reference under way, and of which mixture it is;  refit: the newest cycles' mixture, followed from a reference
+    first, stored   the references of each mixture
+    other (o,)      the other leg's latest mixtures;  pairing (g,): which of them is each one's counterpart, -1: none
+    fresh (g,)   mixtures since the last window that was judged
+    above, below (2, g)   in how many windows in a row the limit was exceeded or kept;  since (2, g): the onset of the first;  on (2, g)
+    """
+
+    expected: Expected
+    window: PeakWindow
+    held: PeakWindow
+    refit: Refit
+    frozen: bool
+    slots: Times
+    fit: ReferenceFit
+    job: int
+    first: References
+    stored: References
+    group: Times
+    other: Array
+    pairing: Times
+    fresh: Times
+    above: Times
+    below: Times
+    since: Times
+    on: Times
+    names: list[str]
+    spread: bool
+    how: Fitting
+
+
+@dataclass(frozen=True, slots=True)
+class MixtureDrift(Operator[MixtureDriftState]):
+    """A leg's cycles and mixtures in, how far they are from its reference out, and an alarm where one has moved away.
+
+    mixture          of `operators.emg.mixtures.PeakMixtures`; maxima, closed, cycles: what it is made from; the reference is made from them
+    other            the other leg's mixtures; counterparts have the same name, but for a leading or trailing L or R
+    pace             as of PeakMixtures: the reference and its limit are made a step with each of its samples
+
+    distance         one event per mixture (`DISTANCE`): divergence of the latest `cycles` from the mixture of the session's `first`
+                     accepted ones, from that in the file `reference` (`kinegraph train emg-model`), of the mixture from the other leg's
+    change           alarms: "on" when the divergence exceeds the limit in `windows` windows in a row, "over" when it keeps it as often
+
+    The latest cycles' mixture is followed from the reference's: EM begins there, so it has the same modes, wherever they have gone. The
+    limit is the 99th percentile of the divergences between a random part of the reference's own cycles, as large as a window, and the rest
+    (`pairs` of them), followed alike. Only windows that share no cycle are judged, so one odd cycle is no change. The limit is not known
+    before the first cycles are there and all pairs are fitted (`pace`: some 200 samples a muscle).
+
+    A cycle that is taken back after the reference was made stays in it.
+    """
+
+    inputs: ClassVar[tuple[str, ...]] = ("maxima", "closed", "cycles", "other", "mixture", "pace")
+    optional: ClassVar[tuple[str, ...]] = ("other", "pace")
+    outputs: ClassVar[tuple[str, ...]] = ("distance", "change")
+    acts: ClassVar[tuple[str, ...]] = ("cycles", "mixture", "pace")
+
+    first: int = param(60, least=4, most=200, help="how many of the first accepted cycles are the session's reference")
+    pairs: int = param(100, least=10, most=1000, help="pairs of random parts that the limit is taken from")
+    cycles: int = param(3, least=2, most=200, help="how many of the latest cycles are compared with a reference")
+    windows: int = param(3, least=1, most=100, help="how many windows in a row must exceed the limit")
+    reference: str = param("", help="a stored reference; empty: none")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = check_cycles(specs)
+        mixture = specs["mixture"]
+        if specs["maxima"].dtype != MAXIMUM:
+            raise InputError("maxima", specs["maxima"].describe(), "`maxima` of operators.gait.cycles.Cycles")
+        for port in ("mixture", "other"):
+            if port in specs and (specs[port].dtype != MIXTURE or "fitting" not in specs[port].meta):
+                raise InputError(port, specs[port].describe(), "`mixture` of operators.emg.mixtures.PeakMixtures")
+        how = fitting_of(mixture)
+        if self.first < 2 * how.fewest_cycles:
+            accepts = f"at least {2 * how.fewest_cycles}: twice the fewest_cycles of the mixtures"
+            raise ParameterError("first", self.first, accepts)
+        if self.cycles > self.first // 2:
+            raise ParameterError("cycles", self.cycles, f"at most half of first ({self.first})")
+        group, names = muscle_groups(spec.channels, tuple(map(tuple, mixture.meta["joint"])))
+        others = list(specs["other"].meta["muscles"]) if "other" in specs else []
+        if "other" in specs and specs["other"].meta.get("height_unit") != mixture.meta.get("height_unit"):
+            accepts = f"in {mixture.meta.get('height_unit')!r}, as `mixture` is"
+            raise InputError("other", f"heights in {specs['other'].meta.get('height_unit')!r}", accepts)
+        g = len(group)
+        stored = read_references(Path(self.reference), mixture, names) if self.reference else References.none(g)
+        room, held = (PeakWindow.none(max(self.first, self.cycles), spec.shape[1]) for _ in range(2))
+        above, below, since, on = (np.zeros((2, g), np.int64) for _ in range(4))
+        self.hold(
+            MixtureDriftState(
+                Expected.none(specs["closed"].dtype),
+                room, held, Refit.none(self.cycles, group.shape[1]), False, np.zeros(self.first, np.int64),
+                ReferenceFit.none(self.first, group.shape[1], self.pairs), 0, References.none(g), stored, group,
+                np.zeros(len(others), MIXTURE), pairing(names, others), np.zeros(g, np.int64), above, below,
+                since, on, names, "pace" in specs, how,
+            )
+        )  # fmt: skip
+        return {
+            "distance": StreamSpec((), DISTANCE, units=DISTANCE_UNITS, meta={**mixture.meta, "first": self.first}),
+            "change": StreamSpec((), ALARM, units=ALARM_UNITS, meta=mixture.meta),
+        }
+
+    def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
+        s = self.state
+        stamps, rows = list[int](), list[Array]()
+        alarms = list[tuple[int, tuple[int, str, str, str, str]]]()
+        if port == "mixture":
+            for k, stamp in enumerate(chunk.time.tolist()):
+                stamps.append(stamp)
+                rows.append(self._compare(stamp, chunk.data[k : k + 1], alarms))
+        elif port == "other":
+            for k in range(len(chunk)):
+                s.other[int(chunk.data["muscle"][k])] = chunk.data[k]
+        elif port == "pace":
+            for _ in range(len(chunk)):
+                self._step()
+        else:
+            self._collect(port, chunk)
+        lost = -1 if chunk.lost and port == "mixture" else 0
+        when = np.array([stamp for stamp, _ in alarms], np.int64)
+        data = np.concatenate([np.empty(0, DISTANCE), *rows])
+        return [
+            ("distance", Chunk(np.array(stamps, np.int64), data, chunk.until, lost)),
+            ("change", Chunk(when, np.array([row for _, row in alarms], ALARM), chunk.until, lost)),
+        ]
+
+    @classmethod
+    def cases(cls) -> list[Case]:
+        inputs = some_cycles(24, 2, 5)
+        inputs = {"maxima": some_maxima(inputs), **inputs}
+        mixer = PeakMixtures(cycles=6, fewest_cycles=2, contrast=1.1)
+        spec = mixer.open({port: given[0] for port, given in inputs.items()})["mixture"]
+        stamps, rows = _mixtures(mixer, inputs)
+        other = rows.copy()
+        other["mean"][:, :, 0] += 3.0
+        last = int(stamps[-1] / NS * 200)
+        pace = (StreamSpec((1,), rate_hz=200.0), grid(200.0, last), np.zeros((last, 1)))
+        every = {**inputs, "other": (spec, stamps, other), "mixture": (spec, stamps, rows)}
+        return [
+            Case(cls(first=4, windows=1, cycles=2, pairs=10), {**every, "pace": pace}, least=20),
+            Case(cls(first=6, pairs=10), {port: given for port, given in every.items() if port != "other"}, least=20),
+        ]
+
+    def _collect(self, port: str, chunk: Chunk) -> None:
+        """Take a cycle in; when there are enough, the reference begins."""
+        s = self.state
+        if port == "maxima":
+            s.window.note_peaks(chunk.data)
+        elif port == "closed":
+            s.expected.note(chunk)
+            for row in chunk.data:
+                s.window.reject(int(row["number"]))
+        else:
+            for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
+                closed = s.expected.match(stamp)
+                if closed is None:
+                    continue
+                s.window.accept(int(closed["number"][0]), curve)
+                if not s.frozen and len(slots := s.window.latest(self.first)) == self.first:
+                    s.slots[:], s.frozen = slots, True
+                    s.held.take(s.window)
+        while s.frozen and not s.spread and s.job < len(s.group):
+            self._step()
+
+    def _step(self) -> None:
+        s = self.state
+        if not s.frozen or s.job >= len(s.group):
+            return
+        group = s.group[s.job]
+        if s.fit.go_on(s.held, s.slots, group[group >= 0], s.job, self.cycles, s.first, s.how):
+            s.job += 1
+
+    def _compare(self, stamp: int, row: Array, alarms: list[tuple[int, tuple[int, str, str, str, str]]]) -> Array:
+        s, muscle, k = self.state, int(row["muscle"][0]), int(row["modes"][0])
+        turns = s.how.turns
+        mixture = row["weight"][0, :k].copy(), row["mean"][0, :k].copy(), row["covariance"][0, :k].copy()
+        out = np.zeros(1, DISTANCE)
+        for field, *_ in WHEN:
+            out[field] = row[field]
+        first, stored = (self._moved(known, muscle) for known in (s.first, s.stored))
+        out["from_first"], out["limit"] = first, s.first.limit[muscle]
+        out["from_stored"], out["stored_limit"] = stored, s.stored.limit[muscle]
+        out["from_other"] = self._from_other(int(s.pairing[muscle]), mixture, turns)
+        out["full"], out["noise"] = s.first.full[muscle], s.first.noise[muscle]
+        s.fresh[muscle] += 1
+        if s.fresh[muscle] >= self.cycles:
+            s.fresh[muscle] = 0
+            for kind, distance, known in ((FIRST, first, s.first), (STORED, stored, s.stored)):
+                self._judge(kind, muscle, distance, known.limit[muscle], (stamp, int(row["onset"][0])), alarms)
+        out["moved"] = ("", "first", "stored", "both")[int(s.on[FIRST, muscle] + 2 * s.on[STORED, muscle])]
+        return out
+
+    def _moved(self, known: References, muscle: int) -> float:
+        """How far the newest cycles' mixture, followed from a reference, is from it."""
+        s = self.state
+        if known.modes[muscle] <= 0:
+            return np.nan
+        group = s.group[muscle]
+        s.refit.follow(s.window, s.window.latest(self.cycles), group[group >= 0], s.how, known.mixture(muscle))
+        return known.distance(muscle, s.refit.mixture(), s.how.turns)
+
+    def _from_other(self, counterpart: int, mixture: tuple[Samples, Samples, Samples], turns: int) -> float:
+        if counterpart < 0 or not len(mixture[0]) or not (k := int(self.state.other["modes"][counterpart])):
+            return np.nan
+        row = self.state.other[counterpart]
+        theirs = row["weight"][:k].copy(), row["mean"][:k].copy(), row["covariance"][:k].copy()
+        return float(cauchy_schwarz(*mixture, *theirs, turns))
+
+    def _judge(
+        self, kind: int, muscle: int, distance: float, limit: float, when: tuple[int, int], alarms: list[Any]
+    ) -> None:
+        """Count in how many windows in a row the limit is exceeded or kept; tell a change. What is not known changes nothing."""
+        stamp, onset = when
+        s = self.state
+        if not np.isfinite(limit) or np.isnan(distance):
+            return
+        if distance > limit:
+            if not s.above[kind, muscle]:
+                s.since[kind, muscle] = onset
+            s.above[kind, muscle] += 1
+            s.below[kind, muscle] = 0
+        else:
+            s.below[kind, muscle] += 1
+            s.above[kind, muscle] = 0
+        what = ALARM_TEXT[kind].format(self.first)
+        name = s.names[muscle]
+        if not s.on[kind, muscle] and s.above[kind, muscle] >= self.windows:
+            s.on[kind, muscle] = 1
+            alarms.append((stamp, (int(s.since[kind, muscle]), name, ON, what, ADVICE)))
+        elif s.on[kind, muscle] and s.below[kind, muscle] >= self.windows:
+            s.on[kind, muscle] = 0
+            alarms.append((stamp, (int(s.since[kind, muscle]), name, OVER, what, "")))
+
+
+def fitting_of(spec: StreamSpec) -> Fitting:
+    """How the mixtures of this stream were fitted."""
+    return Fitting(**spec.meta["fitting"])
+
+
+def pairing(names: list[str], others: list[str]) -> Times:
+    """The other leg's counterpart of each muscle: of the same name, or of the same but for a leading or trailing L or R; -1: none."""
+
+    def bare(name: str) -> str:
+        short = name[1:] if name[:1] in "LR" else name
+        return short[:-1].rstrip(" _-") if short[-1:] in "LR" and len(short) > 2 else short
+
+    exact = [others.index(name) if name in others else -1 for name in names]
+    plain = [bare(name) for name in others]
+    return np.array(
+        [
+            k if k >= 0 else plain.index(bare(name)) if bare(name) in plain else -1
+            for k, name in zip(exact, names, strict=True)
+        ]
+    )
+
+
+def _mixtures(mixer: PeakMixtures, inputs: dict[str, tuple[StreamSpec, Array, Array]]) -> tuple[Times, Array]:
+    """What an opened operator makes of these cycles: stamps and events."""
+    stamps, rows = list[Array](), list[Array]()
+    order = sorted((int(t), k, port, i) for k, port in enumerate(inputs) for i, t in enumerate(inputs[port][1]))
+    for stamp, _, port, i in order:
+        _, time, data = inputs[port]
+        for name, chunk in mixer.process(port, Chunk(time[i : i + 1], data[i : i + 1], stamp)):
+            if name == "mixture" and len(chunk):
+                stamps.append(chunk.time)
+                rows.append(chunk.data)
+    return np.concatenate(stamps), np.concatenate(rows)

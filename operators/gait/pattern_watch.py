@@ -1,0 +1,152 @@
+"""Alarms about muscles whose curve has become that of another (swapped leads), or much larger or smaller than at first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from operators.alarm import ALARM, ALARM_UNITS, ON, OVER
+from operators.gait.cycle import POINTS, Expected, check_cycles, some_cycles
+from operators.gait.limbs import Belonging
+from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
+from stream.finite import only_finite
+from stream.operator import Case, Operator
+from stream.params import param
+
+RESIZED = "look at the electrode, the gain and the belt's speed; it may also be that the muscle tires"
+ADVICE = "look whether its leads were swapped with the other's; cycles since then belong to the other muscle"
+
+
+@dataclass(slots=True)
+class PatternWatchState:
+    """
+    first (100, m), taken (m,)   sum of each muscle's first cycles, and how many
+    recent (k, 100, m), seen (m,) the latest cycles, rings
+    on, agreed (m,)              the muscle whose pattern each has (-1: its own), and cycles in a row that say otherwise
+    sized (2, m)                 1: its size is another than at first; cycles in a row that say otherwise
+    """
+
+    expected: Expected
+    first: Samples
+    taken: Times
+    recent: Samples
+    seen: Times
+    on: Times
+    agreed: Times
+    sized: Times
+    limbs: Belonging
+    names: list[str]
+
+
+@dataclass(frozen=True, slots=True)
+class PatternWatch(Operator[PatternWatchState]):
+    """Cycles and their events in, an alarm for each muscle whose curve has become that of another of the same limb, or has another size.
+
+    A muscle's pattern is the mean of its first `first` cycles. It has become another's where the mean of its latest `latest` cycles
+    correlates by `clearly` more with the other's pattern than with its own, and by 0.7 at least, in `cycles` cycles in a row; the alarm is
+    over when it has been its own again for as long. Told `latest` / 2 + `cycles` cycles after a swap or so. Muscles that are alike from the
+    start are not told apart. A muscle has another size where the mean of its latest cycles' curves is `times` as high as that of its first
+    ones or more, or as much lower, for as many cycles in a row; over below half of that change.
+    """
+
+    inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")
+    acts: ClassVar[tuple[str, ...]] = ("cycles",)
+
+    first: int = param(10, least=2, most=200, help="cycles that show each muscle's pattern")
+    latest: int = param(3, least=1, most=50, help="cycles over which the pattern of now is averaged")
+    cycles: int = param(2, least=1, most=50, help="cycles in a row that must agree")
+    times: float = param(
+        1.4, above=1.0, help="a curve this many times as high as at first, or as much lower, raises an alarm"
+    )
+    clearly: float = param(0.3, above=0.0, most=2.0, help="by how much the other's pattern correlates better")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = check_cycles(specs)
+        m = spec.shape[1]
+        self.hold(
+            PatternWatchState(
+                Expected.none(specs["closed"].dtype), np.zeros((POINTS, m)), np.zeros(m, np.int64), np.zeros((self.latest, POINTS, m)),
+                np.zeros(m, np.int64), np.full(m, -1), np.zeros(m, np.int64), np.zeros((2, m), np.int64),
+                Belonging.of(spec), list(spec.channels),
+            )
+        )  # fmt: skip
+        return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=spec.meta)}
+
+    def process(self, port: str, chunk: Chunk) -> Chunk:
+        s = self.state
+        found: list[tuple[int, tuple[int, str, str, str, str]]] = []
+        if port == "closed":
+            s.expected.note(chunk)
+        else:
+            for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
+                if (closed := s.expected.match(stamp)) is not None:
+                    self._cycle(found, stamp, closed[0], only_finite(curve))
+        stamps = np.array([stamp for stamp, _ in found], np.int64)
+        return Chunk(stamps, np.array([row for _, row in found], ALARM), chunk.until, -1 if chunk.lost else 0)
+
+    @classmethod
+    def cases(cls) -> list[Case]:
+        inputs = some_cycles(40, 3, 9)
+        spec, time, curves = inputs["cycles"]
+        swapped = curves.copy()
+        swapped[20:30, :, [0, 2]] = curves[20:30, :, [2, 0]]
+        given = {**inputs, "cycles": (spec, time, swapped)}
+        return [Case(cls(first=5, latest=2), given, least=2), Case(cls(first=8, latest=1, cycles=1), given, least=2)]
+
+    def _cycle(
+        self, found: list[tuple[int, tuple[int, str, str, str, str]]], stamp: int, closed: np.void, curve: Samples
+    ) -> None:
+        s = self.state
+        mine = np.flatnonzero(s.limbs.mine(closed) & ~np.isnan(curve).any(axis=0))
+        for i in mine.tolist():
+            if s.taken[i] < self.first:
+                s.first[:, i] += curve[:, i]
+                s.taken[i] += 1
+            s.recent[s.seen[i] % self.latest, :, i] = curve[:, i]
+            s.seen[i] += 1
+        ready = mine[(s.taken[mine] >= self.first) & (s.seen[mine] >= self.first + self.latest)]
+        for i in ready.tolist():
+            self._size(found, (stamp, int(closed["onset"])), i)
+        if len(ready) < 2:
+            return
+        like = _correlations(s.recent[:, :, ready].mean(axis=0), s.first[:, ready])
+        for k, i in enumerate(ready.tolist()):
+            best = int(like[k].argmax())
+            other = like[k, best] > max(0.7, like[k, k] + self.clearly)
+            self._tell(found, (stamp, int(closed["onset"])), i, int(ready[best]) if other else -1)
+
+    def _size(self, found: list[tuple[int, tuple[int, str, str, str, str]]], when: tuple[int, int], i: int) -> None:
+        s = self.state
+        before = float(s.first[:, i].mean()) / self.first
+        now = float(s.recent[:, :, i].mean())
+        ratio = now / before if before > 0 and now > 0 else 1.0
+        off = max(ratio, 1 / ratio)
+        other = off >= (1 + (self.times - 1) / 2 if s.sized[0, i] else self.times)
+        s.sized[1, i] = 0 if other == bool(s.sized[0, i]) else s.sized[1, i] + 1
+        if s.sized[1, i] >= self.cycles:
+            s.sized[:, i] = int(other), 0
+            what = f"its curve is {ratio:.2g} times as high as at first" if other else "its curve has another size"
+            found.append((when[0], (when[1], s.names[i], ON if other else OVER, what, RESIZED if other else "")))
+
+    def _tell(
+        self, found: list[tuple[int, tuple[int, str, str, str, str]]], when: tuple[int, int], i: int, like: int
+    ) -> None:
+        s = self.state
+        s.agreed[i] = 0 if like == s.on[i] else s.agreed[i] + 1
+        if s.agreed[i] < self.cycles:
+            return
+        was, s.on[i], s.agreed[i] = int(s.on[i]), like, 0
+        what = f"its curve is that of {s.names[like if like >= 0 else was]}"
+        row = (when[1], s.names[i], ON if like >= 0 else OVER, what, ADVICE if like >= 0 else "")
+        found.append((when[0], row))
+
+
+def _correlations(now: Samples, patterns: Samples) -> Array:
+    """Of each curve (100, m) with each pattern (100, m): (m, m); 0 where one does not vary."""
+    a, b = now - now.mean(axis=0), patterns - patterns.mean(axis=0)
+    size = np.sqrt((a**2).sum(axis=0))[:, None] * np.sqrt((b**2).sum(axis=0))
+    products = np.array([[(a[:, i] * b[:, k]).sum() for k in range(b.shape[1])] for i in range(a.shape[1])])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.where(size > 0, products / size, 0.0))

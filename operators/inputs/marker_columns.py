@@ -1,0 +1,45 @@
+"""Where one marker's x, y and z stand in a stream of markers, or of their coordinates side by side."""
+
+from __future__ import annotations
+
+import re
+
+from stream.chunk import StreamSpec
+from stream.errors import InputError, ParameterError, nearest
+
+COORDINATE = re.compile(r"(.+?)[ _.:/-]?([xyz])", re.IGNORECASE)
+
+
+def marker_columns(spec: StreamSpec, marker: str, parameter: str) -> tuple[int, int, int]:
+    """The columns of a sample laid flat that hold x, y and z of `marker`: its name, or its number from 0.
+
+    Takes markers (points, 3), whose channels are the markers' names, or a signal (3 points,), whose channels are named after
+    marker and coordinate: LANK_x, LANK.x, LANKx.
+    """
+    if spec.is_event or spec.dtype.kind not in "iuf" or not _is_markers(spec):
+        raise InputError("in", spec.describe(), "markers (points, 3), or a signal with x, y and z of each marker")
+    named = _names(spec)
+    if marker in named:
+        return named[marker]
+    points = spec.shape[0] if len(spec.shape) == 2 else spec.shape[0] // 3
+    if marker.isdecimal() and int(marker) < points:
+        first = 3 * int(marker)
+        return first, first + 1, first + 2
+    accepts = f"a marker of the input; {nearest(marker, named)}" if named else f"a number from 0 to {points - 1}"
+    raise ParameterError(parameter, marker, accepts)
+
+
+def _is_markers(spec: StreamSpec) -> bool:
+    return spec.is_signal or (len(spec.shape) == 2 and spec.shape[1] == 3)
+
+
+def _names(spec: StreamSpec) -> dict[str, tuple[int, int, int]]:
+    """Every marker that is named, with the columns of its coordinates."""
+    if len(spec.shape) == 2:
+        named = spec.channels if spec.channel_axis == 0 else ()
+        return {name: (3 * i, 3 * i + 1, 3 * i + 2) for i, name in enumerate(named)}
+    found: dict[str, dict[str, int]] = {}
+    for i, channel in enumerate(spec.channels):
+        if part := COORDINATE.fullmatch(channel):
+            found.setdefault(part[1], {})[part[2].lower()] = i
+    return {name: (at["x"], at["y"], at["z"]) for name, at in found.items() if len(at) == 3}

@@ -1,0 +1,158 @@
+"""`kinegraph teach`: names for exercises, from a recording in which somebody shows them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path as File
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from stream.errors import KinegraphError, nearest
+from stream.plain import say
+
+if TYPE_CHECKING:
+    from stream.chunk import Array, Samples, StreamSpec
+    from stream.recording import Recording
+
+PRIMITIVE = {"onset", "end", "activity", "repetition", "cluster"}
+
+
+@dataclass(frozen=True, slots=True)
+class Exemplar:
+    """An exercise, and from when to when it is shown, in seconds from the recording's start."""
+
+    name: str
+    first_s: float
+    last_s: float
+
+
+def teach(
+    recording: Annotated[
+        File, typer.Argument(help="what `kinegraph run` or `replay` made of configs/segment_mocap.yaml")
+    ],
+    shown: Annotated[
+        list[str],
+        typer.Argument(metavar="NAME=FROM-TO...", help="an exercise, and from which second to which it is shown"),
+    ],
+    output: Annotated[File, typer.Option("-o", "--out", help="the model to be made")] = File("exercises.npz"),
+    features: Annotated[str, typer.Option(metavar="STREAM", help="what was segmented")] = "stack",
+    node: Annotated[str, typer.Option(help="the node whose segments these are, if there are several")] = "",
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a model that exists")] = False,
+) -> None:
+    """Learn what exercises are called: the repetitions found in the given seconds are kept as examples.
+
+    kinegraph teach session "squat=12.0-30.5" "arms=1-12" -o exercises.npz
+
+    Then name the model in the graph: `model: exercises.npz` of operators.segmentation.naming.NameRepetitions. The same name may be given
+    several times.
+    """
+    from operators.segmentation.taught import taught
+    from stream.recording import Recording
+
+    wanted = [read_shown(text) for text in shown]
+    if output.exists() and not overwrite:
+        raise KinegraphError(f"{output} exists; --overwrite replaces it, --out names another file")
+    with Recording.open(recording) as opened:
+        spec, time, frames = _features(opened, features)
+        told, radius = _repetitions(opened, node)
+        found: dict[str, list[Samples]] = {}
+        for one in wanted:
+            found.setdefault(one.name, []).extend(_of(one, told, time, frames, _zero(opened), recording))
+    model = taught(list(found.items()), radius)
+    try:
+        model.write(output, spec, recording.name)
+    except OSError as error:
+        raise KinegraphError(f"{output}: cannot be written: {error.strerror or error}") from None
+    for name, all_ in found.items():
+        seconds = [len(x) / (spec.rate_hz or 1.0) for x in all_]
+        say(f"{name}: {len(all_)} examples, {min(seconds):.1f} to {max(seconds):.1f} s each")
+    say(str(output))
+
+
+def read_shown(text: str) -> Exemplar:
+    """ "squat=12.0-30.5". Raises KinegraphError."""
+    from operators.segmentation.taught import MOST_LETTERS, UNKNOWN
+
+    name, _, span = text.partition("=")
+    first, _, last = span.partition("-")
+    try:
+        made = Exemplar(name.strip(), float(first), float(last))
+    except ValueError:
+        raise KinegraphError(f"{text!r}: must be NAME=FROM-TO in seconds, such as squat=12.0-30.5") from None
+    if not 0 < len(made.name) <= MOST_LETTERS or made.name == UNKNOWN or not made.name.isprintable():
+        raise KinegraphError(f"{text!r}: a name has 1 to {MOST_LETTERS} letters, and is not {UNKNOWN!r}")
+    if not (isfinite(made.first_s) and isfinite(made.last_s) and 0.0 <= made.first_s < made.last_s):
+        raise KinegraphError(f"{text!r}: must go from a second to a later one")
+    return made
+
+
+def _zero(recording: Recording) -> int:
+    """When the recording begins, ns."""
+    return min((s.first for s in recording.streams.values() if s.role == "input" and s.first is not None), default=0)
+
+
+def _features(recording: Recording, name: str) -> tuple[StreamSpec, Array, Samples]:
+    import numpy as np
+
+    if name not in recording.streams:
+        known = nearest(name, recording.streams)
+        raise KinegraphError(
+            f"{recording.path}: there is no stream {name}; {known}. A recording of raw joints goes through "
+            "`kinegraph replay configs/segment_mocap.yaml RECORDING -o MADE` first; teach from MADE"
+        )
+    spec = recording.stream(name).spec
+    if not spec.is_signal:
+        raise KinegraphError(f"{recording.path}: {name} is {spec.describe()}; --features must name a signal")
+    chunks = [entry[0] for entry in recording.entries(name) if len(entry[0].time)]
+    if not chunks:
+        raise KinegraphError(f"{recording.path}: {name} holds no samples")
+    data = np.concatenate([chunk.data for chunk in chunks])
+    return spec, np.concatenate([chunk.time for chunk in chunks]), np.ascontiguousarray(data, np.float64)
+
+
+def _repetitions(recording: Recording, node: str) -> tuple[Array, float]:
+    """The repetitions that were found, and the median radius in which they were."""
+    import numpy as np
+
+    def only(fields: set[str]) -> str:
+        names = [
+            name
+            for name, stream in recording.streams.items()
+            if fields <= set(stream.spec.dtype.names or ()) and (not node or name.rpartition(".")[0] == node)
+        ]
+        names = [n for n in names if "name" not in (recording.streams[n].spec.dtype.names or ())]
+        if fields == {"radius"}:
+            names = [n for n in names if recording.streams[n].spec.dtype.names == ("radius",)]
+        if len(names) > 1:
+            raise KinegraphError(f"{recording.path}: {', '.join(names)} all hold segments; choose one with --node")
+        return names[0] if names else ""
+
+    name, radii = only(PRIMITIVE), only({"radius"})
+    if not name:
+        raise KinegraphError(
+            f"{recording.path}: holds no repetitions; record the segmentation's `primitive` and `radius`"
+        )
+    told = [entry[0].data for entry in recording.entries(name)]
+    table = np.concatenate(told) if told else np.empty(0, recording.stream(name).spec.dtype)
+    found = [entry[0].data["radius"] for entry in recording.entries(radii)] if radii else []
+    values = np.concatenate(found) if found else np.empty(0)
+    return table[table["repetition"] > 0], float(np.median(values)) if len(values) else 0.0
+
+
+def _of(one: Exemplar, told: Array, time: Array, frames: Samples, zero: int, recording: File) -> list[Samples]:
+    """The repetitions of which the middle lies in the seconds given; of two steps each is one."""
+    import numpy as np
+
+    middle = ((told["onset"] + told["end"]) / 2.0 - zero) / 1e9
+    mine = told[(middle >= one.first_s) & (middle <= one.last_s)]
+    spans = [np.searchsorted(time, [event["onset"], event["end"] + 1]) for event in mine]
+    made = [np.ascontiguousarray(frames[first:last]) for first, last in spans if last - first > 1]
+    if not made:
+        times = ", ".join(f"{m:.1f}" for m in middle[:8])
+        raise KinegraphError(
+            f"{recording}: no repetition was found between {one.first_s:g} and {one.last_s:g} s"
+            + (f"; there are some at {times} s" if times else "; none were found at all")
+        )
+    return made

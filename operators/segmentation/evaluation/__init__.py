@@ -1,0 +1,1 @@
+"""A segmentation against annotations: readers, scores, pictures, and the command."""

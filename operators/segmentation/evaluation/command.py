@@ -1,0 +1,153 @@
+"""`kinegraph evaluate segmentation`: actions and repetitions that were found against annotations."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from math import isfinite
+from pathlib import Path as File
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from stream.complete import private_folder
+from stream.errors import KinegraphError
+from stream.plain import say
+from stream.sheet import Sheet
+from stream.tables import read_records
+
+if TYPE_CHECKING:
+    from operators.segmentation.evaluation.found import Found
+    from operators.segmentation.evaluation.scores import Scores
+    from operators.segmentation.evaluation.truth import Truth
+
+SHOWN = {
+    "f1": "boundary F1 within 1 s",
+    "precision": "precision",
+    "recall": "recall",
+    "covering": "covering",
+    "strict": "frames, strict",
+    "tolerant": "frames, tolerant",
+    "repetitions": "repetitions, mean error",
+    "within_1": "repetitions within +-1",
+    "distance_s": "start and end to next cut (s)",
+    "overlap": "overlap with one unit",
+    "key_place": "key point's place",
+    "key_sd": "key point's circular sd",
+}
+
+
+def segmentation(
+    result: Annotated[File | None, typer.Argument(help="a recording with segments, or a CSV of them")] = None,
+    truth: Annotated[File | None, typer.Argument(help="annotations: CSV or NPZ")] = None,
+    table: Annotated[
+        File | None,
+        typer.Option(metavar="CSV", help="many recordings: columns result, truth, offset_s (may be missing)"),
+    ] = None,
+    offset: Annotated[float, typer.Option(metavar="SECONDS", help="added to the annotations' times")] = 0.0,
+    node: Annotated[str, typer.Option(help="the node whose segments these are, if there are several")] = "",
+    features: Annotated[str, typer.Option(help="the recorded stream that was segmented: draws the matrix")] = "",
+    radius: Annotated[
+        float, typer.Option(min=0.0, help="of the matrix, in the features' unit [default: as it was found]")
+    ] = 0.0,
+    output: Annotated[File | None, typer.Option("-o", "--out", help="folder for the pictures and scores.csv")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace files that exist")] = False,
+) -> None:
+    """Boundary F1, covering, accuracy and repetitions against annotations, with a picture of each recording.
+
+    kinegraph evaluate segmentation walk.mcap walk.csv --features stack -o scores
+    """
+    from operators.segmentation.evaluation.found import read_found
+    from operators.segmentation.evaluation.picture import draw
+    from operators.segmentation.evaluation.scores import score
+    from operators.segmentation.evaluation.truth import read_truth
+    from stream.screen import Screen
+
+    if not isfinite(offset):
+        raise KinegraphError(f"--offset {offset}: must be a number of seconds")
+    if (table is None) == (result is None) or (result is None) != (truth is None):
+        raise KinegraphError("give RESULT and TRUTH, or --table TABLE.csv")
+    rows = _rows(table) if table else [(File(str(result)), File(str(truth)), offset)]
+    names = _names([made for made, _, _ in rows])
+    scores = {}
+    for name, (made, annotated, late) in zip(names, rows, strict=True):
+        found, known = read_found(made, node, features), read_truth(annotated, late)
+        _meet(made, found, annotated, known)
+        scores[name] = score(found, known)
+        if output:
+            _save(output, f"{name}.png", overwrite)
+            draw(name, found, known, radius or float("nan")).savefig(output / f"{name}.png", dpi=120)
+    Screen().print(_summary(scores))
+    if output:
+        _save(output, "scores.csv", overwrite)
+        _sheet(output / "scores.csv", scores)
+        say(str(output))
+
+
+def _meet(made: File, found: Found, annotated: File, known: Truth) -> None:
+    """Raises where nothing that is annotated lies within the recording."""
+    end = max([*found.activities[:, 1], *found.primitives[:, 1], *found.time[-1:]], default=0.0)
+    marks = [*known.start, *known.end, *known.keys]
+    if end and (min(marks) >= end or max(marks) <= 0.0):
+        raise KinegraphError(
+            f"{annotated}: annotates {min(marks):.4g} to {max(marks):.4g} s, but the segments of {made} end at {end:.4g} s; "
+            "--offset shifts the annotations"
+        )
+
+
+def _names(paths: list[File]) -> list[str]:
+    """A name for each: the file's, or of several alike also that of the folder."""
+    stems = [path.stem for path in paths]
+    made = [
+        stem if stems.count(stem) == 1 else f"{path.parent.name}_{stem}"
+        for path, stem in zip(paths, stems, strict=True)
+    ]
+    return [name if made.count(name) == 1 else f"{name}_{i + 1}" for i, name in enumerate(made)]
+
+
+def _summary(scores: dict[str, Scores]) -> object:
+    from rich.table import Table
+
+    from operators.segmentation.evaluation.scores import intervals
+
+    made = Table(title=f"segmentation, {len(scores)} recording{'s' if len(scores) != 1 else ''}")
+    for heading in ("", "mean", "95 % interval"):
+        made.add_column(heading, justify="left" if not heading else "right")
+    for name, (mean, low, high) in intervals(list(scores.values())).items():
+        if mean == mean:
+            made.add_row(SHOWN[name], f"{mean:.3f}", f"{low:.3f} to {high:.3f}" if low == low else "-")
+    return made
+
+
+def _sheet(path: File, scores: dict[str, Scores]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        sheet = Sheet(file)
+        sheet.writerow(["recording", *SHOWN])
+        for name, one in scores.items():
+            sheet.writerow([name, *(f"{value:.6g}" if value == value else "" for value in asdict(one).values())])
+
+
+def _save(folder: File, name: str, overwrite: bool) -> None:
+    """Make the folder; raises where the file is there already."""
+    if (folder / name).exists() and not overwrite:
+        raise KinegraphError(f"{folder / name} exists; --overwrite replaces it, --out names another folder")
+    try:
+        private_folder(folder)
+    except OSError as error:
+        raise KinegraphError(f"{folder}: cannot be made: {error.strerror or error}") from None
+
+
+def _rows(table: File) -> list[tuple[File, File, float]]:
+    """The recordings that a table names; files are looked for beside it."""
+    made = []
+    for line, row in read_records(table):
+        try:
+            made.append((table.parent / row["result"], table.parent / row["truth"], float(row.get("offset_s") or 0.0)))
+            if not isfinite(made[-1][2]):
+                raise ValueError
+        except (KeyError, TypeError, ValueError):
+            raise KinegraphError(
+                f"{table}: line {line}: must name result and truth, and if needed offset_s (a number)"
+            ) from None
+    if not made:
+        raise KinegraphError(f"{table}: names no recordings")
+    return made

@@ -1,0 +1,130 @@
+"""Exercises that somebody has shown: named repetitions, as `kinegraph teach` keeps them, and what a repetition is called by them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from operators.segmentation.comparison import unlike
+from stream.chunk import Array, Samples, StreamSpec
+from stream.errors import KinegraphError
+from stream.model import Model, ModelError, describe_input, read_model, write_model
+
+KIND = "exercises"
+UNKNOWN = "unknown"
+MOST_LETTERS = 24
+"""A name is no longer."""
+MOST_SHOWN = 5
+"""So many repetitions of an exercise are kept."""
+REACHES = 2.0
+"""A repetition is of an exercise if it lies no further from those shown than REACHES times as far as they do from each other, or than
+the radius that they were found with; and nearer than to any other exercise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Taught:
+    """Repetitions by which exercises are known.
+
+    names      of the exercises
+    frames     (k, longest, features), of repetition k; beyond its length not used
+    lengths    (k,)
+    exercise   (k,)  which of the names it is
+    reach      (names,)  how far a repetition of each may lie from those shown
+    """
+
+    names: list[str]
+    frames: Samples
+    lengths: Array
+    exercise: Array
+    reach: Samples
+
+    @classmethod
+    def read(cls, path: Path, port: str, spec: StreamSpec) -> Taught:
+        """Raises ModelError, or InputError where the model was made from other features."""
+        model = read_model(path, KIND)
+        model.check_input(port, spec)
+        names = _names(model)
+        lengths = model.array("lengths", (None,), np.int64)
+        frames = np.ascontiguousarray(model.arrays.get("frames", np.empty(0)), np.float64)
+        if frames.ndim != 3 or frames.shape[0] != len(lengths) or frames.shape[2] != spec.shape[0]:
+            raise ModelError(
+                f"{path}: array 'frames' has the shape {frames.shape}; it must be one repetition per length"
+            )
+        exercise = model.array("exercise", (len(lengths),), np.int64)
+        reach = model.array("reach", (len(names),))
+        if not len(lengths) or (lengths < 1).any() or (lengths > frames.shape[1]).any():
+            raise ModelError(f"{path}: array 'lengths' must hold numbers of frames, 1 to {frames.shape[1]}")
+        if (exercise < 0).any() or (exercise >= len(names)).any():
+            raise ModelError(f"{path}: array 'exercise' names exercises that are not there")
+        return cls(names, frames, lengths, exercise, reach)
+
+    def write(self, path: Path, spec: StreamSpec, source: str) -> None:
+        header = {"input": describe_input(spec), "names": self.names, "source": source}
+        arrays = {"frames": self.frames, "lengths": self.lengths, "exercise": self.exercise, "reach": self.reach}
+        write_model(path, KIND, header, arrays)
+
+    def distances(self, x: Samples, far: Samples, cost: Samples) -> Samples:
+        """How far repetition x (n, features) lies from each exercise (names,): from the nearest of its repetitions."""
+        nearest = np.full(len(self.names), math.inf)
+        for k, length in enumerate(self.lengths):
+            name = self.exercise[k]
+            nearest[name] = min(nearest[name], unlike(x, self.frames[k, :length], far, cost))
+        return nearest
+
+    def call(self, distances: Samples) -> tuple[str, float, float]:
+        """What a repetition is called, how far it lies from those shown of that name, and how sure that is, from 0 to 1.
+
+        Sure is 1 where it is the same as one of those, 0 where it lies as far away as is allowed, or as near to another exercise.
+        """
+        best = int(distances.argmin())
+        distance = float(distances[best])
+        bound = min(float(self.reach[best]), *(d for k, d in enumerate(distances) if k != best), math.inf)
+        if distance > self.reach[best]:
+            return UNKNOWN, distance, 0.0
+        return self.names[best], distance, (1.0 - distance / bound if bound > 0.0 else 0.0)
+
+
+def taught(shown: Sequence[tuple[str, Sequence[Samples]]], radius: float) -> Taught:
+    """The model of exercises of which these repetitions (n, features) were shown, found within `radius`. Raises KinegraphError."""
+    names = [name for name, _ in shown]
+    kept = [(k, one) for k, (_, all_) in enumerate(shown) for one in _spread(all_)]
+    longest = max(len(one) for _, one in kept)
+    width = kept[0][1].shape[1]
+    frames = np.zeros((len(kept), longest, width))
+    for k, (_, one) in enumerate(kept):
+        frames[k, : len(one)] = one
+    exercise = np.array([k for k, _ in kept])
+    far, cost = np.empty((longest, longest)), np.empty((2, longest))
+    reach = np.full(len(names), radius)
+    for k in range(len(names)):
+        mine = [one for number, one in kept if number == k]
+        between = [unlike(a, b, far, cost) for i, a in enumerate(mine) for b in mine[:i]]
+        within = [d for d in between if d < math.inf]
+        if within:
+            reach[k] = max(radius, REACHES * max(within))
+    if not (reach > 0.0).all():
+        raise KinegraphError(
+            "a single repetition was shown, and nothing says how far another may be from it; show two or more"
+        )
+    return Taught(names, frames, np.array([len(one) for _, one in kept]), exercise, reach)
+
+
+def _spread(all_: Sequence[Samples]) -> list[Samples]:
+    """At most MOST_SHOWN of them, evenly spaced."""
+    chosen = np.unique(np.linspace(0, len(all_) - 1, min(MOST_SHOWN, len(all_))).round().astype(int))
+    return [all_[k] for k in chosen]
+
+
+def _names(model: Model) -> list[str]:
+    names = model.header.get("names")
+    if (
+        not isinstance(names, list)
+        or not names
+        or not all(isinstance(n, str) and 0 < len(n) <= MOST_LETTERS for n in names)
+    ):
+        raise ModelError(f"{model.path}: the header's `names` must be texts of 1 to {MOST_LETTERS} letters")
+    return [str(name) for name in names]

@@ -1,0 +1,1 @@
+"""Estimated sleep against reference hypnograms: readers, agreement, plots, and the command."""

@@ -1,0 +1,110 @@
+"""`kinegraph evaluate sleep`: estimated sleep against reference hypnograms."""
+
+from __future__ import annotations
+
+from pathlib import Path as File
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from stream.complete import private_folder
+from stream.errors import KinegraphError
+from stream.plain import say
+from stream.tables import read_records
+
+if TYPE_CHECKING:
+    from operators.sleep.evaluation.comparison import Pair
+
+
+def sleep(
+    estimate: Annotated[
+        File | None, typer.Argument(help="a night's hypnogram.edf, its epochs.csv, or a recording")
+    ] = None,
+    reference: Annotated[File | None, typer.Argument(help="the hypnogram: EDF+ or CSV")] = None,
+    nights: Annotated[
+        File | None,
+        typer.Option(
+            metavar="CSV",
+            help="many nights: columns estimate, reference, person, offset_s (the last two may be missing)",
+        ),
+    ] = None,
+    offset: Annotated[
+        float, typer.Option(metavar="SECONDS", help="added to the reference's times (its clock was late)")
+    ] = 0.0,
+    stream: Annotated[str, typer.Option(help="the scored epochs in a recording [default: the only ones]")] = "",
+    epoch_s: Annotated[
+        float, typer.Option(min=1.0, max=300.0, help="epoch length of CSV tables that do not say")
+    ] = 30.0,
+    output: Annotated[File | None, typer.Option("-o", "--out", help="folder for agreement.png and nights.csv")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace files that exist")] = False,
+) -> None:
+    """Sensitivity, specificity, kappa, and Bland-Altman limits of TST, SOL and WASO, against a reference hypnogram.
+
+    kinegraph evaluate sleep nights/2026-11-20/hypnogram.edf psg.edf --offset -12 -o agreement
+
+    An EDF file says no time zone: both then go by the clock on the wall. epochs.csv and recordings are in UTC.
+    """
+    from operators.sleep.evaluation.comparison import NOTE, tables
+    from stream.screen import Screen
+
+    if (nights is None) == (estimate is None) or (estimate is None) != (reference is None):
+        raise KinegraphError("give ESTIMATE and REFERENCE, or --nights TABLE.csv")
+    rows = _rows(nights) if nights else [(estimate, reference, "", offset)]
+    pairs = [_pair(File(str(e)), File(str(r)), person, late, stream, epoch_s) for e, r, person, late in rows]
+    console = Screen()
+    for table in tables(pairs):
+        console.print(table)
+        console.print()
+    console.print(NOTE)
+    if output:
+        _write(pairs, output, overwrite)
+
+
+def _pair(estimate: File, reference: File, person: str, offset_s: float, stream: str, epoch_s: float) -> Pair:
+    from operators.sleep.evaluation.comparison import pair
+    from operators.sleep.evaluation.reference import read_hypnogram
+
+    found = read_hypnogram(estimate, stream=stream, epoch_s=epoch_s)
+    truth = read_hypnogram(reference, epoch_s=epoch_s)
+    for path, read in ((estimate, found), (reference, truth)):
+        if read.damage:
+            say(f"{path} is damaged, and what is whole of it was read: {read.damage}", err=True)
+    if found.dated and truth.dated and found.zoned != truth.zoned:
+        bare, shift = (reference, -3600) if found.zoned else (estimate, 3600)
+        note = (
+            f"no time zone stands in {bare}, and UTC is assumed; --offset {shift} if its clock was an hour ahead of UTC"
+        )
+        say(note, err=True)
+    return pair(estimate.stem, person or estimate.stem, found, truth, offset_s)
+
+
+def _rows(table: File) -> list[tuple[File, File, str, float]]:
+    """The nights that a table names; files are looked for beside it."""
+    made = []
+    for line, row in read_records(table):
+        try:
+            offset_s = float(row.get("offset_s") or 0.0)
+            made.append(
+                (table.parent / row["estimate"], table.parent / row["reference"], row.get("person") or "", offset_s)
+            )
+        except (KeyError, TypeError, ValueError):
+            raise KinegraphError(
+                f"{table}, line {line}: must name estimate and reference, and if needed person and offset_s (a number)"
+            ) from None
+    if not made:
+        raise KinegraphError(f"{table}: names no nights")
+    return made
+
+
+def _write(pairs: list[Pair], folder: File, overwrite: bool) -> None:
+    from operators.sleep.evaluation.comparison import write_table
+    from operators.sleep.evaluation.pictures import draw
+
+    picture, sheet = folder / "agreement.png", folder / "nights.csv"
+    for path in (picture, sheet):
+        if path.exists() and not overwrite:
+            raise KinegraphError(f"{path} exists; --overwrite replaces it, --out names another folder")
+    private_folder(folder)
+    draw(pairs).savefig(picture, dpi=130)
+    write_table(pairs, sheet)
+    say(f"{picture}\n{sheet}")

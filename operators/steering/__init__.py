@@ -1,0 +1,1 @@
+"""Meshes that follow a few markers (thesis, chapter 9)."""

@@ -1,0 +1,147 @@
+"""Whose feet move whose legs: actors' markers as those of a model, in the ranges in which these moved (thesis 9.3.2, figure 9.1)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from operators.features.pose import CM
+from operators.inputs.marker_columns import marker_columns
+from operators.steering.operator import QUADRUPED
+from operators.steering.stored import KIND, from_model
+from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
+from stream.errors import InputError, ParameterError, nearest
+from stream.kernel import kernel
+from stream.model import read_model
+from stream.operator import Case, Operator, grid
+from stream.params import param
+from stream.require import numeric
+
+MOST = 2.5
+"""No marker goes farther than so many standard deviations of its training."""
+
+
+@kernel
+def match_ranges(
+    rows: Samples,
+    columns: Times,
+    scale: float,
+    wanted: float,
+    usual: Samples,
+    spread: Samples,
+    sums: Samples,
+    held: Samples,
+    out: Samples,
+) -> None:
+    """Markers of actors, `rows` (n, width), as those of a model, into `out` (n, m, 3).
+
+    columns  (k, 7)  the model's marker, the columns of the actor's marker, and of the one that it is seen from
+    sums     (k, 7)  how many samples an actor's range was learned from (at most `wanted`), their sums and those of their squares
+    held     (m, 3)  the newest of each
+    """
+    for i in range(rows.shape[0]):
+        for k in range(columns.shape[0]):
+            c, s = columns[k], sums[k]
+            known = True
+            for a in range(3):
+                v = rows[i, c[1 + a]] - rows[i, c[4 + a]]
+                known = known and v == v
+            if not known:
+                continue
+            learns = s[0] < wanted
+            s[0] += 1.0 if learns else 0.0
+            for a in range(3):
+                v = scale * (rows[i, c[1 + a]] - rows[i, c[4 + a]])
+                if learns:
+                    s[1 + a] += v
+                    s[4 + a] += v * v
+                elif spread[c[0], a] > 0.0:
+                    mean = s[1 + a] / s[0]
+                    deviation = math.sqrt(max(s[4 + a] / s[0] - mean * mean, 1e-8))
+                    z = min(max((v - mean) / deviation, -MOST), MOST)
+                    held[c[0], a] = usual[c[0], a] + z * spread[c[0], a]
+        out[i] = held
+
+
+@dataclass(slots=True)
+class ActorsState:
+    sums: Samples
+    held: Samples
+
+
+class _Cast(Operator[ActorsState]):
+    """What does not change while samples come."""
+
+    __slots__ = ("columns", "scale", "spread", "usual", "wanted")
+    columns: Times
+    scale: float
+    wanted: float
+    usual: Samples
+    spread: Samples
+
+
+@dataclass(frozen=True, slots=True)
+class Actors(_Cast):
+    """Markers of one or several actors (points, 3) in; out come the markers of a mesh model, for operators.steering.operator.SteerMesh.
+
+    `limbs` says which marker of the model an actor's marker moves, and what that is seen from: {hoof_fl: [first.foot_l, first.hip]}. In the
+    first `learn_s` an actor's marker is seen its range is learned, mean and standard deviation of each axis; from then on it is mapped to
+    the range in which the model's marker moved in the training. What is not seen stays: an actor who leaves freezes only his own limbs.
+    Markers of the model that nobody moves stay at their mean. Axes are those of the mesh. No delay.
+    """
+
+    takes = "finite"
+
+    limbs: Mapping[str, tuple[str, str]] = param(
+        help="the model's marker: [actor's marker, the marker that it is seen from]"
+    )
+    model: Path | None = param(None, help="the model that is steered; left out: the simple quadruped")
+    learn_s: float = param(3.0, above=0.0, help="how long an actor's range of motion is learned")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = specs["in"]
+        numeric(spec)
+        unit = spec.units[0] if len(set(spec.units)) == 1 else "?"
+        if unit not in CM:
+            raise InputError("in", spec.describe(), "markers in m, cm or mm")
+        learned, _ = from_model(read_model(self.model or QUADRUPED, KIND))
+        rows = []
+        for name, (actor, seen_from) in self.limbs.items():
+            if name not in learned.markers:
+                raise ParameterError("limbs", name, f"a marker of the model; {nearest(name, learned.markers)}")
+            places = (*marker_columns(spec, actor, "limbs"), *marker_columns(spec, seen_from, "limbs"))
+            rows.append((learned.markers.index(name), *places))
+        if not rows:
+            raise ParameterError("limbs", dict(self.limbs), "a mapping of at least one marker of the model")
+        object.__setattr__(self, "columns", np.array(rows, np.int64))
+        object.__setattr__(self, "scale", CM[unit or "m"] / 100.0)
+        object.__setattr__(self, "wanted", max(2.0, self.learn_s * (spec.rate_hz or 30.0)))
+        object.__setattr__(self, "usual", learned.usual)
+        object.__setattr__(self, "spread", learned.spread)
+        self.hold(ActorsState(np.zeros((len(rows), 7)), learned.usual.copy()))
+        settling_s = spec.settling_s + self.learn_s
+        names, m = learned.markers, len(learned.markers)
+        meta = {key: value for key, value in spec.meta.items() if key != "skeleton"}
+        out = StreamSpec((m, 3), rate_hz=spec.rate_hz, channels=names, units=("m",), settling_s=settling_s, meta=meta)
+        return {"out": out}
+
+    def process(self, port: str, chunk: Chunk) -> Chunk:
+        s = self.state
+        out = np.empty((len(chunk.time), *s.held.shape))
+        if len(chunk.time):
+            match_ranges(
+                chunk.data, self.columns, self.scale, self.wanted, self.usual, self.spread, s.sums, s.held, out
+            )
+        return Chunk(chunk.time, out, chunk.until, chunk.lost)
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        rows = np.random.default_rng(8).normal(0.0, 0.1, (120, 3, 3)).cumsum(axis=0)
+        rows[70:80, 1] = np.nan
+        spec = StreamSpec((3, 3), rate_hz=30.0, channels=("hip", "foot_l", "foot_r"), units=("m",))
+        limbs = {"hoof_fl": ("foot_l", "hip"), "hoof_fr": ("foot_r", "hip")}
+        return [Case(cls(limbs=limbs, learn_s=1.0), {"in": (spec, grid(30.0, 120), rows)}, least=120)]

@@ -1,0 +1,133 @@
+"""A mesh that follows a few markers, live (thesis, chapter 9)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from operators.features.pose import CM
+from operators.inputs.marker_columns import marker_columns
+from operators.steering.assemble_kernel import add_part, gather_marks, predict
+from operators.steering.fit import Part, Steering
+from operators.steering.stored import KIND, from_model
+from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
+from stream.errors import InputError
+from stream.model import read_model
+from stream.operator import Case, Operator, grid
+from stream.params import param
+from stream.require import numeric
+
+QUADRUPED = Path(__file__).with_name("quadruped.npz")
+
+
+@dataclass(slots=True)
+class SteerMeshState:
+    """known (m,): which markers have been seen; marks (m, 3) from the centre (3,) of the references; latest (v, 3), the newest mesh."""
+
+    known: Array
+    marks: Samples
+    centre: Samples
+    latest: Samples
+    outside: Samples
+
+
+class _Steered(Operator[SteerMeshState]):
+    """What does not change while samples come: the model, the columns of its markers, and room."""
+
+    __slots__ = ("columns", "learned", "room", "scale")
+    learned: Steering
+    columns: Times
+    scale: float
+    room: tuple[Samples, Samples, list[Samples]]
+
+
+@dataclass(frozen=True, slots=True)
+class SteerMesh(_Steered):
+    """Markers (points, 3) in; out comes the mesh that a model (`kinegraph train mesh`) has learned to move with them.
+
+    mesh      its vertices (vertices, 3) m, with the triangles in the spec
+    quality   how far the markers are from all poses of the training, in kernel widths (the largest of all parts): beyond some 3 the mesh
+              goes back to its mean pose, rather than anywhere else
+
+    The input has the model's markers by their names; `markers` names others in their place. A marker that is not seen has moved with the
+    reference markers since it was; before all have been seen, the mesh stands in the training's mean pose. No delay.
+
+    Thesis 9.3 and 9.4, with kernel ridge for the linear maps, and every part placed by its own regression instead of one after the other:
+    on the horse that halves the error. Alignment and blending (9.16) are by weights along the surface; 9.14 is left out.
+    """
+
+    takes = "finite"
+    outputs: ClassVar[tuple[str, ...]] = ("mesh", "quality")
+
+    model: Path | None = param(
+        None, help="what `kinegraph train mesh` has made; left out: a simple quadruped, to try things with"
+    )
+    markers: Mapping[str, str] | None = param(None, help="marker of the model: point of the input, where names differ")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = specs["in"]
+        numeric(spec)
+        unit = spec.units[0] if len(set(spec.units)) == 1 else "?"
+        if unit not in CM:
+            raise InputError("in", spec.describe(), "markers in m, cm or mm")
+        learned, mesh = from_model(read_model(self.model or QUADRUPED, KIND))
+        given = self.markers or {}
+        columns = [marker_columns(spec, given.get(name, name), "markers") for name in learned.markers]
+        m = len(learned.markers)
+        rest = resting(learned, mesh.vertices)
+        object.__setattr__(self, "learned", learned)
+        object.__setattr__(self, "columns", np.array(columns, np.int64))
+        object.__setattr__(self, "scale", CM[unit or "m"] / 100.0)
+        object.__setattr__(
+            self, "room", (np.zeros(3 * m), np.zeros((3, 3)), [np.zeros(len(p.learned.mean)) for p in learned.parts])
+        )
+        self.hold(SteerMeshState(np.zeros(m, np.bool_), np.zeros((m, 3)), np.zeros(3), rest, np.zeros(1)))
+        meta = {key: value for key, value in spec.meta.items() if key != "skeleton"}
+        quality = StreamSpec((1,), rate_hz=spec.rate_hz, channels=("outside",), settling_s=spec.settling_s, meta=meta)
+        return {"mesh": mesh.spec(spec.rate_hz, settling_s=spec.settling_s, meta=meta), "quality": quality}
+
+    def process(self, port: str, chunk: Chunk) -> Sequence[tuple[str, Chunk]]:
+        s, n = self.state, len(chunk.time)
+        x, turn, predicted = self.room
+        made, quality = np.empty((n, *s.latest.shape)), np.empty((n, 1))
+        for i in range(n):
+            if gather_marks(
+                chunk.data[i], self.columns, self.scale, self.learned.reference, s.known, s.marks, s.centre, x
+            ):
+                s.outside[0] = 0.0
+                s.latest[:] = s.centre
+                for part, y in zip(self.learned.parts, predicted, strict=True):
+                    one = part.learned
+                    far = predict(x, part.features, one.centres, one.weights, one.mean, one.scale, y)
+                    s.outside[0] = max(s.outside[0], far)
+                    add_part(y, part.vertices, part.weights, part.mean, _modes(part), turn, s.latest)
+            made[i], quality[i] = s.latest, s.outside
+        return [
+            ("mesh", Chunk(chunk.time, made, chunk.until, chunk.lost)),
+            ("quality", Chunk(chunk.time, quality, chunk.until, chunk.lost)),
+        ]
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        names = ("hoof_fl", "hoof_fr", "hoof_hl", "hoof_hr", "withers", "croup")
+        rng = np.random.default_rng(9)
+        rows = rng.normal(0.0, 0.02, (60, 6, 3)).cumsum(axis=0) + from_model(read_model(QUADRUPED, KIND))[0].usual
+        rows[20:25, 1] = np.nan
+        spec = StreamSpec((6, 3), rate_hz=30.0, channels=names, units=("m",))
+        return [Case(cls(), {"in": (spec, grid(30.0, 60), rows)}, least=120)]
+
+
+def _modes(part: Part) -> Samples:
+    return part.modes.reshape(len(part.modes), -1, 3)
+
+
+def resting(model: Steering, count: int) -> Samples:
+    """The mesh (count, 3) in the mean pose of its training, about the place of its reference markers."""
+    made = np.zeros((count, 3))
+    for part in model.parts:
+        add_part(part.learned.mean, part.vertices, part.weights, part.mean, _modes(part), np.zeros((3, 3)), made)
+    return made

@@ -1,0 +1,114 @@
+"""A moving mesh in near-rigid parts: clustered PCA, one piece each, with weights that blend where they meet (thesis 9.3.5, 9.4.3)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components, dijkstra
+
+from stream.chunk import Array, Samples, Times
+
+ROUNDS = 20
+DIMENSION = 3
+"""Vertices of a rigid part move as an affine image of their places at rest: their trajectories span three dimensions."""
+
+
+def edges_of(faces: Array) -> Times:
+    """The edges (m, 2) of triangles, each once."""
+    pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    return np.unique(np.sort(pairs, axis=1), axis=0)
+
+
+def near_rigid_parts(frames: Samples, edges: Times, count: int) -> Times:
+    """The part (vertices,) of each vertex of a mesh's `frames` (f, vertices, 3), numbered from 0; at most `count` of them.
+
+    Each vertex goes to the part whose affine subspace holds its trajectory best; the subspaces are fitted to their vertices in turn.
+    What is not joined to most of its part goes to the neighbouring ones.
+    """
+    moved = np.ascontiguousarray(frames.transpose(1, 0, 2)).reshape(frames.shape[1], -1)
+    at = [int(((moved - moved.mean(axis=0)) ** 2).sum(1).argmax())]
+    nearest = ((moved - moved[at[0]]) ** 2).sum(1)
+    while len(at) < min(count, len(moved)):
+        at.append(int(nearest.argmax()))
+        nearest = np.minimum(nearest, ((moved - moved[at[-1]]) ** 2).sum(1))
+    part: Times = np.stack([((moved - moved[a]) ** 2).sum(1) for a in at]).argmin(axis=0).astype(np.int64)
+    for _ in range(ROUNDS):
+        before = part
+        part = np.stack([_residuals(moved, moved[part == k]) for k in range(len(at))]).argmin(axis=0).astype(np.int64)
+        if (part == before).all():
+            break
+    return in_one_piece(part, edges)
+
+
+def _residuals(moved: Samples, members: Samples) -> Samples:
+    """How far (squared) trajectories lie from the affine subspace of a part's."""
+    if len(members) <= DIMENSION:
+        return np.full(len(moved), np.inf)
+    centre = members.mean(axis=0)
+    _, axes = np.linalg.eigh((members - centre).T @ (members - centre))
+    rest = moved - centre
+    return np.asarray((rest**2).sum(1) - ((rest @ axes[:, -DIMENSION:]) ** 2).sum(1))
+
+
+def in_one_piece(part: Times, edges: Times) -> Times:
+    """Parts of which each is joined: smaller pieces take the part that most of their neighbours have. Numbered from 0."""
+    part, n = part.copy(), len(part)
+    for _ in range(n):
+        same = edges[part[edges[:, 0]] == part[edges[:, 1]]]
+        _, piece = connected_components(_graph(same, np.ones(len(same)), n), directed=False)
+        sizes = np.bincount(piece)
+        largest = {int(k): int(np.bincount(piece[part == k]).argmax()) for k in np.unique(part)}
+        loose = piece != np.array([largest[int(k)] for k in part])
+        border = edges[(part[edges[:, 0]] != part[edges[:, 1]])]
+        border = np.concatenate([border, border[:, ::-1]])
+        border = border[loose[border[:, 0]] & ~loose[border[:, 1]]]
+        if not len(border):
+            break
+        smallest = piece[border[sizes[piece[border[:, 0]]].argmin(), 0]]
+        joined = border[piece[border[:, 0]] == smallest, 1]
+        part[piece == smallest] = np.bincount(part[joined]).argmax()
+    return np.unique(part, return_inverse=True)[1].astype(np.int64)
+
+
+def blend_weights(part: Times, edges: Times, rest: Samples, reach: float) -> tuple[Times, Samples]:
+    """For each vertex its part and the nearest other one (vertices, 2), and their weights (vertices, 2), which add up to 1.
+
+    At a border both weigh half; from a geodesic distance of `reach` on, the own part alone.
+    """
+    length = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
+    graph = _graph(edges, np.maximum(length, 1e-12), len(part))
+    parts, weights = np.stack([part, part], 1), np.zeros((len(part), 2))
+    weights[:, 0] = 1.0
+    crossing = edges[part[edges[:, 0]] != part[edges[:, 1]]]
+    for k in np.unique(part):
+        outside = np.unique(np.concatenate([crossing[part[crossing[:, a]] != k, a] for a in (0, 1)]))
+        near = np.unique(np.concatenate([crossing[part[crossing[:, a]] == k, 1 - a] for a in (0, 1)]))
+        sources = np.intersect1d(outside, near)
+        if not len(sources):
+            continue
+        distance, _, source = dijkstra(
+            graph, directed=False, indices=sources, min_only=True, limit=reach, return_predecessors=True
+        )
+        mine = (part == k) & np.isfinite(distance) & (distance < reach)
+        parts[mine, 1] = part[source[mine]]
+        weights[mine, 1] = 0.5 * (1.0 - distance[mine] / reach)
+        weights[mine, 0] = 1.0 - weights[mine, 1]
+    return parts, weights
+
+
+def nearest_of(vertices: Times, edges: Times, rest: Samples) -> Times:
+    """For each vertex of the mesh, which of some `vertices` is nearest to it along the surface (numbers into `vertices`).
+
+    What is not joined to any of them goes by the straight distance.
+    """
+    length = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
+    graph = _graph(edges, np.maximum(length, 1e-12), len(rest))
+    along = dijkstra(graph, directed=False, indices=vertices)
+    straight = np.linalg.norm(rest[None] - rest[vertices][:, None], axis=-1)
+    return np.asarray(np.where(np.isfinite(along), along, 1e6 + straight).argmin(axis=0), np.int64)
+
+
+def _graph(edges: Times, weights: Samples, n: int) -> Any:
+    return csr_matrix((weights, (edges[:, 0], edges[:, 1])), shape=(n, n))

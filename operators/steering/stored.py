@@ -1,0 +1,77 @@
+"""A steering model as plain arrays, and back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from operators.steering.fit import Part, Steering
+from operators.steering.regression import Learned
+from stream.chunk import Array
+from stream.mesh import Topology
+from stream.model import Model, ModelError
+
+KIND = "mesh"
+
+
+def to_arrays(model: Steering, mesh: Topology, limbs: tuple[str, ...]) -> tuple[dict[str, Any], dict[str, Array]]:
+    """The header and arrays of a model, for `stream.model.write_model`."""
+    header = {
+        "markers": list(model.markers),
+        "parts": len(model.parts),
+        "limbs": list(limbs),
+        "name": mesh.name,
+        "topology": mesh.hash,
+    }
+    arrays: dict[str, Array] = {
+        "faces": mesh.faces,
+        "vertices": model.vertices,
+        "reference": model.reference,
+        "count": np.array([mesh.vertices]),
+        "usual": model.usual,
+        "spread": model.spread,
+    }
+    for k, part in enumerate(model.parts):
+        arrays |= {f"{k}.{name}": getattr(part, name) for name in ("vertices", "weights", "mean", "modes", "features")}
+        arrays |= {f"{k}.{name}": getattr(part.learned, name) for name in ("centres", "scale")}
+        arrays |= {
+            f"{k}.ridge": part.learned.weights,
+            f"{k}.usual": part.learned.mean,
+            f"{k}.size": np.array(part.size),
+        }
+        arrays[f"{k}.scale"] = np.array([part.learned.scale])
+    return header, arrays
+
+
+def from_model(model: Model) -> tuple[Steering, Topology]:
+    """The steering model and its mesh. Raises ModelError."""
+    names = tuple(str(name) for name in model.header.get("markers", ()))
+    count = int(model.array("count", (1,), np.int64)[0])
+    try:
+        mesh = Topology(count, model.array("faces", (None, 3), np.int32), str(model.header.get("name", "")))
+    except ValueError as error:
+        raise ModelError(f"{model.path}: {error}") from None
+    vertices = model.array("vertices", (len(names),), np.int64)
+    reference = model.array("reference", (None,), np.int64)
+    parts = tuple(_part(model, k) for k in range(int(model.header.get("parts", 0))))
+    numbers = [(vertices, count), (reference, len(names)), *((p.vertices, count) for p in parts)]
+    numbers += [(p.features, 3 * len(names)) for p in parts]
+    if not len(reference) or not parts or any(n.size and not (n.min() >= 0 and n.max() < most) for n, most in numbers):
+        raise ModelError(f"{model.path}: names vertices or markers that are not there")
+    usual, spread = model.array("usual", (len(names), 3)), model.array("spread", (len(names), 3))
+    return Steering(names, vertices, reference, parts, usual, spread), mesh
+
+
+def _part(model: Model, k: int) -> Part:
+    vertices = model.array(f"{k}.vertices", (None,), np.int64)
+    n = len(vertices)
+    modes = model.array(f"{k}.modes", (None, 3 * n))
+    features = model.array(f"{k}.features", (None,), np.int64)
+    centres = model.array(f"{k}.centres", (None, len(features)))
+    usual = model.array(f"{k}.usual", (9 + len(modes),))
+    learned = Learned(
+        centres, model.array(f"{k}.ridge", (len(centres), len(usual))), usual, float(model.array(f"{k}.scale", (1,))[0]), 0.0, 0.0, 0.0
+    )  # fmt: skip
+    weights, mean = model.array(f"{k}.weights", (n,)), model.array(f"{k}.mean", (n, 3))
+    return Part(vertices, weights, mean, modes, 1.0, features, learned)

@@ -1,0 +1,1 @@
+"""Forests learned from labelled recordings, and how far they can be trusted: what `kinegraph train steps` does."""

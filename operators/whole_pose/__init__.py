@@ -1,0 +1,1 @@
+"""From markers on a body to the pose of its whole skeleton."""

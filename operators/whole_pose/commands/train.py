@@ -1,0 +1,93 @@
+"""`kinegraph train pose`: from recordings of whole poses, a model of what markers do not show."""
+
+from __future__ import annotations
+
+from pathlib import Path as File
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from stream.errors import KinegraphError, nearest
+from stream.plain import say
+
+if TYPE_CHECKING:
+    from operators.whole_pose.learn import Lesson
+    from stream.joint_tree import JointTree
+
+RATE_HZ = 30.0
+"""Poses closer in time than this teach nothing more."""
+
+
+def pose(
+    recordings: Annotated[list[File], typer.Argument(help="recordings that hold poses", metavar="RECORDING...")],
+    output: Annotated[File, typer.Option("-o", "--out", help="the model to be made")] = File("pose.npz"),
+    markers: Annotated[
+        str, typer.Option(help="landmarks that will be seen, with commas [default: head, shoulders, ..., ankles: 13]")
+    ] = "",
+    centres: Annotated[int, typer.Option(min=50, max=5000, help="kernel centres: 500 take some 30 us a frame")] = 500,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a model that exists")] = False,
+) -> None:
+    """Learn what markers do not show of a pose: how bones are turned, where joints without a marker are.
+
+    kinegraph import walk.bvh -o walk.mcap --unit walk=cm; kinegraph train pose walk.mcap -o pose.npz
+
+    Every stream of poses in the recordings is learned from (BVH and AMC files give one each). The model is for the landmarks that it was
+    trained for: --markers head,wrist_l,wrist_r,... names those that a stream will have. It is used by operators.whole_pose.WholePose.
+    """
+    import numpy as np
+
+    from operators.whole_pose.landmarks import NAMES, USUAL
+    from operators.whole_pose.learn import learn_pose
+    from stream.model import write_model
+
+    names = [name.strip() for name in markers.split(",")] if markers else list(USUAL)
+    for name in names:
+        if name not in NAMES:
+            raise KinegraphError(f"--markers: there is no landmark {name!r}; {nearest(name, NAMES)}")
+    if len(set(names)) < 5:
+        raise KinegraphError(f"--markers: {len(set(names))} landmarks are too few; at least 5 are needed")
+    if output.exists() and not overwrite:
+        raise KinegraphError(f"{output}: exists; choose another --out, or replace it with --overwrite")
+    chosen = np.array(sorted(NAMES.index(name) for name in set(names)), np.int64)
+    lessons, told, tree = _lessons(recordings, chosen)
+    learned = learn_pose(lessons, centres)
+    header = {"landmarks": [NAMES[k] for k in chosen], "trained_on": told}
+    write_model(output, "pose", header, {**learned, "landmarks": chosen, "offsets": tree.offsets})
+    frames = sum(len(one.features) for one in lessons)
+    say(
+        f"{output}: learned from {frames} poses of {len(told)} streams, for {len(chosen)} landmarks, {len(learned['centres'])} centres"
+    )
+
+
+def _lessons(recordings: list[File], chosen: object) -> tuple[list[Lesson], list[str], JointTree]:
+    """What every stream of poses teaches, which they are, and the skeleton of the first."""
+    import numpy as np
+
+    from operators.whole_pose.learn import lesson_of
+    from stream.humanoid import to_humanoid
+    from stream.joint_tree import JointTree
+    from stream.recording import Recording
+
+    lessons: list[Lesson] = []
+    told: list[str] = []
+    tree: JointTree | None = None
+    for path in recordings:
+        with Recording.open(path) as opened:
+            for name, stream in opened.streams.items():
+                if "skeleton" not in stream.spec.meta or len(stream.spec.shape) != 1:
+                    continue
+                _, rows = opened.read(name)
+                rows = rows[:: max(1, round((stream.spec.rate_hz or RATE_HZ) / RATE_HZ))]
+                rows = rows[np.isfinite(rows).all(axis=1)]
+                if not len(rows):
+                    continue
+                body, poses = to_humanoid(JointTree.of(stream.spec, name), rows)
+                tree = tree or body
+                lessons.append(lesson_of(body, poses, np.asarray(chosen)))
+                told.append(f"{path.name}: {name}")
+                say(f"{path}: {name}: {len(rows)} poses")
+    if tree is None:
+        raise KinegraphError(
+            "no stream of poses in these recordings; `kinegraph import` makes one of each BVH file whose --unit is said"
+        )
+    return lessons, told, tree

@@ -1,0 +1,153 @@
+"""What a pose may do from one sample to the next: no bone turns faster than a limit, and a foot that stands stays where it is."""
+
+from __future__ import annotations
+
+import math
+
+from operators.whole_pose.limb_kernel import ANKLE_AT, FOOT, SIDE, THIGH, fit_limb, place_from
+from operators.whole_pose.rotation_kernel import angle_between, normalise, part_way, relative
+from stream.chunk import Array, Samples, Times
+from stream.joint_tree import multiply
+from stream.kernel import kernel
+
+LOW_M, LIFTED_M = 0.02, 0.03
+"""A foot comes to stand below the first of these heights above where feet stand, and leaves above the second."""
+SLOW_M_S, FAST_M_S = 0.12, 0.25
+"""The same for its level speed."""
+STRAY_M = 0.015
+"""A foot stands no longer where its marker is this far from where it stands."""
+EASE, EASE_M = 0.75, 0.012
+"""How much of a foot's distance from its marker is left a sample after it has been released; it shrinks by at least this much."""
+RISE_M_S = 0.02
+"""How fast the level at which feet stand may rise: whoever climbs stairs takes it along."""
+STANDS, LOCK, AWAY, WAS, SPEED = 0, 1, 4, 7, 10
+"""Columns of `feet` (2, 12): whether it stands; where; how far it is from its marker; where that was; its speed; whether it has one."""
+
+
+@kernel
+def limit_turns(
+    before: Samples, was: Samples, parents: Times, most: float, turns: Samples, local: Samples, work: Samples
+) -> bool:
+    """Keep every bone within `most` rad of where it was, in the world and relative to its parent; returns whether one was held back.
+
+    before  (22, 4) rotations in the world before; was (22, 4) those relative to parents
+    turns   (22, 4) as wanted, then as taken; local (22, 4) the same relative to parents
+    """
+    held = False
+    for b in range(turns.shape[0]):
+        p = parents[b]
+        if p < 0:
+            angle = angle_between(before[b], turns[b])
+            if angle > most:
+                held = True
+                part_way(before[b], turns[b], most / angle, turns[b])
+            local[b] = turns[b]
+            continue
+        relative(turns[p], turns[b], work[0])
+        angle = angle_between(was[b], work[0])
+        share = 1.0 if angle <= most else most / angle
+        local[b] = work[0]
+        if share < 1.0 or angle_between(before[b], turns[b]) > most:
+            held = True
+            high, low = share, 0.0
+            for step in range(7):
+                middle = high if step == 0 else 0.5 * (low + high)
+                part_way(was[b], work[0], middle, local[b])
+                multiply(turns[p], local[b], work[1])
+                if angle_between(before[b], work[1]) <= most:
+                    low = middle
+                    if step == 0:
+                        break
+                else:
+                    high = middle
+            part_way(was[b], work[0], low, local[b])
+        multiply(turns[p], local[b], turns[b])
+        normalise(turns[b])
+    return held
+
+
+@kernel
+def same_signs(was: Samples, local: Samples) -> None:
+    """Of the two quaternions of each rotation, take the one nearer to that before."""
+    for b in range(local.shape[0]):
+        d = 0.0
+        for a in range(4):
+            d += was[b, a] * local[b, a]
+        if d < 0.0:
+            for a in range(4):
+                local[b, a] = -local[b, a]
+
+
+@kernel
+def plant(side: int, ankle: Samples, dt: float, ground: float, feet: Samples) -> float:
+    """Whether the foot of a side stands, by height and speed with hysteresis; `ankle` (3,) becomes where it is to be.
+
+    A foot that stands stays where it is on the ground; the ankle above it may rise, as a foot rolls.
+
+    Returns the ground's level. A foot that is released goes back to its marker by degrees, so that nothing leaps.
+    """
+    foot = feet[side]
+    ground = ankle[1] if foot[11] == 0.0 and ground == math.inf else min(ankle[1], ground + RISE_M_S * dt)
+    if foot[11] > 0.0:
+        speed = math.sqrt((ankle[0] - foot[WAS]) ** 2 + (ankle[2] - foot[WAS + 2]) ** 2) / dt
+        foot[SPEED] += 0.5 * (speed - foot[SPEED])
+    else:
+        foot[SPEED] = FAST_M_S
+    foot[11] = 1.0
+    for a in range(3):
+        foot[WAS + a] = ankle[a]
+    height = ankle[1] - ground
+    if foot[STANDS] > 0.0:
+        stray = math.sqrt(
+            (ankle[0] - foot[LOCK]) ** 2 + (ankle[1] - foot[LOCK + 1]) ** 2 + (ankle[2] - foot[LOCK + 2]) ** 2
+        )
+        if height > LIFTED_M or foot[SPEED] > FAST_M_S or stray > STRAY_M:
+            foot[STANDS] = 0.0
+    elif height < LOW_M and foot[SPEED] < SLOW_M_S:
+        foot[STANDS] = 1.0
+        for a in range(3):
+            foot[LOCK + a] = ankle[a] + foot[AWAY + a]
+    if foot[STANDS] > 0.0:
+        foot[AWAY + 1] *= EASE
+        ankle[1] += foot[AWAY + 1]
+        for a in (0, 2):
+            foot[AWAY + a] = foot[LOCK + a] - ankle[a]
+            ankle[a] = foot[LOCK + a]
+        return ground
+    away = math.sqrt(foot[AWAY] ** 2 + foot[AWAY + 1] ** 2 + foot[AWAY + 2] ** 2)
+    left = max(0.0, min(EASE * away, away - EASE_M))
+    for a in range(3):
+        foot[AWAY + a] *= left / away if away > 1e-9 else 0.0
+        ankle[a] += foot[AWAY + a]
+    return ground
+
+
+@kernel
+def put_feet(
+    marks: Samples,
+    known: Array,
+    dt: float,
+    memory: Samples,
+    feet: Samples,
+    offsets: Samples,
+    turns: Samples,
+    joints: Samples,
+    work: Samples,
+) -> None:
+    """Put both feet where they stand or are, and bend the legs to it. `memory[2]` is the level at which ankles stand."""
+    for side in range(2):
+        foot, thigh = FOOT + SIDE * side, THIGH + SIDE * side
+        work[6, :3] = joints[foot]
+        memory[2] = plant(side, work[6, :3], dt, memory[2], feet)
+        aside = 0.0
+        for a in range(3):
+            aside = max(aside, abs(work[6, a] - joints[foot, a]))
+        if aside > 0.0:
+            work[7, :3] = marks[ANKLE_AT + side]
+            was_known = known[ANKLE_AT + side]
+            marks[ANKLE_AT + side] = work[6, :3]
+            known[ANKLE_AT + side] = True
+            fit_limb(thigh, ANKLE_AT - 2 + side, ANKLE_AT + side, marks, known, offsets, turns, joints, work)
+            marks[ANKLE_AT + side] = work[7, :3]
+            known[ANKLE_AT + side] = was_known
+            place_from(foot + 1, foot, offsets, turns, joints)
