@@ -12,8 +12,8 @@ from bench.motion import Series, poses, segment
 from bench.report import Goal, Section
 from operators.features.bundle import Bundle
 from operators.features.stack import Stack
-from operators.segmentation.found import Found
-from operators.segmentation.scores import score
+from operators.segmentation.evaluation.found import Found
+from operators.segmentation.evaluation.scores import score
 from stream.chunk import NS, Array, Samples
 from stream.kernel import kernel
 

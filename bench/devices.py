@@ -25,7 +25,8 @@ import numpy as np
 
 from bench.report import Goal, Section, short, whole
 from devices.binary import Binary
-from devices.protocols import ascii_lines, cyton, declared
+from devices.protocols import ascii_lines, cyton
+from devices.protocols.frame_decoder import FrameDecoder
 from devices.simulators.binary import BinaryModel
 from devices.transport.transport import connect
 from stream.graph.load import load
@@ -140,7 +141,7 @@ def _decoders(seconds: float) -> Iterator[tuple[str, float, list[bytes], Callabl
     layouts, brain = source.layouts(), BinaryModel(source)
 
     def read_binary(pieces: list[bytes]) -> None:
-        decoder = declared.FrameDecoder(layouts)
+        decoder = FrameDecoder(layouts)
         for piece in pieces:
             for kind, frames in decoder.feed(piece).frames.items():
                 layouts[kind].values(layouts[kind].table(bytes(frames)))

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Self
 
 HERE = Path(__file__).resolve().parent
-NEEDED = ["numba", "scipy", "platformdirs", "msgspec"]
+NEEDED = ["numba", "scipy", "platformdirs", "msgspec", "lz4", "zstandard"]
 """What the shared work itself needs in a peer's environment."""
 MODULES = {
     "bare": "bare",
@@ -26,7 +26,7 @@ MODULES = {
 }
 OURS = ("bare", "kinegraph")
 LIFE = 2
-"""After so many rounds contenders are started anew."""
+"""After so many rounds contenders are started again."""
 
 
 class EngineError(Exception):
@@ -141,7 +141,7 @@ class Field:
     def rounds(self, count: int) -> Iterator[bool]:
         """So many rounds, and whether each counts: two do not, in which everyone warms up.
 
-        Now and then all are started anew, for how fast a process is hangs on where its memory happens to lie, as long as it lives.
+        Now and then all are started again, for how fast a process is depends on where its memory happens to lie, as long as it lives.
         """
         for i in range(count):
             if i % LIFE == 0:

@@ -12,8 +12,8 @@ from operators.align import Align
 from operators.features.mirror import Mirror
 from operators.features.pose import Pose
 from operators.segmentation import Segment
-from operators.segmentation.found import Found, merged, second_steps
-from operators.segmentation.truth import Truth, read_truth
+from operators.segmentation.evaluation.found import Found, merged, second_steps
+from operators.segmentation.evaluation.truth import Truth, read_truth
 from stream.chunk import NS, Array, Chunk, StreamSpec
 from stream.operator import Operator, grid
 from stream.rows import taking

@@ -26,9 +26,9 @@ from operators.emg.envelope import Envelope
 from operators.features.stack import Stack
 from operators.features.standardise import Standardise
 from operators.segmentation import Segment
-from operators.segmentation.found import Found
-from operators.segmentation.scores import Scores, boundary_f1, intervals, score
-from operators.segmentation.truth import Truth, read_truth
+from operators.segmentation.evaluation.found import Found
+from operators.segmentation.evaluation.scores import Scores, boundary_f1, intervals, score
+from operators.segmentation.evaluation.truth import Truth, read_truth
 from stream.chunk import NS, Samples, StreamSpec
 from stream.operator import grid
 

@@ -11,8 +11,8 @@ from bench.report import Goal, Section
 from operators.features.mirror import Mirror
 from operators.features.stack import Stack
 from operators.segmentation import Segment
-from operators.segmentation.found import merged, second_steps
-from operators.segmentation.truth import Truth, read_truth
+from operators.segmentation.evaluation.found import merged, second_steps
+from operators.segmentation.evaluation.truth import Truth, read_truth
 from stream.chunk import NS, Array, StreamSpec
 from stream.operator import grid
 
@@ -67,7 +67,7 @@ def _label(truth: Truth, onset: int, end: int) -> str:
 
 
 def _agree(steps: Array, pose: Array | None) -> str:
-    """In how many steps the ankle of the side that is told goes forward more than the other one."""
+    """In how many steps the ankle of the side that is reported goes forward more than the other one."""
     if pose is None:
         return "-"
     ahead = pose[:, 2] - pose[:, 5]

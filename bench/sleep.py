@@ -87,7 +87,7 @@ def numpy_fixed(frame: Array, basis: Array) -> Array:
 
 
 def numpy_pca(frame: Array, components: int) -> Array:
-    """The thesis: the components of every frame anew."""
+    """The thesis: the components of every frame by itself."""
     blocks = blocks_of(frame)
     mean = blocks.mean(axis=0)
     _, vectors = np.linalg.eigh(np.cov(blocks, rowvar=False))

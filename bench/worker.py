@@ -81,6 +81,6 @@ def serve(driver: Driver) -> None:
     for line in sys.stdin:
         try:
             answer = run(driver, json.loads(line))
-        except Exception:  # noqa: BLE001  (whatever it was: it is told, and the others go on)
+        except Exception:  # noqa: BLE001  (whatever it was: it is reported, and the others go on)
             answer = {"error": traceback.format_exc()}
         print(json.dumps(answer), file=answers, flush=True)

@@ -1,0 +1,129 @@
+"""What a frame of motion capture and a packet of a belt cost, from bytes to stamped chunks, beside bare parsing and other clients.
+
+    python -m bench.datagrams
+
+CPU time of one thread, all in one run, so that a loaded machine changes the figures but hardly their ratios.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+import time
+from collections.abc import Callable
+from typing import Any
+
+from devices.ble.link import Notification
+from devices.ble.polar import Polar, PolarReading
+from devices.natnet import NatNet, NatNetReading
+from devices.protocols import natnet, polar_pmd
+from devices.protocols.natnet import ServerInfo
+from devices.protocols.natnet_build import build_frame, build_models
+from devices.protocols.polar_pmd import PmdDecoder
+from devices.simulators.natnet import MODELS, TICK_HZ, NatNetScene
+from devices.simulators.polar import PolarBelt
+from tests.device_feed import Kept
+
+N = 4000
+ROUNDS = 5
+
+
+def cpu_us(work: Callable[[int], object], n: int = 0) -> float:
+    """CPU time of one call in us: the best of some rounds."""
+    n = n or N
+    best = float("inf")
+    for _ in range(ROUNDS):
+        began = time.process_time()
+        for i in range(n):
+            work(i)
+        best = min(best, (time.process_time() - began) / n * 1e6)
+    return best
+
+
+class Clocked(Kept):
+    """A feed that keeps nothing, and in which frames come at their pace."""
+
+    at = 1_700_000_000_000_000_000
+
+    def emit(self, chunk: Any, output: str = "out") -> None: ...
+
+    def now(self) -> int:
+        return self.at
+
+
+def natnet_figures() -> dict[str, float]:
+    """us a frame: a skeleton of two bones, a body, three markers, a plate."""
+    scene = NatNetScene()
+    frames = [build_frame(scene.frame(i), (3, 1)) for i in range(N * ROUNDS)]
+    info = ServerInfo("Motive", (3, 0, 0, 0), (3, 1), TICK_HZ)
+    source = NatNet(bodies=("Shank", "Fred:Hips"), markers=("Shank:1", "Shank:2", "Shank:3"))
+    link: Any = None
+    reading, feed = NatNetReading(source, info, link), Clocked()
+    reading.take(natnet.MODELS, build_models(MODELS, (3, 1)), feed.at, feed)
+    at = iter(range(N * ROUNDS))
+
+    def ours(_: int) -> None:
+        i = next(at)
+        reading.take(natnet.FRAME, frames[i], feed.at + round(i * 1e9 / 120), feed)
+
+    made = {"source": cpu_us(ours), "parser alone": cpu_us(lambda i: natnet.frame(frames[i], (3, 1)))}
+    try:
+        from natnet.data_frame import DataFrame
+        from natnet.packet_buffer import PacketBuffer
+        from natnet.version import Version
+    except ImportError:
+        return made
+    version = Version(3, 1)
+    return made | {
+        "natnet (PyPI), parsing alone": cpu_us(lambda i: DataFrame.read_from_buffer(PacketBuffer(frames[i]), version))
+    }
+
+
+def polar_figures() -> dict[str, float]:
+    """us a frame of 73 samples of ECG."""
+    belt = PolarBelt()
+    belt.hear(polar_pmd.CONTROL, polar_pmd.start(polar_pmd.ECG, rate=130, resolution=14))
+    n = N // 4
+    frames = [belt._frame(polar_pmd.ECG, 130, i, 73) for i in range(n * ROUNDS)]
+    reading, feed = PolarReading(Polar(), PmdDecoder(), "belt"), Clocked()
+    at = iter(range(n * ROUNDS))
+
+    def ours(_: int) -> None:
+        i = next(at)
+        reading.take(Notification(polar_pmd.DATA, feed.at + round(i * 73e9 / 130), frames[i]), feed)
+
+    def bare(i: int) -> list[int]:
+        data = frames[i]
+        struct.unpack_from("<Q", data, 1)
+        return [int.from_bytes(data[a : a + 3], "little", signed=True) for a in range(10, len(data), 3)]
+
+    made = {"source": cpu_us(ours, n), "bare loop": cpu_us(bare, n)}
+    try:
+        import bleakheart
+    except ImportError:
+        return made
+    client: Any = None
+    theirs = bleakheart.PolarMeasurementData(client, callback=lambda _: None)
+    with asyncio.Runner() as runner:
+
+        async def many() -> float:
+            began = time.process_time()
+            for frame in frames[:n]:
+                await theirs._pmd_data_handler(None, bytearray(frame))
+            return (time.process_time() - began) / n * 1e6
+
+        return made | {"bleakheart": min(runner.run(many()) for _ in range(ROUNDS))}
+
+
+def main() -> None:
+    for title, figures in (
+        ("NatNet, us a frame", natnet_figures()),
+        ("Polar ECG, us a frame of 73 samples", polar_figures()),
+    ):
+        print(title)
+        for name, us in figures.items():
+            print(f"  {name:32} {us:8.1f}")
+
+
+if __name__ == "__main__":
+    main()
