@@ -36,7 +36,7 @@ def regions(time: int, **rectangles: tuple[int, int, int, int]) -> tuple[StreamS
 
 
 def play(operator: Operator[Any], **inputs: tuple[StreamSpec, Array, Array]) -> dict[str, Array]:
-    """All samples that come out, by output. Longer steps of time in regular inputs are told as gaps."""
+    """All samples that come out, by output. Longer steps of time in regular inputs are reported as gaps."""
     order = [name for name in type(operator).inputs if name in inputs]
     case = Case(operator, {name: inputs[name] for name in order})
     tapes = tapes_of(case)

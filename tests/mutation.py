@@ -1,8 +1,9 @@
 """`python -m tests.mutation --seed 1`: random small changes to operators/ and stream/; does a test notice each of them?
 
-A mutant turns one comparison, sum, number or truth value around, in a copy of the tree. Its module's tests run against it (those nearest to
-it in the imports, and the laws on its operators), for at most a minute. Survivors are listed; exit code 1 if fewer than nine in ten were
-noticed. A survivor that changes nothing that anyone could see is named in equivalent_mutants.txt, with the reason.
+A mutant turns one comparison, sum, number or truth value around, in a copy of the tree. Its module's tests run against it (those nearest
+to it in the imports, and the laws on its operators), for at most a minute of processor time, however busy the machine is. Survivors are
+listed; exit code 1 if fewer than nine in ten were noticed. A survivor that changes nothing that anyone could see is named in
+equivalent_mutants.txt, with the reason.
 """
 
 from __future__ import annotations
@@ -20,8 +21,10 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from math import ceil
 from pathlib import Path
 from queue import SimpleQueue
+from threading import Timer
 from xml.etree import ElementTree
 
 from stream.graph.parts import catalogue
@@ -44,6 +47,8 @@ COPIED = (
 EQUIVALENT = Path(__file__).with_name("equivalent_mutants.txt")
 LEAST = 0.9
 """The share of mutants that must be noticed."""
+WAITS = 10
+"""Tests that wait rather than work are ended after so many times the processor time that they may take."""
 OPERATORS: dict[type[ast.AST], type[ast.AST]] = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
     ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
@@ -61,6 +66,7 @@ class Mutant:
     stop: int
     before: str
     after: str
+    code: str = ""
 
     def __str__(self) -> str:
         return f"{self.path}:{self.line}: {self.before}  ->  {self.after}"
@@ -68,21 +74,27 @@ class Mutant:
     @property
     def key(self) -> str:
         """How the mutant is known when lines have moved."""
-        return f"{self.path}: {self.before}  ->  {self.after}"
+        return f"{self.path}: {self.before}  ->  {self.after}  in  {self.code}"
 
 
 def mutants(path: Path) -> Iterator[Mutant]:
     """Every mutant of a file, in its order; but for what is no behaviour: annotations, texts, an operator's cases, types' imports."""
     source = path.read_bytes()
-    starts = [0]
-    for line in source.splitlines(keepends=True):
+    starts, lines = [0], source.splitlines(keepends=True)
+    for line in lines:
         starts.append(starts[-1] + len(line))
     for node in _behaviour(ast.parse(source)):
         changed = _changed(node)
         if changed is not None and isinstance(node, ast.expr) and node.end_lineno and node.end_col_offset is not None:
             start, stop = starts[node.lineno - 1] + node.col_offset, starts[node.end_lineno - 1] + node.end_col_offset
             yield Mutant(
-                str(path.relative_to(HOUSE)), node.lineno, start, stop, ast.unparse(node), f"({ast.unparse(changed)})"
+                str(path.relative_to(HOUSE)),
+                node.lineno,
+                start,
+                stop,
+                ast.unparse(node),
+                f"({ast.unparse(changed)})",
+                lines[node.lineno - 1].decode().strip(),
             )
 
 
@@ -126,7 +138,7 @@ def drawn(seed: int, count: int) -> list[Mutant]:
 
 
 def tried(mutant: Mutant, tree: Path, seconds: float, broken: set[str]) -> tuple[str, float]:
-    """What became of a mutant in this copy of the tree, and after how many seconds.
+    """What became of a mutant in this copy of the tree, and after how many seconds by the clock.
 
     A failure counts if the same tests pass without the mutant. Tests that fail anyway are added to `broken` and left out.
     """
@@ -153,13 +165,14 @@ def tried(mutant: Mutant, tree: Path, seconds: float, broken: set[str]) -> tuple
 
 
 def _first_failure(runs: list[list[str]], tree: Path, seconds: float, broken: set[str]) -> list[str]:
-    """The arguments of pytest for what failed first, or did not end within so many seconds; none if nothing failed."""
-    began = time.monotonic()
+    """The arguments of pytest for what failed first, or did not end within this processor time; none if nothing failed."""
     left_out = [word for name in sorted(broken) for word in ("--deselect", name)]
     for arguments in runs:
-        left = seconds - (time.monotonic() - began)
-        if left > 1 and (failed := _run([*arguments, *left_out], tree, left)):
-            return failed
+        if seconds > 1:
+            failed, used = _run([*arguments, *left_out], tree, seconds)
+            if failed:
+                return failed
+            seconds -= used
     return []
 
 
@@ -172,19 +185,27 @@ def _runs(path: str) -> list[list[str]]:
     return [*([own] if own else []), *laws]
 
 
-def _run(arguments: list[str], tree: Path, seconds: float) -> list[str]:
-    """Run these tests; returns the arguments for the one that failed (for all of them, if they did not end), or none."""
+def _run(arguments: list[str], tree: Path, seconds: float) -> tuple[list[str], float]:
+    """Run these tests; returns the arguments for the one that failed (for all, if they took too long), or none, and the processor time."""
     command = [sys.executable, "-m", "pytest", "-x", "-q", "--junitxml=junit.xml", "-p", "no:cacheprovider", *arguments]
+    limited = ["/bin/sh", "-c", f'ulimit -t {ceil(seconds)} && exec "$@"', "sh", *command]
     environment = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
-    with subprocess.Popen(
-        command, cwd=tree, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
-    ) as running:
-        try:
-            running.wait(seconds)
-        except subprocess.TimeoutExpired:
-            os.killpg(running.pid, signal.SIGKILL)
-            return arguments
-    if running.returncode in (0, 5):
+    running = subprocess.Popen(
+        limited, cwd=tree, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
+    hung = Timer(WAITS * seconds, os.killpg, (running.pid, signal.SIGKILL))
+    hung.start()
+    _, status, usage = os.wait4(running.pid, 0)
+    hung.cancel()
+    running.returncode = os.waitstatus_to_exitcode(status)
+    return _judged(arguments, tree, running.returncode), usage.ru_utime + usage.ru_stime
+
+
+def _judged(arguments: list[str], tree: Path, code: int) -> list[str]:
+    """The arguments of pytest for the test that failed, for all of them where none is known to be the one; none if all passed."""
+    if code < 0:
+        return arguments
+    if code in (0, 5):
         return []
     for case in ElementTree.parse(tree / "junit.xml").iter("testcase"):
         if case.get("classname") and (case.find("failure") is not None or case.find("error") is not None):
@@ -207,13 +228,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.mutation", description=__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=100)
-    parser.add_argument("--seconds", type=float, default=60.0, help="for the tests of one mutant")
+    parser.add_argument("--seconds", type=float, default=60.0, help="processor time for the tests of one mutant")
     parser.add_argument(
         "--only", nargs="+", metavar="TEXT", default=[""], help="mutants in whose line one of these stands"
     )
     parser.add_argument("--jobs", type=int, default=1, help="how many at once")
     given = parser.parse_args()
-    equivalent = {line.partition("  # ")[0].strip() for line in EQUIVALENT.read_text(encoding="utf-8").splitlines()}
+    equivalent = {line.rpartition("  # ")[0].strip() for line in EQUIVALENT.read_text(encoding="utf-8").splitlines()}
     chosen = [m for m in drawn(given.seed, given.count) if any(text in str(m) for text in given.only)]
     results: dict[Mutant, str] = {}
     broken: set[str] = set()

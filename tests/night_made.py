@@ -159,7 +159,7 @@ def opened(root: Path, ports: tuple[str, ...] = tuple(SPECS), **more: Any) -> Ni
 
 def feed(log: NightLog, told: Iterator[tuple[str, Chunk]]) -> None:
     for port, chunk in told:
-        if port in log.desk.specs:
+        if port in log.runtime.specs:
             log.process(port, chunk)
 
 

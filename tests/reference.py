@@ -13,6 +13,7 @@ import numpy as np
 
 Event = tuple[Any, ...]
 KNOWN, SHARED, FAR, STILL, TRAVELS = 2, 4, 100.0, 0.12, 0.5
+SURE, STRAYS, SAME, HOLE = 3, 4.0, 0.4, 8
 DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 0.8, 1.25, 64, 24
 
 
@@ -115,6 +116,7 @@ class Reference:
         self.exemplars: list[Exemplar | None] = [None] * MOST_CLUSTERS
         self.clock = self.turn = self.clusters = self.activity = 0
         self.believed = self.believed_of = 0
+        self.like: list[float] = []
 
     def run(self, *, end: bool = True) -> list[Event]:
         self.seed = self.untold = self.when = self.repeated = 0
@@ -150,6 +152,8 @@ class Reference:
                 self.tell("rest", max(0, self.resting[0] - n), self.resting[-1])
                 self.resting = []
             return False
+        if not self.resting:
+            self.tell("resting", max(0, i - n))
         self.resting.append(i)
         return True
 
@@ -296,7 +300,7 @@ class Reference:
     # What is believed
 
     def believe(self, activity: int, count: int) -> None:
-        """So many repetitions have come: every number is told once, and a lower one than the last is a correction."""
+        """So many repetitions have come: every number is reported once, and a lower one than the last is a correction."""
         if self.believed_of != activity:
             if self.believed:
                 self.tell("count", self.believed_of, 0)
@@ -413,9 +417,13 @@ class Reference:
 
     def take_up(self, i: int, length: int) -> None:
         origin = max(self.origin, i + 1 - 2 * length)
-        slot = self.recognise(origin, i, length)
-        if slot < 0:
-            slot = self.keep(origin, length)
+        slot, met = self.recognise(origin, i, length)
+        new = slot < 0
+        if new:
+            if not self.told:
+                self.start = self.lead_in(self.start, length)
+                origin = max(self.start, i + 1 - 2 * length)
+            slot = self.keep(self.in_phase(origin if self.told else self.start, origin, i + 1 - length), length)
         found = self.use(slot)
         if self.told and self.cycles and found.number != self.cluster:
             self.close_bout()
@@ -432,7 +440,8 @@ class Reference:
         else:
             origin = self.start = self.look_back(i, self.start, self.untold)
             self.tell_start()
-        self.origin, self.paths = origin, Paths(found.frames, origin)
+        free = origin if new else self.first_whole(origin, met, len(found.frames))
+        self.origin, self.paths, self.like = origin, Paths(found.frames, free), []
         for j in range(origin, i + 1):
             if self.paths:
                 self.pursue(j)
@@ -473,13 +482,37 @@ class Reference:
             largest = max(largest, means[k])
         return 0, returned
 
+    def lead_in(self, start: int, length: int) -> int:
+        """The first of the frames before `start` that come back a cycle later, between 2/3 and 3/2 of one."""
+        p, first, i = self.p, start, start - 1
+        while i >= max(self.seed, self.opened - 2 * p["LAG"]) and first - i <= max(p["QUIET"], length // HOLE):
+            lags = range(max(1, 2 * length // 3), min(p["LAG"], 3 * length // 2, self.now - i) + 1)
+            if self.good[i] and not self.at_rest(i) and any(self.apart(i + k, i) <= self.radius for k in lags):
+                first = i
+            i -= 1
+        return first
+
+    def in_phase(self, start: int, first: int, last: int) -> int:
+        """Where the frames first..last are at the phase of `start`."""
+        if start >= first:
+            return first
+        n = max(1, (last - first) // HOLE)
+        far = [sum(self.apart(start + c, j + c) for c in range(n)) for j in range(first, last + 1)]
+        return first + int(np.argmin(far))
+
+    @staticmethod
+    def first_whole(start: int, met: int, length: int) -> int:
+        """What starts in the middle of a known cycle begins with its rest: no repetition begins there."""
+        head = (met - start) % length
+        return start if 4 * head > 3 * length else max(start, start + head - length // HOLE)
+
     def look_back(self, i: int, start: int, floor: int) -> int:
         first = max(floor, start - self.p["LAG"])
         if first >= start:
             return start
         exemplar = self.exemplars[self.slot]
         assert exemplar
-        paths, found = Paths(exemplar.frames, first), []
+        paths, found, self.like = Paths(exemplar.frames, first), [], []
         for j in range(first, i + 1):
             if self.track(paths, j):
                 assert paths.best
@@ -500,7 +533,10 @@ class Reference:
         mean = paths.advance(self.along(i, paths.frames), i, self.radius)
         exemplar = self.exemplars[self.slot]
         assert exemplar
-        better = mean <= TRUSTS * self.radius and (paths.best is None or mean < paths.best[0])
+        trusted = TRUSTS * self.radius
+        if len(self.like) >= SURE:
+            trusted = min(trusted, max(STRAYS * max(self.like), SAME * self.radius))
+        better = mean <= trusted and (paths.best is None or mean < paths.best[0])
         if better and self.travel(paths.begin[-1], i, len(paths.frames)) >= TRAVELS * exemplar.travel:
             paths.best = (mean, paths.begin[-1], i)
         return paths.best is not None and i - paths.best[2] >= paths.patience
@@ -515,10 +551,11 @@ class Reference:
             number = self.count + (not self.replaces(q))
             self.tell("provisional", q.best[1], q.best[2], self.activity, number)
         since = self.pending[1] if self.pending else self.origin
-        if q.best is None and i - since > q.slack + 2 * len(q.frames) + q.patience:
+        if i - since > q.slack + 2 * len(q.frames) + q.patience:
             if self.pending:
                 self.settle(self.pending[1])
             self.close_bout()
+        if i - since > q.slack + 2 * len(q.frames) + q.patience and q.best is None:
             self.paths, self.origin = None, max(self.pieces, i - self.p["LAG"])
 
     def accept(self) -> None:
@@ -551,6 +588,7 @@ class Reference:
     def settle(self, last: int) -> None:
         assert self.pending
         first = self.pending[0]
+        self.like.append(self.price)
         self.pending, self.cycles, self.pieces = None, self.cycles + 1, last + 1
         if self.cycles > 1:
             self.repeated = self.now + 1 + self.p["WINDOW"]
@@ -589,22 +627,22 @@ class Reference:
 
     # Clusters
 
-    def fit(self, exemplar: Exemplar, first: int, last: int, whole: bool) -> float:
-        paths, best, m = Paths(exemplar.frames, first), np.inf, len(exemplar.frames)
+    def fit(self, exemplar: Exemplar, first: int, last: int, whole: bool) -> tuple[float, int]:
+        paths, best, m = Paths(exemplar.frames, first), (np.inf, first), len(exemplar.frames)
         for i in range(first, last + 1):
             mean = paths.advance(self.along(i, paths.frames), i, self.radius)
             if not whole or (i == last and paths.begin[-1] <= first + m // 8):
-                best = min(best, mean)
+                best = (mean, paths.begin[-1]) if mean < best[0] else best
         return best
 
-    def recognise(self, first: int, last: int, length: int) -> int:
-        best, found = self.radius, -1
+    def recognise(self, first: int, last: int, length: int) -> tuple[int, int]:
+        best, found, met = self.radius, -1, first
         for slot, exemplar in enumerate(self.exemplars):
             if exemplar and 3 * len(exemplar.frames) <= 4 * length and 3 * length <= 4 * len(exemplar.frames):
-                mean = self.fit(exemplar, first, last, False)
+                mean, start = self.fit(exemplar, first, last, False)
                 if mean < best:
-                    best, found = mean, slot
-        return found
+                    best, found, met = mean, slot, start
+        return found, met
 
     def keep(self, first: int, length: int) -> int:
         empty = [slot for slot, exemplar in enumerate(self.exemplars) if exemplar is None]
@@ -673,5 +711,5 @@ class Reference:
             if other == self.slot or exemplar is None or not length / 2 <= len(exemplar.frames) <= 2 * length:
                 continue
             self.turn = other + 1
-            return other if self.fit(exemplar, first, last, True) <= self.radius else -1
+            return other if self.fit(exemplar, first, last, True)[0] <= self.radius else -1
         return -1

@@ -89,7 +89,7 @@ def played(
     """What the source made of so many seconds of the device; each packet comes .5 ms late and up to `jitter_s` more."""
     feed, random = Arriving(), np.random.default_rng(5)
     cable = Cable(brain, feed, seconds, lambda _: 0.0005 + jitter_s * float(random.random()), Mishaps(misbehaviour))
-    monkeypatch.setattr(f"{type(source).__module__}.connect", lambda *_: cable)
+    monkeypatch.setattr("devices.transport.serial_source.connect", lambda *_: cable)
     monkeypatch.setattr("devices.clocks.clock_log.time.monotonic", lambda: cable.now_s)
     source.specs()
     source.prepare()

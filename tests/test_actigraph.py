@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from devices.simulators.actigraph import Actigraph, ActigraphNight
-from operators.sleep.reference import read_hypnogram
+from operators.sleep.evaluation.reference import read_hypnogram
 
 CONFIG = Path(__file__).resolve().parent.parent / "configs" / "actigraphy_sleep.yaml"
 

@@ -6,10 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from stream.chunk import FOREVER, NEVER, NS, Chunk, StreamSpec
-from stream.engine.admission import Full, admit, conform, on_full, ordered
+from stream.engine.admission import Full, admit, conform, is_sound, on_full, ordered
 from stream.engine.supervisor import TRANSITIONS
+from stream.promise import impossible
 
 SPEC = StreamSpec((1,), rate_hz=1000.0)
 
@@ -84,6 +87,46 @@ def test_arrays_of_other_kinds_are_converted_and_others_left_alone() -> None:
     assert conform(SPEC, right) is right
     made = conform(SPEC, Chunk([1, 2], [[1], [2]], 2))  # type: ignore[arg-type]
     assert told(made) == told(right) and made.data.dtype == np.float64 and made.time.dtype == np.int64
+
+
+def other(**changes: Any) -> Chunk:
+    """A sound chunk of two samples, but for what is changed."""
+    right = chunk([1, 2], 2)
+    return Chunk(**{"time": right.time, "data": right.data, "until": 2, "lost": 0} | changes)
+
+
+UNSOUND = {
+    "times in a list": other(time=[1, 2]),
+    "samples in a list": other(data=[[1.0], [2.0]]),
+    "stamps of another type": other(time=np.array([1, 2], np.int32)),
+    "samples of another type": other(data=np.array([[1], [2]], np.int16)),
+    "another shape": other(data=np.zeros((2, 2))),
+    "fewer samples than stamps": other(data=np.zeros((1, 1))),
+    "time runs backwards": other(time=np.array([2, 1])),
+    "stamps with gaps in memory": other(time=np.array([1, 0, 2, 0])[::2]),
+    "complete before its last sample": other(until=1),
+    "lost less than nothing": other(lost=-2),
+    "lost more than anybody": other(lost=2**60),
+    "a stamp that cannot be": other(time=np.array([-(2**63), 2])),
+    "an end that cannot be": other(until=2**62),
+}
+
+
+@pytest.mark.parametrize("case", UNSOUND)
+def test_what_is_not_sound_is_seen(case: str) -> None:
+    assert not is_sound(SPEC, UNSOUND[case])
+
+
+@given(
+    stamps=st.lists(st.integers(-9, 9) | st.integers(-(2**63), 2**63 - 1), max_size=5),
+    until=st.integers(-9, 20) | st.integers(-(2**63), 2**63 - 1),
+    lost=st.integers(-3, 3),
+)
+def test_what_is_sound_needs_nothing(stamps: list[int], until: int, lost: int) -> None:
+    """The short look never passes what the long one would change or refuse."""
+    made = chunk(stamps, until, lost)
+    if is_sound(SPEC, made):
+        assert conform(SPEC, made) is made and ordered(made) == (made, 0) and not impossible(made)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ast
 import re
+import tomllib
 from dataclasses import fields
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +60,34 @@ def test_a_module_is_named_after_its_idea_and_says_it(path: Path) -> None:
         assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))), (
             "a module says in its first line what it is about"
         )
+
+
+@pytest.mark.parametrize("path", [p for p in ALL if "outlets" in str(p.id)])
+def test_an_outlet_keeps_what_it_needs_by_hold(path: Path) -> None:
+    assert "__setattr__" not in path.read_text(encoding="utf-8"), "`hold(state, runtime)` keeps what is no parameter"
+
+
+DRIVERS = [
+    p
+    for p in ALL
+    if str(p.id).startswith("devices/") and not str(p.id).startswith(("devices/simulators", "devices/commands"))
+]
+
+
+@pytest.mark.parametrize("path", DRIVERS)
+def test_no_driver_knows_its_simulator(path: Path) -> None:
+    """Nor does it import one within a function: simulators know drivers, and are found by their entry points."""
+    imports = re.findall(
+        r"^ *(?:from|import) (devices\.simulators[.\w]*)", path.read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert path.name == "__init__.py" or not imports
+
+
+def test_the_installed_entry_points_are_those_of_the_project() -> None:
+    """They are read from what was installed: after a change, install it again (`pip install --no-deps -e .`)."""
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
+    for group, entries in declared.items():
+        assert {e.name: e.value for e in entry_points(group=group) if e.dist and e.dist.name == "kinegraph"} == entries
 
 
 @pytest.mark.parametrize("path", ALL)
@@ -120,8 +150,8 @@ def module_of(path: Path) -> str:
 MODULES = {module_of(path): path for package in PACKAGES for path in modules(package)}
 
 
-def imports_of(path: Path) -> set[str]:
-    """Our modules that a file imports when it is imported itself: not within functions, not for type checkers only."""
+def imports_of(path: Path, *, later: bool = False) -> set[str]:
+    """Our modules that a file imports when it is imported itself, and `later`, within functions; not for type checkers only."""
     found: set[str] = set()
     todo: list[ast.AST] = list(ast.parse(path.read_text(encoding="utf-8")).body)
     while todo:
@@ -133,14 +163,14 @@ def imports_of(path: Path) -> set[str]:
             found |= {name if name in MODULES else node.module for name in names}
         elif isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
-        elif not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+        elif later or not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
             todo += ast.iter_child_nodes(node)
     return (found & MODULES.keys()) - {module_of(path)}
 
 
-def circles(package: str) -> list[list[str]]:
-    """Modules of a package that import one another, directly or by way of others."""
-    graph = {name: imports_of(path) for name, path in MODULES.items() if name.split(".")[0] == package}
+def circles() -> list[list[str]]:
+    """Modules that import one another, directly or by way of others, at once or within functions."""
+    graph = {name: imports_of(path, later=True) for name, path in MODULES.items()}
     reach: dict[str, set[str]] = {}
     for name in graph:
         seen, todo = set[str](), list(graph[name])
@@ -174,8 +204,8 @@ def test_the_engines_floors() -> None:
         assert not above, f"{name} imports {above}"
 
 
-def test_no_module_of_the_engine_imports_itself_by_way_of_others() -> None:
-    assert [knot for knot in circles("stream") if any(name.startswith("stream.engine") for name in knot)] == []
+def test_no_module_imports_itself_by_way_of_others() -> None:
+    assert circles() == []
 
 
 def test_the_engine_stays_small() -> None:
@@ -185,3 +215,29 @@ def test_the_engine_stays_small() -> None:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ClassDef):
                 assert (node.end_lineno or 0) - node.lineno < 200, f"{path.name}: {node.name}"
+
+
+COMMANDS = {"commands", "evaluation", "setup"}
+"""Rooms within operators/ whose modules read and write files: commands, and what only commands use."""
+FILES = {"open", "read_text", "read_bytes", "write_text", "write_bytes", "savez", "savefig", "fromfile"}
+READERS = ("stream.recording", "stream.tables", "stream.sheet", "stream.complete", "json", "csv", "os", "io")
+
+
+def opens_files(path: Path) -> list[str]:
+    """What a module does with files: readers that it imports, and calls of what opens one."""
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom | ast.Import):
+            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else [alias.name for alias in node.names]
+            found += [name for name in names if name in READERS or name.startswith("stream.recording.")]
+        elif isinstance(node, ast.Call):
+            of_path = isinstance(node.func, ast.Attribute) and node.func.attr in FILES - {"open"}
+            if of_path or ast.unparse(node.func) in ("open", "np.load"):
+                found.append(ast.unparse(node.func))
+    return found
+
+
+def test_operators_open_no_files() -> None:
+    """Commands do, and the readers in stream/; an operator gets what was read."""
+    live = [p for p in modules("operators") if not COMMANDS & set(p.parts)]
+    assert {str(p.relative_to(ROOT)): found for p in live if (found := opens_files(p))} == {}

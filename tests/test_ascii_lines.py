@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.ascii_lines import AsciiLines
+from devices.ascii_lines import AsciiLines, LinesReading
 from devices.clocks.device_clock import DeviceClock
 from devices.clocks.device_time import DeviceTime
 from devices.clocks.stamps import Stamps
@@ -20,7 +20,7 @@ from devices.simulators.serve import Server
 from stream.chunk import NS
 from stream.errors import DeviceError, ParameterError
 from stream.params import build
-from tests.device_feed import check, cut, reading, wait_for
+from tests.device_feed import Kept, check, cut, reading, wait_for
 
 ROWS = np.random.default_rng(1).integers(-9999, 9999, (80, 3))
 LINES = [f"{a},{b},{c}\r\n".encode() for a, b, c in ROWS]
@@ -271,3 +271,28 @@ def test_lines_of_another_kind_are_told(monkeypatch: pytest.MonkeyPatch) -> None
 def test_what_cannot_be_is_refused(given: dict[str, object], told: str) -> None:
     with pytest.raises(ParameterError, match=told):
         build(AsciiLines, {"port": "/dev/ttyACM0", **given}).specs()
+
+
+@pytest.mark.parametrize(("port", "asked"), [("/dev/ttyACM0", True), ("tcp://10.0.0.2:4001", False)])
+def test_the_baud_rate_is_asked_after_only_where_there_is_one(port: str, asked: bool) -> None:
+    told = LinesReading(AsciiLines(port, ("a", "b"))).wrong(9.0, b"1,2,3\r\n")
+    assert told.startswith(f"no good line from {port} within 9 s") and ("baud" in told) == asked
+
+
+def test_a_line_that_comes_twice_is_recorded_once_where_only_the_devices_time_tells() -> None:
+    source = AsciiLines(port="x", columns=("t", "a"), time="t", time_unit="ms", rate_hz=100.0)
+    feed, reading = Kept(), LinesReading(source)
+    lines = [f"{10 * i},{i % 7}\n".encode() for i in range(40)]
+    twice = [*lines[:20], lines[19], *lines[20:30], lines[29], lines[29], *lines[30:]]
+    for i, line in enumerate(twice):
+        reading.take((b"\n" if not i else b"") + line, feed)
+    assert np.concatenate([chunk.data[:, 0] for chunk in feed.chunks["out"]]).tolist() == [i % 7 for i in range(40)]
+    assert feed.problems["repeated line or wrong time"] == 3
+
+
+def test_two_samples_within_the_clocks_resolution_are_two() -> None:
+    source = AsciiLines(port="x", columns=("t", "a"), time="t", time_unit="ms", rate_hz=2000.0)
+    feed, reading = Kept(), LinesReading(source)
+    for i in range(400):
+        reading.take((b"\n" if not i else b"") + f"{i // 2},7\n".encode(), feed)
+    assert feed.count("out") == 400 and not feed.problems

@@ -71,7 +71,7 @@ def over(process: subprocess.Popen[str], *, killed: bool = False) -> int:
 
 
 def history(client: Listener) -> list[tuple[int, str]]:
-    """(onset, state) of every final epoch that was told, as it came; what a new listener is told again first is left out."""
+    """(onset, state) of every final epoch that was reported, as it came; what a new listener is sent again first is left out."""
     told = [json.loads(text) for topic, text, retained in client.said if topic == HISTORY and not retained]
     return [(epoch["key"], epoch["state"]) for epoch in told]
 
@@ -97,7 +97,7 @@ def test_a_night_with_two_power_cuts_ends_in_a_report_that_agrees_with_what_was_
         said = {topic: text for topic, text, _ in client.said}
 
     onsets = [onset for onset, _ in told]
-    assert onsets == sorted(set(onsets)), "an epoch was told twice, or out of turn"
+    assert onsets == sorted(set(onsets)), "an epoch was reported twice, or out of turn"
     ((folder, facts),) = archive.nights(tmp_path / "nights")
     epochs = archive.read_epochs(folder)
     logged = list(zip(epochs.onset.tolist(), epochs.texts["state"].tolist(), strict=True))

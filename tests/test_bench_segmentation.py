@@ -11,7 +11,7 @@ import numpy as np
 
 from bench import batch
 from bench.bundling import pairs, warped
-from operators.segmentation.found import Found
+from operators.segmentation.evaluation.found import Found
 
 ROOT = Path(__file__).resolve().parent.parent
 

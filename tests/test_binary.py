@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 from devices.binary import Binary
 from devices.protocols.checksum_fit import fitting
 from devices.protocols.checksums import CHECKSUMS
-from devices.protocols.declared import Field, Frame, FrameDecoder, FrameLayout
+from devices.protocols.declared import Field, Frame
+from devices.protocols.frame_decoder import FrameDecoder
+from devices.protocols.frame_layout import FrameLayout
 from devices.simulators.binary import BinaryModel
 from devices.simulators.lines import line_at
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
@@ -294,7 +296,7 @@ def test_frames_without_clock_and_counter() -> None:
 
 
 def test_bytes_of_another_device_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("devices.binary.FIRST_FRAME_S", 0.3)
+    monkeypatch.setattr("devices.frame_reading.FIRST_FRAME_S", 0.3)
     server, _ = served(Binary("", (PAIR[0],)))
     wrong = Binary("", (replace(PAIR[0], checksum="xor8"),))
     again, _ = served(Binary("", (PAIR[0],)))
@@ -342,8 +344,8 @@ GOOD_FRAME = {"name": "m", "sync": "55", "fields": [{"type": "u8", "name": "a"}]
     [
         ([{**GOOD_FRAME, "sync": "5"}], "bytes in hex"),
         ([{**GOOD_FRAME, "sync": ""}], "at least one byte"),
-        ([{**GOOD_FRAME, "sync": 0xAA55}], "sync is 43605; it must be a text .in quotes"),
-        ([{**GOOD_FRAME, "sync": 55}], "sync is 55; it must be a text .in quotes"),
+        ([{**GOOD_FRAME, "sync": 0xAA55}], "sync is 43605; it must be bytes in hex and in quotes.*.0xAA55 is 43605"),
+        ([{**GOOD_FRAME, "sync": 55}], "sync is 55; it must be bytes in hex and in quotes"),
         ([{**GOOD_FRAME, "fields": []}], "at least one field"),
         ([{**GOOD_FRAME, "fields": [{"type": "u8"}]}], "at least one of which has a named data field"),
         ([{**GOOD_FRAME, "fields": [{"type": "u9", "name": "a"}]}], "type"),
@@ -363,6 +365,30 @@ GOOD_FRAME = {"name": "m", "sync": "55", "fields": [{"type": "u8", "name": "a"}]
         ([{**GOOD_FRAME, "checksum": "crc7"}], "checksum"),
         ([{**GOOD_FRAME, "checksum": "sum8", "checksum_from": 2}], "below 2"),
         ([{**GOOD_FRAME, "footers": "0D"}], "footers"),
+        (
+            [{**GOOD_FRAME, "fields": [{"type": "u12", "name": "a"}]}],
+            "12 bits'; it must be whole bytes; add a field of 4",
+        ),
+        (
+            [{**GOOD_FRAME, "fields": [{"type": "u4"}, {"type": "f32", "name": "a"}, {"type": "u4"}]}],
+            "beginning of a byte",
+        ),
+        ([{**GOOD_FRAME, "samples": 2}], "rate_hz.* given, where a frame holds several samples"),
+        (
+            [
+                {
+                    **GOOD_FRAME,
+                    "samples": 2,
+                    "rate_hz": 5,
+                    "fields": [
+                        {"type": "u8", "name": "a"},
+                        {"type": "u8", "role": "counter"},
+                        {"type": "u8", "name": "b"},
+                    ],
+                }
+            ],
+            "counter'; it must be before or behind the samples",
+        ),
     ],
 )
 def test_what_cannot_be_declared(frames: list[dict[str, object]], told: str) -> None:

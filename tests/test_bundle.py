@@ -60,6 +60,14 @@ def test_every_frame_is_what_the_plain_reference_gives(features, ahead):
     assert np.array_equal(times, grid(30.0, 220)[: 220 - ahead])
 
 
+def test_where_nothing_moves_there_is_no_way_to_leave_out():
+    _, x = cycles(220, 3, 0.1)
+    for at in (60, 120, 180):
+        x[at : at + 6] = x[at]
+    made, _ = bundled(Bundle(k=16, window_s=4.0, ahead=2), x)
+    np.testing.assert_allclose(made, by_hand(x, 16, 2, 120), atol=2e-5)
+
+
 def test_noise_across_the_way_goes():
     clean, x = cycles(900, 4, 0.05)
     made, _ = bundled(Bundle(), x)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from emg_run import stamps
 
-from operators.emg.electrode_check import check_electrodes
+from operators.emg.commands.electrode_check import check_electrodes
 from stream.chunk import FOREVER, Chunk, StreamSpec
 from stream.errors import InputError
 from stream.graph import RecordingOptions

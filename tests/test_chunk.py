@@ -74,7 +74,7 @@ def test_parts_are_the_whole(chunk: Chunk, data: st.DataObject) -> None:
         assert sum(p.lost != 0 for p in parts) == (chunk.lost != 0)
     told = NEVER
     for part in parts:
-        assert all(t > told for t in part.time), "a part holds a sample at or before what was told complete"
+        assert all(t > told for t in part.time), "a part holds a sample at or before what was promised complete"
         told = max(told, part.until)
     assert parts[-1].until == told == chunk.until
 

@@ -40,7 +40,7 @@ def test_info_tells_of_the_clocks_of_two_devices_one_of_which_is_set(tmp_path: P
 
 
 def test_while_the_drift_is_unknown_the_uncertainty_covers_it() -> None:
-    """A resonator of 800 ppm: until its drift is known, stamps fall behind, by no more than is told."""
+    """A resonator of 800 ppm: until its drift is known, stamps fall behind, by no more than is stated."""
     clock = DeviceClock()
     for i in range(50 * STEADY - 1):
         true, device = i * NS // 50, round(i * NS / 50 * (1 - 800e-6))

@@ -384,7 +384,7 @@ def walks(recordings: Path) -> dict[str, list[bench.Walk]]:
 
 
 def test_every_cycle_of_a_foot_worn_sensor_knows_its_stance(walks: dict[str, list[bench.Walk]]) -> None:
-    """The lift-off is told with the touch-down that ends its swing: no cycle may lose it."""
+    """The lift-off is reported with the touch-down that ends its swing: no cycle may lose it."""
     accepted = unknown = 0
     for person in walks.values():
         for walk in person[:2]:

@@ -23,10 +23,11 @@ HERE = Path(__file__).parent
 
 GRAPH = """
 checkpoint_s: 0.3
-record: [sum, slow]
+record: [sum, slow, crest.interval]
 recording: {flush_s: 0.2}
 nodes:
   board: {use: parts.Counting, samples: 1000000, realtime: true}
+  crest: {use: operators.threshold.Threshold, from: board, channel: wave, level: 0.5}
   sum: {use: parts.RunningSum, from: board}
   slow: {use: parts.RunningSum, from: board, worker: side}
   table: {use: devices.outlets.csv_file.CsvFile, from: sum, path: PATH}
@@ -88,6 +89,9 @@ def check_whole(folder: Path, config: Path) -> None:
         times, board = recording.read("board")
         sums = recording.read("sum")[1]
         assert (np.diff(times) > 0).all()
+        for name in recording.streams:
+            watermarks = [chunk.until for chunk in recording.chunks(name)]
+            assert watermarks == sorted(watermarks), f"{name}: recorded once more after the session was resumed"
         n = min(len(board), len(sums))
         assert n > 500
         finished = recording.finished

@@ -46,8 +46,8 @@ def test_a_packet_of_the_documentation() -> None:
     body = (
         bytes([0xA0, 5]) + bytes.fromhex("7fffff 800000 000001 ffffff 000000 123456 edcba9 00ff00") + bytes(6) + b"\xc0"
     )
-    frames = CytonDecoder().feed(body + b"\xa0")
-    assert frames.counter.tolist() == [5]
+    frames = CytonDecoder().feed(body + packet(6, np.zeros(8)))
+    assert frames.counter.tolist() == [5, 6]
     assert frames.counts[0].tolist() == [8388607, -8388608, 1, -1, 0, 0x123456, -0x123457, 0xFF00]
     assert uv_per_count(24) == pytest.approx(0.02235174, abs=1e-8)
     assert body == packet(5, frames.counts[0])
@@ -278,6 +278,36 @@ class Answers(CytonModel):
 
     def _obey(self, command: str) -> bytes:
         return self._words.get(command) or super()._obey(command)
+
+
+class Emulator(CytonModel):
+    """As BrainFlow's published emulator is: it knows v, b and s alone, and stops for good when it is stopped before it began."""
+
+    began = dead = False
+
+    def _obey(self, command: str) -> bytes:
+        self.began |= command == "b"
+        self.dead |= command == "s" and not self.began
+        answer = super()._obey(command) if command in "bs" and not self.dead else b""
+        return b"OpenBCI Emulator $$$" if command == "v" and not self.dead else answer
+
+
+def test_a_board_that_answers_nothing_but_the_reset_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("devices.cyton.ASIDE_S", 0.2)
+    with served(Emulator()) as server, reading(Cyton(server.address)) as feed:
+        wait_for(lambda: feed.count("emg") > 100 or feed.error is not None)
+    assert feed.error is None and feed.problems["no answer to 'd'"] == 1
+
+
+def test_settings_that_the_board_does_not_confirm_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("devices.cyton.ASIDE_S", 0.1)
+    monkeypatch.setattr("devices.cyton.ANSWER_S", 0.2)
+    source = replace(Cyton(""), settings=(ChannelSetting(1, gain=1),))
+    with served(Answers({"v": b"OpenBCI Emulator $$$"})) as server:
+        server.brain._set_channel = lambda command: b""  # type: ignore[attr-defined]
+        with reading(replace(source, port=server.address)) as feed:
+            wait_for(lambda: feed.error is not None)
+    assert "no answer within 0.2 s: expected an answer to 'x1" in str(feed.error)
 
 
 @pytest.mark.parametrize(

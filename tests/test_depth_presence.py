@@ -92,7 +92,7 @@ def test_a_heap_of_blankets_does_not_stay_in_bed_for_ever() -> None:
 
 
 def test_blocks_that_tremble_at_an_edge_neither_move_nor_breathe() -> None:
-    """A block of floor and bed: its mean hangs on which of its pixels are measured in a frame."""
+    """A block of floor and bed: its mean depends on which of its pixels are measured in a frame."""
     time, depth = bedroom(900, (200, 800))
     depth[:, 1:14, 6] = np.random.default_rng(9).normal(2320.0, 9.0, (len(time), 13))
     assert told(presence(time, depth)["out"], time) == [("out", 0), ("in", 200), ("out", 800), ("unknown", 900)]

@@ -117,3 +117,33 @@ def test_an_outage_longer_than_the_counters_range_is_counted_by_elapsed_time(out
         counter.lost_before(i, round(i * NS / 250))
     at = 20 + outage
     assert counter.lost_before(at % 256, round(at * NS / 250) + 30_000_000) == outage
+
+
+@pytest.mark.parametrize("wrong", [1005, 1200, 9003, 60003, 3, 999])
+@pytest.mark.parametrize("bits", [16, 32])
+def test_a_wrong_digit_in_a_counter_costs_what_it_hides_and_no_more(wrong: int, bits: int) -> None:
+    counter, given = Counter(bits, 200.0), [1000, 1001, 1002, wrong, *range(1004, 1100)]
+    lost = [counter.lost_before(c, round(i * NS / 200)) for i, c in enumerate(given)]
+    recorded, missing = sum(n >= 0 for n in lost), sum(n for n in lost if n > 0)
+    assert recorded + missing == len(given)
+    assert missing <= (1 if abs(wrong - 1003) > 30 else abs(wrong - 1003))
+    assert counter.value == 1099 - 1000
+
+
+@pytest.mark.parametrize("left_out", [100, 3000])
+def test_what_a_stall_left_out_is_counted_although_it_comes_late(left_out: int) -> None:
+    """All that was made during a stall comes at once, but what the device had no room for."""
+    counter, now = Counter(16, 200.0), 0
+    assert [counter.lost_before(i, i * NS // 200) for i in range(10)] == [0] * 10
+    now = (10 + left_out) * NS // 200
+    made = [*range(10, 20), *range(20 + left_out, 40 + left_out)]
+    lost = [counter.lost_before(i, now) for i in made]
+    recorded, missing = sum(n >= 0 for n in lost), sum(n for n in lost if n > 0)
+    assert recorded + missing == made[-1] - 9 and recorded >= len(made) - 1
+
+
+def test_a_device_that_begins_to_count_again_is_followed() -> None:
+    counter = Counter(16, 200.0)
+    given = [*range(300, 500), *range(200)]
+    lost = [counter.lost_before(c, i * NS // 200) for i, c in enumerate(given)]
+    assert lost[202:] == [0] * 198 and sum(n >= 0 for n in lost) >= len(given) - 2

@@ -44,8 +44,8 @@ def fitted(
     points: Samples, start: Mixture, turns: int, tolerance: float = 1e-6, most: int = 200
 ) -> tuple[Mixture, int]:
     made = tuple(part.copy() for part in start)
-    shares = np.zeros((len(points), len(start[0]), 2 * turns + 1))
-    steps, _ = fit(points, *made, turns, LEAST, tolerance, most, shares)
+    scratch = np.zeros((len(start[0]), 11 + 2 * turns))
+    steps, _, _ = fit(points, *made, turns, LEAST, tolerance, most, -np.inf, scratch)
     return made, steps  # type: ignore[return-value]
 
 

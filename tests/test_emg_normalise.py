@@ -10,7 +10,7 @@ from emg_run import contacts, drive, enveloped, stamps, treadmill
 from typer.testing import CliRunner
 
 from operators.emg.amplitude_reference import AmplitudeReference, CalibrationError
-from operators.emg.calibrate import calibrate, envelope_of
+from operators.emg.commands.calibrate import calibrate, envelope_of
 from operators.emg.envelope import Envelope
 from operators.emg.normalise import Normalise
 from operators.gait.cycles import Cycles
@@ -170,6 +170,9 @@ def test_what_is_no_reference_is_refused(tmp_path):
     with pytest.raises(CalibrationError, match="not JSON"):
         AmplitudeReference.read(path)
     path.write_text("[]")
+    with pytest.raises(CalibrationError, match="not an object"):
+        AmplitudeReference.read(path)
+    path.write_text("{}")
     with pytest.raises(CalibrationError, match="it must hold the format"):
         AmplitudeReference.read(path)
     good = AmplitudeReference("mvc", {"mvc": [1.0, 2.0]}, ["TA", "SO"], "uV", {})

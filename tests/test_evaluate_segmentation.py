@@ -2,20 +2,22 @@
 
 import csv
 import os
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
-from operators.segmentation.found import Found, merged, read_found, second_steps
-from operators.segmentation.picture import distances
-from operators.segmentation.scores import boundary_f1, covering, intervals, score
-from operators.segmentation.truth import Truth, read_truth
+from operators.segmentation.evaluation.found import ACTIVITY, Found, _events, merged, read_found, second_steps
+from operators.segmentation.evaluation.picture import NEAREST, _matrix, distances
+from operators.segmentation.evaluation.scores import boundary_f1, covering, intervals, score
+from operators.segmentation.evaluation.truth import Truth, read_truth
 from stream import cli
 from stream.chunk import NS, StreamSpec
 from stream.errors import KinegraphError
 from stream.operator import grid
+from stream.recording import Recording
 from stream.recording.series import Series, write_recording
 
 DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
@@ -80,6 +82,14 @@ def test_transitions_count_in_their_middle_on_both_sides():
     assert made.boundaries().tolist() == [11.0, 20.0]
 
 
+@pytest.mark.parametrize(("rest_s", "expected"), [(3.0, [11.5]), (6.0, [10.0, 16.0])])
+def test_a_rest_between_activities_counts_as_annotated_ones_do(rest_s, expected):
+    made = found([0, 10, 20])
+    made.activities[1] = 10.0 + rest_s, 20.0 + rest_s
+    known = truth([(0, 10, "walk", 8), (10 + rest_s, 20 + rest_s, "run", 9)])
+    assert made.boundaries().tolist() == known.boundaries().tolist() == expected
+
+
 def test_repetitions_overlap_and_key_points():
     known = truth([(0, 8, "walk", 4), (10, 16, "hop", 5)], keys=[1.1, 2.9, 5.1, 6.9])
     made = found(
@@ -104,6 +114,23 @@ def test_clusters_take_the_number_they_were_merged_into():
 def test_distances_are_numpys():
     x = np.random.default_rng(0).normal(size=(30, 4)).astype(np.float32)
     np.testing.assert_allclose(distances(x), np.linalg.norm(x[:, None] - x[None], axis=2), atol=2e-3)
+
+
+@pytest.mark.parametrize("radius", [0.9, 0.0])
+def test_the_pictures_matrix_is_dark_where_frames_are_near(radius):
+    """Every pixel is read off the two frames' distance; where no radius is known it is the one that NEAREST of all pairs lie within."""
+    x = np.random.default_rng(2).normal(size=(25, 3))
+    made = found([0, 24])
+    made.features, made.time, axes = x, np.arange(25.0), Figure().subplots()
+    _matrix(axes, made, radius, 24.0)
+    pairs = [float(np.linalg.norm(a - b)) for i, a in enumerate(x) for b in x[i + 1 :]]
+    near = radius or float(np.quantile(pairs, NEAREST))
+    image = np.ma.filled(axes.images[0].get_array(), np.nan)
+    for i, j in product(range(25), range(25)):
+        shade = float(np.linalg.norm(x[i] - x[j])) / near
+        expected = 1.0 - 0.85 * shade if shade <= 1.0 else np.nan
+        assert image[i, j] == pytest.approx(expected, abs=3e-3, nan_ok=True)
+    assert axes.images[0].get_extent() == [0.0, 24.0, 24.0, 0.0]
 
 
 def recording(path):
@@ -159,6 +186,27 @@ def test_a_recording_is_read_in_seconds_from_its_start(tmp_path):
     assert made.features.shape == (300, 2) and made.radius == pytest.approx(0.2 * np.sqrt(2))
     with pytest.raises(KinegraphError, match="did you mean 'segment'"):
         read_found(tmp_path / "walk.mcap", node="segmnt")
+
+
+@pytest.mark.parametrize("second", ["other.activity", "other"])
+def test_of_two_segmentations_the_one_that_is_named_is_read(tmp_path, second):
+    """A stream is a node's under its name and output, or under the node's name alone."""
+    one, two = (np.zeros(1, [(f, "<i8") for f in ("onset", "end", "activity", "repeats")]) for _ in range(2))
+    one["end"], two["end"] = 5 * NS, 7 * NS
+    spec = StreamSpec((), one.dtype)
+    path = tmp_path / "two"
+    write_recording(
+        path,
+        [Series("segment.activity", spec, np.array([8 * NS]), one), Series(second, spec, np.array([8 * NS]), two)],
+        {},
+    )
+    with Recording.open(path) as opened:
+        assert (
+            _events(opened, ACTIVITY, "segment")["end"] == 5 * NS
+            and _events(opened, ACTIVITY, "other")["end"] == 7 * NS
+        )
+        with pytest.raises(KinegraphError, match="choose one with --node"):
+            _events(opened, ACTIVITY, "")
 
 
 def test_the_command_writes_table_and_pictures(tmp_path, capsys):

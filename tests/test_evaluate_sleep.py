@@ -10,11 +10,11 @@ import edfio
 import numpy as np
 import pytest
 
-from operators.sleep.agreement import Confusion, limits
-from operators.sleep.evaluate import sleep
-from operators.sleep.evaluation import agreement, pair, total
-from operators.sleep.pictures import draw
-from operators.sleep.reference import Hypnogram, read_hypnogram, stage
+from operators.sleep.evaluation.agreement import Confusion, limits
+from operators.sleep.evaluation.command import _rows, sleep
+from operators.sleep.evaluation.comparison import agreement, pair, total
+from operators.sleep.evaluation.pictures import draw
+from operators.sleep.evaluation.reference import Hypnogram, read_hypnogram, stage
 from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE
 from stream.chunk import NS, Array
 from stream.errors import KinegraphError
@@ -229,3 +229,12 @@ def test_the_picture_shows_every_night() -> None:
     truth = np.repeat(np.array([WAKE, SLEEP, WAKE], np.int8), [20, 400, 20])
     pairs = [pair(f"n{k}", f"p{k % 2}", hypnogram(np.roll(truth, k)), hypnogram(truth)) for k in range(4)]
     assert len(draw(pairs).axes) == 3 + 4 and total(pairs).epochs == 4 * 440
+
+
+def test_a_table_of_nights_names_who_slept_where_it_is_known(tmp_path: Path) -> None:
+    table = tmp_path / "nights.csv"
+    table.write_text("estimate,reference,person,offset_s\na.csv,b.csv,Kim,\nc.csv,d.csv,,-2.5\n")
+    assert _rows(table) == [
+        (tmp_path / "a.csv", tmp_path / "b.csv", "Kim", 0.0),
+        (tmp_path / "c.csv", tmp_path / "d.csv", "", -2.5),
+    ]

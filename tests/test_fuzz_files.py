@@ -13,8 +13,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import edfio
+import lab_replicas
 import numpy as np
 import pytest
+import scipy.io
 
 from stream.errors import KinegraphError
 from tests.mutants import mutant
@@ -96,13 +98,13 @@ def importing(*options: str) -> Reader:
 
 
 def hypnogram(path: Path) -> None:
-    from operators.sleep.reference import read_hypnogram
+    from operators.sleep.evaluation.reference import read_hypnogram
 
     read_hypnogram(path)
 
 
 def truth(path: Path) -> None:
-    from operators.segmentation.truth import read_truth
+    from operators.segmentation.evaluation.truth import read_truth
 
     read_truth(path)
 
@@ -190,10 +192,15 @@ def seeds(folder: Path, made: Path) -> dict[str, tuple[bytes, Reader]]:
         "checkpoint.bin": ((folder / NAME).read_bytes(), checkpoint),
         "epochs.csv": (EPOCHS.encode(), night),
     }
+    found |= {f"lab-{name}": (text.encode(), importing()) for name, text in lab_replicas.TEXTS.items()}
+    scipy.io.savemat(folder / "x.mat", lab_replicas.matlab_arrays())
+    found["lab.mat"] = ((folder / "x.mat").read_bytes(), importing())
     data = Path(os.environ.get("KINEGRAPH_DATA", "/nonexistent"))
-    real = [data / "files" / "c3d" / f"{name}.c3d" for name in ("pc_int", "dec_real", "gait_bmc")]
+    real = [data / "files" / "c3d" / f"{name}.c3d" for name in ("pc_int", "dec_real", "gait_bmc", "sgi_int")]
     found |= {path.name: (path.read_bytes(), importing()) for path in real if path.is_file()}
     notes = [edfio.EdfAnnotation(30 * k, 30, f"Sleep stage {'WN'[k % 2]}{k % 2 or ''}") for k in range(20)]
+    edfio.Edf([edfio.EdfSignal(np.arange(300.0), 100)], recording=RECORDED).write(folder / "y.edf")
+    found["lab.edf"] = ((folder / "y.edf").read_bytes(), importing())
     edfio.Edf([edfio.EdfSignal(np.zeros(600), 1)], annotations=notes, recording=RECORDED).write(folder / "x.edf")
     found["hypnogram.edf"] = ((folder / "x.edf").read_bytes(), hypnogram)
     return found
@@ -218,7 +225,9 @@ def importing_skeleton(path: Path) -> None:
 NAMES = (
     *("walk.bvh", "walk.amc", "walk.asf", "kinect.csv", "named.csv", "emg.csv", "x.npz", "y.npz", "x.xdf", "x.mcap"),
     *("hypnogram.csv", "truth.csv", "truth.npz", "checkpoint.bin", "epochs.csv", "hypnogram.edf"),
-    *("pc_int.c3d", "dec_real.c3d", "gait_bmc.c3d"),
+    *("pc_int.c3d", "dec_real.c3d", "gait_bmc.c3d", "sgi_int.c3d"),
+    *(f"lab-{name}" for name in lab_replicas.TEXTS),
+    *("lab.mat", "lab.edf"),
 )
 
 
@@ -240,7 +249,8 @@ def test_damaged_files_are_told_by_name(valid: dict[str, tuple[bytes, Reader]], 
     read(path)
     seed = f"{name} {datetime.date.today() if SECONDS else ''}"
     chance, end, tried = random.Random(seed), time.monotonic() + SECONDS, 0
-    while tried < MUTANTS or time.monotonic() < end:
+    most = MUTANTS // 5 if name.startswith("lab") else MUTANTS
+    while tried < most or time.monotonic() < end:
         data = mutant(whole, chance)
         path.write_bytes(data)
         begun = time.monotonic()

@@ -29,7 +29,7 @@ HERE = Path(__file__).parent
 CONFIGS = HERE.parent / "configs"
 GOLDEN = HERE / "golden"
 START = 1_700_000_000 * NS
-"""The first sample's stamp: a resampled stream's grid hangs on it."""
+"""The first sample's stamp: a resampled stream's grid depends on it."""
 SECONDS = 18
 
 Row = tuple[str, str, str, float]

@@ -1,4 +1,4 @@
-"""From YAML to a checked graph: what a good one becomes, and what each bad one is told, with its line."""
+"""From YAML to a checked graph: what a good one becomes, and what is said of each bad one, with its line."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ def test_a_sender_that_is_killed_and_started_again_is_found_and_the_loss_marked(
         before = feed.count("out")
         with process(**settings):
             wait_for(lambda: feed.count("out") > before + 500)
-    assert feed.error is None and feed.problems == {"connected anew": 1, "gap": 1}
+    assert feed.error is None and feed.problems == {"reconnected": 1, "gap": 1}
     check(source, feed)
     number = assert_exact(feed, SENDER)
     leap = int(np.flatnonzero(np.diff(number) != 1)[0]) + 1

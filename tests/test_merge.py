@@ -101,7 +101,7 @@ def test_until_is_true_of_all_ports_and_never_falls(data: st.DataObject, in_turn
     for port, chunk in data.draw(deliveries(samples)):
         for name, piece in merge.push(port, chunk):
             assert all(t > max(told.values()) for t in piece.time), (
-                "a sample came at or before what had been told complete"
+                "a sample came at or before what had been promised complete"
             )
             assert piece.until >= told[name]
             told[name] = piece.until

@@ -64,15 +64,17 @@ DEVICES = {
     ),
     "mti": Device("use: devices.mti.Mti, port: ''", ALL),
     "mti_usb": Device("use: devices.mti.Mti, port: 'usb://2639'", ALL),
-    # a duplicate breaks the sequence of four bits, which is all that tells frames; a counter that begins anew looks like a loss
+    # a duplicate breaks the sequence of four bits, which is all that tells frames; a counter that starts again looks like a loss.
+    # Where no counter or time tells how much is lost, two fifths of a start's samples may be, which is no reason to end this session
     "bitalino": Device(
-        "use: devices.bitalino.Bitalino, port: '', rate_hz: 100, channels: [{input: A1}, {input: A2}]",
+        "use: devices.bitalino.Bitalino, port: '', rate_hz: 100, rate_mismatch: warn, channels: [{input: A1}, {input: A2}]",
         {"lose": LOST, "corrupt": BROKEN},
     ),
     "shimmer": Device("use: devices.shimmer.Shimmer, port: '', rate_hz: 204.8", ALL),
     # nothing in its samples tells what is missing or there twice, but the time that they take
     "trigno": Device(
-        "use: devices.trigno.Trigno, port: 'tcp://', sensors: [{sensor: 1}, {sensor: 2}]", {"corrupt": BROKEN}
+        "use: devices.trigno.Trigno, port: 'tcp://', rate_mismatch: warn, sensors: [{sensor: 1}, {sensor: 2}]",
+        {"corrupt": BROKEN},
     ),
     # its reports have no checksum: of damage only what changes the id shows
     "dualsense": Device(
@@ -173,7 +175,7 @@ def missing(table: Table) -> list[str]:
         facts = row(table, name)
         problems = facts.get("problems", {})
         found += [f"{name}: {kind}" for kind, shown in device.shows.items() if not any(problems.get(k) for k in shown)]
-        if facts.get("openings", 0) < 2 and not problems.get("connected anew") and not problems.get("connection lost"):
+        if facts.get("openings", 0) < 2 and not problems.get("reconnected") and not problems.get("connection lost"):
             found.append(f"{name}: unplug")
     return found
 

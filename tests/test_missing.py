@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from test_recording import START, killed, record, session
 
 from stream.recording import Recording
 from stream.recording.checkpoint import Checkpoint
+from stream.recording.missing import Missing
 from stream.recording.records import RecordFile
 from tests.command_line import Command, refused
 
@@ -27,12 +29,14 @@ INCOMPLETE = 6
 
 @pytest.fixture
 def cut(kinegraph: Command, tmp_path: Path) -> Path:
-    """A recording of a graph, and of it a copy that ends in the middle of a record."""
+    """A recording of a graph, and of it a copy that ends in the middle of a record, in which the session was further on than before."""
     (tmp_path / "graph.yaml").write_text(GRAPH)
     assert kinegraph("run", "graph.yaml", "-o", "s", "--view", "none")[0] == 0
     whole = tmp_path / "s" / "session.0000.mcap"
     file = RecordFile(whole)
-    torn = file.chunks[len(file.chunks) // 2]
+    spans = [struct.unpack("<QQ", file.content(record)[:16]) for record in file.chunks]
+    later = [at for at in range(1, len(spans)) if spans[at][1] > max(end for _, end in spans[:at])]
+    torn = file.chunks[later[len(later) // 2]]
     file.close()
     path = tmp_path / "cut.mcap"
     path.write_bytes(whole.read_bytes()[: torn.offset + torn.length // 2])
@@ -103,6 +107,49 @@ def test_a_last_file_into_which_nothing_was_written_is_no_end(tmp_path: Path) ->
         assert not recording.finished and recording.missing
 
 
+BEGUN = [0, 3, 8, 20]
+"""How many bytes of a file had been written when the session was killed; its header has more."""
+
+
+@pytest.mark.parametrize("held", BEGUN)
+def test_a_file_that_was_only_begun_does_not_cost_those_around_it(
+    held: int, kinegraph: Command, tmp_path: Path
+) -> None:
+    """Resumed while the disk is full, killed, and resumed again."""
+    made = killed(tmp_path / "s")
+    begun = tmp_path / "s" / "session.0001.mcap"
+    begun.write_bytes((tmp_path / "s" / "session.0000.mcap").read_bytes()[:held])
+    with Recording.open(tmp_path / "s") as recording:
+        assert recording.missing and not recording.finished
+        ends = {name: stream.end for name, stream in recording.streams.items()}
+    resume(tmp_path / "s", ends, len(made))
+    with Recording.open(tmp_path / "s") as recording:
+        assert [part.file.path.name for part in recording.parts] == ["session.0000.mcap", "session.0002.mcap"]
+        assert recording.finished and recording.missing is None
+        assert recording.streams["board.emg"].end == ends["board.emg"] + 1
+    assert kinegraph("recover", tmp_path / "s")[0] == 0
+    assert kinegraph("info", tmp_path / "s")[0] == 0
+
+
+@pytest.mark.parametrize("held", BEGUN)
+def test_a_first_file_that_was_only_begun_does_not_cost_the_next(held: int, tmp_path: Path) -> None:
+    record(tmp_path / "s", session()).close()
+    first = tmp_path / "s" / "session.0000.mcap"
+    first.rename(tmp_path / "s" / "session.0001.mcap")
+    first.write_bytes((tmp_path / "s" / "session.0001.mcap").read_bytes()[:held])
+    with Recording.open(tmp_path / "s") as recording:
+        assert recording.finished and recording.streams["board.emg"].samples
+
+
+@pytest.mark.parametrize("held", BEGUN)
+def test_nothing_but_files_that_were_begun_is_said(held: int, kinegraph: Command, tmp_path: Path) -> None:
+    killed(tmp_path / "s")
+    first = tmp_path / "s" / "session.0000.mcap"
+    first.write_bytes(first.read_bytes()[:held])
+    (tmp_path / "s" / "session.0001.mcap").touch()
+    refused(kinegraph("info", tmp_path / "s"), "nothing")
+
+
 def resume(folder: Path, ends: dict[str, int], sequence: int) -> None:
     """A further part, which goes on where the first one ends, as a resumed session writes it."""
     from test_recording import SPECS
@@ -116,3 +163,20 @@ def resume(folder: Path, ends: dict[str, int], sequence: int) -> None:
         later = START + 60_000_000_000
         chunk = Chunk(np.array([later]), np.ones((1, 3), np.float32), later, -1)
         recorder.write(numbers["board.emg"], chunk, later, sequence)
+
+
+@pytest.mark.parametrize(
+    ("missing", "words"),
+    [
+        (Missing(), "what was recorded after the last whole record, if anything"),
+        (
+            Missing(bytes=12),
+            "what was recorded after the last whole record, if anything (12 bytes at its end are no whole record)",
+        ),
+        (Missing(seconds=2.04), "at least 2.0 s"),
+        (Missing(bytes=3, samples=7), "7 samples between its files (3 bytes at its end are no whole record)"),
+        (Missing(0, 1.5, 7), "at least 1.5 s, 7 samples between its files"),
+    ],
+)
+def test_what_is_missing_is_said_as_far_as_it_is_known(missing: Missing, words: str) -> None:
+    assert missing.words == words

@@ -16,6 +16,7 @@ from devices.files.kinematics import in_turn, place
 from operators.features.skeleton import SETS, find_joints
 from stream import cli
 from stream.errors import RecordingError
+from stream.joint_tree import JointTree, joints_of
 from stream.recording import Recording
 
 DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
@@ -116,7 +117,7 @@ def kinegraph(*arguments):
 
 
 def test_bvh_against_rotations_of_scipy(tmp_path):
-    joints, angles = read_bvh(written(tmp_path, "walk.bvh", BVH), "cm")
+    joints, angles, *_ = read_bvh(written(tmp_path, "walk.bvh", BVH), "cm")
     assert (joints.name, angles.name) == ("walk", "walk.angles")
     assert joints.spec.channels == ("Hips", "Chest", "Chest_end") and joints.spec.rate_hz == 120.0
     assert np.allclose(joints.data[0], [[0, 0, 0], [0, 10, 0], [1, 15, 2]])
@@ -171,7 +172,10 @@ def test_a_joint_of_a_bvh_file_may_end_several_limbs_and_channels_may_be_in_capi
 
 @needs_data
 def test_the_real_bvh_has_bones_of_constant_length_and_all_joints_of_a_pose():
-    joints, angles = read_bvh(DATA / "steering" / "cmu_131_01_scaled.bvh", "m")
+    joints, angles, poses = read_bvh(DATA / "steering" / "cmu_131_01_scaled.bvh", "m")
+    tree = JointTree.of(poses.spec)
+    numbers = [joints.spec.channels.index(name) for name in tree.joints]
+    assert np.allclose(joints_of(tree, poses.data)[1], joints.data[:, numbers], atol=1e-6)
     names = joints.spec.channels
     assert joints.data.shape == (995, 38, 3) and angles.data.shape == (995, 96) and joints.spec.rate_hz == 120.0
     shank = np.linalg.norm(joints.data[:, names.index("LeftAnkle")] - joints.data[:, names.index("LeftKnee")], axis=1)
@@ -429,7 +433,7 @@ def test_the_command_makes_one_recording_of_all_kinds(tmp_path):
     kinegraph("import", *files, "--kinect", "--unit", "walk=m", "--meta", "k:person=S1", "-o", tmp_path / "all.mcap")
     with Recording.open(tmp_path / "all.mcap") as recording:
         specs = {name: stream.spec for name, stream in recording.streams.items()}
-    assert list(specs) == ["walk", "walk.angles", "a_01", "a_01.angles", "k"]
+    assert list(specs) == ["walk", "walk.angles", "walk.pose", "a_01", "a_01.angles", "k"]
     assert specs["walk"].units == ("m",) and specs["a_01"].rate_hz == 120.0 and specs["k"].meta == {"person": "S1"}
     with pytest.raises(RecordingError, match="read with its skeleton"):
         cli.call("import", [str(files[2]), "-o", str(tmp_path / "other.mcap")])

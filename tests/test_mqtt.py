@@ -23,7 +23,7 @@ from devices.mqtt.link import FIRST_PAUSE_S, Broker
 from devices.outlets.mqtt import MqttOutlet
 from devices.outlets.mqtt.discovery import Device, Entity
 from devices.outlets.mqtt.outbox import MOST_LETTERS, Outbox, OutboxState
-from devices.outlets.mqtt.outlet import History
+from devices.outlets.mqtt.outlet import SentEvents
 from stream.chunk import FOREVER, NS, Chunk, StreamSpec, empty, utc
 from stream.errors import KinegraphError, ParameterError
 from stream.recording import Recording
@@ -47,7 +47,7 @@ def outlet(port: int | Broker, ledger: Path | None = None, **more: Any) -> MqttO
     given = {"entities": ENTITIES, "device": Device("bed", "Bed", "simulated", "Bedroom"), **more}
     made = MqttOutlet(
         broker=Broker("127.0.0.1", port) if isinstance(port, int) else port,
-        history=(History("scorer", {"final": True}),),
+        history=(SentEvents("scorer", {"final": True}),),
         ledger=str(ledger or ""),
         **given,
     )
@@ -76,14 +76,14 @@ def told(client: Listener) -> list[int]:
 
 def vanish(made: MqttOutlet) -> None:
     """As a killed process does: the socket closes, and nobody says good-bye."""
-    link = made.desk.link
+    link = made.runtime.link
     assert link and link._client
     link._stopping.set()
     sock = link._client.socket()
     assert sock
     sock.shutdown(2)
     link._thread.join(10)
-    made.desk.link = None
+    made.runtime.link = None
 
 
 def test_states_discovery_and_availability(tmp_path: Path) -> None:
@@ -190,7 +190,7 @@ def test_a_new_session_owes_nothing_to_the_former_ones(tmp_path: Path) -> None:
         for _ in range(2):
             with running(outlet(mosquitto.port, tmp_path / "sent.json")) as made:
                 made.process("scorer", epochs(0, 1))
-                eventually(lambda made=made: bool(made.desk.outbox and made.desk.outbox.empty))
+                eventually(lambda made=made: bool(made.runtime.outbox and made.runtime.outbox.empty))
         client.wait(lambda: told(client) == [0, 1, 0, 1])
 
 
@@ -281,7 +281,7 @@ def test_a_broker_that_refuses_the_password_is_tried_ever_less_often_and_told_of
     mosquitto = Mosquitto(tmp_path, password="secret").start()
     try:
         with capture_logs() as logs, running(outlet(Broker("127.0.0.1", mosquitto.port, "me", str(file)))) as made:
-            link = made.desk.link
+            link = made.runtime.link
             assert link
             eventually(lambda: link.failures >= 3)
             assert link.pause_s > FIRST_PAUSE_S
@@ -301,7 +301,7 @@ def test_what_waits_at_the_end_is_sent_if_the_broker_is_back(tmp_path: Path) -> 
     mosquitto = Mosquitto(tmp_path, free_port())
     made = outlet(mosquitto.port)
     made.begin()
-    link = made.desk.link
+    link = made.runtime.link
     assert link
     made.process("scorer", epochs(*range(100)))
     eventually(lambda: link.failures > 0)
@@ -330,7 +330,7 @@ def test_the_end_of_a_stream_is_no_life(tmp_path: Path) -> None:
     made = outlet(free_port())
     with running(made):
         made.process("motion", Chunk(np.array([START]), np.array([[1.0, 2.0]]), FOREVER))
-        assert made.desk.told["camera"][0] == "OFF"
+        assert made.runtime.told["camera"][0] == "OFF"
 
 
 def test_a_broker_that_never_answers_holds_nobody_up() -> None:
@@ -341,7 +341,7 @@ def test_a_broker_that_never_answers_holds_nobody_up() -> None:
         with running(made):
             for k in range(500):
                 made.process("scorer", epochs(k))
-            assert made.desk.outbox and not made.desk.outbox.empty
+            assert made.runtime.outbox and not made.runtime.outbox.empty
             assert len(json.loads("[" + ",".join(OutboxState(**_texts(made)).letters.splitlines()) + "]")) == 500
 
 

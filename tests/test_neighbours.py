@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from types import ModuleType
 
 import numpy as np
 import pytest
 
-from operators.neighbours import Index, Neighbours, layout
+from operators.neighbours import Index, Neighbours, bare, layout
 from operators.neighbours.candidates import radius_squared
 from operators.neighbours.index import NeighbourError
-from operators.neighbours.layout import SEAL, SEAL_FROM
+from operators.neighbours.layout import SEAL_FROM
+from stream import fingerprint as fingerprint_module
 from stream.chunk import Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.operator import grid
@@ -95,7 +97,7 @@ def test_sealed_blocks_against_plain_loops(stream):
     seals = set()
     for number in range(window - 1200, len(x)):
         index.insert(x[number])
-        seals.add(int(index.state.books[SEAL]))
+        seals.add(int(index.state.head["sealing"]))
         plain.first = max(0, number - window + 1)
         plain.rows = rows[plain.first : number + 1]
         if (number % 1024 > 900 or number % 1024 < 60 or number % 23 == 0) and np.isfinite(x[number]).all():
@@ -228,7 +230,7 @@ def test_radius_both_ways(stream, both):
 
 @pytest.mark.usefixtures("path")
 def test_the_boundary_of_a_radius_is_the_reported_distance():
-    """Whoever is told at distance d is within d, and not within the next smaller float32."""
+    """Whoever is reported at distance d is within d, and not within the next smaller float32."""
     x = motion(400, 5)
     index = Index(5, 400, 30)
     index.follow(x, 30)
@@ -376,3 +378,12 @@ def test_operator_says_what_it_cannot_take():
         Neighbours().open({"in": StreamSpec((3,))})
     with pytest.raises(InputError, match="a signal of 3 numbers"):
         Neighbours().open({"in": StreamSpec((3,), rate_hz=30.0), "weights": StreamSpec((2,))})
+
+
+@pytest.mark.parametrize("module", [bare, layout])
+def test_a_kernel_is_not_used_once_the_layout_has_changed(module: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kernels that take an index are kept by its type's name, which changes with the files that say where its arrays are."""
+    now = fingerprint_module._hash_of
+    assert bare._bare.name == f"BareIndex_{fingerprint_module.fingerprint(bare._get)}"
+    monkeypatch.setattr(fingerprint_module, "_hash_of", lambda path: "edited" if path == module.__file__ else now(path))
+    assert bare._bare.name != f"BareIndex_{fingerprint_module.fingerprint(bare._get)}"

@@ -1,4 +1,4 @@
-"""The night in which the clocks change: one rule for every time that is told of it, the clock that the night began with."""
+"""The night in which the clocks change: one rule for every time that is given of it, the clock that the night began with."""
 
 from __future__ import annotations
 

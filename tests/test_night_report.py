@@ -24,7 +24,7 @@ from stream.errors import DeviceError
 
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Night]:
-    """A whole night with its report: (folder of the night, what was told)."""
+    """A whole night with its report: (folder of the night, what was reported)."""
     root = tmp_path_factory.mktemp("nights")
     night = night_made.whole(root)
     (folder,) = (path for path, _ in archive.nights(root))
@@ -107,7 +107,7 @@ def test_edf_opens_in_other_programs(drawn: tuple[Path, Night]) -> None:
 
 
 def test_our_own_evaluation_reads_the_log_and_the_edf(drawn: tuple[Path, Night]) -> None:
-    from operators.sleep.reference import read_hypnogram
+    from operators.sleep.evaluation.reference import read_hypnogram
 
     folder, _ = drawn
     of_csv, of_edf = read_hypnogram(folder / "epochs.csv"), read_hypnogram(folder / "hypnogram.edf")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from stream.complete import complete, private_folder, write_complete
+from stream.complete import be_private, complete, private_folder, write_complete
 from tests.command_line import KINEGRAPH, QUIET
 
 
@@ -36,6 +36,13 @@ def test_everything_that_commands_write_is_private(tmp_path: Path, made: Path) -
     assert len([path for path in found if path.is_file()]) >= 6
     open_ones = {str(p): oct(mode(p)) for p in found if mode(p) & 0o077}
     assert not open_ones
+
+
+@pytest.mark.parametrize("mask", [0o000, 0o022, 0o077, 0o177])
+def test_a_private_process_leaves_nothing_to_others(mask: int) -> None:
+    before = os.umask(mask)
+    be_private()
+    assert os.umask(before) == mask | 0o077
 
 
 def test_a_file_is_whole_or_as_it_was(tmp_path: Path) -> None:

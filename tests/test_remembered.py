@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators import remembered as module
-from operators.remembered import remembered
+from stream import remembered as module
 from stream.chunk import Samples
+from stream.remembered import remembered
 
 
 @pytest.fixture

@@ -158,7 +158,7 @@ def test_a_session_leaves_a_page_and_a_table(tmp_path: Path) -> None:
     outlet.begin()
     walk.feed(outlet, 0, 9, tuple(SPECS))
     outlet.close()
-    assert sorted(p.name for p in (tmp_path / "deep").iterdir()) == ["s.csv", "s.html"]
+    assert sorted(p.name for p in (tmp_path / "deep").iterdir()) == ["s-curves.csv", "s.csv", "s.html"]
     page = (tmp_path / "deep" / "s.html").read_text()
     assert "K-017" in page and "Interim report" not in page and "s.csv" in page and page.count("<svg") == 3
     rows = table(tmp_path / "deep" / "s.csv")
@@ -208,7 +208,7 @@ def test_resumed_at_any_place_the_files_are_the_same(tmp_path: Path) -> None:
     walk.feed(first, 0, 5, tuple(SPECS))
     checkpoint = first.snapshot()
     walk.feed(first, 5, 8, tuple(SPECS))
-    first.desk.claim.release()  # type: ignore[union-attr]  # as when the process dies
+    first.runtime.claim.release()  # type: ignore[union-attr]  # as when the process dies
     again = opened(tmp_path / "s.html")
     again.restore(checkpoint)
     again.begin()

@@ -119,7 +119,7 @@ def test_the_page_says_what_a_reader_needs() -> None:
         "operators.emg.Envelope cutoff_hz: 10 212",
         "All 2 channels are good.",
         "cycles.csv",
-        "Amplitudes are not normalised. They hang on electrodes",
+        "Amplitudes are not normalised. They depend on electrodes",
     ):
         assert told in text, told
     assert "Interim" not in text and "uncertain" not in text

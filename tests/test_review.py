@@ -64,7 +64,7 @@ def reviewed(seconds: int = 60, fault: Fault | None = None, said: Any = (), **gi
 
 
 def last_of(rows: Any) -> dict[int, Any]:
-    """By number, what was told last."""
+    """By number, what was reported last."""
     return {int(row["number"]): row for row in rows}
 
 

@@ -33,6 +33,7 @@ FIELDS = {
     "count": ("activity", "count"),
     "merge": ("cluster", "into"),
     "rest": ("onset", "end"),
+    "resting": ("onset",),
     "provisional": ("onset", "end", "activity", "repetition"),
     "radius": (),
 }
@@ -82,7 +83,8 @@ def frames_of(operator: Segment) -> dict[str, int]:
         "MASS": operator.mass_s, "SETTLE": operator.settle_s, "FIRM": operator.firm_s, "BAND_LEAST": operator.band_s[0],
         "BAND_MOST": operator.band_s[1], "EVERY": 0.5, "REST": operator.rest_s,
     }  # fmt: skip
-    return {name: round(value * RATE) for name, value in seconds.items()}
+    frames = {name: round(value * RATE) for name, value in seconds.items()}
+    return frames | {"FIRM": max(frames["FIRM"], 2 * frames["LAG"])}
 
 
 def told(reference: list[Event]) -> dict[str, list[Event]]:
@@ -547,7 +549,7 @@ def test_stillness_before_the_motion_does_not_change_what_is_found(still_s: int)
     assert (events["primitive"]["repetition"] > 0).sum() == 9
 
 
-@pytest.mark.parametrize("cycle_s", [4.0, 7.0])
+@pytest.mark.parametrize("cycle_s", [4.0, 7.0, 10.0])
 @pytest.mark.parametrize("seed", range(4))
 def test_slow_cycles_up_to_the_longest_are_counted_though_their_tempo_changes(seed: int, cycle_s: float) -> None:
     rng = np.random.default_rng(seed)
@@ -556,7 +558,7 @@ def test_slow_cycles_up_to_the_longest_are_counted_though_their_tempo_changes(se
         turn = np.linspace(0.0, 2 * np.pi, round(RATE * cycle_s * rng.uniform(0.85, 1.15)), endpoint=False)
         made.append(np.stack([1 - np.cos(turn), np.sin(turn), 1 - np.cos(2 * turn), 0.5 * np.sin(2 * turn)], 1) @ mix)
     x = 10.0 * np.concatenate([*made, made[0]])
-    events, _ = played(Segment(), stacked(x + 0.3 * rng.normal(size=x.shape)))
+    events, _ = played(Segment(cycle_s=max(7.0, cycle_s)), stacked(x + 0.3 * rng.normal(size=x.shape)))
     assert (events["primitive"]["repetition"] > 0).sum() == 8
 
 

@@ -25,6 +25,7 @@ from devices.simulators.serve import Server
 from devices.transport.transport import connect
 from stream.errors import DeviceError, KinegraphError
 from tests.device_feed import reading, wait_for
+from tests.pose_model import pose_network_or_skip
 
 HOUSE = Path(__file__).resolve().parent.parent
 CONFIGS = HOUSE / "configs"
@@ -272,6 +273,8 @@ IDENTIFIED = {
     "trigno_emg": "device trigno: Delsys Trigno, port ",
     "lsl_emg": "LSL stream, name ",
     "depth_view": "device camera: OAK",
+    "body_markers": "device camera: OAK",
+    "avatar": "device camera: OAK",
     "dualsense": "device controller: USB device, usb 054c:0ce6",
 }
 """What `kinegraph info` says of the device, by the configuration that it was recorded with."""
@@ -282,6 +285,10 @@ def test_a_config_runs_without_hardware(config: Path, tmp_path: Path) -> None:
     """Through the real transport; every source's first output has brought samples, and nothing was lost."""
     if "devices.oak" in config.read_text(encoding="utf-8") and find_spec("depthai") is None:
         pytest.skip("depthai is not installed (pip install 'kinegraph[oak]')")
+    if "pose_network" in config.read_text(encoding="utf-8") and "needed: false" not in config.read_text(
+        encoding="utf-8"
+    ):
+        pose_network_or_skip()
     out = tmp_path / "session"
     keep = ("--set", "recording.rolling=false")
     done = kinegraph("run", str(config), "--simulate", "--for", "3", "-o", str(out), "--view", "none", *keep)

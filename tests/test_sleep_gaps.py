@@ -84,3 +84,9 @@ def test_lights_that_never_came_on_again_are_told_of_too() -> None:
     with capture_logs() as said:
         assert numbers([epochs(0, 40)], [(1, False)]) == []
     assert any("longer than longest_h" in entry["event"] for entry in said)
+
+
+@pytest.mark.parametrize(("seconds", "rows"), [(20, 0), (59, 0), (60, 1), (600, 1)])
+def test_lights_that_are_off_for_less_than_an_epoch_are_no_night(seconds: float, rows: int) -> None:
+    made = numbers([epochs(0, 12)], [(1, False), (1 + seconds / 3600, True), (3, False), (11, True)])
+    assert len(made) == rows + 1 and made[-1] == (3, 11, 480, 480, 0)

@@ -36,7 +36,7 @@ def test_actiware_labels_every_epoch() -> None:
 
 @needs_data
 def test_how_many_provisional_scores_change() -> None:
-    """5.1 % (Cole-Kripke) and 1.5 % (Oakley) without look-ahead, and each epoch is told twice, provisional first."""
+    """5.1 % (Cole-Kripke) and 1.5 % (Oakley) without look-ahead, and each epoch is reported twice, provisional first."""
     for file, column, epoch_s, device, method, share in (
         ("gt3x_day_actilife.npz", "axis1", 60.0, "actigraph", "cole_kripke_actilife", 0.051),
         ("actiware_rpx_eng_30s.npz", "activity", 30.0, "actiwatch", "oakley", 0.015),

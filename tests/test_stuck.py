@@ -209,3 +209,44 @@ def test_signals_break_off_a_replay(how: str, made: Path, tmp_path: Path) -> Non
     process.send_signal(signal.SIGTERM)
     said = process.communicate(timeout=60)[1]
     assert process.returncode == 143 and said == b"kinegraph: stopped\n", said
+
+
+COMPILING = """
+@dataclass(slots=True)
+class Nothing:
+    n: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Slow(Operator[Nothing]):
+    def open(self, specs):
+        self.hold(Nothing())
+        return {{"out": specs["in"]}}
+{process}
+"""
+COMPILES = """
+    def process(self, port, chunk):
+        Path("compiling").touch()
+        try:
+            time.sleep(60)
+        except BaseException as error:
+            raise ValueError("Failed in nopython mode pipeline") from error
+"""
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_while_kernels_compile_ends_at_once_and_blames_nobody(number: int, code: int, tmp_path: Path) -> None:
+    """A compiler makes an error of its own of whatever is raised within it."""
+    head = NODE.partition("def in_python")[0]
+    (tmp_path / "slow.py").write_text(head + COMPILING.format(process=COMPILES))
+    (tmp_path / "g.yaml").write_text(BOARD % 60 + "  slow: {use: slow.Slow, from: board.emg}\n")
+    command = [KINEGRAPH, "run", "g.yaml", "--view", "none", "-o", "s"]
+    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True)
+    try:
+        wait_for(lambda: (tmp_path / "compiling").exists())
+        process.send_signal(number)
+        _, told = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert process.returncode == code and "stopped" in told and "slow" not in told, told
+    assert not (tmp_path / "s").exists()

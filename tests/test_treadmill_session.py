@@ -120,7 +120,7 @@ def test_a_replay_that_may_speak_writes_the_same_table(session: tuple[Path, str]
 
 
 def test_no_cycle_is_told_later_than_the_plan_says(session: tuple[Path, str], tmp_path: Path) -> None:
-    """From the touch-down that closes a cycle to the newest sample that had come when it was told; not within lost samples."""
+    """From the touch-down that closes a cycle to the newest sample that had come when it was reported; not within lost samples."""
     with Recording.open(session[0] / "recording") as recording:
         graph = load(CONFIG, recorded={name: stream.spec for name, stream in recording.streams.items()})
         replay = Replay(graph, recording, output=tmp_path / "again")

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.clocks.pace import Pace
+from devices.clocks.pace import DevicePace
 from devices.clocks.rate_check import Policy, RateCheck
 from devices.protocols import trigno as protocol
 from devices.protocols.trigno import TrignoRows
@@ -56,7 +56,7 @@ def test_a_sample_written_out_by_hand() -> None:
 
 def counted(shift: dict[int, int], rate_hz: float = 2000.0, frames: int = 2000) -> tuple[list[int], np.ndarray]:
     """(frames at which the count was found astray, error of each frame's last stamp in ns); `shift`: samples left out before a frame."""
-    pace, at, errors, missing = Pace(2000.0), [], [], 0
+    pace, at, errors, missing = DevicePace(2000.0), [], [], 0
     for frame in range(frames):
         missing += shift.get(frame, 0)
         made = NS + round(((frame + 1) * 27 + missing) * NS / rate_hz)
@@ -82,7 +82,7 @@ def test_samples_left_out_show_within_two_seconds(missing: int) -> None:
 
 @pytest.mark.parametrize("policy", ["fail", "warn"])
 def test_another_rate_is_told(policy: Policy) -> None:
-    pace, rate, feed, found = Pace(2000.0), RateCheck("server", 2000.0, policy, counted=True), Kept(), []
+    pace, rate, feed, found = DevicePace(2000.0), RateCheck("server", 2000.0, policy, counted=True), Kept(), []
     for frame in range(2000):
         arrival = NS + round((frame + 1) * 26 * NS / 1925.9)
         pace.take(26, arrival)

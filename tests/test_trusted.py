@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from stream.errors import KinegraphError
+from stream.model import ModelError, read_model, write_model
 from stream.owners import refuse_shared
 from tests.command_line import BOARD, QUIET, Command, refused
 
@@ -74,3 +76,24 @@ def test_the_kernel_cache_is_nobody_elses(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_ones_own_folder_is_taken(tmp_path: Path) -> None:
     refuse_shared(tmp_path, "this")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="owners as POSIX has them")
+@pytest.mark.parametrize("shared", ["folder", "file"])
+def test_a_model_that_others_may_write_is_not_believed(tmp_path: Path, shared: str) -> None:
+    path = tmp_path / "pose.model"
+    write_model(path, "pose", {}, {"a": np.zeros(3)})
+    assert read_model(path, "pose").kind == "pose"
+    (tmp_path if shared == "folder" else path).chmod(0o777)
+    with pytest.raises(
+        ModelError, match=r"may be written by others, and results follow from what it holds.*chmod go-w"
+    ):
+        read_model(path, "pose")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="owners as POSIX has them")
+def test_a_model_of_ones_own_in_a_folder_as_of_temporary_files_is_believed(tmp_path: Path) -> None:
+    path = tmp_path / "pose.model"
+    write_model(path, "pose", {}, {"a": np.zeros(3)})
+    tmp_path.chmod(0o1777)
+    assert read_model(path, "pose").kind == "pose"

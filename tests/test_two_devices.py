@@ -97,7 +97,7 @@ def delivered(
 
 
 def read(source: Source, script: Script, monkeypatch: pytest.MonkeyPatch) -> Kept:
-    monkeypatch.setattr(f"{type(source).__module__}.connect", lambda _: script)
+    monkeypatch.setattr("devices.transport.serial_source.connect", lambda *_: script)
     source.read(script.feed)
     check(source, script.feed)
     return script.feed

@@ -17,6 +17,7 @@ from usb.backend import IBackend
 
 from devices.discovery.usb_devices import find as find_connected
 from devices.mti import Mti
+from devices.protocols.packet_decoder import PacketDecoder
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from devices.simulators.mti import MtiModel
 from devices.simulators.mti import SimulatedMti as SimulatedMti
@@ -26,7 +27,7 @@ from devices.simulators.usb_reports import DUALSENSE, DualSenseBrain, serving
 from devices.simulators.walking_limb import GRAVITY
 from devices.transport.transport import connect
 from devices.usb import bus
-from devices.usb.bus import Address
+from devices.usb.bus import UsbAddress
 from devices.usb.endpoint import Endpoint
 from devices.usb.pipe import Pipe
 from stream.chunk import NS
@@ -64,26 +65,26 @@ def plugged(on: SimulatedBus, **changes: object) -> Iterator[UsbLine]:
 
 
 def test_addresses() -> None:
-    assert Address.parse("usb://2639") == Address(0x2639)
-    assert Address.parse("usb://054C:0ce6/A1-2") == Address(0x54C, 0xCE6, "A1-2")
-    assert str(Address(0x54C, 0xCE6, "A1")) == "usb://054c:0ce6/A1"
+    assert UsbAddress.parse("usb://2639") == UsbAddress(0x2639)
+    assert UsbAddress.parse("usb://054C:0ce6/A1-2") == UsbAddress(0x54C, 0xCE6, "A1-2")
+    assert str(UsbAddress(0x54C, 0xCE6, "A1")) == "usb://054c:0ce6/A1"
     for wrong in ("usb://", "usb://26", "usb://2639:3", "usb://2639/", "2639:0003", "usb://gggg"):
         with pytest.raises(DeviceError, match="is no USB address; write usb://VENDOR"):
-            Address.parse(wrong)
+            UsbAddress.parse(wrong)
 
 
 def test_which_of_several(own_bus: SimulatedBus) -> None:
     with plugged(own_bus), plugged(own_bus, serial="T2"), plugged(own_bus, product=2):
-        assert bus.find(Address(0x1209, 2)).product == "Thing"
-        assert bus.serial_number(bus.find(Address(0x1209, 1, "T2"))) == "T2"
+        assert bus.find(UsbAddress(0x1209, 2)).product == "Thing"
+        assert bus.serial_number(bus.find(UsbAddress(0x1209, 1, "T2"))) == "T2"
         with pytest.raises(
             DeviceError, match="any of 2 devices; write which one: usb://1209:0001/T1, usb://1209:0001/T2"
         ):
-            bus.find(Address(0x1209, 1))
+            bus.find(UsbAddress(0x1209, 1))
         with pytest.raises(DeviceError, match="is not there; is it plugged in"):
-            bus.find(Address(0x1209, 1, "T3"))
+            bus.find(UsbAddress(0x1209, 1, "T3"))
     with pytest.raises(DeviceError, match="is not there"):
-        bus.find(Address(0x1209))
+        bus.find(UsbAddress(0x1209))
 
 
 def test_no_libusb(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -311,7 +312,7 @@ def test_a_report_as_the_driver_of_the_system_reads_it() -> None:
     source = dualsense()
     (layout,) = source.layouts()
     assert layout.size == 32
-    found = source._decoder([layout]).feed(bytes(report))
+    found = PacketDecoder([layout]).feed(bytes(report))
     table = layout.table(bytes(found.frames[0]))
     assert layout.counters(table).tolist() == [0xFE] and layout.times_ns(table).tolist() == [NS]
     assert layout.values(table).tolist() == [[1.0, -1.0, 2047.9375, 1.0, -1.0, 0.5]]
@@ -361,7 +362,7 @@ def test_other_reports_and_wrong_ones_are_passed_over(own_bus: SimulatedBus) -> 
 
 
 def test_nothing_that_was_declared_comes(own_bus: SimulatedBus, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("devices.binary.FIRST_FRAME_S", 0.2)
+    monkeypatch.setattr("devices.frame_reading.FIRST_FRAME_S", 0.2)
     line = UsbLine(own_bus, DUALSENSE)
     try:
         with reading(dualsense()) as feed:

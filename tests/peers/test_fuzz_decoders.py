@@ -23,9 +23,10 @@ import atheris
 import devices.protocols.xbus_numbers  # kernels: what is compiled cannot be watched
 with atheris.instrument_imports(include=["devices.protocols"]):
     from devices.protocols import {module}
-from devices.protocols.declared import Field, Frame, Layout
-FRAMES = [Layout(Frame("A5 5A", (Field("u8", role="counter"), Field("i16", "x")), "m", checksum="sum8")),
-          Layout(Frame("A5", (Field("u16", "y"),), "b", footer="0D"))]
+from devices.protocols.declared import Field, Frame
+from devices.protocols.frame_layout import FrameLayout
+FRAMES = [FrameLayout(Frame("A5 5A", (Field("u8", role="counter"), Field("i16", "x")), "m", checksum="sum8")),
+          FrameLayout(Frame("A5", (Field("u16", "y"),), "b", footer="0D"))]
 def said(decoder, pieces):
     found = [decoder.feed(piece) for piece in pieces]
     return {said}
@@ -53,7 +54,7 @@ TARGETS = {
         "[k for f in found for k in f.kinds], sum(f.dropped for f in found), sum(f.bad for f in found)",
     ),
 }
-"""By module of devices.protocols: how a decoder is made, and what must not hang on the cuts."""
+"""By module of devices.protocols: how a decoder is made, and what must not depend on the cuts."""
 
 
 @pytest.mark.parametrize("module", TARGETS)

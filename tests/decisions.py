@@ -1,0 +1,70 @@
+"""How late events come, measured: at each event of a running graph, what its operator had been given by then."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from typing import Any
+
+import numpy as np
+
+from stream.chunk import FOREVER, NS, Chunk, Samples
+from stream.engine.session import Session
+from stream.graph import Graph
+from stream.operator import Emitted, Operator
+from stream.source import Source
+
+Late = dict[tuple[str, str], list[float]]
+"""By node and output: of each event, how much newer (s) its operator's newest input was than the event's `end`, else its `onset`."""
+
+
+@contextmanager
+def watched(graph: Graph, names: dict[int, str], late: Late) -> Iterator[None]:
+    """Within: every call of an operator of this graph that gives events is noted in `late`; `names`: of nodes, by their operator's id."""
+    kinds = {type(n.part): type(n.part).process for n in graph.nodes.values() if _gives_events(n)}
+
+    def noting(process: Any) -> Any:
+        def call(part: Operator[Any], port: str, chunk: Chunk) -> Emitted:
+            emitted: Emitted = process(part, port, chunk)
+            if emitted is not None and id(part) in names and chunk.until < FOREVER:
+                pairs = [(part.outputs[0], emitted)] if isinstance(emitted, Chunk) else emitted
+                for output, given in pairs:
+                    late[names[id(part)], output] += lateness(given, chunk.until).tolist()
+            return emitted
+
+        return call
+
+    for kind, process in kinds.items():
+        kind.process = noting(process)
+    try:
+        yield
+    finally:
+        for kind, process in kinds.items():
+            kind.process = process
+
+
+def _gives_events(node: Any) -> bool:
+    return not isinstance(node.part, Source) and any(spec.is_event for spec in node.specs.values())
+
+
+def lateness(given: Chunk, newest: int) -> Samples:
+    """(n,) s from what each event describes to the newest input; empty for what has no such field."""
+    for field in ("end", "onset"):
+        if field in (given.data.dtype.names or ()):
+            return np.asarray((newest - given.data[field]) / NS)
+    return np.empty(0)
+
+
+def measured(graph: Graph, *, for_s: float = 0.0) -> Late:
+    """Run a graph to its end, or for so long, and note how late every event came."""
+    from stream.commands.run import simulated
+
+    late: Late = defaultdict(list)
+    names: dict[int, str] = {}
+    with simulated(graph) if for_s else nullcontext(), watched(graph, names, late):
+        session = Session(graph, None, duration_s=for_s)
+        names.update({id(stage.operator): name for name, stage in session.pipeline.stages.items()})
+        outcome = session.run()
+    assert outcome.error is None, outcome.error
+    return late

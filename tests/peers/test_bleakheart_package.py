@@ -1,0 +1,69 @@
+"""bleakheart, a driver written elsewhere, reads the simulated Polar belt as we do, bit for bit."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import numpy as np
+import pytest
+
+from devices.protocols import heart_rate
+from devices.protocols.polar_pmd import PmdDecoder
+from devices.simulators.ble_radio import SimulatedRadio, radio
+from devices.simulators.polar import PolarBelt
+
+bleak = pytest.importorskip("bleak")
+bleakheart = pytest.importorskip("bleakheart")
+
+
+async def _listen(air: SimulatedRadio) -> tuple[list[Any], list[Any]]:
+    """Frames as bleakheart tells them, and the bytes that they were made from."""
+    told: list[Any] = []
+    came: list[Any] = []
+    device = await bleak.BleakScanner.find_device_by_name("Polar H10 12345678", backend=air.scanner)
+    async with bleak.BleakClient(device, backend=air.client) as client:
+        heart = bleakheart.HeartRate(client, callback=told.append)
+        measured = bleakheart.PolarMeasurementData(client, callback=told.append)
+        for one, name in ((heart, "_handler"), (measured, "_pmd_data_handler")):
+            _keep(one, name, came)
+        await heart.start_notify()
+        for kind, settings in (("ECG", {}), ("ACC", {"RANGE": 8, "SAMPLE_RATE": 200})):
+            error, text, _ = await measured.start_streaming(kind, **settings)
+            assert error == 0, text
+        while {"HR", "ECG", "ACC"} - {frame[0] for frame in told}:
+            await asyncio.sleep(0.02)
+        for kind in ("ECG", "ACC"):
+            await measured.stop_streaming(kind)
+    return told, came
+
+
+def _keep(one: Any, name: str, came: list[Any]) -> None:
+    before = getattr(one, name)
+
+    async def handler(characteristic: Any, data: bytearray) -> None:
+        came.append(bytes(data))
+        await before(characteristic, data)
+
+    setattr(one, name, handler)
+
+
+@pytest.mark.timeout(60)
+def test_bleakheart_reads_what_we_read() -> None:
+    with radio() as air:
+        belt = PolarBelt()
+        air.put(belt)
+        told, came = asyncio.run(_listen(air))
+    decoder = PmdDecoder()
+    compared = set()
+    for (kind, _, payload, *_rest), data in zip(told, came, strict=True):
+        compared.add(kind)
+        if kind == "HR":
+            ours = heart_rate.parse(data)
+            assert ours is not None and payload == (ours.bpm, round(ours.rr_s[-1] * 1000))
+            continue
+        frame = decoder.frame(data)
+        assert frame is not None
+        values = frame.data[:, 0] if kind == "ECG" else np.round(frame.data * 1000)
+        assert np.array_equal(values, payload)
+    assert compared == {"HR", "ECG", "ACC"} and not belt.running

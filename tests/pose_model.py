@@ -1,0 +1,16 @@
+"""The pose network for tests: they are skipped where it is not there."""
+
+from __future__ import annotations
+
+import pytest
+
+from operators.body.network import model_path
+from stream.errors import ParameterError
+
+
+def pose_network_or_skip() -> None:
+    """Skip the test, with the reason, where the network or its runtime is missing."""
+    try:
+        model_path("")
+    except ParameterError as error:
+        pytest.skip(f"the pose network cannot be used here: {error}")

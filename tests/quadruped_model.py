@@ -1,0 +1,29 @@
+"""`python -m tests.quadruped_model`: make the model of the simple quadruped that comes with mesh steering; a test compares."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from devices.simulators.quadruped import marked, topology, walking
+from operators.steering.fit import fit_steering
+from operators.steering.operator import QUADRUPED
+from operators.steering.stored import KIND, to_arrays
+from stream.chunk import Array
+from stream.model import write_model
+
+LIMBS = ("hoof_fl", "hoof_fr", "hoof_hl", "hoof_hr")
+
+
+def made() -> tuple[dict[str, Any], dict[str, Array]]:
+    """The header and arrays of the model: 24 frames of a stride, every leg by its own hoof."""
+    frames = np.array([walking(k / 24) for k in range(24)])
+    mesh = topology()
+    model = fit_steering(frames, mesh.faces, marked(), ("withers", "croup"), LIMBS, count=14, modes=2)
+    return to_arrays(model, mesh, LIMBS)
+
+
+if __name__ == "__main__":
+    header, arrays = made()
+    write_model(QUADRUPED, KIND, header, arrays)

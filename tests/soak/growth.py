@@ -1,0 +1,104 @@
+"""Ten hours of a use as fast as they go: what its process holds at the beginning and at the end."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from tests.soak.uses import CONFIGS, Use
+from tests.soak.watched import ROOT, Held
+
+LOOK_S = 0.1
+WARM = 0.2
+"""The share of the run before memory is held to be steady."""
+MOST_KB = 1024.0
+
+
+@dataclass(slots=True)
+class Growth:
+    """How far memory rises over the whole run, by a straight line through it; files and threads in the median of its two halves,
+    for a file that is open for a moment is no leak."""
+
+    name: str
+    took_s: float
+    resident_mb: float
+    grown_kb: float
+    files: tuple[int, int]
+    threads: tuple[int, int]
+    complaints: list[str] = field(default_factory=list)
+
+    @classmethod
+    def table(cls, growths: list[Self]) -> str:
+        lines = [
+            "| ten hours of | took, s | memory, MB | grown by, KiB | files open, medians of both halves | threads |"
+        ]
+        lines.append("|---|--:|--:|--:|--:|--:|")
+        for g in growths:
+            files, threads = ("{}, {}".format(*pair) for pair in (g.files, g.threads))
+            lines.append(
+                f"| {g.name} | {g.took_s:.0f} | {g.resident_mb:.0f} | {g.grown_kb:.0f} | {files} | {threads} |"
+            )
+        return "\n".join(lines)
+
+
+def grown(use: Use, folder: Path) -> Growth:
+    """Run the shipped graph to its end, recording included, and look at its process all the while."""
+    folder.mkdir(parents=True)
+    settings = [word for one in use.hours for word in ("--set", one)]
+    call = [
+        sys.executable,
+        "-m",
+        "stream",
+        "run",
+        str(CONFIGS / use.config),
+        *settings,
+        "-o",
+        "session",
+        "--view",
+        "none",
+    ]
+    looks: list[Held] = []
+    began = time.monotonic()
+    with (folder / "log.txt").open("wb") as log:
+        process = subprocess.Popen(
+            call,
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )
+        while process.poll() is None:
+            if held := Held.by(process.pid):
+                looks.append(held)
+            time.sleep(LOOK_S)
+    return growth(use, looks, time.monotonic() - began, process.returncode)
+
+
+def growth(use: Use, looks: list[Held], took_s: float, code: int) -> Growth:
+    resident = np.array([held.resident_kb for held in looks], float)
+    steady = np.arange(len(looks)) >= WARM * len(looks)
+    slope = float(np.polyfit(np.flatnonzero(steady), resident[steady], 1)[0])
+    settled = looks[int(WARM * len(looks)) :]
+    half = len(settled) // 2
+    files, threads = (
+        (int(np.median(values[:half])), int(np.median(values[half:])))
+        for values in ([held.files for held in settled], [held.threads for held in settled])
+    )
+    made = Growth(use.name, took_s, float(np.median(resident[steady])) / 1024, slope * len(looks), files, threads)
+    if code:
+        made.complaints.append(f"{use.name}: ten hours ended with {code}")
+    if made.grown_kb > MOST_KB:
+        made.complaints.append(f"{use.name}: memory grew by {made.grown_kb:.0f} KiB in ten hours")
+    if files[1] > files[0] or threads[1] > threads[0]:
+        made.complaints.append(
+            f"{use.name}: files went from {files[0]} to {files[1]}, threads from {threads[0]} to {threads[1]}"
+        )
+    return made

@@ -1,0 +1,145 @@
+"""How far a muscle has moved from its reference: told when it has, not told when it has not, and nothing invented."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from emg_run import drive
+from test_emg_mixtures_live import bursts, paced
+
+from operators.emg.mixture_drift import MixtureDrift, pairing
+from operators.emg.mixture_reference import chance_limit
+from operators.emg.mixtures import PeakMixtures, some_maxima
+from operators.emg.peak_window import PeakWindow
+from operators.emg.refit import Refit
+from stream.errors import InputError, ParameterError
+
+FROM = 61
+
+
+def moved(inputs, since=FROM, by=6):
+    """TA is active `by` % later from cycle `since` on."""
+    curves = inputs["cycles"][2]
+    curves[since - 1 :, :, 0] = np.roll(curves[since - 1 :, :, 0], by, axis=1)
+    return {**inputs, "maxima": some_maxima(inputs)}
+
+
+def drifted(inputs, operator=None, mixer=None, **more):
+    mixer = mixer or PeakMixtures()
+    mixture = drive(mixer, inputs)["mixture"]
+    with_pace = {"pace": inputs.pop("pace")} if "pace" in inputs else {}
+    return drive(operator or MixtureDrift(first=20), {**inputs, **more, "mixture": mixture, **with_pace})
+
+
+def test_a_muscle_that_moves_is_told_within_ten_cycles_and_nothing_before():
+    made = drifted(moved(bursts(90)))
+    _, times, alarms = made["change"]
+    assert [str(name) for name in alarms["subject"]] == ["TA"] and str(alarms["state"][0]) == "on"
+    assert "first 20 cycles" in str(alarms["what"][0]) and alarms["advice"][0]
+    rows = made["distance"][2]
+    told = rows[(rows["name"] == "TA") & (rows["moved"] == "first")]["number"].min()
+    assert FROM < told <= FROM + 10
+    ta = rows[(rows["name"] == "TA") & (rows["number"] > FROM + 20)]
+    assert (ta["from_first"] > ta["limit"]).all()
+    assert times[0] == made["distance"][1][(rows["name"] == "TA") & (rows["number"] == told)][0]
+    assert np.isnan(rows["from_stored"]).all() and np.isnan(rows["from_other"]).all(), "nothing is invented"
+
+
+def test_it_is_over_when_the_muscle_comes_back():
+    inputs = moved(moved(bursts(120), 40, 6), 70, -6)
+    alarms = drifted(inputs)["change"][2]
+    assert [str(state) for state in alarms["state"]] == ["on", "over"] and alarms["onset"][0] == alarms["onset"][1]
+
+
+def test_a_pace_spreads_the_reference_over_samples_and_changes_no_distance():
+    plain, spread = drifted(moved(bursts(60), 45)), drifted(paced(moved(bursts(60), 45), 120.0))
+    a, b = plain["distance"][2], np.sort(spread["distance"][2], order=["number", "muscle"])
+    both = np.isfinite(b["limit"]) & np.isfinite(b["from_first"])
+    assert both[-20:].all() and not both[:40].any()
+    assert a[both].tobytes() == b[both].tobytes()
+
+
+def test_peaks_tell_signal_from_noise_better_than_from_the_full_curves():
+    row = drifted(bursts(30))["distance"][2][-1]
+    assert 0 < row["full"] < row["noise"]
+
+
+def test_the_other_leg_is_compared_muscle_by_muscle():
+    mine, other = bursts(30, names=("LTA", "LSO")), bursts(30, centres=(10.0, 45.0, 99.0), seed=8, names=("RTA", "RGM"))
+    theirs = drive(PeakMixtures(), other)["mixture"]
+    rows = drifted(mine, other=theirs)["distance"][2]
+    late = rows[rows["number"] > 10]
+    assert (late["from_other"][late["name"] == "LTA"] > 0).all(), "against RTA"
+    assert np.isnan(late["from_other"][late["name"] == "LSO"]).all(), "the other leg has no SO"
+    assert pairing(["TA", "GM_L", "SO"], ["SO", "TA", "GM_R"]).tolist() == [1, 2, 0]
+
+
+def test_a_muscle_without_bursts_has_no_reference_and_no_alarm():
+    inputs = bursts(40)
+    inputs["cycles"][2][:, :, 0] = 1.0
+    inputs["cycles"][2][30:, 50, 0] = 9.0
+    inputs["maxima"] = some_maxima(inputs)
+    made = drifted(inputs)
+    rows = made["distance"][2]
+    assert not len(made["change"][2]) and np.isnan(rows["from_first"][rows["name"] == "TA"]).all()
+    assert np.isfinite(rows["from_first"][(rows["name"] == "SO") & (rows["number"] > 20)]).all()
+
+
+def test_what_cannot_be_is_refused():
+    inputs = bursts(3)
+    with pytest.raises(ParameterError, match="twice the fewest_cycles"):
+        drifted(inputs, MixtureDrift(first=8))
+    with pytest.raises(InputError, match="mixture"):
+        drive(MixtureDrift(), {**inputs, "mixture": inputs["closed"]})
+
+
+def test_a_limit_is_what_later_windows_seldom_exceed():
+    """Of squared distances in two dimensions, known from 20 windows; the largest of so few says less."""
+    rng = np.random.default_rng(5)
+    shares = []
+    for _ in range(200):
+        limit = chance_limit(rng.chisquare(2, 20), 20)
+        shares.append((rng.chisquare(2, 1000) > limit).mean())
+    assert 0.004 < np.mean(shares) < 0.02 and np.quantile(shares, 0.95) < 0.06
+    many = chance_limit(rng.chisquare(2, 20000), 20000)
+    assert many == pytest.approx(-2 * np.log(0.01), rel=0.1)
+    assert chance_limit(np.zeros(50), 10) == 0.0
+
+
+def test_two_cycles_only_are_not_known():
+    made = drifted(bursts(2))
+    rows = made["distance"][2]
+    assert not len(made["change"][2]) and np.isnan(rows["from_first"]).all() and np.isnan(rows["limit"]).all()
+
+
+def test_a_muscle_that_dies_in_mid_session_is_not_known_from_then_on_and_the_others_are_untouched():
+    whole, dead = bursts(60), bursts(60)
+    dead["cycles"][2][30:, :, 0] = np.nan
+    dead["maxima"] = some_maxima(dead)
+    a, b = drifted(whole)["distance"][2], drifted(dead)["distance"][2]
+    late = b["number"] > 34
+    assert np.isnan(b["from_first"][late & (b["name"] == "TA")]).all(), "nothing is invented"
+    for name in ("from_first", "limit"):
+        np.testing.assert_array_equal(a[name][a["name"] == "SO"], b[name][b["name"] == "SO"])
+
+
+def test_random_parts_swept_a_little_at_a_time_are_those_fitted_at_once():
+    inputs = bursts(20)
+    window, group = PeakWindow.none(20, 2), np.zeros(1, np.int64)
+    window.note_peaks(inputs["maxima"][2])
+    for row, curve in zip(inputs["closed"][2], inputs["cycles"][2], strict=True):
+        window.accept(int(row["number"]), curve)
+    how = PeakMixtures().fitting()
+    whole, slots = Refit.none(20, 1), window.latest(20)
+    whole.begin(window, slots, group, how)
+    whole.finish(how)
+    start = tuple(part.copy() for part in whole.mixture())
+    one, other = Refit.none(20, 1), Refit.none(20, 1)
+    one.follow(window, slots[:5], group, how, start)
+    other.begin_from(window, slots[:5], group, how, start)
+    calls = 1
+    while not other.sweep(how):
+        calls += 1
+    assert calls <= how.most_sweeps and one.sweeps == other.sweeps
+    for mine, theirs in zip(one.mixture(), other.mixture(), strict=True):
+        assert mine.tobytes() == theirs.tobytes()

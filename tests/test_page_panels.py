@@ -1,0 +1,276 @@
+"""Every panel drawn in a real browser from a recording: what its canvas holds is what was recorded at that moment.
+
+`KINEGRAPH_PICTURES=docs pytest tests/test_page_panels.py -k pictures` makes the pictures of docs/page.md.
+"""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stream.chunk import NS, Array
+from stream.joint_tree import JointTree, joints_of
+from stream.recording import Recording
+from tests.browser import needs_browser
+from tests.command_line import KINEGRAPH
+from tests.live_browser import LiveBrowser, live_browser
+from tests.page_session import needs_page, page_process
+
+pytestmark = [needs_page, needs_browser, pytest.mark.timeout(280), pytest.mark.xdist_group("page panels")]
+
+SECONDS = 20
+GRAPH = f"""
+name: panels
+session: {{subject: S01}}
+record: [envelope, cycles.cycles, cycles.closed, ensemble.mean, ensemble.sd, body.pose, steer.mesh, camera.depth]
+page:
+  panels:
+    - {{kind: cycles, of: [ensemble.mean, ensemble.sd, cycles.cycles], title: cycles, wide: 2}}
+    - {{kind: signal, of: treadmill.emg, title: raw EMG, wide: 2, window_s: 10}}
+    - {{kind: scene, of: steer.mesh, title: a steered mesh}}
+    - {{kind: scene, of: body.pose, title: a skeleton}}
+    - {{kind: scene, of: performer.markers, title: markers}}
+    - {{kind: scene, of: [performer.markers, body.pose], title: both}}
+    - {{kind: frame, of: camera.depth, title: depth}}
+    - {{kind: events, of: cycles.closed, title: cycles closed, wide: 2}}
+    - {{kind: table, of: [cycles.closed, annotations], title: table}}
+nodes:
+  treadmill: {{use: devices.simulators.treadmill.Treadmill, realtime: false, duration_s: {SECONDS}}}
+  performer: {{use: devices.simulators.performer.Performer, realtime: false, duration_s: {SECONDS}, noise_mm: 0}}
+  people: {{use: devices.simulators.quadruped.TwoActors, realtime: false, duration_s: {SECONDS}}}
+  camera: {{use: devices.simulators.bedside.Bedside, width: 64, height: 48, fps: 1, bed_h: 0.01, evening_min: 2, morning_min: 0}}
+  envelope: {{use: operators.emg.Envelope, from: treadmill.emg}}
+  cycles:
+    use: operators.gait.cycles.Cycles
+    from: {{signal: envelope, touchdown: treadmill.touchdown, liftoff: treadmill.liftoff}}
+  ensemble: {{use: operators.gait.ensemble.CycleEnsemble, from: {{closed: cycles.closed, cycles: cycles.cycles}}}}
+  body: {{use: operators.whole_pose.operator.WholePose, from: performer.markers, up: y}}
+  legs:
+    use: operators.steering.actors.Actors
+    from: people
+    limbs:
+      {{hoof_fl: [first.foot_l, first.hip], hoof_fr: [first.foot_r, first.hip], hoof_hl: [second.foot_l, second.hip],
+       hoof_hr: [second.foot_r, second.hip]}}
+  steer: {{use: operators.steering.operator.SteerMesh, from: legs}}
+"""
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("panels")
+    (folder / "panels.yaml").write_text(GRAPH)
+    command = [KINEGRAPH, "run", "panels.yaml", "--view", "none", "-o", "s"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return folder / "s"
+
+
+@pytest.fixture(scope="module")
+def opened(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveBrowser]:
+    """The recording, open in a browser, and read to its end."""
+    folder = tmp_path_factory.mktemp("browser")
+    with page_process(folder, "view", recorded) as process, live_browser(folder) as browser:
+        browser.open(process.url, 1400, 5000)
+        browser.wait("document.body.dataset.state === 'recording' && +document.body.dataset.drawn > 3")
+        yield browser
+
+
+@pytest.fixture
+def page(opened: LiveBrowser) -> Iterator[LiveBrowser]:
+    opened.complaints.clear()
+    yield opened
+    assert opened.complaints == []
+
+
+class Shown:
+    """What the recording holds, to compare with what the page shows: `begin` is its first stamp (ns)."""
+
+    def __init__(self, path: Path) -> None:
+        with Recording.open(path) as recording:
+            self.begin = min(s.first for s in recording.streams.values() if s.first is not None)
+            self.specs = {name: stream.spec for name, stream in recording.streams.items()}
+            self.streams = {name: recording.read(name) for name in recording.streams}
+
+    def at(self, stream: str, seconds: float) -> tuple[float, Array]:
+        """A stream's last sample at a moment, and its stamp (s)."""
+        time, data = self.streams[stream]
+        i = int(np.searchsorted(time, self.begin + round(seconds * NS), side="right")) - 1
+        return (int(time[i]) - self.begin) / NS, np.asarray(data[i])
+
+
+@pytest.fixture(scope="module")
+def shown(recorded: Path) -> Shown:
+    return Shown(recorded)
+
+
+def seek(page: LiveBrowser, seconds: int) -> None:
+    """Move to a whole second by the keys (a step is a tenth of what is shown), and wait until all panels show it."""
+    page.press("Home")
+    page.wait("+document.body.dataset.looked === 0")
+    for second in range(10, seconds, 10):  # what is asked for is answered in order; few are asked for at once
+        page.press("ArrowRight", 10)
+        page.wait(f"Math.abs(document.body.dataset.looked - {second}) < .001")
+    page.press("ArrowRight", seconds - 10 * ((seconds - 1) // 10))
+    page.wait(f"Math.abs(document.body.dataset.looked - {seconds}) < .001")
+
+
+def is_at(page: LiveBrowser, panel: str, stamp: float) -> None:
+    """A panel shows the sample of this stamp (s)."""
+    assert abs(float(page.value(f"""document.querySelector('[aria-label="{panel}"]').dataset.at""")) - stamp) < 1e-5
+
+
+def canvas(panel: str) -> str:
+    return f'[aria-label="{panel}"] canvas'
+
+
+def in_view(page: LiveBrowser, panel: str, points: Array) -> Array:
+    """Where a scene's names stand in its panel, (n, 2) pixels; NaN where one is hidden."""
+    script = f"""[...document.querySelectorAll('[aria-label="{panel}"] .name')].map(e => e.hidden ? [NaN, NaN] :
+      e.style.transform.match(/-?[\\d.]+/g).map(Number))"""
+    return np.array([[v if v is not None else np.nan for v in row] for row in page.value(script)], float)
+
+
+def test_markers_stand_where_they_were_and_a_hidden_one_is_not_drawn(page: LiveBrowser, shown: Shown) -> None:
+    hidden = [t for t in range(1, SECONDS) if np.isnan(shown.at("performer.markers", t)[1]).any()]
+    seen = [t for t in range(1, SECONDS) if not np.isnan(shown.at("performer.markers", t)[1]).any()]
+    for t in (seen[0], hidden[0]):
+        stamp, points = shown.at("performer.markers", t)
+        seek(page, t)
+        is_at(page, "markers", stamp)
+        names = in_view(page, "markers", points)
+        assert np.array_equal(np.isnan(names[:, 0]), np.isnan(points[:, 0]))
+        pixels = np.array(page.like(canvas("markers"), "accent"))
+        for x, y in names[~np.isnan(names[:, 0])]:  # a name stands 6 px to the right of its point and 8 above it
+            assert np.hypot(pixels[:, 0] - (x - 6), pixels[:, 1] - (y + 8)).min() < 4
+        reach = np.hypot(*(pixels[:, None] - (names[None] + [-6, 8])).transpose(2, 0, 1))
+        assert (np.nanmin(reach, axis=1) < 8).all(), "something else is drawn"
+
+
+def test_a_skeleton_stands_where_its_joints_are(page: LiveBrowser, shown: Shown) -> None:
+    tree = JointTree.of(shown.specs["body.pose"])
+    stamp, pose = shown.at("body.pose", 12)
+    seek(page, 12)
+    is_at(page, "a skeleton", stamp)
+    names = in_view(page, "a skeleton", pose) + np.array([-6, 8])
+    joints = joints_of(tree, pose[None])[1][0]
+    assert names.shape == (len(tree.joints), 2)
+    # seen in perspective, straight lines stay straight: the same projection must fit all joints
+    seen = np.column_stack([joints, np.ones(len(joints))])
+    zero = np.zeros_like(seen)
+    rows = np.vstack([np.hstack([seen, zero, -names[:, :1] * seen]), np.hstack([zero, seen, -names[:, 1:] * seen])])
+    spread = np.linalg.svd(rows)[1]
+    assert spread[-1] < 1e-3 * spread[-2], "the joints are not a projection of the recorded ones"
+    bones = np.array(page.like(canvas("a skeleton"), "dim", within=90))
+    for joint, parent in enumerate(tree.parents):
+        a, b = names[joint], names[parent]
+        if parent >= 0 and np.hypot(*(a - b)) > 25:
+            assert np.hypot(*(bones - (a + b) / 2).T).min() < 4, (tree.joints[joint], "no line to its parent")
+
+
+def test_a_mesh_is_shaded_and_moves(page: LiveBrowser, shown: Shown) -> None:
+    drawn = []
+    for t in (5, 9, 5):
+        seek(page, t)
+        is_at(page, "a steered mesh", shown.at("steer.mesh", t)[0])
+        drawn.append({tuple(p) for p in page.like(canvas("a steered mesh"), "#8fa8c8", within=140)})
+        assert page.colours(canvas("a steered mesh")) > 30
+    assert len(drawn[0]) > 3000
+    assert drawn[0] == drawn[2] != drawn[1]
+    assert page.value("document.querySelector('[aria-label=\"a steered mesh\"]').dataset.points") == str(
+        shown.specs["steer.mesh"].shape[0]
+    )
+
+
+def test_a_frame_has_its_pixels_and_those_without_a_value_are_hatched(page: LiveBrowser, shown: Shown) -> None:
+    stamp, frame = shown.at("camera.depth", 60)
+    seek(page, 60)
+    is_at(page, "depth", stamp)
+    pixels = np.array(page.value(PIXELS), np.uint8).reshape(*frame.shape, 4)[..., :3].astype(int)
+    empty = (pixels[..., 0] == pixels[..., 1]) & (pixels[..., 1] == pixels[..., 2])
+    assert np.array_equal(empty, frame == 0)
+    near, far = (np.argwhere(frame == v)[0] for v in (frame[frame > 0].min(), frame.max()))
+    assert tuple(pixels[*near]) == (68, 1, 84) and tuple(pixels[*far]) == (253, 231, 37)
+    order = np.argsort(frame[~empty], kind="stable")
+    green = pixels[~empty][order][:, 1]
+    assert (np.diff(green) >= 0).all(), "farther is not lighter"
+    told = page.value("document.querySelector('[aria-label=\"depth\"] .legend').textContent")
+    assert f"{frame[frame > 0].min() / 1000:.2f}" in told and " m" in told
+
+
+PIXELS = """(c => [...c.getContext('2d').getImageData(0, 0, c.width, c.height).data])(
+  document.querySelector('[aria-label="depth"] canvas'))"""
+
+
+def test_cycles_have_their_mean_band_and_last_cycle(page: LiveBrowser, shown: Shown) -> None:
+    stamp, _ = shown.at("ensemble.mean", 18)
+    seek(page, 18)
+    is_at(page, "cycles", stamp)
+    names = shown.specs["ensemble.mean"].channels
+    width = page.value(f"document.querySelector({canvas('cycles')!r}).width")
+    columns = min(len(names), width // 150)
+    cell = width / columns
+    band = np.array(page.like(canvas("cycles"), "rule", within=10))
+    for c, _ in enumerate(names):
+        left, top = c % columns * cell, c // columns * 92
+        inside = band[(abs(band[:, 0] - left - cell / 2) < cell / 2 - 8) & (abs(band[:, 1] - top - 55) < 34)]
+        assert len(inside) > 60, (names[c], "no band")
+        line = np.array(page.like(canvas("cycles"), page.value(f"({SHADES})[{c} % 12]"), within=60))
+        line = line[(abs(line[:, 0] - left - cell / 2) < cell / 2) & (abs(line[:, 1] - top - 55) < 40)]
+        _, last = shown.at("cycles.cycles", 18)
+        peak = np.argmax(last[:, c]) / (len(last) - 1)
+        highest = line[np.argmin(line[:, 1]), 0]
+        assert abs(highest - (left + 6 + peak * (cell - 12))) < 6, (names[c], "the last cycle is not that one")
+
+
+SHADES = """["#1f5fa8", "#b0481c", "#2a7d3f", "#8a3f98", "#8a6a00", "#b22a5b", "#0f7c85", "#5b5bd6", "#6b4f2e", "#4d6b00", "#a3333d",
+"#42596e"]"""
+
+
+def test_a_strip_chart_has_a_line_for_each_channel_over_the_whole_span(page: LiveBrowser, shown: Shown) -> None:
+    seek(page, 10)
+    page.value("document.documentElement.dataset.theme = 'light'")
+    _, data = shown.streams["treadmill.emg"]
+    width = page.value(f"document.querySelector({canvas('raw EMG')!r}).width")
+    for c in range(data.shape[1]):
+        line = np.array(page.like(canvas("raw EMG"), page.value(f"({SHADES})[{c} % 12]"), within=60))
+        columns = np.unique(line[:, 0])
+        assert len(columns) > 0.8 * (width - 130), (c, "the line does not fill its lane")
+
+
+def test_events_are_bars_from_onset_to_end(page: LiveBrowser, shown: Shown) -> None:
+    seek(page, 10)
+    _, data = shown.streams["cycles.closed"]
+    inside = (data["end"] > shown.begin + 5 * NS) & (data["onset"] < shown.begin + 15 * NS)
+    assert page.value("document.querySelector('[aria-label=\"cycles closed\"]').dataset.events") == str(inside.sum())
+    width = page.value(f"document.querySelector({canvas('cycles closed')!r}).width")
+    bars = np.array(
+        [x for x, y in page.like(canvas("cycles closed"), page.value(f"({SHADES})[0]"), within=1) if y == 10]
+    )
+    onsets = (data["onset"][inside] - shown.begin) / NS
+    assert len(bars) > 0.95 * (width - 118)
+    for x in 118 + (onsets[onsets > 5.1] - 5) / 10 * (width - 118):  # between two bars a pixel is left free
+        assert {*range(round(x) - 2, round(x) + 2)} - {*bars.tolist()}, "no bar begins there"
+
+
+PICTURES = {"cycles": 18, "both": 12, "a steered mesh": 10, "depth": 60}
+
+
+@pytest.mark.parametrize(("panel", "moment"), PICTURES.items())
+def test_pictures(page: LiveBrowser, shown: Shown, panel: str, moment: int, tmp_path: Path) -> None:
+    of = page.value(f"document.querySelector('[aria-label=\"{panel}\"]').dataset.of").split()
+    seek(page, moment)
+    is_at(page, panel, max(shown.at(stream, moment)[0] for stream in of))
+    picture = tmp_path / f"panel-{panel.split()[-1]}.png"
+    page.picture(picture, f'[aria-label="{panel}"]')
+    assert picture.stat().st_size > 2000
+
+
+def test_a_scene_fills_its_panel(page: LiveBrowser) -> None:
+    script = """[...document.querySelectorAll('.scene .body')].map(body => [body.clientWidth, body.clientHeight,
+      body.firstChild.clientWidth, body.firstChild.clientHeight])"""
+    for width, height, of_canvas, high in page.value(script):
+        assert (of_canvas, high) == (width, height) and height >= 300

@@ -1,0 +1,225 @@
+"""Mesh steering: parts that are rigid are found, a mesh follows its markers, two people steer four legs, and bad models are refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.simulators.quadruped import AROUND, LEGS, TwoActors, marked, topology, walking
+from operators.steering.actors import Actors
+from operators.steering.fit import fit_steering
+from operators.steering.operator import QUADRUPED, SteerMesh
+from operators.steering.parts import blend_weights, edges_of, near_rigid_parts
+from operators.steering.regression import learn
+from operators.steering.stored import KIND, from_model
+from stream import cli
+from stream.chunk import Chunk, Samples, StreamSpec
+from stream.errors import InputError, KinegraphError, ParameterError
+from stream.model import ModelError, read_model, write_model
+from stream.operator import grid
+from stream.recording import Recording
+from tests.quadruped_model import LIMBS, made
+
+NAMES = tuple(marked())
+NUMBERS = list(marked().values())
+FACES = topology().faces
+STRIDE = np.array([walking(k / 48) for k in range(48)])
+
+
+def steered(marks: Samples, names: tuple[str, ...] = NAMES, **parameters: object) -> tuple[Samples, Samples]:
+    operator = SteerMesh(**parameters)  # type: ignore[arg-type]
+    operator.open({"in": StreamSpec((len(names), 3), rate_hz=30.0, channels=names, units=("m",))})
+    chunks = operator.process(
+        "in", Chunk(grid(30.0, len(marks)), np.ascontiguousarray(marks.reshape(len(marks), -1)), 0)
+    )
+    mesh, quality = (chunk.data for _, chunk in chunks)
+    return mesh, quality
+
+
+def test_rigid_parts_of_a_bar_that_bends_are_found() -> None:
+    rows, bend = np.arange(40), np.linspace(-0.8, 0.8, 12)
+    bar = np.stack([(rows // 2) * 0.1, (rows % 2) * 0.1, 0.0 * rows], axis=1)
+    frames = np.repeat(bar[None], 12, axis=0)
+    for frame, angle in zip(frames, bend, strict=True):
+        hinge = frame[20:] - [1.0, 0.05, 0.0]
+        frame[20:] = hinge @ np.array(
+            [[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+        ) + [1.0, 0.05, 0]
+    edges = edges_of(
+        np.array(
+            [(2 * r, 2 * r + 1, 2 * r + 2) for r in range(19)] + [(2 * r + 1, 2 * r + 3, 2 * r + 2) for r in range(19)]
+        )
+    )
+    part = near_rigid_parts(frames, edges, 2)
+    assert len(np.unique(part)) == 2 and (part[:20] == part[0]).sum() >= 19 and (part[20:] == part[-1]).sum() >= 19
+    parts, weights = blend_weights(part, edges, bar, 0.3)
+    assert np.allclose(weights.sum(axis=1), 1.0) and weights[0, 1] == 0.0 and 0.3 < weights[19:21, 1].max() <= 0.5
+    assert set(np.unique(parts)) == {0, 1}
+
+
+def test_the_regression_leaves_out_as_it_says() -> None:
+    rng = np.random.default_rng(4)
+    x = rng.normal(size=(15, 2))
+    y = np.sin(x) + 0.01 * rng.normal(size=(15, 2))
+    found = learn(x, y)
+    mean, errors = y.mean(axis=0), []
+    for i in range(15):
+        rest = np.delete(np.arange(15), i)
+        kernel = np.exp(-found.scale * ((x[rest][:, None] - x[rest]) ** 2).sum(-1))
+        weights = np.linalg.solve(kernel + found.ridge * np.eye(14), y[rest] - mean)
+        errors.append(y[i] - mean - np.exp(-found.scale * ((x[i] - x[rest]) ** 2).sum(-1)) @ weights)
+    assert found.error == pytest.approx(float((np.array(errors) ** 2).mean()))
+
+
+def test_frames_that_were_not_trained_on_follow_the_markers() -> None:
+    model = fit_steering(STRIDE[::2], FACES, marked(), ("withers", "croup"))
+    test = STRIDE[1::2]
+    diagonal = np.linalg.norm(np.ptp(test[0], axis=0))
+    error = 100 * np.linalg.norm(model(test[:, NUMBERS], 432) - test, axis=-1) / diagonal
+    assert error.mean() < 0.5
+
+
+def test_the_operator_gives_what_the_slow_reference_gives() -> None:
+    learned, mesh = from_model(read_model(QUADRUPED, KIND))
+    marks = STRIDE[:, NUMBERS] + np.linspace(0, 1, 48)[:, None, None]
+    found, quality = steered(marks)
+    assert np.allclose(found, learned(marks, mesh.vertices), atol=1e-9)
+    assert np.isfinite(quality).all() and mesh.hash == topology().hash
+
+
+def test_markers_out_of_all_range_give_the_mean_pose_and_say_so() -> None:
+    marks = np.repeat(STRIDE[:1, NUMBERS], 4, axis=0)
+    marks[1:, :4] += [[[5.0, 0.0, 0.0]]]
+    found, quality = steered(marks)
+    assert quality[0, 0] < 1.0 < 3.0 < quality[1, 0]
+    assert np.isfinite(found).all() and np.ptp(found[1], axis=0).max() < 1.5 * np.ptp(STRIDE[0], axis=0).max()
+
+
+def test_a_marker_that_is_not_seen_moves_with_the_body_and_nothing_is_nan() -> None:
+    marks = STRIDE[:, NUMBERS].copy()
+    marks[:5, 0] = np.nan
+    marks[20:30, 1] = np.nan
+    found, _ = steered(marks)
+    assert np.isfinite(found).all() and np.ptp(found[:5], axis=0).max() == 0.0
+    moved = np.linalg.norm(found[21:30] - STRIDE[21:30], axis=-1)
+    leg = slice((2 + 1) * AROUND * 9, (2 + 2) * AROUND * 9)
+    assert moved[:, leg].max() > 3 * np.delete(moved, np.r_[leg], axis=1).max()
+
+
+def test_the_model_that_is_shipped_is_the_one_that_is_made() -> None:
+    header, arrays = made()
+    shipped = read_model(QUADRUPED, KIND)
+    assert {k: shipped.header[k] for k in header} == header and set(shipped.arrays) == set(arrays)
+    learned, mesh = from_model(shipped)
+    marks = STRIDE[:, NUMBERS]
+    rebuilt = fit_steering(
+        np.array([walking(k / 24) for k in range(24)]), FACES, marked(), ("withers", "croup"), LIMBS, 14, 2
+    )
+    assert np.allclose(learned(marks, mesh.vertices), rebuilt(marks, mesh.vertices), atol=1e-6)
+
+
+@pytest.mark.parametrize("leaves_s", [0.0, 8.0])
+def test_two_people_steer_four_legs(leaves_s: float) -> None:
+    people = TwoActors(leaves_s=leaves_s)
+    frames = np.array([people.markers(k) for k in range(450)])
+    spec = people.specs()["out"]
+    limbs = {"hoof_fl": ("first.foot_l", "first.hip"), "hoof_fr": ("first.foot_r", "first.hip"),
+             "hoof_hl": ("second.foot_l", "second.hip"), "hoof_hr": ("second.foot_r", "second.hip")}  # fmt: skip
+    actors = Actors(limbs=limbs)
+    names = actors.open({"in": spec})["out"].channels
+    marks = actors.process("in", Chunk(grid(30.0, 450), frames.reshape(450, -1), 0)).data
+    mesh, _ = steered(marks, names)
+    assert np.isfinite(mesh).all()
+    for k, leg in enumerate(LEGS):
+        column = spec.channels.index(limbs[f"hoof_{leg}"][0])
+        hip = spec.channels.index(limbs[f"hoof_{leg}"][1])
+        foot = frames[120:, column, 2] - frames[120:, hip, 2]
+        hoof = mesh[120:, marked()[f"hoof_{leg}"], 2]
+        away = np.isnan(foot)
+        if away.any():
+            assert np.ptp(hoof[away]) == 0.0
+        elif not leaves_s or k < 2:
+            lags = {lag: np.corrcoef(foot[5:-5], hoof[5 + lag : len(hoof) - 5 + lag])[0, 1] for lag in range(-5, 6)}
+            best = max(lags, key=lambda lag: lags[lag])
+            assert lags[best] >= 0.9 and abs(best) <= 2
+
+
+def test_a_mesh_is_imported_trained_and_steered_by_commands(tmp_path: Path) -> None:
+    for k in range(12):
+        lines = [f"v {x} {y} {z}" for x, y, z in walking(k / 12)] + [
+            f"f {a + 1} {b + 1}/1 {c + 1}//2" for a, b, c in FACES
+        ]
+        (tmp_path / f"walk{k:02}.obj").write_text("\n".join(lines))
+    kinegraph("import", *sorted(tmp_path.glob("*.obj")), "--rate", "24", "-o", tmp_path / "walk.mcap")
+    text = "markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}\nreference: [withers, croup]\n"
+    (tmp_path / "markers.yaml").write_text(text)
+    arguments = (
+        "train",
+        "mesh",
+        tmp_path / "walk.mcap",
+        "--markers",
+        tmp_path / "markers.yaml",
+        "-o",
+        tmp_path / "m.npz",
+    )
+    kinegraph(*arguments)
+    found, _ = steered(STRIDE[::4, NUMBERS], model=tmp_path / "m.npz")
+    assert np.linalg.norm(found - STRIDE[::4], axis=-1).mean() < 0.01
+    with pytest.raises(KinegraphError, match="--overwrite"):
+        cli.call("train", [str(a) for a in arguments[1:]])
+    for wrong, why in (
+        ("markers: {a: 432}", "vertices 0 to 431"),
+        ("markers: {a: 1}\nlimbs: [b]", "no marker 'b'"),
+        ("a: 1", "must hold"),
+    ):
+        (tmp_path / "wrong.yaml").write_text(wrong)
+        with pytest.raises(KinegraphError, match=why):
+            cli.call(
+                "train",
+                [
+                    "mesh",
+                    str(tmp_path / "walk.mcap"),
+                    "--markers",
+                    str(tmp_path / "wrong.yaml"),
+                    "-o",
+                    str(tmp_path / "x.npz"),
+                ],
+            )
+
+
+def kinegraph(*arguments: object) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.call(str(arguments[0]), [str(a) for a in arguments[1:]])
+    assert not ended.value.code
+
+
+def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="markers"):
+        steered(np.zeros((2, 5, 3)), ("a", "b", "c", "d", "e"))
+    with pytest.raises(InputError, match="in m, cm or mm"):
+        SteerMesh().open({"in": StreamSpec((6, 3), channels=NAMES, units=("deg",))})
+    with pytest.raises(ParameterError, match="a marker of the model"):
+        Actors(limbs={"wing": ("first.foot_l", "first.hip")}).open(
+            TwoActors().specs() and {"in": TwoActors().specs()["out"]}
+        )
+    header, arrays = made()
+    for name, value in (
+        ("0.vertices", arrays["0.vertices"] + 400),
+        ("reference", np.array([9])),
+        ("usual", np.zeros((2, 3))),
+    ):
+        write_model(tmp_path / "bad.npz", KIND, header, {**arrays, name: value})
+        with pytest.raises(ModelError):
+            SteerMesh(model=tmp_path / "bad.npz").open({"in": StreamSpec((6, 3), channels=NAMES, units=("m",))})
+
+
+@pytest.mark.parametrize(("config", "source"), [("steer_mesh", "animal"), ("steer_horse", "people")])
+def test_the_shipped_configs_run_as_they_stand(config: str, source: str, tmp_path: Path) -> None:
+    quick = ("--set", f"{source}.realtime=false", "--set", f"{source}.duration_s=6")
+    kinegraph("run", config, "-o", tmp_path / "run", "--view", "lines", *quick)
+    with Recording.open(tmp_path / "run") as recording:
+        _, mesh = recording.read("steer.mesh")
+        assert recording.streams["steer.mesh"].spec.meta["mesh"]["topology"] == topology().hash
+    assert mesh.shape == (180, 432, 3) and np.isfinite(mesh).all() and np.ptp(mesh[120:], axis=0).max() > 0.2

@@ -1,0 +1,213 @@
+"""Whole poses from markers: a walker with known joints, and everything that can be missing or wrong about the markers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from operators.whole_pose.landmarks import BONE_OF, FROM_BONE, NAMES, USUAL
+from operators.whole_pose.operator import WholePose
+from stream import cli
+from stream.chunk import Chunk, Samples, StreamSpec
+from stream.errors import InputError, ParameterError
+from stream.humanoid import BONES, PARENTS, find_bones, to_humanoid, usual_body
+from stream.joint_tree import JointTree, joints_of
+from stream.operator import grid
+from stream.recording import Recording
+from stream.recording.series import Series, write_recording
+
+RATE, N = 30.0, 240
+TREE = usual_body()
+QUALITY = len(BONES)
+
+
+def walker() -> Samples:
+    """Someone who stands for 1.5 s and then walks along z: poses (N, 91)."""
+    poses = np.tile(np.concatenate([TREE.offsets[0], np.tile([1.0, 0.0, 0.0, 0.0], len(BONES))]), (N, 1))
+    time = np.arange(N) / RATE
+    phase = np.where(time > 1.5, 2 * np.pi * 0.9 * (time - 1.5), 0.0)
+    poses[:, 2] += np.maximum(0.0, time - 1.5) * 1.1
+
+    def bend(bone: str, axis: int, angle: Samples) -> None:
+        at = 3 + 4 * BONES.index(bone)
+        poses[:, at], poses[:, at + axis] = np.cos(angle / 2), np.sin(angle / 2)
+
+    for side, sign in (("Left", 1.0), ("Right", -1.0)):
+        bend(f"{side}UpperArm", 3, np.full(N, -sign * 1.3))
+        bend(f"{side}LowerArm", 2, -sign * (0.4 + 0.2 * np.sin(phase)))
+        bend(f"{side}UpperLeg", 1, -0.5 * sign * np.sin(phase))
+        bend(f"{side}LowerLeg", 1, 0.35 - 0.35 * np.cos(phase))
+    return poses
+
+
+POSES = walker()
+TURNS, JOINTS = joints_of(TREE, POSES)
+
+
+def marks(names: tuple[str, ...] = USUAL) -> Samples:
+    made = np.empty((N, len(names), 3))
+    for i, name in enumerate(names):
+        k = NAMES.index(name)
+        w, v = TURNS[:, BONE_OF[k], :1], TURNS[:, BONE_OF[k], 1:]
+        u = 2 * np.cross(v, FROM_BONE[k])
+        made[:, i] = JOINTS[:, BONE_OF[k]] + FROM_BONE[k] + w * u + np.cross(v, u)
+    return made
+
+
+def played(x: Samples, names: tuple[str, ...] = USUAL, **parameters: object) -> tuple[Samples, Samples, Samples]:
+    operator = WholePose(**parameters)  # type: ignore[arg-type]
+    operator.open({"in": StreamSpec((len(names), 3), rate_hz=RATE, channels=names, units=("m",))})
+    made = operator.process("in", Chunk(grid(RATE, len(x)), np.ascontiguousarray(x.reshape(len(x), -1)), 0))
+    pose, joints, quality = (chunk.data for _, chunk in made)
+    return pose, joints, quality
+
+
+def hold_everywhere(pose: Samples, joints: Samples) -> None:
+    """What is true of every pose: finite, unit quaternions, constant bones, no bone faster than 20 rad/s."""
+    assert np.isfinite(pose).all() and np.isfinite(joints).all()
+    turns = pose[:, 3:].reshape(len(pose), -1, 4)
+    assert np.allclose(np.linalg.norm(turns, axis=-1), 1.0, atol=1e-9)
+    lengths = np.linalg.norm(joints[40:, 1:] - joints[40:, TREE.parents[1:]], axis=-1)
+    assert np.ptp(lengths, axis=0).max() < 1e-9
+    world, _ = joints_of(TREE, pose)
+    for q in (turns, world):
+        angle = 2 * np.arccos(np.minimum(1.0, np.abs((q[1:] * q[:-1]).sum(-1))))
+        assert angle[1:].max() < 20.0 / RATE * 1.001
+
+
+@pytest.mark.parametrize(
+    ("names", "most_cm"),
+    [
+        (USUAL, 1.5),
+        ((*USUAL, "toe_l", "toe_r", "neck", "root", "hand_l", "hand_r", "nose"), 1.5),
+        (tuple(n for n in USUAL if not n.startswith("hip")), 8.0),
+        (tuple(n for n in USUAL if not n.startswith(("elbow", "knee"))), 6.0),
+        (("head", "wrist_l", "wrist_r", "ankle_l", "ankle_r"), 15.0),
+    ],
+    ids=["13", "20", "no hips", "9", "5"],
+)
+def test_any_markers_give_a_pose_that_fits_them(names: tuple[str, ...], most_cm: float) -> None:
+    pose, joints, quality = played(marks(names), names)
+    hold_everywhere(pose, joints)
+    assert 100 * np.linalg.norm(joints[60:] - JOINTS[60:], axis=-1).mean() < most_cm
+    assert not quality[60:, :QUALITY].any()
+
+
+def test_bone_lengths_are_learned_from_standing_and_left_and_right_are_the_same() -> None:
+    small = 0.8 * marks()
+    _, joints, quality = played(small)
+    assert not quality[:29, QUALITY + 2].any() and quality[31:, QUALITY + 2].all()
+    shank = np.linalg.norm(joints[50, BONES.index("LeftFoot")] - joints[50, BONES.index("LeftLowerLeg")])
+    assert shank == pytest.approx(0.8 * np.linalg.norm(TREE.offsets[BONES.index("LeftFoot")]), rel=0.01)
+    assert 100 * np.linalg.norm(joints[60:] - 0.8 * JOINTS[60:], axis=-1).mean() < 1.5
+
+
+SCENES = {
+    "a hand behind the back": lambda x: x[60:90, [8, 10]].fill(np.nan),
+    "half a body": lambda x: x[70:120, :6].fill(np.nan),
+    "nobody": lambda x: x[60:80].fill(np.nan),
+    "left for right": lambda x: x.__setitem__(slice(80, 84), x[80:84][:, [1, 0, 3, 2, 5, 4, 7, 6, 9, 8, 11, 10, 12]]),
+    "a leap": lambda x: x.__setitem__((slice(90, 92), 10), x[90:92, 10] + 1.5),
+    "noise": lambda x: x.__iadd__(np.random.default_rng(3).normal(0, 0.03, x.shape)),
+    "far away": lambda x: x.__setitem__(slice(100, 240), x[100:240] + 5.0),
+    "nothing at first": lambda x: x[:20].fill(np.nan),
+}
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_whatever_the_markers_do_the_pose_is_one_of_a_body(scene: str) -> None:
+    x = marks()
+    SCENES[scene](x)
+    pose, joints, _ = played(x)
+    hold_everywhere(pose[21:], joints[21:])
+
+
+def test_a_limb_that_is_not_seen_is_flagged_and_comes_back() -> None:
+    x = marks()
+    x[60:90, [8, 10]] = np.nan  # left elbow and wrist
+    _, joints, quality = played(x)
+    guessed = quality[:, BONES.index("LeftLowerArm")]
+    assert not guessed[40:60].any() and guessed[61:90].all() and not guessed[93:].any()
+    assert not quality[:, BONES.index("RightLowerArm")][40:].any()
+    hand = BONES.index("LeftHand")
+    assert 100 * np.linalg.norm(joints[100:, hand] - JOINTS[100:, hand], axis=-1).max() < 2.0
+
+
+def test_a_foot_that_stands_does_not_slide_and_nothing_leaps_when_it_is_lifted() -> None:
+    x = marks() + np.random.default_rng(5).normal(0, 0.002, (N, 13, 3))
+    _, joints, quality = played(x)
+    for side in (0, 1):
+        ankle = joints[:, BONES.index(("LeftFoot", "RightFoot")[side])]
+        stands = quality[:, QUALITY + side].astype(bool)
+        steps = np.linalg.norm(np.diff(ankle, axis=0), axis=1)
+        slides = np.linalg.norm(np.diff(ankle, axis=0)[:, [0, 2]], axis=1)
+        both = stands[1:] & stands[:-1]
+        assert both[31:].sum() >= 10 and slides[31:][both[31:]].max() < 0.003
+        lifted = ~stands[1:] & stands[:-1]
+        true = np.linalg.norm(np.diff(JOINTS[:, BONES.index(("LeftFoot", "RightFoot")[side])], axis=0), axis=1)
+        assert (steps - true)[35:][lifted[35:]].max() < 0.02
+
+
+def test_depth_cameras_and_laboratories_have_other_axes() -> None:
+    x = marks()
+    _, expected, _ = played(x)
+    camera, lab = x * [1.0, -1.0, -1.0], x[..., [0, 2, 1]] * [1.0, -1.0, 1.0]
+    assert np.allclose(played(camera, up="-y")[1], expected, atol=1e-9)
+    assert np.allclose(played(lab, up="z")[1], expected, atol=1e-9)
+
+
+def test_what_shows_no_body_is_refused() -> None:
+    with pytest.raises(InputError, match="at least 5 points of a body"):
+        played(np.zeros((3, 4, 3)), ("head", "tail", "wing", "beak"))
+    with pytest.raises(ParameterError, match="landmarks"):
+        played(marks(), landmarks={"tail": ("head",)})
+
+
+def test_other_skeletons_become_humanoid() -> None:
+    names = {
+        "LeftUpperArm": "LeftArm",
+        "LeftLowerArm": "LeftForeArm",
+        "LeftUpperLeg": "LeftUpLeg",
+        "LeftLowerLeg": "LeftLeg",
+    }
+    names |= {k.replace("Left", "Right"): v.replace("Left", "Right") for k, v in names.items()}
+    other = JointTree(tuple(names.get(b, b) for b in BONES), TREE.parents, TREE.offsets)
+    assert find_bones(other.joints)["LeftLowerLeg"] == "LeftLeg" and set(find_bones(other.joints)) == set(PARENTS)
+    tree, poses = to_humanoid(other, POSES)
+    assert np.allclose(joints_of(tree, poses)[1], JOINTS, atol=1e-9)
+
+
+def test_a_model_is_trained_by_the_command_and_corrects_what_markers_do_not_show(tmp_path: Path) -> None:
+    twisted = POSES.copy()  # the hands are turned by half a radian, which no marker shows
+    for side in ("Left", "Right"):
+        at = 3 + 4 * BONES.index(f"{side}Hand")
+        twisted[:, at], twisted[:, at + 1] = np.cos(0.25), np.sin(0.25)
+    spec = TREE.spec(RATE)
+    series = [Series("walk", spec, grid(RATE, N), twisted)]
+    write_recording(tmp_path / "walk.mcap", series, {})
+    with pytest.raises(SystemExit) as ended:
+        cli.call("train", ["pose", str(tmp_path / "walk.mcap"), "-o", str(tmp_path / "pose.npz"), "--centres", "50"])
+    assert not ended.value.code
+    hand = 3 + 4 * BONES.index("LeftHand")
+    with_model, _, quality = played(marks(), model=tmp_path / "pose.npz", calibrate_s=0.0)
+    assert np.abs(played(marks(), calibrate_s=0.0)[0][60:, hand : hand + 4] - twisted[60:, hand : hand + 4]).max() > 0.2
+    assert np.abs(with_model[60:, hand : hand + 4] - twisted[60:, hand : hand + 4]).max() < 0.1
+    assert quality[60:, QUALITY + 3].max() < 1.0
+    few = tuple(n for n in USUAL if n != "head")
+    with pytest.raises(ParameterError, match="has no head"):
+        played(marks(few), few, model=tmp_path / "pose.npz")
+
+
+def test_the_shipped_avatar_follows_the_performer(tmp_path: Path) -> None:
+    quick = ("--set", "performer.realtime=false", "--set", "performer.duration_s=12", "--set", "vmc.port=9")
+    with pytest.raises(SystemExit) as ended:
+        cli.call("run", ["avatar_markers", "-o", str(tmp_path / "run"), "--view", "lines", *quick])
+    assert not ended.value.code
+    with Recording.open(tmp_path / "run") as recording:
+        true, made = (recording.read(name)[1] for name in ("performer.pose", "body.pose"))
+        hidden = np.isnan(recording.read("performer.markers")[1]).any(axis=(1, 2))
+    assert len(made) == 360 and np.isfinite(made).all() and hidden.sum() > 10
+    apart = np.linalg.norm(joints_of(TREE, true)[1] - joints_of(TREE, made)[1], axis=-1)
+    assert np.median(apart[60:][~hidden[60:]]) < 0.03 and apart[60:][~hidden[60:]].mean() < 0.06
