@@ -1,4 +1,4 @@
-# make demo: a treadmill session on a simulated signal, live in the terminal, with a report at the end.
+# make demo: a treadmill session on a simulated signal, live in the terminal and in a browser, with a report at the end.
 # make check: lint, types, and the laws on three operators, in under a minute (make check OPERATORS="Envelope or Cycles": on others).
 # make test: everything that is checked before a change goes in.
 # make mutants: 100 random changes to operators/ and stream/, of which the tests must notice at least 90 %; a while (SEED=2 draws others).
@@ -12,10 +12,11 @@ OPERATORS ?= iir.Lowpass or threshold.Threshold or align.Align
 SEED ?= 1
 BIN := .venv/bin
 
-.PHONY: demo check test mutants test-peers bench fuzz audit licences clean
+.PHONY: demo check test mutants test-peers bench fuzz soak audit licences clean
 
 demo: .venv/installed
-	$(BIN)/kinegraph run configs/treadmill_emg.yaml --set treadmill.duration_s=$(SECONDS_OF_DEMO)
+	$(BIN)/kinegraph run configs/treadmill_emg.yaml --set treadmill.duration_s=$(SECONDS_OF_DEMO) --page
+	@echo "the same session in a browser: $(BIN)/kinegraph view $$(ls -td recordings/treadmill_emg-* | head -n 1)"
 
 check: .venv/installed-for-tests
 	$(BIN)/ruff check .
@@ -42,10 +43,17 @@ FUZZ_S ?= 60
 fuzz: .venv/installed-for-tests
 	KINEGRAPH_FUZZ_S=$(FUZZ_S) $(BIN)/pytest tests/test_fuzz_files.py -n 2
 
-# known holes in what kinegraph depends on; the tool is installed for the purpose
+# all three uses at once in real time under random faults, every sample accounted for; then ten hours of each as fast as they go.
+# A week: make soak SOAK_MIN=10080
+SOAK_MIN ?= 20
+soak: .venv/installed-for-tests
+	$(BIN)/python -m tests.soak --minutes $(SOAK_MIN) --seed $(SEED)
+
+# known holes in what kinegraph depends on; the tool is installed for the purpose, and fails where a package cannot be looked up
 audit: .venv/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check pip-audit
-	$(BIN)/python -m pip_audit --skip-editable
+	wanted=$$(mktemp) && trap 'rm -f "$$wanted"' EXIT && $(BIN)/python -m pip freeze --exclude-editable > "$$wanted" && \
+		$(BIN)/python -m pip_audit --strict --no-deps --disable-pip --requirement "$$wanted"
 
 licences: .venv/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check pip-licenses
