@@ -8,6 +8,7 @@
     cluster    the workers: processes of this machine, or those of a Dask cluster
     study      all of it in order: plan, leave out what is done, run, collect
     results    reading what came of it
+    sessions   reading what came of one job as a recording is read
 
 A worker knows nothing of the others, and what it has finished is on the disk: a killed batch goes on where it was.
 """

@@ -26,6 +26,7 @@ class JobEntry:
     tables     {output: file below the folder}
     rows       {output: rows}
     left_out   {output: why it is in no table}
+    begin_ns   stamp of the recording's first input
     """
 
     key: str
@@ -39,6 +40,7 @@ class JobEntry:
     tables: Mapping[str, str] = field(default_factory=dict)
     rows: Mapping[str, int] = field(default_factory=dict)
     left_out: Mapping[str, str] = field(default_factory=dict)
+    begin_ns: int = 0
     seconds: float = 0.0
     took_s: float = 0.0
 

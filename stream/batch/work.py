@@ -111,6 +111,7 @@ def _replayed(folder: Path, job: Job, graph: Graph, recording: Recording) -> dic
         "tables": files,
         "rows": {name: table.rows for name, table in tables.items()},
         "left_out": left_out,
+        "begin_ns": recording.begin_of_inputs,
         "seconds": done.seconds,
     }
 

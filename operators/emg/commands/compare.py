@@ -13,7 +13,11 @@ from stream.plain import say
 
 def compare(
     sessions: Annotated[
-        list[File], typer.Argument(help="recorded sessions, with closed, cycles and maxima", metavar="SESSION...")
+        list[File],
+        typer.Argument(
+            help="recorded sessions, or results of `kinegraph batch`, with closed, cycles and maxima",
+            metavar="SESSION...",
+        ),
     ],
     output: Annotated[File, typer.Option("-o", "--out", help="folder for comparison.html and comparison.csv")] = File(
         "comparison"
@@ -25,19 +29,21 @@ def compare(
 ) -> None:
     """Scatter of cycles, divergence of mixtures, resemblance, and where mean curves differ: before and after, left and right, a group.
 
-    A recording with cycles of two legs counts as two sessions. Sessions whose curves were normalised or filtered otherwise are refused.
+    A recording with cycles of two legs counts as two sessions, each job of a batch as one. Sessions whose curves were normalised or
+    filtered otherwise are refused.
     """
     from operators.emg.commands.comparison import compare_sessions
     from operators.emg.commands.comparison_page import stretches, write_page, write_tables
     from operators.emg.commands.session_cycles import MOST_CYCLES, check_alike, read_sessions
     from operators.emg.mixtures import PeakMixtures
+    from stream.batch.sessions import sessions_at
     from stream.complete import private_folder
 
     page, table = output / "comparison.html", output / "comparison.csv"
     for path in (page, table):
         if path.exists() and not overwrite:
             raise KinegraphError(f"{path} exists; --overwrite replaces it, --out names another folder")
-    read = [found for path in sessions for found in read_sessions(path, node)]
+    read = [found for path in sessions_at(sessions) for found in read_sessions(path, node)]
     if len(read) < 2:
         raise KinegraphError("one session alone has nothing to be compared with; name two, or one with two legs")
     check_alike(read)

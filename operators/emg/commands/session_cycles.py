@@ -14,9 +14,9 @@ from operators.emg.mixtures import PeakMixtures, muscle_groups
 from operators.emg.peak_window import PeakWindow
 from operators.gait.cycle import CLOSED, MAXIMUM, POINTS
 from operators.gait.review import JUDGED
+from stream.batch.sessions import StoredSession, name_of, open_session
 from stream.chunk import Array, Samples, StreamSpec
 from stream.errors import KinegraphError
-from stream.recording import Recording
 
 MOST_CYCLES = 500
 
@@ -69,8 +69,8 @@ class SessionCycles:
 
 
 def read_sessions(path: Path, node: str = "") -> list[SessionCycles]:
-    """The cycles of each leg in a recording: of all nodes that gave some, or of `node`. Raises KinegraphError."""
-    with Recording.open(path) as recording:
+    """The cycles of each leg in a recording, or a batch's job: of all nodes that gave some, or of `node`. Raises KinegraphError."""
+    with open_session(path) as recording:
         nodes = [
             name.removesuffix(".closed")
             for name, stream in recording.streams.items()
@@ -87,7 +87,7 @@ def read_sessions(path: Path, node: str = "") -> list[SessionCycles]:
         return [_read(recording, path, name, len(nodes) > 1) for name in nodes]
 
 
-def _read(recording: Recording, path: Path, node: str, several: bool) -> SessionCycles:
+def _read(recording: StoredSession, path: Path, node: str, several: bool) -> SessionCycles:
     spec = recording.stream(f"{node}.cycles").spec
     _, closed = recording.read(f"{node}.closed")
     _, curves = recording.read(f"{node}.cycles")
@@ -102,7 +102,7 @@ def _read(recording: Recording, path: Path, node: str, several: bool) -> Session
         if stream.spec.dtype == JUDGED:
             _leave_out(recording.read(name)[1], accepted, curves, spec)
     about = recording.header.get("session") or {}
-    label = f"{recording.path.stem} {node}" if several else recording.path.stem
+    label = f"{name_of(recording)} {node}" if several else name_of(recording)
     units = spec.units[0] if len(spec.units) == 1 else ""
     alike = {**made_alike({**spec.meta, "height_unit": units}), "cut at": "touch-down"}
     return SessionCycles(label, str(about.get("subject", "")), spec, accepted[used], curves[used], maxima, alike)

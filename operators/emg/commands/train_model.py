@@ -12,7 +12,11 @@ from stream.errors import KinegraphError
 
 def emg_model(
     sessions: Annotated[
-        list[File], typer.Argument(help="recorded sessions, with closed, cycles and maxima", metavar="SESSION...")
+        list[File],
+        typer.Argument(
+            help="recorded sessions, or results of `kinegraph batch`, with closed, cycles and maxima",
+            metavar="SESSION...",
+        ),
     ],
     output: Annotated[File, typer.Option("-o", "--out", help="the model to be made")] = File("emg-model.npz"),
     node: Annotated[str, typer.Option(metavar="NODE", help="whose cycles, where a session has those of several")] = "",
@@ -29,11 +33,12 @@ def emg_model(
     from operators.emg.commands.session_cycles import MOST_CYCLES, check_alike, joined, read_sessions
     from operators.emg.emg_model import write_references
     from operators.emg.mixtures import PeakMixtures
+    from stream.batch.sessions import sessions_at
     from stream.screen import Screen
 
     if output.exists() and not overwrite:
         raise KinegraphError(f"{output} exists; --overwrite replaces it, --out names another file")
-    read = [found for path in sessions for found in read_sessions(path, node)]
+    read = [found for path in sessions_at(sessions) for found in read_sessions(path, node)]
     check_alike(read)
     whole = joined(read)
     mixer = PeakMixtures(cycles=MOST_CYCLES)

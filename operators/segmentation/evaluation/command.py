@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from math import isfinite
 from pathlib import Path as File
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
@@ -37,11 +37,16 @@ SHOWN = {
 
 
 def segmentation(
-    result: Annotated[File | None, typer.Argument(help="a recording with segments, or a CSV of them")] = None,
+    result: Annotated[
+        File | None, typer.Argument(help="a recording with segments, a CSV of them, or results of `kinegraph batch`")
+    ] = None,
     truth: Annotated[File | None, typer.Argument(help="annotations: CSV or NPZ")] = None,
     table: Annotated[
         File | None,
-        typer.Option(metavar="CSV", help="many recordings: columns result, truth, offset_s (may be missing)"),
+        typer.Option(
+            metavar="CSV",
+            help="many recordings: columns result, truth, offset_s (may be missing); of a batch: its recordings",
+        ),
     ] = None,
     offset: Annotated[float, typer.Option(metavar="SECONDS", help="added to the annotations' times")] = 0.0,
     node: Annotated[str, typer.Option(help="the node whose segments these are, if there are several")] = "",
@@ -55,6 +60,10 @@ def segmentation(
     """Boundary F1, covering, accuracy and repetitions against annotations, with a picture of each recording.
 
     kinegraph evaluate segmentation walk.mcap walk.csv --features stack -o scores
+
+    kinegraph evaluate segmentation results --table truth.csv
+
+    Of a batch's results every job is evaluated, and each combination of settings has its own mean.
     """
     from operators.segmentation.evaluation.found import read_found
     from operators.segmentation.evaluation.picture import draw
@@ -64,23 +73,62 @@ def segmentation(
 
     if not isfinite(offset):
         raise KinegraphError(f"--offset {offset}: must be a number of seconds")
-    if (table is None) == (result is None) or (result is None) != (truth is None):
-        raise KinegraphError("give RESULT and TRUTH, or --table TABLE.csv")
-    rows = _rows(table) if table else [(File(str(result)), File(str(truth)), offset)]
-    names = _names([made for made, _, _ in rows])
-    scores = {}
-    for name, (made, annotated, late) in zip(names, rows, strict=True):
+    wanted = _wanted(result, truth, table, offset)
+    scores: dict[str, Scores] = {}
+    groups: dict[str, dict[str, Scores]] = {}
+    for name, settings, made, annotated, late in wanted:
         found, known = read_found(made, node, features), read_truth(annotated, late)
         _meet(made, found, annotated, known)
-        scores[name] = score(found, known)
+        scores[name] = groups.setdefault(settings, {})[name] = score(found, known)
         if output:
-            _save(output, f"{name}.png", overwrite)
-            draw(name, found, known, radius or float("nan")).savefig(output / f"{name}.png", dpi=120)
-    Screen().print(_summary(scores))
+            picture = f"{name.replace('/', '_')}.png"
+            _save(output, picture, overwrite)
+            draw(name, found, known, radius or float("nan")).savefig(output / picture, dpi=120)
+    for settings, of in groups.items():
+        Screen().print(_summary(of, settings))
     if output:
         _save(output, "scores.csv", overwrite)
         _sheet(output / "scores.csv", scores)
         say(str(output))
+
+
+Wanted: TypeAlias = tuple[str, str, File, File, float]
+"""A name, the settings of a batch's job, the result, its truth, and seconds that are added to that."""
+
+
+def _wanted(result: File | None, truth: File | None, table: File | None, offset: float) -> list[Wanted]:
+    """What is to be compared with what. Raises KinegraphError."""
+    from stream.batch.sessions import (
+        is_results,
+        matched,
+        named_in,
+        open_session,
+        recording_name,
+        sessions_at,
+        settings_of,
+        short_name,
+    )
+
+    if result is None or not is_results(result):
+        if (table is None) == (result is None) or (result is None) != (truth is None):
+            raise KinegraphError("give RESULT and TRUTH, or --table TABLE.csv")
+        rows = _rows(table) if table else [(File(str(result)), File(str(truth)), offset)]
+        names = _names([made for made, _, _ in rows])
+        return [(name, "", *row) for name, row in zip(names, rows, strict=True)]
+    if (table is None) == (truth is None):
+        raise KinegraphError(
+            f"{result}: results of a batch; give TRUTH for its one recording, or --table TABLE.csv for several"
+        )
+    if table:
+        of = {named_in(table, made): (annotated, late) for made, annotated, late in _rows(table)}
+    else:
+        names = sorted({recording_name(open_session(path)) for path in sessions_at([result])})
+        if len(names) > 1:
+            raise KinegraphError(f"{result}: holds {len(names)} recordings; --table says which truth is whose")
+        of = {names[0]: (File(str(truth)), offset)}
+    return [
+        (short_name(entry), ", ".join(settings_of(entry)), path, *told) for path, entry, told in matched(result, of)
+    ]
 
 
 def _meet(made: File, found: Found, annotated: File, known: Truth) -> None:
@@ -104,12 +152,13 @@ def _names(paths: list[File]) -> list[str]:
     return [name if made.count(name) == 1 else f"{name}_{i + 1}" for i, name in enumerate(made)]
 
 
-def _summary(scores: dict[str, Scores]) -> object:
+def _summary(scores: dict[str, Scores], settings: str) -> object:
     from rich.table import Table
 
     from operators.segmentation.evaluation.scores import intervals
 
-    made = Table(title=f"segmentation, {len(scores)} recording{'s' if len(scores) != 1 else ''}")
+    count = f"{len(scores)} recording{'s' if len(scores) != 1 else ''}"
+    made = Table(title=", ".join(filter(None, ["segmentation", count, settings])))
     for heading in ("", "mean", "95 % interval"):
         made.add_column(heading, justify="left" if not heading else "right")
     for name, (mean, low, high) in intervals(list(scores.values())).items():

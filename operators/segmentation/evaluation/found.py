@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from operators.segmentation.evaluation.truth import LONGEST_TRANSITION_S
+from stream.batch.sessions import StoredSession, open_session
 from stream.chunk import NS, Array, Samples
 from stream.errors import KinegraphError, nearest
-from stream.recording import Recording
 from stream.tables import read_csv
 
 ACTIVITY = {"onset", "end", "activity", "repeats"}
@@ -76,10 +76,8 @@ def read_found(path: Path, node: str = "", features: str = "") -> Found:
     """
     if path.suffix.lower() in (".csv", ".tsv", ".txt"):
         return _table(path)
-    with Recording.open(path) as recording:
-        zero = min(
-            (s.first for s in recording.streams.values() if s.role == "input" and s.first is not None), default=0
-        )
+    with open_session(path) as recording:
+        zero = recording.begin_of_inputs
         activity = _events(recording, ACTIVITY, node, needed=True)
         primitive = _events(recording, PRIMITIVE, node, needed=True)
         merges = _events(recording, MERGE, node)
@@ -119,7 +117,7 @@ def merged(cluster: Array, merges: Iterable[tuple[int, int]]) -> Array:
     return made
 
 
-def _events(recording: Recording, fields: set[str], node: str, *, needed: bool = False) -> Array:
+def _events(recording: StoredSession, fields: set[str], node: str, *, needed: bool = False) -> Array:
     """The events of the only stream that has these fields (of this node); an empty array where there is none."""
     names = [
         name
@@ -138,8 +136,7 @@ def _events(recording: Recording, fields: set[str], node: str, *, needed: bool =
             hint = nearest(node, known) if node else "name the segmentation's outputs under `record` in the graph"
             raise KinegraphError(f"{recording.path}: no stream holds {' and '.join(sorted(fields))}; {hint}")
         return np.empty(0, [(name, "<i8") for name in sorted(fields)])
-    chunks = [entry[0].data for entry in recording.entries(names[0])]
-    return np.concatenate(chunks) if chunks else np.empty(0, recording.streams[names[0]].spec.dtype)
+    return recording.read(names[0])[1]
 
 
 def _spans(events: Array, zero: int) -> Samples:
@@ -151,15 +148,14 @@ def _spans(events: Array, zero: int) -> Samples:
     return np.stack([start - zero, end - zero], 1) / NS
 
 
-def _signal(recording: Recording, name: str, zero: int) -> tuple[Samples, Samples, tuple[int, int]]:
+def _signal(recording: StoredSession, name: str, zero: int) -> tuple[Samples, Samples, tuple[int, int]]:
     spec = recording.stream(name).spec
     if spec.is_event or len(spec.shape) > 2:
         raise KinegraphError(f"{recording.path}: --features {name} is {spec.describe()}; it must be a signal")
-    chunks = [entry[0] for entry in recording.entries(name) if len(entry[0].time)]
-    if not chunks:
+    time, data = recording.read(name)
+    if not len(time):
         raise KinegraphError(f"{recording.path}: --features {name} holds no samples")
-    time = np.concatenate([chunk.time for chunk in chunks])
-    data = np.concatenate([chunk.data.reshape(len(chunk.time), -1) for chunk in chunks])
+    data = data.reshape(len(time), -1)
     stack = spec.meta.get("stack", {"offsets": [0], "features": data.shape[1]})
     first = stack["offsets"].index(0) * stack["features"] if 0 in stack["offsets"] else 0
     own = (first, first + stack["features"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path as File
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
@@ -18,14 +18,16 @@ if TYPE_CHECKING:
 
 def sleep(
     estimate: Annotated[
-        File | None, typer.Argument(help="a night's hypnogram.edf, its epochs.csv, or a recording")
+        File | None,
+        typer.Argument(help="a night's hypnogram.edf, its epochs.csv, a recording, or results of `kinegraph batch`"),
     ] = None,
     reference: Annotated[File | None, typer.Argument(help="the hypnogram: EDF+ or CSV")] = None,
     nights: Annotated[
         File | None,
         typer.Option(
             metavar="CSV",
-            help="many nights: columns estimate, reference, person, offset_s (the last two may be missing)",
+            help="many nights: columns estimate, reference, person, offset_s (the last two may be missing); of a batch: "
+            "its recordings",
         ),
     ] = None,
     offset: Annotated[
@@ -42,25 +44,73 @@ def sleep(
 
     kinegraph evaluate sleep nights/2026-11-20/hypnogram.edf psg.edf --offset -12 -o agreement
 
+    kinegraph evaluate sleep results --nights nights.csv
+
+    Of a batch's results every job is evaluated, and each combination of settings has its own tables.
+
     An EDF file says no time zone: both then go by the clock on the wall. epochs.csv and recordings are in UTC.
     """
     from operators.sleep.evaluation.comparison import NOTE, tables
     from stream.screen import Screen
 
-    if (nights is None) == (estimate is None) or (estimate is None) != (reference is None):
-        raise KinegraphError("give ESTIMATE and REFERENCE, or --nights TABLE.csv")
-    rows = _rows(nights) if nights else [(estimate, reference, "", offset)]
-    pairs = [_pair(File(str(e)), File(str(r)), person, late, stream, epoch_s) for e, r, person, late in rows]
+    pairs: list[Pair] = []
+    groups: dict[str, list[Pair]] = {}
+    for name, settings, e, r, person, late in _wanted(estimate, reference, nights, offset):
+        pairs.append(_pair(name, e, r, person, late, stream, epoch_s))
+        groups.setdefault(settings, []).append(pairs[-1])
     console = Screen()
-    for table in tables(pairs):
-        console.print(table)
-        console.print()
+    for settings, of in groups.items():
+        if settings:
+            console.print(settings, style="bold", markup=False)
+        for table in tables(of):
+            console.print(table)
+            console.print()
     console.print(NOTE)
     if output:
         _write(pairs, output, overwrite)
 
 
-def _pair(estimate: File, reference: File, person: str, offset_s: float, stream: str, epoch_s: float) -> Pair:
+Wanted: TypeAlias = tuple[str, str, File, File, str, float]
+"""A name, the settings of a batch's job, estimate, reference, who slept, and seconds that are added to the reference's times."""
+
+
+def _wanted(estimate: File | None, reference: File | None, nights: File | None, offset: float) -> list[Wanted]:
+    """What is to be compared with what. Raises KinegraphError."""
+    from stream.batch.sessions import (
+        is_results,
+        matched,
+        named_in,
+        open_session,
+        recording_name,
+        sessions_at,
+        settings_of,
+        short_name,
+    )
+
+    if estimate is None or not is_results(estimate):
+        if (nights is None) == (estimate is None) or (estimate is None) != (reference is None):
+            raise KinegraphError("give ESTIMATE and REFERENCE, or --nights TABLE.csv")
+        rows = _rows(nights) if nights else [(File(str(estimate)), File(str(reference)), "", offset)]
+        return [(e.stem, "", e, r, person, late) for e, r, person, late in rows]
+    if (nights is None) == (reference is None):
+        raise KinegraphError(
+            f"{estimate}: results of a batch; give REFERENCE for its one night, or --nights TABLE.csv for several"
+        )
+    if nights:
+        of = {named_in(nights, e): (r, person, late) for e, r, person, late in _rows(nights)}
+    else:
+        names = sorted({recording_name(open_session(path)) for path in sessions_at([estimate])})
+        if len(names) > 1:
+            raise KinegraphError(f"{estimate}: holds {len(names)} nights; --nights says which reference is whose")
+        of = {names[0]: (File(str(reference)), "", offset)}
+    return [
+        (short_name(entry), ", ".join(settings_of(entry)), path, *told) for path, entry, told in matched(estimate, of)
+    ]
+
+
+def _pair(
+    name: str, estimate: File, reference: File, person: str, offset_s: float, stream: str, epoch_s: float
+) -> Pair:
     from operators.sleep.evaluation.comparison import pair
     from operators.sleep.evaluation.reference import read_hypnogram
 
@@ -75,7 +125,7 @@ def _pair(estimate: File, reference: File, person: str, offset_s: float, stream:
             f"no time zone stands in {bare}, and UTC is assumed; --offset {shift} if its clock was an hour ahead of UTC"
         )
         say(note, err=True)
-    return pair(estimate.stem, person or estimate.stem, found, truth, offset_s)
+    return pair(name, person or name, found, truth, offset_s)
 
 
 def _rows(table: File) -> list[tuple[File, File, str, float]]:

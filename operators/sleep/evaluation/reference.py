@@ -185,9 +185,9 @@ def _moment(text: str) -> tuple[int, bool]:
 
 
 def _recording(path: Path, stream: str) -> Hypnogram:
-    from stream.recording import Recording
+    from stream.batch.sessions import open_session
 
-    with Recording.open(path) as opened:
+    with open_session(path) as opened:
         found = [name for name, s in opened.streams.items() if s.spec.dtype == EPOCH]
         if not stream and len(found) != 1:
             raise RecordingError(

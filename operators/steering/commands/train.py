@@ -18,7 +18,10 @@ MOST_FRAMES = 400
 
 
 def mesh(
-    recordings: Annotated[list[File], typer.Argument(help="recordings of one mesh", metavar="RECORDING...")],
+    recordings: Annotated[
+        list[File],
+        typer.Argument(help="recordings of one mesh, or results of `kinegraph batch`", metavar="RECORDING..."),
+    ],
     markers: Annotated[File, typer.Option(help="YAML: which vertex each marker stands for; see below")],
     output: Annotated[File, typer.Option("-o", "--out", help="the model to be made")] = File("mesh.npz"),
     parts: Annotated[int, typer.Option(min=1, max=100, help="near-rigid parts, at most")] = 14,
@@ -59,13 +62,13 @@ def _frames(recordings: list[File]) -> tuple[Samples, Topology]:
     """All frames of the one mesh that the recordings hold."""
     import numpy as np
 
+    from stream.batch.sessions import open_session, sessions_at
     from stream.mesh import Topology
-    from stream.recording import Recording
 
     found: list[Any] = []
     mesh: Topology | None = None
-    for path in recordings:
-        with Recording.open(path) as opened:
+    for path in sessions_at(recordings):
+        with open_session(path) as opened:
             for name, stream in opened.streams.items():
                 if "mesh" in stream.spec.meta:
                     other = Topology.of(stream.spec, name)

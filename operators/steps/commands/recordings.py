@@ -11,9 +11,9 @@ import numpy as np
 
 from operators.steps.commands.validation import Labelled
 from operators.steps.steps import STEP, Steps
+from stream.batch.sessions import open_session, recording_name
 from stream.chunk import FOREVER, Array, Chunk, StreamSpec
 from stream.errors import InputError, KinegraphError, nearest
-from stream.recording import Recording
 
 GROUPS = ("low", "middle", "high")
 
@@ -69,7 +69,7 @@ def grouped(labels: dict[str, tuple[str, str]], target: str) -> dict[str, tuple[
 
 def read_walk(path: Path, finder: Steps, stream: str = "") -> Walk:
     """The steps that `finder` finds in a recording's inertial signal, the only one or `stream`. Raises KinegraphError."""
-    with Recording.open(path) as recording:
+    with open_session(path) as recording:
         names = [stream] if stream else list(recording.streams)
         fitting = [name for name in names if _suits(finder, recording.stream(name).spec)]
         if len(fitting) != 1:
@@ -83,12 +83,18 @@ def read_walk(path: Path, finder: Steps, stream: str = "") -> Walk:
                 data = np.where(np.isfinite(chunk.data), chunk.data, np.nan).astype(np.float64)
                 made = operator.process("in", Chunk(chunk.time, data, min(chunk.until, FOREVER), chunk.lost))
                 rows.append(made.data)
-    return Walk(path.stem, np.concatenate(rows), spec.meta)
+        name = recording_name(recording)
+    return Walk(name, np.concatenate(rows), spec.meta)
 
 
 def labelled(walks: list[Walk], labels: dict[str, tuple[str, str]]) -> Labelled:
     """The walking steps with their labels. Raises KinegraphError where labels and recordings do not match, or sensors differ."""
     names = {walk.name for walk in walks}
+    if len(names) < len(walks):
+        twice = next(walk.name for k, walk in enumerate(walks) if walk.name in {w.name for w in walks[:k]})
+        raise KinegraphError(
+            f"recording {twice!r} is given twice, perhaps replayed with several settings; one of each is needed"
+        )
     for name in labels:
         if name not in names:
             raise KinegraphError(f"the labels name the recording {name!r}, which was not given; {nearest(name, names)}")

@@ -55,7 +55,12 @@ def steps(
     labels: Annotated[
         File, typer.Argument(help="a table with columns recording, person, and the target", metavar="LABELS.csv")
     ],
-    recordings: Annotated[list[File], typer.Argument(help="recordings of an inertial sensor", metavar="RECORDING...")],
+    recordings: Annotated[
+        list[File],
+        typer.Argument(
+            help="recordings of an inertial sensor, or results of `kinegraph batch`", metavar="RECORDING..."
+        ),
+    ],
     target: Annotated[StepTarget, typer.Option(help="the column that is learned; person: re-identification")],
     output: Annotated[File, typer.Option("-o", "--out", help="the model to be made")] = File("steps.npz"),
     site: Annotated[Site, typer.Option(help="where the sensor was worn")] = Site.lower_back,
@@ -83,11 +88,12 @@ def steps(
     from operators.steps.commands.recordings import labelled, read_labels, read_walk
     from operators.steps.commands.training import learned
     from operators.steps.steps import Steps
+    from stream.batch.sessions import sessions_at
 
     if output.exists() and not overwrite:
         raise KinegraphError(f"{output} exists; --overwrite replaces it, --out names another file")
     finder = Steps(site=site.value, axes=axes.value)
-    walks = [read_walk(path, finder, stream) for path in recordings]
+    walks = [read_walk(path, finder, stream) for path in sessions_at(recordings)]
     given = labelled(walks, read_labels(labels, target.value))
     if features is not Features.acceleration and not walks[0].meta["angular_velocity"]:
         raise KinegraphError(

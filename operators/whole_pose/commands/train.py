@@ -19,7 +19,10 @@ RATE_HZ = 30.0
 
 
 def pose(
-    recordings: Annotated[list[File], typer.Argument(help="recordings that hold poses", metavar="RECORDING...")],
+    recordings: Annotated[
+        list[File],
+        typer.Argument(help="recordings that hold poses, or results of `kinegraph batch`", metavar="RECORDING..."),
+    ],
     output: Annotated[File, typer.Option("-o", "--out", help="the model to be made")] = File("pose.npz"),
     markers: Annotated[
         str, typer.Option(help="landmarks that will be seen, with commas [default: head, shoulders, ..., ankles: 13]")
@@ -64,15 +67,15 @@ def _lessons(recordings: list[File], chosen: object) -> tuple[list[Lesson], list
     import numpy as np
 
     from operators.whole_pose.learn import lesson_of
+    from stream.batch.sessions import name_of, open_session, sessions_at
     from stream.humanoid import to_humanoid
     from stream.joint_tree import JointTree
-    from stream.recording import Recording
 
     lessons: list[Lesson] = []
     told: list[str] = []
     tree: JointTree | None = None
-    for path in recordings:
-        with Recording.open(path) as opened:
+    for path in sessions_at(recordings):
+        with open_session(path) as opened:
             for name, stream in opened.streams.items():
                 if "skeleton" not in stream.spec.meta or len(stream.spec.shape) != 1:
                     continue
@@ -84,8 +87,8 @@ def _lessons(recordings: list[File], chosen: object) -> tuple[list[Lesson], list
                 body, poses = to_humanoid(JointTree.of(stream.spec, name), rows)
                 tree = tree or body
                 lessons.append(lesson_of(body, poses, np.asarray(chosen)))
-                told.append(f"{path.name}: {name}")
-                say(f"{path}: {name}: {len(rows)} poses")
+                told.append(f"{name_of(opened)}: {name}")
+                say(f"{name_of(opened)}: {name}: {len(rows)} poses")
     if tree is None:
         raise KinegraphError(
             "no stream of poses in these recordings; `kinegraph import` makes one of each BVH file whose --unit is said"
