@@ -19,7 +19,7 @@ VECTOR = bytes.fromhex(
     "400000000300000015cd5b07000000002a00000001000000280000000100000002000000000000000000803f0000004000004040000080400000a0400000c040"
 )
 """A data packet of two markers, as Qualisys' own client reads it."""
-SOURCE = Qualisys(markers=("ankle", "knee"), bodies=("shank",))
+SOURCE = Qualisys(markers=("ankle", "knee"), bodies=("shank",), segments=("Fred:Spine", "Fred:Hips"), analog=("EMG 2",))
 
 
 def test_a_frame_that_qtms_client_reads() -> None:
@@ -64,11 +64,25 @@ def test_a_server() -> None:
     markers, unseen = feed.data("markers")[: len(number)], number % 20 == 19
     assert (np.isnan(markers[:, 1, 0]) == unseen[: len(markers)]).all() and np.allclose(markers[:, 0, 1], 0.1)
     assert feed.data("rotations")[0, 0].tolist() == [1, 0, 0, 0, 1, 0, 0, 0, 1]
+    segments = feed.data("segments")[: len(number)]
+    assert np.allclose(segments[:, 0, 0] * 1000, number) and np.allclose(segments[:, 0, 1], 0.01)
+    assert feed.data("segment_rotations")[0].tolist() == [[0, 0, 0, 1]] * 2
+    analog, lost = feed.data("analog")[:, 0], feed.lost("analog")
+    steps = np.diff(analog - 0.25) % 1000
+    assert {i + 1: int(steps[i]) - 1 for i in np.flatnonzero(steps != 1)} == lost and set(lost.values()) == {10}
 
 
 @pytest.mark.parametrize(
     ("change", "told"),
-    [({"markers": ("nee",)}, "QTM streams no marker 'nee'"), ({"rate_hz": 50.0}, "write rate_hz: 100")],
+    [
+        ({"markers": ("nee",)}, "QTM streams no marker 'nee'"),
+        ({"rate_hz": 50.0}, "write rate_hz: 100"),
+        ({"segments": ("Frad:Hips",)}, "no skeleton 'Frad'"),
+        ({"segments": ("Fred:Hip",)}, "no segment of Fred 'Hip'"),
+        ({"analog": ("EMG 3",)}, "no analog channel 'EMG 3'"),
+        ({"analog_hz": 2000.0}, "write analog_hz: 1000"),
+        ({"analog_unit": "mV"}, "gives V, not mV"),
+    ],
 )
 def test_what_qtm_does_not_have_is_told(change: dict[str, object], told: str) -> None:
     with QualisysServer() as server, reading(replace(SOURCE, port=server.port, **change)) as feed:  # type: ignore[arg-type]

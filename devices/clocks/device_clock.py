@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from stream.chunk import NS, STAMP, Samples, Times
+from stream.chunk import NS, STAMP, Times
 
 BUCKET_NS = NS
 WINDOW = 120
@@ -211,7 +211,7 @@ class DeviceClock:
             self._slope, lowest = 0.0, int(np.argmin(y))
             self._height, self._at = float(y[lowest]), self._x[lowest]
         else:
-            left, right = _edge(x, y, float(x.mean()))
+            left, right = _edge(x.tolist(), y.tolist(), float(x.mean()))
             slope = (y[right] - y[left]) / (x[right] - x[left])
             if slope > MOST_DRIFT:
                 stray = np.median(y - y[left] - slope * (x - x[left]))
@@ -225,13 +225,14 @@ class DeviceClock:
         self._spread = float(np.median(rest))
 
 
-def _edge(x: Samples, y: Samples, middle: float) -> tuple[int, int]:
-    """Indices of the two points of the lower convex hull between which `middle` lies. x (n,) increasing."""
+def _edge(x: list[float], y: list[float], middle: float) -> tuple[int, int]:
+    """Indices of the two points of the lower convex hull between which `middle` lies. x increasing; lists, for single numbers of an array
+    cost five times as much."""
     hull: list[int] = []
-    for i in range(len(x)):
+    for i, (right, height) in enumerate(zip(x, y, strict=True)):
         while len(hull) > 1:
             a, b = hull[-2], hull[-1]
-            if (x[b] - x[a]) * (y[i] - y[a]) > (y[b] - y[a]) * (x[i] - x[a]):
+            if (x[b] - x[a]) * (height - y[a]) > (y[b] - y[a]) * (right - x[a]):
                 break
             hull.pop()
         hull.append(i)

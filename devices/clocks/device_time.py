@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from devices.clocks.device_clock import JUMP_NS, DeviceClock
+from stream.chunk import Times
 
 SLACK_NS = 10_000_000_000
 """A device's time may advance by so much more than what has passed here: what was made during a stall comes all at once."""
@@ -42,6 +45,23 @@ class DeviceTime:
         else:
             return self._doubt(raw_ns, arrival_ns)
         return self._accept(value, raw_ns, arrival_ns)
+
+    def read_even(self, raw_ns: Times, arrival_ns: int) -> Times | None:
+        """What `read` gives for each of n > 1 numbers (n,) of one arrival; None, with nothing changed, where one of them leaps."""
+        if self._raw is None or self._doubtful or self._former is None:
+            return None
+        first = self._step_from(self._raw, int(raw_ns[0]), arrival_ns - self._arrival)
+        steps = np.diff(raw_ns)
+        least = min(first, int(steps.min()), self._usual)
+        if least < 0 or max(first, int(steps.max())) - least > JUMP_NS or first > arrival_ns - self._arrival + SLACK_NS:
+            return None
+        values: Times = self._value + first + (raw_ns - raw_ns[0])
+        self.restarted = False
+        before, self._step = first if len(steps) == 1 else int(steps[-2]), int(steps[-1])
+        self._usual = min(before, self._step)
+        self._former = int(raw_ns[-2]), int(values[-2]), arrival_ns
+        self._raw, self._value, self._arrival = int(raw_ns[-1]), int(values[-1]), arrival_ns
+        return values
 
     def _step_from(self, before_ns: int, raw_ns: int, elapsed_ns: int) -> int:
         step = raw_ns - before_ns

@@ -18,6 +18,10 @@ REPEATED = -2
 GAP_PERIODS = 1.75
 """Without a counter, a longer step of the device's time means that something is missing."""
 
+_NONE = np.empty(0, np.int64)
+NOTHING = Packets(np.zeros(1, bool), _NONE, _NONE, _NONE, _NONE)
+"""Of one record that is left out."""
+
 
 class Stamps:
     """For records that come some at a time.
@@ -72,6 +76,10 @@ class Stamps:
         again  (n,) whether each holds the same as the one before it, where that is known
         """
         if device_ns is not None:
+            if n == 1:
+                return self._one(device_ns, counter, arrival_ns, again is not None and bool(again[0]))
+            if counter is None and again is None and (even := self._evenly(device_ns, arrival_ns)):
+                return even
             return self._by_time(device_ns, counter, arrival_ns, np.zeros(n, bool) if again is None else again)
         if self._packets and counter is not None:
             return self._packets.take(counter, arrival_ns)
@@ -94,6 +102,31 @@ class Stamps:
             kept[i], number[i], device[i] = lost[i] > REPEATED, self._losses.number, value
         self._clock.map(device[mapped:], kept[mapped:], arrival_ns, stamp[mapped:])
         return Packets(kept, number[kept], lost[kept], device[kept], stamp[kept])
+
+    def _one(self, raw_ns: Times, counter: Array | None, arrival_ns: int, again: bool) -> Packets:
+        """The same as `_by_time` for one record, as most reads bring it, without arrays on the way."""
+        value = self._time.read(int(raw_ns[0]), arrival_ns)
+        if value is None:
+            return NOTHING
+        if self._time.restarted:
+            self._clock.restart(self._time.jump_ns)
+        here = None if counter is None else int(counter[0])
+        lost = self._losses.before(value, here, arrival_ns, self._time.restarted, again=again)
+        if lost <= REPEATED:
+            return NOTHING
+        self._clock.see(value, arrival_ns)
+        row = np.array([self._losses.number, lost, value, self._clock.stamp(value)])
+        return Packets(np.ones(1, bool), row[0:1], row[1:2], row[2:3], row[3:4])
+
+    def _evenly(self, raw_ns: Times, arrival_ns: int) -> Packets | None:
+        """The same as `_by_time` for records of one packet that follow each other without a gap; None where they do not."""
+        device = self._time.read_even(raw_ns, arrival_ns) if self._losses.follow_each_other(raw_ns) else None
+        if device is None:
+            return None
+        lost = self._losses.before_even(device, arrival_ns)
+        self._clock.see(int(device[-1]), arrival_ns)
+        stamp = self._clock.stamps(device)
+        return Packets(np.ones(len(device), bool), np.full(len(device), -1, np.int64), lost, device, stamp)
 
     def _by_arrival(self, n: int, arrival_ns: int) -> Packets:
         """Evenly back from the arrival, at the nominal rate, but not before what came last."""
@@ -133,6 +166,22 @@ class Losses:
         """The running number of the last record; -1 where there is no counter."""
         return self._counter.value if self._counter else -1
 
+    def follow_each_other(self, raw_ns: Times) -> bool:
+        """Whether nothing is missing, or there twice, between these n > 1 records (n,) by their time."""
+        if self._counter or not self._rate:
+            return False
+        steps = np.diff(raw_ns)
+        return bool(steps.min() > 0 and steps.max() / NS * self._rate <= GAP_PERIODS)
+
+    def before_even(self, device_ns: Times, arrival_ns: int) -> Times:
+        """What `before` gives for each of n > 1 records (n,) that follow each other: only before the first may some be missing."""
+        assert self._rate
+        lost = np.zeros(len(device_ns), np.int64)
+        lost[0] = self.before(int(device_ns[0]), None, arrival_ns)
+        self._finest = min(self._finest, int(np.diff(device_ns).min()) / NS * self._rate)
+        self._device, self._beside = int(device_ns[-1]), 0
+        return lost
+
     def before(
         self, device_ns: int, counter: int | None, arrival_ns: int, restarted: bool = False, *, again: bool = False
     ) -> int:
@@ -163,6 +212,9 @@ class Losses:
 
 def chunks(stamp: Times, lost: Times, data: Array) -> Iterator[Chunk]:
     """Records (n, ...) with their stamps and what is lost before each (n,): a chunk for those that follow each other without a gap."""
+    if len(lost) == 1:
+        yield Chunk(stamp, data, int(stamp[0]), int(lost[0]))
+        return
     cuts = np.flatnonzero(lost)
     for a, b in pairwise([0, *(int(c) for c in cuts if c > 0), len(lost)]):
         if b > a:

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 PORT, VERSION = 22223, "1.25"
 ERROR, COMMAND, XML, DATA, NO_MORE, EVENT = 0, 1, 2, 3, 4, 6
-MARKERS, BODIES = 1, 5
+MARKERS, ANALOG, BODIES, SKELETONS = 1, 3, 5, 18
 HEADER = struct.Struct("<II")
 LONGEST = 1 << 24
+SEGMENT = np.dtype([("number", "<u4"), ("values", "<f4", 7)])
 
 
 class QualisysError(ValueError):
@@ -24,13 +25,50 @@ class QualisysError(ValueError):
 
 
 @dataclass(slots=True)
+class AnalogSamples:
+    """Of one device: its samples (n, channels), in the device's unit, and the running number of the first."""
+
+    device: int
+    first: int
+    values: NDArray[np.float32]
+
+
+@dataclass(slots=True)
 class QualisysFrame:
-    """markers (m, 3) and bodies (b, 12): position and nine numbers of the rotation, in QTM's order; mm; NaN: lost. time_us is QTM's."""
+    """markers (m, 3) and bodies (b, 12): position and nine numbers of the rotation, in QTM's order; mm; NaN: lost. time_us is QTM's.
+
+    skeletons    of each, in QTM's order, the segments by their number: position in mm and quaternion x, y, z, w (7,)
+    analog       what has come since the frame before, on a clock of its own: a frame may bring none, or several frames' samples
+    """
 
     number: int
     time_us: int
     markers: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
     bodies: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 12), np.float32))
+    skeletons: list[dict[int, NDArray[np.float32]]] = field(default_factory=list)
+    analog: list[AnalogSamples] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class AnalogDevice:
+    """name, samples per second, and each channel's name and unit."""
+
+    number: int
+    name: str
+    rate_hz: float
+    channels: list[str]
+    units: list[str]
+
+
+@dataclass(slots=True)
+class QualisysNames:
+    """What QTM has, in the order of the data. rate_hz: frames per second, 0: not said; segments: of each skeleton, name to number."""
+
+    rate_hz: float
+    markers: list[str]
+    bodies: list[str]
+    skeletons: dict[str, dict[str, int]]
+    analog: list[AnalogDevice]
 
 
 class QualisysDecoder:
@@ -84,9 +122,36 @@ def frame(payload: bytes) -> QualisysFrame:
                     made.markers = rows
                 else:
                     made.bodies = rows
+            elif kind == ANALOG:
+                made.analog = _analog(payload[at + 8 : at + size])
+            elif kind == SKELETONS:
+                made.skeletons = _skeletons(payload[at + 8 : at + size])
             at += size
-    except struct.error as error:
+    except (struct.error, ValueError) as error:
         raise QualisysError(f"a frame that is cut off: {error}") from None
+    return made
+
+
+def _analog(data: bytes) -> list[AnalogSamples]:
+    (devices,), at, made = struct.unpack_from("<I", data), 4, []
+    for _ in range(devices):
+        number, channels, n = struct.unpack_from("<III", data, at)
+        at += 12
+        if n:
+            (first,) = struct.unpack_from("<I", data, at)
+            values = np.frombuffer(data, "<f4", channels * n, at + 4).reshape(channels, n)
+            made.append(AnalogSamples(number, first, values.T))
+            at += 4 + 4 * channels * n
+    return made
+
+
+def _skeletons(data: bytes) -> list[dict[int, NDArray[np.float32]]]:
+    (count,), at, made = struct.unpack_from("<I", data), 4, []
+    for _ in range(count):
+        (segments,) = struct.unpack_from("<I", data, at)
+        rows = np.frombuffer(data, SEGMENT, segments, at + 4)
+        made.append({int(row["number"]): row["values"] for row in rows})
+        at += 4 + SEGMENT.itemsize * segments
     return made
 
 
@@ -96,17 +161,54 @@ def build_data(made: QualisysFrame) -> bytes:
     for kind, rows in ((MARKERS, made.markers), (BODIES, made.bodies)):
         if len(rows):
             body = struct.pack("<Ihh", len(rows), 0, 0) + np.ascontiguousarray(rows, "<f4").tobytes()
-            parts.append(HEADER.pack(HEADER.size + len(body), kind) + body)
-    return struct.pack("<qII", made.time_us, made.number, len(parts)) + b"".join(parts)
+            parts.append((kind, body))
+    if made.analog:
+        body = struct.pack("<I", len(made.analog))
+        for block in made.analog:
+            n, channels = block.values.shape
+            body += struct.pack("<IIII", block.device, channels, n, block.first)
+            body += np.ascontiguousarray(block.values.T, "<f4").tobytes()
+        parts.append((ANALOG, body))
+    if made.skeletons:
+        body = struct.pack("<I", len(made.skeletons))
+        for skeleton in made.skeletons:
+            body += struct.pack("<I", len(skeleton)) + np.array([*skeleton.items()], SEGMENT).tobytes()
+        parts.append((SKELETONS, body))
+    whole = b"".join(HEADER.pack(HEADER.size + len(body), kind) + body for kind, body in parts)
+    return struct.pack("<qII", made.time_us, made.number, len(parts)) + whole
 
 
-def names(xml: str) -> tuple[float, list[str], list[str]]:
-    """Frames per second (0: not said), markers' and bodies' names, in the order of the data. Raises QualisysError."""
+def names(xml: str) -> QualisysNames:
+    """What the parameters of QTM name. Raises QualisysError."""
     try:
         root = ElementTree.fromstring(xml)
     except ElementTree.ParseError as error:
         raise QualisysError(f"parameters that are no XML: {error}") from None
-    markers = [(one.findtext("Name") or "").strip() for one in root.findall("./The_3D/Label")]
-    bodies = [(one.findtext("Name") or "").strip() for one in root.findall("./The_6D/Body")]
-    rate = (root.findtext("./General/Frequency") or "0").strip()
-    return float(rate) if rate.replace(".", "", 1).isdigit() else 0.0, markers, bodies
+    return QualisysNames(
+        _number(root.findtext("./General/Frequency")),
+        [(one.findtext("Name") or "").strip() for one in root.findall("./The_3D/Label")],
+        [(one.findtext("Name") or "").strip() for one in root.findall("./The_6D/Body")],
+        {
+            one.get("Name", ""): {segment.get("Name", ""): int(segment.get("ID", 0)) for segment in one.iter("Segment")}
+            for one in root.findall("./Skeletons/Skeleton")
+        },
+        [_analog_device(one) for one in root.findall("./Analog/Device")],
+    )
+
+
+def _analog_device(said: ElementTree.Element) -> AnalogDevice:
+    """Labels and units stand in a `Channel` each, in protocols before 1.12 in the device itself."""
+    channels = [(one.text or "").strip() for one in said.iter("Label")]
+    units = [(one.text or "").strip() for one in said.iter("Unit")]
+    units = units if len(units) == len(channels) else (units[:1] or [""]) * len(channels)
+    name = (said.findtext("Device_Name") or "").strip()
+    return AnalogDevice(
+        int(_number(said.findtext("Device_ID"))), name, _number(said.findtext("Frequency")), channels, units
+    )
+
+
+def _number(text: str | None) -> float:
+    try:
+        return float((text or "0").strip())
+    except ValueError:
+        return 0.0

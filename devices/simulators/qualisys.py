@@ -1,4 +1,4 @@
-"""A simulated Qualisys Track Manager on loopback: two markers and a rigid body for who asks."""
+"""A simulated Qualisys Track Manager on loopback: two markers, a rigid body, a skeleton and an analog device for who asks."""
 
 from __future__ import annotations
 
@@ -13,19 +13,22 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from devices.protocols import qualisys as protocol
-from devices.protocols.qualisys import QualisysDecoder, QualisysFrame
+from devices.protocols.qualisys import AnalogSamples, QualisysDecoder, QualisysFrame
 
 if TYPE_CHECKING:
     from devices.qualisys import Qualisys
 
 
 class QualisysServer:
-    """One client at a time. Every 20th frame the first marker is not seen; frames whose number `lose` divides are left out."""
+    """One client at a time, which gets everything. Every 20th frame misses the first marker; those whose number `lose` divides are lost."""
 
     def __init__(
-        self, markers: tuple[str, ...] = ("knee", "ankle"), bodies: tuple[str, ...] = ("shank",), rate_hz: float = 100.0, lose: int = 0
+        self, markers: tuple[str, ...] = ("knee", "ankle"), bodies: tuple[str, ...] = ("shank",), rate_hz: float = 100.0, lose: int = 0,
+        segments: tuple[str, ...] = ("Fred:Hips", "Fred:Spine"), analog: tuple[str, ...] = ("EMG 1", "EMG 2"), analog_hz: float = 1000.0,
+        unit: str = "V",
     ) -> None:  # fmt: skip
         self._markers, self._bodies, self._rate, self._lose = markers, bodies, rate_hz, lose
+        self._segments, self._analog, self._analog_hz, self._unit = segments, analog, analog_hz, unit
         self._server = socket.create_server(("127.0.0.1", 0))
         self._server.settimeout(0.05)
         self.port = int(self._server.getsockname()[1])
@@ -42,16 +45,36 @@ class QualisysServer:
         bodies = np.array(
             [[number, 5.0, 6.0 + k, 1, 0, 0, 0, 1, 0, 0, 0, 1] for k in range(len(self._bodies))], np.float32
         )
+        skeletons: dict[str, dict[int, np.ndarray]] = {}
+        for k, name in enumerate(self._segments):
+            row = np.array([number, 10.0 * k, 900.0, 0, 0, 0, 1], np.float32)
+            skeletons.setdefault(name.partition(":")[0], {})[k + 1] = row
+        first, last = (round((number + i) * self._analog_hz / self._rate) for i in (0, 1))
+        at = np.arange(first, last)
+        volts = (at[:, None] % 1000 + 0.25 * np.arange(len(self._analog))).astype(np.float32)
         return QualisysFrame(
-            number, 1_000_000 + round(number * 1e6 / self._rate), markers.reshape(-1, 3), bodies.reshape(-1, 12)
-        )
+            number, 1_000_000 + round(number * 1e6 / self._rate), markers.reshape(-1, 3), bodies.reshape(-1, 12),
+            [*skeletons.values()], [AnalogSamples(1, first, volts)] if self._analog else [],
+        )  # fmt: skip
 
     @property
     def parameters(self) -> str:
         labels = "".join(f"<Label><Name>{name}</Name></Label>" for name in self._markers)
         bodies = "".join(f"<Body><Name>{name}</Name></Body>" for name in self._bodies)
+        skeletons: dict[str, str] = {}
+        for k, name in enumerate(self._segments):
+            skeleton, _, segment = name.partition(":")
+            skeletons[skeleton] = skeletons.get(skeleton, "") + f'<Segment Name="{segment}" ID="{k + 1}"/>'
+        solved = "".join(
+            f'<Skeleton Name="{name}"><Segments>{said}</Segments></Skeleton>' for name, said in skeletons.items()
+        )
+        channels = "".join(
+            f"<Channel><Label>{name}</Label><Unit>{self._unit}</Unit></Channel>" for name in self._analog
+        )
+        device = f"<Device_ID>1</Device_ID><Device_Name>EMG</Device_Name><Frequency>{self._analog_hz:g}</Frequency>"
+        more = f"<Skeletons>{solved}</Skeletons><Analog><Device>{device}{channels}</Device></Analog>"
         rate = f"<General><Frequency>{self._rate:g}</Frequency></General>"
-        return f"<QTM_Parameters_Ver_1.25>{rate}<The_3D>{labels}</The_3D><The_6D>{bodies}</The_6D></QTM_Parameters_Ver_1.25>"
+        return f"<QTM_Parameters_Ver_1.25>{rate}<The_3D>{labels}</The_3D><The_6D>{bodies}</The_6D>{more}</QTM_Parameters_Ver_1.25>"
 
     def _work(self) -> None:
         while not self._stop.is_set():
@@ -106,5 +129,8 @@ class QualisysServer:
 @contextmanager
 def simulated(source: Qualisys) -> Iterator[Qualisys]:
     """What `--simulate` puts in its place."""
-    with QualisysServer(source.markers, source.bodies, source.rate_hz) as server:
+    with QualisysServer(
+        source.markers, source.bodies, source.rate_hz, segments=source.segments,
+        analog=tuple(name.rpartition(":")[2] for name in source.analog), analog_hz=source.analog_hz, unit=source.analog_unit,
+    ) as server:  # fmt: skip
         yield replace(source, server="127.0.0.1", port=server.port)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import select
 import socket
+import time
 from contextlib import suppress
 from pathlib import Path
 from typing import Protocol, Self
@@ -17,6 +18,8 @@ from stream.errors import DeviceError
 
 MOST = 65536
 """Bytes taken in one read."""
+GOODBYE_S = 0.2
+"""So long the other end of a TCP connection may take to close it too."""
 
 
 class Transport(Protocol):
@@ -163,6 +166,13 @@ class TcpTransport:
             raise DeviceError(f"{self.address} cannot be written: {error}") from None
 
     def close(self) -> None:
+        """What was written last is not taken back: closing a connection with bytes that nobody has read would reset it."""
+        with suppress(OSError, ValueError):
+            self._socket.shutdown(socket.SHUT_WR)
+            deadline = time.monotonic() + GOODBYE_S
+            while (left := deadline - time.monotonic()) > 0 and select.select([self._socket], [], [], left)[0]:
+                if not self._socket.recv(MOST):
+                    break
         with suppress(OSError):
             self._socket.close()
 
