@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Iterable
 from typing import Any, Protocol
 
@@ -42,3 +43,10 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return text == text.strip()
+
+
+def sheet_text(rows: Iterable[Iterable[Any]]) -> str:
+    """A whole table as text."""
+    file = io.StringIO()
+    Sheet(file).writerows(rows)
+    return file.getvalue()

@@ -1,16 +1,20 @@
-"""`kinegraph nights`: what the night's log holds; draw a report again; delete a night."""
+"""`kinegraph nights`: what the night's log holds, over weeks, too; draw a report again; export; delete a night."""
 
 from __future__ import annotations
 
 import sys
+from datetime import date
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from stream.errors import KinegraphError
 from stream.plain import say
+
+if TYPE_CHECKING:
+    from devices.outlets.night.weeks import Row
 
 
 class Action(StrEnum):
@@ -18,28 +22,64 @@ class Action(StrEnum):
 
     list = "list"
     report = "report"
+    weeks = "weeks"
+    export = "export"
     delete = "delete"
+
+
+DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 
 
 def nights(
     action: Annotated[
-        Action, typer.Argument(help="list all; draw a night's report again; delete a night")
+        Action,
+        typer.Argument(
+            help="list all, with trends; draw a night's report again; report on weeks; export one table; delete a night"
+        ),
     ] = Action.list,
     names: Annotated[list[str] | None, typer.Argument(metavar="NIGHT...", help="such as 2026-11-20, or last")] = None,
     path: Annotated[Path, typer.Option(help="the folder of all nights")] = Path("nights"),
     yes: Annotated[bool, typer.Option("--yes", "-y", help="delete without asking")] = False,
+    sleeper: Annotated[str, typer.Option(help="whose nights, where there are several sleepers")] = "",
+    since: Annotated[str, typer.Option(metavar="DATE", help="weeks, export: the first evening")] = "",
+    until: Annotated[str, typer.Option(metavar="DATE", help="weeks, export: the last evening")] = "",
+    compare: Annotated[
+        list[str] | None,
+        typer.Option(metavar="DATE..DATE", help="weeks: a period to be compared; give it twice, the earlier one first"),
+    ] = None,
+    months: Annotated[bool, typer.Option("--months", help="weeks: by months")] = False,
+    free: Annotated[str, typer.Option(help="mornings without work")] = "sat,sun",
+    output: Annotated[Path | None, typer.Option("-o", "--out", help="weeks: the folder; export: the file")] = None,
 ) -> None:
-    """The nights on this computer: a table of them; `report NIGHT` draws one again; `delete NIGHT` removes it with all its files.
+    """The nights on this computer, and their trends. `report NIGHT` draws one again; `weeks` reports on many and compares periods;
+    `export` writes one table; `delete NIGHT` removes a night with all its files.
 
-    kinegraph nights delete 2026-11-20
+    kinegraph nights weeks --compare 2026-10-19..2026-11-01 --compare 2026-11-02..2026-11-15
     """
-    from devices.outlets.night import archive
-
     if not path.is_dir():
         raise KinegraphError(f"there is no folder {path}; name the one of the night's log with --path")
+    weekdays = _weekdays(free)
     if action is Action.list:
-        _list(path)
-        return
+        _list(path, sleeper, weekdays)
+    elif action in (Action.weeks, Action.export):
+        _over_weeks(
+            action,
+            path,
+            sleeper,
+            (_date(since), _date(until)),
+            [_period(p) for p in compare or []],
+            weekdays,
+            months,
+            output,
+        )
+    else:
+        _of_single(action, path, names or [], yes)
+
+
+def _of_single(action: Action, path: Path, names: list[str], yes: bool) -> None:
+    """Report or delete."""
+    from devices.outlets.night import archive
+
     if not names:
         raise KinegraphError(f"name the night to {action.value}: a date such as 2026-11-20, or last")
     folders = [archive.find(path, name) for name in names]
@@ -68,6 +108,73 @@ def nights(
             say(f"deleted {folder}")
 
 
+def _over_weeks(
+    action: Action,
+    path: Path,
+    sleeper: str,
+    span: tuple[date | None, date | None],
+    periods: list[tuple[date, date]],
+    free: tuple[int, ...],
+    months: bool,
+    output: Path | None,
+) -> None:
+    """The report on weeks, or the table of all nights."""
+    from devices.outlets.night import weeks, weeks_page
+    from stream.complete import private_folder, write_complete
+
+    if len(periods) not in (0, 2):
+        raise KinegraphError("--compare names one period; give it twice, the earlier one first")
+    of = weeks.within(_rows(path, sleeper), *span)
+    if not of:
+        raise KinegraphError(f"{path} holds no nights{f' of {sleeper}' if sleeper else ''} between these days")
+    if action is Action.export:
+        file = output or Path("nights.csv")
+        private_folder(file.absolute().parent)
+        write_complete(file, weeks_page.table(of, *span))
+        say(file)
+        return
+    for begin, end in periods:
+        if not any(r.kind == "night" for r in weeks.within(of, begin, end)):
+            raise KinegraphError(f"no night lies between {begin} and {end}, so there is nothing to compare")
+    folder = output or Path("weeks")
+    private_folder(folder)
+    for written in weeks_page.write(folder, of, free, periods, months=months):
+        say(written)
+
+
+def _rows(path: Path, sleeper: str) -> list[Row]:
+    from devices.outlets.night import archive, weeks
+
+    found = weeks.rows(path, sleeper)
+    if not found and not sleeper:
+        others = sorted({facts.sleeper for _, facts in archive.nights(path)} - {""})
+        if others:
+            raise KinegraphError(f"these are the nights of {' and '.join(others)}: name one with --sleeper")
+    return found
+
+
+def _date(text: str) -> date | None:
+    try:
+        return date.fromisoformat(text) if text else None
+    except ValueError:
+        raise KinegraphError(f"{text!r} is no date; give one such as 2026-11-20") from None
+
+
+def _period(text: str) -> tuple[date, date]:
+    begin, end = (_date(part) for part in (*text.partition("..")[::2],))
+    if begin is None or end is None or end < begin:
+        raise KinegraphError(f"{text!r} is no period; give one such as 2026-11-02..2026-11-15")
+    return begin, end
+
+
+def _weekdays(text: str) -> tuple[int, ...]:
+    given = [day.strip().lower()[:3] for day in text.split(",") if day.strip()]
+    for day in given:
+        if day not in DAYS:
+            raise KinegraphError(f"--free is {text!r}; it must name days such as sat,sun")
+    return tuple(DAYS.index(day) for day in given)
+
+
 def _epochs(folder: Path) -> str:
     """How many there are of a night; a damaged table does not hide the other nights."""
     from devices.outlets.night import archive
@@ -78,28 +185,38 @@ def _epochs(folder: Path) -> str:
         return "damaged"
 
 
-def _list(root: Path) -> None:
+def _list(root: Path, sleeper: str, free: tuple[int, ...]) -> None:
     from rich.table import Table
 
-    from devices.outlets.night import archive
+    from devices.outlets.night import archive, weeks, weeks_page
     from stream.screen import Screen
 
     table = Table(
-        "night", "from", "to", "asleep", "efficiency", "epochs", "report", "size", box=None, header_style="bold"
+        "night", "kind", "from", "to", "asleep", "efficiency", "epochs", "report", "size", box=None, header_style="bold"
     )
-    found = archive.nights(root)
+    found = [(f, facts) for f, facts in archive.nights(root) if not sleeper or facts.sleeper == sleeper]
+    of = {who: weeks.rows(root, who) for who in sorted({facts.sleeper for _, facts in found})}
+    kinds = {r.name: r.kind for rows in of.values() for r in rows}
+    lost = {day.isoformat() for rows in of.values() for day in weeks.missing(rows)} if len(of) == 1 else set()
+    shown: dict[str, tuple[str, ...]] = {day: (day, "missing") for day in lost}
     for folder, facts in found:
         zone, n = archive.night_zone(facts), facts.numbers
         begin = archive.clock(int(n.get("onset", facts.begun)), zone)
         minutes = round(n.get("tst") or 0)
         asleep = f"{minutes // 60} h {minutes % 60:02d} min" if n else ""
-        table.add_row(
-            folder.name, f"{begin:%H:%M}", f"{archive.clock(int(n['end']), zone):%H:%M}" if n else "goes on" if not facts.closed else "",
+        shown[folder.name] = (
+            folder.name, kinds.get(folder.name, ""), f"{begin:%H:%M}",
+            f"{archive.clock(int(n['end']), zone):%H:%M}" if n else "goes on" if not facts.closed else "",
             asleep, f"{n['se']:.0f} %" if n and n["se"] is not None else "", _epochs(folder),
             "yes" if (folder / archive.DRAWN[0]).exists() else "no", f"{archive.bytes_of(folder) / 1000:.0f} kB",
         )  # fmt: skip
+    for name in sorted(shown) if lost else shown:
+        table.add_row(*shown[name])
     console = Screen()
     console.print(table)
     for folder in archive.damaged(root):
         console.print(f"{folder.name}: cannot be read; kinegraph nights delete {folder.name} removes it")
+    for who, rows in of.items():
+        if sum(r.kind == "night" for r in rows) > 1:
+            console.print(f"\n{who or 'Trends'}:", *weeks_page.words(weeks.trend(rows, free)), sep="\n  ")
     console.print(f"{len(found)} night{'' if len(found) == 1 else 's'} in {root}")

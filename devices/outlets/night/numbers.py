@@ -77,8 +77,8 @@ def table(facts: Facts, epochs: LoggedEpochs) -> list[ReportRow]:
         return []
     time_in_bed = "from going to bed to leaving it, as it was seen" if n["estimated"] else "lights off to lights on"
     made = [
-        ReportRow("Time in bed (TIB)", _hours(n["tib"]), "", f"{time_in_bed}"),
-        ReportRow("Total sleep time (TST)", _hours(n["tst"]), _bounds(n, "tst", _hours), "all epochs of sleep in the time in bed"),
+        ReportRow("Time in bed (TIB)", hours(n["tib"]), "", f"{time_in_bed}"),
+        ReportRow("Total sleep time (TST)", hours(n["tst"]), _bounds(n, "tst", hours), "all epochs of sleep in the time in bed"),
         ReportRow("Sleep efficiency (SE)", f"{_plain(n['se'])} %", _bounds(n, "se", _plain), "TST / TIB"),
         ReportRow(
             f"Sleep onset latency (SOL){', estimated' if n['estimated'] else ''}", _minutes(n["sol"]), _bounds(n, "sol", _minutes),
@@ -86,7 +86,7 @@ def table(facts: Facts, epochs: LoggedEpochs) -> list[ReportRow]:
         ),
         ReportRow("Wake after sleep onset (WASO)", _minutes(n["waso"]), _bounds(n, "waso", _minutes), WASO[n["convention"]]),
         ReportRow("Awakenings", str(n["awakenings"]), "", f"stretches of wake; on average {_minutes(n['mean_awakening'])}"),
-        ReportRow("Longest sleep in one piece", _hours(n["longest_bout"]), "", "without an epoch of wake or unknown"),
+        ReportRow("Longest sleep in one piece", hours(n["longest_bout"]), "", "without an epoch of wake or unknown"),
         ReportRow("Bed exits", str(len(exits(facts))), "", "times out of bed between two times in it"),
         ReportRow("Movement index", f"{_plain(n['movement'])} %", "", "epochs with movement, from the first to the last sleep"),
         ReportRow("Fragmentation index", f"{_plain(n['fragmentation'])} %", "", "movement index + share of still stretches up to 1 min"),
@@ -240,7 +240,7 @@ def _bounds(numbers: dict[str, object], name: str, write: object) -> str:
     return f"{write(low)} – {write(high)}"  # type: ignore[operator]
 
 
-def _hours(minutes: float | None) -> str:
+def hours(minutes: float | None) -> str:
     if minutes is None:
         return "–"
     whole = round(minutes)

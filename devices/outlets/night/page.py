@@ -14,6 +14,7 @@ from devices.outlets.night import archive
 from devices.outlets.night.archive import Facts, LoggedEpochs, clock, night_zone, zone_of
 from devices.outlets.night.edf import write_edf
 from devices.outlets.night.numbers import CAVEATS, NO_NUMBERS, ReportRow, begun_anew, quality, span, table
+from devices.outlets.night.plain import headline, sentence
 from stream.chunk import Samples
 from stream.complete import write_complete
 from stream.errors import KinegraphError
@@ -71,6 +72,8 @@ def render(
     return environment.get_template("page.html.j2").render(
         f=facts,
         title=title(facts),
+        sentence=sentence(facts, epochs),
+        headline=headline(facts),
         line=line(facts, epochs),
         rows=rows,
         figures=[row for row in rows if row.name.startswith(HEADLINE)],
