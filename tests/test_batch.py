@@ -154,7 +154,7 @@ def test_what_has_not_changed_is_kept(folder: Path) -> None:
     assert now
     assert do(out, job) == (first, False)
     table = out / first.tables["smooth"]
-    before = table.stat().st_ino
+    os.utime(table, ns=(0, 0))
 
     (folder / "s1" / "report.html").write_text("a report made later")
     assert not do(out, job)[1]
@@ -162,7 +162,7 @@ def test_what_has_not_changed_is_kept(folder: Path) -> None:
     os.utime(file, ns=(0, 0))
     assert not do(out, job)[1], "the same bytes, another time"
     out_with(common(again=True))
-    assert do(out, job)[1] and table.stat().st_ino != before
+    assert do(out, job)[1] and table.stat().st_mtime_ns
     Common(GRAPH + "# a comment\n", "graph", str(folder / "graph.yaml")).save(out)
     assert do(out, job)[1], "another graph"
     assert not do(out, job)[1]
