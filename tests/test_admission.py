@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stream.chunk import FOREVER, NEVER, NS, Chunk, StreamSpec
-from stream.engine.admission import Full, admit, conform, is_sound, on_full, ordered
+from stream.engine.admission import Full, admit, conform, followed, is_sound, on_full, ordered
 from stream.engine.supervisor import TRANSITIONS
 from stream.promise import impossible
 
@@ -48,6 +48,25 @@ TABLE = {
     "the end, and nobody waits": (chunk([], FOREVER), 4, 0, NO, entered([], FOREVER), 0),
     "the end twice": (chunk([], FOREVER), FOREVER, 0, {}, None, 0),
 }
+
+
+FOLLOWED = {
+    "data of years ago": (chunk([9], 9), NEVER, 4, entered([4], 4)),
+    "data ahead of the clock": (chunk([9], 9), 4, 20, entered([20], 20)),
+    "two words between two data": (chunk([9], 9), 20, 20, entered([21], 21)),
+    "nothing was said": (chunk([], 9), 4, 20, entered([], 20)),
+    "nothing was said, and no data came": (chunk([], 9), 20, 20, entered([], 20)),
+    "the end": (chunk([], FOREVER), 4, 20, entered([], FOREVER)),
+}
+
+
+@pytest.mark.parametrize("case", FOLLOWED)
+def test_a_word_is_stamped_by_the_data_and_never_late(case: str) -> None:
+    given, watermark, newest, (times, _, until, lost) = FOLLOWED[case]
+    made = followed(given, watermark, newest)
+    assert (made.time.tolist(), made.until, made.lost) == (times, until, lost)
+    assert made.data.tolist() == given.data.tolist()
+    assert admit(made, watermark, 0, 0, awaited=True, watched=False).late == 0
 
 
 @pytest.mark.parametrize("case", TABLE)

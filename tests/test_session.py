@@ -15,7 +15,7 @@ import parts
 import pytest
 from structlog.testing import capture_logs
 
-from stream.chunk import Chunk, empty
+from stream.chunk import NS, Chunk, empty
 from stream.engine.pipeline import Pipeline
 from stream.engine.session import Session
 from stream.engine.status import Outcome
@@ -296,7 +296,9 @@ def test_annotations_and_values_are_recorded_streams(tmp_path: Path) -> None:
     session = session_of(nodes, tmp_path / "s", "record: [loud]")
 
     def person() -> None:
-        time.sleep(0.6)
+        while not parts.numbers():
+            time.sleep(0.05)
+        time.sleep(0.3)
         session.tell("volume", "3.5")
         session.mark("coughed")
         time.sleep(0.4)
@@ -314,6 +316,61 @@ def test_annotations_and_values_are_recorded_streams(tmp_path: Path) -> None:
         round(float(r[1] / r[0]), 6) for c in parts.seen["out"] for r in zip(range(1, 10), range(1, 10), strict=True)
     }
     assert factors == {1.0}
+
+
+TEN_YEARS_MS = 3.2e11
+
+
+@pytest.mark.parametrize("offset_ms", [0.0, TEN_YEARS_MS], ids=["data of years ago", "data that outrun the clock"])
+def test_where_no_source_is_live_people_s_words_follow_the_data(offset_ms: float, tmp_path: Path) -> None:
+    """Nothing waits for the clock: 300 s of data have gone through while the source still stands, all but the last 50 ms."""
+    nodes = f"""
+  board: {{use: parts.Counting, samples: 310000, chunk: 100, trouble: pauses, at: 300000, pause_s: 1.5, offset_ms: {offset_ms}}}
+  volume: {{use: stream.manual.Value, initial: 2}}
+  loud: {{use: parts.Gain, from: {{signal: board, gain: volume}}}}
+  out: {{use: parts.Collect, from: loud, policy: block}}
+"""
+    session = session_of(nodes, tmp_path / "s", "record: [loud]")
+    came: list[int] = []
+    now: list[int] = []
+
+    def person() -> None:
+        deadline = time.monotonic() + 60
+        while len(parts.numbers()) < 299_900 and time.monotonic() < deadline:
+            time.sleep(0.05)
+        came.append(len(parts.numbers()))
+        now.append(session.now())
+        session.tell("volume", "3")
+        session.mark("coughed")
+
+    thread = threading.Thread(target=person)
+    thread.start()
+    outcome = session.run()
+    thread.join()
+    assert outcome.error is None and 299_900 <= came[0] <= 300_000
+    last = parts.START + int(offset_ms * 1e6) + 300 * NS
+    assert abs(now[0] - last) < NS // 10
+    recording = recorded(tmp_path / "s")
+    values, words = recording.read("volume"), recording.read("annotations")
+    assert values[1][:, 0].tolist() == [2, 3] and words[1]["text"].tolist() == ["coughed"]
+    assert values[0][0] < recording.read("board")[0][0], "a value is there before the first sample"
+    for stamp in (values[0][1], words[0][0], words[1]["onset"][0]):
+        assert abs(int(stamp) - last) < NS // 10
+    loud, board = recording.read("loud")[1], recording.read("board")[1]
+    np.testing.assert_array_equal(loud[:300_000], 2 * board[:300_000])
+    np.testing.assert_array_equal(loud[-1], 3 * board[-1])
+
+
+def test_what_is_said_before_the_data_waits_for_them(tmp_path: Path) -> None:
+    """Several words, each with a stamp of its own before the first sample; without any data, they are recorded all the same."""
+    for samples, name in ((10, "some"), (0, "none")):
+        session = session_of(f"  board: {{use: parts.Counting, samples: {samples}}}", tmp_path / name)
+        session.mark("one")
+        session.mark("two")
+        assert session.run().exit_code == 0
+        stamps, words = recorded(tmp_path / name).read("annotations")
+        assert words["text"].tolist() == ["one", "two"] and stamps[0] < stamps[1]
+        assert not samples or stamps[1] < parts.START
 
 
 def test_a_session_is_whole_before_it_runs(tmp_path: Path) -> None:

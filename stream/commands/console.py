@@ -63,7 +63,7 @@ class Console:
     def key(self, key: str) -> None:
         """One key was pressed."""
         if not self._line:
-            self._onset = self._session.clock.now()
+            self._onset = self._session.now()
         if key in "\r\n":
             line, self._line = self._line.strip(), ""
             if line:

@@ -1,7 +1,8 @@
 """What may enter the graph: every rule about a source's chunk, as functions of the chunk and a few numbers, without thread or clock.
 
 `is_sound` tells a chunk to which nothing needs to be done; else `conform` puts it into the arrays that its spec declares and `ordered`
-refuses time that runs backwards. `admit` decides lateness, gaps and the watermark, and `on_full` says what a full queue does. Whichever
+refuses time that runs backwards. `admit` decides lateness, gaps and the watermark, `followed` gives background sources the data's time
+where no source is live, and `on_full` says what a full queue does. Whichever
 way a chunk takes into the graph (`stream.engine.ingress`), inline on its source's thread or through a queue, these are what it passes.
 """
 
@@ -114,6 +115,14 @@ def admit(chunk: Chunk, watermark: int, owed: int, arrival: int, *, awaited: boo
     if lost != chunk.lost or until != chunk.until:
         chunk = Chunk(chunk.time, chunk.data, until, lost)
     return Verdict(chunk, late, ahead_ns)
+
+
+def followed(chunk: Chunk, watermark: int, newest: int) -> Chunk:
+    """A background source's chunk where no other source is live: stamped when it enters by how far the data have come (`newest`), since
+    the clock says nothing about them. Never late, for its samples lie after the stream's `watermark`."""
+    n = len(chunk.time)
+    at = max(newest, watermark + 1) if n else newest
+    return Chunk(np.full(n, at, STAMP), chunk.data, FOREVER if chunk.until == FOREVER else at, chunk.lost)
 
 
 class Full(Enum):

@@ -8,7 +8,7 @@ graphs' work. Everything else waits for the graph's thread. Both ways end in `In
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from queue import Empty
 from threading import Lock
@@ -17,7 +17,7 @@ from typing import Any
 
 from stream.chunk import FOREVER, NEVER, NS, Chunk, empty, utc
 from stream.clock import SessionClock
-from stream.engine.admission import admit
+from stream.engine.admission import admit, followed
 from stream.engine.edge import CallSlot, LiveEdge
 from stream.engine.pipeline import Pipeline
 from stream.engine.queues import BoundedQueue, ReadyQueue
@@ -31,6 +31,8 @@ LONG_AGO = 10**8 * NS
 LONG_NS = 1_000_000
 LONG_OFTEN = 3
 """Work longer than LONG_NS this often in a row would keep a source from its device: for a second, its chunks are queued."""
+FOLLOWED_NS = 50_000_000
+"""How far data may run ahead of what follows them: as far as they do in real time, where a value speaks every 50 ms."""
 
 
 @dataclass(slots=True)
@@ -56,6 +58,7 @@ class IngressPort:
     owed       what is missing before the next sample, beyond what its chunk says
     awaited    whether anybody waits for what time brings here; where nobody does, only samples are let in
     watched    whether it is still to be seen to that stamps do not lie ahead of the session's clock
+    follows    whether it is a background stream of a session none of whose sources is live
     """
 
     runner: Runner
@@ -68,6 +71,7 @@ class IngressPort:
     owed: int = 0
     silent: bool = False
     stale: bool = False
+    follows: bool = False
     awaited: bool = field(init=False)
     watched: bool = field(init=False)
 
@@ -109,11 +113,78 @@ class IngressPort:
         self.watermark = until
         return empty(self.edge.spec, until)
 
+    def tell(self, chunk: Chunk, late: int, ahead_ns: int, report: Callable[..., None]) -> None:
+        """Report samples that came too late, and, once, stamps that lie ahead of the clock."""
+        if ahead_ns:
+            self.watched = False
+            hint = "Feed.now() and devices.clocks give stamps of the session's clock"
+            report("stamps lie ahead of the clock", stream=self.stream, ahead_s=round(ahead_ns / NS, 1), hint=hint)
+        if late:
+            self.late += late
+            units = "stamps are nanoseconds since 1970, as Feed.now() gives them"
+            other = {"hint": units} if chunk.time[-1] < LONG_AGO else {}
+            report("late samples dropped", stream=self.stream, samples=late, at=utc(int(chunk.time[0])), **other)
+
     def at_ease(self, age_s: float) -> bool:
         """Whether nothing becomes due within `REST_S`, after nothing has come for `age_s`."""
         options = self.runner.node.options
         waits_s = (options.patience_s if self.awaited else 0.0, 0.0 if self.stale else options.stale_s)
         return not self.minded or all(age_s + REST_S < wait_s for wait_s in waits_s if wait_s)
+
+
+class DataTime:
+    """Time in a session none of whose sources is live: how far the data have come, which may be faster than the clock, or in another year.
+
+    Background streams follow it: their samples are stamped with it, and whoever reads them beside data never waits for them longer than
+    `FOLLOWED_NS` of data. What they say before the first data waits for these, to be stamped just before them.
+
+    newest     up to when the data have come; NEVER: nothing has come yet
+    followers  the background streams; none: some source is live, and time is the clock's
+    """
+
+    __slots__ = ("_due", "_early", "clock", "followers", "newest")
+
+    def __init__(self, ports: Sequence[IngressPort], clock: SessionClock) -> None:
+        self.newest = self._due = NEVER
+        self.clock = clock
+        lasting = [port for port in ports if not port.runner.source.background]
+        alone = bool(lasting) and not any(port.runner.source.live for port in lasting)
+        self.followers = [port for port in ports if alone and port.runner.source.background]
+        self._early: list[tuple[IngressPort, Chunk, int]] = []
+        for port in self.followers:
+            port.follows, port.runner.now = True, self.now
+
+    def now(self) -> int:
+        """The session's time: the data's where no source is live, else the clock's."""
+        return self.newest if self.newest != NEVER else self.clock.now()
+
+    def entering(self, port: IngressPort, chunk: Chunk, arrival: int) -> Iterator[tuple[IngressPort, Chunk, int]]:
+        """What enters now that this chunk has come, in its order; each is taken in before the next is asked for."""
+        until = chunk.until
+        if port.follows:
+            port.last = time.monotonic()
+            if self.newest != NEVER:
+                yield port, followed(chunk, port.watermark, self.newest), arrival
+            elif len(chunk.time) or until == FOREVER:
+                self._early.append((port, chunk, arrival))
+            return
+        if until != FOREVER and until > self._due:
+            if self._early:
+                yield from self.early(chunk.time.item(0) if len(chunk.time) else until)
+            self._due = until + FOLLOWED_NS
+            for follower in self.followers:
+                if follower.awaited and not follower.ended:
+                    yield follower, empty(follower.edge.spec, until), arrival
+        if until != FOREVER and until > self.newest:
+            self.newest = until
+        yield port, chunk, arrival
+
+    def early(self, before: int) -> Iterator[tuple[IngressPort, Chunk, int]]:
+        """What was said before there were data, stamped just `before` these, one after the other."""
+        while self._early:
+            port, chunk, arrival = self._early[0]
+            yield port, followed(chunk, port.watermark, before - len(self._early)), arrival
+            del self._early[0]
 
 
 class Ingress:
@@ -122,6 +193,7 @@ class Ingress:
     ports   one per output of a source
     turn    who works on the graph now
     over    whether every source that a session lasts for has ended
+    time    the session's
     """
 
     def __init__(
@@ -139,8 +211,9 @@ class Ingress:
         self._put_aside: list[BoundedQueue] = []
         self._closed = self.over = False
         self.turn = GraphTurn()
-        self._start: StartBarrier[IngressPort] = StartBarrier(runners)
         self.ports = [IngressPort(r, o, pipeline.entries[queue.name]) for r in runners for o, queue in r.queues.items()]
+        self.time = DataTime(self.ports, clock)
+        self._start: StartBarrier[IngressPort] = StartBarrier(runners, [port.runner for port in self.time.followers])
         for port in self.ports:
             port.queue.owner = port
             port.queue.on_drop = self._dropped(port.stream)
@@ -208,11 +281,16 @@ class Ingress:
 
     def enter(self, port: IngressPort, chunk: Chunk, arrival: int) -> int:
         """A source's chunk enters the graph, as far as it is admitted, and all that it leads to is done: returns how many ns that took."""
+        if not self.time.followers:
+            return self._admit(port, chunk, arrival)
+        return sum(self._admit(*entry) for entry in self.time.entering(port, chunk, arrival))
+
+    def _admit(self, port: IngressPort, chunk: Chunk, arrival: int) -> int:
         verdict = admit(chunk, port.watermark, port.owed, arrival, awaited=port.awaited, watched=port.watched)
         port.last = time.monotonic()
         port.silent = port.stale = False
         if verdict.late or verdict.ahead_ns:
-            self._tell(port, chunk, verdict.late, verdict.ahead_ns)
+            port.tell(chunk, verdict.late, verdict.ahead_ns, self._log.report)
         admitted = verdict.chunk
         if admitted is None:
             return 0
@@ -226,25 +304,6 @@ class Ingress:
             lasting = [p for p in self.ports if not p.runner.source.background]
             self.over = bool(lasting) and all(p.ended for p in lasting)
         return end - start
-
-    def _tell(self, port: IngressPort, chunk: Chunk, late: int, ahead_ns: int) -> None:
-        """Report samples that came too late, and, once, stamps that lie ahead of the clock."""
-        if ahead_ns:
-            port.watched = False
-            hint = "Feed.now() and devices.clocks give stamps of the session's clock"
-            self._log.report(
-                "stamps lie ahead of the clock", stream=port.stream, ahead_s=round(ahead_ns / NS, 1), hint=hint
-            )
-        if late:
-            port.late += late
-            other = (
-                {"hint": "stamps are nanoseconds since 1970, as Feed.now() gives them"}
-                if chunk.time[-1] < LONG_AGO
-                else {}
-            )
-            self._log.report(
-                "late samples dropped", stream=port.stream, samples=late, at=utc(int(chunk.time[0])), **other
-            )
 
     # what else comes and does not come -----------------------------------------------------------------------------------
 
@@ -295,12 +354,14 @@ class Ingress:
 
     def _check_silence(self, port: IngressPort, age_s: float) -> None:
         """After the stated patience, say that nothing happened, so that nobody waits; after `stale_s`, raise the alarm."""
-        if (chunk := port.nothing_for(age_s, self._clock.now(), self._log.report)) is not None:
+        if (chunk := port.nothing_for(age_s, self.time.now(), self._log.report)) is not None:
             self._log.enter(port.number, chunk, self._clock.now())
             port.edge.send(chunk, perf_counter_ns())
 
     def end(self) -> None:
         """Every source has ended, whether it has said so or not."""
+        for entry in self.time.early(self._clock.now()):
+            self._admit(*entry)
         for port in self.ports:
             if not port.ended:
                 port.edge.send(empty(port.edge.spec, FOREVER), perf_counter_ns())

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
 
@@ -51,6 +52,7 @@ class Session:
     resume       go on with the session that was broken off in `folder`
     duration_s   end after this long; 0: when stopped, or when every source has ended
     view         shown the metrics once a second
+    now()        session time (ns): the clock's, or where no source is live, how far the data have come
     """
 
     def __init__(
@@ -72,11 +74,12 @@ class Session:
         self._began = self._ran_s = 0.0
         self.table: Table = {}
         waits = not any(s.live for s in graph.parts(Source) if not s.background)
-        self._workers = Workers(self._ready, waits, self._fail, self._dropped)
-        self.pipeline = Pipeline(graph, speaking=graph.outlets, bridge=self._workers.bridge)
         self.log = SessionLog(folder, graph, self.clock, self._prior)
+        self._workers = Workers(self._ready, waits, self._fail, partial(self.log.report, DROPPED))
+        self.pipeline = Pipeline(graph, speaking=graph.outlets, bridge=self._workers.bridge)
         self._runners = [Runner(node, self._ready, self.clock, self.log.report, self._fail) for node in graph.sources]
         self._ingress = Ingress(self._ready, self._runners, self.pipeline, self.log, self.clock, self._fail)
+        self.now = self._ingress.time.now
         self._watchdog = Watchdog(self.pipeline.slots.values())
         self._memory = MemoryWatch(graph.memory_mb, self.pipeline)
 
@@ -91,7 +94,7 @@ class Session:
 
     def mark(self, text: str, onset: int | None = None) -> None:
         """Annotate this moment, or the one at `onset` (ns)."""
-        self.tell("annotations", f"{self.clock.now() if onset is None else onset} {text}")
+        self.tell("annotations", f"{self.now() if onset is None else onset} {text}")
 
     def run(self) -> Outcome:
         """Run until every source has ended, `stop` is called, or something fails; closes everything. Raises Interrupted while `warming`."""
@@ -154,7 +157,7 @@ class Session:
             self.pipeline.begin(self.clock)
             self._checkpoint()
         self._ingress.begin()
-        for runner in self._runners:
+        for runner in sorted(self._runners, key=lambda runner: not runner.source.background):
             runner.start(again=self._prior is not None)
 
     def _loop(self) -> None:
@@ -209,9 +212,6 @@ class Session:
         self._error = self._error or error
         self._ingress.close()
         self._ready.put(None)
-
-    def _dropped(self, queue: str, first: int, samples: int) -> None:
-        self.log.report(DROPPED, queue=queue, first=first, samples=samples)
 
     def _finish(self) -> None:
         """Stop the sources, work through what had arrived, close every operator and file; each even if another fails."""

@@ -28,6 +28,8 @@ UNAWAITED_S = 60.0
 """A source that only listens for words need not say more often that there was none, where nobody waits for it."""
 GRACE_S = 2.0
 """How long a source that must stop may take before its thread is given up."""
+FIRST_WORDS_S = 1.0
+"""How long data that can wait do so for what background sources say at their start."""
 REST_S = 0.5
 """How often a source that works is looked at; any other more often."""
 
@@ -87,7 +89,7 @@ class _Feed:
         self._runner.mailbox.put(None)  # whoever waits for a word wakes
 
     def now(self) -> int:
-        return self._runner.clock.now()
+        return self._runner.now()
 
     def wait(self, seconds: float) -> bool:
         return self._stop.wait(seconds)
@@ -124,11 +126,13 @@ class _Feed:
             self._unmarked.discard(output)
             chunk.lost = chunk.lost or -1
         runner.last_alive = now / NS
-        if runner.state == "starting":
+        if runner.state == "starting" and not runner.source.background:
             runner.came_alive()
         arrival = runner.clock.at(now)
         if not runner.inline[output](chunk, arrival):
             runner.queues[output].put(chunk, arrival)
+        if runner.state == "starting":  # only now, so that data which waited for its first word come behind it
+            runner.came_alive()
 
 
 class Runner:
@@ -137,6 +141,7 @@ class Runner:
     queues     per output, the queue to the graph's thread
     inline     per output, the way into the graph without it
     awaited    whether anybody waits for what this source says
+    now        session time, as the source is told it
     problems   what the source counted, by kind
     clock_facts   what it said last of its device's clock
     openings   how often the source was opened
@@ -156,6 +161,7 @@ class Runner:
         }
         self.inline: dict[str, Inline] = dict.fromkeys(node.specs, not_inline)
         self.awaited = True
+        self.now: Callable[[], int] = clock.now
         self.mailbox: SimpleQueue[str | None] = SimpleQueue()
         self.problems: Counter[str] = Counter()
         self.clock_facts: dict[str, float] = {}
@@ -322,7 +328,9 @@ class StartBarrier(Generic[P]):
     since   when that was (monotonic s), or when the waiting began
     """
 
-    def __init__(self, runners: Sequence[Runner]) -> None:
+    def __init__(self, runners: Sequence[Runner], followers: Sequence[Runner] = ()) -> None:
+        """`followers` say what they have to say at first before any data enter; they are not waited for longer than `FIRST_WORDS_S`."""
+        self._followers = followers
         self._required = [r for r in runners if r.node.options.required and not r.source.background]
         self._held: list[tuple[P, Chunk, int]] = []
         self._began = self.since = time.monotonic()
@@ -352,7 +360,13 @@ class StartBarrier(Generic[P]):
 
     @property
     def ready(self) -> bool:
-        return all(r.ready for r in self._required)
+        return all(r.ready for r in self._required) and all(map(self._has_spoken, self._followers))
+
+    def _has_spoken(self, runner: Runner) -> bool:
+        """Whether what it says at its start, if anything, has come this far."""
+        if runner.ready and not any(queue.waiting for queue in runner.queues.values()):
+            return True
+        return runner.state in ("failed", "ended") or time.monotonic() - self._began > FIRST_WORDS_S
 
     def check_deadlines(self) -> None:
         """Raise DeviceError for a required source that is not ready in time."""

@@ -60,11 +60,11 @@ class Worker:
 class Workers:
     """All workers of a run, and the queues between them and the graph's own thread.
 
-    on_drop   told (name of the queue, first, n) of every drop
+    on_drop   told of every drop: queue (its name), first (the dropped samples' running index), samples (how many)
     """
 
     def __init__(
-        self, home: ReadyQueue, waits: bool, fail: Callable[[Exception], None], on_drop: Callable[[str, int, int], None]
+        self, home: ReadyQueue, waits: bool, fail: Callable[[Exception], None], on_drop: Callable[..., None]
     ) -> None:
         """`home` is the ready queue of the graph's thread; `waits` says that no source is live, so that an outlet need never drop."""
         self._home, self._waits, self._fail, self._on_drop = home, waits, fail, on_drop
@@ -82,7 +82,11 @@ class Workers:
             if stage.worker not in self.workers:
                 self.workers[stage.worker] = Worker(stage.worker, self._fail, stage.slot)
             queue = BoundedQueue(
-                name, self.workers[stage.worker].ready, options.queue, policy, lambda i, n: self._on_drop(name, i, n)
+                name,
+                self.workers[stage.worker].ready,
+                options.queue,
+                policy,
+                lambda i, n: self._on_drop(queue=name, first=i, samples=n),
             )
         else:  # back home: never waits, for the graph's thread may itself be waiting for this worker
             queue = BoundedQueue(name, self._home, UNLIMITED, "block")

@@ -1,4 +1,4 @@
-"""Ten hours of a use as fast as they go: what its process holds at the beginning and at the end."""
+"""Hours of a use as fast as they go: what its process holds at the beginning and at the end."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ class Growth:
     for a file that is open for a moment is no leak."""
 
     name: str
+    hours: float
     took_s: float
     resident_mb: float
     grown_kb: float
@@ -37,21 +38,21 @@ class Growth:
     @classmethod
     def table(cls, growths: list[Self]) -> str:
         lines = [
-            "| ten hours of | took, s | memory, MB | grown by, KiB | files open, medians of both halves | threads |"
+            "| use | hours | took, s | memory, MB | grown by, KiB | files open, medians of both halves | threads |"
         ]
-        lines.append("|---|--:|--:|--:|--:|--:|")
+        lines.append("|---|--:|--:|--:|--:|--:|--:|")
         for g in growths:
             files, threads = ("{}, {}".format(*pair) for pair in (g.files, g.threads))
             lines.append(
-                f"| {g.name} | {g.took_s:.0f} | {g.resident_mb:.0f} | {g.grown_kb:.0f} | {files} | {threads} |"
+                f"| {g.name} | {g.hours:g} | {g.took_s:.0f} | {g.resident_mb:.0f} | {g.grown_kb:.0f} | {files} | {threads} |"
             )
         return "\n".join(lines)
 
 
-def grown(use: Use, folder: Path) -> Growth:
+def grown(use: Use, folder: Path, hours: float = 10.0) -> Growth:
     """Run the shipped graph to its end, recording included, and look at its process all the while."""
     folder.mkdir(parents=True)
-    settings = [word for one in use.hours for word in ("--set", one)]
+    settings = [word for one in use.hours for word in ("--set", one.format(hours=hours, seconds=hours * 3600))]
     call = [
         sys.executable,
         "-m",
@@ -79,10 +80,10 @@ def grown(use: Use, folder: Path) -> Growth:
             if held := Held.by(process.pid):
                 looks.append(held)
             time.sleep(LOOK_S)
-    return growth(use, looks, time.monotonic() - began, process.returncode)
+    return growth(use, looks, time.monotonic() - began, process.returncode, hours)
 
 
-def growth(use: Use, looks: list[Held], took_s: float, code: int) -> Growth:
+def growth(use: Use, looks: list[Held], took_s: float, code: int, hours: float = 10.0) -> Growth:
     resident = np.array([held.resident_kb for held in looks], float)
     steady = np.arange(len(looks)) >= WARM * len(looks)
     slope = float(np.polyfit(np.flatnonzero(steady), resident[steady], 1)[0])
@@ -92,11 +93,13 @@ def growth(use: Use, looks: list[Held], took_s: float, code: int) -> Growth:
         (int(np.median(values[:half])), int(np.median(values[half:])))
         for values in ([held.files for held in settled], [held.threads for held in settled])
     )
-    made = Growth(use.name, took_s, float(np.median(resident[steady])) / 1024, slope * len(looks), files, threads)
+    made = Growth(
+        use.name, hours, took_s, float(np.median(resident[steady])) / 1024, slope * len(looks), files, threads
+    )
     if code:
-        made.complaints.append(f"{use.name}: ten hours ended with {code}")
+        made.complaints.append(f"{use.name}: {hours:g} hours ended with {code}")
     if made.grown_kb > MOST_KB:
-        made.complaints.append(f"{use.name}: memory grew by {made.grown_kb:.0f} KiB in ten hours")
+        made.complaints.append(f"{use.name}: memory grew by {made.grown_kb:.0f} KiB in {hours:g} hours")
     if files[1] > files[0] or threads[1] > threads[0]:
         made.complaints.append(
             f"{use.name}: files went from {files[0]} to {files[1]}, threads from {threads[0]} to {threads[1]}"

@@ -30,7 +30,7 @@ class Use:
     """One of the shipped graphs.
 
     live     settings that make it run in real time
-    hours    settings that make ten hours of it run as fast as they can
+    hours    settings that make so many `{seconds}`, or `{hours}`, of it run as fast as they can
     regular  its sources' streams whose stamps lie on a grid
     """
 
@@ -56,7 +56,7 @@ USES = (
         (
             "treadmill.muscles=[TA, SO]",
             "treadmill.realtime=false",
-            "treadmill.duration_s=36000",
+            "treadmill.duration_s={seconds:g}",
             "treadmill.chunk_ms=40",
         ),
         ("treadmill.emg", "treadmill.force"),
@@ -65,10 +65,21 @@ USES = (
         "bedside",
         "bedside_simulated.yaml",
         ("camera.speed=1", "camera.evening_min=2", "recording.rolling=false"),
-        ("camera.bed_h=10",),
+        ("camera.bed_h={hours:g}",),
         ("camera.depth",),
     ),
     Use(
-        "motion", "segment_mocap.yaml", ("mocap.duration_s=0",), ("mocap.realtime=false", "mocap.duration_s=36000"), ()
+        "motion",
+        "segment_mocap.yaml",
+        ("mocap.duration_s=0",),
+        ("mocap.realtime=false", "mocap.duration_s={seconds:g}"),
+        (),
+    ),
+    Use(
+        "avatar",
+        "avatar_markers.yaml",
+        (),
+        ("performer.realtime=false", "performer.duration_s={seconds:g}"),
+        ("performer.markers", "performer.pose"),
     ),
 )
