@@ -16,7 +16,7 @@ from stream.engine.replay import Replay
 from stream.engine.session import Session
 from stream.errors import KinegraphError
 from stream.graph.load import load
-from stream.recording import Recording
+from stream.recording import Recording, checkpoint
 from stream.recording.checkpoint import Checkpoint
 
 HERE = Path(__file__).parent
@@ -221,6 +221,21 @@ def test_a_session_that_ended_well_cannot_be_resumed(config: Path, tmp_path: Pat
     assert outcome.exit_code == 0
     with pytest.raises(KinegraphError, match="ended properly"):
         Session(load(config), tmp_path / "s", resume=True)
+
+
+@pytest.mark.parametrize("what", ["the format", "kinegraph"])
+def test_a_checkpoint_of_another_version_is_refused_with_what_to_do(
+    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After an upgrade the same names may mean something else."""
+    with monkeypatch.context() as older:
+        older.setattr(
+            checkpoint, *(("VERSION", checkpoint.VERSION - 1) if what == "the format" else ("release", lambda: "0.0.9"))
+        )
+        Checkpoint(3, 5, "g", {"board": 5}, arrays={"n.z": np.zeros(2)}).save(tmp_path)
+        assert Checkpoint.load(tmp_path)
+    with pytest.raises(KinegraphError, match=r"another version of kinegraph .*can be replayed: start a new session"):
+        Checkpoint.load(tmp_path)
 
 
 def test_a_damaged_checkpoint_is_named(tmp_path: Path) -> None:

@@ -156,8 +156,8 @@ def test_a_chunk_that_is_no_chunk_fails_its_source_not_the_session(tmp_path: Pat
     assert outcome.exit_code == 0, outcome.error
     with Recording.open(tmp_path / "s") as recording:
         kinds = [
-            line["kind"] for line in recording.log if line["kind"] != "silent source advanced"
-        ]  # on a slow machine
+            line["kind"] for line in recording.log if line["kind"] not in ("silent source advanced", "stream is stale")
+        ]  # which come on a slow machine
         assert kinds == ["source failed", "source reopened", "source ended"]
         assert recording.streams["board"].samples == 3
 

@@ -345,8 +345,10 @@ def test_where_no_source_is_live_people_s_words_follow_the_data(offset_ms: float
 
     thread = threading.Thread(target=person)
     thread.start()
-    outcome = session.run()
+    with capture_logs() as told:
+        outcome = session.run()
     thread.join()
+    assert not [entry for entry in told if entry["log_level"] == "warning"]
     assert outcome.error is None and 299_900 <= came[0] <= 300_000
     last = parts.START + int(offset_ms * 1e6) + 300 * NS
     assert abs(now[0] - last) < NS // 10

@@ -152,7 +152,7 @@ class DataTime:
         self.followers = [port for port in ports if alone and port.runner.source.background]
         self._early: list[tuple[IngressPort, Chunk, int]] = []
         for port in self.followers:
-            port.follows, port.runner.now = True, self.now
+            port.follows, port.watched, port.runner.now = True, False, self.now
 
     def now(self) -> int:
         """The session's time: the data's where no source is live, else the clock's."""

@@ -20,6 +20,7 @@ from stream import bounded
 from stream.chunk import Array
 from stream.complete import complete
 from stream.errors import RecordingError
+from stream.recording.versions import release
 
 NAME = "checkpoint.npz"
 VERSION = 2
@@ -50,6 +51,7 @@ class Checkpoint:
         """Write to disk, atomically; raises OSError."""
         head = {
             "version": VERSION,
+            "kinegraph": release(),
             "sequence": self.sequence,
             "time": self.time,
             "graph": self.graph,
@@ -77,10 +79,11 @@ class Checkpoint:
             raise RecordingError(
                 f"{path} is damaged ({error}); remove it to resume from the start of the recording"
             ) from None
-        if version != VERSION:
+        here, there = release(), str(head.get("kinegraph", "an older one"))
+        if version != VERSION or there != here:
             raise RecordingError(
-                f"{path} was written by another version of kinegraph, and its session cannot be resumed by this one; what it recorded"
-                " can be replayed: start a new session"
+                f"{path} was written by another version of kinegraph ({there}; this is {here}), and its session cannot be resumed;"
+                " what it recorded can be replayed: start a new session"
             )
         return Checkpoint(**kept, arrays=arrays)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import sys
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
 
@@ -16,6 +17,15 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             found[package] = ""
     return found
+
+
+@cache
+def release() -> str:
+    """The version of kinegraph."""
+    try:
+        return version("kinegraph")
+    except PackageNotFoundError:
+        return ""
 
 
 def processor() -> str:

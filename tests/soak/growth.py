@@ -17,7 +17,7 @@ from tests.soak.watched import ROOT, Held
 
 LOOK_S = 0.1
 WARM = 0.2
-"""The share of the run before memory is held to be steady."""
+"""The share of the run before memory is held to be steady; it begins when the recording does, after every kernel is compiled."""
 MOST_KB = 1024.0
 
 
@@ -77,7 +77,8 @@ def grown(use: Use, folder: Path, hours: float = 10.0) -> Growth:
             env={**os.environ, "PYTHONPATH": str(ROOT)},
         )
         while process.poll() is None:
-            if held := Held.by(process.pid):
+            recorded = any(path.stat().st_size for path in folder.glob("session/*.mcap"))
+            if recorded and (held := Held.by(process.pid)):
                 looks.append(held)
             time.sleep(LOOK_S)
     return growth(use, looks, time.monotonic() - began, process.returncode, hours)
