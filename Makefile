@@ -3,6 +3,7 @@
 # make test: everything that is checked before a change goes in.
 # make mutants: 100 random changes to operators/ and stream/, of which the tests must notice at least 90 %; a while (SEED=2 draws others).
 # make test-peers: software written elsewhere reads what kinegraph writes; installed for the purpose.
+# make site: the documentation as a site, in site/. make dist: wheel and sdist, in dist/.
 # Each needs Python >= 3.11 and nothing else; the environment is made in .venv.
 
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
@@ -12,7 +13,7 @@ OPERATORS ?= iir.Lowpass or threshold.Threshold or align.Align
 SEED ?= 1
 BIN := .venv/bin
 
-.PHONY: demo check test mutants test-peers bench fuzz soak audit licences clean
+.PHONY: demo check test mutants test-peers bench fuzz soak audit licences site dist clean
 
 demo: .venv/installed
 	$(BIN)/kinegraph run configs/treadmill_emg.yaml --set treadmill.duration_s=$(SECONDS_OF_DEMO) --page
@@ -62,6 +63,15 @@ licences: .venv/installed
 bench: .venv/installed-for-bench
 	$(BIN)/python -m bench --readme
 
+site: .venv/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet --config-file docs/site/mkdocs.yml
+
+# the wheel is built from the sdist, which thereby is known to hold all that it takes
+dist: .venv/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check build
+	$(BIN)/python -m build --outdir dist
+
 .venv/bin/python:
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed; name it: make PYTHON=/path/to/python3" >&2; exit 1; }
 	@echo "making an environment in .venv and installing into it: a minute or two, once"
@@ -80,4 +90,4 @@ bench: .venv/installed-for-bench
 	@touch .venv/installed .venv/installed-for-tests $@
 
 clean:
-	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache
+	rm -rf .venv site dist .mypy_cache .ruff_cache .pytest_cache

@@ -141,7 +141,7 @@ def call(name: str, arguments: list[str]) -> None:
     """Run one command (or a group of them, a Typer app); wrong arguments end the program with exit code 2 and the command's usage."""
     import typer
 
-    found = _function(name)
+    found = function_of(name)
     if isinstance(found, typer.Typer):
         app = found
         for command in app.registered_commands:
@@ -172,23 +172,23 @@ def _interruptible(function: Any) -> Any:
 
 def overview() -> str:
     """What `kinegraph --help` prints."""
-    rows = {name: text for name, (_, text) in COMMANDS.items()} | {e.name: _first_line(e.load()) for e in _added()}
+    rows = {name: text for name, (_, text) in COMMANDS.items()} | {e.name: _first_line(e.load()) for e in added()}
     listing = "\n".join(f"  {name:<10} {text}" for name, text in rows.items())
     return f"{USAGE}\ncommands:\n{listing}\n\nkinegraph COMMAND --help says more."
 
 
-def _function(name: str) -> Any:
+def function_of(name: str) -> Any:
     if name in COMMANDS:
         module, _, function = COMMANDS[name][0].partition(":")
         return getattr(importlib.import_module(module), function)
-    added = _added()
-    for entry in added:
+    others = added()
+    for entry in others:
         if entry.name == name:
             return entry.load()
-    raise KinegraphError(f"there is no command {name!r}; {nearest(name, [*COMMANDS, *(e.name for e in added)])}")
+    raise KinegraphError(f"there is no command {name!r}; {nearest(name, [*COMMANDS, *(e.name for e in others)])}")
 
 
-def _added() -> list[Any]:
+def added() -> list[Any]:
     return [e for e in entry_points(group="kinegraph.commands") if e.name not in COMMANDS]
 
 

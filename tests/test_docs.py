@@ -24,7 +24,7 @@ HOUSE = Path(__file__).resolve().parent.parent
 PAGES = sorted([*HOUSE.glob("*.md"), *(HOUSE / "docs").rglob("*.md")])
 BLOCK = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 EXPECT = re.compile(r"#\s*expect:\s*(\d+)")
-MAKE = re.compile(r"^make (demo|check|test|mutants|test-peers|bench)\b")
+MAKE = re.compile(r"^make (demo|check|test|mutants|test-peers|bench|site|dist)\b")
 
 
 def blocks(page: Path) -> list[tuple[str, str, str]]:

@@ -1,4 +1,4 @@
-"""`kinegraph new`: a declaration for what comes from a port, or a first graph for what a recording holds."""
+"""`kinegraph new`: a declaration for what comes from a port, a first graph for a recording, or the skeleton of an operator or a device."""
 
 from __future__ import annotations
 
@@ -51,22 +51,32 @@ UNITS_NS = {"ns": 1.0, "us": 1e3, "ms": 1e6, "s": 1e9}
 
 
 class New(StrEnum):
+    operator = "operator"
     device = "device"
     graph = "graph"
 
 
 def new(
     what: Annotated[
-        New, typer.Argument(help="device: a declaration for what a port sends; graph: a first graph for a recording")
+        New,
+        typer.Argument(
+            help="operator: a skeleton; device: a skeleton, or a declaration for what a port sends; graph: for a recording"
+        ),
     ],
     port: Annotated[
         str,
         typer.Argument(
-            help="/dev/serial/by-id/NAME, COM3 or tcp://host:port; or the recording", metavar="PORT|RECORDING"
+            help="a name, as in tiny_board; or /dev/serial/by-id/NAME, COM3, tcp://host:port; or the recording",
+            metavar="NAME|PORT|RECORDING",
         ),
     ],
     output: Annotated[
-        File | None, typer.Option("-o", "--out", help="the graph to be made; left out: it is printed")
+        File | None,
+        typer.Option(
+            "-o",
+            "--out",
+            help="the graph to be made [default: it is printed]; of a skeleton: the folder [default: here]",
+        ),
     ] = None,
     baud: Annotated[int, typer.Option(min=50, help="bits per second of the serial port")] = 115200,
     seconds: Annotated[
@@ -75,18 +85,31 @@ def new(
     start: Annotated[str, typer.Option(metavar="HEX", help="bytes to send first, if it must be told to begin")] = "",
     stop: Annotated[str, typer.Option(metavar="HEX", help="bytes to send at the end")] = "",
 ) -> None:
-    """Write a graph: for a device, from what its port sends; for a recording, from what it holds.
+    """Write a graph: for a device, from what its port sends; for a recording, from what it holds. Or a skeleton with tests.
+
+    kinegraph new operator baseline
+
+    kinegraph new device tiny_board
 
     kinegraph new device /dev/ttyACM0 -o board.yaml
 
     kinegraph new graph walk.mcap -o walk.yaml
 
-    Of a device it proposes frame length, sync bytes, counter, time, checksum and rate, which the bytes show; what the numbers are, their
+    A skeleton works as it stands, and its tests pass (`pytest`): a graph, an operator, or a device's protocol, driver and simulator.
+
+    Of a port it proposes frame length, sync bytes, counter, time, checksum and rate, which the bytes show; what the numbers are, their
     types, names and units, must be compared with the device's manual.
     """
+    from devices.commands.skeleton import is_name, write_skeleton
     from devices.protocols import frame_guess, lines_guess
     from devices.transport.handshake import shown
 
+    if what is New.operator or (what is New.device and is_name(port)):
+        made = write_skeleton(what.value, port, output or File())
+        say("\n".join(map(str, made)))
+        test = next(path for path in made if path.name.startswith("test_"))
+        say(f"`python -m pytest {test}` tries it; `kinegraph check {made[-1]}` shows its graph")
+        return
     if output and output.exists():
         raise KinegraphError(f"{output}: is there already; choose another --out")
     if what is New.graph:

@@ -33,10 +33,10 @@ def parts(
     """List every source, operator and outlet that a graph can use; with NAME, show its ports and parameters."""
     from pathlib import Path
 
-    from stream.graph.parts import PACKAGES, catalogue, find, import_from
+    from stream.graph.parts import catalogue, find, import_from, packages
 
     import_from(Path())
-    found, failed = catalogue((*PACKAGES, *(package or ())))
+    found, failed = catalogue((*packages(), *(package or ())))
     for module, reason in failed.items():
         say(f"skipped {module}: {reason}", err=True)
     if "." in name and name not in found:
@@ -135,24 +135,26 @@ def _show(path: str, part: Part) -> None:
         console.print(Text(f"outputs  {', '.join(part.outputs)}"))
     table = Table("parameter", "default", "values", "", box=None, pad_edge=False)
     for name, entry in described.get("properties", {}).items():
-        default = "(must be given)" if name in described.get("required", ()) else _shown(entry.get("default"))
-        table.add_row(Text(name, style="bold"), Text(default), Text(_values(entry)), Text(entry.get("description", "")))
+        default = "(must be given)" if name in described.get("required", ()) else shown(entry.get("default"))
+        table.add_row(
+            Text(name, style="bold"), Text(default), Text(accepted(entry)), Text(entry.get("description", ""))
+        )
     if table.row_count:
         console.print()
         console.print(table)
 
 
-def _values(entry: dict[str, Any]) -> str:
+def accepted(entry: dict[str, Any]) -> str:
     """What a parameter accepts, in a few signs: "number > 0", "zero | first"."""
     if "enum" in entry:
         return " | ".join(map(str, entry["enum"]))
     if "anyOf" in entry:
-        return " | ".join(filter(None, (_values(inner) for inner in entry["anyOf"] if inner.get("type") != "null")))
+        return " | ".join(filter(None, (accepted(inner) for inner in entry["anyOf"] if inner.get("type") != "null")))
     bounds = [f"{sign} {entry[key]:g}" for key, sign in BOUNDS.items() if key in entry]
     return " ".join([str(entry.get("type", "")), *bounds])
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
     return "" if value is None or value in ("", [], {}) else str(value)
 
 

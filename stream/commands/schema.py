@@ -10,7 +10,7 @@ import typer
 
 from stream.complete import write_complete
 from stream.errors import KinegraphError
-from stream.graph.parts import PACKAGES, catalogue, import_from
+from stream.graph.parts import catalogue, import_from, packages
 from stream.graph.schema import graph_schema
 from stream.plain import say
 
@@ -26,7 +26,7 @@ def schema(
     In an editor with a YAML language server, begin a graph with the line: # yaml-language-server: $schema=kinegraph.schema.json
     """
     import_from(Path())
-    parts, failed = catalogue((*PACKAGES, *(package or ())))
+    parts, failed = catalogue((*packages(), *(package or ())))
     for module, reason in failed.items():
         say(f"skipped {module}: {reason}", err=True)
     text = json.dumps(graph_schema(parts), indent=2, ensure_ascii=False) + "\n"

@@ -13,6 +13,7 @@ from dataclasses import is_dataclass
 from difflib import get_close_matches
 from functools import partial
 from importlib.machinery import PathFinder
+from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeAlias, TypeGuard
@@ -24,6 +25,8 @@ from stream.owners import refuse_shared
 from stream.source import Source
 
 PACKAGES = ("operators", "devices", "stream.manual")
+GROUP = "kinegraph.parts"
+"""Entry points by which an installed package says where its sources, operators and outlets are: `gait_lab = "gait_lab.operators"`."""
 OURS = ("stream", "devices", "operators")
 """Where `catalogue` looks if not told otherwise: by name, at run time, so that the engine depends on none of them."""
 
@@ -116,6 +119,12 @@ def kind_of(part: Part) -> str:
     return "source" if issubclass(part, Source) else "outlet" if issubclass(part, Outlet) else "operator"
 
 
+def packages() -> tuple[str, ...]:
+    """Where components are listed from: ours, and those that installed packages name in the entry-point group `kinegraph.parts`."""
+    named = sorted({entry.value for entry in entry_points(group=GROUP)})
+    return (*PACKAGES, *(name for name in named if name not in PACKAGES))
+
+
 def catalogue(packages: tuple[str, ...] = PACKAGES) -> tuple[dict[str, Part], dict[str, str]]:
     """All parts in these packages by their shortest dotted path, and the modules that could not be imported, with the reason."""
     found: dict[Part, str] = {}
@@ -197,7 +206,8 @@ def _import(name: str, use: str) -> ModuleType:
 def _similar(use: str) -> str:
     """What `use` may have been meant to be."""
     top = use.partition(".")[0]
-    paths = [*catalogue((*PACKAGES, top) if top not in PACKAGES and top in sys.modules else PACKAGES)[0]]
+    known = packages()
+    paths = [*catalogue((*known, top) if top not in known and top in sys.modules else known)[0]]
     by_name = {path.rpartition(".")[2].lower(): path for path in paths}
     close = get_close_matches(use, paths, n=1, cutoff=0.75)
     if not close:

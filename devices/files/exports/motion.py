@@ -12,6 +12,7 @@ from devices.files.exporter import Export, Exporter, Written
 from devices.files.exports.gathered import Gathered, events_of, gather, the_one
 from stream.chunk import NS, Samples
 from stream.complete import complete, private_folder
+from stream.conversions import needed
 from stream.errors import RecordingError
 
 MOST_FRAMES = 65_535
@@ -20,7 +21,7 @@ NEAR = 1e-6
 
 
 def _c3d(wanted: Export) -> list[Written]:
-    import ezc3d
+    ezc3d = needed("ezc3d", "pip install ezc3d (for ARM there is no wheel)")
 
     wanted.refuse_existing(wanted.place)
     private_folder(wanted.place.parent)
