@@ -74,6 +74,7 @@ if TYPE_CHECKING:
     from operators.segmentation import Segment
     from operators.segmentation.naming import NameRepetitions
     from operators.sleep.epochs import Epochs
+    from operators.sleep.gentle_alarm import GentleAlarm
     from operators.sleep.nights import Nights
     from operators.sleep.periods import SleepPeriods
     from operators.sleep.scorer import SleepScorer
@@ -118,6 +119,7 @@ __all__ = [
     "Footing",
     "ForceContacts",
     "ForcePlate",
+    "GentleAlarm",
     "Highpass",
     "InertialContacts",
     "LimbContacts",
@@ -210,6 +212,7 @@ __getattr__, __dir__ = offered(
         "Footing": "operators.whole_pose.footing",
         "ForceContacts": "operators.gait.force",
         "ForcePlate": "operators.force_plate",
+        "GentleAlarm": "operators.sleep.gentle_alarm",
         "Highpass": "operators.iir",
         "InertialContacts": "operators.gait.inertial",
         "LimbContacts": "operators.gait.limb_contacts",

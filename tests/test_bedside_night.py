@@ -17,7 +17,7 @@ from mosquitto import Listener, broker, listening
 from ruamel.yaml import YAML
 
 from devices.outlets.night import archive
-from stream.chunk import NS
+from stream.chunk import NS, utc
 
 HERE = Path(__file__).parent
 CONFIG = HERE.parent / "configs" / "bedside_sleep.yaml"
@@ -45,6 +45,7 @@ def night(folder: Path, port: int, **camera: Any) -> Path:
     nodes["log"] |= {"path": str(folder / "nights"), "timezone": "Europe/Berlin"}
     nodes["home"] |= {"broker": {"host": "127.0.0.1", "port": port}, "ledger": str(folder / "sent.json")}
     nodes["home"]["history"][0]["log"] = str(folder / "nights")
+    nodes["home"]["report"]["nights"] = str(folder / "nights")
     graph["checkpoint_s"] = 0.1  # at this pace minutes of the night
     graph["recording"] |= {"rotate_mb": 0.02, "flush_s": 0.2}
     path = folder / "bedside.yaml"
@@ -107,7 +108,13 @@ def test_a_night_with_two_power_cuts_ends_in_a_report_that_agrees_with_what_was_
 
     for topic, message in entities.items():
         home_assistant.check(topic, message)
-    assert len(entities) == 8
+    assert len(entities) == 15
+    assert {message["device"]["suggested_area"] for message in entities.values()} == {"Bedroom"}
+    assert said["kinegraph/bed/report/state"].startswith("Asleep ")
+    assert json.loads(said["kinegraph/bed/report/attributes"])["address"] == (folder / "report.html").as_uri()
+    told_of_it = {name: said[f"kinegraph/bed/{name}/state"] for name in ("night_asleep", "night_from", "night_to")}
+    assert told_of_it["night_asleep"] == f"{facts.numbers['tst']:.0f}"
+    assert told_of_it["night_from"] == utc(int(facts.numbers["onset"]))
 
     assert facts.closed and facts.numbers["tib"] > 60 and len(facts.breaks) == 2
     assert {"sleep", "wake"} <= set(epochs.texts["state"])

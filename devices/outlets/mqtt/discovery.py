@@ -34,6 +34,7 @@ class Entity:
     every_s        a signal is reported at most so often
     decimals       of numbers
     expire_after_s after how long without news Home Assistant shows the entity as unavailable; what has not changed is said again in time
+    device_class   `timestamp`: the field is a time in ns, reported as ISO 8601
     name, unit, device_class, state_class, category (diagnostic), icon   as Home Assistant takes them
     """
 
@@ -65,6 +66,10 @@ class Entity:
                 raise ParameterError(f"{where}.unit", self.unit or self.state_class, "left out of a binary_sensor")
             if not self.alive_s and not (self.values and set(self.values.values()) <= {ON, OFF}):
                 raise ParameterError(f"{where}.values", self.values, f"values that become {ON} or {OFF}")
+        if self.device_class == "timestamp" and (self.unit or self.state_class or self.values):
+            raise ParameterError(
+                f"{where}.device_class", "timestamp", "a time alone, without unit, state_class or values"
+            )
         if self.state_class and self.values:
             raise ParameterError(f"{where}.state_class", self.state_class, "left out where `values` are texts")
         if self.icon and not re.fullmatch(r"[a-z0-9]+:[a-z0-9-]+", self.icon):
@@ -109,6 +114,9 @@ class Topics:
 
     def command(self, entity: str) -> str:
         return f"{self.base}/{self.device}/{entity}/set"
+
+    def attributes(self, entity: str) -> str:
+        return f"{self.base}/{self.device}/{entity}/attributes"
 
     def history(self, stream: str) -> str:
         return f"{self.base}/{self.device}/history/{stream.replace('.', '_')}"

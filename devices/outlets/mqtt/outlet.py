@@ -18,6 +18,7 @@ from devices.mqtt.link import Broker, BrokerConnection
 from devices.outlets.claim import check_path
 from devices.outlets.mqtt.discovery import OFF, ON, UNKNOWN, Device, Entity, Topics, announcement
 from devices.outlets.mqtt.outbox import Outbox, OutboxState
+from devices.outlets.mqtt.report_news import NAME, ReportNews, ReportWatch, report_announcement
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Specs, StreamSpec, utc
 from stream.complete import private_folder
 from stream.errors import InputError, ParameterError, nearest
@@ -67,6 +68,7 @@ class MqttRuntime:
         self.newest: dict[str, int] = {}
         """Per stream, the newest sample's stamp."""
         self.mark = ""
+        self.reports: ReportWatch | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +84,8 @@ class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
     broker up to 6000 events wait; older ones are dropped, counted and logged. When the session ends, the broker is tried once more, and
     given 20 s to take what waits; what it does not take is forgotten, and its number told.
 
+    `report` names the folder of a night's log: the newest report is told in one line, with its address beside it.
+
     It never waits for the network: without a broker at start, or when it goes, everything else goes on.
     """
 
@@ -96,6 +100,7 @@ class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
     history: tuple[SentEvents, ...] = param((), help="events that are sent one by one")
     base: str = param("kinegraph", help="what all topics begin with")
     discovery: str = param("homeassistant", help="the prefix of discovery messages; left empty: none are sent")
+    report: ReportNews | None = param(None, help="tell when a night's report is ready, and where it stands")
     ledger: str = param("", help="a file that remembers over a power cut which events were sent")
 
     def open(self, specs: Specs) -> Specs:
@@ -104,6 +109,8 @@ class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
         self._topics.check()
         if self.ledger and (wrong := check_path(Path(self.ledger))):
             raise ParameterError("ledger", self.ledger, wrong)
+        if self.report and NAME in self.entities:
+            raise ParameterError("entities", NAME, "another name: this one is the report's")
         for name, entity in self.entities.items():
             entity.check(name)
             spec = _stream(specs, entity.of, f"entities.{name}.of")
@@ -131,6 +138,7 @@ class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
         for history in self.history:
             if history.log:
                 self._post_logged(history)
+        runtime.reports = ReportWatch(self.report, self._topics) if self.report else None
         topics, histories = self._topics, [self._topics.history(h.of) for h in self.history]
         heard = [*([topics.birth] if self.discovery else []), *([topics.mark(), *histories] if histories else [])]
         runtime.link = BrokerConnection(
@@ -150,6 +158,7 @@ class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
         for history in self.history:
             if history.of == port and len(chunk):
                 self._post(history, chunk)
+        self._tell_report()
         if chunk.until >= runtime.live_from:
             runtime.outbox.flush()
 
@@ -158,6 +167,7 @@ class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
         link = runtime.link
         if link is None or runtime.outbox is None:
             return
+        self._tell_report(now=True)
         runtime.outbox.flush()
         self._wait_for_the_last(link, runtime.outbox)
         runtime.link = None
@@ -198,6 +208,13 @@ class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
         if text and (text != before or stale):
             runtime.told[name] = (text, now, at)
             runtime.outbox.state(self._topics.state(name), text)
+
+    def _tell_report(self, *, now: bool = False) -> None:
+        """Tell of a report that is new."""
+        runtime = self.runtime
+        for topic, text in runtime.reports.look(now=now) if runtime.reports else ():
+            assert runtime.outbox
+            runtime.outbox.state(topic, text)
 
     def _state(self, entity: Entity, chunk: Chunk, before: str, told: int) -> tuple[str, int]:
         """What is to be reported after a chunk, and of which sample; "": nothing is known yet."""
@@ -282,6 +299,9 @@ class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
             for name, entity in self.entities.items():
                 told = announcement(name, entity, self.device, self._topics)
                 self._say(self._topics.config(entity.component, name), json.dumps(told), True)
+            if self.report:
+                told = report_announcement(self.device, self._topics)
+                self._say(self._topics.config("sensor", NAME), json.dumps(told), True)
 
 
 def _stream(specs: Specs, of: str, parameter: str) -> StreamSpec:
@@ -318,6 +338,8 @@ def _place(spec: StreamSpec, field: str) -> int:
 
 def _text(value: Any, entity: Entity) -> str:
     """A value as Home Assistant takes it; what is not known is "None"."""
+    if entity.device_class == "timestamp":
+        return utc(int(value)) if value > 0 else UNKNOWN
     if entity.values is not None:
         return entity.values.get(str(value).lower() if isinstance(value, bool | np.bool_) else str(value), UNKNOWN)
     if isinstance(value, np.floating | float):
