@@ -14,7 +14,7 @@ from stream.errors import KinegraphError
 from stream.plain import say
 
 if TYPE_CHECKING:
-    from devices.outlets.night.weeks import Row
+    from devices.outlets.night.weeks import NightRow
 
 
 class Action(StrEnum):
@@ -142,7 +142,7 @@ def _over_weeks(
         say(written)
 
 
-def _rows(path: Path, sleeper: str) -> list[Row]:
+def _rows(path: Path, sleeper: str) -> list[NightRow]:
     from devices.outlets.night import archive, weeks
 
     found = weeks.rows(path, sleeper)

@@ -30,7 +30,7 @@ Kind = Literal["night", "nap", "part", "unfinished"]
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class NightRow:
     """One time in bed, or an evening of which nothing is known.
 
     kind     night; nap; part: a shorter time in bed of the same night; unfinished: it has no numbers
@@ -53,7 +53,7 @@ class Row:
     day: Samples
 
 
-def row(folder: Path, facts: Facts) -> Row:
+def row(folder: Path, facts: Facts) -> NightRow:
     """Raises NightError where its epochs cannot be read."""
     epochs, zone, n = archive.read_epochs(folder), night_zone(facts), facts.numbers
     onset, end = int(n.get("onset", facts.begun)), int(n.get("end", epochs.end[-1] if len(epochs) else facts.begun))
@@ -66,7 +66,9 @@ def row(folder: Path, facts: Facts) -> Row:
     day = _day(part, start)
     if not n:
         nan = float("nan")
-        return Row(folder.name, evening, "unfinished", _after(onset, start), nan, nan, nan, nan, nan, nan, nan, day)
+        return NightRow(
+            folder.name, evening, "unfinished", _after(onset, start), nan, nan, nan, nan, nan, nan, nan, day
+        )
     step = facts.epoch_s / 60
     counts = {state: float((part.texts["state"] == state).sum()) * step for state in ("sleep", "wake")}
     slept = np.flatnonzero(part.texts["state"] == "sleep")
@@ -75,25 +77,25 @@ def row(folder: Path, facts: Facts) -> Row:
     at = (bed + rise) / 2
     nap = in_bed < 60 * NAP_H and (at < NAP_FROM_H - 12 or at > NAP_TO_H + 12)
     asleep = float(n["tst"] or 0.0)
-    return Row(
+    return NightRow(
         folder.name, evening, "nap" if nap else "night", bed, rise, middle, in_bed, asleep, counts["wake"],
         max(0.0, in_bed - counts["sleep"] - counts["wake"]), 100 * asleep / in_bed if in_bed else np.nan, day,
     )  # fmt: skip
 
 
-def rows(root: Path, sleeper: str = "") -> list[Row]:
+def rows(root: Path, sleeper: str = "") -> list[NightRow]:
     """Every time in bed of a sleeper, in order; of several in one night the longest is the night, shorter ones are its parts.
 
     Nights that cannot be read are passed over.
     """
-    found: list[Row] = []
+    found: list[NightRow] = []
     for folder, facts in archive.nights(root):
         if facts.sleeper == sleeper:
             try:
                 found.append(row(folder, facts))
             except archive.NightError:
                 continue
-    longest: dict[date, Row] = {}
+    longest: dict[date, NightRow] = {}
     for one in found:
         if one.kind == "night" and one.in_bed > (longest[one.evening].in_bed if one.evening in longest else 0.0):
             longest[one.evening] = one
@@ -102,7 +104,7 @@ def rows(root: Path, sleeper: str = "") -> list[Row]:
     ]
 
 
-def missing(of: Sequence[Row], since: date | None = None, until: date | None = None) -> list[date]:
+def missing(of: Sequence[NightRow], since: date | None = None, until: date | None = None) -> list[date]:
     """Evenings without a night between two days, or between the first night and the last."""
     there = {one.evening for one in of if one.kind == "night"}
     first, last = since or min(there, default=None), until or max(there, default=None)
@@ -111,14 +113,14 @@ def missing(of: Sequence[Row], since: date | None = None, until: date | None = N
     return [day for k in range((last - first).days + 1) if (day := first + timedelta(k)) not in there]
 
 
-def within(of: Iterable[Row], since: date | None, until: date | None) -> list[Row]:
+def within(of: Iterable[NightRow], since: date | None, until: date | None) -> list[NightRow]:
     """Those whose evening lies between two days, both included."""
     return [r for r in of if (since is None or r.evening >= since) and (until is None or r.evening <= until)]
 
 
 @dataclass(frozen=True, slots=True)
 class Trend:
-    """What several nights say together; NaN: too few to say. Minutes and hours after noon, as in `Row`.
+    """What several nights say together; NaN: too few to say. Minutes and hours after noon, as in `NightRow`.
 
     jet_lag     h: middle of sleep before free mornings less that before the others (Wittmann 2006)
     regularity  sleep regularity index, 100: the same half minute is the same every day, 0: by chance (Phillips 2017); of `pairs` of days
@@ -142,7 +144,9 @@ class Trend:
     pairs: int
 
 
-def trend(of: Sequence[Row], free: Sequence[int] = FREE, since: date | None = None, until: date | None = None) -> Trend:
+def trend(
+    of: Sequence[NightRow], free: Sequence[int] = FREE, since: date | None = None, until: date | None = None
+) -> Trend:
     """Of the nights between two days; naps count for the regularity only."""
     chosen = within(of, since, until)
     nights = [r for r in chosen if r.kind == "night"]
@@ -155,7 +159,7 @@ def trend(of: Sequence[Row], free: Sequence[int] = FREE, since: date | None = No
     )  # fmt: skip
 
 
-def jet_lag(nights: Sequence[Row], free: Sequence[int] = FREE) -> float:
+def jet_lag(nights: Sequence[NightRow], free: Sequence[int] = FREE) -> float:
     """Hours by which sleep before free mornings has its middle later (negative: earlier); `free`: weekdays, Monday is 0."""
     known = [one for one in nights if one.middle == one.middle]
     late = [one.middle for one in known if (one.evening + timedelta(1)).weekday() in free]
@@ -163,7 +167,7 @@ def jet_lag(nights: Sequence[Row], free: Sequence[int] = FREE) -> float:
     return float(np.mean(late) - np.mean(early)) if late and early else float("nan")
 
 
-def regularity(of: Sequence[Row]) -> tuple[float, int]:
+def regularity(of: Sequence[NightRow]) -> tuple[float, int]:
     """The sleep regularity index, and of how many pairs of days it is: -100 + 200 times how likely half a minute is as 24 h before.
 
     A day counts if its night was logged; what nobody knows of it does not. Out of bed is taken for awake: sleep elsewhere is not seen.
@@ -188,7 +192,7 @@ def regularity(of: Sequence[Row]) -> tuple[float, int]:
     return (-100 + 200 * same / total if total and pairs >= LEAST_PAIRS else float("nan")), pairs
 
 
-def _blind(one: Row) -> np.ndarray:
+def _blind(one: NightRow) -> np.ndarray:
     """When in bed nothing is known."""
     at = np.arange(SLOTS) * SLOT_S / 3600
     return (at >= one.bed) & (at < one.rise) & np.isnan(one.day)
@@ -207,7 +211,7 @@ class Difference:
     high: float
 
 
-NUMBERS: tuple[tuple[str, str, Callable[[Row], float]], ...] = (
+NUMBERS: tuple[tuple[str, str, Callable[[NightRow], float]], ...] = (
     ("Asleep", "min", lambda r: r.asleep),
     ("Awake in bed", "min", lambda r: r.awake),
     ("Efficiency", "%", lambda r: r.efficiency),
@@ -218,7 +222,7 @@ NUMBERS: tuple[tuple[str, str, Callable[[Row], float]], ...] = (
 )
 
 
-def compare(first: Sequence[Row], second: Sequence[Row]) -> list[Difference]:
+def compare(first: Sequence[NightRow], second: Sequence[NightRow]) -> list[Difference]:
     """The second period less the first, night by night taken as independent: it describes, and says nothing of causes."""
     from scipy.stats import t
 
@@ -242,7 +246,7 @@ def compare(first: Sequence[Row], second: Sequence[Row]) -> list[Difference]:
     return made
 
 
-def by_weeks(of: Sequence[Row], months: bool = False) -> list[tuple[str, date, date]]:
+def by_weeks(of: Sequence[NightRow], months: bool = False) -> list[tuple[str, date, date]]:
     """(name, first evening, last) of every week (from Monday), or month, that holds a night."""
     found: dict[str, tuple[date, date]] = {}
     for one in of:
@@ -279,11 +283,11 @@ def _after(time: int, start: int) -> float:
     return (time - start) / (3600 * NS)
 
 
-def _mean(of: Sequence[Row], value: Callable[[Row], float]) -> float:
+def _mean(of: Sequence[NightRow], value: Callable[[NightRow], float]) -> float:
     known = [value(r) for r in of if value(r) == value(r)]
     return float(np.mean(known)) if known else float("nan")
 
 
-def _both(of: Sequence[Row], value: Callable[[Row], float]) -> tuple[float, float]:
+def _both(of: Sequence[NightRow], value: Callable[[NightRow], float]) -> tuple[float, float]:
     known = [value(r) for r in of if value(r) == value(r)]
     return _mean(of, value), float(np.std(known, ddof=1)) if len(known) > 1 else float("nan")

@@ -11,7 +11,18 @@ from typing import Any
 import numpy as np
 
 from devices.outlets.night.numbers import CAVEATS, hours, runs
-from devices.outlets.night.weeks import SLOTS, Difference, Row, Trend, by_weeks, compare, hour, missing, trend, within
+from devices.outlets.night.weeks import (
+    SLOTS,
+    Difference,
+    NightRow,
+    Trend,
+    by_weeks,
+    compare,
+    hour,
+    missing,
+    trend,
+    within,
+)
 from stream.complete import write_complete
 from stream.sheet import sheet_text
 
@@ -23,7 +34,7 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def table(of: Sequence[Row], since: date | None = None, until: date | None = None) -> str:
+def table(of: Sequence[NightRow], since: date | None = None, until: date | None = None) -> str:
     """Every night, nap and part as a row of CSV, and a row for every evening without a night."""
     chosen = within(of, since, until)
     lost = [[day.isoformat(), "", "missing", *[""] * (len(COLUMNS) - 3)] for day in missing(chosen, since, until)]
@@ -35,7 +46,7 @@ def table(of: Sequence[Row], since: date | None = None, until: date | None = Non
     return sheet_text([list(COLUMNS), *sorted([*made, *lost], key=lambda line: (line[0], line[1]))])
 
 
-def trends_table(of: Sequence[Row], free: Sequence[int], months: bool = False) -> str:
+def trends_table(of: Sequence[NightRow], free: Sequence[int], months: bool = False) -> str:
     """A row per week or month as CSV; clock times as HH:MM, the rest as `Trend` has it."""
     names = [f.name for f in fields(Trend)]
     lines = [["period", "from", "to", *names]]
@@ -47,7 +58,7 @@ def trends_table(of: Sequence[Row], free: Sequence[int], months: bool = False) -
 
 
 def write(
-    folder: Path, of: Sequence[Row], free: Sequence[int], periods: Sequence[Period], *, months: bool
+    folder: Path, of: Sequence[NightRow], free: Sequence[int], periods: Sequence[Period], *, months: bool
 ) -> list[Path]:
     """weeks.html, weeks.csv, nights.csv, and with two periods comparison.csv; what was written. Raises OSError."""
     differences = compare(*(within(of, *period) for period in periods)) if len(periods) == 2 else []
@@ -66,7 +77,7 @@ def write(
 
 
 def page(
-    of: Sequence[Row],
+    of: Sequence[NightRow],
     free: Sequence[int],
     periods: Sequence[Period],
     differences: Sequence[Difference],
@@ -140,17 +151,17 @@ def _many(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
-def _known(of: Sequence[Row], first: date, last: date) -> Period:
+def _known(of: Sequence[NightRow], first: date, last: date) -> Period:
     """A span cut to where anything was recorded: a week that has only begun misses no nights yet."""
     days = [r.evening for r in of]
     return max(first, min(days)), min(last, max(days))
 
 
-def _title(of: Sequence[Row]) -> str:
+def _title(of: Sequence[NightRow]) -> str:
     return f"Nights from {min(r.evening for r in of):%d.%m.%Y} to {max(r.evening for r in of):%d.%m.%Y}"
 
 
-def _days(of: Sequence[Row]) -> list[dict[str, Any]]:
+def _days(of: Sequence[NightRow]) -> list[dict[str, Any]]:
     """For the picture: a line per evening from the first to the last, each with its bars (x, width, what)."""
     first, last = min(r.evening for r in of), max(r.evening for r in of)
     lines = []
