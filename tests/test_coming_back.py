@@ -8,9 +8,12 @@ import pytest
 
 from devices.discovery import serial_ports
 from devices.simulators.indexed import Indexed
+from devices.simulators.lines import line_at
 from devices.simulators.misbehaviour import Misbehaviour
-from devices.transport.transport import present
+from devices.simulators.serve import Server
+from devices.transport.transport import connect, present
 from stream.engine.session import Session
+from stream.errors import DeviceError
 from stream.graph.load import load_text
 from stream.recording import Recording
 
@@ -60,3 +63,16 @@ def test_a_device_of_which_every_line_was_bad_is_no_success(tmp_path: Path) -> N
         )
         outcome = Session(graph, tmp_path / "s", duration_s=2).run()
     assert outcome.error is None and outcome.exit_code == 3
+
+
+def test_two_sessions_on_one_device(tmp_path: Path) -> None:
+    """The first goes on as if nothing had happened; the second is told what to do, and goes on once the first has ended."""
+    device = Server(Indexed(rate_hz=200.0).brain(), line_at("", Indexed.port_name))
+    try:
+        with connect(device.address, 9600) as first:
+            with pytest.raises(DeviceError, match="another program has it open; close that one first"):
+                connect(device.address, 9600)
+            assert first.read(2.0), "it still gives"
+        connect(device.address, 9600).close()
+    finally:
+        device.close()

@@ -10,12 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stream.graph import Edge
+from stream.graph.load import load
+from stream.graph.overrides import read
+from stream.source import Source
 from tests.soak.faults import KINDS, drawn
 from tests.soak.growth import growth
 from tests.soak.happening import soak
 from tests.soak.judge import judge
 from tests.soak.ledger import Ledger, by_stamps, mended
-from tests.soak.uses import USES
+from tests.soak.uses import CONFIGS, USES, Use
 from tests.soak.watched import Held, Watched
 
 OFFERED = np.arange(10)
@@ -78,6 +82,19 @@ def test_the_same_seed_draws_the_same_faults_and_every_kind_happens() -> None:
     assert faults == drawn(3, 600, ("a", "b")) != drawn(4, 600, ("a", "b"))
     assert {fault.kind for fault in faults} == set(KINDS)
     assert all(fault.at_s >= 15 and fault.at_s + fault.for_s <= 585 for fault in faults)
+
+
+@pytest.mark.parametrize("use", USES, ids=lambda use: use.name)
+def test_every_use_can_be_run_for_so_many_hours_as_fast_as_it_goes(use: Use, tmp_path: Path) -> None:
+    hours = [one.format(hours=2.0, seconds=7200.0) for one in use.hours]
+    graph = load(CONFIGS / use.config, overrides=read(hours))
+    sources = [source for source in graph.parts(Source) if not source.background]
+    assert sources and not any(source.live for source in sources)
+    live = load(use.write(tmp_path, "/dev/null", 1883), overrides=read(list(use.live)))
+    assert all(source.live for source in live.parts(Source))
+    assert set(use.regular) <= {
+        str(Edge(n.name, output)) for n in live.sources for output, spec in n.specs.items() if spec.rate_hz
+    }
 
 
 @pytest.mark.parametrize(("leak", "told"), [(0, 0), (1, 1)])
