@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from devices.simulators.quadruped import Quadruped, TwoActors
     from devices.simulators.treadmill import Treadmill
     from devices.simulators.walkway import Walkway
+    from devices.synthesis.source import Synthesis
     from devices.trigno import Trigno
     from devices.usb.endpoint import Endpoint
     from devices.vmc import Vmc
@@ -113,6 +114,7 @@ __all__ = [
     "Shimmer",
     "SimulatedOak",
     "StepPanel",
+    "Synthesis",
     "TrainingReport",
     "Treadmill",
     "TreadmillControl",
@@ -176,6 +178,7 @@ __getattr__, __dir__ = offered(
         "Shimmer": "devices.shimmer",
         "SimulatedOak": "devices.simulators.oak",
         "StepPanel": "devices.outlets.step_panel",
+        "Synthesis": "devices.synthesis.source",
         "TrainingReport": "devices.outlets.training",
         "Treadmill": "devices.simulators.treadmill",
         "TreadmillControl": "devices.ble.treadmill_control",

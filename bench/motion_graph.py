@@ -1,0 +1,151 @@
+"""`python -m bench.motion_graph`: motion graphs of one CMU recording, cut in several ways, and how smooth a walk on them is; Markdown.
+
+Needs the folder of recordings that the environment variable KINEGRAPH_DATA names.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from bench.report import table
+from devices.synthesis.walker import LEGS, Walker
+from operators.motion_graph.build import build_graph
+from operators.motion_graph.measures import measure
+from operators.motion_graph.primitives import segmented
+from operators.motion_graph.takes import Take
+from stream.chunk import Array, Samples, Times
+from stream.errors import KinegraphError
+from stream.joint_tree import JointTree, joints_of
+from stream.motion_graph import MotionGraph
+from tests.motion_made import RATE, cmu_takes
+
+NAME, WITHIN_M, BLEND = "13_29", 0.12, 5
+
+
+def main() -> None:
+    tree, (take,) = cmu_takes([NAME])
+    began = time.perf_counter()
+    ours = segmented(tree, [take], RATE)[0]
+    cuts: dict[str, Callable[[], Take]] = {
+        "as segmented": lambda: ours,
+        "fixed windows, 1 s": lambda: cut(take, np.arange(0, len(take.poses), int(RATE))),
+        "annotated actions": lambda: labelled(take),
+        "KernelCPD, as many cuts": lambda: cut(take, kernel_cpd(tree, take, len(ours.spans) - 1)),
+    }
+    rows = []
+    for name, made in cuts.items():
+        try:
+            graph = build(tree, made())
+        except (KinegraphError, ImportError) as error:
+            rows.append([name, *["-"] * 6, str(error)[:80]])
+            continue
+        m = measure(graph)
+        rows.append([
+            name, str(m.nodes), str(m.core), f"{m.branching:.1f}", f"{100 * m.coverage:.0f} %", str(m.clusters),
+            f"{m.reach_s[0]:.1f} / {m.reach_s[1]:.1f}", "",
+        ])  # fmt: skip
+    print(table(["cut", "nodes", "core", "ways on", "kept", "clusters", "reach s, median / p95", ""], rows))
+    graph = build(tree, ours)
+    print(
+        f"\nsegmented and built in {time.perf_counter() - began:.1f} s with all above; {len(take.poses) / RATE:.0f} s of motion\n"
+    )
+    rows = [["recorded", *facts(graph, graph.poses[graph.take == 0], graph.contacts[graph.take == 0])]]
+    for name, how in {
+        "walked": {},
+        "feet not held": {"feet": False},
+        "plain concatenation": {"feet": False, "smooth": False},
+    }.items():
+        poses, stood, took = walk(graph, how)
+        rows.append(
+            [
+                name,
+                *facts(graph, poses, stood),
+                f"{np.median(took):.0f} / {np.quantile(took, 0.99):.0f} / {took.max():.0f}",
+            ]
+        )
+    print(
+        table(
+            [
+                "",
+                "skate cm, median / p95",
+                "velocity jump m/s, p99 / max",
+                "step m, max",
+                "us a frame, median / p99 / max",
+            ],
+            rows,
+        )
+    )
+
+
+def build(tree: JointTree, take: Take) -> MotionGraph:
+    names = [chr(65 + c) for c in range(1 + max(0, int(take.cluster.max())))]
+    return build_graph(tree, [take], names, RATE, WITHIN_M, BLEND)
+
+
+def cut(take: Take, at: Times) -> Take:
+    """A take cut at these frames, all of one cluster."""
+    borders = np.unique(np.concatenate([[0], at, [len(take.poses)]]))
+    return replace(take, spans=np.array(list(pairwise(borders.tolist()))), cluster=np.zeros(len(borders) - 1, np.int64))
+
+
+def labelled(take: Take) -> Take:
+    """A take cut where the annotators did, a cluster per action."""
+    with np.load(Path(os.environ["KINEGRAPH_DATA"]) / "segmentation/mocap6" / f"{NAME}.npz") as z:
+        label = z["label_cut"].astype(np.int64)
+    made = cut(take, np.flatnonzero(np.diff(label)) + 1)
+    return replace(made, cluster=label[made.spans[:, 0]])
+
+
+def kernel_cpd(tree: JointTree, take: Take, cuts: int) -> Times:
+    """Where ruptures' KernelCPD cuts, told how often."""
+    import ruptures
+
+    joints = joints_of(tree, take.poses)[1]
+    seen = (joints - joints[:, :1]).reshape(len(joints), -1)
+    return np.array(ruptures.KernelCPD("rbf", min_size=12).fit(seen).predict(n_bkps=cuts)[:-1])
+
+
+def walk(graph: MotionGraph, how: dict[str, bool]) -> tuple[Samples, Array, Samples]:
+    """Three minutes: poses, which feet stood, microseconds a frame."""
+    walker = Walker(graph, seed=1, **how)
+    n = round(180 * RATE)
+    poses, stood, took = np.empty((n, graph.tree.width)), np.empty((n, 2), bool), np.empty(n)
+    for _ in range(300):
+        walker.step()
+    for i in range(n):
+        began = time.perf_counter()
+        walker.step()
+        took[i] = 1e6 * (time.perf_counter() - began)
+        poses[i], stood[i] = walker.pose, walker.stands
+    return poses, stood, took
+
+
+def facts(graph: MotionGraph, poses: Samples, stood: Array) -> list[str]:
+    joints = joints_of(graph.tree, poses)[1]
+    jump = np.linalg.norm(np.diff(joints, n=2, axis=0), axis=2) * RATE
+    slid = []
+    for side in range(2):
+        toes = joints[:, LEGS[side, 3]][:, [0, 2]]
+        edges = np.flatnonzero(np.diff(np.r_[0, stood[:, side].astype(int), 0]))
+        slid += [
+            100 * np.linalg.norm(toes[a:b] - toes[a], axis=1).max()
+            for a, b in zip(edges[::2], edges[1::2], strict=True)
+            if b - a > 3
+        ]
+    step = np.linalg.norm(np.diff(joints, axis=0), axis=2).max()
+    return [
+        f"{np.median(slid):.2g} / {np.quantile(slid, 0.95):.2g}",
+        f"{np.quantile(jump, 0.99):.2f} / {jump.max():.2f}",
+        f"{step:.2f}",
+    ]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Synthesis: new motion, walked on a motion graph in real time (thesis, chapter 10)."""

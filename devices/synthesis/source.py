@@ -1,0 +1,187 @@
+"""Synthesised motion as a source: poses that no recording holds, walked on a motion graph."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from devices.synthesis.blend_kernel import blended
+from devices.synthesis.walker import Aim, Walker
+from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
+from stream.errors import ParameterError, nearest
+from stream.humanoid import BONES
+from stream.motion_graph import MotionGraph
+from stream.params import param
+from stream.source import Feed, Source
+
+NODE = np.dtype(
+    [("onset", "<i8"), ("node", "<i4"), ("cluster", "<U32"), ("mirrored", "?"), ("x_m", "<f8"), ("z_m", "<f8")]
+)
+NOWHERE_S = 60.0
+"""A target or the end of a path that is not nearer by a decimetre after so long is not reached."""
+
+
+@dataclass(frozen=True, slots=True)
+class Synthesis(Source):
+    """Walks on a motion graph (`kinegraph train graph`) and gives out its poses, at the graph's rate; begins at (0, 0), facing z.
+
+    pose   root position and quaternions of the humanoid skeleton, for an avatar, a BVH file, the page
+    node   an event whenever another stretch of the recordings begins: its number, its cluster, whether mirrored, and where (m)
+
+    What is done, in turn: `order`, the clusters named, each so many nodes of it; `path`, along a line on the floor; `target`, to a place.
+    When all is done the stream ends, unless `then` is wander. With none of these it wanders by chance, the same for the same seed. A word
+    typed while it runs takes the place of all that: a cluster's name (stay in it), `x z` (go there), `wander`, `stop`.
+
+    Where two stretches meet they are blended over 5 to 15 frames, rotations along great circles; a foot that stands stays where it is.
+    Thesis, chapter 10; Kovar, Gleicher and Pighin 2002. Departures: docs/motion-graphs.md. What it gives is recorded, and replayed, as of
+    any source.
+    """
+
+    outputs: ClassVar[tuple[str, ...]] = ("pose", "node")
+
+    model: Path = param(help="what `kinegraph train graph` has made")
+    order: tuple[tuple[str, int], ...] = param((), least=1, help="[cluster, nodes of it], one after the other")
+    path: tuple[tuple[float, float], ...] = param((), help="points x, z (m) on the floor, to be walked along")
+    target: tuple[float, float] | None = param(None, help="a place x, z (m) to go to")
+    forbidden: tuple[tuple[float, float, float], ...] = param((), help="x, z, radius (m): where the root must not be")
+    then: str = param("stop", help="when all is done: stop or wander")
+    seed: int = param(0, least=0, help="another seed, other chances")
+    duration_s: float = param(0.0, least=0.0, help="how long at most; 0: until stopped")
+    realtime: bool = param(True, help="false: as fast as the graph takes it")
+
+    @property
+    def live(self) -> bool:
+        return self.realtime
+
+    def specs(self) -> Specs:
+        graph = self._graph()
+        pose = graph.tree.spec(graph.rate_hz, meta={"synthesised": True})
+        return {
+            "pose": pose,
+            "node": StreamSpec((), NODE, units=("ns", "", "", "", "m", "m"), meta={"synthesised": True}),
+        }
+
+    def _graph(self) -> MotionGraph:
+        graph = MotionGraph.read(self.model)
+        if graph.tree.joints != BONES:
+            raise ParameterError("model", str(self.model), "a motion graph of human poses")
+        self._check(graph)
+        return graph
+
+    def _check(self, graph: MotionGraph) -> None:
+        """Raise ParameterError for what cannot be done on this graph."""
+        for k, (name, _) in enumerate(self.order):
+            self._cluster(graph, name, f"order[{k}]")
+        if self.then not in ("stop", "wander"):
+            raise ParameterError("then", self.then, "stop or wander")
+        if len(self.path) == 1:
+            raise ParameterError("path", [list(p) for p in self.path], "two points or more")
+        for k, (x, z, radius) in enumerate(self.forbidden):
+            if radius <= 0.0:
+                raise ParameterError(f"forbidden[{k}]", [x, z, radius], "x, z and a radius above 0")
+            for name, place in (("target", self.target), ("path", self.path[-1] if self.path else None)):
+                if place and np.hypot(place[0] - x, place[1] - z) < radius:
+                    raise ParameterError(
+                        name, list(place), f"a way to a place outside of forbidden[{k}], where nothing may go"
+                    )
+            if np.hypot(x, z) < radius:
+                raise ParameterError(
+                    f"forbidden[{k}]", [x, z, radius], "an area without the place (0, 0), where every walk begins"
+                )
+
+    def _cluster(self, graph: MotionGraph, name: str, parameter: str) -> int:
+        if name not in graph.names:
+            raise ParameterError(parameter, name, f"a cluster of {self.model}; {nearest(name, graph.names)}")
+        number = graph.names.index(name)
+        if not (graph.core & (graph.cluster == number)).any():
+            inner = ", ".join(n for k, n in enumerate(graph.names) if (graph.core & (graph.cluster == k)).any())
+            accepts = f"a cluster that there is a way back from: {inner or 'none'}; a larger --within-cm may make one"
+            raise ParameterError(parameter, name, accepts)
+        return number
+
+    def prepare(self) -> None:
+        walker = Walker(self._graph(), [Aim(path=np.array([[0.0, 0.0], [1.0, 1.0]]))], np.array([[50.0, 50.0, 1.0]]))
+        walker.step()
+        blended(walker.pose.copy(), walker.pose.copy(), 0.5, walker.pose)
+
+    def aims(self, graph: MotionGraph) -> list[Aim]:
+        """What is to be done, in turn."""
+        made = [Aim(self._cluster(graph, name, "order"), times) for name, times in self.order]
+        if self.path:
+            made.append(Aim(path=np.array(self.path)))
+        if self.target:
+            made.append(Aim(path=np.array([self.path[-1] if self.path else (0.0, 0.0), self.target])))
+        return made
+
+    def read(self, feed: Feed) -> None:
+        graph = self._graph()
+        aims = self.aims(graph)
+        walker = Walker(graph, aims, np.array(self.forbidden).reshape(-1, 3), self.seed)
+        begun, last = feed.now(), round(self.duration_s * graph.rate_hz)
+        nearest_m, since, told = np.inf, 0, 0
+        self._tell(feed, walker, begun)
+        for frame in range(last) if last else count():
+            stamp = begun + round(frame * NS / graph.rate_hz)
+            word = self._pause(feed, stamp)
+            if feed.stopped or word == "stop":
+                return
+            if word is not None and self._obey(feed, walker, word):
+                aims, nearest_m, since = walker.aims, np.inf, frame
+            entered = walker.step()
+            feed.emit(Chunk(np.array([stamp]), walker.pose[None].copy(), stamp), "pose")
+            if entered:
+                self._tell(feed, walker, stamp + 1)
+            if walker.trespassed > told:
+                told = walker.trespassed
+                feed.problem("frames in a forbidden area")
+            if aims and walker.over and self.then == "stop":
+                return
+            left = _left(walker)
+            if left < nearest_m - 0.1:
+                nearest_m, since = left, frame
+            if len(walker.path) and frame - since > NOWHERE_S * graph.rate_hz:
+                feed.tell("not reached", left_m=round(left, 2), seconds=NOWHERE_S)
+                return
+
+    def _pause(self, feed: Feed, stamp: int) -> str | None:
+        """Wait until a pose is due; a word that was typed meanwhile."""
+        if not self.realtime:
+            return None
+        word = feed.hear(0.0)
+        feed.wait(max(0, stamp - feed.now()) / NS)
+        return word
+
+    def _obey(self, feed: Feed, walker: Walker, word: str) -> bool:
+        """Do what a person has typed; whether it could be."""
+        graph = walker.graph
+        try:
+            if word == "wander":
+                walker.go([])
+            elif len(parts := word.split()) == 2:
+                place = (float(parts[0]), float(parts[1]))
+                if not np.isfinite(place).all():
+                    raise ParameterError("word", word, "two finite numbers")
+                walker.go([Aim(path=np.array([(walker.pose[0], walker.pose[2]), place]))])
+            else:
+                walker.go([Aim(self._cluster(graph, word, "word"), 0)])
+        except (ValueError, ParameterError) as error:
+            feed.tell("not understood", word=word[:64], error=str(error)[:200])
+            return False
+        return True
+
+    def _tell(self, feed: Feed, walker: Walker, stamp: int) -> None:
+        graph, node = walker.graph, walker.node
+        event = (stamp, node, graph.name_of(node), graph.mirrored[node], walker.pose[0], walker.pose[2])
+        feed.emit(Chunk(np.array([stamp]), np.array([event], NODE), stamp), "node")
+
+
+def _left(walker: Walker) -> float:
+    """How far it is to the end of the path (m)."""
+    if not len(walker.path):
+        return np.inf
+    end: Samples = walker.path[-1]
+    return float(walker.length[-1] - walker.along + np.hypot(end[0] - walker.pose[0], end[1] - walker.pose[2]))
