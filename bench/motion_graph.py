@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.report import table
-from devices.synthesis.walker import LEGS, Walker
+from devices.synthesis.walker import LEGS, GraphWalk
 from operators.motion_graph.build import build_graph
 from operators.motion_graph.measures import measure
 from operators.motion_graph.primitives import segmented
@@ -114,7 +114,7 @@ def kernel_cpd(tree: JointTree, take: Take, cuts: int) -> Times:
 
 def walk(graph: MotionGraph, how: dict[str, bool]) -> tuple[Samples, Array, Samples]:
     """Three minutes: poses, which feet stood, microseconds a frame."""
-    walker = Walker(graph, seed=1, **how)
+    walker = GraphWalk(graph, seed=1, **how)
     n = round(180 * RATE)
     poses, stood, took = np.empty((n, graph.tree.width)), np.empty((n, 2), bool), np.empty(n)
     for _ in range(300):

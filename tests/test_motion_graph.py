@@ -12,7 +12,7 @@ import pytest
 from scipy.optimize import minimize
 
 from devices.synthesis.source import NODE, Synthesis
-from devices.synthesis.walker import LEGS, Aim, Walker
+from devices.synthesis.walker import LEGS, Aim, GraphWalk
 from operators.features.stack import Stack
 from operators.motion_graph.build import Nodes, build_graph, find_edges
 from operators.motion_graph.clouds import cloud_distance, placement
@@ -44,7 +44,7 @@ def graph() -> MotionGraph:
     return build_graph(TREE, takes, ("straight", "curve"), RATE, 0.10, BLEND)
 
 
-def walked(walker: Walker, frames: int) -> tuple[Samples, Array]:
+def walked(walker: GraphWalk, frames: int) -> tuple[Samples, Array]:
     """Poses (n, 91), and which feet stood (n, 2)."""
     poses, stood = [], []
     for _ in range(frames):
@@ -136,13 +136,13 @@ def test_motion_that_never_comes_back_is_refused_and_told_what_would_close_it() 
         build_graph(TREE, [Take("short", 0, walking(1)[:8], np.array([[0, 8]]), np.array([-1]))], (), RATE, 0.1, BLEND)
     still = [Take("still", 0, np.repeat(waving(1)[:1], 90, 0), np.array([[0, 90]]), np.array([-1]))]
     kept = build_graph(TREE, still, (), RATE, 0.1, BLEND)
-    poses, _ = walked(Walker(kept), 200)
+    poses, _ = walked(GraphWalk(kept), 200)
     assert np.ptp(poses, axis=0).max() < 1e-3  # who stood still goes on standing
 
 
 def test_a_walk_is_smooth_and_its_feet_stand(graph: MotionGraph) -> None:
     recorded = np.concatenate([jumps(joints_of(graph.tree, graph.poses[graph.take == k])[1]).ravel() for k in range(3)])
-    poses, stood = walked(Walker(graph, seed=2), 1500)
+    poses, stood = walked(GraphWalk(graph, seed=2), 1500)
     joints = joints_of(graph.tree, poses)[1]
     assert np.abs(np.linalg.norm(poses[:, 3:].reshape(len(poses), -1, 4), axis=2) - 1).max() < 1e-6
     assert np.median(skates(joints, stood)) < 0.01 and len(skates(joints, stood)) > 20
@@ -151,12 +151,12 @@ def test_a_walk_is_smooth_and_its_feet_stand(graph: MotionGraph) -> None:
 
 
 def test_a_seed_says_all(graph: MotionGraph) -> None:
-    first, again, other = (walked(Walker(graph, seed=s), 400)[0] for s in (3, 3, 4))
+    first, again, other = (walked(GraphWalk(graph, seed=s), 400)[0] for s in (3, 3, 4))
     assert np.array_equal(first, again) and not np.array_equal(first, other)
 
 
 def test_clusters_come_in_the_order_and_as_often_as_they_are_told(graph: MotionGraph) -> None:
-    walker = Walker(graph, [Aim(0, 2), Aim(1, 3), Aim(0, 1)])
+    walker = GraphWalk(graph, [Aim(0, 2), Aim(1, 3), Aim(0, 1)])
     nodes = [int(graph.cluster[walker.node])]
     while not walker.over:
         if walker.step():
@@ -167,7 +167,7 @@ def test_clusters_come_in_the_order_and_as_often_as_they_are_told(graph: MotionG
 
 def test_a_path_is_followed_and_a_target_reached_around_what_is_forbidden(graph: MotionGraph) -> None:
     path = np.array([[0.0, 0.0], [0.0, 4.0], [3.0, 8.0]])
-    walker = Walker(graph, [Aim(path=path)])
+    walker = GraphWalk(graph, [Aim(path=path)])
     off = []
     for _ in range(1500):
         walker.step()
@@ -177,8 +177,8 @@ def test_a_path_is_followed_and_a_target_reached_around_what_is_forbidden(graph:
             break
     assert walker.over and np.hypot(x - 3.0, z - 8.0) < 0.5
     assert np.mean(off) < 0.5
-    straight = Walker(graph, [Aim(path=np.array([[0.0, 0.0], [0.0, 6.0]]))])
-    around = Walker(graph, [Aim(path=np.array([[0.0, 0.0], [0.0, 6.0]]))], np.array([[0.0, 3.0, 0.6]]))
+    straight = GraphWalk(graph, [Aim(path=np.array([[0.0, 0.0], [0.0, 6.0]]))])
+    around = GraphWalk(graph, [Aim(path=np.array([[0.0, 0.0], [0.0, 6.0]]))], np.array([[0.0, 3.0, 0.6]]))
     for one in (straight, around):
         frames = 0
         while not one.over and frames < 2500:
@@ -248,7 +248,7 @@ def test_a_model_survives_the_disk_and_a_spoilt_one_is_refused(graph: MotionGrap
     path = tmp_path / "graph.npz"
     graph.write(path, {"trained_on": ["a.mcap"]})
     again = MotionGraph.read(path)
-    assert np.array_equal(walked(Walker(graph, seed=1), 100)[0], walked(Walker(again, seed=1), 100)[0])
+    assert np.array_equal(walked(GraphWalk(graph, seed=1), 100)[0], walked(GraphWalk(again, seed=1), 100)[0])
     model = read_model(path, KIND)
     header = {k: v for k, v in model.header.items() if k not in ("kinegraph", "version", "kind", "made")}
     far = np.array(model.arrays["target"])
@@ -401,8 +401,8 @@ def test_the_runs_of_figure_10_1() -> None:
 def test_real_motion_goes_on_without_a_seam() -> None:
     """CMU 13_29: no larger jumps of velocity than recorded, which plain concatenation has; feet that stand do not slide."""
     made = recorded("13_29")
-    poses, stood = walked(Walker(made), 1800)
-    plain, _ = walked(Walker(made, feet=False, smooth=False), 1800)
+    poses, stood = walked(GraphWalk(made), 1800)
+    plain, _ = walked(GraphWalk(made, feet=False, smooth=False), 1800)
     joints, bare = joints_of(made.tree, poses)[1], joints_of(made.tree, plain)[1]
     own = jumps(joints_of(made.tree, made.poses[made.take == 0])[1])
     assert np.median(skates(joints, stood)) < 0.01

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from devices.synthesis.blend_kernel import blended
-from devices.synthesis.walker import Aim, Walker
+from devices.synthesis.walker import Aim, GraphWalk
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
 from stream.errors import ParameterError, nearest
 from stream.humanoid import BONES
@@ -104,7 +104,7 @@ class Synthesis(Source):
         return number
 
     def prepare(self) -> None:
-        walker = Walker(self._graph(), [Aim(path=np.array([[0.0, 0.0], [1.0, 1.0]]))], np.array([[50.0, 50.0, 1.0]]))
+        walker = GraphWalk(self._graph(), [Aim(path=np.array([[0.0, 0.0], [1.0, 1.0]]))], np.array([[50.0, 50.0, 1.0]]))
         walker.step()
         blended(walker.pose.copy(), walker.pose.copy(), 0.5, walker.pose)
 
@@ -120,7 +120,7 @@ class Synthesis(Source):
     def read(self, feed: Feed) -> None:
         graph = self._graph()
         aims = self.aims(graph)
-        walker = Walker(graph, aims, np.array(self.forbidden).reshape(-1, 3), self.seed)
+        walker = GraphWalk(graph, aims, np.array(self.forbidden).reshape(-1, 3), self.seed)
         begun, last = feed.now(), round(self.duration_s * graph.rate_hz)
         nearest_m, since, told = np.inf, 0, 0
         self._tell(feed, walker, begun)
@@ -155,7 +155,7 @@ class Synthesis(Source):
         feed.wait(max(0, stamp - feed.now()) / NS)
         return word
 
-    def _obey(self, feed: Feed, walker: Walker, word: str) -> bool:
+    def _obey(self, feed: Feed, walker: GraphWalk, word: str) -> bool:
         """Do what a person has typed; whether it could be."""
         graph = walker.graph
         try:
@@ -173,13 +173,13 @@ class Synthesis(Source):
             return False
         return True
 
-    def _tell(self, feed: Feed, walker: Walker, stamp: int) -> None:
+    def _tell(self, feed: Feed, walker: GraphWalk, stamp: int) -> None:
         graph, node = walker.graph, walker.node
         event = (stamp, node, graph.name_of(node), graph.mirrored[node], walker.pose[0], walker.pose[2])
         feed.emit(Chunk(np.array([stamp]), np.array([event], NODE), stamp), "node")
 
 
-def _left(walker: Walker) -> float:
+def _left(walker: GraphWalk) -> float:
     """How far it is to the end of the path (m)."""
     if not len(walker.path):
         return np.inf

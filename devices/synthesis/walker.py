@@ -32,7 +32,7 @@ class Aim:
     path: Samples | None = None
 
 
-class Walker:
+class GraphWalk:
     """New motion from a motion graph, one pose a call of `step`: the same for the same graph, aims and seed.
 
     Begins at the place (0, 0), facing z. `feet`: whether feet that stand are held; `smooth`: whether seams are blended (both for comparison
