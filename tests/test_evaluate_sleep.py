@@ -10,7 +10,7 @@ import edfio
 import numpy as np
 import pytest
 
-from operators.sleep.evaluation.agreement import Confusion, limits
+from operators.sleep.evaluation.agreement import Confusion, interval, limits
 from operators.sleep.evaluation.command import _rows, sleep
 from operators.sleep.evaluation.comparison import agreement, pair, total
 from operators.sleep.evaluation.pictures import draw
@@ -238,3 +238,20 @@ def test_a_table_of_nights_names_who_slept_where_it_is_known(tmp_path: Path) -> 
         (tmp_path / "a.csv", tmp_path / "b.csv", "Kim", 0.0),
         (tmp_path / "c.csv", tmp_path / "d.csv", "", -2.5),
     ]
+
+
+def test_the_interval_of_pooled_numbers_is_that_of_persons_not_of_epochs() -> None:
+    good, bad = Confusion(90, 9, 1, 0, 0), Confusion(50, 5, 5, 40, 0)
+    alike = interval([good] * 6, list("abcdef"), lambda c: c.sensitivity)
+    assert alike == (1.0, 1.0)
+    low, high = interval([good, bad] * 3, list("abcdef"), lambda c: c.sensitivity)
+    pooled = (3 * 90 + 3 * 50) / (6 * 90)
+    assert low < pooled - 0.1 and high > pooled + 0.1, "540 epochs taken as independent would give 0.04"
+    assert np.isnan(interval([good] * 6, ["a"] * 3 + ["b"] * 3, lambda c: c.sensitivity)[0])
+
+
+def test_nights_that_are_left_out_are_named_with_the_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = tmp_path / "nights.csv"
+    table.write_text("estimate,reference,person,exclude\na.csv,b.csv,p1,\nc.csv,d.csv,p2,camera fell down\n")
+    assert [str(e.name) for e, *_ in _rows(table)] == ["a.csv"]
+    assert "left out: c.csv: camera fell down" in capsys.readouterr().out

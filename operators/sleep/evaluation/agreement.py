@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -127,6 +127,36 @@ def limits(differences: Samples, persons: Sequence[str]) -> Limits:
         total,
         count,
     )
+
+
+DRAWS, LEAST_PERSONS = 2000, 3
+
+
+def interval(
+    confusions: Sequence[Confusion], persons: Sequence[str], of: Callable[[Confusion], float]
+) -> tuple[float, float]:
+    """95 % interval of a pooled number by the bootstrap over persons, all nights of a person together; NaN below three persons.
+
+    Epochs of a night, and nights of a person, are alike: intervals that take epochs as independent are far too narrow. With few persons
+    this one is too narrow, too.
+    """
+    names = list(dict.fromkeys(persons))
+    if len(names) < LEAST_PERSONS:
+        return np.nan, np.nan
+    totals = []
+    for name in names:
+        total = Confusion(0, 0, 0, 0, 0)
+        for one, who in zip(confusions, persons, strict=True):
+            total = total + one if who == name else total
+        totals.append([total.both_sleep, total.both_wake, total.false_sleep, total.false_wake, total.unknown])
+    counts = np.array(totals)
+    drawn = np.random.default_rng(1).integers(len(names), size=(DRAWS, len(names)))
+    values = np.array([of(Confusion(*row)) for row in counts[drawn].sum(axis=1).tolist()])
+    known = values[~np.isnan(values)]
+    if not len(known):
+        return np.nan, np.nan
+    low, high = np.percentile(known, [2.5, 97.5])
+    return float(low), float(high)
 
 
 def _ratio(part: float, whole: float) -> float:

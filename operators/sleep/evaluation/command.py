@@ -132,6 +132,9 @@ def _rows(table: File) -> list[tuple[File, File, str, float]]:
     """The nights that a table names; files are looked for beside it."""
     made = []
     for line, row in read_records(table):
+        if why := (row.get("exclude") or "").strip():
+            say(f"left out: {row.get('estimate') or f'line {line}'}: {why}")
+            continue
         try:
             offset_s = float(row.get("offset_s") or 0.0)
             made.append(

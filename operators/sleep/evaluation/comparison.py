@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from operators.sleep.evaluation.agreement import Confusion, Limits, limits
+from operators.sleep.evaluation.agreement import Confusion, Limits, interval, limits
 from operators.sleep.evaluation.reference import Hypnogram
 from operators.sleep.night import Night, night
 from operators.sleep.rescoring import UNKNOWN, States
@@ -80,6 +80,13 @@ def agreement(pairs: list[Pair]) -> dict[str, Limits]:
     }
 
 
+def pooled_intervals(pairs: list[Pair]) -> list[tuple[float, float]]:
+    """95 % intervals of the pooled sensitivity, specificity and kappa."""
+    confusions, persons = [one.confusion for one in pairs], [one.person for one in pairs]
+    numbers = (lambda c: c.sensitivity, lambda c: c.specificity, lambda c: c.kappa)
+    return [interval(confusions, persons, of) for of in numbers]
+
+
 def tables(pairs: list[Pair]) -> list[Table]:
     """Epochs, and nights, for the terminal."""
     from rich.table import Table
@@ -93,6 +100,10 @@ def tables(pairs: list[Pair]) -> list[Table]:
         epochs.add_row(one.name, one.person, *_counts(one.confusion))
     if len(pairs) > 1:
         epochs.add_row("pooled", "", *_counts(total(pairs)), style="bold")
+        intervals = pooled_intervals(pairs)
+        if not any(np.isnan(low) for low, _ in intervals):
+            told = (f"{low:.3f} to {high:.3f}" for low, high in intervals)
+            epochs.add_row("95 % interval (persons drawn anew)", "", "", "", *told)
     nights = Table(
         box=None, title="Nights: estimate less reference, minutes (AASM), 95 % intervals", title_justify="left"
     )
@@ -104,9 +115,9 @@ def tables(pairs: list[Pair]) -> list[Table]:
             ("lower limit", found.low, found.low_interval),
             ("upper limit", found.high, found.high_interval),
         )
-        for k, (what, value, interval) in enumerate(rows):
+        for k, (what, value, around) in enumerate(rows):
             counts = () if k else (str(found.nights), str(found.persons))
-            nights.add_row("" if k else NUMBERS[key], what, _n(value), *map(_n, interval), *counts)
+            nights.add_row("" if k else NUMBERS[key], what, _n(value), *map(_n, around), *counts)
     return [epochs, nights]
 
 
