@@ -21,7 +21,7 @@ from operators.steps.commands.train import show_enrolment, show_trust
 from operators.steps.commands.validation import SETS, Labelled, forest, trust
 from operators.steps.forest import Forest
 from operators.steps.step_detection import CUTOFF_HZ, ORDER, find_steps, fresh_track
-from operators.steps.step_kernel import describe
+from operators.steps.step_kernel import WEINBERG, describe
 from operators.steps.steps import Steps
 from stream.chunk import NS, Array, Chunk, Samples, StreamSpec, Times
 from stream.plain import say
@@ -170,6 +170,54 @@ def enrolled() -> None:
     show_enrolment(enrolment(given, "both", 60), len(np.unique(given.persons)))
 
 
+LEG_M = 10.0
+"""How far these people walk to the turn, and back from it, by the recordings' protocol; nobody measured single steps."""
+
+
+def lengths() -> None:
+    """Lower back: what a turn, standing and straight walking are called; durations beside contacts'; distances beside the protocol's."""
+    kinds = {where: dict.fromkeys(("walk", "turn", "slow", "first"), 0) for where in ("straight", "turn", "standing")}
+    apart, people = list[float](), dict[str, list[float]]()
+    for person, _, stamps, data, contacts, bounds, _ in lower_back():
+        finder = Steps(site="lower_back")
+        finder.open({"in": StreamSpec((6,), rate_hz=100.0, channels=CHANNELS, units=UNITS)})
+        rows = finder.process("in", Chunk(stamps, data, int(stamps[-1]))).data
+        peaks = rows["end"] / NS - 0.08
+        turning = (peaks > bounds[2]) & (peaks < bounds[3])
+        walking = (peaks >= bounds[0] - 0.25) & (peaks <= bounds[1] + 0.25)
+        for row, turn, walk in zip(rows, turning, walking, strict=True):
+            kinds["turn" if turn else "straight" if walk else "standing"][str(row["kind"])] += 1
+        steady = walking & ~turning & (rows["kind"] == "walk")
+        for peak, seconds in zip(peaks[steady], rows["duration_s"][steady], strict=True):
+            near = int(np.argmin(np.abs(contacts - peak)))
+            if near and abs(contacts[near] - peak) <= TOLERANCE_S:
+                apart.append(seconds - (contacts[near] - contacts[near - 1]))
+        there = (peaks >= bounds[0] - 0.25) & (peaks <= bounds[2])
+        back = (peaks >= bounds[3]) & (peaks <= bounds[1] + 0.25)
+        people.setdefault(person, []).extend(float(np.nansum(rows["length_m"][leg])) for leg in (there, back))
+    for where, counts in kinds.items():
+        told = sum(counts.values())
+        say(
+            f"{where}: {told} steps, " + ", ".join(f"{kind} {n} ({n / max(told, 1):.1%})" for kind, n in counts.items())
+        )
+    off = np.abs(np.array(apart)) * 1000
+    say(
+        f"duration beside the contacts', {len(off)} steps: off by {np.median(off):.0f} ms (median), {np.percentile(off, 95):.0f} ms (p95)"
+    )
+    every = np.concatenate([np.array(legs) for legs in people.values()])
+    each = np.array([np.mean(legs) for legs in people.values()])
+    say(
+        f"Weinberg's model, factor {WEINBERG}: {len(every)} times {LEG_M:g} m come out as {np.mean(every):.1f} +- {np.std(every):.1f} m; "
+        f"per person {np.min(each):.1f} to {np.max(each):.1f} m, off by {np.mean(np.abs(each - LEG_M)) / LEG_M:.0%} on the mean"
+    )
+    for factor in (0.35, 0.36, 0.37, 0.38, 0.39, 0.46):
+        wrong = np.mean(np.abs(each * factor / WEINBERG - LEG_M)) / LEG_M
+        say(f"  factor {factor}: off by {wrong:.1%} on the mean")
+    alone = [np.mean(np.delete(each, k)) for k in range(len(each))]
+    left = np.array([abs(one * LEG_M / mean - LEG_M) for one, mean in zip(each, alone, strict=True)])
+    say(f"  the factor that fits everybody else: off by {np.mean(left) / LEG_M:.1%} of people left out")
+
+
 def speed() -> None:
     """Features and forest beside scikit-learn's."""
     given = dataset("lower_back", "gender", "gravity")
@@ -199,7 +247,7 @@ def speed() -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.steps", description=__doc__)
-    parser.add_argument("--only", nargs="+", default=["detection", "speed", "enrolment", "accuracy"])
+    parser.add_argument("--only", nargs="+", default=["detection", "lengths", "speed", "enrolment", "accuracy"])
     parser.add_argument("--sites", nargs="+", default=["lower_back", "foot", "pocket", "wrist"])
     parser.add_argument("--targets", nargs="+", default=["gender", "age", "height"])
     parser.add_argument("--axes", nargs="+", default=["sensor", "gravity"])
@@ -209,7 +257,7 @@ def main() -> None:
         if name == "accuracy":
             accuracy(given.sites, given.targets, given.axes, given.shuffles)
         else:
-            {"detection": detection, "speed": speed, "enrolment": enrolled}[name]()
+            {"detection": detection, "lengths": lengths, "speed": speed, "enrolment": enrolled}[name]()
 
 
 if __name__ == "__main__":

@@ -31,6 +31,8 @@ def tolerance_s(graph: Graph, edge: Edge) -> float:
     ("config", "for_s", "settings", "seen"),
     [
         ("treadmill_emg", 0.0, ["treadmill.realtime=false", "treadmill.duration_s=30"], {"cycles", "review", "statistics"}),
+        ("treadmill_both_legs", 0.0, ["treadmill.realtime=false", "treadmill.duration_s=25", "treadmill.muscles=[TA, SO]"],
+         {"feet", "cycles", "review", "stages", "statistics"}),
         ("overground_emg", 0.0, [], {"left", "right", "left_cycles", "right_statistics"}),
         ("imu_steps", 15.0, [], {"steps"}),
     ],

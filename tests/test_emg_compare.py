@@ -7,6 +7,7 @@ import csv
 import numpy as np
 import pytest
 from scipy.cluster.hierarchy import linkage
+from test_emg_drift import two_legs
 from test_emg_mixtures_live import bursts
 from typer.testing import CliRunner
 
@@ -17,6 +18,8 @@ from operators.emg.commands.session_cycles import check_alike, joined, read_sess
 from operators.emg.commands.train_model import emg_model
 from operators.emg.emg_model import read_references
 from operators.emg.mixtures import PeakMixtures
+from operators.gait.limb_cycles import LIMB_CLOSED
+from stream.chunk import StreamSpec
 from stream.errors import InputError, KinegraphError
 from stream.recording.series import Series, write_recording
 
@@ -114,3 +117,33 @@ def test_a_stored_reference_is_for_its_muscles_and_its_normalisation(three, tmp_
 
 def test_places_are_told_as_stretches():
     assert stretches([3, 4, 5, 41]) == "3-5, 41" and stretches([]) == "nowhere"
+
+
+def both_legs(path):
+    """A recorded session of two legs, as operators.gait.limb_cycles leaves it."""
+    left, right, both = two_legs(20)
+    _, stamps, rows = both["closed"]
+    named = np.zeros(len(rows), LIMB_CLOSED)
+    for name in rows.dtype.names:
+        named[name] = rows[name]
+    named["limb"] = np.where(rows["number"] % 2 == 1, "left", "right")
+    both["closed"] = (StreamSpec((), LIMB_CLOSED, units=("",)), stamps, named)
+    return left, right, session(path, both)
+
+
+def test_two_legs_of_one_session_stand_beside_each_other_muscle_by_muscle(tmp_path):
+    left, right, path = both_legs(tmp_path / "both.mcap")
+    legs = read_sessions(path)
+    assert [one.label for one in legs] == ["both left", "both right"]
+    assert legs[0].muscles == ("TA", "SO") and legs[1].muscles == ("SO", "TA") and legs[1].channels == ("R_SO", "R_TA")
+    for leg, alone in zip(legs, (left, right), strict=True):
+        np.testing.assert_array_equal(leg.curves, alone["cycles"][2])
+        assert len(leg.maxima) == len(alone["maxima"][2])
+    assert [one.limb for one in read_sessions(path, "right")] == ["right"]
+    done = run(compare, path, "-o", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    assert "TA: divergence" in done.output and "both left (20 cycles), both right (20 cycles)" in done.output
+    assert run(emg_model, path, "-o", tmp_path / "both.npz").exit_code == 0
+    with_file = PeakMixtures(cycles=500).open({port: one[0] for port, one in two_legs(4)[2].items()})["mixture"]
+    made = read_references(tmp_path / "both.npz", with_file, ["L_TA", "L_SO", "R_SO", "R_TA"])
+    assert (made.modes > 0).all() and made.cycles.tolist() == [20, 20, 20, 20], "each leg's own cycles"

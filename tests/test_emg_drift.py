@@ -7,7 +7,8 @@ import pytest
 from emg_run import drive
 from test_emg_mixtures_live import bursts, paced
 
-from operators.emg.mixture_drift import MixtureDrift, pairing
+from operators.emg.mixture_drift import MixtureDrift
+from operators.emg.mixture_pairs import pairing
 from operators.emg.mixture_reference import chance_limit
 from operators.emg.mixtures import PeakMixtures, some_maxima
 from operators.emg.peak_window import PeakWindow
@@ -143,3 +144,64 @@ def test_random_parts_swept_a_little_at_a_time_are_those_fitted_at_once():
     assert calls <= how.most_sweeps and one.sweeps == other.sweeps
     for mine, theirs in zip(one.mixture(), other.mixture(), strict=True):
         assert mine.tobytes() == theirs.tobytes()
+
+
+def two_legs(count, since=0):
+    """Each leg's cycles alone, and both in one stream, the left's with odd numbers; the right TA moves with its cycle `since`."""
+    left = bursts(count, names=("L_TA", "L_SO"))
+    right = bursts(count, centres=(12.0, 44.0, 99.0), seed=8, names=("R_SO", "R_TA"))
+    if since:
+        right["cycles"][2][since - 1 :, :, 1] = np.roll(right["cycles"][2][since - 1 :, :, 1], 8, axis=1)
+        right["maxima"] = some_maxima(right)
+    meta = {
+        "limbs": {"left": ["L_TA", "L_SO"], "right": ["R_SO", "R_TA"]},
+        "muscles": {"L_TA": "TA", "L_SO": "SO", "R_SO": "SO", "R_TA": "TA"},
+    }
+    spec = left["cycles"][0].derive(shape=(100, 4), channels=("L_TA", "L_SO", "R_SO", "R_TA"), meta=meta)
+    both = {}
+    for port in ("maxima", "closed", "cycles"):
+        stamps, rows = [], []
+        for leg, one in enumerate((left, right)):
+            data = one[port][2].copy()
+            if port == "cycles":
+                data = np.full((len(data), 100, 4), np.nan)
+                data[:, :, 2 * leg : 2 * leg + 2] = one[port][2]
+            else:
+                data["number"] = 2 * data["number"] - 1 + leg
+            if port == "maxima":
+                data["muscle"] += 2 * leg
+            stamps.append(one[port][1] + leg * 400_000_000)
+            rows.append(data)
+        order = np.argsort(np.concatenate(stamps), kind="stable")
+        both[port] = (
+            spec if port == "cycles" else one[port][0],
+            np.concatenate(stamps)[order],
+            np.concatenate(rows)[order],
+        )
+    return left, right, both
+
+
+def test_each_of_two_legs_is_as_it_would_be_alone_and_beside_the_other():
+    left, right, both = two_legs(40, since=30)
+    rows, alarms = drifted(both)["distance"][2], drifted(both)["change"][2]
+    assert [str(name) for name in alarms["subject"]] == ["R_TA"], "of the leg that moved, and no other"
+    for one in (left, right):
+        alone = drifted(one)["distance"][2]
+        for name in np.unique(alone["name"]):
+            mine, its = rows[rows["name"] == name], alone[alone["name"] == name]
+            assert np.array_equal((mine["number"] + 1) // 2, its["number"])
+            assert (
+                np.array_equal(mine["from_first"], its["from_first"], equal_nan=True)
+                and np.isfinite(its["from_first"]).any()
+            )
+    theirs = drive(PeakMixtures(), right)["mixture"]
+    late = rows[(rows["name"] == "L_TA") & (rows["number"] > 20)]
+    assert (late["from_other"] > 0).all(), "a leg is never compared with itself"
+    pairs = drifted(left, other=theirs)["distance"][2]
+    last = pairs[(pairs["name"] == "L_TA") & (pairs["number"] == 40)]["from_other"][0]
+    assert np.isclose(late["from_other"][-1], last, rtol=0.2), "the right leg's cycle comes after the left's"
+
+
+def test_a_joint_mixture_of_two_limbs_is_refused():
+    with pytest.raises(ParameterError, match="channels of one limb"):
+        drive(PeakMixtures(joint=(("L_TA", "R_TA"),)), two_legs(4)[2])

@@ -41,11 +41,11 @@ PLAN = (
 DOG = {"left hind": 19, "right hind": 23, "left fore": 10, "right fore": 15}
 
 
-def walked(seconds: int) -> dict[str, Any]:
-    """Both legs' signal and contacts from the belts' forces, with drift and cross-talk."""
+def walked(seconds: int, drift: float = WALK.plate_drift_n_per_min) -> dict[str, Any]:
+    """Both legs' signal and contacts from the belts' forces, with drift (N/min) and cross-talk."""
     both, n = WALK.both(), seconds * 1000
     emg, force = both.read(0, n)
-    loads = plates(force, np.arange(n) / 1000, WALK.plate_drift_n_per_min, WALK.cross_talk_pct)
+    loads = plates(force, np.arange(n) / 1000, drift, WALK.cross_talk_pct)
     spec = StreamSpec((2,), rate_hz=1000.0, channels=("Fz_left", "Fz_right"), units=("N",))
     limbs = {
         "left": {"channels": ["Fz_left"], "other": ["Fz_right"]},
@@ -88,8 +88,9 @@ def test_each_limb_is_cut_as_it_would_be_alone() -> None:
     assert spec.meta["muscles"] == {"L_TA": "TA", "R_TA": "TA", "L_SO": "SO", "R_SO": "SO", "ES": "ES"}
 
 
-def test_drifting_plates_of_two_belts_lose_no_contact(walk: dict[str, Any]) -> None:
-    _, _, rows = walk["touchdown"]
+@pytest.mark.parametrize("drift", [60.0, 240.0], ids=["40 N", "160 N, more than an offset may have"])
+def test_drifting_plates_of_two_belts_lose_no_contact(walk: dict[str, Any], drift: float) -> None:
+    _, _, rows = (walk if drift == WALK.plate_drift_n_per_min else walked(40, drift))["touchdown"]
     true, sides = WALK.both().contacts("touchdown", 0, 39_800)
     for side in ("left", "right"):
         truth = true[np.array(sides) == side] / 1000

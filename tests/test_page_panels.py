@@ -26,10 +26,12 @@ SECONDS = 20
 GRAPH = f"""
 name: panels
 session: {{subject: S01}}
-record: [envelope, cycles.cycles, cycles.closed, ensemble.mean, ensemble.sd, body.pose, steer.mesh, camera.depth]
+record: [envelope, cycles.cycles, cycles.closed, ensemble.mean, ensemble.sd, mixtures.modes, targets.targets,
+  body.pose, steer.mesh, camera.depth]
 page:
   panels:
     - {{kind: cycles, of: [ensemble.mean, ensemble.sd, cycles.cycles], title: cycles, wide: 2}}
+    - {{kind: cycles, of: [ensemble.mean, ensemble.sd, mixtures.modes, targets.targets], title: modes, wide: 2}}
     - {{kind: signal, of: treadmill.emg, title: raw EMG, wide: 2, window_s: 10}}
     - {{kind: scene, of: steer.mesh, title: a steered mesh}}
     - {{kind: scene, of: body.pose, title: a skeleton}}
@@ -48,6 +50,13 @@ nodes:
     use: operators.gait.cycles.Cycles
     from: {{signal: envelope, touchdown: treadmill.touchdown, liftoff: treadmill.liftoff}}
   ensemble: {{use: operators.gait.ensemble.CycleEnsemble, from: {{closed: cycles.closed, cycles: cycles.cycles}}}}
+  mixtures:
+    use: operators.emg.mixtures.PeakMixtures
+    from: {{maxima: cycles.maxima, closed: cycles.closed, cycles: cycles.cycles}}
+  targets:
+    use: operators.gait.cycle_targets.CycleTargets
+    from: {{closed: cycles.closed, cycles: cycles.cycles}}
+    targets: [{{muscle: SO, from_pct: 20, to_pct: 60, low: 1, high: 1000}}, {{muscle: TA, from_pct: 90, to_pct: 10, low: 900, high: 1000}}]
   body: {{use: operators.whole_pose.operator.WholePose, from: performer.markers, up: y}}
   legs:
     use: operators.steering.actors.Actors
@@ -224,6 +233,38 @@ def test_cycles_have_their_mean_band_and_last_cycle(page: LiveBrowser, shown: Sh
         peak = np.argmax(last[:, c]) / (len(last) - 1)
         highest = line[np.argmin(line[:, 1]), 0]
         assert abs(highest - (left + 6 + peak * (cell - 12))) < 6, (names[c], "the last cycle is not that one")
+
+
+def test_modes_are_ellipses_where_they_are_and_targets_are_boxes(page: LiveBrowser, shown: Shown) -> None:
+    stamp, _ = shown.at("ensemble.mean", 18)
+    seek(page, 18)
+    is_at(page, "modes", stamp)
+    names = shown.specs["ensemble.mean"].channels
+    times, modes = shown.streams["mixtures.modes"]
+    seen = modes[times <= shown.begin + 18 * NS]
+    last = {name: seen[(seen["name"] == name)] for name in names}
+    last = {name: rows[rows["number"] == rows["number"].max()] for name, rows in last.items() if len(rows)}
+    assert last, "no mixture to be shown"
+    box = "document.querySelector('[aria-label=\"modes\"]').dataset"
+    assert page.value(f"{box}.ellipses") == str(sum(map(len, last.values())))
+    assert page.value(f"{box}.targets") == "2"
+    width = page.value(f"document.querySelector({canvas('modes')!r}).width")
+    columns = min(len(names), width // 150)
+    cell = width / columns
+    ink = np.array(page.like(canvas("modes"), "ink", within=40))
+    for name, rows in last.items():
+        c = names.index(name)
+        left, top = c % columns * cell + 6, c // columns * 92 + 18
+        inside = ink[(abs(ink[:, 0] - left - cell / 2 + 6) < cell / 2 - 6) & (abs(ink[:, 1] - top - 34) < 33)]
+        narrow = rows[(rows["sd_pct"] < 8) & (rows["place_pct"] > 20) & (rows["place_pct"] < 80)]
+        for row in narrow:
+            at = left + (cell - 12) * row["place_pct"] / 99
+            reach = 2 * (cell - 12) * row["sd_pct"] / 99
+            assert (abs(inside[:, 0] - at) <= reach + 3).any(), (name, row, "no ellipse there")
+    green = page.like(canvas("modes"), "#12924a", within=6)
+    red = page.like(canvas("modes"), "#d6202e", within=6)
+    assert len(green) > 20, "soleus is within its band"
+    assert not red, "a band far above the curve is above the box"
 
 
 SHADES = """["#1f5fa8", "#b0481c", "#2a7d3f", "#8a3f98", "#8a6a00", "#b22a5b", "#0f7c85", "#5b5bd6", "#6b4f2e", "#4d6b00", "#a3333d",

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from browser import Browser, needs_browser
 
-from devices.outlets.report.curves import draw
+from devices.outlets.report.curves import _ellipse, draw, draw_modes
 from devices.outlets.report.data import (
     Column,
     Curves,
@@ -25,6 +25,7 @@ from devices.outlets.report.data import (
     save,
 )
 from devices.outlets.report.page import quality_sentence, render, write
+from devices.outlets.report.peaks import MODE, MOVED, Peaks
 from devices.outlets.report.words import decimals
 
 NAN = float("nan")
@@ -123,6 +124,38 @@ def test_the_page_says_what_a_reader_needs() -> None:
     ):
         assert told in text, told
     assert "Interim" not in text and "uncertain" not in text
+
+
+def test_modes_are_ellipses_from_half_a_cycle_before_to_half_a_cycle_after() -> None:
+    """One across the touch-down is drawn whole there, and again a cycle later; its numbers stand in the table."""
+    report, curves = sample()
+    peaks = Peaks()
+    mode = np.dtype([("name", "<U16"), ("number", "<i8"), *((name, "<f8") for name in MODE)])
+    peaks.hear(
+        "modes",
+        np.array(
+            [
+                ("TA", 7, 99.0, 80.0, 3.0, 5.0, 0.2, 0.6),
+                ("TA", 8, 50.0, 70.0, 2.0, 4.0, 0.0, 0.7),
+                ("TA", 8, 98.0, 80.0, 3.0, 5.0, 0.2, 0.3),
+            ],
+            mode,
+        ),
+    )
+    moved = np.dtype([("name", "<U16"), *((name, "<f8") for name in MOVED)])
+    peaks.hear("distance", np.array([("TA", 0.25, 0.125, np.nan)], moved))
+    report.modes = [peaks.of("TA").tolist(), peaks.of("SO").tolist()]
+    report.grids = [peaks.grid("uV")]
+    assert len(report.modes[0]) == 2 and report.modes[1] == [], "only the newest cycle's, and none where none is known"
+    text = Page(render(report, curves)).text
+    assert "50 ± 2 %: 70 ± 4 (70%); 98 ± 3 %: 80 ± 5 (30%)" in text and "0.250" in text and "0.125" in text
+    place, height = _ellipse(98.0, 80.0, 3.0, 5.0, 0.2)
+    assert place.max() == 104.0 and place.min() == 92.0 and abs(height.max() - 90.0) < 0.1
+    svg = draw_modes(curves, ["TA", "SO"], report.modes, "uV")
+    assert svg[0].count("stroke: #b25b00") == 6 and "#b25b00" not in svg[1], (
+        "each mode three times: a cycle before, now, a cycle after"
+    )
+    assert "150" in svg[0] and "−50" in svg[0]
 
 
 def test_few_cycles_interim_and_normalised() -> None:

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from rich.table import Table
 
+from devices.outlets.muscle_notes import HEADINGS, NOTES, TOLD, MuscleNotes
 from devices.outlets.report.words import decimals, relative_to
 from devices.outlets.terminal import TerminalView
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
@@ -34,6 +35,7 @@ class CycleTableState:
     taken: Times
     limbs: list[str]
     latest: list[Array]
+    notes: MuscleNotes
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,14 +46,17 @@ class CycleTable(Outlet[CycleTableState, StreamSpec]):
     statistics   of `operators.gait.statistics.CycleStatistics`
 
     stages       of `operators.gait.stages.Stages`: which stage has begun, and what is to be said
+    modes        of `operators.emg.mixtures.PeakMixtures`, and
+    distance     of `operators.emg.mixture_drift.MixtureDrift`, and
+    targets      of `operators.gait.cycle_targets.CycleTargets`: a column of the table each
 
     Of several limbs the table shows each one's latest cycle, muscle by muscle over one another.
 
     `kinegraph run` shows the newest cycle as a table in its live view; where the output is no terminal, every cycle is a line.
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("closed", "statistics", "stages")
-    optional: ClassVar[tuple[str, ...]] = ("stages",)
+    inputs: ClassVar[tuple[str, ...]] = ("closed", "statistics", "stages", *NOTES)
+    optional: ClassVar[tuple[str, ...]] = ("stages", *NOTES)
 
     fields: tuple[str, ...] = param(
         ("peak", "peak_pct", "mean", "integrated", "deviation"), help="which numbers of `statistics` are shown"
@@ -63,6 +68,9 @@ class CycleTable(Outlet[CycleTableState, StreamSpec]):
             raise InputError("closed", closed.describe(), f"events with the fields {', '.join(CYCLE)}")
         if not {"number", "muscle", "name"} <= set(statistics.dtype.names or ()):
             raise InputError("statistics", statistics.describe(), "events with the fields number, muscle, name")
+        for port, fields in NOTES.items():
+            if port in specs and not set(fields) <= set(specs[port].dtype.names or ()):
+                raise InputError(port, specs[port].describe(), f"events with the fields {', '.join(fields)}")
         for field in self.fields:
             if field not in statistics.channels or statistics.dtype[field].kind != "f":
                 known = [name for name in statistics.channels if statistics.dtype[name].kind == "f"]
@@ -78,6 +86,7 @@ class CycleTable(Outlet[CycleTableState, StreamSpec]):
                 np.zeros(64, np.int64),
                 [],
                 [],
+                MuscleNotes(),
             ),
             statistics,
         )
@@ -88,6 +97,10 @@ class CycleTable(Outlet[CycleTableState, StreamSpec]):
         if port == "stages":
             for row in chunk.data:
                 _tell_stage(row)
+        elif port in NOTES:
+            state.notes.hear(port, chunk.data)
+            if port == "targets":
+                _tell_targets(chunk.data)
         elif port == "closed":
             for i in range(len(chunk)):
                 event = chunk.data[i : i + 1]
@@ -102,7 +115,9 @@ class CycleTable(Outlet[CycleTableState, StreamSpec]):
             rows = chunk.data[chunk.data["number"] == state.event["number"][0]]
             if len(rows):
                 spec = self.runtime
-                table = cycle_table(headline(state.event, state), _beside(state, rows, spec), self.fields, spec)
+                table = cycle_table(
+                    headline(state.event, state), _beside(state, rows, spec), self.fields, spec, state.notes
+                )
                 _show(table, cycle_line(state.event, rows, self.fields, spec))
 
 
@@ -137,6 +152,20 @@ def _tell_stage(row: Any) -> None:
         TerminalView.current.hang_out("stage", line, line)
 
 
+def _tell_targets(rows: Array) -> None:
+    """How the last cycle stands to each target."""
+    if not len(rows):
+        return
+    told = [
+        f"target {row['name']}: {TOLD['targets'](row)}, {row['hits']} of {row['cycles']} cycles within" for row in rows
+    ]
+    if TerminalView.current is None:
+        with suppress(BrokenPipeError):  # nobody reads on
+            say("; ".join(told), flush=True)
+    else:
+        TerminalView.current.hang_out("target", "\n".join(told), "; ".join(told))
+
+
 def _count(state: CycleTableState, number: int, taken: bool) -> bool:
     """Count a cycle; gives whether it had been reported before, which then no longer counts."""
     found = np.flatnonzero(state.numbers == number)
@@ -160,7 +189,9 @@ def rejection(event: Array) -> str:
     return f"cycle {event['number'][0]}  {event['duration_s'][0]:.3f} s  rejected: {event['rejected'][0]}"
 
 
-def cycle_table(title: str, rows: Array, fields: tuple[str, ...], spec: StreamSpec) -> Table:
+def cycle_table(
+    title: str, rows: Array, fields: tuple[str, ...], spec: StreamSpec, notes: MuscleNotes | None = None
+) -> Table:
     """One row per muscle."""
     table = Table(
         title=f"{title}\namplitudes {relative_to(spec.meta)}",
@@ -174,6 +205,11 @@ def cycle_table(title: str, rows: Array, fields: tuple[str, ...], spec: StreamSp
     for field in fields:
         table.add_column(f"{_short(field)} {spec.unit_of(field)}".strip(), justify="right")
     written = [[str(name) for name in rows["name"]], *(_numbers(field, rows[field]) for field in fields)]
+    for port in NOTES if notes else ():
+        told = [notes.of(str(name), port) if notes else "" for name in rows["name"]]
+        if any(told):
+            table.add_column(HEADINGS[port])
+            written.append(told)
     for cells in zip(*written, strict=True):
         table.add_row(*cells)
     return table

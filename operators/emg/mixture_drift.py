@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from operators.alarm import ALARM, ALARM_UNITS, ON, OVER
+from operators.alarm import ALARM, ALARM_UNITS
 from operators.emg.emg_model import read_references
 from operators.emg.mixture_distance import cauchy_schwarz
 from operators.emg.mixture_events import MIXTURE, WHEN
+from operators.emg.mixture_pairs import limb_pairing, pairing
 from operators.emg.mixture_reference import ReferenceFit, References
-from operators.emg.mixtures import PeakMixtures, muscle_groups, some_maxima
+from operators.emg.mixtures import PeakMixtures, limb_of_groups, muscle_groups, some_maxima
+from operators.emg.moved import FIRST, STORED, Alarm, Moved
 from operators.emg.peak_window import PeakWindow
 from operators.emg.refit import Fitting, Refit
 from operators.gait.cycle import MAXIMUM, Expected, check_cycles, some_cycles
@@ -38,40 +40,37 @@ DISTANCE = np.dtype(
 """Cauchy-Schwarz divergences of a muscle's latest mixture; NaN: not known (yet). `full` and `noise` are the reference's own, to read the
 others by. `moved` says from what it has moved away: "", "first", "stored" or "both"."""
 DISTANCE_UNITS = ("ns", "ns", *("",) * 11)
-FIRST, STORED = 0, 1
-ALARM_TEXT = ("moved from its first {} cycles", "moved from the stored reference")
-ADVICE = "compare the curves before and after: fatigue, another speed, a shifted electrode"
 
 
 @dataclass(slots=True)
 class MixtureDriftState:
     """
-    window    the latest cycles;  held, slots: the session's first, once there are enough (`frozen`), and where they stand in it
-    fit, job  the reference under way, and of which mixture it is;  refit: the newest cycles' mixture, followed from a reference
-    first, stored   the references of each mixture
+    window    the latest cycles;  held, slots (l, first): each limb's first, once there are enough (`frozen`), and where they stand in it
+    fit, job  the reference under way, and of which mixture it is, -1: none;  made (g,): 1 where it is done
+    refit     the newest cycles' mixture, followed from a reference
+    first, stored   the references of each mixture;  limb (g,): whose muscles it is of
     other (o,)      the other leg's latest mixtures;  pairing (g,): which of them is each one's counterpart, -1: none
     fresh (g,)   mixtures since the last window that was judged
-    above, below (2, g)   in how many windows in a row the limit was exceeded or kept;  since (2, g): the onset of the first;  on (2, g)
+    moved        what has moved away, from which reference
     """
 
     expected: Expected
     window: PeakWindow
-    held: PeakWindow
+    held: list[PeakWindow]
     refit: Refit
-    frozen: bool
+    frozen: Times
     slots: Times
     fit: ReferenceFit
     job: int
+    made: Times
     first: References
     stored: References
     group: Times
+    limb: Times
     other: Array
     pairing: Times
     fresh: Times
-    above: Times
-    below: Times
-    since: Times
-    on: Times
+    moved: Moved
     names: list[str]
     spread: bool
     how: Fitting
@@ -82,7 +81,8 @@ class MixtureDrift(Operator[MixtureDriftState]):
     """A leg's cycles and mixtures in, how far they are from its reference out, and an alarm where one has moved away.
 
     mixture          of `operators.emg.mixtures.PeakMixtures`; maxima, closed, cycles: what it is made from; the reference is made from them
-    other            the other leg's mixtures; counterparts have the same name, but for a leading or trailing L or R
+    other            the other leg's mixtures; counterparts have the same name, but for a leading or trailing L or R. Where `mixture` is of
+                     two limbs (`operators.gait.limb_cycles.LimbCycles`), they are each other's, and there is no `other`
     pace             as of PeakMixtures: the reference and its limit are made a step with each of its samples
 
     distance         one event per mixture (`DISTANCE`): divergence of the latest `cycles` from the mixture of the session's `first`
@@ -123,21 +123,25 @@ class MixtureDrift(Operator[MixtureDriftState]):
         if self.cycles > self.first // 2:
             raise ParameterError("cycles", self.cycles, f"at most half of first ({self.first})")
         group, names = muscle_groups(spec.channels, tuple(map(tuple, mixture.meta["joint"])))
-        others = list(specs["other"].meta["muscles"]) if "other" in specs else []
+        limb, limbs = limb_of_groups(spec, group, names)
+        others = list(specs["other"].meta["muscles"]) if "other" in specs else names if limbs > 1 else []
+        if "other" in specs and limbs > 1:
+            raise InputError(
+                "other", specs["other"].describe(), "nothing: `mixture` is of several limbs, which are compared"
+            )
         if "other" in specs and specs["other"].meta.get("height_unit") != mixture.meta.get("height_unit"):
             accepts = f"in {mixture.meta.get('height_unit')!r}, as `mixture` is"
             raise InputError("other", f"heights in {specs['other'].meta.get('height_unit')!r}", accepts)
         g = len(group)
         stored = read_references(Path(self.reference), mixture, names) if self.reference else References.none(g)
-        room, held = (PeakWindow.none(max(self.first, self.cycles), spec.shape[1]) for _ in range(2))
-        above, below, since, on = (np.zeros((2, g), np.int64) for _ in range(4))
+        room, *held = (PeakWindow.none(max(self.first, self.cycles), spec.shape[1], limbs) for _ in range(limbs + 1))
+        pairs = limb_pairing(group, limb, spec) if limbs > 1 else pairing(names, others)
         self.hold(
             MixtureDriftState(
                 Expected.none(specs["closed"].dtype),
-                room, held, Refit.none(self.cycles, group.shape[1]), False, np.zeros(self.first, np.int64),
-                ReferenceFit.none(self.first, group.shape[1], self.pairs), 0, References.none(g), stored, group,
-                np.zeros(len(others), MIXTURE), pairing(names, others), np.zeros(g, np.int64), above, below,
-                since, on, names, "pace" in specs, how,
+                room, held, Refit.none(self.cycles, group.shape[1]), np.zeros(limbs, np.int64), np.zeros((limbs, self.first), np.int64),
+                ReferenceFit.none(self.first, group.shape[1], self.pairs), -1, np.zeros(g, np.int64), References.none(g), stored, group,
+                limb, np.zeros(len(others), MIXTURE), pairs, np.zeros(g, np.int64), Moved.none(g), names, "pace" in specs, how,
             )
         )  # fmt: skip
         return {
@@ -148,14 +152,15 @@ class MixtureDrift(Operator[MixtureDriftState]):
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
         s = self.state
         stamps, rows = list[int](), list[Array]()
-        alarms = list[tuple[int, tuple[int, str, str, str, str]]]()
+        alarms = list[tuple[int, Alarm]]()
         if port == "mixture":
             for k, stamp in enumerate(chunk.time.tolist()):
                 stamps.append(stamp)
+                if len(s.held) > 1:
+                    self._remember(chunk.data[k : k + 1])
                 rows.append(self._compare(stamp, chunk.data[k : k + 1], alarms))
         elif port == "other":
-            for k in range(len(chunk)):
-                s.other[int(chunk.data["muscle"][k])] = chunk.data[k]
+            self._remember(chunk.data)
         elif port == "pace":
             for _ in range(len(chunk)):
                 self._step()
@@ -200,22 +205,33 @@ class MixtureDrift(Operator[MixtureDriftState]):
                 closed = s.expected.match(stamp)
                 if closed is None:
                     continue
-                s.window.accept(int(closed["number"][0]), curve)
-                if not s.frozen and len(slots := s.window.latest(self.first)) == self.first:
-                    s.slots[:], s.frozen = slots, True
-                    s.held.take(s.window)
-        while s.frozen and not s.spread and s.job < len(s.group):
-            self._step()
+                s.window.accept(number := int(closed["number"][0]), curve)
+                limb = s.window.limb(number)
+                if not s.frozen[limb] and len(slots := s.window.latest(self.first, limb)) == self.first:
+                    s.slots[limb], s.frozen[limb] = slots, 1
+                    s.held[limb].take(s.window)
+        while not s.spread and self._step():
+            pass
 
-    def _step(self) -> None:
+    def _step(self) -> bool:
+        """A piece of work on the references; whether there was any."""
         s = self.state
-        if not s.frozen or s.job >= len(s.group):
-            return
-        group = s.group[s.job]
-        if s.fit.go_on(s.held, s.slots, group[group >= 0], s.job, self.cycles, s.first, s.how):
-            s.job += 1
+        if s.job < 0:
+            due = np.flatnonzero((s.frozen[s.limb] == 1) & (s.made == 0))
+            if not len(due):
+                return False
+            s.job = int(due[0])
+        group, limb = s.group[s.job], int(s.limb[s.job])
+        if s.fit.go_on(s.held[limb], s.slots[limb], group[group >= 0], s.job, self.cycles, s.first, s.how):
+            s.made[s.job], s.job = 1, -1
+        return True
 
-    def _compare(self, stamp: int, row: Array, alarms: list[tuple[int, tuple[int, str, str, str, str]]]) -> Array:
+    def _remember(self, rows: Array) -> None:
+        """The other leg's latest mixtures."""
+        for row in rows:
+            self.state.other[int(row["muscle"])] = row
+
+    def _compare(self, stamp: int, row: Array, alarms: list[tuple[int, Alarm]]) -> Array:
         s, muscle, k = self.state, int(row["muscle"][0]), int(row["modes"][0])
         turns = s.how.turns
         mixture = row["weight"][0, :k].copy(), row["mean"][0, :k].copy(), row["covariance"][0, :k].copy()
@@ -231,8 +247,10 @@ class MixtureDrift(Operator[MixtureDriftState]):
         if s.fresh[muscle] >= self.cycles:
             s.fresh[muscle] = 0
             for kind, distance, known in ((FIRST, first, s.first), (STORED, stored, s.stored)):
-                self._judge(kind, muscle, distance, known.limit[muscle], (stamp, int(row["onset"][0])), alarms)
-        out["moved"] = ("", "first", "stored", "both")[int(s.on[FIRST, muscle] + 2 * s.on[STORED, muscle])]
+                onset = int(row["onset"][0])
+                if state := s.moved.judge(kind, muscle, distance, known.limit[muscle], onset, self.windows):
+                    alarms.append((stamp, s.moved.alarm(kind, muscle, s.names[muscle], state, self.first)))
+        out["moved"] = s.moved.from_which(muscle)
         return out
 
     def _moved(self, known: References, muscle: int) -> float:
@@ -241,7 +259,8 @@ class MixtureDrift(Operator[MixtureDriftState]):
         if known.modes[muscle] <= 0:
             return np.nan
         group = s.group[muscle]
-        s.refit.follow(s.window, s.window.latest(self.cycles), group[group >= 0], s.how, known.mixture(muscle))
+        latest = s.window.latest(self.cycles, int(s.limb[muscle]))
+        s.refit.follow(s.window, latest, group[group >= 0], s.how, known.mixture(muscle))
         return known.distance(muscle, s.refit.mixture(), s.how.turns)
 
     def _from_other(self, counterpart: int, mixture: tuple[Samples, Samples, Samples], turns: int) -> float:
@@ -251,52 +270,10 @@ class MixtureDrift(Operator[MixtureDriftState]):
         theirs = row["weight"][:k].copy(), row["mean"][:k].copy(), row["covariance"][:k].copy()
         return float(cauchy_schwarz(*mixture, *theirs, turns))
 
-    def _judge(
-        self, kind: int, muscle: int, distance: float, limit: float, when: tuple[int, int], alarms: list[Any]
-    ) -> None:
-        """Count in how many windows in a row the limit is exceeded or kept; tell a change. What is not known changes nothing."""
-        stamp, onset = when
-        s = self.state
-        if not np.isfinite(limit) or np.isnan(distance):
-            return
-        if distance > limit:
-            if not s.above[kind, muscle]:
-                s.since[kind, muscle] = onset
-            s.above[kind, muscle] += 1
-            s.below[kind, muscle] = 0
-        else:
-            s.below[kind, muscle] += 1
-            s.above[kind, muscle] = 0
-        what = ALARM_TEXT[kind].format(self.first)
-        name = s.names[muscle]
-        if not s.on[kind, muscle] and s.above[kind, muscle] >= self.windows:
-            s.on[kind, muscle] = 1
-            alarms.append((stamp, (int(s.since[kind, muscle]), name, ON, what, ADVICE)))
-        elif s.on[kind, muscle] and s.below[kind, muscle] >= self.windows:
-            s.on[kind, muscle] = 0
-            alarms.append((stamp, (int(s.since[kind, muscle]), name, OVER, what, "")))
-
 
 def fitting_of(spec: StreamSpec) -> Fitting:
     """How the mixtures of this stream were fitted."""
     return Fitting(**spec.meta["fitting"])
-
-
-def pairing(names: list[str], others: list[str]) -> Times:
-    """The other leg's counterpart of each muscle: of the same name, or of the same but for a leading or trailing L or R; -1: none."""
-
-    def bare(name: str) -> str:
-        short = name[1:] if name[:1] in "LR" else name
-        return short[:-1].rstrip(" _-") if short[-1:] in "LR" and len(short) > 2 else short
-
-    exact = [others.index(name) if name in others else -1 for name in names]
-    plain = [bare(name) for name in others]
-    return np.array(
-        [
-            k if k >= 0 else plain.index(bare(name)) if bare(name) in plain else -1
-            for k, name in zip(exact, names, strict=True)
-        ]
-    )
 
 
 def _mixtures(mixer: PeakMixtures, inputs: dict[str, tuple[StreamSpec, Array, Array]]) -> tuple[Times, Array]:

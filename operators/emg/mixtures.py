@@ -11,6 +11,7 @@ from operators.emg.mixture_events import MIXTURE, MIXTURE_UNITS, MODE, WHEN, mod
 from operators.emg.peak_window import PeakWindow
 from operators.emg.refit import UNKNOWN, Fitting, Refit, highest_apart
 from operators.gait.cycle import MAXIMUM, Closing, Expected, check_cycles, some_cycles
+from operators.gait.limbs import limbs_of
 from stream.chunk import FOREVER, NEVER, Array, Chunk, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
 from stream.operator import Case, Operator, grid
@@ -22,8 +23,8 @@ class MixturesState:
     """
     window    the latest cycles;  refit: the mixture that is being fitted
     group (g, w)   the muscles of each mixture, -1 where there are fewer;  due (g,): 1 where the newest cycle is still to be fitted
-    job       which mixture `refit` is; -1: none;  turn: where the search for the next begins
-    closed (1,)    the event of the newest cycle;  of (1,): of that which `refit` is about
+    limb (g,) whose muscles they are;  job: which mixture `refit` is; -1: none;  turn: where the search for the next begins
+    closed (l,)    the event of each limb's newest cycle;  of (1,): of that which `refit` is about
     spread    whether there is a `pace`;  told: the newest `until` that has gone out
     """
 
@@ -32,6 +33,7 @@ class MixturesState:
     refit: Refit
     group: Times
     due: Times
+    limb: Times
     job: int
     turn: int
     closed: Array
@@ -62,6 +64,7 @@ class PeakMixtures(Operator[MixturesState]):
     Not known: below `fewest_cycles` ("too few cycles"), where the mean curve's peak is less than `contrast` times its median ("no burst": a
     muscle that is silent, or always active), or below three peaks. A second event in `closed` of one of the latest 64 cycles takes it out,
     or puts it back, from the next refit on. `joint` makes one mixture of several channels, named after them ("GM+GL").
+    Of several limbs (`operators.gait.limb_cycles.LimbCycles`), each one's muscles are fitted after its own cycles.
 
     Stamps: the cycle's, or that of the sample of `pace` at which the mixture was done. A cycle that comes while another's mixtures are
     not all done replaces it: those that were not done are next fitted with both.
@@ -103,11 +106,13 @@ class PeakMixtures(Operator[MixturesState]):
         if self.fewest_cycles > self.cycles:
             raise ParameterError("fewest_cycles", self.fewest_cycles, f"at most cycles ({self.cycles})")
         group, names = muscle_groups(spec.channels, self.joint)
-        nothing = np.zeros(0, specs["closed"].dtype)
+        limb, limbs = limb_of_groups(spec, group, names)
+        nothing = np.zeros(1, specs["closed"].dtype)
         self.hold(
             MixturesState(
-                Expected.none(specs["closed"].dtype), PeakWindow.none(self.cycles, spec.shape[1]), Refit.none(self.cycles, group.shape[1]),
-                group, np.zeros(len(group), np.int64), -1, 0, nothing, nothing, names, "pace" in specs, NEVER,
+                Expected.none(specs["closed"].dtype), PeakWindow.none(self.cycles, spec.shape[1], limbs),
+                Refit.none(self.cycles, group.shape[1]),
+                group, np.zeros(len(group), np.int64), limb, -1, 0, nothing.repeat(limbs), nothing, names, "pace" in specs, NEVER,
             )
         )  # fmt: skip
         unit = spec.units[0] if len(spec.units) == 1 else ""
@@ -163,9 +168,10 @@ class PeakMixtures(Operator[MixturesState]):
 
     def _take(self, closed: Array, curve: Array) -> None:
         s = self.state
-        s.window.accept(int(closed["number"][0]), curve)
-        s.closed = closed
-        s.due[:] = 1
+        s.window.accept(number := int(closed["number"][0]), curve)
+        limb = s.window.limb(number)
+        s.closed[limb] = closed[0]
+        s.due[s.limb == limb] = 1
 
     def _waiting(self) -> bool:
         return self.state.job >= 0 or bool(self.state.due.any())
@@ -185,8 +191,9 @@ class PeakMixtures(Operator[MixturesState]):
             if not len(due):
                 return None
             s.job = int((due[0] + s.turn) % len(s.due))
-            s.due[s.job], s.turn, s.of = 0, (s.job + 1) % len(s.due), s.closed
-            s.refit.begin(s.window, s.window.latest(self.cycles), self._muscles(s.job), how)
+            limb = int(s.limb[s.job])
+            s.due[s.job], s.turn, s.of = 0, (s.job + 1) % len(s.due), s.closed[limb : limb + 1].copy()
+            s.refit.begin(s.window, s.window.latest(self.cycles, limb), self._muscles(s.job), how)
         if not s.refit.go_on(how):
             return None
         row = mixture_row(s.refit, s.of, s.job, s.names[s.job])
@@ -219,6 +226,16 @@ def muscle_groups(channels: tuple[str, ...], joint: tuple[tuple[str, ...], ...])
     for row, names in zip(table, groups, strict=True):
         row[: len(names)] = [channels.index(name) for name in names]
     return table, ["+".join(names)[:16] for names in groups]
+
+
+def limb_of_groups(spec: StreamSpec, group: Times, names: list[str]) -> tuple[Times, int]:
+    """Whose muscles each mixture's are (g,), and how many limbs there are. Raises ParameterError."""
+    limbs = list(limbs_of(spec).values()) or [spec.channels]
+    owner = np.array([next(i for i, mine in enumerate(limbs) if name in mine) for name in spec.channels])
+    for row, name in zip(group, names, strict=True):
+        if len(set(owner[row[row >= 0]].tolist())) > 1:
+            raise ParameterError("joint", name, "channels of one limb: another's cycles are cut elsewhere")
+    return owner[group[:, 0]], len(limbs)
 
 
 def mixture_row(refit: Refit, closed: Array, muscle: int, name: str) -> Array:

@@ -42,12 +42,12 @@ def gather(
 
 @dataclass(slots=True)
 class PeakWindow:
-    """A ring of cycles, each at its number modulo the ring's length.
+    """A ring of cycles, each at its number modulo the ring's length. Of l limbs, number n is a cycle of limb (n - 1) modulo l.
 
     numbers (r,)             which cycle stands there; -1: none;  accepted (r,): 1 where it counts
     tops (r, m), peaks (r, m, 50, 2)   of each muscle: how many local maxima, and their place in % and height
     curves (r, 100, m)       NaN: missing
-    last                     the newest cycle's number
+    last                     the newest cycle's number;  limbs: l
     """
 
     numbers: Times
@@ -56,13 +56,14 @@ class PeakWindow:
     peaks: Samples
     curves: Samples
     last: int
+    limbs: int
 
     @staticmethod
-    def none(cycles: int, muscles: int) -> PeakWindow:
-        r = max(REVISABLE, 2 * cycles)
+    def none(cycles: int, muscles: int, limbs: int = 1) -> PeakWindow:
+        r = max(REVISABLE, 2 * cycles) * limbs
         return PeakWindow(
             np.full(r, -1), np.zeros(r, np.int64), np.zeros((r, muscles), np.int64),
-            np.zeros((r, muscles, MOST_PEAKS, 2)), np.full((r, POINTS, muscles), np.nan), -1,
+            np.zeros((r, muscles, MOST_PEAKS, 2)), np.full((r, POINTS, muscles), np.nan), -1, limbs,
         )  # fmt: skip
 
     def note_peaks(self, rows: Array) -> None:
@@ -99,9 +100,14 @@ class PeakWindow:
             getattr(self, name)[...] = getattr(other, name)
         self.last = other.last
 
-    def latest(self, cycles: int) -> Times:
-        """Where the latest accepted cycles stand, oldest first, at most so many."""
+    def limb(self, number: int) -> int:
+        """Whose cycle a number is."""
+        return (number - 1) % self.limbs
+
+    def latest(self, cycles: int, limb: int = 0) -> Times:
+        """Where a limb's latest accepted cycles stand, oldest first, at most so many."""
         counts = (self.accepted == 1) & (self.numbers <= self.last) & (self.numbers > self.last - len(self.numbers))
+        counts &= (self.numbers - 1) % self.limbs == limb
         slots = np.flatnonzero(counts)
         return np.ascontiguousarray(slots[np.argsort(self.numbers[slots])][-cycles:], np.int64)
 

@@ -68,7 +68,8 @@ def look(m: np.void, threshold: float, most: float) -> None:
     """After a block: if the latest ones are the foot's swing, they are the plate's new zero, noise and cross-talk.
 
     They are if they are flat (within `threshold`), no higher than the lowest in the window (by less than `threshold`), within `most` of
-    0, and the window spans a stance; the middle one counts, which no contact reaches into. The first flat blocks are the tare.
+    the zero so far (0 at first), and the window spans a stance; the middle one counts, which no contact reaches into. The first flat
+    blocks are the tare.
     """
     count = min(m["blocks"], WINDOW)
     if m["blocks"] < FLAT:
@@ -83,7 +84,7 @@ def look(m: np.void, threshold: float, most: float) -> None:
     middle = (m["blocks"] - 2) % WINDOW
     mean, noise = m["means"][middle], m["sds"][middle]
     swing = high - low > WALKING * threshold
-    if last - first > threshold or mean > low + threshold or abs(mean) > most or noise > 2.0 * threshold:
+    if last - first > threshold or mean > low + threshold or abs(mean - m["zero"]) > most or noise > 2.0 * threshold:
         return
     if not swing and m["known"]:
         return

@@ -122,11 +122,11 @@ class ForceContacts(_Press):
     after a gap, is no event. Decided `debounce_s` after the onset.
 
     With `zero: swing` force counts from what the plate shows without the foot: tared by the first 0.15 s that are flat and within
-    `most_offset_n` of 0, then by every swing (the lowest flat 0.15 s of the latest 4 s, in which the load changes by five thresholds). So
-    offset and drift do not matter. Where the plate's noise, measured there, is above a quarter of `threshold_n`, a contact begins at four
-    of its standard deviations, and the hysteresis grows alike. `other`, the other belt's channels of the same stream, takes its
-    cross-talk out: the part of its load that this plate shows in swing, by least squares with a fading memory. `zero: none` takes the force
-    as it comes.
+    `most_offset_n` of 0, then by every swing (the lowest flat 0.15 s of the latest 4 s, in which the load changes by five thresholds)
+    within `most_offset_n` of the zero so far. So offset and drift do not matter. Where the plate's noise, measured there, is above a
+    quarter of `threshold_n`, a contact begins at four of its standard deviations, and the hysteresis grows alike. `other`, the other
+    belt's channels of the same stream, takes its cross-talk out: the part of its load that this plate shows in swing, by least squares
+    with a fading memory. `zero: none` takes the force as it comes.
     """
 
     threshold_n: float = param(20.0, above=0.0, help="on the ground from this force up")
@@ -134,7 +134,9 @@ class ForceContacts(_Press):
     channels: tuple[str, ...] = param((), help="the channels to add up; empty: all but `other`")
     other: tuple[str, ...] = param((), help="the other belt's channels, whose cross-talk is taken out")
     zero: Literal["swing", "none"] = param("swing", help="what force counts from: the plate's reading in swing, or 0")
-    most_offset_n: float = param(100.0, above=0.0, help="a higher reading is a load, not an offset")
+    most_offset_n: float = param(
+        100.0, above=0.0, help="a reading that is further from the zero so far is a load, not an offset"
+    )
     inverted: bool = param(False, help="the plate shows pressure as a negative force")
     debounce_s: float = param(0.03, least=0.0, most=0.5, help="how long a contact or a swing lasts at least")
     reset_gap_s: float = reset_gap(0.1, "after a longer gap it is not known where the foot is")

@@ -58,16 +58,20 @@ def align(window: Samples, out: Samples) -> None:
 @kernel
 def amplitude(x: Samples, mean: float, rate_hz: float) -> float:
     """The largest amplitude of a sine in `x` (n,), its mean taken off, at the window's own frequencies up to 20 Hz (Goertzel)."""
-    n, highest = x.shape[0], 0.0
-    for k in range(1, n // 2 + 1):
-        if k * rate_hz / n > FASTEST_HZ:
-            break
-        turn = 2.0 * cos(2.0 * pi * k / n)
-        before = last = 0.0
-        for i in range(n):
-            now = x[i] - mean + turn * last - before
-            before, last = last, now
-        power = last * last + before * before - turn * last * before
+    n, count = x.shape[0], 0
+    while count < n // 2 and (count + 1) * rate_hz / n <= FASTEST_HZ:
+        count += 1
+    turn, before, last = np.empty(count), np.zeros(count), np.zeros(count)
+    for k in range(count):
+        turn[k] = 2.0 * cos(2.0 * pi * (k + 1) / n)
+    for i in range(n):  # the frequencies side by side: each alone would wait for its own last value
+        value = x[i] - mean
+        for k in range(count):
+            now = value + turn[k] * last[k] - before[k]
+            before[k], last[k] = last[k], now
+    highest = 0.0
+    for k in range(count):
+        power = last[k] * last[k] + before[k] * before[k] - turn[k] * last[k] * before[k]
         highest = max(highest, 2.0 * sqrt(max(power, 0.0)) / n)
     return highest
 

@@ -23,6 +23,7 @@ SIZES_IN = {4: (3.55, 1.9), 12: (2.36, 1.42), 10_000: (2.36, 1.18)}
 LONG = 4
 """A unit of more letters does not fit beside the axis."""
 SINGLE = 40
+POINTS = 100
 """At most so many single cycles are drawn."""
 INK, BAND, THIN, STANCE = "#12395b", "#8fb3d3", "#9a9a9a", "#f1efe9"
 
@@ -74,6 +75,44 @@ def draw_stages(curves: Curves, names: list[str], stages: list[str], unit: str) 
             _finish(axes, figure, 1.05 * max(float(np.nan_to_num(curves.stages[:, :, i]).max(initial=0)), 1e-9), unit)
             made.append(_svg(figure, f"{name} by stage"))
         return made
+
+
+def draw_modes(curves: Curves, names: list[str], modes: list[list[list[float]]], unit: str) -> list[str]:
+    """One SVG element per channel: the mean curve from -50 to 150 % of the cycle, and the modes of its peaks as ellipses of two deviations.
+
+    modes   per channel, each mode's place, height, their deviations, correlation, weight
+    """
+    size = next(size for most, size in SIZES_IN.items() if len(names) <= most)
+    percent = np.arange(-50, 150)
+    with rc_context(_STYLE):
+        made = []
+        for i, (name, own) in enumerate(zip(names, modes, strict=True)):
+            figure, axes = _empty_panel(size)
+            mean, sd = (part[percent % POINTS, i] for part in (curves.mean, np.nan_to_num(curves.sd)))
+            axes.fill_between(percent, np.maximum(mean - sd, 0), mean + sd, color=BAND, alpha=0.4, linewidth=0)
+            axes.plot(percent, mean, color=INK, linewidth=0.9)
+            tops = [float(np.nan_to_num(mean + sd).max(initial=0))]
+            for mode in own:
+                place, height = _ellipse(*mode[:5])
+                tops.append(float(height.max()))
+                for turn in (-100, 0, 100):
+                    axes.plot(place + turn, height, color=LIMBS[0], linewidth=0.9)
+            for cut in (0, 100):
+                axes.axvline(cut, color="#777777", linewidth=0.6, linestyle=(0, (3, 2)))
+            _finish(axes, figure, 1.05 * max([*tops, 1e-9]), unit)
+            axes.set_xlim(-50, 150)
+            axes.set_xticks([-50, 0, 50, 100, 150])
+            made.append(_svg(figure, f"{name} modes"))
+        return made
+
+
+def _ellipse(
+    place: float, height: float, sd_place: float, sd_height: float, correlation: float
+) -> tuple[Samples, Samples]:
+    """The points of an ellipse of two standard deviations."""
+    turn = np.linspace(0, 2 * np.pi, 49)
+    up = correlation * np.cos(turn) + np.sqrt(max(1 - correlation**2, 0.0)) * np.sin(turn)
+    return place + 2 * sd_place * np.cos(turn), height + 2 * sd_height * up
 
 
 def draw_footfalls(footfalls: list[tuple[str, float, float]]) -> str:

@@ -142,6 +142,7 @@ class Report:
     grids: list[Grid] = field(default_factory=list)
     stages: list[str] = field(default_factory=list)
     footfalls: list[tuple[str, float, float]] = field(default_factory=list)
+    modes: list[list[list[float]]] = field(default_factory=list)
 
 
 @dataclass(slots=True)

@@ -60,6 +60,10 @@ def fill_groups(report: Report, tally: Tally, specs: Specs) -> None:
         report.grids.append(_symmetry(groups, [str(name) for name in specs["symmetry"].meta.get("pair", ("", ""))]))
     if groups.burst_names:
         report.grids.append(_bursts(groups))
+    if tally.peaks.names:
+        unit = spec.units[0] if len(spec.units) == 1 else ""
+        report.grids.append(tally.peaks.grid(unit))
+        report.modes = [tally.peaks.of(name).tolist() for name in spec.channels]
     if groups.stages:
         report.stages = list(groups.stages)
         report.grids += _stages(tally, specs)

@@ -54,6 +54,9 @@ def render(report: Report, curves: Curves) -> str:
         active_svg=report_curves.draw_active(curves.active, [m.name for m in report.muscles])
         if any(grid.title == "Bursts" for grid in report.grids) and curves.active.size
         else "",
+        mode_svgs=report_curves.draw_modes(curves, [m.name for m in report.muscles], report.modes, pretty(report.unit))
+        if report.modes
+        else [],
         footfall_svg=report_curves.draw_footfalls(report.footfalls) if report.footfalls else "",
         figures=_figures(report),
         marks=MARKS,

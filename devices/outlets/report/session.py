@@ -19,6 +19,7 @@ from devices.outlets.report.compose import compose
 from devices.outlets.report.curve_table import write_curves
 from devices.outlets.report.cycle_rows import Held, header, nothing_held, release, settle, take_closed, take_statistics
 from devices.outlets.report.data import Curves, Report, save
+from devices.outlets.report.peaks import MODE, MOVED
 from devices.outlets.report.tally import GAIT, Tally, hear, nothing_yet, numbers
 from devices.outlets.report.words import relative_to
 from stream.chunk import Array, Chunk, Specs
@@ -72,6 +73,8 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
     symmetry         of `operators.gait.symmetry.LimbSymmetry`
     footfalls, gait  of `operators.gait.footfalls.Footfalls` (`limbs`, `gait`)
     bursts, active   of `operators.gait.bursts.CycleBursts` (`session`, `active`): when muscles are active, a table and bars
+    modes            of `operators.emg.mixtures.PeakMixtures`: the modes of each muscle's activation peaks, as ellipses and a table
+    distance         of `operators.emg.mixture_drift.MixtureDrift`: how far a muscle has moved, and how far it is from the other leg's
     emg              the raw signal: when the session began, its gaps and losses
 
     Where cycles name their limb, the limbs' curves of a muscle stand in one panel, and cadence, cycle and stance are told per limb. Where
@@ -87,7 +90,7 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
 
     inputs: ClassVar[tuple[str, ...]] = (
         "emg", "closed", "cycles", "statistics", "muscles", "pairs", "quality", "electrodes", "contacts", "changes",
-        "symmetry", "footfalls", "gait", "bursts", "active",
+        "symmetry", "footfalls", "gait", "bursts", "active", "modes", "distance",
     )  # fmt: skip
     optional: ClassVar[tuple[str, ...]] = (
         "emg",
@@ -103,6 +106,8 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
         "gait",
         "bursts",
         "active",
+        "modes",
+        "distance",
     )
     durable: ClassVar[bool] = True
 
@@ -129,6 +134,8 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
         if "active" in specs and specs["active"].shape != cycles.shape:
             raise InputError("active", specs["active"].describe(), "`active` of operators.gait.bursts.CycleBursts")
         _check_fields(specs, "gait", ("gait", "double_support_pct", "flight_pct", "feet"))
+        _check_fields(specs, "modes", ("name", "number", *MODE))
+        _check_fields(specs, "distance", ("name", *MOVED))
         _check_fields(specs, "quality", ("name", "flag", "reason", "session_flag", "session_reason"))
         for port in ("electrodes", "contacts", "changes"):
             _check_fields(specs, port, ("onset", "subject", "state", "what"))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from devices.outlets.report.groups import Groups
+from devices.outlets.report.peaks import Peaks
 from devices.outlets.report.revisions import ACCEPTED, Revisable
 from devices.outlets.report.running import Choice, Running
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times, add_lost
@@ -41,7 +42,7 @@ class Tally:
     recent           the latest cycles, which may be reported again; revised: how often one was
     alarms           (200,) the first alarms; alarmed: how many in all
     heard            (ports, 3) samples, gaps, samples lost (-1: not known) per port
-    groups           the same by limb and by stage
+    groups           the same by limb and by stage;  peaks: mixtures of activation peaks
     """
 
     started: int
@@ -68,6 +69,7 @@ class Tally:
     alarmed: int
     heard: Times
     groups: Groups
+    peaks: Peaks
 
     @property
     def rejected(self) -> int:
@@ -111,6 +113,7 @@ def nothing_yet(specs: Specs) -> Tally:
         alarmed=0,
         heard=np.zeros((len(specs), 3), np.int64),
         groups=Groups.none(specs),
+        peaks=Peaks(),
     )
 
 
@@ -154,6 +157,8 @@ def hear(tally: Tally, specs: Specs, port: str, chunk: Chunk) -> None:
             _alarm(tally, stamp, row)
     elif port in ("footfalls", "gait", "symmetry", "bursts", "active"):
         tally.groups.hear(port, chunk.data)
+    elif port in ("modes", "distance"):
+        tally.peaks.hear(port, chunk.data)
     elif port == "quality":
         for row in chunk.data:
             _quality(tally, row, specs["cycles"].channels)

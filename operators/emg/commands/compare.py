@@ -23,7 +23,10 @@ def compare(
         "comparison"
     ),
     node: Annotated[
-        str, typer.Option(metavar="NODE", help="whose cycles, where a session has those of several legs")
+        str,
+        typer.Option(
+            metavar="NODE", help="a node or a limb (left): whose cycles, where a session has those of several legs"
+        ),
     ] = "",
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace files that exist")] = False,
 ) -> None:

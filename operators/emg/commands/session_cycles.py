@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,8 @@ from operators.emg.emg_model import made_alike
 from operators.emg.mixture_reference import ReferenceFit, References
 from operators.emg.mixtures import PeakMixtures, muscle_groups
 from operators.emg.peak_window import PeakWindow
-from operators.gait.cycle import CLOSED, MAXIMUM, POINTS
+from operators.gait.cycle import MAXIMUM, POINTS, is_closed
+from operators.gait.limbs import limbs_of
 from operators.gait.review import JUDGED
 from stream.batch.sessions import StoredSession, name_of, open_session
 from stream.chunk import Array, Samples, StreamSpec
@@ -28,6 +29,7 @@ class SessionCycles:
     label      the session's name, and which cycles (the node) where it has several;  subject: as recorded
     curves     (k, 100, m), NaN where a muscle does not count in a cycle;  maxima: their peaks
     alike      what sessions must have in common to be compared
+    limb       whose they are, where the session has several;  channels: as recorded (L_TA); `muscles` are what they stand for (TA)
     """
 
     label: str
@@ -37,6 +39,8 @@ class SessionCycles:
     curves: Samples
     maxima: Array
     alike: dict[str, Any]
+    limb: str = ""
+    channels: tuple[str, ...] = ()
 
     @property
     def muscles(self) -> tuple[str, ...]:
@@ -69,25 +73,26 @@ class SessionCycles:
 
 
 def read_sessions(path: Path, node: str = "") -> list[SessionCycles]:
-    """The cycles of each leg in a recording, or a batch's job: of all nodes that gave some, or of `node`. Raises KinegraphError."""
+    """The cycles of each leg in a recording, or a batch's job: of all nodes, or of `node`, a node or a limb. Raises KinegraphError."""
     with open_session(path) as recording:
         nodes = [
             name.removesuffix(".closed")
             for name, stream in recording.streams.items()
-            if name.endswith(".closed") and stream.spec.dtype == CLOSED
+            if name.endswith(".closed") and is_closed(stream.spec.dtype)
         ]
         nodes = [name for name in nodes if {f"{name}.cycles", f"{name}.maxima"} <= set(recording.streams)]
+        legs = [(name, limb) for name in nodes for limb in limbs_of(recording.stream(f"{name}.cycles").spec) or ("",)]
         if node:
-            nodes = [name for name in nodes if name == node]
-        if not nodes:
+            legs = [leg for leg in legs if node in leg]
+        if not legs:
             of = f" of node {node!r}" if node else ""
             raise KinegraphError(
                 f"{path}: there are no cycles{of}; record closed, cycles and maxima of operators.gait.cycles.Cycles"
             )
-        return [_read(recording, path, name, len(nodes) > 1) for name in nodes]
+        return [_read(recording, path, name, limb, len(nodes) > 1) for name, limb in legs]
 
 
-def _read(recording: StoredSession, path: Path, node: str, several: bool) -> SessionCycles:
+def _read(recording: StoredSession, path: Path, node: str, limb: str, several: bool) -> SessionCycles:
     spec = recording.stream(f"{node}.cycles").spec
     _, closed = recording.read(f"{node}.closed")
     _, curves = recording.read(f"{node}.cycles")
@@ -102,10 +107,33 @@ def _read(recording: StoredSession, path: Path, node: str, several: bool) -> Ses
         if stream.spec.dtype == JUDGED:
             _leave_out(recording.read(name)[1], accepted, curves, spec)
     about = recording.header.get("session") or {}
-    label = f"{name_of(recording)} {node}" if several else name_of(recording)
+    label = " ".join([name_of(recording), *([node] if several else []), *([limb] if limb else [])])
     units = spec.units[0] if len(spec.units) == 1 else ""
     alike = {**made_alike({**spec.meta, "height_unit": units}), "cut at": "touch-down"}
-    return SessionCycles(label, str(about.get("subject", "")), spec, accepted[used], curves[used], maxima, alike)
+    whole = SessionCycles(label, str(about.get("subject", "")), spec, accepted[used], curves[used], maxima, alike)
+    return _of_limb(whole, limb, closed) if limb else whole
+
+
+def _of_limb(both: SessionCycles, limb: str, closed: Array) -> SessionCycles:
+    """One limb's cycles and channels, under the muscles' own names, so that they can stand beside another limb's."""
+    spec, muscles = both.spec, dict(both.spec.meta.get("muscles") or {})
+    mine = limbs_of(spec)[limb]
+    places = np.array([spec.channels.index(name) for name in mine])
+    names = [str(muscles.get(name, name)) for name in mine]
+    here = np.isin(both.numbers, closed["number"][closed["limb"] == limb])
+    maxima = both.maxima[np.isin(both.maxima["muscle"], places)].copy()
+    maxima["muscle"] = np.array([np.flatnonzero(places == place)[0] for place in maxima["muscle"]], np.int64)
+    maxima["name"] = np.array(names)[maxima["muscle"]]
+    own = spec.derive(shape=(POINTS, len(names)), channels=tuple(names), units=tuple(spec.units[:1]))
+    return replace(
+        both,
+        spec=own,
+        numbers=both.numbers[here],
+        curves=both.curves[here][:, :, places],
+        maxima=maxima,
+        limb=limb,
+        channels=mine,
+    )
 
 
 def _leave_out(judged: Array, numbers: Array, curves: Samples, spec: StreamSpec) -> None:
@@ -149,4 +177,5 @@ def joined(sessions: list[SessionCycles]) -> SessionCycles:
     label = " + ".join(session.label for session in sessions)
     curves = np.concatenate([session.curves for session in sessions])[-MOST_CYCLES:]
     every = np.concatenate(numbers)[-MOST_CYCLES:]
-    return SessionCycles(label, first.subject, first.spec, every, curves, np.concatenate(maxima), first.alike)
+    peaks = np.concatenate(maxima)
+    return replace(first, label=label, numbers=every, curves=curves, maxima=peaks)

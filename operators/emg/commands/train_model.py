@@ -32,6 +32,7 @@ def emg_model(
 
     from operators.emg.commands.session_cycles import MOST_CYCLES, check_alike, joined, read_sessions
     from operators.emg.emg_model import write_references
+    from operators.emg.mixture_reference import References
     from operators.emg.mixtures import PeakMixtures
     from stream.batch.sessions import sessions_at
     from stream.screen import Screen
@@ -40,20 +41,21 @@ def emg_model(
         raise KinegraphError(f"{output} exists; --overwrite replaces it, --out names another file")
     read = [found for path in sessions_at(sessions) for found in read_sessions(path, node)]
     check_alike(read)
-    whole = joined(read)
+    legs = [joined([one for one in read if one.limb == limb]) for limb in dict.fromkeys(one.limb for one in read)]
     mixer = PeakMixtures(cycles=MOST_CYCLES)
-    made, names = whole.references(mixer, 100, cycles)
+    parts = [leg.references(mixer, 100, cycles)[0] for leg in legs]
+    made = References(*(np.concatenate([getattr(part, name) for part in parts]) for name in References.__slots__))
+    names = [name for leg in legs for name in leg.channels or leg.muscles]
+    count, whole = sum(len(leg.curves) for leg in legs), legs[0]
     if not (made.modes > 0).any():
-        raise KinegraphError(
-            f"no muscle has a burst in {len(whole.curves)} cycles; there is nothing to make a model of"
-        )
+        raise KinegraphError(f"no muscle has a burst in {count} cycles; there is nothing to make a model of")
     about = {
         "subjects": sorted({s.subject for s in read if s.subject}), "sessions": [s.label for s in read], "window": cycles,
         "input": {"muscles": names, "unit": whole.alike["height_unit"]},
     }  # fmt: skip
     write_references(output, made, names, {**whole.alike, "fitting": {"circular": mixer.circular}}, about)
     table = Table(
-        title=f"{output}: {len(whole.curves)} cycles of {len(read)} sessions, amplitudes: {whole.alike['normalisation']}",
+        title=f"{output}: {count} cycles of {len(read)} sessions, amplitudes: {whole.alike['normalisation']}",
         box=None,
     )
     for heading in ("muscle", "cycles", "modes", "limit", "all points", "noise"):

@@ -1,15 +1,18 @@
-// Cycles as they close: per channel the mean with its band, and the last cycle over it.
+// Cycles as they close: per channel the mean with its band, and the last cycle over it; the modes of its activation peaks, and target bands.
 
 import { colour, type Page, Panel, shade, Sheet, type Span } from "./panel";
 import type { Newest, Stream } from "./store";
-import type { PanelInfo } from "./wire";
+import type { Cell, PanelInfo } from "./wire";
 
 const CELL_WIDTH = 150;
 const CELL_HEIGHT = 92;
 const PAD = 6;
 const HEAD = 18;
 
-/** Panels' streams: the mean, its standard deviation, and the cycles themselves. */
+const field = (stream: Stream, name: string): number => stream.info.fields.findIndex(([f]) => f === name) + 1;
+const has = (stream: Stream, ...names: string[]): boolean => names.every((name) => field(stream, name) > 0);
+
+/** Panels' streams: the mean, its standard deviation, and the cycles themselves; then events: modes of mixtures, targets. */
 export class CyclesPanel extends Panel {
   private readonly sheet = new Sheet(this.body, this.height);
   private drawn = -1;
@@ -23,11 +26,16 @@ export class CyclesPanel extends Panel {
     this.drawn = -1;
   }
 
-  draw(_span: Span): void {
-    const [mean, sd, last] = this.streams;
+  draw(span: Span): void {
+    const [mean, sd, last] = this.streams.filter((s) => s.info.kind !== "events");
+    const modes = this.streams.find((s) => has(s, "name", "number", "place_pct", "height", "sd_pct", "sd_height", "correlation"));
+    const targets = this.streams.find((s) => has(s, "name", "number", "from_pct", "to_pct", "low", "high", "state"));
+    let [ellipses, bands] = [0, 0];
     const names = mean?.info.channels ?? [];
     const columns = Math.max(1, Math.min(names.length, Math.floor(this.body.clientWidth / CELL_WIDTH)));
-    const state = this.streams.reduce((n, s) => n * 31 + s.count, columns * 7 + this.body.clientWidth);
+    const until = this.page.recording ? span.at : Infinity;
+    const seen = [modes, targets].map((s) => (s ? newestOf(s, until).reduce((n, row) => Math.max(n, row[0] as number), 0) : 0));
+    const state = this.streams.reduce((n, s) => n * 31 + s.count, columns * 7 + this.body.clientWidth + seen.reduce((a, b) => a * 3 + b, 0));
     if (state === this.drawn) return;
     this.drawn = state;
     this.sheet.canvas.style.height = `${Math.ceil(names.length / columns) * CELL_HEIGHT}px`;
@@ -35,9 +43,14 @@ export class CyclesPanel extends Panel {
     const cell = this.sheet.width / columns;
     names.forEach((name, c) => {
       const [x, y] = [(c % columns) * cell, Math.floor(c / columns) * CELL_HEIGHT];
-      this.drawChannel(pen, c, name, x + PAD, y, cell - 2 * PAD, mean?.newest ?? null, sd?.newest ?? null, last?.newest ?? null);
+      const box = { left: x + PAD, top: y + HEAD, width: cell - 2 * PAD, height: CELL_HEIGHT - HEAD - PAD, most: 1 };
+      box.most = this.drawChannel(pen, c, name, x + PAD, y, cell - 2 * PAD, mean?.newest ?? null, sd?.newest ?? null, last?.newest ?? null);
+      if (targets) bands += drawTargets(pen, targets, newestOf(targets, until, name), box);
+      if (modes) ellipses += drawModes(pen, modes, newestOf(modes, until, name), box);
     });
-    this.note.textContent = last?.newest ? `${last.newest.count ? `${last.newest.count} cycles; ` : ""}line: last, band: mean ± SD` : "no cycle yet";
+    if (modes) this.element.dataset["ellipses"] = String(ellipses);
+    if (targets) this.element.dataset["targets"] = String(bands);
+    this.note.textContent = last?.newest ? `${last.newest.count ? `${last.newest.count} cycles; ` : ""}line: last, band: mean ± SD${modes ? ", ellipses: modes of its peaks" : ""}${targets ? ", boxes: targets" : ""}` : "no cycle yet";
     this.stamp();
     this.element.dataset["cycles"] = String((last ?? mean)?.newest?.count ?? 0);
     this.sheet.canvas.setAttribute("aria-label", `${names.length} channels, ${this.note.textContent}`);
@@ -46,7 +59,7 @@ export class CyclesPanel extends Panel {
   private drawChannel(
     pen: CanvasRenderingContext2D, c: number, name: string, left: number, top: number, width: number,
     mean: Newest | null, sd: Newest | null, last: Newest | null
-  ): void {
+  ): number {
     const rows = [mean && column(mean, c), sd && column(sd, c), last && column(last, c)];
     const [middle, band, newest] = rows as (number[] | null)[];
     const tops = [...(middle ?? []).map((m, i) => m + (band?.[i] ?? 0)), ...(newest ?? [])].filter((v) => v === v);
@@ -72,6 +85,7 @@ export class CyclesPanel extends Panel {
     }
     this.line(pen, middle ?? null, x, y, colour("dim"), 1);
     this.line(pen, newest ?? null, x, y, shade(c), 1.8);
+    return most;
   }
 
   private line(
@@ -99,3 +113,64 @@ const column = (newest: Newest, c: number): number[] => {
   const [points, channels] = newest.shape as [number, number];
   return Array.from({ length: points }, (_, i) => newest.data[i * channels + c] as number);
 };
+
+interface Box { left: number; top: number; width: number; height: number; most: number }
+
+/** The rows of a channel's latest cycle, until a time; without a channel, of each. A joint mixture ("GM+GL") is each of its channels'. */
+function newestOf(stream: Stream, until: number, channel = ""): Cell[][] {
+  const [name, number] = [field(stream, "name"), field(stream, "number")];
+  const mine = (row: Cell[]) => !channel || String(row[name]) === channel.slice(0, 16) || String(row[name]).split("+").includes(channel);
+  const rows: Cell[][] = [];
+  for (let i = stream.rows.length - 1; i >= 0; i--) {
+    const row = stream.rows[i] as Cell[];
+    if ((row[0] as number) > until || !mine(row)) continue;
+    if (rows.length && (row[number] !== rows[0]?.[number] || row[name] !== rows[0]?.[name])) break;
+    rows.push(row);
+  }
+  return rows;
+}
+
+/** Ellipses of two standard deviations; one that reaches over the touch-down goes on at the other end. */
+function drawModes(pen: CanvasRenderingContext2D, stream: Stream, rows: Cell[][], box: Box): number {
+  const of = (row: Cell[], name: string) => row[field(stream, name)] as number;
+  pen.save();
+  pen.beginPath();
+  pen.rect(box.left, box.top, box.width, box.height);
+  pen.clip();
+  pen.strokeStyle = colour("ink");
+  pen.lineWidth = 1.2;
+  for (const row of rows) {
+    const [along, up, rho] = [2 * of(row, "sd_pct"), 2 * of(row, "sd_height"), of(row, "correlation")];
+    for (const turn of [-100, 0, 100]) {
+      pen.beginPath();
+      for (let k = 0; k <= 48; k++) {
+        const [a, b] = [Math.cos((k * Math.PI) / 24), Math.sin((k * Math.PI) / 24)];
+        const place = of(row, "place_pct") + turn + along * a;
+        const height = of(row, "height") + up * (rho * a + Math.sqrt(Math.max(0, 1 - rho * rho)) * b);
+        pen.lineTo(box.left + (box.width * place) / 99, box.top + box.height * (1 - height / box.most));
+      }
+      pen.stroke();
+    }
+  }
+  pen.restore();
+  return rows.length;
+}
+
+/** The band that each target asks for, over its phase: green where the last cycle was within, else red; one over the touch-down is two boxes. */
+function drawTargets(pen: CanvasRenderingContext2D, stream: Stream, rows: Cell[][], box: Box): number {
+  const of = (row: Cell[], name: string) => row[field(stream, name)] as number;
+  pen.save();
+  pen.beginPath();
+  pen.rect(box.left, box.top, box.width, box.height);
+  pen.clip();
+  pen.lineWidth = 1.6;
+  for (const row of rows) {
+    const [from, to] = [of(row, "from_pct"), of(row, "to_pct")];
+    const y = (v: number) => box.top + box.height * (1 - v / box.most);
+    pen.strokeStyle = String(row[field(stream, "state")]) === "within" ? "#12924a" : "#d6202e";
+    for (const [a, b] of from <= to ? [[from, to]] : [[from, 100], [0, to]])
+      pen.strokeRect(box.left + (box.width * (a as number)) / 100, y(of(row, "high")), (box.width * ((b as number) - (a as number))) / 100, y(of(row, "low")) - y(of(row, "high")));
+  }
+  pen.restore();
+  return rows.length;
+}
