@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from operators.gait.marker import MarkerContacts
     from operators.gait.pattern_watch import PatternWatch
     from operators.gait.review import CycleReview
+    from operators.gait.stage_curves import StageCurves
     from operators.gait.stages import Stages
     from operators.gait.statistics import CycleStatistics
     from operators.gait.symmetry import LimbSymmetry
@@ -167,6 +168,7 @@ __all__ = [
     "SleepScorer",
     "SleepStatistics",
     "Stack",
+    "StageCurves",
     "Stages",
     "Standardise",
     "SteerMesh",
@@ -260,6 +262,7 @@ __getattr__, __dir__ = offered(
         "SleepScorer": "operators.sleep.scorer",
         "SleepStatistics": "operators.sleep.statistics",
         "Stack": "operators.features.stack",
+        "StageCurves": "operators.gait.stage_curves",
         "Stages": "operators.gait.stages",
         "Standardise": "operators.features.standardise",
         "SteerMesh": "operators.steering.operator",
