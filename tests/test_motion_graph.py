@@ -25,6 +25,7 @@ from stream.errors import KinegraphError, ParameterError
 from stream.joint_tree import joints_of
 from stream.model import ModelError, read_model, write_model
 from stream.motion_graph import KIND, MotionGraph
+from stream.recording import Recording
 from tests.command_line import Command, kinegraph, refused
 from tests.motion_made import CYCLE, RATE, TREE, recorded, take, walking, waving
 
@@ -365,6 +366,14 @@ def test_from_a_recording_to_an_avatar_and_a_bvh_file(tmp_path: Path, kinegraph:
         assert kinegraph("run", "walk.yaml", "--view", "none", "-o", "walk")[0] == 0
         assert b"/VMC/Ext/Bone/Pos" in avatar.recv(65536)
     assert "Frames:        150" in Path("walk.bvh").read_text()
+    Path("alone.yaml").write_text(
+        "nodes:\n  walk: {use: devices.synthesis.source.Synthesis, model: graph.npz, duration_s: 2}\nrecord: [walk.pose]\n"
+    )
+    assert (
+        kinegraph("run", "alone.yaml", "--view", "none", "-o", "alone")[0] == 0
+    )  # in real time, though no node waits for it
+    with Recording.open(Path("alone")) as opened:
+        assert len(opened.read("walk.pose")[0]) == 60
 
 
 needs_data = pytest.mark.skipif(

@@ -100,7 +100,8 @@ class _Feed:
 
     def hear(self, timeout_s: float) -> str | None:
         try:
-            return self._runner.mailbox.get(timeout=timeout_s if self._runner.awaited else max(timeout_s, UNAWAITED_S))
+            only_listens = timeout_s > 0 and not self._runner.awaited
+            return self._runner.mailbox.get(timeout=max(timeout_s, UNAWAITED_S) if only_listens else timeout_s)
         except Empty:
             return None
 
