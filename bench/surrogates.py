@@ -50,20 +50,34 @@ def surrogates(folder: Path, draws: int = 3) -> Section:
     known = [pose.data for _, _, pose, _ in poses(folder)]
     known += [kinect(path).data for path in sorted(folder.glob("msrc12/*.npz"))]
     for name, make in SURROGATES.items():
-        count, within, total, clean, whole, runs = 0, 0.0, 0.0, 0, 0, 0
+        count, within, total, clean, whole, runs, certain, cuts = 0, 0.0, 0.0, 0, 0, 0, 0, 0
         for k, data in enumerate(known):
             for draw in range(1 if name == "as recorded" else draws):
                 x = make(data[np.isfinite(data).all(1)], np.random.default_rng((k, draw)))
                 told = events(regular(x).through(Stack()), Segment())
                 repeats = told["primitive"][told["primitive"]["repetition"] > 0]
+                sure = told["activity"]["activity"][told["activity"]["certainty"] > 0.0]
+                certain += int(np.isin(repeats["activity"], sure).sum())
+                cuts += len(sure)
                 count, runs = count + len(repeats), runs + 1
                 within += float((repeats["end"] - repeats["onset"]).sum()) / 1e9
                 total += len(x) / RATE
                 clean += not len(repeats)
                 whole += len(told["activity"]) == 1
         shares = [f"{within / total:.0%}", f"{clean} of {runs}", f"{whole} of {runs}"]
-        rows.append([name, f"{60 * count / total:.1f}", *shares])
+        sure_ = [f"{60 * certain / total:.1f}", f"{60 * cuts / total:.1f}"]
+        rows.append([name, f"{60 * count / total:.1f}", *sure_, *shares])
     title = "Motion that does not repeat: what is found in it all the same"
     return Section(
-        title, ["", "repetitions per minute", "of the time", "recordings without any", "not cut at all"], rows
+        title,
+        [
+            "",
+            "repetitions per minute",
+            "certain ones",
+            "certain activities",
+            "of the time",
+            "recordings without any",
+            "not cut at all",
+        ],
+        rows,
     )

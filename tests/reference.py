@@ -15,6 +15,7 @@ Event = tuple[Any, ...]
 KNOWN, SHARED, FAR, STILL, TRAVELS = 2, 4, 100.0, 0.12, 0.5
 SURE, STRAYS, SAME, HOLE = 3, 4.0, 0.4, 8
 DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 0.8, 1.25, 64, 24
+CHANCE = 0.7
 
 
 @dataclass
@@ -117,6 +118,7 @@ class Reference:
         self.clock = self.turn = self.clusters = self.activity = 0
         self.believed = self.believed_of = 0
         self.like: list[float] = []
+        self.certain: list[float] = []
 
     def run(self, *, end: bool = True) -> list[Event]:
         self.seed = self.untold = self.when = self.repeated = 0
@@ -138,6 +140,9 @@ class Reference:
     def tell(self, kind: str, *what: int) -> None:
         """An event; frames that were worked through are told by what number they came with."""
         spans = {"rest": 0, "begin": 1, "activity": 2, "primitive": 2, "bout": 2, "provisional": 2}.get(kind, 0)
+        if kind == "activity":
+            later = what[3] - 1
+            self.certain.append(max(0.0, 1 - sum(self.prices) / (later * CHANCE * self.radius)) if later > 0 else 0.0)
         numbers = [self.frames[v] for v in what[:spans]] + [int(v) for v in what[spans:]]
         self.events.append((kind, self.frame, *numbers))
 
@@ -336,6 +341,7 @@ class Reference:
         self.count = self.cycles = self.bouts = 0
         self.bout: list[tuple[int, int]] = []
         self.kinds = [0, 0, 0, 0]
+        self.prices: list[float] = []
         self.pending: tuple[int, int] | None = None
         self.cluster = -1
 
@@ -427,6 +433,8 @@ class Reference:
         found = self.use(slot)
         if self.told and self.cycles and found.number != self.cluster:
             self.close_bout()
+            if origin - self.pieces > self.p["FIRM"]:
+                self.piece(origin - 1, False)
             self.conclude(self.cycles)
             self.tell("activity", self.start, self.pieces - 1, self.activity, self.cycles, self.cluster, 0, self.how())
             self.activity += 1
@@ -589,6 +597,7 @@ class Reference:
         assert self.pending
         first = self.pending[0]
         self.like.append(self.price)
+        self.prices.append(self.price)
         self.pending, self.cycles, self.pieces = None, self.cycles + 1, last + 1
         if self.cycles > 1:
             self.repeated = self.now + 1 + self.p["WINDOW"]

@@ -176,7 +176,9 @@ def test_the_live_events_are_the_references_for_any_length_of_the_recording(seed
     for n in (len(x), len(x) * 2 // 3, 100):
         reference = Reference(x[:n], frames_of(operator), operator.radius_share)
         expected = told(reference.run())
-        assert as_frames(x[:n], *played(operator, x[:n], pieces=seed + 1)) == expected
+        events, stamps = played(operator, x[:n], pieces=seed + 1)
+        assert as_frames(x[:n], events, stamps) == expected
+        assert np.allclose(events["activity"]["certainty"], reference.certain)
         assert reference.back < max(frames_of(operator)["WINDOW"], 5 * frames_of(operator)["LAG"])
     assert any(e[4] > 1 for e in expected["activity"]) or n == 100
 
@@ -589,3 +591,64 @@ def test_a_count_that_was_too_high_is_corrected() -> None:
         last = {int(event["activity"]): int(event["count"]) for event in events["count"]}
         made = {int(event["activity"]): int(event["repetitions"]) for event in events["activity"]}
         assert {number: count for number, count in last.items() if count} == {n: c for n, c in made.items() if c}
+
+
+def restless(seed: int) -> Any:
+    """Cycles of one kind, then long motion of the same size that hardly repeats, then cycles of another: (n, 6)."""
+    rng = np.random.default_rng(seed)
+    made = []
+    for kind, length in ((0, 36), (1, 30)):
+        turn = np.arange(8 * length) * 2 * np.pi / length
+        mix = np.random.default_rng(kind).normal(size=(4, 6))
+        made.append(np.stack([np.sin(turn), np.cos(turn), np.sin(2 * turn), np.cos(2 * turn)], 1) @ mix)
+    smooth = np.apply_along_axis(np.convolve, 0, rng.normal(size=(900 + seed * 150, 2)), np.hanning(15), "same")
+    between = smooth @ rng.normal(size=(2, 6)) / 2
+    noisy: Any = np.concatenate([made[0], between, made[1]])
+    return noisy + 0.03 * rng.normal(size=noisy.shape)
+
+
+@pytest.mark.parametrize("make", [motion, restless])
+@pytest.mark.parametrize("seed", range(4))
+def test_no_event_comes_later_than_declared(make: Any, seed: int) -> None:
+    operator, x = Segment(**QUICK), make(seed)
+    events, stamps = played(operator, x)
+    fresh = operator.fresh()
+    fresh.open({"in": StreamSpec(x.shape[1:], rate_hz=RATE)})
+    assert {"activity", "primitive", "bout", "begin", "provisional", "rest", "resting"} == set(fresh.decision_s)
+    for name, bound_s in fresh.decision_s.items():
+        what = "end" if "end" in (events[name].dtype.names or ()) else "onset"
+        late = (stamps[name] - events[name][what]) / 1e9
+        assert not len(late) or late.max() <= bound_s + 1e-9, (name, late.max(), bound_s)
+
+
+def random_phases(x: Any, seed: int) -> Any:
+    """The spectrum of every channel, each of its frequencies at a random phase (n, c)."""
+    rng = np.random.default_rng(seed)
+    spectrum = np.fft.rfft(x - x.mean(0), axis=0)
+    return np.fft.irfft(spectrum * np.exp(2j * np.pi * rng.random(spectrum.shape)), len(x), axis=0) + x.mean(0)
+
+
+@pytest.mark.parametrize("name", ["01", "07", "11"])
+def test_most_of_what_repeats_by_chance_in_four_channels_is_not_sure(name: str) -> None:
+    x = np.unwrap(recording(f"cmu86_4ch/86_{name}")["angles_deg"].astype(np.float64), period=360.0, axis=0)[::4]
+
+    def repetitions(x: Any) -> tuple[int, int]:
+        """All, and those of activities that are certain."""
+        found = played(Segment(), stacked(x))[0]["activity"]
+        found = found[found["repeats"]]
+        return int(found["repetitions"].sum()), int(found["repetitions"][found["certainty"] > 0.0].sum())
+
+    real, certain = repetitions(x)
+    by_chance = np.sum([repetitions(random_phases(x, seed))[1] for seed in range(2)])
+    assert certain >= 0.6 * real
+    assert by_chance / 2 <= 0.25 * real
+
+
+def test_a_warning_says_once_that_most_of_what_is_counted_may_be_chance(capture: list[dict[str, Any]]) -> None:
+    operator = Segment()
+    operator.open({"in": StreamSpec((4,), rate_hz=RATE)})
+    operator._say_doubtful(np.array([0.5, 0.0, 0.0]))
+    assert not capture
+    for _ in range(3):
+        operator._say_doubtful(np.array([0.0]))
+    assert len(capture) == 1 and capture[0]["doubtful"] == 3 and capture[0]["of"] == 4

@@ -36,6 +36,7 @@ from operators.segmentation.layout import (
     OPENED,
     PENDING,
     PIECES_FROM,
+    PRICES,
     QUIET,
     RADIUS,
     RADIUS_AT,
@@ -172,7 +173,7 @@ def begin(s: Memory) -> None:
     b[BEGUN], b[TOLD], b[RETURNED] = 1, 0, 0
     b[START] = first
     b[COUNT] = b[PENDING] = b[CYCLES] = b[BOUT] = 0
-    s.kinds[:] = 0
+    s.kinds[:], s.values[PRICES] = 0, 0.0
     b[CLUSTER] = -1
     search_from(s, first)
     b[DONE] = first - 1

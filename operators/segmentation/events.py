@@ -2,18 +2,44 @@
 
 from __future__ import annotations
 
-from operators.segmentation.layout import EVENTS, NOW, RADIUS, START, START_AT, TOLD, UNTOLD, UNTOLD_AT, Memory
+from operators.segmentation.layout import (
+    CYCLES,
+    EVENTS,
+    NOW,
+    PRICES,
+    RADIUS,
+    RADIUS_EVENT,
+    START,
+    START_AT,
+    TOLD,
+    UNTOLD,
+    UNTOLD_AT,
+    Memory,
+)
 from stream.kernel import kernel
+
+CHANCE = 0.7
+"""Repetitions that lie on the mean so many radii from their exemplar may be chance: in recordings of random phases few lie nearer."""
 
 
 @kernel
 def tell(s: Memory, kind: int, a: int, c: int, d: int, e: int, f: int, g: int) -> None:
-    """Write an event: its kind, the stamp of the frame that decided it, six numbers; and the radius of that moment."""
+    """Write an event: its kind, the stamp of the frame that decided it, six numbers; and how certain repetitions are, or the radius."""
     at, events = s.books[EVENTS], s.events
     events[at, 0], events[at, 1] = kind, s.books[NOW]
     events[at, 2], events[at, 3], events[at, 4], events[at, 5], events[at, 6], events[at, 7] = a, c, d, e, f, g
-    s.radii[at] = s.values[RADIUS]
+    s.ratings[at] = s.values[RADIUS] if kind == RADIUS_EVENT else certainty(s)
     s.books[EVENTS] = at + 1
+
+
+@kernel
+def certainty(s: Memory) -> float:
+    """How certain the open activity's repetitions are, by how near they come to the exemplar, which as a rule is one of them: 1, the
+    same; 0, chance comes as near."""
+    later = s.books[CYCLES] - 1
+    if later < 1 or s.values[RADIUS] <= 0.0:
+        return 0.0
+    return float(max(0.0, 1.0 - s.values[PRICES] / (later * CHANCE * s.values[RADIUS])))
 
 
 @kernel

@@ -21,6 +21,7 @@ from operators.segmentation.layout import (
     PIECES_AT,
     PIECES_FROM,
     PRICE,
+    PRICES,
     PRIMITIVE_EVENT,
     REPEATED,
     SLOT,
@@ -42,6 +43,7 @@ def settle(s: Memory, last: int) -> None:
     """The pending repetition ends at `last`: it is reported, and compared with another cluster's exemplar."""
     b = s.books
     b[CYCLES] += 1
+    s.values[PRICES] += s.values[PRICE]
     if b[CYCLES] > 1:
         b[REPEATED] = b[NEXT] + b[WINDOW]
     b[PENDING] = 0

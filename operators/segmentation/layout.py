@@ -74,10 +74,10 @@ BELIEVED, BELIEVED_OF     the count told last, and of which activity
 LIKE                      repetitions told since the exemplar was taken up
 """
 SEARCH, TRACK = 0, 1
-RADIUS, BEST, FACTOR, PRICE, MOVED, PEAK, STILL_SHARE, TRAVEL_SHARE, FARTHEST = range(9)
+RADIUS, BEST, FACTOR, PRICE, MOVED, PEAK, STILL_SHARE, TRAVEL_SHARE, FARTHEST, PRICES = range(10)
 """Places in `values`: the radius, the best path's mean distance, the radius as a share of the median distance, the
 pending repetition's mean distance, how much the newest frame moves, and the window's liveliest ones; STILL and TRAVELS; how far those
-that are counted in LIKE lie from their exemplar at the most."""
+that are counted in LIKE lie from their exemplar at the most; how far the open activity's repetitions lie from theirs, added up."""
 
 STILL = 0.12
 """Who has moved less than this share of what the window's liveliest frames do, is at rest."""
@@ -122,7 +122,8 @@ class Memory(NamedTuple):
     travels    (clusters,)         how far the exemplars move, from stride to stride
     kinds      (4,)                repetitions of the open activity by their symmetry
     books, values                  the numbers named above
-    events     (m, EVENT_WIDTH)    what a call leads to; radii (m,): the radius of that moment. Not part of the state
+    events     (m, EVENT_WIDTH)    what a call leads to; ratings (m,): of a radius its value, of all else how certain the open
+                                   activity's repetitions are. Not part of the state
     """
 
     frames: Samples
@@ -148,7 +149,7 @@ class Memory(NamedTuple):
     books: Times
     values: Samples
     events: Times
-    radii: Samples
+    ratings: Samples
 
 
 @dataclass(slots=True)
@@ -184,9 +185,9 @@ class Remembered:
         return Memory(*kept, *[np.empty((rows, EVENT_WIDTH), np.int64), np.empty(rows)])
 
     def told(self, memory: Memory) -> tuple[Times, Samples]:
-        """The events that the last call wrote, and the radii."""
+        """The events that the last call wrote, and their ratings."""
         made = int(self.books[EVENTS])
-        return memory.events[:made], memory.radii[:made]
+        return memory.events[:made], memory.ratings[:made]
 
 
 def allocate(
@@ -227,5 +228,7 @@ def allocate(
         travels=np.zeros(MOST_CLUSTERS),
         kinds=np.zeros(4, np.int64),
         books=books,
-        values=np.array([0.0 if radius is None else radius, np.inf, factor, np.inf, 0.0, 0.0, STILL, TRAVELS, 0.0]),
+        values=np.array(
+            [0.0 if radius is None else radius, np.inf, factor, np.inf, 0.0, 0.0, STILL, TRAVELS, 0.0, 0.0]
+        ),
     )

@@ -53,17 +53,20 @@ ACTIVITY = np.dtype(
         ("transition", "?"),
         ("forced", "?"),
         ("symmetry", "<i4"),
+        ("certainty", "<f8"),
     ]
 )
 PRIMITIVE = np.dtype([*SPAN, ("repetition", "<i4"), ("cluster", "<i8"), ("forced", "?"), ("side", "<i4")])
 BOUT = np.dtype([*SPAN, ("bout", "<i4"), ("repetitions", "<i4"), ("cluster", "<i8")])
 BEGIN = np.dtype([("onset", "<i8"), ("activity", "<i8")])
-COUNT = np.dtype([("activity", "<i8"), ("count", "<i4")])
+COUNT = np.dtype([("activity", "<i8"), ("count", "<i4"), ("certainty", "<f8")])
 MERGE = np.dtype([("cluster", "<i8"), ("into", "<i8")])
 BELIEVED = np.dtype([*SPAN, ("repetition", "<i4")])
 REST = np.dtype([("onset", "<i8"), ("end", "<i8")])
 RESTING = np.dtype([("onset", "<i8")])
 RADIUS = np.dtype([("radius", "<f8")])
+DOUBTFUL = 3
+"""So many activities of which it is not sure that they repeat, and more than half of those that do, are worth a warning."""
 REACH = 1.43
 """So many of the longest cycles back neighbours are looked for: it may be a sixth longer in turn, and must be the lowest lag around."""
 OUTPUTS = {
@@ -85,7 +88,8 @@ OUTPUTS = {
 class SegmentState(Continuity):
     """memory: see layout.py; longest: ns, of a transition; mirrored: the newest mirror image (features,), if any; its stamp.
 
-    absent: features (features,) of which it has been said that nothing comes; names: theirs.
+    absent: features (features,) of which it has been said that nothing comes; names: theirs. judged, doubtful: activities that repeated,
+    and those of them that chance might have made; warned: whether that has been said.
     """
 
     memory: Remembered
@@ -94,6 +98,9 @@ class SegmentState(Continuity):
     mirrored_at: int
     absent: Array
     names: list[str]
+    judged: int = 0
+    doubtful: int = 0
+    warned: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,14 +112,16 @@ class Segment(Operator[SegmentState]):
     activity     final, one after another without holes: onset, end (ns; the stamp of the last frame that belongs to it), activity (its
                  number, from 0), repeats (whether repetitions were found), cluster (of its last repetition; -1: none), repetitions,
                  transition (a stretch between activities no longer than `transition_s`), forced (ended by a gap or the end of the stream),
-                 symmetry (of most of its repetitions; 1: both sides do the same at once, 2: in turn, 3: not; 0: not known)
+                 symmetry (of most of its repetitions; 1: both sides do the same at once, 2: in turn, 3: not; 0: not known),
+                 certainty (0 to 1, by how near its repetitions come to one another; 0: motion of random phases comes as near, so that it
+                 is not sure that anything was repeated)
     primitive    final: onset, end, activity, repetition (1, 2, ...; 0: a part that is none, or an activity that does not repeat), cluster
                  (-1: none), forced, side. A repetition in which the sides take turns is reported as two steps of the same number, with
                  side 1 (where more moves in the first of each pair: left, or A) and 2; else side is 0
     bout         final: repetitions that follow one another without a pause longer than their cycle: onset, end, activity, bout (1, 2, ...
                  in the activity), repetitions (in it), cluster
     begin        final: onset of an activity that goes on, when its cycle is found, or `firm_s` after it was noticed
-    count        at once: activity, and how many repetitions have come in it so far, this one included
+    count        at once: activity, and how many repetitions have come in it so far, this one included; certainty: of those that are final
     merge        two clusters are found to be one: from now on `cluster` is `into`, the older one. Clusters never split
     provisional  at once: what is believed of an activity (repetition 0) or a repetition that has just been seen, before it is final
     rest         final, when it is over: onset, end of a stretch in which hardly anything moves
@@ -199,7 +208,8 @@ class Segment(Operator[SegmentState]):
                 mirrored_at=NEVER,
                 absent=np.zeros(spec.shape[0], bool),
                 names=list(names_of(spec)),
-            )
+            ),
+            decision_s=decisions(frames, spec.period_ns),
         )
         unit = spec.units[0] if len(set(spec.units)) == 1 else ""
         units = {"onset": "ns", "end": "ns", "radius": unit}
@@ -250,6 +260,19 @@ class Segment(Operator[SegmentState]):
                 features=", ".join(names), left=int(s.width - missing.sum()), of=s.width, t_ns=int(books[NOW]),
             )  # fmt: skip
 
+    def _say_doubtful(self, certainty: Samples) -> None:
+        """Once, if most of what repeats comes no nearer to itself than chance: these sensors do not tell repetitions."""
+        s = self.state
+        s.judged += len(certainty)
+        s.doubtful += int((certainty <= 0.0).sum())
+        if not s.warned and s.doubtful >= DOUBTFUL and 2 * s.doubtful > s.judged:
+            s.warned = True
+            log.warning(
+                "most of what is counted may be chance: repetitions lie as far apart as in motion of random phases;"
+                " docs/segmentation.md says which sensors tell repetitions",
+                doubtful=s.doubtful, of=s.judged, t_ns=int(s.memory.books[NOW]),
+            )  # fmt: skip
+
     def close(self) -> list[tuple[str, Chunk]]:
         s = self.state
         self._say_missing(0)
@@ -261,20 +284,20 @@ class Segment(Operator[SegmentState]):
 
     def _emitted(self, tables: list[tuple[Times, Samples]], until: int, lost: int) -> list[tuple[str, Chunk]]:
         table = np.concatenate([t for t, _ in tables]) if tables else np.empty((0, EVENT_WIDTH), np.int64)
-        radii = np.concatenate([r for _, r in tables]) if tables else np.empty(0)
+        ratings = np.concatenate([r for _, r in tables]) if tables else np.empty(0)
         emitted = []
         for name, (dtype, kind) in OUTPUTS.items():
             mine = table[:, 0] == kind
             emitted.append(
-                (name, Chunk(table[mine, 1].copy(), self._events(dtype, table[mine, 2:], radii[mine]), until, lost))
+                (name, Chunk(table[mine, 1].copy(), self._events(dtype, table[mine, 2:], ratings[mine]), until, lost))
             )
         return emitted
 
-    def _events(self, dtype: np.dtype[Any], table: Times, radii: Samples) -> Array:
+    def _events(self, dtype: np.dtype[Any], table: Times, ratings: Samples) -> Array:
         """The kernels' six numbers as events."""
         events: Array = np.zeros(len(table), dtype)
         if dtype == RADIUS:
-            events["radius"] = radii
+            events["radius"] = ratings
             return events
         for field, column in zip(COLUMNS[dtype], table.T, strict=False):
             if field:
@@ -283,6 +306,10 @@ class Segment(Operator[SegmentState]):
             events["repeats"] = events["repetitions"] > 1
             events["transition"] = (table[:, 5] & 2 > 0) & (events["end"] - events["onset"] <= self.state.longest)
             events["symmetry"] = table[:, 5] // SYMMETRIC
+            events["certainty"] = np.where(events["repeats"], ratings, 0.0)
+            self._say_doubtful(events["certainty"][events["repeats"]])
+        if dtype == COUNT:
+            events["certainty"] = ratings
         if dtype == PRIMITIVE:
             events["side"] = table[:, 5] // SIDED
         if dtype in (ACTIVITY, PRIMITIVE):
@@ -309,6 +336,16 @@ class Segment(Operator[SegmentState]):
             Case(cls(radius=0.5, **quick), motion, least=20),  # type: ignore[arg-type]
             Case(cls(**quick), sided, least=20),  # type: ignore[arg-type]
         ]
+
+
+def decisions(frames: dict[str, int], period: int) -> dict[str, float]:
+    """How long after what an event describes it comes at the latest, by output; rests and gaps that lie between come on top.
+
+    An activity opens at most 3 LAG after the first frame that is found to belong to it, and is decided FIRM later.
+    """
+    longest = (frames["FIRM"] + 3 * frames["LAG"]) * period / 1e9
+    late = dict.fromkeys(("activity", "primitive", "bout", "begin", "provisional"), longest)
+    return late | {"resting": (frames["REST"] + 1) * period / 1e9, "rest": period / 1e9}
 
 
 def _firsts(spec: StreamSpec, mirrored: StreamSpec) -> Times:

@@ -31,6 +31,7 @@ from operators.segmentation.layout import (
     COUNT,
     CYCLES,
     FARTHEST,
+    FIRM,
     FROM,
     LAG,
     LAST,
@@ -43,6 +44,7 @@ from operators.segmentation.layout import (
     PIECES_AT,
     PIECES_FROM,
     PRICE,
+    PRICES,
     RADIUS,
     SEARCH,
     SEED,
@@ -115,9 +117,11 @@ def take_up(s: Memory, i: int, length: int) -> None:
 
 @kernel
 def change(s: Memory, origin: int) -> None:
-    """Another cycle than before: the activity ends with its last repetition, and another begins."""
+    """Another cycle than before: the activity ends with its last repetition, or if that was long ago before the cycle; another begins."""
     b = s.books
     close_bout(s)
+    if origin - b[PIECES_FROM] > b[FIRM]:
+        piece(s, origin - 1, False)
     conclude(s, b[CYCLES])
     tell(s, ACTIVITY_EVENT, b[START_AT], b[TOLD_TO], b[ACTIVITY], b[CYCLES], b[CLUSTER], how(s))
     b[ACTIVITY] += 1
@@ -125,7 +129,7 @@ def change(s: Memory, origin: int) -> None:
     b[UNTOLD_AT] = b[PIECES_AT]
     b[START], b[TOLD] = max(origin, b[SEED]), 0
     b[COUNT] = b[PENDING] = b[CYCLES] = b[BOUT] = 0
-    s.kinds[:] = 0
+    s.kinds[:], s.values[PRICES] = 0, 0.0
     b[CLUSTER] = -1
 
 
