@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from operators.features.rest import SkipRest
     from operators.features.stack import Stack
     from operators.features.standardise import Standardise
+    from operators.features.weigh import Weigh
     from operators.force_plate import ForcePlate
     from operators.gait.acceleration import AccelerationContacts
     from operators.gait.bursts import CycleBursts
@@ -178,6 +179,7 @@ __all__ = [
     "SwitchContacts",
     "Threshold",
     "View",
+    "Weigh",
     "WholePose",
 ]
 
@@ -272,6 +274,7 @@ __getattr__, __dir__ = offered(
         "SwitchContacts": "operators.gait.force",
         "Threshold": "operators.threshold",
         "View": "operators.depth.view",
+        "Weigh": "operators.features.weigh",
         "WholePose": "operators.whole_pose.operator",
     },
 )

@@ -22,6 +22,7 @@ from stream import cli
 from stream.chunk import NS, Chunk, StreamSpec
 from stream.errors import InputError, KinegraphError
 from stream.graph import Graph
+from stream.manual import ANNOTATION
 from stream.model import ModelError
 from stream.operator import grid
 from stream.state import pack, unpack
@@ -48,7 +49,7 @@ def training() -> list[tuple[str, Chunk]]:
         parts += [
             ("provisional", event("provisional", end, onset=end - 2, end=end, activity=1, repetition=k)),
             ("believed", event("believed", end, activity=1, repetition=k, name="squat", sure=0.8)),
-            ("count", event("count", end, activity=1, count=k)),
+            ("count", event("count", end, activity=1, count=k, certainty=0.5)),
         ]
     parts += [
         ("count", event("count", 8, activity=1, count=2)),
@@ -57,7 +58,10 @@ def training() -> list[tuple[str, Chunk]]:
             "repetition",
             event("repetition", 9, onset=1, end=3, activity=1, repetition=1, name="squat", sure=0.9, duration_s=1.9),
         ),
-        ("activity", event("activity", 10, onset=1, end=7, activity=1, repeats=True, repetitions=3, cluster=0)),
+        (
+            "activity",
+            event("activity", 10, onset=1, end=7, activity=1, repeats=True, repetitions=3, cluster=0, certainty=0.5),
+        ),
         ("resting", event("resting", 10.5, onset=7.5)),
         ("rest", event("rest", 12, onset=7.5, end=12)),
         ("provisional", event("provisional", 16, onset=12, end=16, activity=2, repetition=0)),
@@ -181,6 +185,72 @@ def test_repetitions_are_called_what_was_shown_whatever_phase_they_are_cut_at(tm
     assert found["distance"][:6].max() < found["distance"][6:].min()
 
 
+def live(
+    x: Any, told: list[tuple[int, int, int]], said: list[tuple[int, str]], image: Any = None
+) -> tuple[list[Any], list[Any]]:
+    """What NameRepetitions believes and says of repetitions (activity, first, last), with a name said at some frames."""
+    time = grid(30.0, len(x))
+    specs = {"in": SPEC, "radius": EVENTS["radius"], "annotations": StreamSpec((), ANNOTATION)}
+    specs |= {"provisional": EVENTS["provisional"], "primitive": EVENTS["primitive"]}
+    specs |= {"mirrored": SPEC.derive(meta={"mirrored": True})} if image is not None else {}
+    operator = NameRepetitions()
+    operator.open(specs)
+    operator.process("radius", Chunk(time[:1], np.full(1, 0.3, specs["radius"].dtype), int(time[0])))
+    events = [(last + 5, "provisional", (k, a, first, last)) for k, (a, first, last) in enumerate(told)]
+    events += [
+        (min(last + 50, len(x) - 1), "primitive", (k, a, first, last)) for k, (a, first, last) in enumerate(told)
+    ]
+    events += [(at, "annotations", text) for at, text in said]
+    made: dict[str, list[Any]] = {"believed": [], "repetition": []}
+    since = 0
+    for at, port, what in sorted(events, key=lambda e: e[0]):
+        for name, data in (("mirrored", image), ("in", x)):
+            if data is not None and at >= since:
+                operator.process(name, Chunk(time[since : at + 1], data[since : at + 1], int(time[at])))
+        since = at + 1
+        row = np.zeros(1, specs[port].dtype)
+        row["onset"] = time[at]
+        if port == "annotations":
+            row["text"] = what
+        else:
+            k, activity, first, last = what
+            row["onset"], row["end"], row["activity"] = time[first], time[last], activity
+            row["repetition"] = 1 + sum(a == activity for a, _, _ in told[:k])
+        for name, chunk in operator.process(port, Chunk(time[at : at + 1], row, int(time[at]))):
+            made[name] += list(chunk.data)
+    return made["believed"], made["repetition"]
+
+
+def test_what_a_person_says_while_it_is_done_names_it_from_then_on() -> None:
+    x = np.concatenate([turns(k, 6, 40, seed=k) for k in (0, 1, 0, 2)])
+    told = [(k, 240 * k + 40 * j, 240 * k + 40 * j + 39) for k in range(4) for j in range(5)]
+    believed, final = live(
+        x, told, [(130, "this is: squat"), (180, "well done"), (420, "This is arms"), (430, "this is: " + 30 * "x")]
+    )
+    names = [str(row["name"]) for row in final]
+    assert names[:2] == ["", ""] or names[:2] == ["A", "A"]
+    assert names[2:10] == ["squat"] * 3 + [UNKNOWN] * 3 + ["arms"] * 2
+    assert names[10:15] == ["squat"] * 5 and names[15:] == [UNKNOWN] * 5
+    assert [str(row["name"]) for row in believed if row["activity"] == 0][-1] == "squat"
+    assert all(np.isfinite(row["distance"]) for row in final[2:5])
+
+
+def test_a_name_that_is_said_before_anything_repeats_is_that_of_what_comes_next() -> None:
+    x = turns(0, 8, 40)
+    _, final = live(x, [(3, 40 * j, 40 * j + 39) for j in range(6)], [(20, "this is: squat")])
+    assert [str(row["name"]) for row in final] == ["squat"] * 6
+
+
+@pytest.mark.parametrize(("shift", "alike"), [(0, True), (20, True), (None, False)])
+def test_how_alike_both_sides_move_is_told_of_every_repetition(shift: int | None, alike: bool) -> None:
+    """The mirror image is the same at once, the same in turn, or something else."""
+    x = turns(0, 5, 40, seed=1)
+    image = turns(1, 5, 40, seed=2) if shift is None else np.roll(turns(0, 5, 40, seed=2), shift, 0)
+    _, final = live(x, [(0, 40 * j, 40 * j + 39) for j in range(3)], [], image)
+    found = np.array([row["symmetry"] for row in final])
+    assert (found > 0.85).all() if alike else (found < 0.5).all()
+
+
 def test_without_a_model_clusters_have_letters_and_what_has_left_the_window_has_no_numbers() -> None:
     x = turns(0, 60)
     found = named(x, [(0, 41), (50, 90)], None)
@@ -230,6 +300,7 @@ def sets() -> list[tuple[str, Chunk]]:
                 "moves": "ankle_l.y",
                 "distance": 1.5,
                 "sure": 0.7,
+                "symmetry": 0.9,
             }
             told = {
                 "onset": onset,
@@ -239,7 +310,14 @@ def sets() -> list[tuple[str, Chunk]]:
                 "name": "squat" if k else "arms",
             }
             parts.append(("repetition", event("repetition", onset + 3, **told, **numbers)))
-        ends = {"onset": 20.0 * k, "end": 20.0 * k + 10, "activity": k, "repetitions": 5, "symmetry": 1}
+        ends = {
+            "onset": 20.0 * k,
+            "end": 20.0 * k + 10,
+            "activity": k,
+            "repetitions": 5,
+            "symmetry": 1,
+            "certainty": 0.4 * k,
+        }
         parts.append(("activity", event("activity", 20 * k + 13, repeats=True, **ends)))
         parts.append(
             ("activity", event("activity", 20 * k + 14, repeats=False, activity=9, onset=20 * k + 10, end=20 * k + 12))
@@ -258,8 +336,10 @@ def test_the_report_has_sets_repetitions_tempo_and_rest_and_a_row_for_each(tmp_p
         for row in re.findall("<tr>(.*?)</tr>", text)
     ]
     assert ["arms", "1", "5"] in cells and ["squat", "1", "5"] in cells
-    one = next(row for row in cells if row[:2] == ["1", "arms"])
-    assert one[3:10] == ["5", "27.3", "6", "32.0 ankle_l.y", "1.50", "8.0", "both sides at once"]
+    one = next(row for row in cells if row[:2] == ["1", "arms (not sure)"])
+    assert ["2", "squat"] in [row[:2] for row in cells]
+    assert one[3:11] == ["5", "27.3", "6", "32.0 ankle_l.y", "1.50", "8.0", "both sides at once", "90"]
+    assert rows[0]["sides alike"] == "0.9" and page.count("<circle") == 2 * 3 * 5
     assert "P07 &lt;b&gt;" in page and page.count("<rect") == 10 and "http" not in page
 
 

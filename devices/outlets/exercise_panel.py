@@ -19,15 +19,15 @@ from stream.plain import one_line, say
 
 FIELDS = {
     "provisional": ("onset", "end", "activity", "repetition"),
-    "count": ("activity", "count"),
+    "count": ("activity", "count", "certainty"),
     "believed": ("activity", "name", "sure"),
     "repetition": ("activity", "repetition", "name", "sure", "duration_s"),
-    "activity": ("onset", "end", "activity", "repeats", "repetitions", "cluster"),
+    "activity": ("onset", "end", "activity", "repeats", "repetitions", "cluster", "certainty"),
     "resting": ("onset",),
     "rest": ("onset", "end"),
 }
 """By port: the fields that its events must have."""
-PAST = np.dtype([("what", "<U24"), ("repetitions", "<i4"), ("seconds", "<f8")])
+PAST = np.dtype([("what", "<U24"), ("repetitions", "<i4"), ("seconds", "<f8"), ("doubtful", "?")])
 NAMED = np.dtype([("activity", "<i8"), ("name", "<U24")])
 RECENT = 8
 """The names of so many activities are remembered: an activity's end is final when the next one goes on already."""
@@ -39,7 +39,8 @@ SHORT_S = 2.0
 
 @dataclass(slots=True)
 class ExerciseState:
-    """What goes on. Times in ns; activity -1: none; rest_since NEVER: nobody rests; last_s: of the newest repetition, NaN: none.
+    """What goes on. Times in ns; activity -1: none; rest_since NEVER: nobody rests; last_s: of the newest repetition, NaN: none; sure: of
+    the name; certainty: of the count.
 
     past (STRIP,): a ring; passed: how many stretches have ended. names (RECENT,): of activities, by number modulo RECENT. began: the first
     event's time, from which times are counted
@@ -55,6 +56,7 @@ class ExerciseState:
     final: int = 0
     last_s: float = np.nan
     sure: float = np.nan
+    certainty: float = 0.0
     rest_since: int = NEVER
 
 
@@ -129,7 +131,7 @@ def _count(state: ExerciseState, event: Any, stamp: int) -> str:
         if event["count"] == 0:
             return ""
         _turn_to(state, int(event["activity"]), stamp)
-    state.count = int(event["count"])
+    state.count, state.certainty = int(event["count"]), float(event["certainty"])
     return now_line(state)
 
 
@@ -157,7 +159,7 @@ def _activity(state: ExerciseState, event: Any, stamp: int) -> str:
     if not event["repeats"] and seconds < SHORT_S:
         return ""
     what = (name or f"exercise {event['cluster'] + 1}") if event["repeats"] else "other motion"
-    return _past(state, what, int(event["repetitions"]), seconds)
+    return _past(state, what, int(event["repetitions"]), seconds, bool(event["repeats"]) and event["certainty"] <= 0.0)
 
 
 def _resting(state: ExerciseState, event: Any, stamp: int) -> str:
@@ -185,11 +187,11 @@ HEAR = {
 def _turn_to(state: ExerciseState, activity: int, since: int) -> None:
     state.activity, state.since = activity, since
     state.count = state.final = 0
-    state.last_s = state.sure = np.nan
+    state.last_s, state.sure, state.certainty = np.nan, np.nan, 0.0
 
 
-def _past(state: ExerciseState, what: str, repetitions: int, seconds: float) -> str:
-    state.past[state.passed % STRIP] = (what, repetitions, seconds)
+def _past(state: ExerciseState, what: str, repetitions: int, seconds: float, doubtful: bool = False) -> str:
+    state.past[state.passed % STRIP] = (what, repetitions, seconds, doubtful)
     state.passed += 1
     return f"ended: {past_text(state.past[(state.passed - 1) % STRIP])}"
 
@@ -201,9 +203,9 @@ def name_of(state: ExerciseState, activity: int) -> str:
 
 
 def past_text(one: Any) -> str:
-    """A stretch that has ended: "squat x 6, 12.9 s"."""
+    """A stretch that has ended: "squat x 6, 12.9 s", "C x 2, 3.1 s, not sure"."""
     times = f" x {one['repetitions']}" if one["repetitions"] else ""
-    return f"{one_line(one['what'])}{times}, {one['seconds']:.1f} s"
+    return f"{one_line(one['what'])}{times}, {one['seconds']:.1f} s" + (", not sure" if one["doubtful"] else "")
 
 
 def now_line(state: ExerciseState) -> str:
@@ -218,6 +220,8 @@ def now_line(state: ExerciseState) -> str:
         parts.append(f"since {seconds // 60}:{seconds % 60:02d}")
     if np.isfinite(state.sure) and state.sure > 0.0:
         parts.append(f"{state.sure:.0%} sure")
+    if state.final > 1 and state.certainty <= 0.0:
+        parts.append("not sure that it repeats")
     return ", ".join(parts)
 
 

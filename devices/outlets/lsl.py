@@ -13,7 +13,7 @@ from devices.lsl.clock import zero_ns
 from devices.lsl.network import ANY, Network, library
 from devices.outlets.lsl_samples import Form, Numbers, form_of
 from stream.chunk import NS, Chunk, Specs
-from stream.errors import DeviceError, ParameterError
+from stream.errors import DeviceError
 from stream.operator import Outlet
 from stream.params import param
 
@@ -57,10 +57,11 @@ class LslOutlet(Outlet[Nothing, LslRuntime]):
 
     Stamps are those of the samples, on LSL's clock: a delay inside the graph is taken off already, so that listeners need not know of it.
     A gap is a leap of the stamps. In replay the outlet is silent; asked to speak, its first sample is stamped with the present, and
-    the others keep their distance. It keeps nothing for those who were not there, and 60 s for those who are slow.
+    the others keep their distance. Without a name it is off.
+    It keeps nothing for those who were not there, and 60 s for those who are slow.
     """
 
-    name: str = param(help="what others find the stream by")
+    name: str = param(help="what others find the stream by; left empty: nothing is offered")
     type: str = param("", help="content type; left out: Markers for texts, else what the stream was called, or Signal")
     source_id: str = param("", help="by which listeners find it again after a restart; left out: made of host and name")
     events: Literal["json", "field", "numbers"] = param("json", help="how events are sent")
@@ -68,8 +69,6 @@ class LslOutlet(Outlet[Nothing, LslRuntime]):
     network: Network = param(ANY, help="how far the stream is seen; one for the whole graph")
 
     def open(self, specs: Specs) -> Specs:
-        if not self.name:
-            raise ParameterError("name", self.name, "a name, by which others find the stream")
         self.hold(Nothing(), LslRuntime(form_of(specs["in"], self.events, self.fields)))
         return {}
 
@@ -78,6 +77,8 @@ class LslOutlet(Outlet[Nothing, LslRuntime]):
 
     def begin(self) -> None:
         runtime = self.runtime
+        if not self.name:
+            return
         lsl = runtime.lsl = library(self.network)
         form = runtime.form
         source_id = self.source_id or f"kinegraph.{socket.gethostname()}.{self.name}"
@@ -96,7 +97,7 @@ class LslOutlet(Outlet[Nothing, LslRuntime]):
 
     def process(self, port: str, chunk: Chunk) -> None:
         runtime = self.runtime
-        if not len(chunk):
+        if not len(chunk) or runtime.outlet is None:
             return
         if runtime.zero is None:
             runtime.zero = int(chunk.time[-1]) - round(runtime.lsl.local_clock() * NS)

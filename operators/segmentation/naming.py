@@ -6,52 +6,67 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
+import structlog
 
 from operators.features.mirror import STACKED
 from operators.inputs.channels import names_of
-from operators.segmentation.operator import BELIEVED, PRIMITIVE
-from operators.segmentation.taught import MOST_LETTERS, UNKNOWN, Taught, taught
-from stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec, Times
+from operators.segmentation.operator import BELIEVED, PRIMITIVE, RADIUS
+from operators.segmentation.recent_frames import RecentFrames, sides_alike, widest
+from operators.segmentation.taught import MOST_LETTERS, MOST_NAMES, UNKNOWN, Taught, fit_for_name, grown, said, taught
+from stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError, ParameterError
+from stream.manual import ANNOTATION
 from stream.operator import Case, Operator, grid
 from stream.params import param
 from stream.require import numeric, regular, samples_in
 
+log = structlog.get_logger(__name__)
 TEXT = f"<U{MOST_LETTERS}"
 BELIEVED_NAME = np.dtype([("activity", "<i8"), ("repetition", "<i4"), ("name", TEXT), ("sure", "<f8")])
 REPETITION = np.dtype(
     [
-        ("onset", "<i8"),
-        ("end", "<i8"),
-        ("activity", "<i8"),
-        ("repetition", "<i4"),
-        ("cluster", "<i8"),
-        ("side", "<i4"),
-        ("name", TEXT),
-        ("sure", "<f8"),
-        ("distance", "<f8"),
-        ("duration_s", "<f8"),
-        ("range", "<f8"),
-        ("moves", TEXT),
+        ("onset", "<i8"), ("end", "<i8"), ("activity", "<i8"), ("repetition", "<i4"), ("cluster", "<i8"), ("side", "<i4"),
+        ("name", TEXT), ("sure", "<f8"), ("distance", "<f8"), ("duration_s", "<f8"), ("range", "<f8"), ("moves", TEXT),
+        ("symmetry", "<f8"),
     ]
-)
+)  # fmt: skip
+SPAN = np.dtype([("onset", "<i8"), ("end", "<i8"), ("activity", "<i8"), ("repetition", "<i4")])
+LATELY_NS = 10 * 10**9
+"""What a person names is what was done last, unless that ended so long ago."""
+REMEMBERED = 16
+"""So many final repetitions are remembered, for a name that is said after them."""
+NONE, COMING = -1, -2
+"""No activity; the one that has not been noticed yet."""
+NEEDED = {"provisional": BELIEVED, "primitive": PRIMITIVE, "annotations": ANNOTATION, "radius": RADIUS}
+"""By port: events with these fields."""
 
 
 @dataclass(slots=True)
 class NamingState:
-    """frames (ring, features), stamps (ring,): the newest, by number modulo ring; seen: how many have come, (1,); far, cost: room for
-    comparing. period: ns. What the names are taken from, and the features' names."""
+    """
+    recent, images   the newest frames, and their mirror images
+    model            the exercises by which repetitions are named; None: nothing was shown
+    told             (REMEMBERED,) the newest final repetitions, a ring; n_told: how many there were
+    lesson, of       a name that was said, and the activity that is it
+    now, count, last the newest activity of which a repetition was told, that repetition's number, and its end, ns
+    radius           of the newest activity; period: ns; features: their names
+    """
 
-    frames: Samples
-    stamps: Times
-    seen: Times
-    far: Samples
-    cost: Samples
+    recent: RecentFrames
+    images: RecentFrames
+    model: Taught | None
+    told: Array
+    n_told: int
+    lesson: str
+    of: int
+    now: int
+    count: int
+    last: int
+    radius: float
     period: int
-    model: Any
     features: list[str]
 
 
@@ -60,20 +75,27 @@ class NameRepetitions(Operator[NamingState]):
     """Repetitions and the features that they were found in; what each is called, and how it was done, out.
 
     in           features, as operators.segmentation.Segment takes them
+    mirrored     input, optional: the same through operators.features.mirror.Mirror, for `symmetry`
+    annotations  input, optional: "this is: squat" teaches what is being done while the session runs, or what comes next
+    radius       of Segment, optional: how far repetitions of a name that is taught live may lie apart
     provisional  of it: repetitions as soon as they are believed
     primitive    of it: repetitions, or their steps, when they are final
     believed     at once: activity, repetition, name, sure (0 to 1)
     repetition   final: onset, end, activity, repetition, cluster, side, as told; name and sure; distance (to the nearest repetition of that
                  name that was shown, in the features' unit; NaN without a model), duration_s, range (of the feature that moves most, in its
-                 unit) and moves (which one that is)
+                 unit), moves (which one that is) and symmetry (0 to 1: how alike both sides move, at once or in turn; of two steps, with
+                 the second; NaN: not known)
 
     `model` is a file that `kinegraph teach` wrote. What lies too far from all that was shown is "unknown". Without a model clusters
     are named by letters: A, B, ... Two repetitions are compared by warping in time, from whichever phase of the cycle is best.
-    A repetition longer than `window_s`, or told later than that, is unknown, and its numbers NaN.
+    An annotation teaches up to 5 repetitions of the activity under way, those that are final already among them, or of the next one where
+    none is under way; up to 32 names. `kinegraph teach` makes a model of the recording. A repetition longer than `window_s`, or told later
+    than that, is unknown, and its numbers NaN.
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("in", "provisional", "primitive")
-    optional: ClassVar[tuple[str, ...]] = ("provisional",)
+    inputs: ClassVar[tuple[str, ...]] = ("in", "mirrored", "radius", "annotations", "provisional", "primitive")
+    acts: ClassVar[tuple[str, ...]] = ("annotations", "provisional", "primitive")
+    optional: ClassVar[tuple[str, ...]] = ("mirrored", "radius", "annotations", "provisional")
     outputs: ClassVar[tuple[str, ...]] = ("believed", "repetition")
 
     model: str = param("", help="the exercises that `kinegraph teach` wrote; without: clusters are named by letters")
@@ -87,28 +109,32 @@ class NameRepetitions(Operator[NamingState]):
                 "in", spec.describe(), "a signal of features, as operators.segmentation.Segment takes them"
             )
         rate_hz = regular(spec)
-        for port, needed in (("provisional", BELIEVED), ("primitive", PRIMITIVE)):
+        for port, needed in NEEDED.items():
             if port in specs and not set(needed.names or ()) <= set(specs[port].dtype.names or ()):
                 raise InputError(
                     port, specs[port].describe(), f"events with the fields {', '.join(needed.names or ())}"
                 )
+        if "mirrored" in specs and not (
+            specs["mirrored"].shape == spec.shape and specs["mirrored"].meta.get("mirrored")
+        ):
+            raise InputError(
+                "mirrored",
+                specs["mirrored"].describe(),
+                "the features of 'in' through operators.features.mirror.Mirror",
+            )
         ring = samples_in("window_s", self.window_s, rate_hz)
         if ring > 20000:
             raise ParameterError("window_s", self.window_s, f"at most {20000 / rate_hz:.4g} s of {rate_hz:g} Hz")
-        known = Taught.read(Path(self.model), "in", spec) if self.model else None
-        longest = known.frames.shape[1] if known else 0
         self.hold(
             NamingState(
-                frames=np.full((ring, spec.shape[0]), np.nan),
-                stamps=np.full(ring, NEVER),
-                seen=np.zeros(1, np.int64),
-                far=np.zeros((3 * longest, longest)),
-                cost=np.zeros((2, longest)),
-                period=spec.period_ns,
-                model=known,
-                features=list(names_of(spec)),
-            )
-        )
+                recent=RecentFrames.of(ring, spec.shape[0]),
+                images=RecentFrames.of(ring if "mirrored" in specs else 1, spec.shape[0]),
+                model=Taught.read(Path(self.model), "in", spec) if self.model else None,
+                told=np.zeros(REMEMBERED, SPAN), n_told=0, lesson="", of=NONE, now=NONE, count=0, last=NEVER, radius=0.0,
+                period=spec.period_ns, features=list(names_of(spec)),
+            ),
+            decision_s={"believed": 0.0, "repetition": 0.0},
+        )  # fmt: skip
         unit = spec.units[0] if len(set(spec.units)) == 1 else ""
         units = {"onset": "ns", "end": "ns", "distance": unit, "range": unit}
         return {
@@ -118,86 +144,121 @@ class NameRepetitions(Operator[NamingState]):
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
         s = self.state
-        if port == "in":
-            for i in range(len(chunk)):
-                place = s.seen[0] % len(s.stamps)
-                s.frames[place], s.stamps[place] = chunk.data[i], chunk.time[i]
-                s.seen[0] += 1
+        if port in ("in", "mirrored"):
+            (s.recent if port == "in" else s.images).add(chunk)
             return []
-        rows = chunk.data["repetition"] > 0
-        told = chunk.data[rows]
-        name, made = ("believed", self._believed(told)) if port == "provisional" else ("repetition", self._final(told))
-        return [(name, Chunk(chunk.time[rows].copy(), made, chunk.until, -1 if chunk.lost and len(made) else 0))]
+        if port == "radius":
+            if len(chunk):
+                s.radius = float(chunk.data["radius"][-1])
+            return []
+        rows = np.ones(len(chunk), bool) if port == "annotations" else chunk.data["repetition"] > 0
+        name, answer, dtype = ANSWERS[port]
+        made: list[tuple[int, Array]] = []
+        for stamp, event in zip(chunk.time[rows].tolist(), chunk.data[rows], strict=True):
+            if (row := answer(self, event)) is not None:
+                made.append((stamp, row))
+        data = np.concatenate([row for _, row in made]) if made else np.empty(0, dtype)
+        stamps = np.array([stamp for stamp, _ in made], np.int64)
+        return [(name, Chunk(stamps, data, chunk.until, -1 if chunk.lost and made else 0))]
 
-    def _believed(self, told: Array) -> Array:
-        made: Array = np.zeros(len(told), BELIEVED_NAME)
-        for row, event in zip(made, told, strict=True):
-            row["activity"], row["repetition"] = event["activity"], event["repetition"]
-            row["name"], _, row["sure"] = self._called(self._span(event), -1)
-        return made
-
-    def _final(self, told: Array) -> Array:
-        made: Array = np.zeros(len(told), REPETITION)
-        for row, event in zip(made, told, strict=True):
-            for field in ("onset", "end", "activity", "repetition", "cluster", "side"):
-                row[field] = event[field]
-            x = self._span(event)
-            row["name"], row["distance"], row["sure"] = self._called(x, int(event["cluster"]))
-            row["duration_s"] = (event["end"] - event["onset"] + self.state.period) / 1e9
-            row["range"], row["moves"] = self._range(x)
-        return made
-
-    def _span(self, event: Array) -> Samples:
-        """The frames (n, features) from its onset to its end; none, where the first of them has left the window."""
+    def _heard(self, event: Array) -> Array | None:
+        """An annotation: if it names what is being done, the repetitions of it so far are examples, and those that follow."""
         s = self.state
-        newest = int(s.seen[0])
-        order = np.arange(max(0, newest - len(s.stamps)), newest) % len(s.stamps)
-        stamps = s.stamps[order]
-        first, last = np.searchsorted(stamps, [event["onset"], event["end"] + 1])
-        if first == last or stamps[first] != event["onset"]:
-            return s.frames[:0]
-        return s.frames[order[first:last]]
+        name = said(str(event["text"]))
+        if not name:
+            return None
+        known = s.model.names if s.model else []
+        if not fit_for_name(name) or (name not in known and len(known) >= MOST_NAMES):
+            log.warning("not taught: a name has 1 to 24 letters, and there are at most 32", name=name)
+            return None
+        under_way = s.now != NONE and int(event["onset"]) - s.last < LATELY_NS
+        s.lesson, s.of = name, s.now if under_way else COMING
+        for span in s.told[: min(s.n_told, REMEMBERED)]:
+            if span["activity"] == s.of:
+                self._learn(span)
+        return named(s.of, s.count, name, 1.0) if s.of >= 0 else None
 
-    def _called(self, x: Samples, cluster: int) -> tuple[str, float, float]:
+    def _learn(self, span: Array) -> None:
         s = self.state
+        x = s.recent.span(int(span["onset"]), int(span["end"]))
+        if len(x) > 1:
+            s.model = grown(s.model, s.lesson, x, s.radius)
+
+    def _believed(self, event: Array) -> Array:
+        s = self.state
+        self._at(event)
+        x = s.recent.span(int(event["onset"]), int(event["end"]))
+        name, _, sure = self._called(x, NONE, int(event["activity"]))
+        return named(int(event["activity"]), int(event["repetition"]), name, sure)
+
+    def _final(self, event: Array) -> Array:
+        s = self.state
+        self._at(event)
+        span = np.zeros((), SPAN)
+        for field in SPAN.names or ():
+            span[field] = event[field]
+        before = s.told[(s.n_told - 1) % REMEMBERED].copy()
+        s.told[s.n_told % REMEMBERED] = span
+        s.n_told += 1
+        if s.of == event["activity"]:
+            self._learn(span)
+        row: Array = np.zeros(1, REPETITION)
+        for field in ("onset", "end", "activity", "repetition", "cluster", "side"):
+            row[field] = event[field]
+        x = s.recent.span(int(event["onset"]), int(event["end"]))
+        row["name"], row["distance"], row["sure"] = self._called(x, int(event["cluster"]), NONE)
+        row["duration_s"] = (event["end"] - event["onset"] + s.period) / 1e9
+        row["range"], most = widest(x)
+        row["moves"] = STACKED.sub("", s.features[most])[:MOST_LETTERS] if most >= 0 else ""
+        row["symmetry"] = self._symmetry(event, before)
+        if s.of >= 0 and event["activity"] > s.of:
+            s.lesson, s.of = "", NONE
+        return row
+
+    def _at(self, event: Array) -> None:
+        """A repetition of this activity was told: it is the one under way, and the one that was to be taught next."""
+        s = self.state
+        if event["activity"] > s.now or s.of == COMING:
+            s.count = 0
+        s.now = max(s.now, int(event["activity"]))
+        s.count = max(s.count, int(event["repetition"])) if event["activity"] == s.now else s.count
+        s.last = max(s.last, int(event["end"]))
+        if s.of == COMING:
+            s.of = int(event["activity"])
+
+    def _called(self, x: Samples, cluster: int, activity: int) -> tuple[str, float, float]:
+        """A name, the distance from what was shown of it, and how sure that is. An activity that is being taught has its name."""
+        s = self.state
+        if s.lesson and activity == s.of:
+            return s.lesson, np.nan, 1.0
         if s.model is None:
             return (letters(cluster) if cluster >= 0 else ""), np.nan, 0.0
-        if not 0 < len(x) <= len(s.far):
+        if not len(x):
             return UNKNOWN, np.nan, 0.0
-        name, distance, sure = s.model.call(s.model.distances(x, s.far, s.cost))
+        name, distance, sure = s.model.call(s.model.distances(x))
         return name, distance if np.isfinite(distance) else np.nan, sure
 
-    def _range(self, x: Samples) -> tuple[float, str]:
-        """How far the feature goes that moves most, and its name."""
-        known = np.isfinite(x).any(0) if len(x) else np.zeros(0, bool)
-        if not known.any():
-            return np.nan, ""
-        ranges = np.where(
-            known, np.where(np.isfinite(x), x, -np.inf).max(0) - np.where(np.isfinite(x), x, np.inf).min(0), -1.0
-        )
-        most = int(ranges.argmax())
-        return float(ranges[most]), STACKED.sub("", self.state.features[most])[:MOST_LETTERS]
+    def _symmetry(self, event: Array, before: Array) -> float:
+        """Of a repetition; of one that was told as two steps, with the second."""
+        s = self.state
+        onset = int(event["onset"])
+        if event["side"] > 0:
+            if not (before["activity"] == event["activity"] and before["repetition"] == event["repetition"]):
+                return np.nan
+            onset = int(before["onset"])
+        return sides_alike(s.recent.span(onset, int(event["end"])), s.images.span(onset, int(event["end"])))
 
     @classmethod
     def cases(cls) -> Sequence[Case]:
-        n = 600
-        time, turn = grid(30.0, n), np.arange(n) * 0.2
-        x = np.stack([np.sin(turn + k) for k in range(3)], 1)
-        spec = StreamSpec((3,), rate_hz=30.0, units=("cm",))
-        ends = np.arange(60, n - 40, 30)
-        told = np.zeros(len(ends), PRIMITIVE)
-        told["onset"], told["end"], told["repetition"] = time[ends - 30], time[ends], np.arange(len(ends)) % 7
-        believed = np.zeros(len(ends), BELIEVED)
-        for field in ("onset", "end", "repetition"):
-            believed[field] = told[field]
-        events = {
-            "provisional": (StreamSpec((), BELIEVED), time[ends + 5], believed),
-            "primitive": (StreamSpec((), PRIMITIVE), time[ends + 30], told),
-        }
-        inputs = {"in": (spec, time, x), **events}
-        path = Path(tempfile.mkdtemp(prefix="kinegraph-")) / "exercises.npz"
-        taught([("turn", [x[:31], x[31:62]])], 0.5).write(path, spec, "made up")
-        return [Case(cls(model=str(path)), inputs, least=20), Case(cls(window_s=3.0), inputs, least=20)]
+        return _cases(cls)
+
+
+ANSWERS = {
+    "annotations": ("believed", NameRepetitions._heard, BELIEVED_NAME),
+    "provisional": ("believed", NameRepetitions._believed, BELIEVED_NAME),
+    "primitive": ("repetition", NameRepetitions._final, REPETITION),
+}
+"""By port: the output that answers, how, and with what."""
 
 
 def letters(cluster: int) -> str:
@@ -207,3 +268,44 @@ def letters(cluster: int) -> str:
         left, digit = divmod(left - 1, 26)
         name = chr(ord("A") + digit) + name
     return name
+
+
+def named(activity: int, repetition: int, name: str, sure: float) -> Array:
+    """What is believed: one event."""
+    row: Array = np.zeros(1, BELIEVED_NAME)
+    row["activity"], row["repetition"], row["name"], row["sure"] = activity, repetition, name, sure
+    return row
+
+
+def _cases(cls: type[NameRepetitions]) -> list[Case]:
+    n = 600
+    time, turn = grid(30.0, n), np.arange(n) * 0.2
+    x = np.stack([np.sin(turn + k) for k in range(3)], 1)
+    spec = StreamSpec((3,), rate_hz=30.0, units=("cm",))
+    ends = np.arange(60, n - 40, 30)
+    told = np.zeros(len(ends), PRIMITIVE)
+    told["onset"], told["end"], told["repetition"] = time[ends - 30], time[ends], 1 + np.arange(len(ends)) % 7
+    believed = np.zeros(len(ends), BELIEVED)
+    for field in SPAN.names or ():
+        believed[field] = told[field]
+    events = {
+        "provisional": (StreamSpec((), BELIEVED), time[ends + 5], believed),
+        "primitive": (StreamSpec((), PRIMITIVE), time[ends + 30], told),
+    }
+    inputs = {"in": (spec, time, x), **events}
+    path = Path(tempfile.mkdtemp(prefix="kinegraph-")) / "exercises.npz"
+    taught([("turn", [x[:31], x[31:62]])], 0.5).write(path, spec, "made up")
+    marks = np.zeros(60, ANNOTATION)
+    marks["text"] = "well done"
+    marks["text"][10] = "this is: a"
+    radii = np.full(60, 0.5, RADIUS)
+    live = {
+        "mirrored": (spec.derive(meta={"mirrored": True}), time, x[:, ::-1].copy()),
+        "annotations": (StreamSpec((), ANNOTATION), time[::10], marks),
+        "radius": (StreamSpec((), RADIUS), time[::10], radii),
+    }
+    return [
+        Case(cls(model=str(path)), inputs, least=20),
+        Case(cls(window_s=3.0), inputs, least=20),
+        Case(cls(), inputs | live, least=20),
+    ]

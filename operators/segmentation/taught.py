@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,8 +19,12 @@ KIND = "exercises"
 UNKNOWN = "unknown"
 MOST_LETTERS = 24
 """A name is no longer."""
+MOST_NAMES = 32
+"""So many exercises may be taught while a session runs."""
 MOST_SHOWN = 5
 """So many repetitions of an exercise are kept."""
+SAID = re.compile(r"this is\b:?\s*(\S.*)", re.IGNORECASE)
+"""An annotation that names what is being done."""
 REACHES = 2.0
 """A repetition is of an exercise if it lies no further from those shown than REACHES times as far as they do from each other, or than
 the radius that they were found with; and nearer than to any other exercise."""
@@ -67,8 +72,10 @@ class Taught:
         arrays = {"frames": self.frames, "lengths": self.lengths, "exercise": self.exercise, "reach": self.reach}
         write_model(path, KIND, header, arrays)
 
-    def distances(self, x: Samples, far: Samples, cost: Samples) -> Samples:
+    def distances(self, x: Samples) -> Samples:
         """How far repetition x (n, features) lies from each exercise (names,): from the nearest of its repetitions."""
+        longest = self.frames.shape[1]
+        far, cost = np.empty((len(x), longest)), np.empty((2, longest))
         nearest = np.full(len(self.names), math.inf)
         for k, length in enumerate(self.lengths):
             name = self.exercise[k]
@@ -88,35 +95,68 @@ class Taught:
         return self.names[best], distance, (1.0 - distance / bound if bound > 0.0 else 0.0)
 
 
+def grown(known: Taught | None, name: str, x: Samples, radius: float) -> Taught:
+    """The model with one more repetition x (n, features) of `name`, found within `radius`; the same where enough of them are kept."""
+    if known is None:
+        kept: list[tuple[int, Samples]] = []
+        names, reach = [name], np.zeros(1)
+    else:
+        kept = [(int(k), known.frames[i, : known.lengths[i]]) for i, k in enumerate(known.exercise)]
+        names = known.names if name in known.names else [*known.names, name]
+        reach = np.append(known.reach, np.zeros(len(names) - len(known.names)))
+    mine = names.index(name)
+    if known is not None and sum(k == mine for k, _ in kept) >= MOST_SHOWN:
+        return known
+    made = _packed(names, [*kept, (mine, x)], reach)
+    made.reach[mine] = max(reach[mine], _reach([one for k, one in [*kept, (mine, x)] if k == mine], radius))
+    return made
+
+
 def taught(shown: Sequence[tuple[str, Sequence[Samples]]], radius: float) -> Taught:
     """The model of exercises of which these repetitions (n, features) were shown, found within `radius`. Raises KinegraphError."""
     names = [name for name, _ in shown]
     kept = [(k, one) for k, (_, all_) in enumerate(shown) for one in _spread(all_)]
-    longest = max(len(one) for _, one in kept)
-    width = kept[0][1].shape[1]
-    frames = np.zeros((len(kept), longest, width))
-    for k, (_, one) in enumerate(kept):
-        frames[k, : len(one)] = one
-    exercise = np.array([k for k, _ in kept])
-    far, cost = np.empty((longest, longest)), np.empty((2, longest))
-    reach = np.full(len(names), radius)
-    for k in range(len(names)):
-        mine = [one for number, one in kept if number == k]
-        between = [unlike(a, b, far, cost) for i, a in enumerate(mine) for b in mine[:i]]
-        within = [d for d in between if d < math.inf]
-        if within:
-            reach[k] = max(radius, REACHES * max(within))
+    reach = np.array([_reach([one for number, one in kept if number == k], radius) for k in range(len(names))])
     if not (reach > 0.0).all():
         raise KinegraphError(
             "a single repetition was shown, and nothing says how far another may be from it; show two or more"
         )
-    return Taught(names, frames, np.array([len(one) for _, one in kept]), exercise, reach)
+    return _packed(names, kept, reach)
+
+
+def _packed(names: list[str], kept: list[tuple[int, Samples]], reach: Samples) -> Taught:
+    """`kept`: the number of a name, and a repetition of it (n, features)."""
+    lengths = np.array([len(one) for _, one in kept])
+    frames = np.zeros((len(kept), lengths.max(), kept[0][1].shape[1]))
+    for k, (_, one) in enumerate(kept):
+        frames[k, : len(one)] = one
+    return Taught(names, frames, lengths, np.array([k for k, _ in kept]), reach)
+
+
+def _reach(mine: list[Samples], radius: float) -> float:
+    """How far another repetition may lie from these (n, features) of one name."""
+    longest = max(map(len, mine))
+    far, cost = np.empty((longest, longest)), np.empty((2, longest))
+    between = [unlike(a, b, far, cost) for i, a in enumerate(mine) for b in mine[:i]]
+    within = [d for d in between if d < math.inf]
+    return max(radius, REACHES * max(within)) if within else radius
 
 
 def _spread(all_: Sequence[Samples]) -> list[Samples]:
     """At most MOST_SHOWN of them, evenly spaced."""
     chosen = np.unique(np.linspace(0, len(all_) - 1, min(MOST_SHOWN, len(all_))).round().astype(int))
     return [all_[k] for k in chosen]
+
+
+def fit_for_name(name: str) -> bool:
+    """Whether an exercise may be called so."""
+    return 0 < len(name) <= MOST_LETTERS and name != UNKNOWN and name.isprintable()
+
+
+def said(text: str) -> str:
+    """What an annotation calls the exercise: of "this is: squat" squat; "" where it says nothing of the kind."""
+    found = SAID.fullmatch(text.strip())
+    return found[1].strip() if found else ""
 
 
 def _names(model: Model) -> list[str]:

@@ -14,6 +14,7 @@ from stream.chunk import NEVER, NS
 
 BAR_WIDTH, BARS_HEIGHT = 9, 46
 """Pixels of a repetition's bar, and of the longest one's height."""
+COURSE_WIDTH, COURSE_HEIGHT = 520, 44
 
 
 def render(title: str, facts: Mapping[str, Any], training: Training, unit: str, table: str) -> str:
@@ -39,7 +40,10 @@ def render(title: str, facts: Mapping[str, Any], training: Training, unit: str, 
         number=number,
         minutes=minutes,
         bars=bars,
+        courses=courses(sets),
         mean=lambda values: float(np.nanmean(values)) if np.isfinite(values).any() else np.nan,
+        sided=any(np.isfinite(one.alike) for one in sets),
+        doubtful=any(one.doubtful for one in sets),
         shown=any(np.isfinite(one.distances).any() for one in sets),
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
     )
@@ -60,6 +64,36 @@ def bars(values: tuple[float, ...]) -> dict[str, Any]:
         "height": BARS_HEIGHT,
         "bars": [(BAR_WIDTH * k, BARS_HEIGHT - h, BAR_WIDTH - 2, h) for k, h in enumerate(heights)],
     }
+
+
+def courses(sets: list[Exercise]) -> list[dict[str, Any]]:
+    """By exercise, how the duration, the range and (where it was shown) the distance of its repetitions went over the session.
+
+    Of each the dots' places in pixels, the whole session wide, and the numbers at the top and at the bottom.
+    """
+    ended = max((one.starts[-1] for one in sets if one.starts), default=0.0)
+    made = []
+    for name in dict.fromkeys(one.name for one in sets):
+        mine = [one for one in sets if one.name == name]
+        x = [t for one in mine for t in one.starts]
+        lines = []
+        for what, field in (("duration", "durations"), ("range", "ranges"), ("off", "distances")):
+            values = [v for one in mine for v in getattr(one, field)]
+            known = [v for v in values if np.isfinite(v)]
+            if not known:
+                continue
+            low, high = min(known), max(known)
+            dots = [
+                (
+                    4 + (COURSE_WIDTH - 8) * t / ended if ended > 0.0 else 4,
+                    4 + (COURSE_HEIGHT - 8) * (high - v) / (high - low or 1.0),
+                )
+                for t, v in zip(x, values, strict=True)
+                if np.isfinite(v)
+            ]
+            lines.append({"what": what, "dots": dots, "low": low, "high": high})
+        made.append({"name": name, "lines": lines, "width": COURSE_WIDTH, "height": COURSE_HEIGHT})
+    return made
 
 
 def number(value: float, digits: int = 1) -> str:

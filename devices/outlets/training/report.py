@@ -28,6 +28,7 @@ KINDS = {"activity": ("sets", SET), "repetition": ("repetitions", REPETITION), "
 """By port: where its events are kept, and the fields that they must have."""
 HEADER = (
     "activity", "repetition", "exercise", "start (s)", "duration (s)", "range", "of", "distance", "sure", "side",
+    "sides alike",
 )  # fmt: skip
 
 log = structlog.get_logger(__name__)
@@ -61,7 +62,8 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
     repetition       of `operators.segmentation.naming.NameRepetitions`
 
     Any streams of events with the same fields will do. The page holds what each set was: exercise, repetitions, tempo and how even it
-    was, range, how near to what was shown, the rest after it. The CSV file grows as repetitions become final, so that a crash leaves it.
+    was, range, how near to what was shown, how alike left and right were, the rest after it; and how
+    duration and range went over the session. The CSV file grows as repetitions become final, so that a crash leaves it.
     Memory is bounded: the page shows the first 500 sets and 20 000 repetitions, and says so. Existing files are never overwritten.
     """
 
@@ -144,11 +146,11 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
 
 
 def _row(event: Any, began: int) -> list[Any]:
-    numbers = [event["duration_s"], event["range"], event["distance"], event["sure"]]
-    duration, reach, distance, sure = ("" if np.isnan(v) else f"{v:.6g}" for v in numbers)
+    numbers = [event["duration_s"], event["range"], event["distance"], event["sure"], event["symmetry"]]
+    duration, reach, distance, sure, alike = ("" if np.isnan(v) else f"{v:.6g}" for v in numbers)
     start = f"{(int(event['onset']) - began) / NS:.3f}"
     whose = (int(event["activity"]), int(event["repetition"]), str(event["name"]))
-    return [*whose, start, duration, reach, str(event["moves"]), distance, sure, int(event["side"])]
+    return [*whose, start, duration, reach, str(event["moves"]), distance, sure, int(event["side"]), alike]
 
 
 def _lines(rows: list[Any]) -> bytes:

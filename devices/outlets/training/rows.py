@@ -14,7 +14,7 @@ MOST_SETS, MOST_REPETITIONS, MOST_RESTS = 500, 20_000, 2000
 REPETITION = np.dtype(
     [
         ("activity", "<i8"), ("repetition", "<i4"), ("name", "<U24"), ("onset", "<i8"), ("duration_s", "<f8"),
-        ("range", "<f8"), ("moves", "<U24"), ("distance", "<f8"), ("sure", "<f8"), ("side", "<i4"),
+        ("range", "<f8"), ("moves", "<U24"), ("distance", "<f8"), ("sure", "<f8"), ("side", "<i4"), ("symmetry", "<f8"),
     ]
 )  # fmt: skip
 SET = np.dtype(
@@ -25,6 +25,7 @@ SET = np.dtype(
         ("repetitions", "<i4"),
         ("symmetry", "<i4"),
         ("cluster", "<i8"),
+        ("certainty", "<f8"),
     ]
 )
 REST = np.dtype([("onset", "<i8"), ("end", "<i8")])
@@ -65,7 +66,8 @@ def take(training: Training, kind: str, event: Any) -> None:
 class Exercise:
     """One set, as the report shows it. Times in s; NaN: not known. durations, ranges, distances: one number per repetition.
 
-    tempo: repetitions a minute; even: how much the durations scatter, in per cent; rest_s: after the set
+    tempo: repetitions a minute; even: how much the durations scatter, in per cent; rest_s: after the set; alike: how alike left and right
+    move, 0 to 1; doubtful: chance might have made these repetitions; starts: of the repetitions, from the session's start
     """
 
     number: int
@@ -81,6 +83,9 @@ class Exercise:
     durations: tuple[float, ...]
     ranges: tuple[float, ...]
     distances: tuple[float, ...]
+    starts: tuple[float, ...]
+    alike: float
+    doubtful: bool
     sure: float
 
 
@@ -114,6 +119,9 @@ def exercises(training: Training) -> list[Exercise]:
                 tuple(map(float, durations)),
                 tuple(map(float, spans["range"])),
                 tuple(map(float, spans["distance"])),
+                tuple(((spans["onset"] - training.began) / NS).tolist()),
+                float(np.nanmean(spans["symmetry"])) if np.isfinite(spans["symmetry"]).any() else np.nan,
+                bool(one["certainty"] <= 0.0),
                 float(np.mean(mine["sure"])) if len(mine) else np.nan,
             )
         )
@@ -126,8 +134,8 @@ def whole_repetitions(told: Array) -> Array:
     for number in dict.fromkeys(told["repetition"].tolist()):
         steps = told[told["repetition"] == number]
         row = steps[:1].copy()
-        row["duration_s"], row["range"], row["distance"] = (
-            steps["duration_s"].sum(), steps["range"].max(), steps["distance"].mean(),
+        row["duration_s"], row["range"], row["distance"], row["symmetry"] = (
+            steps["duration_s"].sum(), steps["range"].max(), steps["distance"].mean(), steps["symmetry"][-1],
         )  # fmt: skip
         made = np.concatenate([made, row])
     return made

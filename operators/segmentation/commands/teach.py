@@ -33,9 +33,12 @@ def teach(
         File, typer.Argument(help="what `kinegraph run` or `replay` made of configs/segment_mocap.yaml")
     ],
     shown: Annotated[
-        list[str],
-        typer.Argument(metavar="NAME=FROM-TO...", help="an exercise, and from which second to which it is shown"),
-    ],
+        list[str] | None,
+        typer.Argument(
+            metavar="NAME=FROM-TO...",
+            help='an exercise, and from which second to which it is shown; left out: as annotations such as "this is: squat" say',
+        ),
+    ] = None,
     output: Annotated[File, typer.Option("-o", "--out", help="the model to be made")] = File("exercises.npz"),
     features: Annotated[str, typer.Option(metavar="STREAM", help="what was segmented")] = "stack",
     node: Annotated[str, typer.Option(help="the node whose segments these are, if there are several")] = "",
@@ -44,6 +47,7 @@ def teach(
     """Learn what exercises are called: the repetitions found in the given seconds are kept as examples.
 
     kinegraph teach session "squat=12.0-30.5" "arms=1-12" -o exercises.npz
+    kinegraph teach session                       (by what was said while it ran: "this is: squat")
 
     Then name the model in the graph: `model: exercises.npz` of operators.segmentation.naming.NameRepetitions. The same name may be given
     several times.
@@ -51,14 +55,14 @@ def teach(
     from operators.segmentation.taught import taught
     from stream.recording import Recording
 
-    wanted = [read_shown(text) for text in shown]
+    wanted = [read_shown(text) for text in shown or []]
     if output.exists() and not overwrite:
         raise KinegraphError(f"{output} exists; --overwrite replaces it, --out names another file")
     with Recording.open(recording) as opened:
         spec, time, frames = _features(opened, features)
         told, radius = _repetitions(opened, node)
         found: dict[str, list[Samples]] = {}
-        for one in wanted:
+        for one in wanted or _said(opened, told):
             found.setdefault(one.name, []).extend(_of(one, told, time, frames, _zero(opened), recording))
     model = taught(list(found.items()), radius)
     try:
@@ -73,7 +77,7 @@ def teach(
 
 def read_shown(text: str) -> Exemplar:
     """ "squat=12.0-30.5". Raises KinegraphError."""
-    from operators.segmentation.taught import MOST_LETTERS, UNKNOWN
+    from operators.segmentation.taught import MOST_LETTERS, UNKNOWN, fit_for_name
 
     name, _, span = text.partition("=")
     first, _, last = span.partition("-")
@@ -81,10 +85,37 @@ def read_shown(text: str) -> Exemplar:
         made = Exemplar(name.strip(), float(first), float(last))
     except ValueError:
         raise KinegraphError(f"{text!r}: must be NAME=FROM-TO in seconds, such as squat=12.0-30.5") from None
-    if not 0 < len(made.name) <= MOST_LETTERS or made.name == UNKNOWN or not made.name.isprintable():
+    if not fit_for_name(made.name):
         raise KinegraphError(f"{text!r}: a name has 1 to {MOST_LETTERS} letters, and is not {UNKNOWN!r}")
     if not (isfinite(made.first_s) and isfinite(made.last_s) and 0.0 <= made.first_s < made.last_s):
         raise KinegraphError(f"{text!r}: must go from a second to a later one")
+    return made
+
+
+def _said(recording: Recording, told: Array) -> list[Exemplar]:
+    """What annotations name: the activity of which repetitions came last before each, or the next one, where none were under way."""
+    from operators.segmentation.naming import LATELY_NS
+    from operators.segmentation.taught import fit_for_name, said
+
+    marks = [entry[0].data for entry in recording.entries("annotations")] if "annotations" in recording.streams else []
+    zero, made = _zero(recording), []
+    for mark in [mark for data in marks for mark in data]:
+        name = said(str(mark["text"]))
+        if not fit_for_name(name):
+            continue
+        begun = told[told["onset"] <= mark["onset"]]
+        near = (
+            begun
+            if len(begun) and mark["onset"] - begun["end"].max() < LATELY_NS
+            else told[told["onset"] > mark["onset"]]
+        )
+        if len(near):
+            mine = told[told["activity"] == near["activity"][-1 if near is begun else 0]]
+            made.append(Exemplar(name, (mine["onset"].min() - zero) / 1e9, (mine["end"].max() - zero) / 1e9))
+    if not made:
+        raise KinegraphError(
+            f"{recording.path}: no annotation names an exercise; mark it while it is done (this is: squat), or give NAME=FROM-TO"
+        )
     return made
 
 
