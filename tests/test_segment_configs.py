@@ -25,7 +25,9 @@ def kinegraph(*arguments):
     assert not ended.value.code
 
 
-@pytest.mark.parametrize("name", ["count_repetitions", "segment_emg", "segment_kinect", "segment_mocap"])
+@pytest.mark.parametrize(
+    "name", ["count_repetitions", "segment_emg", "segment_emg_acc", "segment_imu", "segment_kinect", "segment_mocap"]
+)
 def test_the_configurations_record_what_is_believed_as_well_as_what_is_final(name):
     graph = YAML(typ="safe").load((CONFIGS / f"{name}.yaml").read_text())
     (node,) = [n for n, what in graph["nodes"].items() if what["use"] == "operators.segmentation.Segment"]
