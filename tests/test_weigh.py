@@ -21,7 +21,7 @@ def test_a_sensor_counts_by_its_weight_however_many_channels_it_has() -> None:
     x = np.random.default_rng(0).normal(size=(2, 5))
     x[0, 1] = np.nan
     made = operator.process("in", Chunk(grid(30.0, 2), x, int(grid(30.0, 2)[-1])))
-    (out,) = [made] if isinstance(made, Chunk) else [chunk for _, chunk in made]
+    (out,) = [made] if isinstance(made, Chunk) else [chunk for _, chunk in made or []]
     assert np.isnan(out.data[0, 1]) and np.isfinite(np.delete(out.data[0], 1)).all()
     squares = out.data[1] ** 2
     expected = (1.0 * (x[1, :3] ** 2).mean() + 2.0 * (x[1, 3:] ** 2).mean()) / 3.0
