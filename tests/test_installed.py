@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import subprocess
 import sys
@@ -12,7 +13,10 @@ import pytest
 
 from stream.graph.load import load
 from stream.graph.shipped import resolve, shipped, shipped_folder, summary
+from tests.test_docs import blocks, commands
 
+pytestmark = pytest.mark.xdist_group("installed")
+"""One worker builds the wheel."""
 HOUSE = Path(__file__).resolve().parent.parent
 NAMES = {p.stem for p in (HOUSE / "configs").glob("*.yaml")}
 
@@ -78,6 +82,115 @@ def test_the_wheel_holds_the_service_file_of_the_bedside_too(site: Path) -> None
     of_a_graph = {".yaml", ".service"}
     shipped, there = ({p.name for p in f.iterdir() if p.suffix in of_a_graph} for f in (HOUSE / "configs", folder))
     assert there == shipped
+
+
+EVERY_HELP = """
+import contextlib, io, pathlib, sys
+import typer
+from stream import cli
+import stream
+assert pathlib.Path(stream.__file__).is_relative_to(sys.prefix), stream.__file__
+told = 0
+for name in [*cli.COMMANDS, *(entry.name for entry in cli.added())]:
+    found = cli.function_of(name)
+    under = [c.name for c in found.registered_commands] if isinstance(found, typer.Typer) else []
+    for words in [[name], *([name, sub] for sub in under)]:
+        text = io.StringIO()
+        with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
+            cli.call(name, [*words[1:], "--help"])
+        assert f"kinegraph {' '.join(words)}" in text.getvalue(), (words, text.getvalue())
+        told += 1
+print(told, "helps")
+"""
+EVERY_GRAPH = """
+from pathlib import Path
+from stream.graph.load import load
+from stream.graph.shipped import shipped
+from stream.errors import GraphError
+from stream.graph.plan import plan
+for name, path in shipped().items():
+    assert "site-packages" in str(path), path
+    try:
+        assert plan(load(path), enforce=False).memory_bytes > 0
+    except GraphError as error:
+        assert "kinegraph fetch pose-model" in str(error), error  # which is no part of kinegraph
+    print(name)
+"""
+
+
+def test_every_command_of_a_wheel_tells_what_it_does(site: Path, tmp_path: Path) -> None:
+    told = run(site / "python", "-c", EVERY_HELP, cwd=tmp_path)
+    assert int(told.split()[-2]) > 30
+
+
+def test_every_graph_of_a_wheel_is_accepted(site: Path, tmp_path: Path) -> None:
+    assert set(run(site / "python", "-c", EVERY_GRAPH, cwd=tmp_path).split()) >= NAMES
+
+
+def test_the_page_the_skeletons_and_the_licence_are_in_the_wheel(site: Path) -> None:
+    (folder,) = (site.parent / "lib").glob("python3*/site-packages")
+    built, ours = folder / "devices/outlets/page/built", HOUSE / "devices/outlets/page/built"
+    assert {p.name for p in built.iterdir()} == {p.name for p in ours.iterdir()} and len([*built.iterdir()]) > 2
+    assert {p.name for p in (folder / "devices/commands/skeletons").iterdir()} >= {"operator.txt", "device.txt"}
+    assert [*folder.glob("kinegraph-*.dist-info/licenses/LICENSE")]
+    assert not (folder / "tests").exists() and not (folder / "bench").exists()
+
+
+@pytest.mark.timeout(600)
+def test_every_command_of_the_readme_works_from_the_wheel(site: Path, tmp_path: Path) -> None:
+    environment = {**os.environ, "PATH": f"{site}:{os.environ['PATH']}", "COLUMNS": "120"}
+    done = []
+    for kind, name, text in blocks(HOUSE / "README.md"):
+        if name:
+            (tmp_path / name).write_text(text, encoding="utf-8")
+        elif kind == "sh":
+            for command, code in commands(text):
+                if not command.startswith("make"):
+                    ended = subprocess.run(
+                        ["bash", "-c", command],
+                        cwd=tmp_path,
+                        env=environment,
+                        capture_output=True,
+                        text=True,
+                        stdin=subprocess.DEVNULL,
+                    )
+                    assert ended.returncode == code, f"{command}\n{ended.stdout[-2000:]}\n{ended.stderr[-2000:]}"
+                    done.append(command)
+    assert len(done) > 6 and (tmp_path / "session").exists()
+
+
+REMOVED = {"distutils", "imp", "asynchat", "asyncore", "smtpd"} | {
+    *(
+        "aifc",
+        "audioop",
+        "cgi",
+        "cgitb",
+        "chunk",
+        "crypt",
+        "imghdr",
+        "mailcap",
+        "msilib",
+        "nis",
+        "nntplib",
+        "ossaudiodev",
+        "pipes",
+    ),
+    *("sndhdr", "spwd", "sunau", "telnetlib", "uu", "xdrlib", "lib2to3"),
+}
+"""Modules that Python 3.12 and 3.13 no longer have."""
+
+
+def test_the_source_has_nothing_that_newer_pythons_removed_or_warn_of() -> None:
+    """What 3.12 turned into a SyntaxWarning (a backslash that means nothing) is a DeprecationWarning in 3.11, and an error here."""
+    for path in [
+        HOUSE / "kinegraph.py",
+        *(p for name in ("stream", "devices", "operators") for p in (HOUSE / name).rglob("*.py")),
+    ]:
+        tree = ast.parse(path.read_text(encoding="utf-8"), str(path))
+        for node in ast.walk(tree):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not {name.partition(".")[0] for name in names} & REMOVED, path
 
 
 def test_in_a_checkout_the_graphs_beside_pyproject_are_found() -> None:
