@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from operators.features.mirror import Mirror
     from operators.features.pose import Pose
     from operators.features.rest import SkipRest
+    from operators.features.self_similarity import SelfSimilarity
     from operators.features.stack import Stack
     from operators.features.standardise import Standardise
     from operators.features.weigh import Weigh
@@ -162,6 +163,7 @@ __all__ = [
     "Scale",
     "Segment",
     "Select",
+    "SelfSimilarity",
     "SignalQuality",
     "Simplify",
     "SkipRest",
@@ -257,6 +259,7 @@ __getattr__, __dir__ = offered(
         "Scale": "operators.scale",
         "Segment": "operators.segmentation",
         "Select": "operators.channels",
+        "SelfSimilarity": "operators.features.self_similarity",
         "SignalQuality": "operators.emg.quality",
         "Simplify": "operators.depth.simplify",
         "SkipRest": "operators.features.rest",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from array import array
+from time import perf_counter_ns
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from stream.kernel import kernel
 
 BINS_PER_OCTAVE = 16
 BINS = 40 * BINS_PER_OCTAVE
+MIDDLES_NS = 2 ** ((np.arange(BINS) + 0.5) / BINS_PER_OCTAVE)
 FOLD_AT = 1024
 """Durations are folded at the latest after so many chunks."""
 
@@ -26,14 +28,16 @@ class Timing:
 
     durations       ns of calls that are not folded yet; links append to it
     recent, total   calls by duration, since the last reading and before it
+    read_ns         when it was read last
     """
 
-    __slots__ = ("calls", "durations", "longest_ns", "recent", "total")
+    __slots__ = ("calls", "durations", "longest_ns", "read_ns", "recent", "total")
 
     def __init__(self) -> None:
         self.durations: array[int] = array("q")
         self.calls = 0
         self.longest_ns = 0
+        self.read_ns = perf_counter_ns()
         self.total = np.zeros(BINS, np.int64)
         self.recent = np.zeros(BINS, np.int64)
 
@@ -48,8 +52,11 @@ class Timing:
         add(times, 0, self)
 
     def read(self) -> dict[str, float]:
-        """Quantiles in microseconds since the last reading (`p50_us`, `p99_us`) and since the start (`all_p50_us`, `all_p99_us`)."""
+        """Quantiles in microseconds since the last reading (`p50_us`, `p99_us`) and since the start (`all_p50_us`, `all_p99_us`); and
+        `cpu_pct`, the part of a core that the calls timed since the last reading took."""
         self.fold()
+        before, self.read_ns = self.read_ns, perf_counter_ns()
+        busy_ns = float((self.recent * MIDDLES_NS).sum())
         p50, p99, all_p50, all_p99 = map(_middle, take_stock(self.recent, self.total))
         return {
             "calls": self.calls,
@@ -58,6 +65,7 @@ class Timing:
             "all_p50_us": all_p50,
             "all_p99_us": all_p99,
             "longest_us": self.longest_ns / 1000,
+            "cpu_pct": 100 * busy_ns / max(self.read_ns - before, 1),
         }
 
 

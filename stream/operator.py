@@ -54,6 +54,7 @@ class Operator(Generic[S]):
     delays     in words, for the docs: by how much its stamps are earlier than what it has been given
     agrees     what its numbers equal, or where its method is from
     departures rules of the laws (stream/conformance/broken.py) that do not hold here on purpose, each with the reason, for the docs
+    panels     panels of its own for the page: per kind, the name of a JavaScript module beside this one (docs/page.md)
     """
 
     __slots__ = ("decision_s", "delay_s", "state")
@@ -68,6 +69,7 @@ class Operator(Generic[S]):
     delays: ClassVar[str] = "none"
     agrees: ClassVar[str] = ""
     departures: ClassVar[dict[str, str]] = {}
+    panels: ClassVar[Mapping[str, str]] = {}
 
     state: S
     delay_s: float
@@ -92,6 +94,10 @@ class Operator(Generic[S]):
 
         Called before a session or a replay begins, in a replay with the facts of the recording.
         """
+
+    def words(self) -> Sequence[str]:
+        """What a person may say to it by an annotation, as the page's buttons offer it; one that ends in a blank takes a text behind it."""
+        return ()
 
     def process(self, port: str, chunk: Chunk) -> Emitted:
         """Take a chunk from an input port, and give back what it leads to: a function of the state and the samples alone.

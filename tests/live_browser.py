@@ -22,7 +22,9 @@ GRAPHICS = ["use-gl=angle", "use-angle=swiftshader", "enable-unsafe-swiftshader"
 FLAGS = [
     f"--{flag}" for flag in ("headless", "no-sandbox", *QUIET[1:], *GRAPHICS, "disable-sync", "remote-debugging-port=0")
 ]
-PATIENCE_S = 60.0
+PATIENCE_S = 100.0
+CODES = {"Tab": 9}
+"""What a key needs beside its name to do what the browser itself does at it."""
 
 
 class LiveBrowser:
@@ -96,7 +98,9 @@ class LiveBrowser:
         """Press a key that has a name ("ArrowRight")."""
         for _ in range(times):
             for kind in ("rawKeyDown", "keyUp"):
-                self.ask("Input.dispatchKeyEvent", type=kind, key=key, code=key)
+                self.ask(
+                    "Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=CODES.get(key, 0)
+                )
 
     def drag(self, selector: str, begin: float, end: float) -> None:
         """Press the mouse within an element, at a share of its width, and let go of it at another."""

@@ -73,10 +73,12 @@ class PageProcess:
 
 
 @contextmanager
-def page_process(folder: Path, *arguments: object, at: str = ":0") -> Iterator[PageProcess]:
+def page_process(
+    folder: Path, *arguments: object, at: str = ":0", program: Path = KINEGRAPH, **environment: str
+) -> Iterator[PageProcess]:
     """`kinegraph` with these arguments and a page, at a free port; it is gone afterwards."""
     log = folder / "said.txt"
-    command = [str(KINEGRAPH), *map(str, arguments), "--page-at", at]
+    command = [str(program), *map(str, arguments), "--page-at", at]
     with (
         log.open("w") as out,
         subprocess.Popen(
@@ -86,7 +88,7 @@ def page_process(folder: Path, *arguments: object, at: str = ":0") -> Iterator[P
             stdout=out,
             stderr=out,
             text=True,
-            env={**os.environ, "PYTHONUNBUFFERED": "1"},
+            env={**os.environ, "PYTHONUNBUFFERED": "1", **environment},
         ) as process,
     ):
         try:

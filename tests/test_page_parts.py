@@ -419,9 +419,9 @@ def test_metrics_are_openmetrics() -> None:
 
 SHIPPED = {
     "treadmill_emg": {"cycles", "signal", "events", "table", "state", "graph", "log"},
-    "bedside_simulated": {"signal", "events", "table", "state", "graph", "log"},
-    "bedside_sleep": {"signal", "events", "table", "state", "graph", "log"},
-    "segment_mocap": {"scene", "signal", "events", "table", "state", "graph", "log"},
+    "bedside_simulated": {"hypnogram", "signal", "events", "table", "state", "graph", "log"},
+    "bedside_sleep": {"hypnogram", "signal", "events", "table", "state", "graph", "log"},
+    "segment_mocap": {"similarity", "scene", "signal", "events", "table", "state", "graph", "log"},
 }
 
 

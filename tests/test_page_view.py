@@ -113,6 +113,24 @@ def test_what_is_seen_from_afar_spans_what_is_seen_close_by(recording: Path) -> 
     )
 
 
+def test_without_an_overview_there_is_a_picture_at_once_and_the_rest_comes_with_progress(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Recording, "overviews", lambda self, name: [])
+    with Recording.open(recording) as opened:
+        hub = RecordingHub(opened)
+        number = hub.names.index("emg")
+        near = hub.seen(number, look(10, 20, 15))
+        assert near and decode(near)[0]["n"] > 900 and not hub.pyramids
+        told: list[bytes] = []
+        hub.build(told.append)
+        shares = [header["share"] for header, _ in map(decode, told) if header["t"] == "progress"]
+        assert len(shares) > 10 and shares == sorted(shares) and shares[-1] == 1
+        gaps = [header["gaps"] for header, _ in map(decode, told) if header["t"] == "gaps" and header["s"] == number]
+        assert [round(begin) for begin, _ in gaps[-1]] == [GAP_S]
+        assert hub.seen(number, look(0, 40, 20, points=200))
+
+
 @pytest.mark.parametrize(("at", "value"), [(0.0, 1), (12.35, 13), (39.9, 40)])
 def test_the_frame_of_a_moment_is_the_last_one_before_it(recording: Path, at: float, value: int) -> None:
     with Recording.open(recording) as opened:

@@ -7,7 +7,7 @@ in ns) are {sec, nsec}, and `lost` says how many samples are missing just before
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -29,21 +29,15 @@ class FoxgloveWriter:
         self._file = path.open("wb")
         self._writer: Any = Writer(self._file, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library="kinegraph")
-        self._json = msgspec.json.Encoder()
 
     def write(self, name: str, spec: StreamSpec, chunks: Iterable[Chunk], progress: Callable[[int], None]) -> int:
         """Write a stream as the topic of its name; returns its messages."""
-        keys = keys_of(spec)
-        times = [unit == "ns" for _, unit in column_names(spec)]
-        schema = self._writer.register_schema(name, "jsonschema", self._json.encode(schema_of(name, spec)))
+        messages = JsonMessages(name, spec)
+        schema = self._writer.register_schema(name, "jsonschema", messages.schema)
         channel = self._writer.register_channel(topic=name, message_encoding="json", schema_id=schema)
         count = 0
         for chunk in chunks:
-            table = [column.tolist() for column in columns(spec, chunk.data)]
-            for i, (stamp, *values) in enumerate(zip(chunk.time.tolist(), *table, strict=True)):
-                message = {key: _plain(v, t) for key, v, t in zip(keys, values, times, strict=True) if _is_said(v)}
-                message |= {"timestamp": _time(stamp), "lost": 0 if i else int(chunk.lost)}
-                data = self._json.encode(message)
+            for stamp, data in messages.of(chunk):
                 self._writer.add_message(channel, log_time=stamp, publish_time=stamp, data=data, sequence=count)
                 count += 1
             progress(len(chunk.time))
@@ -52,6 +46,25 @@ class FoxgloveWriter:
     def close(self) -> None:
         self._writer.finish()
         self._file.close()
+
+
+class JsonMessages:
+    """A stream's samples as JSON messages, and the JSON Schema that they keep to."""
+
+    def __init__(self, name: str, spec: StreamSpec) -> None:
+        self._spec, self._keys = spec, keys_of(spec)
+        self._times = [unit == "ns" for _, unit in column_names(spec)]
+        self._json = msgspec.json.Encoder()
+        self.schema: bytes = self._json.encode(schema_of(name, spec))
+
+    def of(self, chunk: Chunk) -> Iterator[tuple[int, bytes]]:
+        """The stamp (ns) and the message of every sample."""
+        table = [column.tolist() for column in columns(self._spec, chunk.data)]
+        for i, (stamp, *values) in enumerate(zip(chunk.time.tolist(), *table, strict=True)):
+            said = zip(self._keys, values, self._times, strict=True)
+            message = {key: _plain(v, t) for key, v, t in said if _is_said(v)}
+            message |= {"timestamp": _time(stamp), "lost": 0 if i else int(chunk.lost)}
+            yield stamp, self._json.encode(message)
 
 
 def keys_of(spec: StreamSpec) -> list[str]:

@@ -112,6 +112,9 @@ class CycleReview(Operator[ReviewState]):
             "judged": StreamSpec((), JUDGED, units=units, meta=spec.meta),
         }
 
+    def words(self) -> tuple[str, ...]:
+        return LEAVE, USE
+
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
         s = self.state
         out: Told = []

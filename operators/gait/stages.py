@@ -79,8 +79,8 @@ class Stages(Operator[StagesState]):
 
     A stage begins by an annotation, "stage warm-up" or "stage 1.2 m/s" (a name that is a speed sets it, as "speed 1.2" does for the stage
     under way), or by `protocol`: the first with the session's first sample, the next when the one before it has lasted `for_s`, has its
-    number of good `cycles`, or at "next". Annotations are recorded, so a replay has the same stages. A cycle that is told again keeps its
-    stage, and is not counted twice.
+    number of good `cycles`, or at "next". "end stage" ends the stage under way, and begins none; at "next" a protocol then goes on.
+    Annotations are recorded, so a replay has the same stages. A cycle that is told again keeps its stage, and is not counted twice.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("signal", "speed", "annotations", "closed")
@@ -122,6 +122,10 @@ class Stages(Operator[StagesState]):
             "stages": StreamSpec((), STAGE, units=("ns", "", "", "m/s", "", ""), meta=closed.meta),
         }
 
+    def words(self) -> list[str]:
+        led = [*(f"stage {stage.stage}" for stage in self.protocol), "next"] if self.protocol else []
+        return [*led, "stage ", "end stage"]
+
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
         s = self.state
         began: Began = []
@@ -159,7 +163,9 @@ class Stages(Operator[StagesState]):
         rows["onset"], rows["end"], rows["number"] = onset, onset + NS, np.arange(1, n + 1)
         rows["rejected"][7] = "gap"
         text = np.dtype([("onset", "<i8"), ("text", "U64")])
-        said = np.array([(0, "stage 1.2 m/s"), (0, "speed 1.4"), (0, "next"), (0, "coffee"), (0, "stage")], text)
+        said = np.array(
+            [(0, "stage 1.2 m/s"), (0, "speed 1.4"), (0, "next"), (0, "coffee"), (0, "stage"), (0, "end stage")], text
+        )
         when = np.linspace(9 * NS, 36 * NS, len(said)).astype(np.int64)
         inputs = {
             "annotations": (StreamSpec((), text, units=("",)), when, said),
@@ -205,11 +211,14 @@ class Stages(Operator[StagesState]):
         s.since, s.led, s.good = stamp, 0, 0
 
     def _said(self, began: Began, stamp: int, text: str) -> None:
-        """A person's word; all but "stage NAME", "speed NUMBER" and "next" is for others."""
+        """A person's word; all but "stage NAME", "end stage", "speed NUMBER" and "next" is for others."""
         s = self.state
         word, _, rest = text.partition(" ")
         if text == "next":
             self._next(began, stamp)
+        elif text == "end stage":
+            if s.count and s.names[(s.count - 1) % MOST]:
+                self._begin(began, stamp, ("", np.nan, ""))
         elif word == "stage" and rest.strip():
             self._begin(began, stamp, (rest.strip()[:32], _speed(rest), ""))
         elif word == "speed" and np.isfinite(_speed(rest)):

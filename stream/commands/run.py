@@ -7,7 +7,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
 from importlib.metadata import entry_points
 from math import isfinite
@@ -57,6 +57,9 @@ def run(
     ] = "",
     page_certificate: Annotated[str, typer.Option(metavar="FILE", help="encrypt the page with this certificate")] = "",
     page_key: Annotated[str, typer.Option(metavar="FILE", help="the certificate's key")] = "",
+    foxglove: Annotated[
+        bool, typer.Option("--foxglove", help="serve the session to Foxglove on this machine (extra `foxglove`)")
+    ] = False,
     json_log: Annotated[bool, typer.Option("--log-json", help="log lines as JSON")] = False,
     verbose: Annotated[bool, typer.Option("-v", "--verbose", help="log more")] = False,
     trusted_only: Annotated[
@@ -87,8 +90,10 @@ def run(
     folder = session_folder(graph, out, resume) if record or resume else None
     if folder and not resume:
         refuse_taken_folder(folder)
-    shown = page_of(graph, page_at, page_certificate, page_key) if page or page_at else None
-    conduct(graph, folder, resume=resume, duration_s=duration_s, view=view, simulate=simulate, page=shown)
+    asked = page or page_at or graph.page.serve
+    pages = [page_of(graph, page_at, page_certificate, page_key)] if asked else []
+    pages += [page_of(graph, name="foxglove")] if foxglove else []
+    conduct(graph, folder, resume=resume, duration_s=duration_s, view=view, simulate=simulate, pages=pages)
 
 
 def conduct(
@@ -99,7 +104,7 @@ def conduct(
     duration_s: float = 0.0,
     view: str = "auto",
     simulate: bool = False,
-    page: SessionPage | None = None,
+    pages: Sequence[SessionPage] = (),
 ) -> NoReturn:
     """Run a session from start to end, with its view and its console, and exit with its code."""
     from stream.commands.console import Console
@@ -109,14 +114,15 @@ def conduct(
 
     with simulated(graph) if simulate else nullcontext():
         screen = _screen(view, graph)
-        views = Views(shown for shown in (screen, page) if shown)
+        views = Views(shown for shown in (screen, *pages) if shown)
         session = Session(graph, folder, resume=resume, duration_s=duration_s, view=views)
-        if page:
+        for page in pages:
             page.attach(session)
         ending = Ending(session, _tell_end)
         with ending, ending.shown as shown:
             shown.enter_context(Console(session).listening())
-            shown.enter_context(page or nullcontext())
+            for page in pages:
+                shown.enter_context(page)
             shown.enter_context(screen or nullcontext())
             outcome = session.run()
     _tell_end(outcome)
@@ -170,9 +176,9 @@ def _screen(view: str, graph: Any) -> Any:
     raise KinegraphError(f"there is no view {view!r}; valid are auto, none, {names}")
 
 
-def page_of(graph: Graph, *address: str, **more: str) -> Any:
+def page_of(graph: Graph, *address: str, name: str = "page", **more: str) -> Any:
     """The page of a graph; it comes from the entry-point group `kinegraph.pages`. Raises KinegraphError where there is none."""
-    for entry in entry_points(group="kinegraph.pages", name="page"):
+    for entry in entry_points(group="kinegraph.pages", name=name):
         return entry.load()(graph, *address, **more)
     raise KinegraphError("no page is installed: `pip install kinegraph` has one")
 

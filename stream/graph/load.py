@@ -129,7 +129,8 @@ class _Loading:
             if draft:
                 draft.wires = wiring.wires(draft.name, draft.kind, draft.entry.items().get("from"), draft.entry)
         record = self._record(top.get("record"), wiring)
-        page = read_page(self._section(top, "page"), wiring, self._problems)
+        parts = [draft.kind for draft in drafts.values() if draft]
+        page = read_page(self._section(top, "page"), wiring, self._problems, parts)
         nodes = open_nodes(drafts, self._problems, self._recorded)
         self._problems.stop()
         if self._recorded is not None:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from pathlib import Path
+from typing import Any
 
 from stream.params import param
 
-PanelKind = Literal["signal", "events", "table", "cycles", "frame", "scene", "state", "graph", "log"]
+PANEL_KINDS = (
+    *("signal", "events", "table", "cycles", "frame", "scene", "hypnogram", "similarity", "state", "graph", "log"),
+)
+"""Those that the page has itself; operators and outlets bring others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +27,7 @@ class Panel:
     most       upper limit of the scale
     """
 
-    kind: PanelKind
+    kind: str
     title: str = ""
     wide: int = param(1, least=1, most=4)
     tall: float = param(1.0, least=0.5, most=4.0)
@@ -37,11 +41,15 @@ class PageOptions:
     """How the page looks.
 
     unrecorded_pictures   whether pictures that are not recorded may be shown, in a browser on the same machine
+    serve                 whether `kinegraph run` serves the page without being asked with --page
     panels                as the page's server takes them: the keys of a `Panel`, and `of`, the names of streams
+    modules               panels of the graph's own parts, and of what is installed: per kind, the file of their JavaScript module
     """
 
     unrecorded_pictures: bool = False
+    serve: bool = False
     panels: tuple[dict[str, Any], ...] = field(default=(), init=False)
+    modules: dict[str, Path] = field(default_factory=dict, init=False)
 
     @property
     def streams(self) -> set[str]:

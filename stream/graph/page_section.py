@@ -2,35 +2,60 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
+from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any
 
+from stream.errors import nearest
 from stream.graph.draft import build_from
-from stream.graph.page_options import PageOptions, Panel
+from stream.graph.page_options import PANEL_KINDS, PageOptions, Panel
 from stream.graph.problems import Problems
 from stream.graph.wiring import Wiring
 from stream.graph.yaml_lines import Located
 
 PANELS = "panels"
+GROUP = "kinegraph.panels"
+"""Entry points of packages that bring panels without operators: a kind, and where its module's `Path` is written."""
 
 
-def read_page(given: Mapping[str, Located], wiring: Wiring, problems: Problems) -> PageOptions:
-    """The section, its streams looked up; what is wrong is added to `problems`."""
+def read_page(
+    given: Mapping[str, Located], wiring: Wiring, problems: Problems, parts: Iterable[type] = ()
+) -> PageOptions:
+    """The section, its streams looked up; what is wrong is added to `problems`. `parts` are the classes that the graph uses."""
     own = {key: at for key, at in given.items() if key != PANELS}
     options = build_from(PageOptions, own, problems, "page: ") or PageOptions()
+    options.modules.update(_brought(parts))
     written = given.get(PANELS)
     if written is None or written.value is None:
         return options
     if not isinstance(written.value, list):
         problems.add(f"page: panels is {written.kind}; it must be a list", written)
         return options
-    panels = [panel for at in written.value if (panel := _panel(at, wiring, problems))]
+    panels = [panel for at in written.value if (panel := _panel(at, wiring, problems, options.modules))]
     object.__setattr__(options, "panels", tuple(panels))
     return options
 
 
-def _panel(at: Located, wiring: Wiring, problems: Problems) -> dict[str, Any] | None:
+def _brought(parts: Iterable[type]) -> dict[str, Path]:
+    """Panels that parts bring, by kind; a kind of the page's own is never replaced."""
+    found: dict[str, Path] = {}
+    for part in parts:
+        beside = Path(getattr(sys.modules.get(part.__module__), "__file__", None) or "").parent
+        found |= {kind: beside / Path(name).name for kind, name in getattr(part, "panels", {}).items()}
+    return {kind: path for kind, path in found.items() if kind.isidentifier() and kind not in PANEL_KINDS}
+
+
+def _installed(kind: str) -> Path | None:
+    """The module of a panel that an installed package offers."""
+    for entry in entry_points(group=GROUP, name=kind):
+        return Path(entry.load())
+    return None
+
+
+def _panel(at: Located, wiring: Wiring, problems: Problems, modules: dict[str, Path]) -> dict[str, Any] | None:
     if not isinstance(at.value, dict):
         problems.add(f"page: a panel is {at.kind}; it must be a mapping with 'kind'", at)
         return None
@@ -41,6 +66,11 @@ def _panel(at: Located, wiring: Wiring, problems: Problems) -> dict[str, Any] | 
     edges = [edge for item in items if (edge := wiring.edge(item))]
     if panel is None:
         return None
+    if panel.kind not in (*PANEL_KINDS, *modules):
+        if (path := _installed(panel.kind) if panel.kind.isidentifier() else None) is None:
+            problems.add(f"page: kind is {panel.kind!r}; {nearest(panel.kind, (*PANEL_KINDS, *modules))}", keys["kind"])
+            return None
+        modules[panel.kind] = path
     default = Panel(panel.kind)
     said = {f.name: getattr(panel, f.name) for f in fields(Panel) if getattr(panel, f.name) != getattr(default, f.name)}
     return {"kind": panel.kind, "of": [str(edge) for edge in edges], **said}

@@ -11,7 +11,7 @@ from typing import Any
 from stream.graph import NodeOptions, RecordingOptions
 from stream.graph.draft import NODE_NAME, OPERATOR_OPTIONS, SOURCE_OPTIONS, parameters_of
 from stream.graph.load import Settings
-from stream.graph.page_options import PageOptions, Panel
+from stream.graph.page_options import PANEL_KINDS, PageOptions, Panel
 from stream.graph.parts import Part, kind_of
 from stream.operator import Operator
 from stream.params import schema as parameters
@@ -97,6 +97,10 @@ def _page() -> Json:
     panel["properties"]["of"] = {
         "description": "the streams it draws",
         "oneOf": [edge, {"type": "array", "items": edge}],
+    }
+    panel["properties"]["kind"] = {
+        "description": "what it draws; operators and outlets may bring kinds of their own",
+        "anyOf": [{"enum": list(PANEL_KINDS)}, {"type": "string", "pattern": r"^[^\W\d]\w*$"}],
     }
     panel.update(additionalProperties=False)
     page["properties"]["panels"] = {"type": ["array", "null"], "items": panel, "description": "what is shown, in order"}

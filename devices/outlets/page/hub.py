@@ -12,11 +12,14 @@ import numpy as np
 from devices.outlets.page import messages
 from devices.outlets.page.history import History
 from devices.outlets.page.shown import always_kept, kind_of
+from devices.outlets.page.spectra import analysed
 from devices.outlets.page.thin import Curve
-from devices.outlets.page.wire import Asked, Look, Mark, See, Seek, SetPace, StepOn, Tell, encode
+from devices.outlets.page.wire import Analyse, Asked, Look, Mark, See, Seek, SetPace, StepOn, Tell, encode
 from stream.chunk import NS, Chunk, StreamSpec
 
 LOG_LINES = 200
+CURVES = 8
+"""Of so many curves the newest of each channel is shown."""
 
 
 class Looking:
@@ -25,6 +28,7 @@ class Looking:
     widths    per stream: ns for each point
     numbers   per stream: the next sample to be sent
     skipped   how often news came while it was still being sent earlier ones
+    analyses  per stream: what it wants to be analysed, the last that it has asked for
     """
 
     def __init__(self) -> None:
@@ -34,6 +38,7 @@ class Looking:
         self.skipped = 0
         self.state_sent = self.log_sent = self.pace_sent = 0
         self.greeted = True
+        self.analyses: dict[int, Analyse] = {}
 
     def see(self, streams: dict[int, int]) -> None:
         """Look at these streams, and at no others; one whose width has changed is sent from its beginning."""
@@ -54,7 +59,9 @@ class Hub:
         self.histories: list[History] = []
         self.counts: list[int] = []
         self.clients: set[Looking] = set()
+        self.modules: dict[str, str] = {}
         self.table: dict[str, Any] = {}
+        self.edges: dict[str, float] = {}
         self.states = 0
         self.over = ""
         self.dropped = 0
@@ -81,6 +88,7 @@ class Hub:
                     client.news.set()
             case "state":
                 self.table, self.dropped, self.states = header["table"], header["dropped"], self.states + 1
+                self.edges = header.get("edges", {})
             case "pace":
                 self._pace, self._paces = encode(header), self._paces + 1
             case "again":
@@ -94,6 +102,7 @@ class Hub:
 
     def _begin(self, header: dict[str, Any]) -> None:
         self.specs = [StreamSpec.from_json(spec) for spec in header.pop("specs")]
+        self.modules = header.pop("modules", {})
         self.hello, self._t0 = header, int(header.pop("t0_ns"))
         self.histories = [History(spec) for spec in self.specs]
         self.counts = [0] * len(self.specs)
@@ -132,6 +141,10 @@ class Hub:
                 client.see(streams)
                 self.want()
                 client.news.set()
+            case Analyse(stream):
+                check_analysis(asked, self.specs)
+                client.analyses[stream] = asked
+                client.news.set()
             case Look():
                 raise ValueError("only a recording can be looked into")
             case SetPace() | StepOn() | Seek() if self.hello["mode"] != "replay":
@@ -166,6 +179,8 @@ class Hub:
             if made := self._made[key]:
                 found.append(made[0])
                 client.numbers[stream] = made[1]
+        while client.analyses:
+            found.append(self._analysed(*client.analyses.popitem()))
         if client.log_sent < self._lines:
             lines = [*self._log][max(0, len(self._log) - (self._lines - client.log_sent)) :]
             client.log_sent = self._lines
@@ -173,7 +188,7 @@ class Hub:
         if client.state_sent < self.states:
             client.state_sent = self.states
             more = {"clients": len(self.clients), "skipped": client.skipped, "dropped": self.dropped, "over": self.over}
-            found.append(encode({"t": "state", "table": self.table, **more}))
+            found.append(encode({"t": "state", "table": self.table, "edges": self.edges, **more}))
         return found
 
     def _since(self, stream: int, width: int, number: int) -> tuple[bytes, int] | None:
@@ -197,13 +212,28 @@ class Hub:
                 stream, history.end - len(time), spec, time, data, self._t0, fresh=fresh
             ), history.end
         stamp, sample = int(history.time[-1]), history.data[-1]
+        if kind == "curves" and spec.dtype.kind == "f":
+            sample = messages.completed(history.data[-CURVES:])
         return messages.newest(stream, spec, history.end, stamp, sample, self._t0), history.end
+
+    def _analysed(self, stream: int, asked: Analyse) -> bytes:
+        history = self.histories[stream]
+        begin, end = (self._t0 + round(at * NS) for at in (asked.begin, asked.end))
+        part = slice(*np.searchsorted(history.time, [begin, end]))
+        return analysed(stream, self.specs[stream], asked, history.time[part], history.data[part], self._t0)
 
     @property
     def now_s(self) -> float:
         """How far the newest stream has come (s since the beginning)."""
         newest = [int(h.time[-1]) for h in self.histories if len(h.time)]
         return (max(newest) - self._t0) / NS if newest else 0.0
+
+
+def check_analysis(asked: Analyse, specs: list[StreamSpec]) -> None:
+    """Raises ValueError for a stream or a channel that cannot be analysed."""
+    spec = specs[asked.stream] if 0 <= asked.stream < len(specs) else None
+    if spec is None or kind_of(spec) != "signal" or not spec.rate_hz or not 0 <= asked.channel < spec.shape[0]:
+        raise ValueError("there is no such signal")
 
 
 def _torn(curve: Curve) -> Curve:

@@ -6,6 +6,7 @@ to the server; where that one is slow, or gone, views are dropped, and samples n
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import subprocess
 import sys
@@ -14,7 +15,7 @@ import time
 from collections.abc import Callable, MutableMapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import structlog
 
@@ -22,7 +23,7 @@ from devices.outlets.page.access import is_loopback, new_token
 from devices.outlets.page.channel import PageChannel
 from devices.outlets.page.marks import MARKS, SPEC, Marks, shown_with
 from devices.outlets.page.serving import FILES, built, tls_context
-from devices.outlets.page.shown import described, hello, is_newest_only, offered
+from devices.outlets.page.shown import described, hello, is_newest_only, offered, own_modules
 from devices.outlets.page.wire import LENGTH, encode
 from stream.chunk import NS, Chunk
 from stream.engine.status import Table
@@ -40,6 +41,7 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
 START_S = 20.0
 """How long a server is waited for when a session begins."""
 DEFAULT_PORT = 7790
+FOXGLOVE_PORT = 8765
 
 log = structlog.get_logger(__name__)
 
@@ -69,7 +71,14 @@ class Address:
 
 
 class LivePage:
-    """Shows a session in browsers until it is left."""
+    """Shows a session in browsers until it is left.
+
+    server   the module that is run to serve it
+    called   what people call it
+    """
+
+    server: ClassVar[str] = "devices.outlets.page.server"
+    called: ClassVar[str] = "page"
 
     def __init__(
         self, graph: Graph, address: str = "", certificate: str = "", key: str = "", *, mode: str = "live"
@@ -78,7 +87,8 @@ class LivePage:
         self._graph, self._mode = graph, mode
         self._address = parsed(address, certificate, key)
         self._address.check()
-        refuse_unbuilt()
+        self.refuse_missing()
+        self._modules = own_modules(graph)
         self._specs = offered(graph, outside=not is_loopback(self._address.host))
         self._channel = PageChannel([is_newest_only(spec) for spec in self._specs.values()])
         self._steered: dict[str, Callable[..., None]] = {}
@@ -91,7 +101,18 @@ class LivePage:
         self._server: subprocess.Popen[bytes] | None = None
         self._port, self._t0 = self._address.port, time.time_ns()
         self._said = False
+        self._pipeline: Pipeline | None = None
+        self._samples: dict[str, int] = {}
+        self._counted_s = 0.0
         self._threads = [threading.Thread(target=self._run, name="page", daemon=True)]
+
+    def url(self, port: int) -> str:
+        """The address that is printed."""
+        return self._address.url(port)
+
+    def refuse_missing(self) -> None:
+        """Raises KinegraphError where what it is served by is not there."""
+        refuse_unbuilt()
 
     # the session's side ----------------------------------------------------------------------------------------------
 
@@ -133,6 +154,7 @@ class LivePage:
 
     def observe(self, pipeline: Pipeline) -> None:
         """Observe a pipeline's edges; those that a replay does not compute have no observers."""
+        self._pipeline = pipeline
         for number, name in enumerate(self._specs):
             if name in pipeline.edges:
                 pipeline.edges[name].observers.append(self._channel.observer(number))
@@ -143,7 +165,16 @@ class LivePage:
     def update(self, table: Table) -> None:
         """Take the newest metrics."""
         told = {name: {key: value for key, value in row.items() if key in SHOWN} for name, row in table.items()}
-        self._state = encode({"t": "state", "table": told, "dropped": self._channel.dropped})
+        self._state = encode({"t": "state", "table": told, "dropped": self._channel.dropped, "edges": self._rates()})
+
+    def _rates(self) -> dict[str, float]:
+        """Samples per second of every edge since this was asked last."""
+        edges = self._pipeline.edges if self._pipeline else {}
+        counts = {name: edge.samples for name, edge in edges.items()}
+        before, self._samples = self._samples, counts
+        then, self._counted_s = self._counted_s, time.monotonic()
+        lasted = self._counted_s - then
+        return {name: round((count - before[name]) / lasted, 2) for name, count in counts.items() if name in before}
 
     def __enter__(self) -> Self:
         self._before = structlog.get_config()["processors"]
@@ -179,13 +210,13 @@ class LivePage:
                 break
             self._channel.wanted[:] = [False] * len(self._specs)
             pause = FIRST_PAUSE_S if time.monotonic() - began > LONGEST_PAUSE_S else min(2 * pause, LONGEST_PAUSE_S)
-            log.warning("the page's server has ended; it is started again", in_s=pause)
+            log.warning(f"the {self.called}'s server has ended; it is started again", in_s=pause)
             self._over.wait(pause)
 
     def _serve(self) -> None:
         """One server, from its start until it or the session ends."""
         options = json.dumps(asdict(self._address) | {"port": self._port})
-        command = [sys.executable, "-m", "devices.outlets.page.server", options]
+        command = [sys.executable, "-m", self.server, options]
         with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0) as server:
             self._server = server
             hearing = threading.Thread(target=self._hear, args=(server,), name="page answers", daemon=True)
@@ -197,7 +228,7 @@ class LivePage:
                     greeting["streams"].append(described(MARKS, SPEC))
                     greeting["panels"] = shown_with(greeting["panels"])
                 specs = [spec.to_json() for spec in self._specs.values()]
-                self._write(encode({**greeting, "t0_ns": self._t0, "specs": specs}))
+                self._write(encode({**greeting, "t0_ns": self._t0, "specs": specs, "modules": self._modules}))
                 self._announce_marks()
                 while not self._over.wait(TICK_S) and server.poll() is None:
                     self._hand_over()
@@ -249,13 +280,35 @@ class LivePage:
                 self._listening.set()
                 if not self._said:
                     self._said = True
-                    say(f"page: {self._address.url(self._port)}", err=True)
+                    say(f"{self.called}: {self.url(self._port)}", err=True)
             case "want":
                 wanted = set(asked["streams"])
                 self._channel.wanted[:] = [number in wanted for number in range(len(self._specs))]
             case what if what in self._steered:
                 self._steered[what](**asked)
                 log.info(SAID[what], **asked)
+
+
+class FoxgloveLane(LivePage):
+    """Serves a session to Foxglove until it is left."""
+
+    server = "devices.outlets.page.foxglove"
+    called = "foxglove"
+
+    def __init__(self, graph: Graph, address: str = "", *, mode: str = "live") -> None:
+        """Raises KinegraphError for an address that others reach, and where the SDK is not installed."""
+        super().__init__(graph, address or f"127.0.0.1:{FOXGLOVE_PORT}", mode=mode)
+        if not is_loopback(self._address.host):
+            raise KinegraphError(
+                f"--foxglove is served to this machine alone, not at {self._address.host}: its protocol knows no token"
+            )
+
+    def refuse_missing(self) -> None:
+        if importlib.util.find_spec("foxglove") is None:
+            raise KinegraphError("--foxglove needs the Foxglove SDK: `pip install 'kinegraph[foxglove]'`")
+
+    def url(self, port: int) -> str:
+        return f"ws://{self._address.host}:{port}"
 
 
 TICK = encode({"t": "tick"})
@@ -282,7 +335,7 @@ SHOWN = (
         "late",
         "gaps",
     ),
-    *("lost", "error", "openings", "bytes", "behind_s", "dropped_chunks", "worker", "load_pct"),
+    *("lost", "error", "openings", "bytes", "behind_s", "dropped_chunks", "worker", "cpu_pct"),
 )
 
 

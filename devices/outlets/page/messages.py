@@ -52,6 +52,17 @@ def _plain(value: Any, is_time: bool, t0_ns: int) -> Any:
     return None if isinstance(value, float) and not isfinite(value) else value
 
 
+def completed(samples: Array) -> Array:
+    """The last of some curves (n, points, c), where a channel that it lacks (one of another limb) is that of the last curve that has it."""
+    made: Array = samples[-1].copy()
+    for earlier in samples[-2::-1]:
+        lacking = np.isnan(made).all(axis=0)
+        if not lacking.any():
+            break
+        made[:, lacking] = earlier[:, lacking]
+    return made
+
+
 def newest(number: int, spec: StreamSpec, count: int, stamp: int, sample: Array, t0_ns: int) -> bytes:
     """One sample that is shown as a whole: a frame, points, a mesh or a bundle of curves; `count` is its running number."""
     if skeleton := bones_of(spec):

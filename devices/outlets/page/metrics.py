@@ -25,6 +25,7 @@ FAMILIES = (
     Family("age_seconds", "gauge", "age_s", "Time since a source's last chunk."),
     Family("call_p50_seconds", "gauge", "p50_us", "Median time of a node's call.", 1e-6),
     Family("call_p99_seconds", "gauge", "p99_us", "99th percentile of the time of a node's call.", 1e-6),
+    Family("call_cpu_ratio", "gauge", "cpu_pct", "Part of a core that a node's calls take.", 0.01),
     Family("queue_chunks", "gauge", "queue", "Chunks that wait."),
     Family("dropped", "counter", "dropped", "Chunks dropped because a queue was full."),
     Family("late_samples", "counter", "late", "Samples dropped because they came after their watermark."),

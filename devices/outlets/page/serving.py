@@ -29,6 +29,8 @@ FILES = {
     "/page.css": ("page.css", "text/css; charset=utf-8"),
 }
 SOCKET = "/socket"
+MODULES = "/panels/"
+NO_PAGE = HTTPStatus.NOT_FOUND, "there is no such page\n"
 MOST_CLIENTS = 64
 WAITING_BYTES = 1 << 18
 """More than this is not buffered for a client that does not read: it is sent no news until it has caught up."""
@@ -39,6 +41,10 @@ class Shows(Protocol):
     """What clients are shown: a session, or a recording."""
 
     clients: set[Looking]
+
+    @property
+    def modules(self) -> dict[str, str]:
+        """Panels that are not the page's own: their JavaScript, by kind."""
 
     def visitor(self) -> Looking: ...
     def greeting(self) -> bytes: ...
@@ -103,8 +109,11 @@ class PageServer:
             return _plain(HTTPStatus.FORBIDDEN, refused) if refused else None
         if path == "/metrics":
             return _response(HTTPStatus.OK, METRICS_TYPE, self._metrics().encode())
+        if path.startswith(MODULES) and path.endswith(".js"):
+            module = self._shows.modules.get(path[len(MODULES) : -len(".js")])
+            return _response(HTTPStatus.OK, FILES["/page.js"][1], module.encode()) if module else _plain(*NO_PAGE)
         if path not in FILES:
-            return _plain(HTTPStatus.NOT_FOUND, "there is no such page\n")
+            return _plain(*NO_PAGE)
         response = _response(HTTPStatus.OK, FILES[path][1], self._packed[path], ("Content-Encoding", "gzip"))
         if access.token and path == "/":
             response.headers["Set-Cookie"] = access.cookie

@@ -5,11 +5,14 @@ from __future__ import annotations
 from typing import Any, Literal, TypeAlias
 
 from devices.outlets.page.poses import bones_of
+from devices.outlets.page.wire import MOST_TEXT
 from stream.chunk import StreamSpec
+from stream.errors import KinegraphError
 from stream.filter import SampleWise
 from stream.graph import Edge, Graph
-from stream.manual import Value
+from stream.manual import Annotations, Value
 from stream.mesh import Topology
+from stream.operator import Operator
 from stream.recording.image import is_picture
 
 Kind: TypeAlias = Literal["signal", "events", "frame", "points", "curves", "mesh", "pose"]
@@ -18,7 +21,9 @@ SLOW_BYTES_S = 4096
 """A signal below this is kept from the beginning, whether or not somebody looks at it."""
 MANY_CHANNELS = 32
 """A signal of more channels has no panel unless it is asked for."""
-TIMES = ("ns",)
+MOST_WORDS = 40
+MOST_MODULE = 256 << 10
+"""Characters of a panel's module."""
 
 
 def kind_of(spec: StreamSpec) -> Kind | None:
@@ -123,8 +128,44 @@ def hello(graph: Graph, *, outside: bool, mode: str, t0_ns: int) -> dict[str, An
             for n in graph.nodes.values()
             if mode == "live" and isinstance(v := n.part, Value)
         ],
+        "words": words_of(graph) if mode == "live" else [],
         "panels": panels_of(graph, specs),
     }
+
+
+def words_of(graph: Graph) -> list[str]:
+    """What may be said to operators by annotations, each once."""
+    heard = [
+        n
+        for n in graph.nodes.values()
+        if any(isinstance(graph.nodes[e.node].part, Annotations) for e in n.inputs.values())
+    ]
+    said = [word for node in heard if isinstance(node.part, Operator) for word in node.part.words()]
+    return [word[:MOST_TEXT] for word in dict.fromkeys(said)][:MOST_WORDS]
+
+
+def own_panels(graph: Graph, specs: dict[str, StreamSpec]) -> list[dict[str, Any]]:
+    """The panels that nodes bring: an operator's of what it gives, an outlet's of what it is given."""
+    found = []
+    for node in graph.nodes.values():
+        edges = [*node.inputs.values()] if node.is_outlet else [Edge(node.name, output) for output in node.specs]
+        of = [str(edge) for edge in edges if str(edge) in specs]
+        kinds = [kind for kind in getattr(node.part, "panels", {}) if kind in graph.page.modules]
+        found += [{"kind": kind, "of": of, "title": node.name} for kind in kinds if of]
+    return found
+
+
+def own_modules(graph: Graph) -> dict[str, str]:
+    """The JavaScript of panels that are not the page's own, by kind. Raises KinegraphError for one that cannot be read."""
+    found = {}
+    for kind, path in graph.page.modules.items():
+        try:
+            found[kind] = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise KinegraphError(f"the panel {kind!r} cannot be read: {path}: {error}") from None
+        if len(found[kind]) > MOST_MODULE:
+            raise KinegraphError(f"the panel {kind!r} is too large: {path} has more than {MOST_MODULE} characters")
+    return found
 
 
 def panels_of(graph: Graph, specs: dict[str, StreamSpec]) -> list[dict[str, Any]]:
@@ -132,7 +173,11 @@ def panels_of(graph: Graph, specs: dict[str, StreamSpec]) -> list[dict[str, Any]
     if graph.page.panels:
         return [_known(panel, specs) for panel in graph.page.panels]
     inputs = {node.name: [str(edge) for edge in node.inputs.values()] for node in graph.nodes.values()}
-    return [*default_panels(specs, inputs), *({"kind": kind, "of": []} for kind in ("graph", "state", "log"))]
+    return [
+        *own_panels(graph, specs),
+        *default_panels(specs, inputs),
+        *({"kind": kind, "of": []} for kind in ("graph", "state", "log")),
+    ]
 
 
 def _known(panel: dict[str, Any], specs: dict[str, StreamSpec]) -> dict[str, Any]:

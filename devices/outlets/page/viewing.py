@@ -1,35 +1,26 @@
-"""A recording on the page: what a client looks at is read from the file, what is seen from afar from pyramids made meanwhile."""
+"""A recording on the page: who looks at it, what each wants to see, and the marks that people make."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
-from threading import Lock
+from functools import cached_property
 from typing import Any
 
-import numpy as np
 import structlog
 
 from devices.outlets.page import messages
-from devices.outlets.page.hub import Looking
-from devices.outlets.page.marks import MARKS, SPEC, Marks, shown_with
-from devices.outlets.page.pyramid import Pyramid
-from devices.outlets.page.shown import default_panels, described, kind_of, panels_of
-from devices.outlets.page.thin import as_rows, breaks, thinned
-from devices.outlets.page.wire import Asked, Look, Mark, encode
-from stream.chunk import NS, Array, StreamSpec, Times
+from devices.outlets.page.hub import Looking, check_analysis
+from devices.outlets.page.marks import MARKS, SPEC, shown_with
+from devices.outlets.page.reading import RecordedViews
+from devices.outlets.page.shown import default_panels, described, own_modules, panels_of
+from devices.outlets.page.wire import Analyse, Asked, Look, Mark, encode
+from stream.chunk import NS
 from stream.errors import KinegraphError
 from stream.graph import Graph
 from stream.graph.load import load_text
 from stream.recording import Recording
-from stream.recording.recorded_stream import RecordedStream
 
-EVENTS_BEFORE = 200
-"""Events before what is looked at, for those that last into it."""
 log = structlog.get_logger(__name__)
-
-MOST_RAW = 400_000
-"""More values than this are not read from the file for one look."""
 
 
 class Visitor(Looking):
@@ -43,33 +34,18 @@ class Visitor(Looking):
         self.task: asyncio.Task[None] | None = None
 
 
-class RecordingHub:
+class RecordingHub(RecordedViews):
     """What the page's server shows of a recording."""
 
     def __init__(self, recording: Recording) -> None:
-        self.recording = recording
+        super().__init__(recording)
         self.clients: set[Looking] = set()
-        streams = {
-            n: s
-            for n, s in recording.streams.items()
-            if s.kept != "outline" and s.first is not None and kind_of(s.spec) and n != MARKS
-        }
-        self.marks = Marks(recording.path)
-        self._marks_at = len(streams)
-        self.names, self._streams = [*streams, MARKS], [*streams.values(), RecordedStream(SPEC, "edge")]
-        self.specs: list[StreamSpec] = [s.spec for s in self._streams]
-        self.begin = min((s.first for s in self._streams if s.first is not None), default=0)
-        self.end = max((s.last for s in self._streams if s.last is not None), default=0)
-        self.pyramids: dict[int, Pyramid] = {}
-        self._events: dict[int, tuple[Times, Array]] = {}
-        self._progress = (0.0, "")
-        self._reading = Lock()
 
     def visitor(self) -> Looking:
         return Visitor()
 
     def greeting(self) -> bytes:
-        graph = self._graph()
+        graph = self._made_by
         specs = dict(zip(self.names, self.specs, strict=True))
         inputs = {n.name: [str(edge) for edge in n.inputs.values()] for n in graph.nodes.values()} if graph else {}
         wide = ("graph", "state", "log")
@@ -87,12 +63,17 @@ class RecordingHub:
         return encode({
             "t": "hello", "v": 1, "name": self.recording.path.name, "mode": "recording", "t0_ms": self.begin / 1e6,
             "session": {str(k): str(v) for k, v in (self.recording.header.get("session") or {}).items()},
-            "streams": [described(name, spec) for name, spec in specs.items()], "nodes": [], "edges": [], "values": [],
+            "streams": [described(name, spec) for name, spec in specs.items()], "nodes": [], "edges": [], "values": [], "words": [],
             "panels": panels, "length_s": (self.end - self.begin) / NS, "spans": spans,
             "gaps": [self._gaps(i) for i in range(len(self.names))],
         })  # fmt: skip
 
-    def _graph(self) -> Graph | None:
+    @cached_property
+    def modules(self) -> dict[str, str]:
+        return own_modules(self._made_by) if self._made_by else {}
+
+    @cached_property
+    def _made_by(self) -> Graph | None:
         """The graph that made the recording, for the arrangement of its panels; None where it cannot be loaded here."""
         try:
             recorded = {name: s.spec for name, s in self.recording.streams.items()}
@@ -108,6 +89,11 @@ class RecordingHub:
         if isinstance(asked, Mark) and asked.at is not None:
             self._mark(asked.text, self.begin + round(asked.at * NS))
             return
+        if isinstance(asked, Analyse) and isinstance(client, Visitor):
+            check_analysis(asked, self.specs)
+            client.analyses[asked.stream] = asked
+            self._begin_serving(client)
+            return
         if (
             not isinstance(asked, Look)
             or not isinstance(client, Visitor)
@@ -115,6 +101,9 @@ class RecordingHub:
         ):
             raise ValueError("a recording can be looked at, not changed")
         client.look = asked
+        self._begin_serving(client)
+
+    def _begin_serving(self, client: Visitor) -> None:
         if not client.busy:
             client.busy = True
             client.task = asyncio.create_task(self._serve(client))
@@ -133,8 +122,13 @@ class RecordingHub:
     async def _serve(self, client: Visitor) -> None:
         """Make what the client looks at; of looks that came meanwhile only the last counts."""
         try:
-            while (look := client.look) is not None:
-                client.look = None
+            while client.look is not None or client.analyses:
+                while client.analyses:
+                    client.outbox.append(await asyncio.to_thread(self.analysed, *client.analyses.popitem()))
+                    client.news.set()
+                look, client.look = client.look, None
+                if look is None:
+                    continue
                 for stream in look.streams:
                     made = await asyncio.to_thread(self.seen, stream, look)
                     if made:
@@ -158,99 +152,6 @@ class RecordingHub:
             assert isinstance(client, Visitor)
             client.outbox.append(message)
             client.news.set()
-
-    def seen(self, stream: int, look: Look) -> bytes | None:
-        """One stream of a look, as a message."""
-        begin, end, at = (self.begin + round(t * NS) for t in (look.begin, look.end, look.at))
-        spec = self.specs[stream]
-        with self._reading:
-            if kind_of(spec) == "signal":
-                return self._signal(stream, spec, begin, end, look.points)
-            if kind_of(spec) == "events":
-                return self._some_events(stream, spec, begin, max(end, at))
-            return self._newest(stream, spec, at)
-
-    def _signal(self, stream: int, spec: StreamSpec, begin: int, end: int, points: int) -> bytes | None:
-        width = (end - begin) // points
-        pyramid = self.pyramids.get(stream)
-        if pyramid and width >= pyramid.width:
-            curve = pyramid.curve(begin, end, width)
-            return messages.signal(
-                stream, curve, pyramid.width * max(1, round(width / pyramid.width)), self.begin, fresh=True
-            )
-        if (spec.rate_hz or 100.0) * (end - begin) / NS * spec.shape[0] > MOST_RAW and not pyramid:
-            return None
-        times, rows, torn = [np.empty(0, np.int64)], [np.empty((0, spec.shape[0]))], [np.zeros(0, np.bool_)]
-        before = None
-        for chunk in self.recording.chunks_from(self.names[stream], begin):
-            if len(chunk.time) and chunk.time[0] > end:
-                break
-            torn.append(breaks(chunk.time, chunk.lost, before, spec.period_ns))
-            before = int(chunk.time[-1]) if len(chunk.time) else before
-            times.append(chunk.time)
-            rows.append(as_rows(chunk.data).astype(np.float64))
-        time, data, broken = np.concatenate(times), np.concatenate(rows), np.concatenate(torn)
-        part = slice(*np.searchsorted(time, [begin, end]))
-        count = part.stop - part.start
-        width = 0 if count <= 2 * points else width
-        return messages.signal(
-            stream, thinned(time[part], data[part], broken[part], width), width, self.begin, fresh=True
-        )
-
-    def _some_events(self, stream: int, spec: StreamSpec, begin: int, end: int) -> bytes:
-        if stream not in self._events and stream != self._marks_at:
-            self._events[stream] = self.recording.read(self.names[stream])
-        time, data = self.marks.read() if stream == self._marks_at else self._events[stream]
-        last = int(np.searchsorted(time, end + 3600 * NS, side="right"))
-        first = max(0, int(np.searchsorted(time, begin)) - EVENTS_BEFORE, last - messages.MOST_ROWS)
-        return messages.events(stream, first, spec, time[first:last], data[first:last], self.begin, fresh=True)
-
-    def _newest(self, stream: int, spec: StreamSpec, at: int) -> bytes | None:
-        at = min(at, self._streams[stream].last or at)
-        found: tuple[int, Array] | None = None
-        for chunk in self.recording.chunks_from(self.names[stream], at):
-            n = int(np.searchsorted(chunk.time, at, side="right"))
-            if n:
-                found = int(chunk.time[n - 1]), chunk.data[n - 1]
-            if n < len(chunk.time):
-                break
-        return messages.newest(stream, spec, 0, *found, self.begin) if found else None
-
-    def build(self, told: Callable[[bytes], None]) -> None:
-        """Have a pyramid of every signal: the recorder's, or one made in a pass over all its samples. Tells of the progress and
-        of the gaps that were found; called on a thread of its own."""
-        signals = [
-            i for i, spec in enumerate(self.specs) if kind_of(spec) == "signal" and self._streams[i].first is not None
-        ]
-        with Recording.open(self.recording.path) as own:
-            for stream in signals:
-                source = self._streams[stream]
-                if overviews := own.overviews(self.names[stream]):
-                    self.pyramids[stream] = Pyramid.seen(
-                        self.specs[stream], overviews, source.first or 0, source.last or 0
-                    )
-                    told(encode({"t": "gaps", "s": stream, "gaps": self._gaps(stream)}))
-        signals = [stream for stream in signals if stream not in self.pyramids]
-        for done, stream in enumerate(signals):
-            source = self._streams[stream]
-            pyramid = Pyramid(self.specs[stream], source.first or 0, source.last or 0)
-            shown = -1
-
-            def progress(share: float, done: int = done) -> None:
-                nonlocal shown
-                if (percent := int(100 * (done + share) / len(signals))) > shown:
-                    shown = percent
-                    told(encode({"t": "progress", "share": percent / 100, "what": "reading"}))
-
-            with Recording.open(self.recording.path) as own:
-                pyramid.build(own.chunks(self.names[stream]), progress)
-            self.pyramids[stream] = pyramid
-            told(encode({"t": "gaps", "s": stream, "gaps": self._gaps(stream)}))
-        told(encode({"t": "progress", "share": 1, "what": "reading"}))
-
-    def _gaps(self, stream: int) -> list[list[float]]:
-        pyramid = self.pyramids.get(stream)
-        return [[(a - self.begin) / NS, (b - self.begin) / NS] for a, b in pyramid.gaps] if pyramid else []
 
     def metrics(self) -> dict[str, dict[str, Any]]:
         """For `/metrics`."""

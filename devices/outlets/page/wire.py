@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from struct import Struct
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import msgspec
 
@@ -57,6 +57,16 @@ class Look(msgspec.Struct, tag="look", tag_field="do", forbid_unknown_fields=Tru
     points: int
 
 
+class Analyse(msgspec.Struct, tag="analyse", tag_field="do", forbid_unknown_fields=True):
+    """The spectrum of a signal between two times (s since the beginning), or the spectrogram of one of its channels."""
+
+    stream: int
+    what: Literal["spectrum", "spectrogram"]
+    begin: float
+    end: float
+    channel: int = 0
+
+
 class Mark(msgspec.Struct, tag="mark", tag_field="do", forbid_unknown_fields=True):
     """Annotate this moment, or that one (s since the beginning)."""
 
@@ -89,7 +99,7 @@ class Seek(msgspec.Struct, tag="seek", tag_field="do", forbid_unknown_fields=Tru
     to: float
 
 
-Asked: TypeAlias = See | Look | Mark | Tell | SetPace | StepOn | Seek
+Asked: TypeAlias = See | Look | Analyse | Mark | Tell | SetPace | StepOn | Seek
 _asked = msgspec.json.Decoder(Asked)
 
 
@@ -102,6 +112,8 @@ def asked(message: str | bytes) -> Asked:
         case Look(streams, begin, end, at, points) if not (len(streams) <= 1000 and 2 <= points <= 10_000):
             raise ValueError("a client asks for too much")
         case Look(_, begin, end, at) if not (-1e9 < begin < end < 1e9 and -1e9 < at < 1e9):
+            raise ValueError("a client asks for a time that cannot be")
+        case Analyse(_, _, begin, end) if not -1e9 < begin < end < 1e9:
             raise ValueError("a client asks for a time that cannot be")
         case Mark(text, at) if not text.strip() or len(text) > MOST_TEXT or (at is not None and not -1e9 < at < 1e9):
             raise ValueError(f"an annotation has 1 to {MOST_TEXT} characters")

@@ -10,7 +10,7 @@ const STEPS = 256;
 const METRES_PER_MM = 0.001;
 
 /** Colours as little-endian RGBA. */
-const TABLE = Uint32Array.from({ length: STEPS }, (_, i) => {
+export const TABLE = Uint32Array.from({ length: STEPS }, (_, i) => {
   const place = (i / (STEPS - 1)) * (STOPS.length - 1);
   const [a, b] = [STOPS[Math.floor(place)] as number[], STOPS[Math.ceil(place)] as number[]];
   const [r, g, blue] = [0, 1, 2].map((k) => Math.round((a[k] as number) + ((b[k] as number) - (a[k] as number)) * (place % 1)));

@@ -4,9 +4,12 @@ import { Arranger } from "./arrange";
 import { CyclesPanel } from "./cycles";
 import { EventsPanel, TablePanel } from "./events";
 import { FramePanel } from "./frame";
+import { HypnogramPanel } from "./hypnogram";
+import { OwnPanel } from "./own";
 import { make, type Page, Panel, type Span } from "./panel";
 import { ScenePanel } from "./scene";
 import { SignalPanel } from "./signal";
+import { SimilarityPanel } from "./similarity";
 import { GraphPanel, LogPanel, StatePanel } from "./state";
 import { Stream } from "./store";
 import { MARKS, Player, Replayer, Timeline } from "./timeline";
@@ -77,6 +80,10 @@ class Main implements Page {
     this.moved = true;
   }
 
+  ask(what: object): boolean {
+    return this.connection.ask(what);
+  }
+
   private say(state: string): void {
     this.status.textContent = state;
     document.body.dataset["state"] = state;
@@ -98,6 +105,10 @@ class Main implements Page {
         return;
       case "log":
         for (const panel of this.panels) if (panel instanceof LogPanel) panel.take(message);
+        return;
+      case "spectrum":
+      case "spectrogram":
+        for (const panel of this.panels) if (panel instanceof SignalPanel && panel.streams[0]?.number === message.s) panel.takeSpectrum(message, buffer, at);
         return;
       case "pace":
         return this.replayer.take(message);
@@ -152,11 +163,13 @@ class Main implements Page {
       case "table": return new TablePanel(info, streams, this);
       case "cycles": return new CyclesPanel(info, streams, this);
       case "frame": return new FramePanel(info, streams, this);
+      case "hypnogram": return streams.length ? new HypnogramPanel(info, streams, this) : null;
+      case "similarity": return streams.length ? new SimilarityPanel(info, streams, this) : null;
       case "scene": return new ScenePanel(info, streams, this);
       case "state": return new StatePanel(info, this);
       case "log": return new LogPanel(info, this);
       case "graph": return new GraphPanel(info, this, hello);
-      default: return null;
+      default: return new OwnPanel(info, streams, this);
     }
   }
 
@@ -186,7 +199,7 @@ class Main implements Page {
     }
     const { button: hold, step, speed, whole } = this.replayer;
     if (hello.mode === "replay") return this.controls.replaceChildren(hold, step, speed, whole, this.windows, this.arranger.button, theme);
-    const marking = hello.mode === "live" ? [this.mark, button] : [];
+    const marking = hello.mode === "live" ? [this.mark, button, ...(hello.words ?? []).map((word) => this.word(word))] : [];
     this.controls.replaceChildren(...values, this.windows, this.pause, ...marking, this.arranger.button, theme);
   }
 
@@ -198,6 +211,25 @@ class Main implements Page {
     input.oninput = () => { shown.textContent = `${input.value} ${value.unit}`; };
     input.onchange = () => this.connection.ask({ do: "tell", node: value.node, text: input.value });
     return make("label", {}, value.node, input, shown);
+  }
+
+  /** A button for what may be said to an operator; with a field, where the word takes a text. */
+  private word(word: string): HTMLElement {
+    const button = make("button", { type: "button", class: "word" }, word.trim());
+    if (!word.endsWith(" ")) {
+      button.onclick = () => this.annotate(word);
+      return button;
+    }
+    const field = make("input", { type: "text", size: "8", maxlength: String(64 - word.length), "aria-label": word.trim() });
+    const say = () => {
+      if (!field.value.trim()) return field.focus();
+      this.annotate(word + field.value.trim());
+      field.value = "";
+      field.blur();
+    };
+    button.onclick = say;
+    field.onkeydown = (event) => { if (event.key === "Enter") say(); };
+    return make("span", { class: "word" }, button, field);
   }
 
   private annotate(text = this.mark.value.trim() || "mark"): void {

@@ -15,6 +15,8 @@ export interface Page {
   clock(at: number, fine?: boolean): string;
   /** Move the cursor of a recording. */
   seek(at: number): void;
+  /** Ask the server; whether it could be asked. */
+  ask(what: object): boolean;
 }
 
 export function make<K extends keyof HTMLElementTagNameMap>(

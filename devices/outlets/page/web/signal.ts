@@ -3,8 +3,9 @@
 import uPlot from "uplot";
 
 import { colour, make, type Page, Panel, shade, type Span } from "./panel";
+import { Analysis, type View } from "./spectrum";
 import type { Stream } from "./store";
-import type { PanelInfo } from "./wire";
+import type { PanelInfo, SpectrumMessage } from "./wire";
 
 const FILL = 0.46;
 /** How fast a channel's scale shrinks after a large value has left, per frame. */
@@ -18,6 +19,9 @@ export class SignalPanel extends Panel {
   private readonly stream: Stream;
   private readonly scales: Scale[];
   private common = false;
+  private readonly analysis: Analysis;
+  private readonly view = make("select", { "aria-label": "view" }, ...["lines", "spectrum", "spectrogram"].map((v) => make("option", { value: v }, v)));
+  private readonly channel = make("select", { "aria-label": "channel", hidden: "" });
   private span: Span = { begin: 0, end: 1, at: 1 };
 
   constructor(info: PanelInfo, streams: Stream[], page: Page) {
@@ -29,7 +33,22 @@ export class SignalPanel extends Panel {
       this.common = !this.common;
       common.setAttribute("aria-pressed", String(this.common));
     };
+    this.analysis = new Analysis(this.body, this.height, this.stream, page);
+    this.channel.append(...this.channels.map((name, c) => make("option", { value: String(c) }, name)));
+    this.view.onchange = () => this.show(this.view.value as View);
+    if (this.stream.info.rate_hz) this.tools.append(this.view, this.channel);
     if (this.scales.length > 1) this.tools.append(common);
+  }
+
+  /** Lines, or what the server makes of them. */
+  private show(view: View): void {
+    this.analysis.show(view !== "lines");
+    this.channel.hidden = view !== "spectrogram" || this.scales.length < 2;
+    if (view !== "lines") this.restyle();
+  }
+
+  takeSpectrum(message: SpectrumMessage, buffer: ArrayBuffer, at: number): void {
+    if (message.t === this.view.value && (message.t === "spectrum" || message.channel === Number(this.channel.value))) this.analysis.take(message, buffer, at);
   }
 
   override widths(span_s: number, pixels: number): Map<number, number> {
@@ -47,6 +66,12 @@ export class SignalPanel extends Panel {
     this.span = span;
     const width = this.body.clientWidth;
     if (!width) return;
+    const view = this.view.value as View;
+    this.element.dataset["view"] = view;
+    if (view !== "lines") {
+      this.element.dataset["peak"] = String(this.analysis.draw(view, Number(this.channel.value), span));
+      return;
+    }
     this.plot ??= this.made(width);
     if (this.plot.width !== width) this.plot.setSize({ width, height: this.height });
     const data = this.lanes();

@@ -4,7 +4,7 @@ import { make, type Page, Panel, type Span } from "./panel";
 import type { Hello, LogMessage, PanelInfo, Row, StateMessage } from "./wire";
 
 const COLUMNS: [string, string][] = [
-  ["rate_hz", "rate /s"], ["p50_us", "p50 µs"], ["p99_us", "p99 µs"], ["queue", "queue"], ["dropped", "dropped"], ["late", "late"], ["gaps", "gaps"],
+  ["rate_hz", "rate /s"], ["p50_us", "p50 µs"], ["p99_us", "p99 µs"], ["cpu_pct", "CPU %"], ["queue", "queue"], ["dropped", "dropped"], ["late", "late"], ["gaps", "gaps"],
 ];
 const MOST_LINES = 200;
 const SVG = "http://www.w3.org/2000/svg";
@@ -76,6 +76,7 @@ const BOX = { width: 150, height: 40, across: 210, down: 58 };
 
 export class GraphPanel extends Panel {
   private readonly rates = new Map<string, SVGTextElement>();
+  private readonly flows = new Map<string, SVGTextElement[]>();
   private readonly boxes = new Map<string, SVGRectElement>();
   private state: StateMessage | null = null;
 
@@ -102,6 +103,9 @@ export class GraphPanel extends Panel {
       if (text) text.textContent = `${Number(row["rate_hz"] ?? 0).toFixed(1)}/s${row["p99_us"] ? ` · p99 ${Number(row["p99_us"]).toFixed(0)} µs` : ""}`;
       this.boxes.get(node)?.classList.toggle("failed", Boolean(row["error"]) || row["state"] === "stale");
     }
+    for (const [edge, rate] of Object.entries(this.state.edges ?? {})) {
+      for (const text of this.flows.get(edge) ?? this.flows.get(edge.replace(/\.out$/, "")) ?? []) text.textContent = `${rate < 10 ? rate.toFixed(1) : rate.toFixed(0)}/s`;
+    }
     this.state = null;
   }
 
@@ -127,7 +131,9 @@ export class GraphPanel extends Panel {
     const [x1, y1, x2, y2] = [a[0] + BOX.width, a[1] + BOX.height / 2, b[0], b[1] + BOX.height / 2];
     const path = draw("path", { d: `M${x1},${y1} C${x1 + 30},${y1} ${x2 - 30},${y2} ${x2},${y2}` });
     path.append(draw("title", {}, `${edge} to ${port}`));
-    svg.append(path);
+    const flow = draw("text", { x: String((x1 + x2) / 2), y: String((y1 + y2) / 2 - 4), class: "dim flow", "text-anchor": "middle" }) as SVGTextElement;
+    this.flows.set(edge, [...(this.flows.get(edge) ?? []), flow]);
+    svg.append(path, flow);
   }
 
   private node(svg: SVGElement, name: string, use: string, kind: string, [x, y]: [number, number]): void {

@@ -60,6 +60,8 @@ export class Stream {
   arrived = NaN;
   last = NaN;
   count = 0;
+  /** For so long a panel wants to keep it, however little is shown (s). */
+  keep_s = SPARE_S;
 
   constructor(readonly info: StreamInfo, readonly number: number) {
     this.signal = new Signal(info.kind === "signal" ? Math.max(1, info.shape[0] ?? 1) : 0);
@@ -95,7 +97,7 @@ export class Stream {
   }
 
   forget(before: number): void {
-    this.signal.forget(before - SPARE_S);
+    this.signal.forget(before - this.keep_s);
   }
 
   private note(last: number, count: number, now: number): void {

@@ -38,12 +38,18 @@ export interface Hello {
   nodes: NodeInfo[];
   edges: [string, string, string][];
   values: ValueInfo[];
+  words?: string[];
   panels: PanelInfo[];
   length_s?: number;
   spans?: [number, number, number][];
   gaps?: [number, number][][];
 }
 export interface SignalMessage { t: "signal"; s: number; n: number; w: number; thin: boolean; fresh: boolean }
+/** A spectrum of all channels, or a spectrogram of one; without a whole window it has no bins. */
+export interface SpectrumMessage {
+  t: "spectrum" | "spectrogram";
+  s: number; begin: number; end: number; channel: number; bins: number; bin_hz: number; windows: number; hop?: number;
+}
 export type Cell = string | number | boolean | null;
 export interface EventsMessage { t: "events"; s: number; first: number; rows: Cell[][]; fresh: boolean }
 export interface NewestMessage {
@@ -53,6 +59,7 @@ export interface NewestMessage {
 export type Row = Record<string, string | number>;
 export interface StateMessage {
   t: "state"; table: Record<string, Row>; clients: number; skipped: number; dropped: number; over: string;
+  edges?: Record<string, number>;
 }
 export interface LogMessage { t: "log"; lines: { at: number; level: string; text: string }[] }
 export interface ProgressMessage { t: "progress"; share: number; what: string }
@@ -60,7 +67,7 @@ export interface GapsMessage { t: "gaps"; s: number; gaps: [number, number][] }
 export interface LookedMessage { t: "looked"; at: number }
 /** How far a replay is, of how much (s), and its speed; 0: it stands still. */
 export interface PaceMessage { t: "pace"; at: number; length: number; speed: number }
-export type Message = PaceMessage | LookedMessage | GapsMessage | Hello | SignalMessage | EventsMessage | NewestMessage | StateMessage | LogMessage | ProgressMessage;
+export type Message = PaceMessage | SpectrumMessage | LookedMessage | GapsMessage | Hello | SignalMessage | EventsMessage | NewestMessage | StateMessage | LogMessage | ProgressMessage;
 
 const text = new TextDecoder();
 

@@ -1,0 +1,156 @@
+"""Views of a recording: what is looked at close by is read from the file, what is seen from afar from pyramids made meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from threading import Lock
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.outlets.page import messages
+from devices.outlets.page.hub import CURVES
+from devices.outlets.page.marks import MARKS, SPEC, Marks
+from devices.outlets.page.pyramid import Pyramid
+from devices.outlets.page.shown import kind_of
+from devices.outlets.page.spectra import MOST_VALUES, analysed
+from devices.outlets.page.thin import as_rows, breaks, thinned
+from devices.outlets.page.wire import Analyse, Look, encode
+from stream.chunk import NS, Array, Samples, StreamSpec, Times
+from stream.recording import Recording
+from stream.recording.recorded_stream import RecordedStream
+
+CURVES_S = 10
+"""So far back a curve of every channel is looked for."""
+EVENTS_BEFORE = 200
+"""Events before what is looked at, for those that last into it."""
+MOST_RAW = 400_000
+"""More values than this are not read from the file for one look."""
+
+
+class RecordedViews:
+    """Views of a recording's streams between any two moments, as messages; the marks are a stream of their own."""
+
+    def __init__(self, recording: Recording) -> None:
+        self.recording = recording
+        streams = {
+            n: s
+            for n, s in recording.streams.items()
+            if s.kept != "outline" and s.first is not None and kind_of(s.spec) and n != MARKS
+        }
+        self.marks = Marks(recording.path)
+        self._marks_at = len(streams)
+        self.names, self._streams = [*streams, MARKS], [*streams.values(), RecordedStream(SPEC, "edge")]
+        self.specs: list[StreamSpec] = [s.spec for s in self._streams]
+        self.begin = min((s.first for s in self._streams if s.first is not None), default=0)
+        self.end = max((s.last for s in self._streams if s.last is not None), default=0)
+        self.pyramids: dict[int, Pyramid] = {}
+        self._events: dict[int, tuple[Times, Array]] = {}
+        self._reading = Lock()
+
+    def seen(self, stream: int, look: Look) -> bytes | None:
+        """One stream of a look, as a message."""
+        begin, end, at = (self.begin + round(t * NS) for t in (look.begin, look.end, look.at))
+        spec = self.specs[stream]
+        with self._reading:
+            if kind_of(spec) == "signal":
+                return self._signal(stream, spec, begin, end, look.points)
+            if kind_of(spec) == "events":
+                return self._some_events(stream, spec, begin, max(end, at))
+            return self._newest(stream, spec, at)
+
+    def _signal(self, stream: int, spec: StreamSpec, begin: int, end: int, points: int) -> bytes | None:
+        width = (end - begin) // points
+        pyramid = self.pyramids.get(stream)
+        if pyramid and width >= pyramid.width:
+            curve = pyramid.curve(begin, end, width)
+            return messages.signal(
+                stream, curve, pyramid.width * max(1, round(width / pyramid.width)), self.begin, fresh=True
+            )
+        if (spec.rate_hz or 100.0) * (end - begin) / NS * spec.shape[0] > MOST_RAW and not pyramid:
+            return None
+        time, data, broken = self._read(stream, spec, begin, end)
+        width = 0 if len(time) <= 2 * points else width
+        return messages.signal(stream, thinned(time, data, broken, width), width, self.begin, fresh=True)
+
+    def _read(self, stream: int, spec: StreamSpec, begin: int, end: int) -> tuple[Times, Samples, NDArray[np.bool_]]:
+        """A signal's samples between two times (ns), and before which of them something is missing."""
+        times, rows, torn = [np.empty(0, np.int64)], [np.empty((0, spec.shape[0]))], [np.zeros(0, np.bool_)]
+        before = None
+        for chunk in self.recording.chunks_from(self.names[stream], begin):
+            if len(chunk.time) and chunk.time[0] > end:
+                break
+            torn.append(breaks(chunk.time, chunk.lost, before, spec.period_ns))
+            before = int(chunk.time[-1]) if len(chunk.time) else before
+            times.append(chunk.time)
+            rows.append(as_rows(chunk.data).astype(np.float64))
+        time, data, broken = np.concatenate(times), np.concatenate(rows), np.concatenate(torn)
+        part = slice(*np.searchsorted(time, [begin, end]))
+        return time[part], data[part], broken[part]
+
+    def analysed(self, stream: int, asked: Analyse) -> bytes:
+        """A spectrum or a spectrogram, as a message; of too long a span its end."""
+        spec = self.specs[stream]
+        begin, end = (self.begin + round(at * NS) for at in (asked.begin, asked.end))
+        longest = round(MOST_VALUES / (spec.rate_hz or 1.0) / spec.shape[0] * NS)
+        with self._reading:
+            time, data, _ = self._read(stream, spec, max(begin, end - longest), end)
+        return analysed(stream, spec, asked, time, data, self.begin)
+
+    def _some_events(self, stream: int, spec: StreamSpec, begin: int, end: int) -> bytes:
+        if stream not in self._events and stream != self._marks_at:
+            self._events[stream] = self.recording.read(self.names[stream])
+        time, data = self.marks.read() if stream == self._marks_at else self._events[stream]
+        last = int(np.searchsorted(time, end + 3600 * NS, side="right"))
+        first = max(0, int(np.searchsorted(time, begin)) - EVENTS_BEFORE, last - messages.MOST_ROWS)
+        return messages.events(stream, first, spec, time[first:last], data[first:last], self.begin, fresh=True)
+
+    def _newest(self, stream: int, spec: StreamSpec, at: int) -> bytes | None:
+        at = min(at, self._streams[stream].last or at)
+        back = CURVES_S * NS if kind_of(spec) == "curves" and spec.dtype.kind == "f" else 0
+        found: tuple[int, Array] | None = None
+        before = np.empty((0, *spec.shape), spec.dtype)
+        for chunk in self.recording.chunks_from(self.names[stream], at - back):
+            n = int(np.searchsorted(chunk.time, at, side="right"))
+            if n:
+                before = np.concatenate([before, chunk.data[:n]])[-CURVES:] if back else chunk.data[n - 1 : n]
+                found = int(chunk.time[n - 1]), messages.completed(before) if back else before[0]
+            if n < len(chunk.time):
+                break
+        return messages.newest(stream, spec, 0, *found, self.begin) if found else None
+
+    def build(self, told: Callable[[bytes], None]) -> None:
+        """Have a pyramid of every signal: the recorder's, or one made in a pass over all its samples. Tells of the progress and
+        of the gaps that were found; called on a thread of its own."""
+        signals = [
+            i for i, spec in enumerate(self.specs) if kind_of(spec) == "signal" and self._streams[i].first is not None
+        ]
+        with Recording.open(self.recording.path) as own:
+            for stream in signals:
+                source = self._streams[stream]
+                if overviews := own.overviews(self.names[stream]):
+                    self.pyramids[stream] = Pyramid.seen(
+                        self.specs[stream], overviews, source.first or 0, source.last or 0
+                    )
+                    told(encode({"t": "gaps", "s": stream, "gaps": self._gaps(stream)}))
+        signals = [stream for stream in signals if stream not in self.pyramids]
+        for done, stream in enumerate(signals):
+            source = self._streams[stream]
+            pyramid = Pyramid(self.specs[stream], source.first or 0, source.last or 0)
+            shown = -1
+
+            def progress(share: float, done: int = done) -> None:
+                nonlocal shown
+                if (percent := int(100 * (done + share) / len(signals))) > shown:
+                    shown = percent
+                    told(encode({"t": "progress", "share": percent / 100, "what": "reading"}))
+
+            with Recording.open(self.recording.path) as own:
+                pyramid.build(own.chunks(self.names[stream]), progress)
+            self.pyramids[stream] = pyramid
+            told(encode({"t": "gaps", "s": stream, "gaps": self._gaps(stream)}))
+        told(encode({"t": "progress", "share": 1, "what": "reading"}))
+
+    def _gaps(self, stream: int) -> list[list[float]]:
+        pyramid = self.pyramids.get(stream)
+        return [[(a - self.begin) / NS, (b - self.begin) / NS] for a, b in pyramid.gaps] if pyramid else []
