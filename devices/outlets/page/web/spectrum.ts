@@ -23,14 +23,15 @@ export class Analysis {
   private waiting = false;
   private key = "";
 
-  constructor(host: HTMLElement, height: number, private readonly stream: Stream, private readonly page: Page) {
+  constructor(private readonly host: HTMLElement, height: number, private readonly stream: Stream, private readonly page: Page) {
     this.sheet = new Sheet(host, height);
     this.sheet.canvas.setAttribute("role", "img");
     this.show(false);
   }
 
   show(shown: boolean): void {
-    this.sheet.canvas.style.display = shown ? "block" : "none";
+    if (shown) this.host.append(this.sheet.canvas);
+    else this.sheet.canvas.remove();
     if (!shown) this.message = null;
     this.key = "";
   }
