@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from operators.extremes import MovingMax, MovingMin
     from operators.features.bundle import Bundle
     from operators.features.mirror import Mirror
+    from operators.features.normalised_pose import NormalisedPose
     from operators.features.pose import Pose
     from operators.features.rest import SkipRest
     from operators.features.self_similarity import SelfSimilarity
@@ -66,6 +67,7 @@ if TYPE_CHECKING:
     from operators.gaps import FillGaps
     from operators.iir import Bandpass, Highpass, Lowpass, Notch
     from operators.mean import RemoveMean
+    from operators.motion_map import MotionMap
     from operators.moving import MovingMean, MovingRms
     from operators.neighbours import Neighbours
     from operators.one_euro import OneEuro
@@ -136,6 +138,7 @@ __all__ = [
     "Mirror",
     "MixtureDrift",
     "Motion",
+    "MotionMap",
     "MovingMax",
     "MovingMean",
     "MovingMin",
@@ -145,6 +148,7 @@ __all__ = [
     "NightMap",
     "Nights",
     "Normalise",
+    "NormalisedPose",
     "Notch",
     "OneEuro",
     "PatternWatch",
@@ -232,6 +236,7 @@ __getattr__, __dir__ = offered(
         "Mirror": "operators.features.mirror",
         "MixtureDrift": "operators.emg.mixture_drift",
         "Motion": "operators.depth.motion",
+        "MotionMap": "operators.motion_map",
         "MovingMax": "operators.extremes",
         "MovingMean": "operators.moving",
         "MovingMin": "operators.extremes",
@@ -241,6 +246,7 @@ __getattr__, __dir__ = offered(
         "NightMap": "operators.depth.night_map",
         "Nights": "operators.sleep.nights",
         "Normalise": "operators.emg.normalise",
+        "NormalisedPose": "operators.features.normalised_pose",
         "Notch": "operators.iir",
         "OneEuro": "operators.one_euro",
         "PatternWatch": "operators.gait.pattern_watch",
