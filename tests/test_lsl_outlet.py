@@ -147,12 +147,20 @@ def test_events_go_out_as_one_field_or_as_numbers(name: str) -> None:
         (LslOutlet("x", fields=("a",)), StreamSpec((1,)), "the input is no event"),
         (LslOutlet("x"), StreamSpec((480, 640), "<u2"), "1 to 4096 numbers a sample"),
         (LslOutlet("x"), StreamSpec((2,), "<c16"), "real numbers"),
-        (LslOutlet(""), StreamSpec((2,)), "a name"),
     ],
 )
 def test_what_cannot_go_out_is_told_when_the_graph_is_opened(outlet: LslOutlet, spec: StreamSpec, told: str) -> None:
     with pytest.raises((ParameterError, InputError), match=told):
         outlet.open({"in": spec})
+
+
+def test_without_a_name_nothing_goes_out() -> None:
+    outlet = LslOutlet("")
+    outlet.open({"in": StreamSpec((2,))})
+    outlet.begin()
+    outlet.process("in", Chunk(np.array([0]), np.zeros((1, 2)), 0))
+    assert outlet.runtime.outlet is None
+    outlet.close()
 
 
 def test_a_replayed_session_is_stamped_with_the_present(name: str) -> None:

@@ -51,7 +51,7 @@ class Ending:
         self._terminals = [file for file in (0, 1, 2) if os.isatty(file)]
         self._asked = 0
         self._interrupts = self._ours = False
-        self._raises = Interrupted
+        self._raises: type[Interrupted] = Interrupted
         self._table: object = None
         self._told: int | None = None
         self._thread = threading.Thread(target=self._listen, name="signals", daemon=True)
@@ -70,7 +70,7 @@ class Ending:
         self._thread.start()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         signal.set_wakeup_fd(self._wakeup)
         for number, handler in self._before.items():
             signal.signal(number, handler)
@@ -79,6 +79,8 @@ class Ending:
         self._mouth.close()
         self._thread.join()  # which ends the process itself, where the session was broken off
         self._ear.close()
+        if self._raises is Terminated and type(error) is Interrupted:  # the warm-up has seen by itself that it is to stop
+            raise Terminated from error
 
     def _in_main(self, _number: int, _frame: object) -> None:
         if self._interrupts:
@@ -110,9 +112,9 @@ class Ending:
             if self._asked == 1:
                 self._table = self._session.table
                 self._session.in_hand()  # what it finds now, and at the second signal still, is stuck
+                self._raises = Terminated if number == signal.SIGTERM else Interrupted
                 self._session.stop()
                 if self._session.warming:  # nothing is open yet that would have to be closed in order
-                    self._raises = Terminated if number == signal.SIGTERM else Interrupted
                     self._interrupt()
             elif (call := self._session.in_hand()) and call.lasts_s >= STUCK_S:
                 self._break_off(call)
