@@ -166,3 +166,16 @@ def test_of_an_outline_only_the_times_are_kept(tmp_path: Path) -> None:
         cli.call("recover", [str(tmp_path / "s"), "-o", str(tmp_path / "again")])
     with Recording.open(tmp_path / "again") as recording:
         assert recording.streams["cam"].kept == "outline" and recording.streams["cam"].samples == 400
+
+
+@pytest.mark.parametrize("frames", ["packed", "image"])
+def test_frames_are_read_from_any_moment_on(tmp_path: Path, frames: str) -> None:
+    """Also where a message's frames began in a chunk of records before its own."""
+    record(tmp_path / "s", session(400), frames)
+    with Recording.open(tmp_path / "s") as recording:
+        time, data = recording.read("cam")
+        for i in range(0, 400, 3):
+            chunks = list(recording.chunks_from("cam", int(time[i])))
+            found = np.concatenate([c.time for c in chunks])
+            assert found[0] <= time[i] and np.array_equal(found, time[-len(found) :])
+            assert np.array_equal(np.concatenate([c.data for c in chunks]), data[-len(found) :])

@@ -166,7 +166,7 @@ class Recording:
             stream = part.streams.get(name)
             if stream is None or stream.kept == "outline" or stream.last is None or stream.last < time:
                 continue
-            for _, _, body, frames in part.messages({name}, part.chunk_at(time, name)):
+            for _, _, body, frames in part.messages_from(time, name):
                 yield from (entry.chunk for entry in self._entries(part, name, body, {}, frames))
 
     def overviews(self, name: str) -> list[Overview] | None:

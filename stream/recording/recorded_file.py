@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from struct import Struct
 from typing import Any
@@ -182,6 +183,16 @@ class RecordedFile:
                         waiting[name] = []
                 elif number in images:
                     waiting[images[number]].append(body)
+
+    def messages_from(self, time: int, topic: str) -> Iterator[tuple[str, int, memoryview, list[memoryview]]]:
+        """The messages of a stream from the one on that holds `time` (ns), or from a little before, each with all its frames."""
+        start = self.chunk_at(time, topic)
+        known = 0
+        if topic in self.images.values():  # the frames of a chunk's first message may lie in chunks before: behind an earlier message
+            while start > 0 and not known:
+                start -= 1
+                known = sum(self.topics.get(number) == topic for number, *_ in self._messages(self.chunks[start]))
+        return islice(self.messages({topic}, start), known, None)
 
     def overview(self, name: str) -> Overview | None:
         """What the recorder saw of a signal from afar; None where it left nothing, or it is damaged."""
