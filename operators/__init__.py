@@ -63,6 +63,7 @@ if TYPE_CHECKING:
     from operators.gait.stage_curves import StageCurves
     from operators.gait.stages import Stages
     from operators.gait.statistics import CycleStatistics
+    from operators.gait.stride_shape import StrideShape
     from operators.gait.symmetry import LimbSymmetry
     from operators.gaps import FillGaps
     from operators.iir import Bandpass, Highpass, Lowpass, Notch
@@ -181,6 +182,7 @@ __all__ = [
     "SteerMesh",
     "StepClassifier",
     "Steps",
+    "StrideShape",
     "Surer",
     "SwitchContacts",
     "Threshold",
@@ -279,6 +281,7 @@ __getattr__, __dir__ = offered(
         "SteerMesh": "operators.steering.operator",
         "StepClassifier": "operators.steps.classifier",
         "Steps": "operators.steps.steps",
+        "StrideShape": "operators.gait.stride_shape",
         "Surer": "operators.body.surer",
         "SwitchContacts": "operators.gait.force",
         "Threshold": "operators.threshold",
