@@ -39,12 +39,22 @@ def sleep(
     ] = 30.0,
     output: Annotated[File | None, typer.Option("-o", "--out", help="folder for agreement.png and nights.csv")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace files that exist")] = False,
+    report: Annotated[
+        File | None,
+        typer.Option(help="folder for report.html, checklist.csv (Menghini 2021) and persons.csv"),
+    ] = None,
+    study: Annotated[
+        File | None,
+        typer.Option(metavar="CSV", help="what the report cannot know: columns item, answer"),
+    ] = None,
 ) -> None:
     """Sensitivity, specificity, kappa, and Bland-Altman limits of TST, SOL and WASO, against a reference hypnogram.
 
     kinegraph evaluate sleep nights/2026-11-20/hypnogram.edf psg.edf --offset -12 -o agreement
 
     kinegraph evaluate sleep results --nights nights.csv
+
+    kinegraph evaluate sleep --nights nights.csv --report validation --study study.csv
 
     Of a batch's results every job is evaluated, and each combination of settings has its own tables.
 
@@ -55,7 +65,9 @@ def sleep(
 
     pairs: list[Pair] = []
     groups: dict[str, list[Pair]] = {}
-    for name, settings, e, r, person, late in _wanted(estimate, reference, nights, offset):
+    wanted = _wanted(estimate, reference, nights, offset)
+    told = _study(wanted, report, study, overwrite)
+    for name, settings, e, r, person, late in wanted:
         pairs.append(_pair(name, e, r, person, late, stream, epoch_s))
         groups.setdefault(settings, []).append(pairs[-1])
     console = Screen()
@@ -68,6 +80,8 @@ def sleep(
     console.print(NOTE)
     if output:
         _write(pairs, output, overwrite)
+    if report:
+        _report(pairs, wanted, told, nights, report)
 
 
 Wanted: TypeAlias = tuple[str, str, File, File, str, float]
@@ -147,6 +161,32 @@ def _rows(table: File) -> list[tuple[File, File, str, float]]:
     if not made:
         raise KinegraphError(f"{table}: names no nights")
     return made
+
+
+def _study(wanted: list[Wanted], report: File | None, study: File | None, overwrite: bool) -> dict[str, str]:
+    """What the study's table says; whether there can be a report is known before anything is reckoned. Raises KinegraphError."""
+    from operators.sleep.evaluation.report import free, read_study
+
+    if report is None:
+        if study:
+            raise KinegraphError(f"{study}: belongs to a report; --report names its folder")
+        return {}
+    if len(settings := {one[1] for one in wanted}) > 1:
+        raise KinegraphError(
+            f"a report is of one combination of settings, and here are {len(settings)}: {'; '.join(sorted(settings))}"
+        )
+    free(report, overwrite)
+    return read_study(study) if study else {}
+
+
+def _report(pairs: list[Pair], wanted: list[Wanted], told: dict[str, str], nights: File | None, folder: File) -> None:
+    from operators.sleep.evaluation.checklist import Evaluated
+    from operators.sleep.evaluation.report import write_report
+
+    rows = [row for _, row in read_records(nights)] if nights else []
+    left_out = [(row.get("estimate") or "", why) for row in rows if (why := (row.get("exclude") or "").strip())]
+    for path in write_report(Evaluated(pairs, told, [one[-1] for one in wanted], left_out), folder):
+        say(str(path))
 
 
 def _write(pairs: list[Pair], folder: File, overwrite: bool) -> None:
