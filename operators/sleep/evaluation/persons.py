@@ -9,6 +9,7 @@ import numpy as np
 
 from operators.sleep.evaluation.agreement import Confusion
 from operators.sleep.evaluation.comparison import Pair, total
+from operators.sleep.night import Night
 from stream.chunk import Samples
 
 MEASURES = {"tst": ("TST", "min"), "se": ("SE", "%"), "sol": ("SOL", "min"), "waso": ("WASO", "min")}
@@ -56,14 +57,16 @@ def by_person(pairs: Sequence[Pair]) -> list[PersonAgreement]:
     made = []
     for name in dict.fromkeys(one.person for one in pairs):
         mine = [one for one in pairs if one.person == name]
-        found, truth = (np.array([[getattr(side(one), key) for key in MEASURES] for one in mine]) for side in SIDES)
+        found, truth = _measures([one.found for one in mine]), _measures([one.truth for one in mine])
         differences = found - truth
         truth = np.where(np.isnan(differences), np.nan, truth)
         made.append(PersonAgreement(name, len(mine), total(mine), _means(differences), _means(truth)))
     return made
 
 
-SIDES = (lambda one: one.found, lambda one: one.truth)
+def _measures(nights: Sequence[Night]) -> Samples:
+    """(nights, 4)"""
+    return np.array([[getattr(one, key) for key in MEASURES] for one in nights], np.float64)
 
 
 @dataclass(frozen=True, slots=True)
