@@ -284,7 +284,9 @@ def test_loss_by_the_devices_time_and_a_device_switched_on_again() -> None:
     lost = feed.lost("x")
     assert sum(v > 0 for v in lost.values()) > 5 and sum(v < 0 for v in lost.values()) == 2
     late = np.abs(feed.data("timing")["arrival"] - feed.time("x"))
-    assert np.median(late) < 0.3 * NS, "each restart would leave the stamps a second off; single packets may be read late"
+    assert np.median(late) < 0.3 * NS, (
+        "each restart would leave the stamps a second off; single packets may be read late"
+    )
 
 
 def test_frames_without_clock_and_counter() -> None:

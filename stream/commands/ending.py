@@ -79,7 +79,9 @@ class Ending:
         self._mouth.close()
         self._thread.join()  # which ends the process itself, where the session was broken off
         self._ear.close()
-        if self._raises is Terminated and type(error) is Interrupted:  # the warm-up has seen by itself that it is to stop
+        if (
+            self._raises is Terminated and type(error) is Interrupted
+        ):  # the warm-up has seen by itself that it is to stop
             raise Terminated from error
 
     def _in_main(self, _number: int, _frame: object) -> None:

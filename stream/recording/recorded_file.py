@@ -188,7 +188,9 @@ class RecordedFile:
         """The messages of a stream from the one on that holds `time` (ns), or from a little before, each with all its frames."""
         start = self.chunk_at(time, topic)
         known = 0
-        if topic in self.images.values():  # the frames of a chunk's first message may lie in chunks before: behind an earlier message
+        if (
+            topic in self.images.values()
+        ):  # the frames of a chunk's first message may lie in chunks before: behind an earlier message
             while start > 0 and not known:
                 start -= 1
                 known = sum(self.topics.get(number) == topic for number, *_ in self._messages(self.chunks[start]))

@@ -41,7 +41,9 @@ class Bridge:
         for i, spec in enumerate(self.specs):
             if i in self.messages:
                 schema = foxglove.Schema(name=names[i], encoding="jsonschema", data=self.messages[i].schema)
-                self.channels[i] = foxglove.Channel(names[i], schema=schema, message_encoding="json", context=self.context)
+                self.channels[i] = foxglove.Channel(
+                    names[i], schema=schema, message_encoding="json", context=self.context
+                )
             elif kind_of(spec) == "frame" and spec.dtype == np.uint16:
                 self.channels[i] = foxglove.channels.RawImageChannel(names[i], context=self.context)
         self._numbers = {names[i]: i for i in self.channels}
