@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 
+import structlog
 from hypothesis import HealthCheck, settings
 
 from tests.command_line import kinegraph, made
@@ -31,6 +32,11 @@ if hasattr(signal, "SIGQUIT"):
 
 os.environ["KINEGRAPH_LSL"] = f"machine:tests-{os.getpid()}"
 """No test looks for LSL streams, or shows any, beyond this computer and its own process (and those that it starts)."""
+
+
+def pytest_runtest_teardown() -> None:
+    """A command that ran within a test has bound the log to what was standard error then, which is closed for the tests that follow."""
+    structlog.reset_defaults()
 
 
 def pytest_report_header() -> str:
