@@ -177,7 +177,7 @@ class QualisysReading:
         self._markers = [_place(known.markers, name, "marker") for name in of.markers]
         self._bodies = [_place(known.bodies, name, "rigid body") for name in of.bodies]
         self._segments = [_segment(known, name) for name in of.segments]
-        self._analog = AnalogReading(of, known.analog) if of.analog else None
+        self._analog = QualisysAnalog(of, known.analog) if of.analog else None
 
     def take(self, kind: int, payload: bytes, feed: Feed) -> None:
         if kind != protocol.DATA:
@@ -218,7 +218,7 @@ class QualisysReading:
         return made
 
 
-class AnalogReading:
+class QualisysAnalog:
     """The named channels of one analog device, on the clock of its running sample number."""
 
     def __init__(self, of: Qualisys, devices: list[AnalogDevice]) -> None:

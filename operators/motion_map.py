@@ -260,7 +260,7 @@ class MotionMap(Operator[MotionMapState]):
     map        (axes,)  the place, in the input's unit. NaN during the first `learn_s`, and where a feature is
     explained  (axes,)  which share of the variance so far lies along each axis that is shown; together: along the picture
 
-    Every `learn_s` the principal plane (with `axes: 3` the space) of the covariance is found anew. The picture's axes turn to it along the
+    Every `learn_s` the principal plane (with `axes: 3` the space) of the covariance is recomputed. The picture's axes turn to it along the
     shortest way, and stay as near to what they were as that plane allows (the orthogonal Procrustes problem): no sign flips, no axes
     change places. No axis turns faster than `rotation_deg_per_s`, and the picture's centre follows the mean no faster than a pose at the
     poses' rms distance from it would move by that. So the axes span the principal plane, but need not be the principal axes.

@@ -109,7 +109,7 @@ def test_a_marker_that_is_not_seen_moves_with_the_body_and_nothing_is_nan() -> N
 
 
 def test_the_model_that_is_shipped_is_the_one_that_is_made() -> None:
-    """But for where a few vertices between two parts belong: that hangs on the last digits, and so on the processor."""
+    """But for where a few vertices between two parts belong: that depends on the last digits, and so on the processor."""
     header, _ = made()
     shipped = read_model(QUADRUPED, KIND)
     assert {k: shipped.header[k] for k in header if k != "parts"} == {k: v for k, v in header.items() if k != "parts"}

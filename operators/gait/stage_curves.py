@@ -1,4 +1,4 @@
-"""The mean curve of the stage under way, live: what `CycleEnsemble` tells of the session, beginning anew with each stage."""
+"""The mean curve of the stage under way, live: what `CycleEnsemble` tells of the session, restarted with each stage."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class StageCurves(Operator[StageCurvesState]):
     mean, sd   (100, muscles) mean and standard deviation (n - 1) of the stage's accepted cycles, point by point; NaN until there are enough
     sofar      one event with each (`STAGE_SO_FAR`)
 
-    A cycle across two stages, or in none, gives nothing. A stage begins anew when a cycle of another has come in between. A cycle that is
+    A cycle across two stages, or in none, gives nothing. A stage restarts when a cycle of another has come in between. A cycle that is
     told again is taken out of its stage's curve as long as that stage is under way; afterwards its curve has gone out as it was.
     """
 
@@ -102,7 +102,7 @@ class StageCurves(Operator[StageCurvesState]):
         return [Case(cls(), {"closed": (closed, stamps, staged), "cycles": inputs["cycles"]}, least=15)]
 
     def _revise(self, closed: np.void) -> None:
-        """A cycle of this stage that was accepted is told again: take it out."""
+        """A cycle of this stage that was accepted is reported again: take it out."""
         s = self.state
         number, reason = int(closed["number"]), str(closed["rejected"])
         if s.history.note(number, REASONS.index(reason) if reason else ACCEPTED) != ACCEPTED:

@@ -75,7 +75,7 @@ class StrideShape(Operator[StrideState]):
     than `longest_s` is none. Numbers count as those of `operators.gait.limb_cycles.LimbCycles` for the same contacts: of l limbs, limb i
     has i, i + l, i + 2 l ...
 
-    A stride is told `late_s` after its end, when late contacts are there; that is its event's stamp, and the declared delay.
+    A stride is emitted `late_s` after its end, when late contacts are there; that is its event's stamp, and the declared delay.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("in", "touchdown", "liftoff")

@@ -1,4 +1,4 @@
-"""Who may look at the page: addresses, the token, where a web page that asks comes from, and what browsers are told to refuse."""
+"""Who may look at the page: addresses, the token, where a web page that asks comes from, and what browsers must refuse."""
 
 from __future__ import annotations
 

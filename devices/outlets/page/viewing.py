@@ -109,7 +109,7 @@ class RecordingHub(RecordedViews):
             client.task = asyncio.create_task(self._serve(client))
 
     def _mark(self, text: str, onset: int) -> None:
-        """Keep a mark, and show it to all who look; one that cannot be kept is told of."""
+        """Keep a mark, and show it to all who look; if it cannot be kept, say why."""
         try:
             self.marks.add(onset, text)
         except KinegraphError as error:
@@ -136,8 +136,10 @@ class RecordingHub(RecordedViews):
                         client.news.set()
                 client.outbox.append(encode({"t": "looked", "at": look.at}))
                 client.news.set()
-        except Exception:
+        except Exception as error:  # the page stands still, so it says why
             log.exception("what a client looks at cannot be shown")
+            client.outbox.append(encode({"t": "progress", "share": 0, "what": f"cannot be shown: {error}"}))
+            client.news.set()
         finally:
             client.busy = False
 

@@ -1,4 +1,4 @@
-// A night as it grows: its states over time, final ones as a solid line, those that may still be scored anew as outlines.
+// A night as it grows: its states over time, final ones as a solid line, those that may still be rescored as outlines.
 
 import { colour, type Page, Panel, Sheet, type Span } from "./panel";
 import type { Stream } from "./store";
