@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import random
+import socket
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import pairwise
 
 import numpy as np
+import psutil
 
 from stream.chunk import Array, Chunk, Times
 from stream.source import Source
@@ -102,6 +105,20 @@ def reading(source: Source) -> Iterator[Kept]:
         feed.stop()
         thread.join(5)
         assert not thread.is_alive(), "the source does not stop"
+
+
+def free_udp_port() -> int:
+    """One that no other test is given by the system meanwhile: below those that it hands out."""
+    while True:
+        port = random.SystemRandom().randrange(20_000, 32_000)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one, suppress(OSError):
+            one.bind(("127.0.0.1", port))
+            return port
+
+
+def is_bound(port: int) -> bool:
+    """Whether this process has the UDP port: asked of the system, for a look by binding it could take it from the source."""
+    return any(c.laddr.port == port for c in psutil.Process().net_connections("udp"))
 
 
 def wait_for(true: Callable[[], bool], within_s: float = 20.0) -> None:

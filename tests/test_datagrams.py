@@ -21,7 +21,7 @@ from stream.errors import DeviceError, ParameterError
 from stream.params import build
 from stream.recording import Recording
 from tests.command_line import Command
-from tests.device_feed import check, reading, wait_for
+from tests.device_feed import check, free_udp_port, is_bound, reading, wait_for
 
 MOTION = {
     "name": "motion",
@@ -36,16 +36,10 @@ def phone(port: str = "udp://127.0.0.1:9000", **more: Any) -> Binary:
     return build(Binary, {"port": port, "frames": [MOTION], **more})
 
 
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
-
-
 def test_what_another_program_packs_is_read_as_it_is() -> None:
-    port = free_port()
+    port = free_udp_port()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out, reading(phone(f"udp://127.0.0.1:{port}")) as feed:
-        time.sleep(0.3)
+        wait_for(lambda: is_bound(port))
         for i in range(60):
             if i not in (20, 21):
                 out.sendto(struct.pack("!Ifff", i, i / 2, -i, 9.81), ("127.0.0.1", port))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import socket
 import struct
 import time
@@ -15,7 +14,7 @@ from devices.binary import Binary
 from devices.osc import OscInlet
 from stream.errors import DeviceError, ParameterError
 from stream.params import build
-from tests.device_feed import check, reading, wait_for
+from tests.device_feed import check, free_udp_port, is_bound, reading, wait_for
 
 osc = pytest.importorskip("pythonosc.udp_client")
 STREAM = {
@@ -26,37 +25,20 @@ STREAM = {
 }
 
 
-def free_port() -> int:
-    """One that no other test is given by the system meanwhile: below those that it hands out."""
-    while listening(port := random.SystemRandom().randrange(20_000, 32_000)):
-        pass
-    return port
-
-
-def listening(port: int) -> bool:
-    """Whether somebody has this port."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        try:
-            one.bind(("127.0.0.1", port))
-        except OSError:
-            return True
-    return False
-
-
 def until(monotonic_s: float) -> None:
     """Sleep until then, so that a rate is kept on average whatever holds the test up."""
     time.sleep(max(0.0, monotonic_s - time.monotonic()))
 
 
 def inlet(**more: Any) -> OscInlet:
-    return build(OscInlet, {"streams": [STREAM], "port": free_port(), **more})
+    return build(OscInlet, {"streams": [STREAM], "port": free_udp_port(), **more})
 
 
 def test_what_python_osc_sends_is_read() -> None:
     source = inlet()
     sender = osc.SimpleUDPClient("127.0.0.1", source.port)
     with reading(source) as feed:
-        wait_for(lambda: listening(source.port))
+        wait_for(lambda: is_bound(source.port))
         began = time.monotonic()
         for i in range(80):
             until(began + i / 100)
@@ -84,7 +66,7 @@ def test_the_senders_time_is_followed() -> None:
     source = inlet(streams=[{"name": "a", "address": "/a", "rate_hz": 50, "arguments": arguments}])
     sender = osc.SimpleUDPClient("127.0.0.1", source.port)
     with reading(source) as feed:
-        wait_for(lambda: listening(source.port))
+        wait_for(lambda: is_bound(source.port))
         began = time.monotonic()
         for i in range(20):
             until(began + 0.06 * i)
