@@ -190,6 +190,19 @@ def test_a_part_ends_before_its_index_fills_the_memory(tmp_path: Path, monkeypat
     assert_recorded(tmp_path / "s", made)
 
 
+def test_a_session_that_outruns_the_clock_begins_a_file_every_quarter_of_an_hour_of_its_own_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else the overviews of ten hours that pass in minutes would stand in memory."""
+    monkeypatch.setattr("stream.recording.file_segments.MOST_S", 1.0)
+    made = session(seconds=4.0)
+    record(tmp_path / "live", made, wait=False, pause=0.02, flush_s=0.0, gather_s=0.005).close()
+    assert len(list((tmp_path / "live").glob("*.mcap"))) > 2
+    assert_recorded(tmp_path / "live", made)
+    record(tmp_path / "import.mcap", made, wait=True, flush_s=0.0, gather_s=0.005).close()
+    assert [path.name for path in tmp_path.glob("*.mcap")] == ["import.mcap"]
+
+
 KILLED = """
 import sys, time
 sys.path.insert(0, sys.argv[1])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,10 @@ from stream.recording.recorded_stream import RecordedStream
 
 log = structlog.get_logger(__name__)
 
-MOST_SAVES = 7200
-"""A file is ended after so many saves (an hour of a session), for its index is held in memory until then: about 1 KB per save."""
+MOST_SAVES = 2400
+"""A file is ended after so many saves (a quarter of an hour), for its index is held in memory until then: 1 to 3 KB per save."""
+MOST_S = 900.0
+"""A session's file is ended once a stream's samples span so much time, however fast: overviews are held in memory until then."""
 FULL = (errno.ENOSPC, errno.EDQUOT)
 """What a full disk says: it is waited for, and the file goes on where it stopped."""
 
@@ -45,9 +48,12 @@ class Topic:
 class FileSegments:
     """Used by the recorder's thread alone, but for `declare`, which any thread may call, and `saved`, which it may read."""
 
-    def __init__(self, path: Path, number: int, header: dict[str, Any], options: RecordingOptions) -> None:
-        """`number` is that of the first part to be written."""
+    def __init__(
+        self, path: Path, number: int, header: dict[str, Any], options: RecordingOptions, *, live: bool = False
+    ) -> None:
+        """`number` is that of the first part to be written; a `live` session's parts end after `MOST_S`."""
         self._path, self._number, self._header, self._options = path, number, header, options
+        self._longest = MOST_S if live else inf
         self._topics = [Topic(LOG), Topic(METRICS)]
         self._part: FileSegment | None = None
         self._declared = self._saves = 0
@@ -102,8 +108,13 @@ class FileSegments:
             raise
         self._unsaved.clear()
         self._saves += 1
-        if 0 < self._options.rotate_mb * 1e6 <= self._part.saved or self._saves >= MOST_SAVES:
+        if 0 < self._options.rotate_mb * 1e6 <= self._part.saved or self._is_long():
             self.finish()
+
+    def _is_long(self) -> bool:
+        """Whether the current file's index and overviews have taken their share of memory."""
+        tallies = (topic.tally for topic in self._topics if topic.tally is not None)
+        return self._saves >= MOST_SAVES or any(tally.duration_s >= self._longest for tally in tallies)
 
     def finish(self) -> None:
         """Write the end of the current file. Raises OSError; it can be tried again."""

@@ -65,7 +65,7 @@ class Recorder:
         self._queue: SimpleQueue[Round | Line | Event] = SimpleQueue()
         self._rounds = Rounds(self._slots, round(options.gather_s * NS), self._queue.put)
         self._lock, number = claim(path, taken=resume)
-        self._segments = FileSegments(path, number, header, options)
+        self._segments = FileSegments(path, number, header, options, live=not wait)
         self._stop, self._wake, self._lull = Event(), Event(), Event()
         self._writer = RecordWriter(path, self._slots, self._segments, self._stop, live=not wait)
         self._due = time.monotonic()

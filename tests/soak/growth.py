@@ -29,7 +29,7 @@ class Growth:
     name: str
     hours: float
     took_s: float
-    resident_mb: float
+    own_mb: float
     grown_kb: float
     files: tuple[int, int]
     threads: tuple[int, int]
@@ -44,7 +44,7 @@ class Growth:
         for g in growths:
             files, threads = ("{}, {}".format(*pair) for pair in (g.files, g.threads))
             lines.append(
-                f"| {g.name} | {g.hours:g} | {g.took_s:.0f} | {g.resident_mb:.0f} | {g.grown_kb:.0f} | {files} | {threads} |"
+                f"| {g.name} | {g.hours:g} | {g.took_s:.0f} | {g.own_mb:.0f} | {g.grown_kb:.0f} | {files} | {threads} |"
             )
         return "\n".join(lines)
 
@@ -85,18 +85,16 @@ def grown(use: Use, folder: Path, hours: float = 10.0) -> Growth:
 
 
 def growth(use: Use, looks: list[Held], took_s: float, code: int, hours: float = 10.0) -> Growth:
-    resident = np.array([held.resident_kb for held in looks], float)
+    own = np.array([held.own_kb for held in looks], float)
     steady = np.arange(len(looks)) >= WARM * len(looks)
-    slope = float(np.polyfit(np.flatnonzero(steady), resident[steady], 1)[0])
+    slope = float(np.polyfit(np.flatnonzero(steady), own[steady], 1)[0])
     settled = looks[int(WARM * len(looks)) :]
     half = len(settled) // 2
     files, threads = (
         (int(np.median(values[:half])), int(np.median(values[half:])))
         for values in ([held.files for held in settled], [held.threads for held in settled])
     )
-    made = Growth(
-        use.name, hours, took_s, float(np.median(resident[steady])) / 1024, slope * len(looks), files, threads
-    )
+    made = Growth(use.name, hours, took_s, float(np.median(own[steady])) / 1024, slope * len(looks), files, threads)
     if code:
         made.complaints.append(f"{use.name}: {hours:g} hours ended with {code}")
     if made.grown_kb > MOST_KB:

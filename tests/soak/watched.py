@@ -38,9 +38,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @dataclass(slots=True)
 class Held:
-    """What a process holds at a moment."""
+    """What a process holds at a moment. Pages of libraries' files, which the system drops and reads again as it likes, are not counted."""
 
-    resident_kb: int
+    own_kb: int
     files: int
     threads: int
 
@@ -52,7 +52,8 @@ class Held:
                 line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines() if ":" in line
             )
             files = sum(1 for _ in Path(f"/proc/{pid}/fd").iterdir())
-            return cls(int(status["VmRSS"].split()[0]), files, int(status["Threads"]))
+            own_kb = sum(int(status[kind].split()[0]) for kind in ("RssAnon", "RssShmem"))
+            return cls(own_kb, files, int(status["Threads"]))
         except (OSError, KeyError):
             return None
 
