@@ -61,6 +61,13 @@ def test_dot_capture_of_node_movella_dot() -> None:
     assert np.allclose(parsed[1], (3.009197, 5.223928, -2.326010), atol=1e-6)
 
 
+def test_damage_that_more_mutants_found() -> None:
+    """A compressed frame with an empty block was a traceback, and a signalling NaN a warning."""
+    assert polar_pmd.unpacked(bytes(6) + bytes([8, 0, 8, 1, 1, 1, 1]), 3) is None
+    parsed = movella_dot.parse(movella_dot.MODES["free"], bytes(4) + bytes.fromhex("9976967f") + bytes(12))
+    assert parsed is not None and np.isnan(parsed[1][0])
+
+
 def test_ganglion_vectors() -> None:
     """OpenBCI's own: the sign stands in the lowest bit (BrainFlow reads those numbers otherwise)."""
     low = ganglion.fields(bytes.fromhex("010000000020002800048000BC00070028C00A0E"), 18)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -116,3 +117,44 @@ def test_the_page_on_graphs_knows_what_is_taken_where_nothing_is_given() -> None
     for key, given in re.findall(r"^\| `(\w+)` \| ([\d.]+) \|", text, re.MULTILINE):
         holders = [h for h in (graph.nodes["a"].options, graph.recording, graph) if hasattr(h, key)]
         assert [getattr(h, key) for h in holders] == [float(given)], key
+
+
+# the table of attacks ------------------------------------------------------------------------------------------------
+
+ATTACK = re.compile(r"^\| [^|]+ \| ([^|]+) \| `(?:(\w+=\w+) )?(pytest|python -m) ([^`]+)` \|$", re.MULTILINE)
+CASES = re.compile(r"^(\d+) cases?$")
+
+
+def attacks() -> list[tuple[str, str, str, list[str]]]:
+    """(count, setting, program, its arguments) of every row of the table of what was tried."""
+    text = (HOUSE / "docs" / "trust.md").read_text(encoding="utf-8").split("## What was tried")[1].split("\n## ")[0]
+    rows = [line for line in text.splitlines() if line.startswith("| ") and not line.startswith("| attack")]
+    found = [(*match[:3], shlex.split(match[3])) for match in ATTACK.findall(text)]
+    assert len(found) == len(rows), "a row of the table has no command that can be run"
+    return found
+
+
+def test_every_attack_of_the_table_is_there_to_be_run_and_counted() -> None:
+    """Each command names tests that are there, as many as the row says; nothing of it is run here."""
+    found = attacks()
+    files = sorted({file for _, _, program, given in found if program == "pytest" for file in given if ".py" in file})
+    collected = subprocess.run(
+        [sys.executable, "-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider", *files],
+        cwd=HOUSE,
+        capture_output=True,
+        text=True,
+        timeout=250,
+    )
+    assert collected.returncode == 0, collected.stdout[-2000:]
+    names = [line for line in collected.stdout.splitlines() if "::" in line]
+    for count, setting, program, given in found:
+        if program == "python -m":
+            assert given[0] == "tests.soak" and "--only" in given, given
+            continue
+        wanted = given[given.index("-k") + 1].split(" or ") if "-k" in given else [""]
+        asked = [n for n in names if n.split("::")[0] in given and any(word in n for word in wanted)]
+        assert asked, given
+        cases = CASES.match(count)
+        assert not cases or len(asked) == int(cases[1]), f"{given}: {len(asked)} cases"
+        if setting:
+            assert setting.split("=")[0] in (HOUSE / given[0]).read_text(encoding="utf-8")

@@ -61,7 +61,8 @@ def parse(mode: DotMode, data: bytes) -> tuple[int, NDArray[np.float64]] | None:
     if len(data) < mode.size:
         return None
     floats = len(mode.channels) - mode.counts
-    values = np.frombuffer(data, "<f4", floats, 4).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # damage may look like a signalling NaN
+        values = np.frombuffer(data, "<f4", floats, 4).astype(np.float64)
     if mode.counts:
         values = np.concatenate([values, np.frombuffer(data, "<i2", mode.counts, 4 + 4 * floats) / 4096])
     return int.from_bytes(data[:4], "little"), values

@@ -118,7 +118,7 @@ def unpacked(data: bytes, channels: int) -> NDArray[np.int64] | None:
             return None
         bits, count = data[at], data[at + 1]
         size = -(-bits * count * channels // 8)
-        if not 0 < bits <= 32 or at + 2 + size > len(data):
+        if not 0 < bits <= 32 or not count or at + 2 + size > len(data):
             return None
         ones = np.unpackbits(np.frombuffer(data, np.uint8, size, at + 2), bitorder="little")
         digits = ones[: bits * count * channels].reshape(count, channels, bits).astype(np.int64)
