@@ -73,6 +73,8 @@ if TYPE_CHECKING:
     from operators.neighbours import Neighbours
     from operators.one_euro import OneEuro
     from operators.pause import Pause
+    from operators.pose_map.retrieve import Retrieve
+    from operators.pose_map.som import PoseGrid
     from operators.predict import Predict
     from operators.rectify import Rectify
     from operators.resample import Resample
@@ -157,6 +159,7 @@ __all__ = [
     "PeakMixtures",
     "Persons",
     "Pose",
+    "PoseGrid",
     "PoseNetwork",
     "Predict",
     "Presence",
@@ -165,6 +168,7 @@ __all__ = [
     "Relief",
     "RemoveMean",
     "Resample",
+    "Retrieve",
     "Scale",
     "Segment",
     "Select",
@@ -256,6 +260,7 @@ __getattr__, __dir__ = offered(
         "PeakMixtures": "operators.emg.mixtures",
         "Persons": "operators.body.persons",
         "Pose": "operators.features.pose",
+        "PoseGrid": "operators.pose_map.som",
         "PoseNetwork": "operators.body.pose_network",
         "Predict": "operators.predict",
         "Presence": "operators.depth.presence",
@@ -264,6 +269,7 @@ __getattr__, __dir__ = offered(
         "Relief": "operators.body.relief",
         "RemoveMean": "operators.mean",
         "Resample": "operators.resample",
+        "Retrieve": "operators.pose_map.retrieve",
         "Scale": "operators.scale",
         "Segment": "operators.segmentation",
         "Select": "operators.channels",

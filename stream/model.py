@@ -89,7 +89,9 @@ def describe_input(spec: StreamSpec) -> dict[str, Any]:
     }
 
 
-def write_model(path: Path, kind: str, header: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:
+def write_model(
+    path: Path, kind: str, header: Mapping[str, Any], arrays: Mapping[str, Array], *, compressed: bool = True
+) -> None:
     """Write a model; it appears when it is complete. Raises OSError, and TypeError for what is no plain array of numbers."""
     for name, array in arrays.items():
         if np.asarray(array).dtype.kind not in NUMBERS or name == "header":
@@ -98,7 +100,7 @@ def write_model(path: Path, kind: str, header: Mapping[str, Any], arrays: Mappin
     text = json.dumps({"kinegraph": "model", "version": VERSION, "kind": kind, "made": made, **header}, allow_nan=False)
     with complete(path) as draft, draft.open("wb") as file:
         entries: dict[str, Any] = {"header": np.frombuffer(text.encode(), np.uint8), **arrays}
-        np.savez_compressed(file, **entries)
+        (np.savez_compressed if compressed else np.savez)(file, **entries)
 
 
 def read_model(path: Path, kind: str) -> Model:

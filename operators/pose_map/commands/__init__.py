@@ -1,0 +1,1 @@
+"""Commands of the map of poses."""
