@@ -91,8 +91,8 @@ def live(model: Steering, frames: Samples, faces: Array) -> float:
 
 def peers(model: Steering, train: Samples, test: Samples, diagonal: float, faces: Array) -> None:
     """The nearest training frame, regressions straight to the vertices, and those of bench/steering_peers.py."""
-    x, centre = model.features(train[:, model.vertices])
-    query, moved = model.features(test[:, model.vertices])
+    x, centre, _ = model.features(train[:, model.vertices])
+    query, moved, _ = model.features(test[:, model.vertices])
     shapes = (train - centre).reshape(len(train), -1)
     nearest = ((query[:, None] - x[None]) ** 2).sum(-1).argmin(axis=1)
     told("nearest training frame", shapes[nearest].reshape(test.shape) + moved, test, diagonal)

@@ -14,14 +14,17 @@ def gather_marks(
     columns: Times,
     scale: float,
     reference: Times,
+    facing: Samples,
     known: Array,
     marks: Samples,
     centre: Samples,
+    heading: Samples,
     x: Samples,
 ) -> bool:
     """Markers (m, 3) of a sample `row` into `marks`, and as seen from the references' mean, `centre` (3,), into `x` (3 m,).
 
-    One that is not seen has moved with the reference since it was. Returns whether every marker has been seen at least once.
+    Where `facing` (4,) names two markers and a direction, they are turned back by the `heading` (2,), its cosine and sine. One that is not
+    seen has moved with the reference since it was. Returns whether every marker has been seen at least once.
     """
     n = 0
     before = centre.copy()
@@ -35,6 +38,8 @@ def gather_marks(
                 centre[a] += scale * row[c[a]]
     for a in range(3):
         centre[a] = centre[a] / n if n == reference.shape[0] else before[a]
+    if facing.shape[0] == 4:
+        face(row, columns[int(facing[0])], columns[int(facing[1])], facing[2], facing[3], heading)
     whole = True
     for k in range(columns.shape[0]):
         c = columns[k]
@@ -43,10 +48,37 @@ def gather_marks(
             known[k] = True
             for a in range(3):
                 marks[k, a] = scale * row[c[a]] - centre[a]
+            if facing.shape[0] == 4:
+                p, q = marks[k, 0], marks[k, 2]
+                marks[k, 0] = heading[0] * p - heading[1] * q
+                marks[k, 2] = heading[0] * q + heading[1] * p
         whole = whole and known[k]
         for a in range(3):
             x[3 * k + a] = marks[k, a]
     return whole
+
+
+@kernel
+def face(row: Samples, start: Times, end: Times, ahead_x: float, ahead_z: float, heading: Samples) -> None:
+    """How far the markers from `start` to `end` (columns of `row`) are turned from a direction: cosine and sine into `heading` (2,).
+
+    It stays where they are not seen, or stand one above the other.
+    """
+    a, b = row[end[0]] - row[start[0]], row[end[2]] - row[start[2]]
+    c, s = ahead_x * a + ahead_z * b, ahead_z * a - ahead_x * b
+    n = math.sqrt(c * c + s * s)
+    if n > 1e-9:
+        heading[0], heading[1] = c / n, s / n
+
+
+@kernel
+def put(centre: Samples, heading: Samples, reach: float, out: Samples) -> None:
+    """The mesh `out` (v, 3) turned by `heading` about the vertical and moved to `centre` (3,), `reach` times as far."""
+    for v in range(out.shape[0]):
+        p, q = out[v, 0], out[v, 2]
+        out[v, 0] = heading[0] * p + heading[1] * q + reach * centre[0]
+        out[v, 1] += reach * centre[1]
+        out[v, 2] = heading[0] * q - heading[1] * p + reach * centre[2]
 
 
 @kernel

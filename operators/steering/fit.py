@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from stream.chunk import Array, Samples, Times
 REACH = 0.024
 """How far parts blend into one another, in diagonals of the mesh."""
 FITS = 5
+KEPT = 1e-4
+"""What a regression straight to the vertices gives up for speed, in diagonals (root mean square)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +39,9 @@ class Steering:
     """What has been learned of a mesh: markers (names and vertices), those that its place goes by, and its parts.
 
     usual, spread  (m, 3)  where the markers were in the mean, from the references' mean, and by what standard deviation they moved
+    facing         (4,)    two markers, and the horizontal direction (x, z) from the one to the other that the training faced; (0,) where
+                           the mesh never turns as a whole
+    reach          how far the mesh goes for a metre of its reference markers
     """
 
     markers: tuple[str, ...]
@@ -45,22 +50,43 @@ class Steering:
     parts: tuple[Part, ...]
     usual: Samples
     spread: Samples
+    facing: Samples
+    reach: float = 1.0
 
-    def features(self, marks: Samples) -> tuple[Samples, Samples]:
-        """Markers (f, m, 3) as seen from the references' mean: (f, 3 m); and that mean (f, 1, 3)."""
+    def features(self, marks: Samples) -> tuple[Samples, Samples, Samples]:
+        """Markers (f, m, 3) as seen from the references' mean and turned to face as in the training: (f, 3 m); that mean (f, 1, 3); and
+        the turns (f, 2), cosine and sine."""
         centre = marks[:, self.reference].mean(axis=1, keepdims=True)
-        return (marks - centre).reshape(len(marks), -1), centre
+        turns = headings(marks, self.facing)
+        return turned(marks - centre, turns * [1.0, -1.0]).reshape(len(marks), -1), centre * self.reach, turns
 
     def __call__(self, marks: Samples, count: int) -> Samples:
         """The mesh (f, count, 3) for markers (f, m, 3): the slow reference of the operator's kernel."""
-        x, centre = self.features(marks)
+        x, centre, turns = self.features(marks)
         made = np.zeros((len(marks), count, 3))
         for part in self.parts:
             y = part.learned(x[:, part.features])
             for f in range(len(marks)):
                 shape = part.mean + (y[f, 9:] * np.sqrt(len(part.vertices)) @ part.modes).reshape(-1, 3)
                 made[f, part.vertices] += part.weights[:, None] * (shape @ matrix(y[f, :6]).T + y[f, 6:9])
-        return made + centre
+        return turned(made, turns) + centre
+
+
+def headings(marks: Samples, facing: Samples) -> Samples:
+    """How far markers (f, m, 3) are turned about the vertical from what a training faced: cosine and sine (f, 2)."""
+    if not len(facing):
+        return np.tile([1.0, 0.0], (len(marks), 1))
+    edge = (marks[:, int(facing[1])] - marks[:, int(facing[0])])[:, [0, 2]]
+    a, b = edge.T
+    c, s = facing[2] * a + facing[3] * b, facing[3] * a - facing[2] * b
+    return np.asarray(np.stack([c, s], axis=1) / np.maximum(np.hypot(c, s), 1e-12)[:, None])
+
+
+def turned(points: Samples, turns: Samples) -> Samples:
+    """`points` (f, n, 3) turned about the vertical, y, by the angles whose cosine and sine are `turns` (f, 2)."""
+    c, s = turns[:, :1], turns[:, 1:]
+    x, y, z = points[..., 0], points[..., 1], points[..., 2]
+    return np.stack([c * x + s * z, y, c * z - s * x], axis=-1)
 
 
 def matrix(six: Samples) -> Samples:
@@ -79,6 +105,23 @@ def rigid(a: Samples, b: Samples) -> tuple[Samples, Samples]:
     return turn.T, cb - turn.T @ ca
 
 
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Which part each vertex is of, the parts that blend there and by what weights, and the marker nearest to it."""
+
+    part: Times
+    parts: Times
+    weights: Samples
+    nearest: Times
+
+    @staticmethod
+    def of(frames: Samples, faces: Array, at: Times, count: int) -> Layout:
+        edges = edges_of(faces)
+        part = near_rigid_parts(frames, edges, count)
+        diagonal = float(np.linalg.norm(np.ptp(frames[0], axis=0)))
+        return Layout(part, *blend_weights(part, edges, frames[0], REACH * diagonal), nearest_of(at, edges, frames[0]))
+
+
 def fit_steering(
     frames: Samples,
     faces: Array,
@@ -87,32 +130,63 @@ def fit_steering(
     limbs: Sequence[str] = (),
     count: int = 14,
     modes: int = 4,
+    heading: Sequence[str] = (),
+    layout: Layout | None = None,
 ) -> Steering:
     """Learn how a mesh's `frames` (f, vertices, 3) follow from the vertices that `markers` names.
 
     reference  the markers whose mean is where the mesh is
     limbs      markers that alone drive the parts nearest to them, so that limbs can move as they never did together; the other parts,
                and all where none are named, go by all markers
+    heading    two markers, from the one to the other of which the mesh faces, so that it may turn (y is up)
     """
-    names, at = tuple(markers), np.array(list(markers.values()), np.int64)
-    edges = edges_of(faces)
-    part = near_rigid_parts(frames, edges, count)
-    diagonal = float(np.linalg.norm(np.ptp(frames[0], axis=0)))
-    parts, weights = blend_weights(part, edges, frames[0], REACH * diagonal)
-    body = np.array([names.index(name) for name in reference], np.int64)
-    centre = frames[:, at][:, body].mean(axis=1, keepdims=True)
-    seen = frames[:, at] - centre
-    x = seen.reshape(len(seen), -1)
-    nearest = nearest_of(at, edges, frames[0])
+    bare, points, x = untrained(frames, markers, reference, heading)
+    layout = layout or Layout.of(frames, faces, bare.vertices, count)
     made = []
-    for k in range(int(part.max()) + 1):
-        owner = names[int(np.bincount(nearest[part == k]).argmax())]
-        own = 3 * names.index(owner) + np.arange(3)
+    for k in range(int(layout.part.max()) + 1):
+        owner = bare.markers[int(np.bincount(layout.nearest[layout.part == k]).argmax())]
+        own = 3 * bare.markers.index(owner) + np.arange(3)
         features = own if owner in limbs else np.arange(x.shape[1])
-        share = (weights * (parts == k)).sum(axis=1)
+        share = (layout.weights * (layout.parts == k)).sum(axis=1)
         vertices = np.flatnonzero(share > 0.0)
-        made.append(_part((frames - centre)[:, vertices], vertices, share[vertices], modes, x, features))
-    return Steering(names, at, body, tuple(made), seen.mean(axis=0), seen.std(axis=0))
+        made.append(_part(points[:, vertices], vertices, share[vertices], modes, x, features))
+    return replace(bare, parts=tuple(made))
+
+
+def fit_straight(
+    frames: Samples, markers: Mapping[str, int], reference: Sequence[str], heading: Sequence[str] = ()
+) -> Steering:
+    """The same without parts: kernel regression from all markers straight to the vertices, as one part that is never turned, by as many
+    principal components as keep every frame within `KEPT` of the mesh's diagonal."""
+    bare, points, x = untrained(frames, markers, reference, heading)
+    mean = points.mean(axis=0)
+    _, size, directions = np.linalg.svd((points - mean).reshape(len(points), -1), full_matrices=False)
+    left = np.sqrt(np.append(np.cumsum(size[::-1] ** 2)[::-1], 0.0) / points[..., 0].size)
+    kept = int(np.argmax(left <= KEPT * np.linalg.norm(np.ptp(mean, axis=0))))
+    basis = directions[:kept]
+    coefficients = (points - mean).reshape(len(points), -1) @ basis.T / np.sqrt(len(mean))
+    still = np.tile([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0], (len(points), 1))
+    every, all_of_it = np.arange(x.shape[1]), np.arange(len(mean))
+    part = Part(all_of_it, np.ones(len(mean)), mean, basis, 1.0, every, learn(x, np.hstack([still, coefficients])))
+    return replace(bare, parts=(part,))
+
+
+def untrained(
+    frames: Samples, markers: Mapping[str, int], reference: Sequence[str], heading: Sequence[str]
+) -> tuple[Steering, Samples, Samples]:
+    """A model without parts; the frames (f, vertices, 3) about its reference, all facing one way; and the markers' features (f, 3 m)."""
+    names, at = tuple(markers), np.array(list(markers.values()), np.int64)
+    body = np.array([names.index(name) for name in reference], np.int64)
+    facing = np.zeros(0)
+    if heading:
+        pair = [names.index(name) for name in heading]
+        edge = (frames[:, at[pair[1]]] - frames[:, at[pair[0]]])[:, [0, 2]].mean(axis=0)
+        facing = np.array([*pair, *(edge / max(float(np.linalg.norm(edge)), 1e-12))])
+    bare = Steering(names, at, body, (), np.zeros((len(at), 3)), np.zeros((len(at), 3)), facing)
+    x, centre, turns = bare.features(frames[:, at])
+    seen = x.reshape(len(x), -1, 3)
+    points = turned(frames - centre, turns * [1.0, -1.0]) if heading else frames - centre
+    return replace(bare, usual=seen.mean(axis=0), spread=seen.std(axis=0)), points, x
 
 
 def _part(points: Samples, vertices: Times, weights: Samples, modes: int, x: Samples, features: Times) -> Part:

@@ -11,7 +11,7 @@ import numpy as np
 
 from operators.features.pose import CM
 from operators.inputs.marker_columns import marker_columns
-from operators.steering.assemble_kernel import add_part, gather_marks, predict
+from operators.steering.assemble_kernel import add_part, gather_marks, predict, put
 from operators.steering.fit import Part, Steering
 from operators.steering.stored import KIND, from_model
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
@@ -26,11 +26,13 @@ QUADRUPED = Path(__file__).with_name("quadruped.npz")
 
 @dataclass(slots=True)
 class SteerMeshState:
-    """known (m,): which markers have been seen; marks (m, 3) from the centre (3,) of the references; latest (v, 3), the newest mesh."""
+    """known (m,): which markers have been seen; marks (m, 3) from the centre (3,) of the references, turned back by the heading (2,);
+    latest (v, 3), the newest mesh."""
 
     known: Array
     marks: Samples
     centre: Samples
+    heading: Samples
     latest: Samples
     outside: Samples
 
@@ -53,8 +55,9 @@ class SteerMesh(_Steered):
     quality   how far the markers are from all poses of the training, in kernel widths (the largest of all parts): beyond some 3 the mesh
               goes back to its mean pose, rather than anywhere else
 
-    The input has the model's markers by their names; `markers` names others in their place. A marker that is not seen has moved with the
-    reference markers since it was; before all have been seen, the mesh stands in the training's mean pose. No delay.
+    Where the model says which way its markers face, the mesh turns with them about the vertical, y. The input has the model's markers by
+    their names; `markers` names others in their place. A marker that is not seen has moved with the reference markers since it was;
+    before all have been seen, the mesh stands in the training's mean pose. No delay.
 
     Thesis 9.3 and 9.4, with kernel ridge for the linear maps, and every part placed by its own regression instead of one after the other:
     on the horse that halves the error. Alignment and blending (9.16) are by weights along the surface; 9.14 is left out.
@@ -85,7 +88,11 @@ class SteerMesh(_Steered):
         object.__setattr__(
             self, "room", (np.zeros(3 * m), np.zeros((3, 3)), [np.zeros(len(p.learned.mean)) for p in learned.parts])
         )
-        self.hold(SteerMeshState(np.zeros(m, np.bool_), np.zeros((m, 3)), np.zeros(3), rest, np.zeros(1)))
+        self.hold(
+            SteerMeshState(
+                np.zeros(m, np.bool_), np.zeros((m, 3)), np.zeros(3), np.array([1.0, 0.0]), rest, np.zeros(1)
+            )
+        )
         meta = {key: value for key, value in spec.meta.items() if key != "skeleton"}
         quality = StreamSpec((1,), rate_hz=spec.rate_hz, channels=("outside",), settling_s=spec.settling_s, meta=meta)
         return {"mesh": mesh.spec(spec.rate_hz, settling_s=spec.settling_s, meta=meta), "quality": quality}
@@ -94,17 +101,20 @@ class SteerMesh(_Steered):
         s, n = self.state, len(chunk.time)
         x, turn, predicted = self.room
         made, quality = np.empty((n, *s.latest.shape)), np.empty((n, 1))
+        learned = self.learned
         for i in range(n):
             if gather_marks(
-                chunk.data[i], self.columns, self.scale, self.learned.reference, s.known, s.marks, s.centre, x
-            ):
+                chunk.data[i], self.columns, self.scale, learned.reference, learned.facing, s.known, s.marks, s.centre, s.heading, x
+            ):  # fmt: skip
                 s.outside[0] = 0.0
-                s.latest[:] = s.centre
-                for part, y in zip(self.learned.parts, predicted, strict=True):
+                s.latest[:] = 0.0 if len(learned.facing) else s.centre
+                for part, y in zip(learned.parts, predicted, strict=True):
                     one = part.learned
                     far = predict(x, part.features, one.centres, one.weights, one.mean, one.scale, y)
                     s.outside[0] = max(s.outside[0], far)
                     add_part(y, part.vertices, part.weights, part.mean, _modes(part), turn, s.latest)
+                if len(learned.facing):
+                    put(s.centre, s.heading, learned.reach, s.latest)
             made[i], quality[i] = s.latest, s.outside
         return [
             ("mesh", Chunk(chunk.time, made, chunk.until, chunk.lost)),

@@ -32,6 +32,8 @@ def to_arrays(model: Steering, mesh: Topology, limbs: tuple[str, ...]) -> tuple[
         "usual": model.usual,
         "spread": model.spread,
     }
+    if len(model.facing) or model.reach != 1.0:
+        arrays |= {"facing": model.facing, "reach": np.array([model.reach])}
     for k, part in enumerate(model.parts):
         arrays |= {f"{k}.{name}": getattr(part, name) for name in ("vertices", "weights", "mean", "modes", "features")}
         arrays |= {f"{k}.{name}": getattr(part.learned, name) for name in ("centres", "scale")}
@@ -55,12 +57,18 @@ def from_model(model: Model) -> tuple[Steering, Topology]:
     vertices = model.array("vertices", (len(names),), np.int64)
     reference = model.array("reference", (None,), np.int64)
     parts = tuple(_part(model, k) for k in range(int(model.header.get("parts", 0))))
+    facing, reach = np.zeros(0), 1.0
+    if "facing" in model.arrays:
+        facing, reach = model.array("facing", (None,)), float(model.array("reach", (1,))[0])
+    if len(facing) not in (0, 4) or not 0.0 < reach < np.inf:
+        raise ModelError(f"{model.path}: says wrongly which way its mesh faces")
     numbers = [(vertices, count), (reference, len(names)), *((p.vertices, count) for p in parts)]
+    numbers += [(facing[:2].astype(np.int64), len(names))]
     numbers += [(p.features, 3 * len(names)) for p in parts]
     if not len(reference) or not parts or any(n.size and not (n.min() >= 0 and n.max() < most) for n, most in numbers):
         raise ModelError(f"{model.path}: names vertices or markers that are not there")
     usual, spread = model.array("usual", (len(names), 3)), model.array("spread", (len(names), 3))
-    return Steering(names, vertices, reference, parts, usual, spread), mesh
+    return Steering(names, vertices, reference, parts, usual, spread, facing, reach), mesh
 
 
 def _part(model: Model, k: int) -> Part:

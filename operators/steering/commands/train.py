@@ -26,6 +26,16 @@ def mesh(
     output: Annotated[File, typer.Option("-o", "--out", help="the model to be made")] = File("mesh.npz"),
     parts: Annotated[int, typer.Option(min=1, max=100, help="near-rigid parts, at most")] = 14,
     modes: Annotated[int, typer.Option(min=0, max=20, help="how each part's shape may change")] = 4,
+    method: Annotated[
+        str,
+        typer.Option(
+            help="parts, or straight (from markers to vertices) [default: what predicts frames left out better]"
+        ),
+    ] = "",
+    performer: Annotated[
+        File | None,
+        typer.Option(help="a recording of the one who will steer: markers of the same names, on another body"),
+    ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a model that exists")] = False,
 ) -> None:
     """Learn how a mesh moves with a few of its vertices (thesis, chapter 9). The file of markers says
@@ -36,20 +46,43 @@ def mesh(
 
     limbs: [hoof_fl, hoof_fr]         # optional: parts nearest to these follow them alone
 
-    The model is used by operators.steering.operator.SteerMesh.
+    heading: [croup, withers]         # optional: the mesh faces from the one to the other, and turns with them (y is up)
+
+    With --performer the mesh follows somebody of other proportions: frames are paired by the swing and place of each limb, in ranges of
+    motion made equal. The model is used by operators.steering.operator.SteerMesh.
     """
-    from operators.steering.fit import fit_steering
+    from operators.steering.adapt import adapt
+    from operators.steering.choose import choose
     from operators.steering.stored import KIND, to_arrays
     from stream.model import write_model
 
     if output.exists() and not overwrite:
         raise KinegraphError(f"{output}: exists; choose another --out, or replace it with --overwrite")
+    if method not in ("", "parts", "straight"):
+        raise KinegraphError(f"--method: there is no method {method!r}; {nearest(method, ('parts', 'straight'))}")
     frames, topology = _frames(recordings)
     said = _markers(markers, topology.vertices)
+    if said["limbs"] and method == "straight":
+        raise KinegraphError(
+            f"{markers}: limbs move by themselves only where there are parts; leave out --method straight"
+        )
+    performed = _performed(performer, tuple(said["markers"])) if performer else None
     say(f"{len(frames)} frames of {topology.vertices} vertices; learning ...")
-    model = fit_steering(frames, topology.faces, said["markers"], said["reference"], said["limbs"], parts, modes)
+    model, how, off = choose(
+        frames, topology.faces, said["markers"], said["reference"], said["limbs"], parts, modes, said["heading"], method or None  # type: ignore[arg-type]
+    )  # fmt: skip
+    if performed is not None:
+        model = adapt(model, frames[:, model.vertices], performed, said["heading"])
     header, arrays = to_arrays(model, topology, tuple(said["limbs"]))
-    write_model(output, KIND, {**header, "trained_on": [path.name for path in recordings]}, arrays)
+    told = {"method": how, "left_out": off, "trained_on": [path.name for path in recordings]}
+    write_model(output, KIND, {**header, **told, "performer": performer.name if performer else ""}, arrays)
+    for name, error in off.items():
+        say(
+            f"{name}: off by {error:.3f} % of the mesh's diagonal in frames left out{', chosen' if name == how else ''}"
+        )
+    if how == "straight":
+        say(f"{output}: straight to the vertices, {len(model.parts[0].modes)} components, {len(model.markers)} markers")
+        return
     say(f"{output}: {len(model.parts)} parts, {len(model.markers)} markers")
     for k, part in enumerate(model.parts):
         alone = model.markers[int(part.features[0]) // 3] if len(part.features) == 3 else "all markers"
@@ -93,6 +126,33 @@ def _frames(recordings: list[File]) -> tuple[Samples, Topology]:
     return frames, mesh
 
 
+def _performed(path: File, names: tuple[str, ...]) -> Samples:
+    """Where the markers `names` were in the first stream of the recording that has them all, (n, m, 3) m, where all are seen."""
+    import numpy as np
+
+    from operators.features.pose import CM
+    from operators.inputs.marker_columns import marker_columns
+    from stream.batch.sessions import open_session, sessions_at
+
+    known: list[str] = []
+    for session in sessions_at([path]):
+        with open_session(session) as opened:
+            for name, stream in opened.streams.items():
+                spec = stream.spec
+                known += [c for c in spec.channels if c not in known]
+                if spec.is_event or spec.dtype.kind != "f" or not set(names) <= set(spec.channels):
+                    continue
+                columns = np.array([marker_columns(spec, one, "markers") for one in names])
+                rows = np.asarray(opened.read(name)[1], np.float64)
+                found: Samples = rows.reshape(len(rows), -1)[:, columns] * (CM[spec.units[0] or "m"] / 100.0)
+                found = found[np.isfinite(found).all(axis=(1, 2))]
+                if len(found) < 2:
+                    raise KinegraphError(f"{path}: {name}: all markers are seen in {len(found)} samples; 2 are needed")
+                return found
+    missing = next((one for one in names if one not in known), names[0])
+    raise KinegraphError(f"{path}: no stream holds all markers of the mesh; {missing!r}: {nearest(missing, known)}")
+
+
 def _markers(path: File, vertices: int) -> dict[str, Any]:
     """What the file of markers says, checked against the mesh."""
     from stream.graph.yaml_lines import parse
@@ -106,13 +166,17 @@ def _markers(path: File, vertices: int) -> dict[str, Any]:
     for name, vertex in said["markers"].items():
         if not isinstance(vertex, int) or isinstance(vertex, bool) or not 0 <= vertex < vertices:
             raise KinegraphError(f"{path}: markers.{name} is {vertex!r}; the mesh has vertices 0 to {vertices - 1}")
-    for key in ("reference", "limbs"):
+    for key in ("reference", "limbs", "heading"):
         said.setdefault(key, [])
         for name in said[key]:
             if name not in said["markers"]:
                 raise KinegraphError(
                     f"{path}: {key}: there is no marker {name!r}; {nearest(str(name), said['markers'])}"
                 )
+    if len(said["heading"]) not in (0, 2) or len(set(said["heading"])) != len(said["heading"]):
+        raise KinegraphError(
+            f"{path}: heading: must name two markers, from the one to the other of which the mesh faces"
+        )
     if not said["reference"]:
         said["reference"] = [name for name in said["markers"] if name not in said["limbs"]] or list(said["markers"])
     return said

@@ -1,0 +1,178 @@
+"""Steering beyond the frames of a mesh: headings, other performers, straight to the vertices, and meshes that are in bad order."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.simulators.quadruped import LEGS, marked, topology, walking
+from operators.steering.adapt import adapt, limb_frames, matched, nearest_frames
+from operators.steering.choose import choose
+from operators.steering.fit import fit_steering, fit_straight
+from operators.steering.operator import SteerMesh
+from operators.steering.stored import KIND, to_arrays
+from stream import cli
+from stream.chunk import Chunk, Samples, StreamSpec
+from stream.errors import KinegraphError
+from stream.model import read_model, write_model
+from stream.operator import grid
+from stream.recording.series import Series, write_recording
+from tests.quadruped_model import LIMBS
+
+NAMES, AT = tuple(marked()), np.array(list(marked().values()))
+FACES = topology().faces
+STRIDE = np.array([walking(k / 24) for k in range(24)])
+REFERENCE, HEADING = ("withers", "croup"), ("croup", "withers")
+
+
+def steered(path: Path, marks: Samples) -> Samples:
+    operator = SteerMesh(model=path)
+    operator.open({"in": StreamSpec((len(NAMES), 3), rate_hz=30.0, channels=NAMES, units=("m",))})
+    chunks = operator.process("in", Chunk(grid(30.0, len(marks)), marks.reshape(len(marks), -1), 0))
+    return next(chunk.data for port, chunk in chunks if port == "mesh")
+
+
+def rotated(points: Samples, angle: float) -> Samples:
+    c, s = np.cos(angle), np.sin(angle)
+    return points @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+
+
+def pacing(phases: Samples) -> Samples:
+    """Markers of a quadruped that moves both legs of a side together, as the model never did."""
+    marks = np.array([walking(p)[AT] for p in phases])
+    for leg, late in (("fl", 0.0), ("hl", 0.0), ("fr", 0.5), ("hr", 0.5)):
+        hoof = marked()[f"hoof_{leg}"]
+        foremost = STRIDE[:, hoof, 2].argmax() / len(STRIDE)
+        marks[:, NAMES.index(f"hoof_{leg}")] = [walking(p - late + foremost)[hoof] for p in phases]
+    return marks
+
+
+def test_the_mesh_turns_with_its_heading(tmp_path: Path) -> None:
+    model = fit_steering(STRIDE[::2], FACES, marked(), REFERENCE, heading=HEADING)
+    header, arrays = to_arrays(model, topology(), ())
+    write_model(tmp_path / "m.npz", KIND, header, arrays)
+    straight = steered(tmp_path / "m.npz", STRIDE[1::2, AT])
+    assert np.abs(straight - STRIDE[1::2]).mean() < 0.01
+    there = np.array([3.0, 0.0, 1.0])
+    for angle in (0.5, 2.0, -3.0):
+        marks = rotated(STRIDE[1::2, AT], angle) + there
+        made = steered(tmp_path / "m.npz", marks)
+        assert np.allclose(made, rotated(straight, angle) + there, atol=1e-9)
+        assert np.allclose(made, model(marks, 432), atol=1e-9)
+
+
+def test_straight_to_the_vertices_is_one_part_and_agrees_with_the_reference(tmp_path: Path) -> None:
+    model = fit_straight(STRIDE[::2], marked(), REFERENCE)
+    header, arrays = to_arrays(model, topology(), ())
+    write_model(tmp_path / "m.npz", KIND, header, arrays)
+    made = steered(tmp_path / "m.npz", STRIDE[:, AT])
+    assert len(model.parts) == 1 and np.allclose(made, model(STRIDE[:, AT], 432), atol=1e-9)
+    assert np.linalg.norm(made - STRIDE, axis=-1).mean() < 0.01
+
+
+def test_the_way_is_chosen_by_frames_left_out() -> None:
+    """A sheet that waves has no rigid parts; a walker whose limbs are named cannot do without."""
+    x, y = np.meshgrid(np.linspace(0, 1, 20), np.linspace(0, 1, 20))
+    sheet = np.array(
+        [np.stack([x, y, 0.2 * np.sin(3 * x + p) * np.cos(2 * y)], -1).reshape(-1, 3) for p in 0.25 * np.arange(24)]
+    )
+    faces = np.array([(20 * r + c, 20 * r + c + 1, 20 * r + c + 20) for r in range(19) for c in range(19)])
+    marks = {"a": 0, "b": 19, "c": 380, "d": 399, "e": 190, "f": 210}
+    _, way, off = choose(sheet, faces, marks, tuple(marks), count=5)
+    assert way == "straight" and off["straight"] < off["parts"]
+    model, way, off = choose(STRIDE, FACES, marked(), REFERENCE, LIMBS)
+    assert way == "parts" and not off and len(model.parts) > 5
+
+
+def test_frames_are_paired_as_the_equations_say() -> None:
+    rng = np.random.default_rng(3)
+    a, b = rng.normal(size=15), rng.normal(size=9)
+    da, db = np.diff(a, prepend=a[0]), np.diff(b, prepend=b[0])
+    da[0], db[0] = da[1], db[1]
+    cost = [[abs(m - v) + a.std() / 2 * (1 - np.sign(m * v)) for v in db] for m in da]
+    assert limb_frames(a, b).tolist() == np.argmin(cost, axis=1).tolist()
+    p, v = rng.normal(size=(6, 4, 3)), rng.normal(size=(5, 4, 3))
+    wanted = [int(np.argmin([((one - other) ** 2).sum() for other in v])) for one in p]
+    assert nearest_frames(p, v).tolist() == wanted
+
+
+def test_ranges_of_motion_get_the_meshs_means_and_variances() -> None:
+    rng = np.random.default_rng(4)
+    performed, mesh = rng.normal(2.0, 0.1, (400, 3, 3)).clip(1.75, 2.25), rng.normal(-1.0, [0.5, 1.0, 2.0], (300, 3, 3))
+    made = matched(performed, mesh)
+    assert np.allclose(made.mean(axis=0), mesh.mean(axis=0)) and np.allclose(made.std(axis=0), mesh.std(axis=0))
+
+
+@pytest.mark.parametrize("size", [0.4, 1.0, 2.5])
+def test_another_gait_of_another_body_moves_the_mesh_in_its_own_time(size: float) -> None:
+    model = fit_steering(STRIDE, FACES, marked(), REFERENCE, LIMBS)
+    marks = pacing(np.arange(90) / 30)
+    performed = rotated(size * marks * [1.0, 0.8, 1.2], 0.7)
+    adapted = adapt(model, STRIDE[:, AT], performed[:60], HEADING)
+    made = adapted(performed[60:], 432)
+    mesh = rotated(made - made[:, AT[[NAMES.index(n) for n in REFERENCE]]].mean(axis=1, keepdims=True), -0.7)
+    assert np.isfinite(mesh).all()
+    for leg in LEGS:
+        hoof = mesh[:, marked()[f"hoof_{leg}"], 2]
+        foot = marks[60:, NAMES.index(f"hoof_{leg}"), 2]
+        assert np.corrcoef(hoof, foot)[0, 1] >= 0.9
+        assert 0.7 < np.ptp(hoof) / np.ptp(STRIDE[:, marked()[f"hoof_{leg}"], 2]) < 1.3
+
+
+def kinegraph(*arguments: object) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.call(str(arguments[0]), [str(a) for a in arguments[1:]])
+    assert not ended.value.code
+
+
+def test_the_command_takes_a_performer_and_says_what_is_wrong(tmp_path: Path) -> None:
+    write_recording(tmp_path / "mesh.mcap", [Series("mesh", topology().spec(24.0), grid(24.0, 24), STRIDE)], {})
+    marks = pacing(np.arange(60) / 30)
+    spec = StreamSpec((len(NAMES), 3), rate_hz=30.0, channels=NAMES, units=("cm",))
+    write_recording(tmp_path / "walk.mcap", [Series("walk", spec, grid(30.0, 60), 40.0 * marks)], {})
+    text = "markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}\nreference: [withers, croup]\n"
+    (tmp_path / "m.yaml").write_text(f"{text}limbs: [{', '.join(LIMBS)}]\nheading: [croup, withers]\n")
+    train = ("train", "mesh", tmp_path / "mesh.mcap", "-o", tmp_path / "m.npz", "--markers", tmp_path / "m.yaml")
+    kinegraph(*train, "--performer", tmp_path / "walk.mcap")
+    assert read_model(tmp_path / "m.npz", KIND).header["performer"] == "walk.mcap"
+    made = steered(tmp_path / "m.npz", 0.4 * marks)
+    assert np.isfinite(made).all() and np.ptp(made[:, AT[0], 2]) > 0.1
+    for more, why in (
+        (("--performer", tmp_path / "mesh.mcap"), "no stream holds all markers"),
+        (("--method", "strait"), "did you mean 'straight'|straight"),
+        (("--method", "straight"), "limbs move by themselves"),
+    ):
+        with pytest.raises(KinegraphError, match=why):
+            cli.call("train", [str(a) for a in (*train[1:], "--overwrite", *more)])
+    (tmp_path / "m.yaml").write_text(f"{text}heading: [croup]\n")
+    with pytest.raises(KinegraphError, match="two markers"):
+        cli.call("train", [str(a) for a in (*train[1:], "--overwrite")])
+
+
+def test_a_mesh_with_holes_in_several_pieces_is_steered_all_the_same() -> None:
+    """Two walkers in one mesh, a third of the triangles missing: pieces that no edge joins are parts of their own."""
+    both = np.concatenate([STRIDE, STRIDE + np.array([2.0, 0.0, 0.0])], axis=1)
+    faces = np.concatenate([FACES, FACES + 432])[np.arange(2 * len(FACES)) % 3 > 0]
+    model = fit_steering(both[::2], faces, marked(), REFERENCE, count=20)
+    made = model(both[1::2, AT], 864)
+    assert np.isfinite(made).all() and np.linalg.norm(made - both[1::2], axis=-1).mean() < 0.02
+
+
+def test_markers_that_are_exchanged_are_far_from_the_training() -> None:
+    operator = SteerMesh()
+    operator.open({"in": StreamSpec((len(NAMES), 3), rate_hz=30.0, channels=NAMES, units=("m",))})
+    marks = STRIDE[:, AT]
+    swapped = marks[:, [1, 0, 2, 3, 5, 4]]
+    rows = np.concatenate([marks, swapped]).reshape(48, -1)
+    made = operator.process("in", Chunk(grid(30.0, 48), rows, 0))
+    mesh, quality = (chunk.data for _, chunk in made)
+    assert np.isfinite(mesh).all() and 10 * quality[:24].max() < quality[24:].min()
+
+
+def test_one_frame_is_too_few_to_learn_from(tmp_path: Path) -> None:
+    write_recording(tmp_path / "one.mcap", [Series("mesh", topology().spec(24.0), grid(24.0, 1), STRIDE[:1])], {})
+    (tmp_path / "m.yaml").write_text("markers: {a: 1}\n")
+    with pytest.raises(KinegraphError, match="at least 2"):
+        cli.call("train", ["mesh", str(tmp_path / "one.mcap"), "--markers", str(tmp_path / "m.yaml"), "-o", "x.npz"])
