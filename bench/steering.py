@@ -1,6 +1,7 @@
 """`python -m bench.steering FOLDER`: a mesh from nine markers, frames that were not trained on, beside what it could be done with instead.
 
-FOLDER holds horse-gallop.npz (vertices (24, 8431, 3), faces): even frames train, odd ones test. Errors are in percent of the diagonal.
+FOLDER holds horse-gallop.npz (vertices (24, 8431, 3), faces): even frames train, odd ones test; and, for `--mesh samba`, samba.npz
+(vertices (88, 9971, 3), faces): every fourth frame trains, thirteen markers far from one another. Errors are in percent of the diagonal.
 """
 
 from __future__ import annotations
@@ -11,8 +12,11 @@ import time
 from pathlib import Path
 
 import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
 
 from bench.steering_peers import canonical, global_pca, skinning
+from operators.steering.choose import choose
 from operators.steering.fit import Steering, fit_steering
 from operators.steering.operator import SteerMesh
 from operators.steering.parts import edges_of, near_rigid_parts
@@ -47,6 +51,19 @@ def markers_of(rest: Samples) -> dict[str, int]:
     }
 
 
+def spread_markers(rest: Samples, faces: Array, count: int = 12) -> dict[str, int]:
+    """Vertices far from one another along the surface, in turn, the first farthest from the middle; and one in the middle."""
+    edges = edges_of(faces)
+    long = np.maximum(np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1), 1e-12)
+    graph = csr_matrix((long, (edges[:, 0], edges[:, 1])), shape=(len(rest), len(rest)))
+    found = [int(((rest - rest.mean(axis=0)) ** 2).sum(axis=1).argmin())]
+    nearest = dijkstra(graph, directed=False, indices=found[0])
+    while len(found) <= count:
+        found.append(int(np.where(np.isfinite(nearest), nearest, 0.0).argmax()))
+        nearest = np.minimum(nearest, dijkstra(graph, directed=False, indices=found[-1]))
+    return {f"m{k}": vertex for k, vertex in enumerate(found)}
+
+
 def told(name: str, made: Samples, truth: Samples, diagonal: float) -> None:
     error = 100.0 * np.linalg.norm(made - truth, axis=-1) / diagonal
     print(f"{name} | {error.mean():.3f} | {np.percentile(error, 95):.2f} | {error.max():.2f}", flush=True)
@@ -55,14 +72,23 @@ def told(name: str, made: Samples, truth: Samples, diagonal: float) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.steering", description=__doc__)
     parser.add_argument("folder", type=Path)
-    folder = parser.parse_args().folder
-    horse = np.load(folder / "horse-gallop.npz")
-    frames, faces = horse["vertices"].astype(float), horse["faces"]
-    train, test = frames[::2], frames[1::2]
+    parser.add_argument("--mesh", choices=("horse-gallop", "samba"), default="horse-gallop")
+    given = parser.parse_args()
+    held = np.load(given.folder / f"{given.mesh}.npz")
+    frames, faces = held["vertices"].astype(float), held["faces"]
+    every = 2 if given.mesh == "horse-gallop" else 4
+    train, test = frames[::every], frames[np.arange(len(frames)) % every > 0]
     diagonal = float(np.linalg.norm(np.ptp(train[0], axis=0)))
-    markers = markers_of(train[0])
+    markers = markers_of(train[0]) if given.mesh == "horse-gallop" else spread_markers(train[0], faces)
+    reference = REFERENCE if given.mesh == "horse-gallop" else tuple(markers)
     began = time.perf_counter()
-    model = fit_steering(train, faces, markers, REFERENCE)
+    _, way, off = choose(train, faces, markers, reference)
+    print(
+        f"training frames left out: {', '.join(f'{name} {error:.3f} %' for name, error in off.items())}; chosen: {way}"
+    )
+    print(f"chosen and trained in {time.perf_counter() - began:.1f} s")
+    began = time.perf_counter()
+    model = fit_steering(train, faces, markers, reference)
     print(f"trained in {time.perf_counter() - began:.1f} s, {len(model.parts)} parts")
     print(f"live: {live(model, frames, faces):.0f} us a frame of {frames.shape[1]} vertices, median")
     print("method | mean % | p95 % | max %")

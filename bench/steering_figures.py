@@ -61,7 +61,11 @@ def draw(axis: Any, points: Samples, faces: Array, skin: str = "#8fa8c8") -> Non
     order = np.argsort(corners[..., 0].mean(axis=1))
     order = order[towards[order]]
     colours = light[order, None] * np.array(to_rgb(skin))
-    axis.add_collection(PolyCollection(corners[order][..., [2, 1]] * [-1.0, 1.0], facecolors=colours, edgecolors=colours, linewidths=0.4))
+    axis.add_collection(
+        PolyCollection(
+            corners[order][..., [2, 1]] * [-1.0, 1.0], facecolors=colours, edgecolors=colours, linewidths=0.4
+        )
+    )
 
 
 def frame_axes(axis: Any, low: float, high: float, wide: float) -> None:
@@ -125,7 +129,9 @@ def picture_actors(path: Path, people: list[Samples], horse: Samples, faces: Arr
     pyplot.close(figure)
 
 
-def picture_transfer(path: Path, frames: Samples, faces: Array, rows: list[tuple[str, Samples, Samples, Samples]]) -> None:
+def picture_transfer(
+    path: Path, frames: Samples, faces: Array, rows: list[tuple[str, Samples, Samples, Samples]]
+) -> None:
     """The gallop, and below it each gait: the dog and the horse, in frames whose right fore leg is alike in each column."""
     from matplotlib import pyplot
 
@@ -189,17 +195,17 @@ def main() -> None:
     given = parser.parse_args()
     horse = np.load(given.data / "steering" / "horse-gallop.npz")
     frames, faces = horse["vertices"].astype(float), horse["faces"]
-    import pickle,os
-    if os.path.exists("/tmp/av/h.pkl"): model=pickle.load(open("/tmp/av/h.pkl","rb"))
-    else: model = fitted(frames, faces); pickle.dump(model,open("/tmp/av/h.pkl","wb"))
+    model = fitted(frames, faces)
     saved(model, frames.shape[1], faces, given.docs)
     try:
         people, steered = actors(*sequences(given.data / "body"), model, frames.shape[1], given.docs)
     finally:
         (given.docs / "horse.npz").unlink()
-    picture_actors(given.docs / "steering-actors.png", people, steered + np.array([0.0, height(model, frames), 0.0]), faces)
+    picture_actors(
+        given.docs / "steering-actors.png", people, steered + np.array([0.0, height(model, frames), 0.0]), faces
+    )
     dog = np.load(given.data / "steering" / "dog_mocap_joints.npz")
-    rows = [(name, *transferred(model, frames, dog[name])) for name in GAITS]
+    rows = [(name.replace("_", ": "), *transferred(model, frames, dog[name])) for name in GAITS]
     picture_transfer(given.docs / "steering-transfer.png", frames, faces, rows)
 
 

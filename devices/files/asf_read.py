@@ -6,11 +6,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from devices.files.kinematics import in_turn, place
 from devices.files.timing import grid_of
 from stream.chunk import Samples, StreamSpec
 from stream.errors import RecordingError, nearest
+from stream.joint_tree import JointTree
 from stream.recording.series import Series
 from stream.tables import read_text
 
@@ -43,8 +45,8 @@ class Skeleton:
 
 
 def read_amc(path: Path, skeleton: Skeleton, rate_hz: float = 120.0, start_ns: int = 0) -> list[Series]:
-    """Two streams: the file's name, where the bones end (bones, 3) in cm, the root first; and, with ".angles" behind it, the file's own
-    channels, turns in degrees.
+    """Three streams: the file's name, where the bones end (bones, 3) in cm, the root first; with ".angles" behind it, the file's own
+    channels, turns in degrees; and with ".pose" the pose of the skeleton in m (see `stream.joint_tree`), a joint where each bone begins.
 
     AMC files do not say their rate: 120 Hz, as at CMU, unless told otherwise. Lengths are taken for inches over the unit that the
     skeleton states, as at CMU. Turns are in degrees or radians as the file says, else as its skeleton says. Raises RecordingError with
@@ -75,7 +77,22 @@ def read_amc(path: Path, skeleton: Skeleton, rate_hz: float = 120.0, start_ns: i
         channels=tuple(f"{bone}.{dof}" for bone, dof in names),
         units=tuple("deg" if dof in TURNS else "cm" for _, dof in names),
     )
-    return [Series(path.stem, spec, time, ends), Series(f"{path.stem}.angles", angles, time, degrees)]
+    made = [Series(path.stem, spec, time, ends), Series(f"{path.stem}.angles", angles, time, degrees)]
+    if not any(dof in MOVES for bone in skeleton.bones[1:] for dof in bone.dof):
+        tree, poses = _poses(skeleton, steps[0], turns, cm / 100.0)
+        made.append(Series(f"{path.stem}.pose", tree.spec(rate_hz), time, poses))
+    return made
+
+
+def _poses(skeleton: Skeleton, root: Samples, turns: list[Samples], to_m: float) -> tuple[JointTree, Samples]:
+    """A joint at the beginning of each bone, which ends where its children begin; and the poses (n, 3 + 4 j) m."""
+    bones, parents = skeleton.bones, skeleton.parents
+    ends = [np.array(bone.direction) * bone.length * to_m for bone in bones]
+    offsets = np.array([ends[p] if p > 0 else np.zeros(3) for p in parents])
+    quaternions = [Rotation.from_matrix(turn).as_quat(scalar_first=True) for turn in turns]
+    return JointTree(tuple(bone.name for bone in bones), np.array(parents), offsets), np.hstack(
+        [root / 100.0, *quaternions]
+    )
 
 
 def read_asf(path: Path) -> Skeleton:
