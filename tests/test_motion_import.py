@@ -185,7 +185,7 @@ def test_the_real_bvh_has_bones_of_constant_length_and_all_joints_of_a_pose():
 
 def test_asf_and_amc_against_rotations_of_scipy(tmp_path):
     skeleton = read_asf(written(tmp_path, "a.asf", ASF))
-    ends, angles = read_amc(written(tmp_path, "a_01.amc", AMC), skeleton, 60.0)
+    ends, angles, pose = read_amc(written(tmp_path, "a_01.amc", AMC), skeleton, 60.0)
     cm = 2.54 / 0.5
     assert ends.spec.channels == ("root", "thigh", "shank", "toe") and ends.spec.units == ("cm",)
     rest = np.cumsum([[1, 2, 3], [4.2, -5.6, 0], [3.6, -4.8, 0], [0, 0, 2]], axis=0) * cm
@@ -200,6 +200,10 @@ def test_asf_and_amc_against_rotations_of_scipy(tmp_path):
         at.append(at[-1] + turn.apply(bone))
     assert np.allclose(ends.data[1], np.array(at) * cm)
     assert angles.spec.channels[-1] == "shank.rx" and angles.data[1, -1] == 70.0
+    tree = JointTree.of(pose.spec)  # joints stand where bones begin: at the ends of their parents
+    joints = joints_of(tree, pose.data)[1]
+    assert tree.joints == ("hips", "thigh", "shank", "toe") and np.allclose(joints[:, 2:], ends.data[:, 1:3] / 100.0)
+    assert np.allclose(joints[:, :2], ends.data[:, :1] / 100.0)
 
 
 def test_turns_in_radians_are_what_the_same_turns_are_in_degrees(tmp_path):
@@ -207,7 +211,7 @@ def test_turns_in_radians_are_what_the_same_turns_are_in_degrees(tmp_path):
         return " ".join([line.split()[0], *(str(np.radians(float(word))) for word in line.split()[1:])])
 
     skeleton = read_asf(written(tmp_path, "a.asf", ASF))
-    (ends, angles) = read_amc(written(tmp_path, "a_01.amc", AMC), skeleton)
+    both = read_amc(written(tmp_path, "a_01.amc", AMC), skeleton)
     axes = {
         line: f"{radians(line[:-4])} XYZ"
         for line in ASF.split("\n")
@@ -224,7 +228,7 @@ def test_turns_in_radians_are_what_the_same_turns_are_in_degrees(tmp_path):
         (skeleton, amc.replace(":DEGREES", ":RADIANS")),
         (turned, AMC),
     ):
-        for one, other in zip(read_amc(written(tmp_path, "r_01.amc", text), skeleton_), (ends, angles), strict=True):
+        for one, other in zip(read_amc(written(tmp_path, "r_01.amc", text), skeleton_), both, strict=True):
             assert np.allclose(one.data, other.data)
 
 
@@ -433,7 +437,7 @@ def test_the_command_makes_one_recording_of_all_kinds(tmp_path):
     kinegraph("import", *files, "--kinect", "--unit", "walk=m", "--meta", "k:person=S1", "-o", tmp_path / "all.mcap")
     with Recording.open(tmp_path / "all.mcap") as recording:
         specs = {name: stream.spec for name, stream in recording.streams.items()}
-    assert list(specs) == ["walk", "walk.angles", "walk.pose", "a_01", "a_01.angles", "k"]
+    assert list(specs) == ["walk", "walk.angles", "walk.pose", "a_01", "a_01.angles", "a_01.pose", "k"]
     assert specs["walk"].units == ("m",) and specs["a_01"].rate_hz == 120.0 and specs["k"].meta == {"person": "S1"}
     with pytest.raises(RecordingError, match="read with its skeleton"):
         cli.call("import", [str(files[2]), "-o", str(tmp_path / "other.mcap")])

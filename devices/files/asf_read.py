@@ -90,9 +90,8 @@ def _poses(skeleton: Skeleton, root: Samples, turns: list[Samples], to_m: float)
     ends = [np.array(bone.direction) * bone.length * to_m for bone in bones]
     offsets = np.array([ends[p] if p > 0 else np.zeros(3) for p in parents])
     quaternions = [Rotation.from_matrix(turn).as_quat(scalar_first=True) for turn in turns]
-    return JointTree(tuple(bone.name for bone in bones), np.array(parents), offsets), np.hstack(
-        [root / 100.0, *quaternions]
-    )
+    names = ("hips", *(bone.name for bone in bones[1:]))  # "root" is what a pose calls the position
+    return JointTree(names, np.array(parents), offsets), np.hstack([root / 100.0, *quaternions])
 
 
 def read_asf(path: Path) -> Skeleton:

@@ -34,8 +34,10 @@ def pose(
 
     kinegraph import walk.bvh -o walk.mcap --unit walk=cm; kinegraph train pose walk.mcap -o pose.npz
 
-    Every stream of poses in the recordings is learned from (BVH and AMC files give one each). The model is for the landmarks that it was
-    trained for: --markers head,wrist_l,wrist_r,... names those that a stream will have. It is used by operators.whole_pose.WholePose.
+    Every stream of poses in the recordings is learned from (BVH and AMC files give one each), and every stream of markers that shows more
+    of a body than the model will be given, as those of C3D files may: its pose is found by geometry. The model is for the landmarks that
+    it was trained for: --markers head,wrist_l,wrist_r,... names those that a stream will have. It is used by
+    operators.whole_pose.WholePose.
     """
     import numpy as np
 
@@ -66,9 +68,10 @@ def _lessons(recordings: list[File], chosen: object) -> tuple[list[Lesson], list
     """What every stream of poses teaches, which they are, and the skeleton of the first."""
     import numpy as np
 
+    from operators.whole_pose.from_markers import solved
     from operators.whole_pose.learn import lesson_of
     from stream.batch.sessions import name_of, open_session, sessions_at
-    from stream.humanoid import to_humanoid
+    from stream.humanoid import to_humanoid, usual_body
     from stream.joint_tree import JointTree
 
     lessons: list[Lesson] = []
@@ -77,20 +80,27 @@ def _lessons(recordings: list[File], chosen: object) -> tuple[list[Lesson], list
     for path in sessions_at(recordings):
         with open_session(path) as opened:
             for name, stream in opened.streams.items():
-                if "skeleton" not in stream.spec.meta or len(stream.spec.shape) != 1:
+                spec, every = stream.spec, max(1, round((stream.spec.rate_hz or RATE_HZ) / RATE_HZ))
+                if "skeleton" in spec.meta and len(spec.shape) == 1:
+                    rows = opened.read(name)[1][::every]
+                    rows = rows[np.isfinite(rows).all(axis=1)]
+                    if not len(rows):
+                        continue
+                    body, poses = to_humanoid(JointTree.of(spec, name), rows)
+                elif f"{name}.pose" not in opened.streams:
+                    body, found = usual_body(), solved(spec, *opened.read(name), np.asarray(chosen))
+                    if found is None:
+                        continue
+                    poses = found[::every]
+                else:
                     continue
-                _, rows = opened.read(name)
-                rows = rows[:: max(1, round((stream.spec.rate_hz or RATE_HZ) / RATE_HZ))]
-                rows = rows[np.isfinite(rows).all(axis=1)]
-                if not len(rows):
-                    continue
-                body, poses = to_humanoid(JointTree.of(stream.spec, name), rows)
                 tree = tree or body
                 lessons.append(lesson_of(body, poses, np.asarray(chosen)))
                 told.append(f"{name_of(opened)}: {name}")
-                say(f"{name_of(opened)}: {name}: {len(rows)} poses")
+                say(f"{name_of(opened)}: {name}: {len(poses)} poses")
     if tree is None:
         raise KinegraphError(
-            "no stream of poses in these recordings; `kinegraph import` makes one of each BVH file whose --unit is said"
+            "no stream of poses in these recordings, and no markers that show more of a body than the model's landmarks; "
+            "`kinegraph import` makes poses of each AMC file and of each BVH file whose --unit is said, and markers of C3D files"
         )
     return lessons, told, tree

@@ -1,0 +1,56 @@
+"""Whole poses of a recording of many markers: what `kinegraph train pose` learns from where no skeleton was recorded (C3D)."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from operators.whole_pose.landmarks import NAMES, find_landmarks
+from operators.whole_pose.operator import WholePose
+from stream.chunk import Chunk, Samples, StreamSpec, Times
+from stream.errors import InputError
+
+LEG = ("head", "ankle_l", "ankle_r")
+
+
+def solved(spec: StreamSpec, time: Times, rows: Samples, chosen: Times) -> Samples | None:
+    """Poses (k, 91) of markers `rows` (n, points, 3), by geometry, in the samples in which every landmark is seen; of the usual body.
+
+    None for what holds no body, or shows of it no more than the landmarks `chosen`: nothing could be learned from that.
+    """
+    if spec.is_event or len(spec.shape) != 2 or spec.shape[1] != 3 or not spec.channels:
+        return None
+    try:
+        found, columns = find_landmarks(spec, {})
+    except InputError:
+        return None
+    wanted = {NAMES[k] for k in chosen}
+    if not wanted | set(LEG) <= set(found) or set(found) <= wanted | {
+        "root"
+    }:  # which is the middle of the hips, where nothing shows it
+        return None
+    flat = np.ascontiguousarray(rows, np.float64).reshape(len(rows), -1)
+    whole = np.isfinite(flat[:, columns[:, :3].ravel()]).all(axis=1)
+    if not whole.any():
+        return None
+    operator = WholePose(up=_up(flat[whole], columns), feet=False)
+    try:
+        operator.open({"in": spec})
+    except InputError:  # of an unknown unit
+        return None
+    made = operator.process("in", Chunk(time, flat, int(time[-1])))
+    pose = next(chunk.data for port, chunk in made if port == "pose")
+    return np.asarray(pose[whole])
+
+
+def _up(flat: Samples, columns: Times) -> Literal["y", "z", "-y"]:
+    """The axis along which the head is farthest above the ankles, of those that a stream of markers may have upwards."""
+
+    def place(name: str) -> Samples:
+        of = columns[columns[:, 3] == NAMES.index(name)]
+        return np.asarray(flat[:, of[:, :3]].mean(axis=1))
+
+    above = np.median(place(LEG[0]) - 0.5 * (place(LEG[1]) + place(LEG[2])), axis=0)
+    heights: dict[Literal["y", "z", "-y"], float] = {"y": above[1], "z": above[2], "-y": -above[1]}
+    return max(heights, key=lambda axis: heights[axis])
