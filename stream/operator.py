@@ -76,8 +76,8 @@ class Operator(Generic[S]):
     """How much later than the newest input sample an output sample's stamp is reached (group delay, windows, look-ahead); set by `hold`."""
     decision_s: Mapping[str, float]
     """By output of events: how long after what an event describes (its `end`, else its `onset`) it comes at the latest, in time of the
-    operator's own input; what an event that led to it was late itself comes on top. Set by `hold`; an output that is left out promises
-    nothing."""
+    operator's own input; what an event that led to it was late itself comes on top. Alarms that are over are left out of it. Set by `hold`;
+    an output that is left out promises nothing."""
 
     def __post_init__(self) -> None:
         check(self)

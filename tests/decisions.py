@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from stream.chunk import FOREVER, NS, Chunk, Samples
+from operators.alarm import OVER
+from stream.chunk import FOREVER, NS, Chunk, Samples, Times
 from stream.engine.session import Session
 from stream.graph import Graph
 from stream.operator import Emitted, Operator
@@ -48,11 +49,13 @@ def _gives_events(node: Any) -> bool:
     return not isinstance(node.part, Source) and any(spec.is_event for spec in node.specs.values())
 
 
-def lateness(given: Chunk, newest: int) -> Samples:
-    """(n,) s from what each event describes to the newest input; empty for what has no such field."""
+def lateness(given: Chunk, newest: int | Times) -> Samples:
+    """(n,) s from what each event describes to the newest input; empty for what has no such field. Alarms that are over count as 0."""
+    names = given.data.dtype.names or ()
+    over = given.data["state"] == OVER if "state" in names else np.zeros(len(given.data), np.bool_)
     for field in ("end", "onset"):
-        if field in (given.data.dtype.names or ()):
-            return np.asarray((newest - given.data[field]) / NS)
+        if field in names:
+            return np.where(over, 0.0, (newest - given.data[field]) / NS)
     return np.empty(0)
 
 

@@ -191,6 +191,7 @@ class Activity(Operator[ActivityState]):
                 np.zeros(k, np.int64), False, False, False, 0,
             ),
             delay_s=self.epoch_s,
+            decision_s={"epochs": 1 / rate_hz},
         )  # fmt: skip
         settling = max(s.settling_s for s in specs.values())
         meta = {**spec.meta, "measure": "share of the time with movement", "epoch_s": self.epoch_s}

@@ -131,7 +131,8 @@ class Breathing(Operator[BreathingState]):
                 size, across, np.zeros((k, 4), np.int64), np.full((n, cells), np.nan), NEVER,
                 np.zeros(cells), np.zeros(cells), NEVER, np.full(k, int("bed" not in specs)), np.full(k, NEVER),
                 np.zeros(k, np.int64), np.zeros(k, np.int64), np.zeros(k, np.int64), rates, np.cos(angles), np.sin(angles), 0,
-            )
+            ),
+            decision_s={"out": 0.0},
         )  # fmt: skip
         meta = {**spec.meta, "sleepers": list(sleepers), "epoch_s": self.epoch_s}
         return {"out": StreamSpec((), BREATH, units=("ns", "ns", "", "1/min", "", ""), meta=meta)}

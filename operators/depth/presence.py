@@ -123,7 +123,7 @@ class Presence(Operator[PresenceState]):
         block = block_of(spec, "blocks")
         check_view(specs)
         sleepers = sleepers_of(specs)
-        k = len(sleepers)
+        k, quiet_min = len(sleepers), (self.vacant_min, self.unsure_min, self.odd_min)
         self.hold(
             PresenceState(
                 list(sleepers), block, np.zeros((k, 4), np.int64), np.full(spec.shape, np.nan), Seconds.of(spec.shape),
@@ -132,6 +132,7 @@ class Presence(Operator[PresenceState]):
                 np.zeros((k, 2)), np.zeros(k, np.int64), np.zeros(k, np.int64), np.zeros(2, np.int64),
             ),
             delay_s=1.0,
+            decision_s={"out": max(60 * max(quiet_min), BLIND_S, CROWD_S, self.hold_s, self.unseen_s) + self.learn_s + 1},
         )  # fmt: skip
         meta = {**spec.meta, "sleepers": list(sleepers)}
         unit = spec.units[0]

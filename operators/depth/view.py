@@ -99,6 +99,7 @@ class View(Operator[ViewState]):
                 0, 0, 0, NEVER, False, 0, False, False, 0,
             ),
             delay_s=1.0,
+            decision_s={"out": max(self.dark_s, ACCEPT_S + 2.0) + 1.0},
         )  # fmt: skip
         return {"out": StreamSpec((), VIEW, units=("ns", "", "", ""), meta=dict(spec.meta))}
 

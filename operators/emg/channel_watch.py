@@ -108,7 +108,8 @@ class ChannelWatch(Operator[ChannelWatchState]):
             ChannelWatchState(
                 0, NEVER, np.full(c, np.nan), 0, np.zeros(c), np.zeros(square), np.zeros(square), np.zeros(c), nothing(c),
                 np.zeros(square, np.int64), np.zeros(square, np.int64), max(2, round(self.window_s * spec.rate_hz)), names,
-            )
+            ),
+            decision_s={"out": max(2, round(self.window_s * spec.rate_hz)) / spec.rate_hz},
         )  # fmt: skip
         return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=spec.meta)}
 

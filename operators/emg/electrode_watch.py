@@ -50,7 +50,11 @@ class ElectrodeWatch(Operator[ElectrodeState]):
         if spec.dtype != QUALITY:
             raise InputError("in", spec.describe(), "signal quality, as operators.emg.quality.SignalQuality gives")
         nothing = np.zeros(0, np.int64)
-        self.hold(ElectrodeState([], nothing, nothing.copy(), nothing.copy(), []))
+        window_s = float(spec.meta.get("window_s", 0.0))
+        self.hold(
+            ElectrodeState([], nothing, nothing.copy(), nothing.copy(), []),
+            decision_s={"out": window_s} if window_s else None,
+        )
         return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=spec.meta)}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:

@@ -73,7 +73,8 @@ class MedianFrequency(Operator[MedianFrequencyState]):
             shape=(1, m), dtype=np.dtype(np.float64), channels=tuple(names), units=("",), channel_axis=1
         )
         limbs = Belonging.of(closed)
-        self.hold(MedianFrequencyState(RecentSamples.of(keep, m), np.zeros((5, m)), -1, spec.period_ns, limbs, names))
+        state = MedianFrequencyState(RecentSamples.of(keep, m), np.zeros((5, m)), -1, spec.period_ns, limbs, names)
+        self.hold(state, decision_s={"out": 0.0})
         meta = {**spec.meta, **{k: v for k, v in specs["closed"].meta.items() if k in ("limbs", "muscles", "side")}}
         units = ("ns", "ns", "", "", "", "Hz", "Hz", "%/min", "")
         return {"out": StreamSpec((), FREQUENCY, units=units, meta=meta)}

@@ -142,7 +142,8 @@ class MixtureDrift(Operator[MixtureDriftState]):
                 room, held, Refit.none(self.cycles, group.shape[1]), np.zeros(limbs, np.int64), np.zeros((limbs, self.first), np.int64),
                 ReferenceFit.none(self.first, group.shape[1], self.pairs), -1, np.zeros(g, np.int64), References.none(g), stored, group,
                 limb, np.zeros(len(others), MIXTURE), pairs, np.zeros(g, np.int64), Moved.none(g), names, "pace" in specs, how,
-            )
+            ),
+            decision_s={"distance": 0.0},
         )  # fmt: skip
         return {
             "distance": StreamSpec((), DISTANCE, units=DISTANCE_UNITS, meta={**mixture.meta, "first": self.first}),

@@ -108,12 +108,16 @@ class PeakMixtures(Operator[MixturesState]):
         group, names = muscle_groups(spec.channels, self.joint)
         limb, limbs = limb_of_groups(spec, group, names)
         nothing = np.zeros(1, specs["closed"].dtype)
+        refit = Refit.none(self.cycles, group.shape[1])
+        rate_hz = specs["pace"].rate_hz if "pace" in specs else None
+        late_s = (len(group) + 1) * refit.most_calls(self.most_sweeps) / rate_hz if rate_hz else 0.0
         self.hold(
             MixturesState(
                 Expected.none(specs["closed"].dtype), PeakWindow.none(self.cycles, spec.shape[1], limbs),
-                Refit.none(self.cycles, group.shape[1]),
+                refit,
                 group, np.zeros(len(group), np.int64), limb, -1, 0, nothing.repeat(limbs), nothing, names, "pace" in specs, NEVER,
-            )
+            ),
+            decision_s=dict.fromkeys(self.outputs, late_s),
         )  # fmt: skip
         unit = spec.units[0] if len(spec.units) == 1 else ""
         meta = {

@@ -149,7 +149,8 @@ class SignalQuality(Operator[QualityState]):
         )  # fmt: skip
         unit = spec.units[0] if len(spec.units) == 1 else ""
         units = ("ns", "ns", "", "", "", "", "", "", "", unit, "", "", "", "", "")
-        return {"out": StreamSpec((), QUALITY, units=units, meta=spec.meta)}
+        meta = {**spec.meta, "window_s": self.window_s}
+        return {"out": StreamSpec((), QUALITY, units=units, meta=meta)}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
         s = self.state

@@ -182,6 +182,10 @@ class Refit:
         while not self.go_on(how):
             pass
 
+    def most_calls(self, most_sweeps: int) -> int:
+        """How many calls of `go_on` a mixture takes at most."""
+        return -(-most_sweeps // max(1, SWEEPS * OF_PEAKS // max(len(self.points), OF_PEAKS)))
+
     def mixture(self) -> tuple[Samples, Samples, Samples]:
         k = self.modes
         return self.weights[:k], self.means[:k], self.covariances[:k]

@@ -12,7 +12,7 @@ from stream.kernel import kernel
 BLOCK_S, WINDOW = 0.05, 80
 """Force is looked at in blocks of 50 ms, the latest 80 of them: 4 s, two or more strides."""
 FLAT, WALKING, NOISES, PART = 3, 5.0, 4.0, 0.3
-"""A swing is told by this many flat blocks in a row, in a window that spans this many thresholds; a contact begins at least this many
+"""A swing is recognised by this many flat blocks in a row, in a window that spans this many thresholds; a contact begins at least this many
 standard deviations of the noise above zero; a new zero counts by this part."""
 FORGET = 0.98
 """What a swing block says of cross-talk fades by this factor with every later one."""

@@ -64,7 +64,7 @@ class CycleBursts(Operator[BurstsState]):
     deviation that within it, both over the latest 20 cycles. As an envelope's baseline hardly varies, a burst must also reach `of_peak`
     of the cycle's peak, and ends at half of that. Bursts less than `join_pct` apart are one; what is active at 99 % and at 0 % is one.
 
-    A cycle that is told again, among the latest 64, comes again, and replaces what it gave; not in the baseline.
+    A cycle that is reported again, among the latest 64, comes again, and replaces what it gave; not in the baseline.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")

@@ -112,6 +112,11 @@ class Expected:
         self.waiting -= 1
 
 
+def longest_cycle_s(closed: StreamSpec) -> float:
+    """How long a cycle may be (`longest_s` of the node that cuts them); 0: not known."""
+    return float(closed.meta.get("longest_s", 0.0))
+
+
 def is_closed(kind: np.dtype[Any]) -> bool:
     """Whether these are cycles' events: `CLOSED`, or the same with more fields behind (limb, stage)."""
     names = CLOSED.names or ()

@@ -56,7 +56,7 @@ class CycleTargets(Operator[TargetsState]):
     targets  one event per target whose muscle the cycle has (`TARGET`)
     values   (targets,) the latest value of each target, for a listener (LSL, OSC); NaN until there is one
 
-    Told with the cycle: as late after its closing touch-down as `check` says. A cycle that is told again (a person left it out) is told as
+    Reported with the cycle: as late after its closing touch-down as `check` says. One reported again (a person left it out) comes as
     it is then, and counts twice.
     """
 

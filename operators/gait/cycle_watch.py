@@ -8,7 +8,7 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 
 from operators.alarm import ALARM, ALARM_UNITS, ON, OVER
-from operators.gait.cycle import CLOSED, is_closed
+from operators.gait.cycle import CLOSED, is_closed, longest_cycle_s
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Specs, StreamSpec, Times
 from stream.errors import InputError
 from stream.operator import Case, Operator, grid
@@ -70,6 +70,8 @@ class CycleWatch(Operator[CycleWatchState]):
             raise InputError(
                 "closed", specs["closed"].describe(), "cycles' events (`closed` of operators.gait.cycles.Cycles)"
             )
+        longest_s = longest_cycle_s(specs["closed"])
+        silent_s = max(self.first_s, self.silent_cycles * longest_s)
         self.hold(
             CycleWatchState(
                 NEVER,
@@ -81,7 +83,8 @@ class CycleWatch(Operator[CycleWatchState]):
                 0,
                 0,
                 np.zeros(3, np.int64),
-            )
+            ),
+            decision_s={"out": silent_s} if longest_s else None,
         )
         return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=specs["closed"].meta)}
 
@@ -113,7 +116,7 @@ class CycleWatch(Operator[CycleWatchState]):
         )
         signal = StreamSpec((1,), rate_hz=20.0)
         samples = int(touch[-1] / NS * 20)
-        closed = StreamSpec((), CLOSED, units=("",))
+        closed = StreamSpec((), CLOSED, units=("",), meta={"longest_s": 4.0})
         inputs = {
             "signal": (signal, grid(20.0, samples), np.zeros((samples, 1))),
             "closed": (closed, touch[1:] + 20_000_000, rows),

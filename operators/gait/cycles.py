@@ -143,7 +143,7 @@ class Cycles(Operator[CyclesState]):
         )
         return {
             "cycles": curves,
-            "closed": StreamSpec((), CLOSED, units=CLOSED_UNITS, meta=meta),
+            "closed": StreamSpec((), CLOSED, units=CLOSED_UNITS, meta={**meta, "longest_s": self.longest_s}),
             "maxima": StreamSpec((), MAXIMUM, units=("ns", "", "", "", "%", *unit), meta=meta),
             "panorama": curves.derive(shape=(2 * POINTS, n), meta={**meta, "from_pct": -50}),
         }

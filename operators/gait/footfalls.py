@@ -68,7 +68,7 @@ class Footfalls(Operator[FootfallState]):
     above 50 %); a quarter of the stride apart or less in both pairs, with a duty factor below 50 %, is gallop. Everything else, limbs of
     other names, and what lies within 2 % of a limit is "unknown".
 
-    A stride is told `late_s` after its end, when late contacts are there; that is its events' stamp, and the declared delay.
+    A stride is reported `late_s` after its end, when late contacts are there; that is its events' stamp, and the declared delay.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("touchdown", "liftoff")

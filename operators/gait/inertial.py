@@ -164,7 +164,7 @@ class InertialContacts(Contacts[InertialState]):
 
     Takes a signal (channels,); only the three channels of angular velocity are used, found by their unit or named. How the
     sensor is turned on the limb does not matter: the pitch axis is the one about which most turning happens, and which way
-    is forward is told by the legs themselves, as a foot's swing turns it by as much as push-off and landing together.
+    is forward follows from the legs themselves, as a foot's swing turns it by as much as push-off and landing together.
     Nothing is fitted to a person or session.
 
     The foot's pitch turns some 31 ms after lift-off and again 26 ms before touch-down (medians over 13 people); onsets make

@@ -76,7 +76,9 @@ class LimbCycles(_Placed):
         )
         return {
             "cycles": curves,
-            "closed": StreamSpec((), LIMB_CLOSED, units=(*CLOSED_UNITS, ""), meta=meta),
+            "closed": StreamSpec(
+                (), LIMB_CLOSED, units=(*CLOSED_UNITS, ""), meta={**meta, "longest_s": self.longest_s}
+            ),
             "maxima": StreamSpec((), MAXIMUM, units=("ns", "", "", "", "%", *unit), meta=meta),
             "panorama": curves.derive(shape=(2 * POINTS, n), meta={**meta, "from_pct": -50}),
         }

@@ -45,7 +45,8 @@ class LimbWatch(OnePerLimb[CycleWatch]):
         for part in parts:
             part.open(specs)
         object.__setattr__(self, "parts", parts)
-        self.hold(LimbsState([part.state for part in parts], np.zeros((len(parts), 2), np.int64)))
+        state = LimbsState([part.state for part in parts], np.zeros((len(parts), 2), np.int64))
+        self.hold(state, decision_s=parts[0].decision_s)
         return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=closed.meta)}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
@@ -57,7 +58,7 @@ class LimbWatch(OnePerLimb[CycleWatch]):
     def cases(cls) -> list[Case]:
         given = CycleWatch.cases()[0].inputs
         _, time, rows = given["closed"]
-        meta = {"limbs": {"left": ["L_TA"], "right": ["R_TA"]}}
+        meta = {"limbs": {"left": ["L_TA"], "right": ["R_TA"]}, "longest_s": 4.0}
         late = time + 500 * NS // 1000
         both = np.concatenate([with_limb(rows, LIMB_CLOSED, "left"), with_limb(rows[:30], LIMB_CLOSED, "right")])
         when = np.concatenate([time, late[:30]])

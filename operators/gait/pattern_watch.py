@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from operators.alarm import ALARM, ALARM_UNITS, ON, OVER
-from operators.gait.cycle import POINTS, Expected, check_cycles, some_cycles
+from operators.gait.cycle import POINTS, Expected, check_cycles, longest_cycle_s, some_cycles
 from operators.gait.limbs import Belonging
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.finite import only_finite
@@ -64,13 +64,14 @@ class PatternWatch(Operator[PatternWatchState]):
 
     def open(self, specs: Specs) -> Specs:
         spec = check_cycles(specs)
-        m = spec.shape[1]
+        m, longest_s = spec.shape[1], longest_cycle_s(specs["closed"])
         self.hold(
             PatternWatchState(
                 Expected.none(specs["closed"].dtype), np.zeros((POINTS, m)), np.zeros(m, np.int64), np.zeros((self.latest, POINTS, m)),
                 np.zeros(m, np.int64), np.full(m, -1), np.zeros(m, np.int64), np.zeros((2, m), np.int64),
                 Belonging.of(spec), list(spec.channels),
-            )
+            ),
+            decision_s={"out": longest_s} if longest_s else None,
         )  # fmt: skip
         return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=spec.meta)}
 

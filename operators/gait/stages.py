@@ -80,7 +80,7 @@ class Stages(Operator[StagesState]):
     A stage begins by an annotation, "stage warm-up" or "stage 1.2 m/s" (a name that is a speed sets it, as "speed 1.2" does for the stage
     under way), or by `protocol`: the first with the session's first sample, the next when the one before it has lasted `for_s`, has its
     number of good `cycles`, or at "next". "end stage" ends the stage under way, and begins none; at "next" a protocol then goes on.
-    Annotations are recorded, so a replay has the same stages. A cycle that is told again keeps its stage, and is not counted twice.
+    Annotations are recorded, so a replay has the same stages. A cycle that is reported again keeps its stage, and is not counted twice.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("signal", "speed", "annotations", "closed")
@@ -114,7 +114,7 @@ class Stages(Operator[StagesState]):
                 np.zeros(MOST, np.int64), np.full(MOST, np.nan), np.zeros(MOST, "<U32"), 0, 0, 0, np.full(128, -1), 0, NEVER, 0, 0, NEVER,
                 np.zeros(SPEEDS, np.int64), np.zeros(SPEEDS), 0, unit, np.empty(0, kind),
             ),
-            decision_s={"closed": 0.0},
+            decision_s={"closed": 0.0, "stages": 0.0},
         )  # fmt: skip
         units = closed.units if len(closed.units) > 1 else closed.units * len(closed.channels)
         return {

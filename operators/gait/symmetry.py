@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import stdtrit
 
-from operators.gait.cycle import is_closed
+from operators.gait.cycle import is_closed, longest_cycle_s
 from operators.gait.limb_cycles import LIMB_CLOSED
 from operators.gait.limbs import limbs_of
 from operators.gait.running_curve import RunningCurve
@@ -66,7 +66,7 @@ class LimbSymmetry(Operator[SymmetryState]):
     it, at most the second's duration earlier.
 
     An amplitude of two muscles is compared as it is: not normalised, electrodes differ too, and the index says so much less. A cycle that
-    is told again, among the latest 64 of its limb, replaces what it gave. Stamped like the cycle that completes the pair.
+    is reported again, among the latest 64 of its limb, replaces what it gave. Stamped like the cycle that completes the pair.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("closed", "statistics")
@@ -96,13 +96,14 @@ class LimbSymmetry(Operator[SymmetryState]):
             next(name for name in limbs[limb] if muscle[name] == m) for limb in (first, second) for m in muscles
         ]
         k = len(MEASURES) * len(muscles) + len(STRIDE)
-        both = (2, REVISABLE)
+        both, longest_s = (2, REVISABLE), longest_cycle_s(closed)
         self.hold(
             SymmetryState(
                 np.full(both, -1), np.zeros(both, np.int64), np.zeros(both, np.int64), np.zeros(2, np.int64), np.full((*both, k), np.nan),
                 np.full(REVISABLE, -1), np.full((REVISABLE, k), np.nan), RunningCurve.none(1, k), NEVER, np.zeros(both, np.int64),
                 [first, second], muscles, channels,
-            )
+            ),
+            decision_s={"out": longest_s} if longest_s else None,
         )  # fmt: skip
         meta = {**told.meta, "pair": [first, second], "symmetry_index": "Robinson 1987"}
         units = ("ns", "ns", *(5 * [""]), "%", "%", "%", "%", "")
@@ -155,7 +156,7 @@ class LimbSymmetry(Operator[SymmetryState]):
         return first, second
 
     def _closed(self, row: np.void) -> None:
-        """A cycle has ended, or is told again: what was made of it is taken out."""
+        """A cycle has ended, or is reported again: what was made of it is taken out."""
         s = self.state
         if str(row["limb"]) not in s.limbs:
             return

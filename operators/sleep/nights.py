@@ -86,7 +86,8 @@ class Nights(Operator[NightsState]):
             raise ParameterError(
                 "longest_h", self.longest_h, f"above shortest_h, {self.shortest_h:g}: nothing else is a night"
             )
-        self.hold(NightsState(NEVER, "", NEVER, "", NEVER, NEVER, False, 0, NEVER, NEVER, 0))
+        state = NightsState(NEVER, "", NEVER, "", NEVER, NEVER, False, 0, NEVER, NEVER, 0)
+        self.hold(state, decision_s={"out": max(3600 * self.apart_h, 60 * self.rejoin_min)})
         return {"out": StreamSpec((), NIGHTS, units=("ns", "ns", "min", "", ""), meta=dict(bed.meta))}
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:

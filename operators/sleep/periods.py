@@ -49,7 +49,8 @@ class SleepPeriods(Operator[PeriodsState]):
 
     def open(self, specs: Specs) -> Specs:
         spec = scored(specs["in"])
-        self.hold(PeriodsState(0, 0, NEVER, 0, NEVER, 0))
+        epoch_s = float(spec.meta.get("epoch_s", 0.0))
+        self.hold(PeriodsState(0, 0, NEVER, 0, NEVER, 0), decision_s={"out": 60 * self.wake_min + epoch_s})
         units = ("ns", "ns", "min", "")
         return {"out": StreamSpec((), PERIOD, units=units, settling_s=spec.settling_s, meta=spec.meta)}
 

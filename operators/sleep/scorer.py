@@ -130,7 +130,8 @@ class SleepScorer(Operator[ScorerState]):
                 made, channel, spec.period_ns, int(self.reset_gap_s * NS) // spec.period_ns, np.full(n, NEVER),
                 np.full(n, np.nan), np.zeros(n, np.int8), np.full(n, np.nan), 0, 0, 0, 0,
                 used is not None, used.gain if used else 1.0, used.offset if used else 0.0,
-            )
+            ),
+            decision_s={"out": max(made.future + reach - 0.25, 0.0) * epoch_s},
         )  # fmt: skip
         meta = {
             **spec.meta,

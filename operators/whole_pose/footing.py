@@ -168,7 +168,8 @@ class Footing(_Standing):
             FootingState(
                 memory, np.zeros(3), still[0].copy(), still.copy(), still.copy(), still.copy(), still.copy(),
                 tree.at_rest.copy(), np.ones(wanted[0]), np.concatenate([tree.offsets[0], still.ravel()]),
-            )
+            ),
+            decision_s={"prompt": 0.0},
         )  # fmt: skip
         object.__setattr__(self, "tree", tree)
         return {"out": specs["pose"], "prompt": StreamSpec((), PROMPT, units=("ns", "", ""), meta={})}

@@ -31,7 +31,7 @@ class Labelled:
 
 @dataclass(frozen=True, slots=True)
 class PerClass:
-    """How well one class is told from the rest; NaN where there is nothing to divide by."""
+    """How well one class is separated from the rest; NaN where there is nothing to divide by."""
 
     name: str
     sensitivity: float
