@@ -1,7 +1,7 @@
 """`python -m bench.cuts`: boundaries of activities beside other libraries' on the same recordings, by the same scorer; Markdown.
 
 ruptures (KernelCPD, PELT), claspy (ClaSP) and stumpy (FLUSS), in an environment of their own, see a whole recording, each channel as it is.
-The number of cuts is told to those that can be told it; what they can be set to is set once for all recordings, with the annotations in
+The number of cuts is given to those that accept it; what they can be set to is set once for all recordings, with the annotations in
 hand: the best mean F1 counts. kinegraph has its defaults and sees the recording as it comes. Needs the folder that KINEGRAPH_DATA names.
 `--write` puts the table into docs/segmentation.md.
 """

@@ -1,4 +1,4 @@
-"""EMG mixtures: false alarms of drift in steady walking, how soon a change is told, and the time of a refit and of a distance.
+"""EMG mixtures: false alarms of drift in steady walking, how soon a change is reported, and the time of a refit and of a distance.
 
     python -m bench.mixtures                     # everything; some ten minutes
     python -m bench.mixtures --only speed

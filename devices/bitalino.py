@@ -47,7 +47,7 @@ class BitalinoChannel:
 
 @dataclass(frozen=True, slots=True)
 class Bitalino(SerialSource):
-    """A BITalino (r)evolution, which is told to send `channels` at `rate_hz`.
+    """A BITalino (r)evolution that sends `channels` at `rate_hz`.
 
     analog    (channels,) float64, in each sensor's unit, by its data sheet
     digital   (4,) float64, 0 or 1: the ports I1 I2 O1 O2

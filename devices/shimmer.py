@@ -58,7 +58,7 @@ class _Outputs:
 
 @dataclass(frozen=True, slots=True)
 class Shimmer(SerialSource):
-    """A Shimmer3, which is told to send what `sensors` asks for at `rate_hz`.
+    """A Shimmer3 that sends what `sensors` asks for at `rate_hz`.
 
     motion   (channels,) float64, in this order: ax ay az m/s2 (low noise, +-2 g), wx wy wz m/s2 (wide range), gx gy gz rad/s, by the
              calibration that the device keeps, as far as asked for

@@ -61,7 +61,7 @@ class Trigno(Source):
     timing   an event per read of `emg`: number of the last sample, time by it, arrival, stamp
 
     Samples carry no counter and no time: they are counted, and the count is mapped onto session time. TCP loses none; what the radio lost
-    the base station fills in, and nobody is told. Where the count goes astray by more than 0.1 s, an unknown number is marked as lost.
+    the base station fills in without a word. Where the count goes astray by more than 0.1 s, an unknown number is marked as lost.
     """
 
     outputs = _Outputs()

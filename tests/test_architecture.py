@@ -1,4 +1,4 @@
-"""The house: which way imports point, that modules are named after an idea, that nothing knows this machine, that the public is told."""
+"""The house: which way imports point, modules named after an idea, nothing that knows this machine, a list of what is public."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def test_a_polar_belt(compressed: bool) -> None:
                 feed, lambda: feed.count("ecg") > 250 and feed.count("acceleration") > 200 and feed.count("beats") > 1
             )
             assert set(belt.running) == {polar_pmd.ECG, polar_pmd.ACC}
-        assert not belt.running and not belt.host, "it is told to stop, and let go"
+        assert not belt.running and not belt.host, "it is stopped, and let go"
     check(source, feed)
     n = feed.count("ecg")
     assert whole(feed).tolist() == (np.arange(n) % 1000).tolist()

@@ -66,7 +66,7 @@ def test_a_device_of_which_every_line_was_bad_is_no_success(tmp_path: Path) -> N
 
 
 def test_two_sessions_on_one_device(tmp_path: Path) -> None:
-    """The first goes on as if nothing had happened; the second is told what to do, and goes on once the first has ended."""
+    """The first goes on as if nothing had happened; the second says what to do, and goes on once the first has ended."""
     device = Server(Indexed(rate_hz=200.0).brain(), line_at("", Indexed.port_name))
     try:
         with connect(device.address, 9600) as first:

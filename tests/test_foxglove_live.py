@@ -1,4 +1,4 @@
-"""`--foxglove`: what a client of Foxglove's own protocol is told of a live session, and that it is told to this machine alone."""
+"""`--foxglove`: what a client of Foxglove's own protocol sees of a live session, and that only this machine may connect."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The simulated treadmill session: the same in any chunks, true to what it says of itself, and spoilt where it is told to be."""
+"""The simulated treadmill session: the same in any chunks, true to what it says of itself, and spoilt where its settings say so."""
 
 from __future__ import annotations
 

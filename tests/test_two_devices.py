@@ -46,7 +46,7 @@ class Arriving(Kept):
 
 @dataclass
 class Script:
-    """A cable: the simulated device answers what it is asked; once it is told to begin, the packets come as they are due."""
+    """A cable: the simulated device answers what it is asked; once commanded to begin, the packets come as they are due."""
 
     brain: DeviceModel
     begin: bytes

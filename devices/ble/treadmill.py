@@ -129,7 +129,7 @@ class TreadmillControls:
 
 
 class TreadmillReading:
-    """Notifications to samples; what is told in two of them is put together."""
+    """Notifications to samples; a message split in two is joined."""
 
     clock: ClockState | None = None
 

@@ -88,7 +88,7 @@ class RealSenseCamera:
         }
         self.facts = {key: device.get_info(info) for key, info in wanted.items() if device.supports(info)}
         sensor = device.first_depth_sensor()
-        self._mm = round(1000.0 * sensor.get_depth_scale(), 4)  # it is told as a float32
+        self._mm = round(1000.0 * sensor.get_depth_scale(), 4)  # it comes as a float32
         if of.recording:
             device.as_playback().set_real_time(False)
             self._playback = device.as_playback()

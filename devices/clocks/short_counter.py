@@ -18,7 +18,7 @@ class ShortCounter:
 
     What a packet's number says at once is at most a turn. Whole turns that are missing show afterwards: from then on every packet comes
     late by as much, while a stall or a burst delays only some. So the least lateness of a second is watched, and if it is a turn or more,
-    the next packet is told to come after as many missing ones; until then, stamps are early by that.
+    the next packet is said to come after as many missing ones; until then, stamps are early by that.
     """
 
     def __init__(self, bits: int, rate_hz: float, latency_s: float = 0.0) -> None:

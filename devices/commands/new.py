@@ -82,7 +82,7 @@ def new(
     seconds: Annotated[
         float, typer.Option("--for", min=1.0, max=60.0, metavar="SECONDS", help="how long to listen")
     ] = 5.0,
-    start: Annotated[str, typer.Option(metavar="HEX", help="bytes to send first, if it must be told to begin")] = "",
+    start: Annotated[str, typer.Option(metavar="HEX", help="bytes to send first, if it begins on command")] = "",
     stop: Annotated[str, typer.Option(metavar="HEX", help="bytes to send at the end")] = "",
 ) -> None:
     """Write a graph: for a device, from what its port sends; for a recording, from what it holds. Or a skeleton with tests.
@@ -101,8 +101,6 @@ def new(
     types, names and units, must be compared with the device's manual.
     """
     from devices.commands.skeleton import is_name, write_skeleton
-    from devices.protocols import frame_guess, lines_guess
-    from devices.transport.handshake import shown
 
     if what is New.operator or (what is New.device and is_name(port)):
         made = write_skeleton(what.value, port, output or File())
@@ -116,19 +114,25 @@ def new(
         _give(_for_recording(File(port)), output)
         return
     say(f"listening to {port} for {seconds:g} s", err=True)
+    _give(_for_port(port, baud, seconds, start, stop), output)
+
+
+def _for_port(port: str, baud: int, seconds: float, start: str, stop: str) -> str:
+    """A graph of what a port sends. Raises DeviceError."""
+    from devices.protocols import frame_guess, lines_guess
+    from devices.transport.handshake import shown
+
     data, passed = _listen(port, baud, seconds, start, stop)
     lines = lines_guess.guess(data)
     frames = None if lines else frame_guess.guess(data)
     if lines:
-        text = _lines_graph(port, baud, lines, _rate(lines.lines, passed))
-    elif frames:
-        text = _frames_graph(port, baud, frames, _rate(frames.frames, passed), start, stop)
-    else:
-        hint = f"; is baud {baud} right? Does it wait for a command (--start)?" if "://" not in port else ""
-        raise DeviceError(
-            f"{port}: no frames of one length and no lines of numbers in {len(data)} bytes: {shown(data)}{hint}"
-        )
-    _give(text, output)
+        return _lines_graph(port, baud, lines, _rate(lines.lines, passed))
+    if frames:
+        return _frames_graph(port, baud, frames, _rate(frames.frames, passed), start, stop)
+    hint = f"; is baud {baud} right? Does it wait for a command (--start)?" if "://" not in port else ""
+    raise DeviceError(
+        f"{port}: no frames of one length and no lines of numbers in {len(data)} bytes: {shown(data)}{hint}"
+    )
 
 
 def _give(text: str, output: File | None) -> None:

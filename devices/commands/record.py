@@ -103,7 +103,7 @@ def with_ports(arguments: list[str]) -> list[str]:
 
 
 def _parameters(path: str) -> set[str]:
-    """The names of a source's parameters; none where there is no such source, which is told when the graph is loaded."""
+    """The names of a source's parameters; none where there is no such source, which loading the graph reports."""
     from stream.graph.parts import find
 
     try:

@@ -131,7 +131,7 @@ class DepthaiReplay(Source):
 
 
 def _bodies(file: RecordFile, topics: dict[int, str], feed: Feed) -> Iterator[tuple[memoryview, int]]:
-    """(body, channel) of every message; `topics` is told of the channels with frames as they are declared."""
+    """(body, channel) of every message; `topics` receives the channels with frames as they are declared."""
     schemas: dict[int, str] = {}
     for record in file.records:
         if record.opcode != Opcode.CHUNK:

@@ -33,7 +33,7 @@ class Export:
     place      the file, or the folder, that is to be made
     clock      how tables write times: seconds since the recording's first sample, ISO 8601 in UTC, or ns since 1970
     overwrite  whether what is there already is replaced
-    progress   is told how many samples more have been written
+    progress   receives how many more samples have been written
     """
 
     recording: Recording

@@ -56,7 +56,7 @@ def importers() -> dict[str, Importer]:
 
 
 HEAD = 1 << 16
-"""Bytes of a file by which its kind is told."""
+"""Bytes of a file that show its kind."""
 
 
 def listed() -> str:

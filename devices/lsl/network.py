@@ -14,7 +14,7 @@ from stream.params import param
 VARIABLE = "KINEGRAPH_LSL"
 """Settings for nodes that state none: "machine", or "machine:SESSION"."""
 QUIET = "[log]\nlevel = -3\n"
-"""What goes wrong is told by us; the library itself prints only what ends the process."""
+"""We report what goes wrong; the library itself prints only what ends the process."""
 LOOPBACK = """[ports]
 IPv6 = disable
 [multicast]

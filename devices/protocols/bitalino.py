@@ -2,7 +2,7 @@
 
 A frame is a string of bits, the last byte first: a sequence number (4 bits), a CRC (4 bits), the digital ports I1 I2 O1 O2, and the
 acquired analogue inputs in ascending order, four of 10 bits and a fifth and sixth of 6 bits; 0 fills the first byte up. There are no bytes
-to look for, so where frames begin is told by CRC and sequence number alone: several in a row must agree.
+to look for, so only CRC and sequence number show where frames begin: several in a row must agree.
 
 Source: "BITalino (r)evolution MCU Block Data Sheet" and the firmware; the package `bitalino` agrees (tests/peers).
 """

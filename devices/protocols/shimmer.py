@@ -1,7 +1,7 @@
 """Shimmer3 with LogAndStream firmware: packets to counts, commands and their answers as bytes. No port, no clock.
 
 A packet is 00, the device's time in ticks of 1/32768 s (24 bits, little-endian, over after 512 s), and the channels in the order that the
-inquiry tells. There is no checksum and no counter: that a packet begins where it seems to is told by its time alone, which is a whole
+inquiry tells. There is no checksum and no counter: only its time shows that a packet begins where it seems to, which is a whole
 number of periods after the last one's. Acknowledgements (FF) and answers (8A ...) may stand between packets.
 
 Source: "LogAndStream for Shimmer3 Firmware User Manual"; the package `pyshimmer` agrees (tests/peers).

@@ -1,7 +1,7 @@
 """Counts of a Shimmer3 to physical units: the sensors' calibration, as the device keeps it, and the ExG chips' registers.
 
 A calibrated vector is inv(alignment) @ ((counts - offset) / sensitivity). Later boards carry other accelerometers than earlier ones, whose
-ranges have other codes; which ones a device has is told by its expansion board.
+ranges have other codes; its expansion board says which ones a device has.
 
 Source of the nominal numbers, the codes and the boards: the maker's driver (ShimmerEngineering/Shimmer-Java-Android-API: SensorKionix*,
 SensorLSM303*, SensorMPU9X50, NEW_IMU_EXP_REV) and firmware (ShimmerResearch/shimmer3).

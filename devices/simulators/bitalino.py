@@ -39,7 +39,7 @@ class SimulatedBitalino(Simulator):
 
 
 class BitalinoModel:
-    """The device without Bluetooth. What frame `number` since the start holds is told by `counts` and `digital`."""
+    """The device without Bluetooth. `counts` and `digital` give what frame `number` since the start holds."""
 
     def __init__(self, sensors: Sequence[Sensor] = ("emg",) * 6, version: str = "5.2", seed: int = 0) -> None:
         self._sensors, self._version = sensors, version

@@ -16,7 +16,7 @@ from stream.chunk import Array
 
 
 class GanglionBoard:
-    """Sample i of all channels is told by `counts`."""
+    """`counts` gives sample i of all channels."""
 
     advertised: tuple[str, ...] = (protocol.SERVICE,)
     services: dict[str, dict[str, list[str]]] = {

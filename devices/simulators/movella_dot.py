@@ -16,7 +16,7 @@ from stream.chunk import Samples
 
 
 class DotSensor:
-    """Channel k of packet i holds i + 1000 k, so that what is read can be checked; its clock begins where it is told to."""
+    """Channel k of packet i holds i + 1000 k, so that what is read can be checked; its clock begins at a given time."""
 
     advertised: tuple[str, ...] = ()
     services: dict[str, dict[str, list[str]]] = {

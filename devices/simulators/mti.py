@@ -35,7 +35,7 @@ FACTORY = ((xbus.PACKET_COUNTER, 0xFFFF), (xbus.SAMPLE_TIME_FINE, 0xFFFF), (xbus
 
 @dataclass(frozen=True, slots=True)
 class SimulatedMti(Simulator):
-    """An MTi on the right foot (or shank) of someone who walks; on a serial line, it measures as soon as it is told to."""
+    """An MTi on the right foot (or shank) of someone who walks; on a serial line, it measures on command."""
 
     port_name: ClassVar[str] = "ttyMTI"
 

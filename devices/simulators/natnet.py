@@ -42,7 +42,7 @@ PLATE_SAMPLES = 5
 
 @dataclass(frozen=True, slots=True)
 class NatNetScene:
-    """What is moved: frame i is told by `frame`. Every 50th frame the ankle is occluded, every 100th the body lost."""
+    """What is moved: `frame` gives frame i. Every 50th frame the ankle is occluded, every 100th the body lost."""
 
     rate_hz: float = 120.0
     models: NatNetModels = field(default_factory=lambda: MODELS)

@@ -25,7 +25,7 @@ ECG_FRAME, ACC_FRAME = 73, 36
 
 
 class PolarBelt:
-    """Worn by someone at rest: 70 beats a minute. Sample i of a measurement is told by `ecg` and `acceleration`."""
+    """Worn by someone at rest: 70 beats a minute. `ecg` and `acceleration` give sample i of a measurement."""
 
     name: str = "Polar H10 12345678"
     advertised: tuple[str, ...] = (heart_rate.SERVICE,)

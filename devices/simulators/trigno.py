@@ -56,7 +56,7 @@ class SimulatedTrigno(Simulator):
 
 
 class TrignoModel:
-    """The base station without its sockets. Sample i since START of all sensors is told by `emg` and `aux`."""
+    """The base station without its sockets. `emg` and `aux` give sample i since START of all sensors."""
 
     def __init__(self, paired: int = SENSORS, seed: int = 0, duos: int = 0) -> None:
         self._paired, self._duos = paired, duos

@@ -101,7 +101,7 @@ class GraphWalk:
         )
 
     def _aim(self) -> None:
-        """What the search is told of the aim that is first."""
+        """What the search knows of the first aim."""
         aim = self.aims[0] if self.aims else Aim()
         self.path: Samples = np.zeros((0, 2)) if aim.path is None else np.asarray(aim.path, np.float64)
         steps = np.linalg.norm(np.diff(self.path, axis=0), axis=1)

@@ -13,7 +13,7 @@ SHOWN = 32
 
 
 class _StoppedError(DeviceError):
-    """The source must stop; nobody is told."""
+    """The source must stop; nothing is reported."""
 
 
 def answer(link: Transport, feed: Feed, *, until: bytes, within_s: float, expected: str) -> bytes:

@@ -63,24 +63,24 @@ def replay(
     from stream.graph.overrides import read
     from stream.pace import Pace
     from stream.recording import Recording
-    from stream.recording.place import is_running
 
     logs.set_up()
     with Recording.open(recording) as source:
         asked = read(settings or [])
-        graph = _graph_of(config, source, asked, trusted_only)
-        _take_facts(graph, source.header.get("session") or {}, asked, quiet=quiet)
+        recorded = _recorded(source, recording, verify)
+
+        def made(quiet: bool) -> Graph:
+            graph = _graph_of(config, source, asked, trusted_only)
+            _take_facts(graph, source.header.get("session") or {}, asked, quiet=quiet)
+            return graph
+
+        graph = made(quiet)
         speaking = _speaking(graph, speak or [])
         shown = page_of(graph, page_at, mode="replay") if page or page_at else None
         pace = Pace(speed or 1.0, forwards_only=out is not None) if shown else speed or None
         run = Replay(graph, source, speaking=speaking, speed=pace, output=out, strict=verify)
         if shown:
             shown.replays(run)
-        recorded = [name for name, stream in source.streams.items() if stream.role == "edge"]
-        if verify and not recorded:
-            raise KinegraphError(
-                f"--verify: {recording} holds no output of a graph, so there is nothing to compare with; name some under `record`"
-            )
         _tell_missing(run.substitutes)
         with shown or nullcontext():
             while True:
@@ -88,23 +88,43 @@ def replay(
                     result = _with_progress(run, source.duration_ns / 1e9, quiet)
                 if not shown or not isinstance(pace, Pace) or pace.again is None:
                     break
-                graph = _graph_of(config, source, asked, trusted_only)
-                _take_facts(graph, source.header.get("session") or {}, asked, quiet=True)
                 pace.begin_again()
-                run = Replay(graph, source, speaking=speaking, speed=pace, output=out, strict=verify)
+                run = Replay(made(True), source, speaking=speaking, speed=pace, output=out, strict=verify)
                 shown.replays(run)
     _tell(result)
-    unseen = _not_compared(recorded, result, run.substitutes) if verify else []
-    for name in unseen:
-        say(f"  {name}: NOT COMPARED: this graph has no such output")
-    if verify and (result.differing or unseen) and source.header.get("graph") != graph.text:
-        say(f"this graph is not the one that made the recording: `kinegraph info {recording} --graph` prints it")
-    if verify and (result.differing or result.stopped or result.broken or unseen):
+    if verify and not _same(recorded, result, run, source):
         sys.exit(1)
+    _check_whole(result, run, source)
+
+
+def _recorded(source: Recording, path: Path, verify: bool) -> list[str]:
+    """The outputs of a graph that the recording holds. Raises KinegraphError where there are none to verify."""
+    found = [name for name, stream in source.streams.items() if stream.role == "edge"]
+    if verify and not found:
+        raise KinegraphError(
+            f"--verify: {path} holds no output of a graph, so there is nothing to compare with; name some under `record`"
+        )
+    return found
+
+
+def _check_whole(result: Replayed, run: Replay, source: Recording) -> None:
+    """Raises OutletFailed, or Incomplete where the recording was not closed cleanly."""
+    from stream.recording.place import is_running
+
     if failed := [stage for stage in run.pipeline.outlets if stage.failed]:
         raise OutletFailed(", ".join(f"{stage.node.name!r}: {stage.failed}" for stage in failed))
-    if source.missing and not is_running(recording):
-        raise Incomplete(recording, result.seconds, source.missing.words)
+    if source.missing and not is_running(source.path):
+        raise Incomplete(source.path, result.seconds, source.missing.words)
+
+
+def _same(recorded: list[str], result: Replayed, run: Replay, source: Recording) -> bool:
+    """Whether every recorded edge was reproduced; says which was not compared, and why some may differ."""
+    unseen = _not_compared(recorded, result, run.substitutes)
+    for name in unseen:
+        say(f"  {name}: NOT COMPARED: this graph has no such output")
+    if (result.differing or unseen) and source.header.get("graph") != run.graph.text:
+        say(f"this graph is not the one that made the recording: `kinegraph info {source.path} --graph` prints it")
+    return not (result.differing or result.stopped or result.broken or unseen)
 
 
 def _graph_of(config: Path, source: Recording, asked: dict[str, Any], trusted_only: bool) -> Graph:

@@ -64,7 +64,7 @@ def span(tapes: Tapes) -> tuple[int, int]:
 def repeat(tapes: Tapes, times: int) -> Tapes:
     """The same samples again and again, each time with later stamps.
 
-    A regular stream that is over before another one is told to lack samples where it starts again.
+    A regular stream that ends before another one is marked as lacking samples where it starts again.
     """
     first, _ = span(tapes)
     shift = max(int(t.time[-1]) - first + (t.spec.period_ns or 1_000_000) for t in tapes.values() if len(t))

@@ -138,7 +138,7 @@ class Replay:
         self.pipeline.edges[edge].observers.append(observer)
 
     def run(self, progress: Callable[[float], None] = lambda done_s: None) -> Replayed:
-        """Feed the whole recording; `progress` is told the seconds of session time that are done."""
+        """Feed the whole recording; `progress` receives the seconds of session time done so far."""
         warm_up(self.graph)
         if any(stream.kept == "packed" for stream in self.recording.streams.values()):
             Packer()

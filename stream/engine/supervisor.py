@@ -142,7 +142,7 @@ class Runner:
     queues     per output, the queue to the graph's thread
     inline     per output, the way into the graph without it
     awaited    whether anybody waits for what this source says
-    now        session time, as the source is told it
+    now        session time, as the source sees it
     problems   what the source counted, by kind
     clock_facts   what it said last of its device's clock
     openings   how often the source was opened
@@ -151,7 +151,7 @@ class Runner:
     def __init__(
         self, node: Node, ready: ReadyQueue, clock: SessionClock, report: Report, fatal: Callable[[Exception], None]
     ) -> None:
-        """`fatal` is told of what ends the run, not only this opening of the source: a queue that must not fill is full."""
+        """`fatal` receives what ends the run, not only this opening of the source: a queue that must not fill is full."""
         assert isinstance(node.part, Source)
         self.node, self.clock, self.report, self._fatal = node, clock, report, fatal
         self.source: Source = node.part.fresh()

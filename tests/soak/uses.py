@@ -57,7 +57,7 @@ USES = (
             "treadmill.muscles=[TA, SO]",
             "treadmill.realtime=false",
             "treadmill.duration_s={seconds:g}",
-            "treadmill.chunk_ms=40",
+            "treadmill.chunk_ms=1000",
         ),
         ("treadmill.emg", "treadmill.force"),
     ),

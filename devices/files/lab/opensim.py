@@ -137,5 +137,5 @@ def _units(
     angle = "deg" if facts.get("indegrees", "yes").lower() == "yes" else "rad"
     units = tuple("m" if TRANSLATION.search(label) else angle for label in labels)
     if "m" in units:
-        made.doubt("which columns are in metres is told by their names only (_tx, _ty, _tz)")
+        made.doubt("only the names say which columns are in metres (_tx, _ty, _tz)")
     return units

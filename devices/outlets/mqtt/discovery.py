@@ -18,7 +18,7 @@ BINARY_CLASSES = (
 )  # fmt: skip
 """The device classes that Home Assistant knows for a binary sensor."""
 ON, OFF, UNKNOWN = "ON", "OFF", "None"
-"""What a binary sensor's state may be; `None` is how Home Assistant is told "unknown", of other sensors as well."""
+"""What a binary sensor's state may be; `None` means "unknown" to Home Assistant, for other sensors as well."""
 _ID = re.compile(r"[a-zA-Z0-9_-]+")
 
 

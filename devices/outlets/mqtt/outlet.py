@@ -84,7 +84,7 @@ class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
     broker up to 6000 events wait; older ones are dropped, counted and logged. When the session ends, the broker is tried once more, and
     given 20 s to take what waits; what it does not take is forgotten, and its number told.
 
-    `report` names the folder of a night's log: the newest report is told in one line, with its address beside it.
+    `report` names the folder of a night's log: the newest report is summed up in one line, with its address beside it.
 
     It never waits for the network: without a broker at start, or when it goes, everything else goes on. With
     `broker: {host: ""}` it is off.
