@@ -1,4 +1,5 @@
 """`python -m bench.scenes`: scores from depth frames against the same scorer on true movement, scene by scene; a table in Markdown.
+`--write` puts it into docs/bedside.md.
 
 The bedroom is the renderer of the tests, which shares nothing with the product's own simulator. It shows what the chain from frames to
 scores makes of each disturbance; the sleeper's true movement is known, sleep is not: it shows nothing about sleep. Each scene is 45
@@ -16,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.bedside import START, Run, true_states
-from bench.report import table
+from bench.report import Section, marks, publish, whole
 from devices.simulators.bedside import Bedside
 from devices.simulators.night import EPOCH_S
 from operators.sleep.evaluation.agreement import Confusion
-from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE, States
 from stream.chunk import NS, Array, Chunk
 from stream.graph.load import load_text
+from stream.sleep_night import SLEEP, UNKNOWN, WAKE, States
 from stream.source import Feed
 from tests.rendered_room import BED, CAMERA_M, RenderedRoom, Renderer, Scene, during
 
@@ -172,16 +173,23 @@ def row(name: str, c: Confusion) -> list[str]:
 
 
 HEADER = ["scene", "sleep", "wake", "unknown", "sensitivity", "specificity"]
+ABOUT = "By `python -m bench.scenes`."
+TITLE = "Scores from frames against the same scorer on the sleeper's true movement, epochs wholly in bed"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.scenes", description=__doc__)
     parser.add_argument("--only", nargs="+", choices=list(SCENES), default=list(SCENES), metavar="SCENE")
+    parser.add_argument("--write", action="store_true", help="write the table into docs/bedside.md")
+    given = parser.parse_args()
     rows = []
-    for name in parser.parse_args().only:
+    for name in given.only:
         rows.append(row(name, scored(SCENES[name])))
         print(" ".join(rows[-1]), file=sys.stderr, flush=True)
-    print(table(HEADER, rows))
+    sections = [Section(TITLE, HEADER, rows)]
+    print(whole(sections, ABOUT))
+    if given.write:
+        publish(sections, ABOUT, "bedside.md", *marks("bench.scenes"))
 
 
 if __name__ == "__main__":

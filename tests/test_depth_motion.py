@@ -238,9 +238,10 @@ def room(bed: tuple[slice, slice]) -> Array:
     [
         (np.s_[2:18, 8:22], [(16, 64, 128, 56), (16, 120, 128, 56)]),
         (np.s_[4:14, 3:28], [(32, 32, 40, 184), (72, 32, 40, 184)]),
+        (np.s_[3:17, 6:24], [(24, 48, 112, 72), (24, 120, 112, 72)]),
     ],
 )
-def test_the_bed_is_found_and_shared_along_its_longer_side(
+def test_the_bed_is_found_and_shared_by_who_lies_side_by_side(
     bed: tuple[slice, slice], expected: list[tuple[int, ...]]
 ) -> None:
     made = play(BedRegion(("a", "b"), learn_s=4.0), **{"in": (blocks_spec(20, 30), grid(5.0, 30), room(bed))})["out"]

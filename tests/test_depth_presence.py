@@ -187,14 +187,23 @@ def test_out_of_bed_is_awake_unknown_is_unknown_and_unseen_is_unseen() -> None:
 
 
 def test_a_partners_movement_is_flagged() -> None:
-    x = np.concatenate([motion(20), motion(20, seed=1)], axis=1)
+    x = np.concatenate([motion(30), motion(30, seed=1)], axis=1)
     x[3000:3100, 0] += 2.0
     x[3000:3100, 1] += 0.2
     x[4500:4600, 1] += 0.2
-    epochs = active(x)["epochs"]
+    x[6000:6100, 0] += 2.0
+    x[6000:6200, 1] += np.where(np.arange(200) < 100, 0.2, 1.0)
+    made = active(x)
+    epochs = made["epochs"]
     mine, theirs = (epochs[epochs["sleeper"] == name] for name in "ab")
     assert mine["crosstalk"][10] == 0 and theirs["crosstalk"][10] == 1.0 and theirs["crosstalk"][15] == 0
-    assert theirs["moved_s"][[10, 15]].tolist() == [10.0, 10.0]
+    assert theirs["moved_s"][[10, 15, 20]].tolist() == [10.0, 10.0, 20.0]
+    assert theirs["why"][[10, 15, 20]].tolist() == ["body", "", ""] and not mine["why"][4:].astype(bool).any()
+    mine_out, theirs_out = made["out"].T
+    assert np.isnan(theirs_out[10]) and mine_out[10] == pytest.approx(1 / 3)
+    assert theirs_out[20] == pytest.approx(1 / 2), (
+        "the half that may be the other's is not seen; of 20 s left 10 are its own"
+    )
 
 
 def test_activity_goes_straight_into_the_scorer() -> None:

@@ -13,10 +13,10 @@ from operators.sleep.evaluation.command import sleep
 from operators.sleep.evaluation.comparison import Pair, pair
 from operators.sleep.evaluation.persons import METRICS, by_person, normality, spread, trend
 from operators.sleep.evaluation.reference import Hypnogram
-from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE
 from stream.chunk import NS
 from stream.errors import KinegraphError
 from stream.sheet import sheet_text
+from stream.sleep_night import SLEEP, UNKNOWN, WAKE
 
 
 def states(*counts: tuple[int, int]) -> Hypnogram:

@@ -15,9 +15,9 @@ from operators.sleep.evaluation.command import _rows, sleep
 from operators.sleep.evaluation.comparison import agreement, pair, total
 from operators.sleep.evaluation.pictures import draw
 from operators.sleep.evaluation.reference import Hypnogram, read_hypnogram, stage
-from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE
 from stream.chunk import NS, Array
 from stream.errors import KinegraphError
+from stream.sleep_night import SLEEP, UNKNOWN, WAKE
 from tests.sleep_data import needs_data, sleep_file
 
 START = np.datetime64("2026-03-01T22:00:00")

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE, rescored, settled
+from operators.sleep.rescoring import rescored, settled
 from operators.sleep.scorer import SleepScorer
 from stream.chunk import NS, Chunk, StreamSpec
 from stream.errors import InputError, KinegraphError, ParameterError
+from stream.sleep_night import SLEEP, UNKNOWN, WAKE
 from tests.sleep_data import epochs_of, final, needs_data, run, sleep_file
 
 

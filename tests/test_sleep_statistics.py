@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from operators.sleep.epochs import Epochs
-from operators.sleep.night import night
 from operators.sleep.periods import SleepPeriods
-from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE
 from operators.sleep.scorer import EPOCH, SleepScorer
 from operators.sleep.statistics import SleepStatistics
 from stream.chunk import NS, Array, Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
+from stream.sleep_night import SLEEP, UNKNOWN, WAKE, night
 from tests.sleep_data import epochs_of, needs_data, play, run, sleep_file, stamped
 
 MINUTE = 60 * NS

@@ -57,7 +57,7 @@ def flossed(x: Any, cuts: int, length: float) -> list[int]:
     m, curves = int(length), []
     for channel in x.T:
         profile = stumpy.stump(np.ascontiguousarray(channel, np.float64), m)
-        curves.append(stumpy.fluss(profile, L=m, n_regimes=2, excl_factor=1)[0])
+        curves.append(stumpy.fluss(profile[:, 1], L=m, n_regimes=2, excl_factor=1)[0])
     curve, found = np.mean(curves, 0), []
     for _ in range(cuts):
         at = int(curve.argmin())

@@ -131,9 +131,10 @@ class Activity(Operator[ActivityState]):
             operators.sleep.scorer.SleepScorer
     epochs  per epoch and sleeper: onset, end; moved_s: time with movement; seen: share of the frames; bed: in, out or unknown, at its
             end; crosstalk: share of the movement during which another sleeper's region moved at least `crosstalk_ratio` times more, so
-            that it may have been theirs; threshold (mm); why the epoch cannot be judged, where it cannot: `camera` (it was moved, and
-            the noise is learned again), `dark`, `unseen`, `light` (more noise, and no movement), `body` (a second one moves, or the
-            sleeper), `still` and `region` (see operators.depth.presence.Presence), `learning` (too little is known of stillness)
+            that it may have been theirs, and counts as not seen; threshold (mm); why the epoch cannot be judged, where it cannot:
+            `camera` (it was moved, and the noise is learned again), `dark`, `unseen`, `light` (more noise, and no movement), `body` (a
+            second one moves, or the sleeper: two in a region, or nearly all of it crosstalk), `still` and `region` (see
+            operators.depth.presence.Presence), `learning` (too little is known of stillness)
 
     Movement is where N, averaged over `smooth_s`, exceeds the threshold: what N is in the stillest quarter of the newest 60 epochs with
     this sleeper in bed, plus `sigmas` times its own scatter there (breath counts as scatter), and at least `least_rise` of it. So it is
@@ -369,13 +370,14 @@ class Activity(Operator[ActivityState]):
         strongest = np.fmax.reduce(np.delete(excess, k, axis=1), axis=1, initial=-math.inf)
         theirs = moving & (strongest > self.crosstalk_ratio * excess[:, k])
         crosstalk = float(theirs.sum() / moving.sum()) if moving.any() else 0.0
-        why = self._why(k, seen, float(light.mean()), moved_s)
+        own_s = moved_s - float(theirs.sum()) * slot_s
+        why = self._why(k, seen, float(light.mean()), moved_s, own_s)
         if why:
             activity = math.nan
         elif s.out[k]:
             activity = 1.0
         else:
-            activity = moved_s / (float(there.sum()) * slot_s) if not moved_s < self.least_s else 0.0
+            activity = own_s / (float((there & ~theirs).sum()) * slot_s) if not own_s < self.least_s else 0.0
         event = (
             s.begin,
             s.begin + s.epoch_ns,
@@ -389,8 +391,8 @@ class Activity(Operator[ActivityState]):
         )
         return activity, event
 
-    def _why(self, k: int, seen: float, light: float, moved_s: float) -> str:
-        """Why the epoch cannot be judged; "": it can."""
+    def _why(self, k: int, seen: float, light: float, moved_s: float, own_s: float) -> str:
+        """Why the epoch cannot be judged; "": it can. `own_s` of the movement is surely this sleeper's."""
         s = self.state
         known = moved_s == moved_s
         s.moved = s.moved and not (known and s.in_bed.count.min() >= LEAST_EPOCHS)
@@ -406,7 +408,8 @@ class Activity(Operator[ActivityState]):
             return "camera" if s.moved else "learning"
         if light > 1 - self.least_seen:
             return "light"
-        return "body" if WHYS[s.why[k]] == "body" and moved_s >= self.least_s else ""
+        whose = WHYS[s.why[k]] == "body" or own_s < self.least_s
+        return "body" if whose and moved_s >= self.least_s else ""
 
     def _chunks(self, made: Rows, until: int) -> list[tuple[str, Chunk]]:
         s = self.state

@@ -26,6 +26,8 @@ LEAST_FILLED = 0.6
 
 LARGE = 20
 """A bed of more blocks than this is reported without those at its edge."""
+WIDE = 1.5
+"""Only in a bed that looks so many times wider than long do sleepers lie along the picture's rows."""
 
 Told: TypeAlias = list[tuple[int, str, int, int, int, int, bool]]
 
@@ -57,8 +59,9 @@ class BedRegion(Operator[BedState]):
     With `regions` they are reported with the first sample. Without, the bed is looked for in the mean of `learn_s`: the largest plateau
     from `lowest_mm` to `highest_mm` above the floor, if it covers `least_share` of the frame and most of its own rectangle; less a block
     at sides of more than 20, for blocks that hold the bed's edge tremble with the pixels that happen to be measured. Several sleepers
-    share it side by side, along its longer side, in the order of their names from the left (or the top). That suits a camera that looks
-    down on a bed and some floor; anything else has to be set. While none is found nothing is reported, and it is looked for again.
+    share it side by side, in the order of their names from the left; from the top, where it looks half as wide again as it is long, for
+    then the camera hangs beside it. That suits a camera that looks down on a bed and some floor; anything else has to be set. While none
+    is found nothing is reported, and it is looked for again.
 
     When the camera was moved (`view`, of operators.depth.view.View), a region without rows says that it is not known. One that was found
     is looked for again; one that was set goes with the picture, as far as the frame reaches, if the jump could be measured. If not, it
@@ -213,9 +216,9 @@ def _extent(filled: NDArray[np.int64]) -> tuple[int, int]:
 
 
 def _shared(bed: tuple[int, int, int, int], count: int) -> list[tuple[int, int, int, int]]:
-    """Equal parts side by side along the shorter side; sleepers lie along the longer one."""
+    """Equal parts side by side: a camera at the foot of the bed sees sleepers lie along the columns, one beside it along the rows."""
     row, column, rows, columns = bed
-    if columns <= rows:
+    if columns < WIDE * rows:
         cuts = [column + columns * k // count for k in range(count + 1)]
         return [(row, a, rows, b - a) for a, b in pairwise(cuts)]
     cuts = [row + rows * k // count for k in range(count + 1)]

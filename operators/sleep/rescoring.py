@@ -7,28 +7,13 @@ least 10 (20) min of wake is wake. Unknown epochs end a stretch: nothing is conc
 
 from __future__ import annotations
 
-from itertools import pairwise
-
-import numpy as np
-from numpy.typing import NDArray
-
 from stream.chunk import FOREVER
-
-States = NDArray[np.int8]
-
-UNKNOWN, WAKE, SLEEP = 0, 1, 2
-NAMES = np.array(["unknown", "wake", "sleep"], "U7")
+from stream.sleep_night import SLEEP, UNKNOWN, WAKE, States, runs
 
 AFTER = ((4.0, 1.0), (10.0, 3.0), (15.0, 4.0))
 BETWEEN = ((10.0, 6.0), (20.0, 10.0))
 REACH_MIN = 30.0
 """How far back and ahead of an epoch anything can matter to it."""
-
-
-def runs(states: States) -> list[tuple[int, int, int]]:
-    """(state, first, one past the last) of every stretch of equal states."""
-    edges = [0, *(np.flatnonzero(np.diff(states)) + 1).tolist(), len(states)] if len(states) else []
-    return [(int(states[a]), a, b) for a, b in pairwise(edges)]
 
 
 def rescored(states: States, epoch_min: float, *, ahead: int = UNKNOWN) -> States:

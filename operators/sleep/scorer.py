@@ -12,13 +12,14 @@ import numpy as np
 from operators.inputs.channels import names_of, the_channel
 from operators.sleep.calibration import Calibration
 from operators.sleep.methods import METHODS, MethodName, ScoringRule, rule
-from operators.sleep.rescoring import NAMES, REACH_MIN, SLEEP, UNKNOWN, WAKE, States, rescored, settled
+from operators.sleep.rescoring import REACH_MIN, rescored, settled
 from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.filter import reset_gap
 from stream.operator import Case, Operator, grid
 from stream.params import param
 from stream.require import numeric, regular
+from stream.sleep_night import NAMES, SLEEP, UNKNOWN, WAKE, States
 
 EPOCH = np.dtype(
     [

@@ -11,13 +11,12 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 import numpy as np
 import structlog
 
-from operators.sleep.night import Convention, night
 from operators.sleep.periods import PERIOD, scored, some_epochs
-from operators.sleep.rescoring import NAMES, SLEEP, UNKNOWN, States
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator
 from stream.params import param
+from stream.sleep_night import NAMES, SLEEP, UNKNOWN, Convention, States, night
 
 MINUTES = (
     "unknown",
@@ -91,7 +90,7 @@ class SleepStatistics(Operator[SleepStatisticsState]):
 
     `estimated` is true for the last two (and for lights that never came on again): then `tib` is only a "time in bed", `sol` an
     estimate.
-    Every row names its `convention`; what each number is by which stands with operators.sleep.night.night and in docs/sleep.md. Minutes;
+    Every row names its `convention`; what each number is by which stands with stream.sleep_night.night and in docs/sleep.md. Minutes;
     `se`, `movement`, `fragmentation`, `total_fragmentation` in %. Unknown epochs enter no numerator; `_low` and `_high` bound what they
     leave open. sleep_onset, sleep_end: 0 where there was no sleep. Epochs that were never told are unknown.
 

@@ -46,12 +46,14 @@ class SentEvents:
     key     an integer field that grows from event to event; by it what was sent already is known again
     log     the folder of a `devices.outlets.night.NightLog`, where these are final epochs: after a crash, what stands there and was not
             sent is sent as it stands, so that the two always agree (put the log before this outlet in the graph)
+    sleeper whose nights of that folder, where there are several
     """
 
     of: str
     where: dict[str, str | float | bool] | None = None
     key: str = "onset"
     log: str = ""
+    sleeper: str = ""
 
 
 class MqttRuntime:
@@ -252,6 +254,7 @@ class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
         assert outbox
         newest = outbox.newest(topic)
         nights = archive.nights(Path(history.log)) if newest >= 0 else []
+        nights = [night for night in nights if night[1].sleeper == history.sleeper]
         nights.sort(key=lambda night: (night[0] / archive.EPOCHS).stat().st_mtime_ns)  # the one that was written last
         for folder, _ in nights[-1:]:
             epochs = archive.read_epochs(folder)

@@ -15,6 +15,7 @@ import structlog
 from devices.outlets.claim import check_path, claim, let_go
 from devices.outlets.night import archive, rows
 from devices.outlets.night.archive import Facts, clock, nanoseconds
+from devices.outlets.night.recount import recounted
 from devices.outlets.night.runtime import LogRuntime, LogState
 from devices.outlets.night.writing import OpenNight, readable, write_map
 from devices.outlets.report.words import settings, versions
@@ -239,6 +240,8 @@ class NightLog(Outlet[LogState, LogRuntime]):
             return
         if numbers["onset"] >= runtime.deleted:
             night.facts.numbers = {k: (None if v != v else v) for k, v in numbers.items()}
+            if not night.file.pending:
+                night.facts.numbers = recounted(night.facts, readable(night.folder))
         runtime.former, runtime.former_end, runtime.night, runtime.deleted = night.folder, numbers["end"], None, NEVER
         self.state.rests = True
         log.info("the night is over", night=night.folder.name, folder=str(night.folder))

@@ -197,7 +197,7 @@ WHY = {
     "dark": "it was too dark for the camera",
     "unseen": "too little was seen",
     "light": "a light, or what else makes the frames noisier",
-    "body": "a second body in the region",
+    "body": "a second body in the region, or the other sleeper moves",
     "still": "no breath and no movement, though the bed is not flat",
     "region": "something lives where nobody lies: does the region hold?",
     "learning": "too little was known yet of stillness",

@@ -1,8 +1,9 @@
-"""`kinegraph bedside check`: a minute out of bed, a minute in it, and whether a night can be seen like that."""
+"""`kinegraph bedside check`: a minute out of bed, a minute in it for each sleeper, and whether a night can be seen like that."""
 
 from __future__ import annotations
 
 from contextlib import nullcontext
+from itertools import accumulate
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -34,6 +35,8 @@ def check(
 ) -> None:
     """Stay out of bed for a minute, lie down, and lie still for a minute: says whether the region holds, noise, and light.
 
+    Several sleepers lie down one after the other, in the order of their names; whose region does not hold them is told where it is.
+
     Nothing is stored. Exit codes: 0 all is well; 2 something is not, or the graph is wrong; 3 the camera is missing.
     """
     from operators.depth.setup.graph import small
@@ -49,7 +52,8 @@ def check(
     with simulated(made.graph) if simulate else nullcontext():
         looks = Looks(made.graph, out_s, between_s, in_s)
         looks.run()
-    findings = judge(looks.out, looks.inn, looks.regions, looks.block, made.rise_mm, made.least_share)
+    stays = dict(zip(looks.sleepers, looks.minutes[1:], strict=True))
+    findings = judge(looks.minutes[0], stays, looks.regions, looks.block, made.rise_mm, made.least_share)
     for finding in findings:
         say(f"{'well' if finding.well else 'NOT WELL'}: {finding.text}")
     for problem in looks.problems:
@@ -59,7 +63,7 @@ def check(
 
 
 class Looks:
-    """A feed that hands the camera's frames straight to the operators, tells the person what to do, and keeps both minutes."""
+    """A feed that hands the camera's frames straight to the operators, tells people what to do, and keeps each one's minute."""
 
     again = False
 
@@ -70,18 +74,20 @@ class Looks:
 
         self.graph, self.pipeline, self._clock = graph, Pipeline(graph), SessionClock()
         self.stopped = False
-        self.regions: list[tuple[int, int, int, int]] = []
+        self.sleepers: tuple[str, ...] = graph.nodes["bed"].part.sleepers
+        self.regions: dict[str, tuple[int, int, int, int]] = {}
         self.problems: list[str] = []
         blocks = self.pipeline.stages["simplify"].edges["blocks"]
         self.block = int(blocks.spec.meta["simplified"]["block"])
-        self.out, self.inn = Minute.of(blocks.spec.shape), Minute.of(blocks.spec.shape)
-        self._ends = [round(s * NS) for s in (out_s, out_s + between_s, out_s + between_s + in_s)]
+        self.minutes = [Minute.of(blocks.spec.shape) for _ in range(1 + len(self.sleepers))]
+        """Out of bed, then each in bed, beside those before."""
+        lengths, words = [out_s], [f"stay out of bed for {out_s:g} s, and out of the camera's way"]
+        for name in self.sleepers:
+            who = f"{name}: " if len(self.sleepers) > 1 else ""
+            lengths += [between_s, in_s]
+            words += [f"{who}lie down as you sleep; you have {between_s:g} s", f"{who}lie still for {in_s:g} s"]
+        self._ends, self._words = [round(s * NS) for s in accumulate(lengths)], words
         self._said, self._begun = -1, -1
-        self._words = (
-            f"stay out of bed for {out_s:g} s, and out of the camera's way",
-            f"lie down as you sleep; you have {between_s:g} s",
-            f"lie still for {in_s:g} s",
-        )
         blocks.observers.append(self._blocks)
         self.pipeline.stages["view"].edges["out"].observers.append(self._views)
         self.pipeline.stages["bed"].edges["out"].observers.append(self._bed)
@@ -92,26 +98,26 @@ class Looks:
         camera.read(self)
 
     def _phase(self, time: int) -> int:
-        """0: out of bed, 1: lying down, 2: in bed, 3: over."""
+        """0: out of bed, 1: the first lies down, 2: is in bed, 3: the second lies down, ...; as many as there are words: over."""
         if self._begun < 0:
             self._begun = time
         phase = sum(time - self._begun >= end for end in self._ends)
-        while self._said < min(phase, 2):
+        while self._said < min(phase, len(self._words) - 1):
             self._said += 1
             say(self._words[self._said])
-        self.stopped = phase == 3
+        self.stopped = phase == len(self._words)
         return phase
 
     def _blocks(self, chunk: Chunk) -> None:
         for time, frame in zip(chunk.time.tolist(), chunk.data, strict=True):
             phase = self._phase(time)
-            if phase in (0, 2):
-                (self.out if phase == 0 else self.inn).add(np.asarray(frame))
+            if phase % 2 == 0 and not self.stopped:
+                self.minutes[phase // 2].add(np.asarray(frame))
 
     def _views(self, chunk: Chunk) -> None:
         for event in chunk.data:
-            phase = self._phase(int(event["onset"]))
-            (self.out if phase == 0 else self.inn).views.append(str(event["what"]))
+            stay = min((self._phase(int(event["onset"])) + 1) // 2, len(self.sleepers))
+            self.minutes[stay].views.append(str(event["what"]))
 
     def _bed(self, chunk: Chunk) -> None:
         if self._said > 0:
@@ -119,7 +125,7 @@ class Looks:
         for e in chunk.data:
             row, column, rows, columns = (int(e[name]) // self.block for name in ("row", "column", "rows", "columns"))
             if rows:
-                self.regions.append((row, column, max(1, rows), max(1, columns)))
+                self.regions[str(e["sleeper"])] = row, column, max(1, rows), max(1, columns)
 
     # what a source needs of a feed
     def emit(self, chunk: Chunk, output: str = "out") -> None:

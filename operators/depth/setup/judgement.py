@@ -1,9 +1,10 @@
-"""Whether a bed is seen as it must be: a minute out of it held against a minute in it."""
+"""Whether a bed is seen as it must be: a minute out of it held against a minute in it, of each who sleeps there."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,34 +72,51 @@ class Finding:
 
 
 def judge(
-    out: Minute, inn: Minute, regions: Sequence[Region], block: int, rise_mm: float, least: float
+    out: Minute, stays: Mapping[str, Minute], regions: Mapping[str, Region], block: int, rise_mm: float, least: float
 ) -> list[Finding]:
-    """What a minute out of bed and one in it say of these regions (row, column, rows, columns in blocks).
+    """What a minute out of bed and those in it say of the regions (row, column, rows, columns in blocks).
 
+    stays    by sleeper: several get into bed one after the other, and stay
+    regions  by sleeper; left out where the bed was not found
     block    pixels
     rise_mm  how far above the empty bed a body is; least: how much of a region it covers at least
     """
-    if not out.frames or not inn.frames:
+    minutes = [out, *stays.values()]
+    if not all(minute.frames for minute in minutes):
         return [Finding(False, "no frames came: is the camera connected, and is nothing else using it?")]
-    found = [_seen(views, when) for views, when in ((out.views, "out of bed"), (inn.views, "in bed"))]
-    inside: Mask = np.zeros(out.count.shape, np.bool_)
+    found = [_seen(minute.views, "in bed" if k else "out of bed") for k, minute in enumerate(minutes)]
+    with np.errstate(invalid="ignore"):
+        bodies = {
+            name: before.depth() - stay.depth() > rise_mm
+            for (name, stay), before in zip(stays.items(), minutes, strict=False)
+        }
+    raised: Mask = np.logical_or.reduce(list(bodies.values()))
+    inside = _within(list(regions.values()), raised.shape)
+    hint = suggested(bodies, block)
+    if not inside.any():
+        found.append(Finding(False, f"no bed was found while it was empty; {hint}"))
+        return [f for f in found if f]
+    found.append(_measured(out, minutes[-1], inside))
+    for name, body in bodies.items():
+        found.append(_held(body, regions[name], f" ({name})" if len(bodies) > 1 else "", hint, least))
+    return [f for f in (*found, _light(out, minutes[-1], raised)) if f]
+
+
+def _within(regions: Sequence[Region], shape: tuple[int, ...]) -> Mask:
+    inside: Mask = np.zeros(shape, np.bool_)
     for row, column, rows, columns in regions:
         inside[row : row + rows, column : column + columns] = True
-    with np.errstate(invalid="ignore"):
-        raised = out.depth() - inn.depth() > rise_mm
-    if not inside.any():
-        found.append(Finding(False, f"no bed was found while it was empty; {_suggested(raised, block)}"))
-        return [f for f in found if f]
+    return inside
+
+
+def _measured(out: Minute, inn: Minute, inside: Mask) -> Finding:
+    """How much of the regions is measured, and how well."""
     measured = float((inn.count[inside] / inn.frames).mean())
     noise = float(np.nanmedian(out.noise()[inside])) if np.isfinite(out.noise()[inside]).any() else np.nan
     many = f"{measured:.0%} of the region is measured, and a block's noise is {noise:.1f} mm"
-    found.append(
-        Finding(
-            measured >= LEAST_MEASURED,
-            many if measured >= LEAST_MEASURED else f"only {many}: come nearer, or give it light",
-        )
-    )
-    return [f for f in (*found, _held(raised, inside, regions, block, least), _light(out, inn, raised)) if f]
+    if measured < LEAST_MEASURED:
+        return Finding(False, f"only {many}: come nearer, or give it light")
+    return Finding(True, many)
 
 
 def _seen(views: list[str], when: str) -> Finding | None:
@@ -111,25 +129,27 @@ def _seen(views: list[str], when: str) -> Finding | None:
     return None
 
 
-def _held(raised: Mask, inside: Mask, regions: Sequence[Region], block: int, least: float) -> Finding:
-    """Whether the regions hold who lies there."""
-    whole, within = int(raised.sum()), int((raised & inside).sum())
+def _held(body: Mask, region: Region, who: str, hint: str, least: float) -> Finding:
+    """Whether a sleeper's region holds that body."""
+    whole = int(body.sum())
     if whole < LEAST_BLOCKS:
         return Finding(
-            False, "nobody was seen lying there: does the camera see the whole bed, and did you lie down in time?"
+            False, f"nobody was seen lying there{who}: does the camera see the whole bed, and did you lie down in time?"
         )
-    hint = _suggested(raised, block)
-    if within < LEAST_INSIDE * whole:
+    row, column, rows, columns = region
+    mine = body[row : row + rows, column : column + columns]
+    held = float(mine.sum()) / whole
+    if held < LEAST_INSIDE:
         return Finding(
-            False, f"the region holds {within / whole:.0%} of who lies there: it is too small, or elsewhere; {hint}"
+            False, f"the region holds {held:.0%} of who lies there{who}: it is too small, or elsewhere; {hint}"
         )
-    shares = [float(raised[r : r + n, c : c + m].mean()) for r, c, n, m in regions]
-    if max(shares) < least:
+    covered = float(mine.mean())
+    if covered < least:
         return Finding(
             False,
-            f"who lies there covers {max(shares):.0%} of the region, {least:.0%} is needed: it is too large; {hint}",
+            f"who lies there covers {covered:.0%} of the region{who}, {least:.0%} is needed: it is too large; {hint}",
         )
-    return Finding(True, f"the region holds {within / whole:.0%} of who lies there, who covers {max(shares):.0%} of it")
+    return Finding(True, f"the region holds {held:.0%} of who lies there{who}, who covers {covered:.0%} of it")
 
 
 def _light(out: Minute, inn: Minute, raised: Mask) -> Finding | None:
@@ -145,11 +165,28 @@ def _light(out: Minute, inn: Minute, raised: Mask) -> Finding | None:
     )
 
 
-def _suggested(raised: Mask, block: int) -> str:
-    """The rectangle of what is raised, and a block around it, in pixels."""
-    rows, columns = np.flatnonzero(raised.sum(axis=1) > 1), np.flatnonzero(raised.sum(axis=0) > 1)
-    if not len(rows) or not len(columns):
+def suggested(bodies: Mapping[str, Mask], block: int) -> str:
+    """The rectangle of what is raised and a block around it, in pixels; several share it, cut halfway between neighbours."""
+    boxes = [_box(body) for body in bodies.values()]
+    if not all(len(box) for box in boxes):
         return "set it: regions: [[row, column, rows, columns]]"
-    top, left = max(0, rows[0] - 1), max(0, columns[0] - 1)
-    high, wide = min(raised.shape[0], rows[-1] + 2) - top, min(raised.shape[1], columns[-1] + 2) - left
-    return f"try regions: [[{top * block}, {left * block}, {high * block}, {wide * block}]]"
+    edges = np.array(boxes)  # (sleepers, 4): first row, first column, one past the last row and column
+    shape = next(iter(bodies.values())).shape
+    outer = np.append(np.maximum(edges[:, :2].min(axis=0) - 1, 0), np.minimum(edges[:, 2:].max(axis=0) + 1, shape))
+    parts = np.tile(outer, (len(edges), 1))
+    middles = (edges[:, :2] + edges[:, 2:]) / 2
+    side = int(np.ptp(middles[:, 1]) >= np.ptp(middles[:, 0]))
+    order = np.argsort(middles[:, side])
+    for a, b in pairwise(order.tolist()):
+        cut = round(float(edges[a, 2 + side] + edges[b, side]) / 2)
+        parts[a, 2 + side] = parts[b, side] = cut
+    told = [[int(v) * block for v in (top, left, end - top, right - left)] for top, left, end, right in parts]
+    return f"try regions: {told}"
+
+
+def _box(body: Mask) -> list[int]:
+    """First row, first column, one past the last row, and the last column; [] where too little is raised."""
+    rows, columns = np.flatnonzero(body.sum(axis=1) > 1), np.flatnonzero(body.sum(axis=0) > 1)
+    return (
+        [int(rows[0]), int(columns[0]), int(rows[-1]) + 1, int(columns[-1]) + 1] if len(rows) and len(columns) else []
+    )

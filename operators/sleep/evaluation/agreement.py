@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE, States
 from stream.chunk import Samples
+from stream.sleep_night import SLEEP, UNKNOWN, WAKE, States
 
 
 @dataclass(frozen=True, slots=True)

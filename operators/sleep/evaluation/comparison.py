@@ -10,11 +10,10 @@ import numpy as np
 
 from operators.sleep.evaluation.agreement import Confusion, Limits, interval, limits
 from operators.sleep.evaluation.reference import Hypnogram
-from operators.sleep.night import Night, night
-from operators.sleep.rescoring import UNKNOWN, States
 from stream.chunk import NS, Times
 from stream.errors import KinegraphError
 from stream.sheet import Sheet
+from stream.sleep_night import UNKNOWN, Night, States, night
 
 if TYPE_CHECKING:
     from rich.table import Table

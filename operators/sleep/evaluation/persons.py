@@ -9,8 +9,8 @@ import numpy as np
 
 from operators.sleep.evaluation.agreement import Confusion
 from operators.sleep.evaluation.comparison import Pair, total
-from operators.sleep.night import Night
 from stream.chunk import Samples
+from stream.sleep_night import Night
 
 MEASURES = {"tst": ("TST", "min"), "se": ("SE", "%"), "sol": ("SOL", "min"), "waso": ("WASO", "min")}
 METRICS = (

@@ -8,8 +8,8 @@ import numpy as np
 
 from operators.sleep.evaluation.agreement import Limits
 from operators.sleep.evaluation.comparison import NOTE, NUMBERS, Pair, agreement
-from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE
 from stream.chunk import NS, Samples
+from stream.sleep_night import SLEEP, UNKNOWN, WAKE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE, States
 from operators.sleep.scorer import EPOCH
 from stream.bounded import reading
 from stream.chunk import NS, Times
 from stream.errors import KinegraphError, RecordingError
+from stream.sleep_night import SLEEP, UNKNOWN, WAKE, States
 
 STAGES = {
     **dict.fromkeys(("w", "wake", "0", "awake"), WAKE),

@@ -2,20 +2,26 @@
 
 Every number is in minutes, a count, or a percentage; nothing here knows streams. Unknown epochs enter no numerator; what they leave open
 stands in bounds beside the number: `low` were all of them such that it is smallest, `high` the largest.
+
+It stands here because both count by it: the statistics of scored streams, and a night's log, whose epochs outlive a power cut.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.sleep.rescoring import SLEEP, UNKNOWN, WAKE, States, runs
 from stream.chunk import Samples
 
+States = NDArray[np.int8]
 Convention = Literal["AASM", "ActiLife", "Actiware"]
+
+UNKNOWN, WAKE, SLEEP = 0, 1, 2
+NAMES = np.array(["unknown", "wake", "sleep"], "U7")
 
 IMMOBILE_MIN = 10.0
 """Actiware: sleep begins and ends with so long a stretch that has at most one epoch with movement."""
@@ -55,6 +61,12 @@ class Night:
     fragmentation: float
     total_fragmentation: float
     counts: float
+
+
+def runs(states: States) -> list[tuple[int, int, int]]:
+    """(state, first, one past the last) of every stretch of equal states."""
+    edges = [0, *(np.flatnonzero(np.diff(states)) + 1).tolist(), len(states)] if len(states) else []
+    return [(int(states[a]), a, b) for a, b in pairwise(edges)]
 
 
 def night(states: States, activity: Samples, epoch_min: float, convention: Convention) -> Night:
