@@ -47,6 +47,8 @@ if TYPE_CHECKING:
     from devices.outlets.training import TrainingReport
     from devices.outlets.vmc import VmcOutlet
     from devices.outlets.vrchat import VrchatTrackers
+    from devices.pose_map.answers import PoseAnswers
+    from devices.pose_map.queries import PoseQueries
     from devices.qualisys import Qualisys
     from devices.shimmer import Shimmer
     from devices.simulators.actigraph import Actigraph
@@ -105,6 +107,8 @@ __all__ = [
     "OscPoints",
     "Performer",
     "Polar",
+    "PoseAnswers",
+    "PoseQueries",
     "PromptPanel",
     "Quadruped",
     "Qualisys",
@@ -169,6 +173,8 @@ __getattr__, __dir__ = offered(
         "OscPoints": "devices.outlets.osc_points",
         "Performer": "devices.simulators.performer",
         "Polar": "devices.ble.polar",
+        "PoseAnswers": "devices.pose_map.answers",
+        "PoseQueries": "devices.pose_map.queries",
         "PromptPanel": "devices.outlets.prompt_panel",
         "Quadruped": "devices.simulators.quadruped",
         "Qualisys": "devices.qualisys",

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import gzip
 import ssl
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from http import HTTPStatus
 from importlib.resources import files
 from typing import Any, Protocol
@@ -19,7 +19,7 @@ from websockets.http11 import Request, Response
 
 from devices.outlets.page.access import HEADERS, Access
 from devices.outlets.page.hub import Looking
-from devices.outlets.page.wire import MOST_ASKED_BYTES, Asked, asked, encode
+from devices.outlets.page.wire import MOST_ASKED_BYTES, asked, encode
 
 log = structlog.get_logger(__name__)
 
@@ -43,12 +43,12 @@ class Shows(Protocol):
     clients: set[Looking]
 
     @property
-    def modules(self) -> dict[str, str]:
+    def modules(self) -> Mapping[str, str]:
         """Panels that are not the page's own: their JavaScript, by kind."""
 
     def visitor(self) -> Looking: ...
     def greeting(self) -> bytes: ...
-    def take(self, client: Looking, asked: Asked) -> None: ...
+    def take(self, client: Looking, asked: Any) -> None: ...
     def news_for(self, client: Looking) -> list[bytes]: ...
     def want(self) -> None: ...
 
@@ -59,12 +59,24 @@ def built(name: str) -> bytes:
 
 
 class PageServer:
-    """Serves what `shows` says to whoever has access. `metrics` writes the text behind `/metrics`."""
+    """Serves what `shows` says to whoever has access.
 
-    def __init__(self, shows: Shows, metrics: Callable[[], str]) -> None:
-        self._shows, self._metrics = shows, metrics
+    metrics      writes the text behind `/metrics`
+    files        the page's own files, by path: (name, type)
+    understand   what a client asks for, out of its message; raises ValueError
+    """
+
+    def __init__(
+        self,
+        shows: Shows,
+        metrics: Callable[[], str],
+        *,
+        files: Mapping[str, tuple[str, str]] = FILES,
+        understand: Callable[[str | bytes], Any] = asked,
+    ) -> None:
+        self._shows, self._metrics, self._files, self._understand = shows, metrics, files, understand
         self._access = Access("", 0)
-        self._packed = {path: gzip.compress(built(name), mtime=0) for path, (name, _) in FILES.items()}
+        self._packed = {path: gzip.compress(built(name), mtime=0) for path, (name, _) in files.items()}
         self._server: Server | None = None
 
     async def open(self, host: str, port: int, token: str, tls: ssl.SSLContext | None = None) -> int:
@@ -112,9 +124,9 @@ class PageServer:
         if path.startswith(MODULES) and path.endswith(".js"):
             module = self._shows.modules.get(path[len(MODULES) : -len(".js")])
             return _response(HTTPStatus.OK, FILES["/page.js"][1], module.encode()) if module else _plain(*NO_PAGE)
-        if path not in FILES:
+        if path not in self._files:
             return _plain(*NO_PAGE)
-        response = _response(HTTPStatus.OK, FILES[path][1], self._packed[path], ("Content-Encoding", "gzip"))
+        response = _response(HTTPStatus.OK, self._files[path][1], self._packed[path], ("Content-Encoding", "gzip"))
         if access.token and path == "/":
             response.headers["Set-Cookie"] = access.cookie
         return response
@@ -137,7 +149,7 @@ class PageServer:
             self._shows.want()
 
     def _take(self, client: Looking, message: str | bytes) -> None:
-        self._shows.take(client, asked(message))
+        self._shows.take(client, self._understand(message))
 
     async def _speak(self, connection: ServerConnection, client: Looking) -> None:
         """Send news for as long as the client reads them; those of a slow one wait here, and only the newest are sent."""

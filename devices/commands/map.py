@@ -1,0 +1,116 @@
+"""`kinegraph map`: recordings of motion in a browser, on a map of all their poses."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import os
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from stream.errors import KinegraphError
+from stream.plain import say
+
+if TYPE_CHECKING:
+    from devices.outlets.page.lane import Address
+    from devices.pose_map.hub import MapHub
+
+
+def map_(
+    recordings: Annotated[
+        list[Path],
+        typer.Argument(
+            help="recordings of markers or poses, or one map of `kinegraph train map`", metavar="RECORDING..."
+        ),
+    ],
+    markers: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="YAML: which markers, as for `train map`")
+    ] = None,
+    origin: Annotated[str, typer.Option(help="without --markers: the marker that positions are relative to")] = "",
+    ahead: Annotated[str, typer.Option(help="without --markers: the marker that is turned ahead")] = "",
+    rate_hz: Annotated[float, typer.Option(min=1.0, max=1000.0, help="poses per second")] = 60.0,
+    page_at: Annotated[
+        str,
+        typer.Option(
+            metavar="HOST:PORT", help="serve it there; on other addresses than this machine's own with a token"
+        ),
+    ] = "",
+    page_certificate: Annotated[str, typer.Option(metavar="FILE", help="encrypt the page with this certificate")] = "",
+    page_key: Annotated[str, typer.Option(metavar="FILE", help="the certificate's key")] = "",
+    duration_s: Annotated[
+        float, typer.Option("--for", metavar="SECONDS", min=0.0, help="end after this many seconds; 0: at Ctrl-C")
+    ] = 0.0,
+) -> None:
+    """Explore recorded motion on a map: which poses there are, how sequences run through them, what is like what (thesis, chapter 5).
+
+    kinegraph map horses/*.mcap --markers horse.yaml
+
+    The map is trained once and kept; it is trained again when a recording or the table has changed. A map that `kinegraph train map` has
+    made can be given in the recordings' place.
+    """
+    from devices.outlets.page.lane import parsed, refuse_unbuilt
+    from devices.pose_map.hub import MapHub
+    from stream.commands import logs
+    from stream.motion_index import MotionIndex
+
+    logs.set_up()
+    address = parsed(page_at, page_certificate, page_key)
+    address.check()
+    refuse_unbuilt()
+    kept = recordings[0] if len(recordings) == 1 and recordings[0].suffix == ".npz" else None
+    if kept is None:
+        kept = trained(recordings, {"markers": markers, "origin": origin, "ahead": ahead, "rate_hz": rate_hz})
+    name = recordings[0].stem if len(recordings) == 1 else f"{recordings[0].stem} and {len(recordings) - 1} more"
+    asyncio.run(_serve(MapHub(MotionIndex.read(kept), kept, name), address, duration_s))
+
+
+def trained(recordings: list[Path], options: dict[str, Any]) -> Path:
+    """The map of these recordings, made now if there is none of them as they are."""
+    import platformdirs
+
+    from stream.recording.place import parts_of
+
+    told = [repr(sorted((k, str(v)) for k, v in options.items()))]
+    files = [part for path in recordings for part in (parts_of(path) or [path])]
+    for path in [*files, *([options["markers"]] if options["markers"] else [])]:
+        try:
+            found = Path(path).stat()
+            told.append(f"{Path(path).absolute()} {found.st_size} {found.st_mtime_ns}")
+        except OSError as error:
+            raise KinegraphError(f"{path}: cannot be read: {error.strerror}") from None
+    folder = Path(os.environ.get("KINEGRAPH_CACHE", platformdirs.user_cache_dir("kinegraph"))) / "maps"
+    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    kept = folder / f"{hashlib.sha256(chr(10).join(told).encode()).hexdigest()[:24]}.npz"
+    if kept.exists():
+        return kept
+    for training in entry_points(group="kinegraph.trainings", name="map"):
+        training.load()(
+            recordings=recordings, output=kept, rows=12, columns=12, seed=0, overwrite=False, **options,
+        )  # fmt: skip
+    return kept
+
+
+async def _serve(hub: MapHub, address: Address, duration_s: float) -> None:
+    from devices.outlets.page.serving import PageServer, tls_context
+    from devices.pose_map.wanted import wanted
+
+    server = PageServer(hub, lambda: "# EOF\n", files=FILES, understand=wanted)
+    port = await server.open(address.host, address.port, address.token, tls_context(address.certificate, address.key))
+    say(f"page: {address.url(port)} (Ctrl-C ends it)", err=True)
+    searching = asyncio.create_task(hub.search())
+    try:
+        await asyncio.sleep(duration_s or 1e9)
+    finally:
+        searching.cancel()
+        await asyncio.gather(searching, return_exceptions=True)
+        await server.close()
+
+
+FILES = {
+    "/": ("map.html", "text/html; charset=utf-8"),
+    "/map.js": ("map.js", "text/javascript; charset=utf-8"),
+    "/page.css": ("page.css", "text/css; charset=utf-8"),
+}
