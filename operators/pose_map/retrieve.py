@@ -104,30 +104,35 @@ class PoseSearch:
     def regions(self, first: int, last: int, band: int) -> list[tuple[int, int, int]]:
         """(sequence, begin, end) of places with a pose near to one of the stretch's, the nearest first, none in the band."""
         length = last - first + 1
-        pool = []
-        for share in ANCHORS:
-            anchor = first + int(share * (length - 1))
-            frames, apart = self.nearest(anchor, MOST)
-            pool += [(float(d), int(f) - (anchor - first)) for f, d in zip(frames, apart, strict=True)]
-        mine, taken, made = self.motion.of(first), list[int](), list[tuple[int, int, int]]()
-        for _, at in sorted(pool):
-            middle = at + length // 2
-            if len(made) == REGIONS or any(abs(at - other) < max(1, length // 2) for other in taken):
-                continue
-            taken.append(at)
-            if not 0 <= middle < len(self.motion.poses):
-                continue
-            sequence = self.motion.of(middle)
-            one = self.motion.sequences[sequence]
-            begin, end = max(one.first, at - length // 2), min(one.last, at + length + length // 2)
-            if sequence == mine and begin <= last + band and end > first - band:
-                if middle < first + length // 2:
-                    end = min(end, first - band)
-                else:
-                    begin = max(begin, last + band + 1)
-            if end - begin >= max(2, length // 2):
-                made.append((sequence, begin, end))
+        anchors = [first + int(share * (length - 1)) for share in ANCHORS]
+        found = [self.nearest(anchor, MOST) for anchor in anchors]
+        starts = np.concatenate([frames - (a - first) for a, (frames, _) in zip(anchors, found, strict=True)])
+        apart = np.concatenate([d for _, d in found]).astype(np.float64)
+        order = np.lexsort((starts, apart))
+        starts = starts[order]
+        free = (starts + length // 2 >= 0) & (starts + length // 2 < len(self.motion.poses))
+        made = list[tuple[int, int, int]]()
+        for _ in range(REGIONS):
+            if not free.any():
+                break
+            at = int(starts[int(free.argmax())])
+            free &= np.abs(starts - at) >= max(1, length // 2)
+            made += self._region(at, first, last, band)
         return made
+
+    def _region(self, at: int, first: int, last: int, band: int) -> list[tuple[int, int, int]]:
+        """The place around a stretch that begins at frame `at`, within one sequence and outside of the band; none if it is too short."""
+        length = last - first + 1
+        middle = at + length // 2
+        sequence = self.motion.of(middle)
+        one = self.motion.sequences[sequence]
+        begin, end = max(one.first, at - length // 2), min(one.last, at + length + length // 2)
+        if sequence == self.motion.of(first) and begin <= last + band and end > first - band:
+            if middle < first + length // 2:
+                end = min(end, first - band)
+            else:
+                begin = max(begin, last + band + 1)
+        return [(sequence, begin, end)] if end - begin >= max(2, length // 2) else []
 
     def answer(self, query: Array) -> Array:
         """The answer (n,) to one query, its last row the end."""
