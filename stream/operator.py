@@ -6,7 +6,7 @@ so that a snapshot of the state is a snapshot of the operator. `docs/operators.m
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar
 
@@ -204,6 +204,9 @@ class Outlet(Operator[S], Generic[S, R]):
 
     def keep_time(self, clock: SessionClock) -> None:
         """Told once, before `begin`, the clock of a live session; in replay there is none. For outlets whose stamps others read."""
+
+    def let_stop(self, stop: Callable[[], None]) -> None:
+        """Told once, before `begin`, how a live session is ended in order, from any thread; in replay it is not."""
 
     def begin(self) -> None:
         """Touch the world: create the file, connect. Called once, after `open` (and `restore`), before any device starts.

@@ -171,9 +171,17 @@ class Pipeline:
     segments  operators in a row, each as one function, while nothing has changed since `compile`
     """
 
-    def __init__(self, graph: Graph, *, speaking: Container[str] = (), bridge: Bridge | None = None) -> None:
-        """`speaking` names the outlets that take part; `bridge` puts nodes on their workers (else all run on the caller's thread)."""
-        self.graph = graph
+    def __init__(
+        self,
+        graph: Graph,
+        *,
+        speaking: Container[str] = (),
+        bridge: Bridge | None = None,
+        stop: Callable[[], None] | None = None,
+    ) -> None:
+        """`speaking` names the outlets that take part; `bridge` puts nodes on their workers (else all run on the caller's thread); `stop`
+        ends the session."""
+        self.graph, self._stop = graph, stop
         self.entries = {
             str(Edge(n.name, o)): LiveEdge(Edge(n.name, o), s) for n in graph.sources for o, s in n.specs.items()
         }
@@ -231,6 +239,8 @@ class Pipeline:
             stage.operator.meet(self.graph)
             if clock:
                 stage.operator.keep_time(clock)
+            if clock and self._stop:
+                stage.operator.let_stop(self._stop)
             stage.operator.begin()
 
     @property

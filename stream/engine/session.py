@@ -76,7 +76,7 @@ class Session:
         waits = not any(s.live for s in graph.parts(Source) if not s.background)
         self.log = SessionLog(folder, graph, self.clock, self._prior)
         self._workers = Workers(self._ready, waits, self._fail, partial(self.log.report, DROPPED))
-        self.pipeline = Pipeline(graph, speaking=graph.outlets, bridge=self._workers.bridge)
+        self.pipeline = Pipeline(graph, speaking=graph.outlets, bridge=self._workers.bridge, stop=self.stop)
         self._runners = [Runner(node, self._ready, self.clock, self.log.report, self._fail) for node in graph.sources]
         self._ingress = Ingress(self._ready, self._runners, self.pipeline, self.log, self.clock, self._fail)
         self.now = self._ingress.time.now
