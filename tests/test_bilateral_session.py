@@ -1,4 +1,4 @@
-"""Both legs in three stages on plates that drift: an electrode falls off in minute 4, a muscle weakens at minute 5."""
+"""Both legs at three speeds on plates that drift: an electrode falls off in minute 4, a muscle weakens at minute 5."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ SETTINGS = (
     "treadmill.realtime=false", f"treadmill.duration_s={LENGTH_S}", "treadmill.muscles=[TA, SO]", "treadmill.plate_drift_n_per_min=30",
     f"treadmill.faults=[{{kind: flat, muscle: L_TA, from_s: {OFF_S}, for_s: {OFF_FOR_S}}}, "
     f"{{kind: weak, muscle: R_SO, from_s: {WEAK_S}, share: 0.3}}]",
-    "stages.protocol=[{stage: 0.8 m/s, for_s: 60}, {stage: 1.2 m/s, cycles: 160}, {stage: 1.5 m/s, cycles: 400}]",
+    "treadmill.speeds=[{from_s: 0, speed_m_s: 0.8}, {from_s: 60, speed_m_s: 1.2}, {from_s: 150, speed_m_s: 1.5}]",
+    "stages.protocol=[{stage: 0.8 m/s, for_s: 60, speed_m_s: 0.8}, {stage: 1.2 m/s, for_s: 90, speed_m_s: 1.2}, "
+    "{stage: 1.5 m/s, cycles: 500, speed_m_s: 1.5}]",
 )  # fmt: skip
 
 pytestmark = [pytest.mark.timeout(900), pytest.mark.xdist_group("bilateral session")]
@@ -106,6 +108,15 @@ def test_no_good_cycle_is_lost_on_plates_that_drift_beyond_a_hundred_newtons(hel
     assert np.abs(found["onset"] - true["onset"][-len(found) :]).max() < 0.01 * NS
     assert len(held.rows) >= len(found) - 2 - 2 and not [row for row in held.rows if row["rejected"]]
     assert held.alarms("contacts") == [] and held.alarms("channels") == []
+
+
+def test_each_stage_has_its_speeds_cadence(held: Held) -> None:
+    strides = []
+    for stage in STAGES:
+        rows = [row for row in held.rows if row["stage"] == stage]
+        assert {row["speed_m_s"] for row in rows} == {stage.removesuffix(" m/s")}
+        strides.append(np.mean([float(row["duration_s"]) for row in rows]))
+    assert np.allclose(strides, 60 / 57 / np.sqrt(np.array([0.8, 1.2, 1.5]) / 1.2), rtol=0.01)
 
 
 def test_a_muscle_that_drifts_at_minute_five_is_on_the_screen_within_ten_cycles_and_nothing_before(held: Held) -> None:

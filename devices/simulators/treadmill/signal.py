@@ -47,6 +47,7 @@ NAMES: dict[str, str] = {
 }  # fmt: skip
 
 STEPS, NOISE, FORCE, BURST = range(4)
+USUAL_M_S, STANCE_PER_M_S = 1.2, 5.0
 _BLOCK = 200
 _TAPS = 96
 _WEIGHT_N = 700.0
@@ -55,6 +56,10 @@ _WEIGHT_N = 700.0
 @dataclass(frozen=True, slots=True)
 class Walker:
     """Who walks, and how. `cadence_per_min` counts strides (one foot's touch-down to its next); spreads are standard deviations.
+
+    `speeds` are the belt's: from which second on, in m/s; before the first, and where there are none, 1.2 m/s. The walker answers as people
+    do who walk as they like: the ratio of step length to cadence stays (Sekiya 1996), so cadence goes with the root of the speed, and
+    stance is 5 % of the cycle shorter per m/s. Muscles keep their size, which real ones do not.
 
     A leg's touch-downs come `lag` of a stride later, its muscles have the given `share` of their size; legs of one walker share their pace.
     """
@@ -69,6 +74,7 @@ class Walker:
     lag: float = 0.0
     share: float = 1.0
     pace_seed: int | None = None
+    speeds: tuple[tuple[float, float], ...] = ()
 
 
 def random(seed: int, purpose: int, index: int) -> np.random.Generator:
@@ -87,6 +93,7 @@ class Gait:
     def __init__(self, walker: Walker) -> None:
         self._walker = walker
         self._mean = walker.rate_hz * 60.0 / walker.cadence_per_min
+        self._knots, self._beats = self._pace()
         pace = walker.seed if walker.pace_seed is None else walker.pace_seed
         self._wave = random(pace, STEPS, 0).uniform(0, 2 * np.pi, 2)
         self._stray = lru_cache(maxsize=64)(self._make_stray)
@@ -94,7 +101,9 @@ class Gait:
 
     def cycle_at(self, index: int) -> int:
         """The cycle that a sample lies in; -1 before the first touch-down."""
-        cycle = round(index / self._mean)
+        cycle = (
+            round(float(np.interp(index, self._knots, self._beats))) if len(self._knots) else round(index / self._mean)
+        )
         while self.touchdown(cycle) > index:
             cycle -= 1
         while self.touchdown(cycle + 1) <= index:
@@ -108,7 +117,8 @@ class Gait:
     def liftoff(self, cycle: int) -> int:
         """The sample at which the foot leaves the ground within a cycle."""
         begin, end = self.touchdown(cycle), self.touchdown(cycle + 1)
-        share = (self._walker.stance_percent + 0.6 * self._stray(cycle)[1]) / 100
+        faster = self.speed_at(begin) - USUAL_M_S
+        share = (self._walker.stance_percent - STANCE_PER_M_S * faster + 0.6 * self._stray(cycle)[1]) / 100
         stance = round((end - begin) * share)
         return begin + min(end - begin - 1, max(1, stance))
 
@@ -129,7 +139,26 @@ class Gait:
         return np.array([row for row in rows if start <= row[0] and row[2] < stop], np.int64).reshape(-1, 3)
 
     def _make_touch(self, cycle: int) -> int:
-        return round(0.4 * self._walker.rate_hz + self._mean * (cycle + self._walker.lag + self._stray(cycle)[0]))
+        beat = cycle + self._walker.lag + self._stray(cycle)[0]
+        if len(self._knots):
+            return round(0.4 * self._walker.rate_hz + float(np.interp(beat, self._beats, self._knots)))
+        return round(0.4 * self._walker.rate_hz + self._mean * beat)
+
+    def speed_at(self, index: int) -> float:
+        """The belt's speed in m/s at a sample."""
+        past = [speed for from_s, speed in self._walker.speeds if from_s * self._walker.rate_hz <= index]
+        return past[-1] if past else USUAL_M_S
+
+    def _pace(self) -> tuple[Samples, Samples]:
+        """Samples, and how many strides an even walk has made by then, at the ends of stretches of one speed; none where it is one."""
+        speeds = self._walker.speeds
+        if not speeds:
+            return np.empty(0), np.empty(0)
+        rate = self._walker.rate_hz
+        knots = np.array([-60 * rate, *(from_s * rate for from_s, _ in speeds), (speeds[-1][0] + 1e6) * rate])
+        strides = np.sqrt(np.array([USUAL_M_S, *(speed for _, speed in speeds)]) / USUAL_M_S) / self._mean
+        beats = np.append(0.0, np.cumsum(np.diff(knots) * strides)) - 60 * rate * strides[0]
+        return knots, np.asarray(beats)
 
     def _make_stray(self, cycle: int) -> tuple[float, float]:
         """How far a touch-down is off its beat, in cycles, and a number in -1..1 for its stance."""

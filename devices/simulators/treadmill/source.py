@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,16 @@ from stream.source import Feed, Source
 
 CONTACT = np.dtype([("onset", "<i8")])
 LIMB_CONTACT = np.dtype([("onset", "<i8"), ("limb", "<U16")])
+
+
+@dataclass(frozen=True, slots=True)
+class BeltSpeed:
+    """The belt runs at another speed from a moment on."""
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+
+    from_s: float = param(least=0.0, help="when, counted from the first sample")
+    speed_m_s: float = param(above=0.0, most=3.0, help="how fast")
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +63,10 @@ class Treadmill(Source):
         57.0, least=20, most=120, help="strides per minute (a stride: right touch-down to the next)"
     )
     stance_percent: float = param(63.0, least=30, most=80, help="how much of a cycle the foot stands")
+    speeds: tuple[BeltSpeed, ...] = param(
+        (),
+        help="the belt's speeds, e.g. [{from_s: 60, speed_m_s: 1.5}]; cadence and stance follow; 1.2 m/s before the first",
+    )
     jitter_percent: float = param(2.0, least=0, most=5, help="standard deviation of a cycle's duration")
     noise_uv: float = param(2.0, least=0, help="baseline noise of every channel, rms")
     seed: int = param(0, least=0, help="another seed, another walk")
@@ -81,6 +95,9 @@ class Treadmill(Source):
                 raise ParameterError(
                     "faults", fault.muscle, f"one of this node's muscles: {', '.join(self._channels())}"
                 )
+        begins = [one.from_s for one in self.speeds]
+        if begins != sorted(set(begins)):
+            raise ParameterError("speeds", begins, "in order of from_s, each moment once")
         self._start_ns(0)
         if self.legs == "both":
             return self._both_specs()
@@ -134,6 +151,7 @@ class Treadmill(Source):
                 self.jitter_percent,
                 self.noise_uv,
                 self.seed,
+                speeds=tuple((one.from_s, one.speed_m_s) for one in self.speeds),
             )
         )
 
