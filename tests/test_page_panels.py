@@ -26,11 +26,11 @@ SECONDS = 20
 GRAPH = f"""
 name: panels
 session: {{subject: S01}}
-record: [envelope, cycles.cycles, cycles.closed, ensemble.mean, ensemble.sd, mixtures.modes, targets.targets,
+record: [envelope, cycles.cycles, cycles.closed, ensemble.mean, ensemble.sd, mixtures.modes, targets.targets, norms.low, norms.high,
   body.pose, steer.mesh, camera.depth]
 page:
   panels:
-    - {{kind: cycles, of: [ensemble.mean, ensemble.sd, cycles.cycles], title: cycles, wide: 2}}
+    - {{kind: cycles, of: [ensemble.mean, ensemble.sd, cycles.cycles, norms.low, norms.high], title: cycles, wide: 2}}
     - {{kind: cycles, of: [ensemble.mean, ensemble.sd, mixtures.modes, targets.targets], title: modes, wide: 2}}
     - {{kind: signal, of: treadmill.emg, title: raw EMG, wide: 2, window_s: 10}}
     - {{kind: scene, of: steer.mesh, title: a steered mesh}}
@@ -57,6 +57,7 @@ nodes:
     use: operators.gait.cycle_targets.CycleTargets
     from: {{closed: cycles.closed, cycles: cycles.cycles}}
     targets: [{{muscle: SO, from_pct: 20, to_pct: 60, low: 1, high: 1000}}, {{muscle: TA, from_pct: 90, to_pct: 10, low: 900, high: 1000}}]
+  norms: {{use: operators.gait.norms.NormativeBands, from: {{closed: cycles.closed, cycles: cycles.cycles}}, file: bands.csv}}
   body: {{use: operators.whole_pose.operator.WholePose, from: performer.markers, up: y}}
   legs:
     use: operators.steering.actors.Actors
@@ -72,6 +73,7 @@ nodes:
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("panels")
     (folder / "panels.yaml").write_text(GRAPH)
+    (folder / "bands.csv").write_text("muscle,cycle_pct,low [uV],high [uV]\nTA,0,5,30\nSO,0,5,30\n")
     command = [KINEGRAPH, "run", "panels.yaml", "--view", "none", "-o", "s"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -248,6 +250,9 @@ def test_modes_are_ellipses_where_they_are_and_targets_are_boxes(page: LiveBrows
     box = "document.querySelector('[aria-label=\"modes\"]').dataset"
     assert page.value(f"{box}.ellipses") == str(sum(map(len, last.values())))
     assert page.value(f"{box}.targets") == "2"
+    assert page.value("document.querySelector('[aria-label=\"cycles\"]').dataset.norms") == "2", (
+        "of TA and SO there are bands"
+    )
     width = page.value(f"document.querySelector({canvas('modes')!r}).width")
     columns = min(len(names), width // 150)
     cell = width / columns

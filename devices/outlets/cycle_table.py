@@ -48,7 +48,8 @@ class CycleTable(Outlet[CycleTableState, StreamSpec]):
     stages       of `operators.gait.stages.Stages`: which stage has begun, and what is to be said
     modes        of `operators.emg.mixtures.PeakMixtures`, and
     distance     of `operators.emg.mixture_drift.MixtureDrift`, and
-    targets      of `operators.gait.cycle_targets.CycleTargets`: a column of the table each
+    targets      of `operators.gait.cycle_targets.CycleTargets`, and
+    norms        of `operators.gait.norms.NormativeBands` (`against`): a column of the table each
 
     Of several limbs the table shows each one's latest cycle, muscle by muscle over one another.
 
@@ -99,8 +100,8 @@ class CycleTable(Outlet[CycleTableState, StreamSpec]):
                 _tell_stage(row)
         elif port in NOTES:
             state.notes.hear(port, chunk.data)
-            if port == "targets":
-                _tell_targets(chunk.data)
+            if port in ("targets", "norms") and len(chunk):
+                _tell(port, chunk.data)
         elif port == "closed":
             for i in range(len(chunk)):
                 event = chunk.data[i : i + 1]
@@ -152,18 +153,19 @@ def _tell_stage(row: Any) -> None:
         TerminalView.current.hang_out("stage", line, line)
 
 
-def _tell_targets(rows: Array) -> None:
-    """How the last cycle stands to each target."""
-    if not len(rows):
-        return
+def _tell(port: str, rows: Array) -> None:
+    """How the last cycle stands to each target, or norm."""
+    kind = port.removesuffix("s")
     told = [
-        f"target {row['name']}: {TOLD['targets'](row)}, {row['hits']} of {row['cycles']} cycles within" for row in rows
+        f"{kind} {row['name']}: {TOLD[port](row)}"
+        + (f", {row['hits']} of {row['cycles']} cycles within" if port == "targets" else "")
+        for row in rows
     ]
     if TerminalView.current is None:
         with suppress(BrokenPipeError):  # nobody reads on
             say("; ".join(told), flush=True)
     else:
-        TerminalView.current.hang_out("target", "\n".join(told), "; ".join(told))
+        TerminalView.current.hang_out(kind, "\n".join(told), "; ".join(told))
 
 
 def _count(state: CycleTableState, number: int, taken: bool) -> bool:

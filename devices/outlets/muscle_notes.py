@@ -1,4 +1,4 @@
-"""What is known of each muscle beside its numbers, in a few words: modes of its activation peaks, how far it has moved, its targets."""
+"""What is known of each muscle beside its numbers, in a few words: modes of its peaks, how far it has moved, targets, norms."""
 
 from __future__ import annotations
 
@@ -13,9 +13,15 @@ NOTES = {
     "modes": ("name", "number", "place_pct", "height", "weight"),
     "distance": ("name", "from_first", "limit", "from_other"),
     "targets": ("name", "number", "from_pct", "to_pct", "value", "low", "high", "state", "hits", "cycles"),
+    "norms": ("name", "number", "outside_pct", "furthest_pct", "beyond"),
 }
 """By port: the fields that its events must have."""
-HEADINGS = {"modes": "active at %", "distance": "moved (limit), other leg", "targets": "target"}
+HEADINGS = {
+    "modes": "active at %",
+    "distance": "moved (limit), other leg",
+    "targets": "target",
+    "norms": "outside norm",
+}
 
 
 @dataclass(slots=True)
@@ -65,4 +71,10 @@ def _target(row: Any) -> str:
     return f"{row['value']:.3g} {row['state']} {row['low']:.3g}-{row['high']:.3g} at {row['from_pct']:.0f}-{row['to_pct']:.0f} %"
 
 
-TOLD = {"modes": _mode, "distance": _distance, "targets": _target}
+def _norm(row: Any) -> str:
+    side = "above" if row["beyond"] > 0 else "below"
+    where = f", most at {row['furthest_pct']:.0f} % ({side})" if row["outside_pct"] else ""
+    return f"{row['outside_pct']:.0f} % of the cycle{where}"
+
+
+TOLD = {"modes": _mode, "distance": _distance, "targets": _target, "norms": _norm}

@@ -12,7 +12,7 @@ const HEAD = 18;
 const field = (stream: Stream, name: string): number => stream.info.fields.findIndex(([f]) => f === name) + 1;
 const has = (stream: Stream, ...names: string[]): boolean => names.every((name) => field(stream, name) > 0);
 
-/** Panels' streams: the mean, its standard deviation, and the cycles themselves; then events: modes of mixtures, targets. */
+/** Panels' streams: the mean, its standard deviation, the cycles themselves, the low and high end of normative bands; then events: modes, targets. */
 export class CyclesPanel extends Panel {
   private readonly sheet = new Sheet(this.body, this.height);
   private drawn = -1;
@@ -27,10 +27,10 @@ export class CyclesPanel extends Panel {
   }
 
   draw(span: Span): void {
-    const [mean, sd, last] = this.streams.filter((s) => s.info.kind !== "events");
+    const [mean, sd, last, low, high] = this.streams.filter((s) => s.info.kind !== "events");
     const modes = this.streams.find((s) => has(s, "name", "number", "place_pct", "height", "sd_pct", "sd_height", "correlation"));
     const targets = this.streams.find((s) => has(s, "name", "number", "from_pct", "to_pct", "low", "high", "state"));
-    let [ellipses, bands] = [0, 0];
+    let [ellipses, bands, norms] = [0, 0, 0];
     const names = mean?.info.channels ?? [];
     const columns = Math.max(1, Math.min(names.length, Math.floor(this.body.clientWidth / CELL_WIDTH)));
     const until = this.page.recording ? span.at : Infinity;
@@ -45,12 +45,14 @@ export class CyclesPanel extends Panel {
       const [x, y] = [(c % columns) * cell, Math.floor(c / columns) * CELL_HEIGHT];
       const box = { left: x + PAD, top: y + HEAD, width: cell - 2 * PAD, height: CELL_HEIGHT - HEAD - PAD, most: 1 };
       box.most = this.drawChannel(pen, c, name, x + PAD, y, cell - 2 * PAD, mean?.newest ?? null, sd?.newest ?? null, last?.newest ?? null);
+      if (low?.newest && high?.newest) norms += drawNorm(pen, column(low.newest, c), column(high.newest, c), box);
       if (targets) bands += drawTargets(pen, targets, newestOf(targets, until, name), box);
       if (modes) ellipses += drawModes(pen, modes, newestOf(modes, until, name), box);
     });
+    if (high) this.element.dataset["norms"] = String(norms);
     if (modes) this.element.dataset["ellipses"] = String(ellipses);
     if (targets) this.element.dataset["targets"] = String(bands);
-    this.note.textContent = last?.newest ? `${last.newest.count ? `${last.newest.count} cycles; ` : ""}line: last, band: mean ± SD${modes ? ", ellipses: modes of its peaks" : ""}${targets ? ", boxes: targets" : ""}` : "no cycle yet";
+    this.note.textContent = last?.newest ? `${last.newest.count ? `${last.newest.count} cycles; ` : ""}line: last, band: mean ± SD${modes ? ", ellipses: modes of its peaks" : ""}${targets ? ", boxes: targets" : ""}${norms ? ", dashed: norms" : ""}` : "no cycle yet";
     this.stamp();
     this.element.dataset["cycles"] = String((last ?? mean)?.newest?.count ?? 0);
     this.sheet.canvas.setAttribute("aria-label", `${names.length} channels, ${this.note.textContent}`);
@@ -154,6 +156,21 @@ function drawModes(pen: CanvasRenderingContext2D, stream: Stream, rows: Cell[][]
   }
   pen.restore();
   return rows.length;
+}
+
+/** The two ends of a laboratory's band, dashed; 1 where the channel has one. */
+function drawNorm(pen: CanvasRenderingContext2D, low: number[], high: number[], box: Box): number {
+  if (low.some((v) => v !== v)) return 0;
+  pen.save();
+  pen.setLineDash([4, 3]);
+  pen.strokeStyle = "#12924a";
+  for (const edge of [low, high]) {
+    pen.beginPath();
+    edge.forEach((v, i) => pen.lineTo(box.left + (box.width * i) / Math.max(1, edge.length - 1), box.top + box.height * (1 - Math.max(0, Math.min(1, v / box.most)))));
+    pen.stroke();
+  }
+  pen.restore();
+  return 1;
 }
 
 /** The band that each target asks for, over its phase: green where the last cycle was within, else red; one over the touch-down is two boxes. */
