@@ -63,6 +63,7 @@ def compose(tally: Tally, specs: Specs, graph: Graph | None, names: Mapping[str,
         np.asarray(tally.single.chosen(), np.float64),
         groups.active,
         by_stage,
+        tally.norms if "low" in specs and "high" in specs else np.zeros((0, 0, 0)),
     )
 
 

@@ -25,7 +25,7 @@ LONG = 4
 SINGLE = 40
 POINTS = 100
 """At most so many single cycles are drawn."""
-INK, BAND, THIN, STANCE = "#12395b", "#8fb3d3", "#9a9a9a", "#f1efe9"
+INK, BAND, THIN, STANCE, NORM = "#12395b", "#8fb3d3", "#9a9a9a", "#f1efe9", "#2f7d4f"
 
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
@@ -58,6 +58,7 @@ def draw_limbs(curves: Curves, panels: list[LimbPanel], unit: str) -> list[str]:
                 mean, sd = curves.mean[:, channel], np.nan_to_num(curves.sd[:, channel])
                 _band(axes, mean, sd, colour, limb)
                 tops.append(np.nan_to_num(mean + sd).max())
+            tops += [_norm(axes, curves, channel) for channel in panel.channels]
             _finish(axes, figure, 1.05 * max([*tops, 1e-9]), unit)
             made.append(_svg(figure, f"{panel.name}, {' and '.join(panel.limbs)}"))
         return made
@@ -168,6 +169,18 @@ def _band(axes: Axes, mean: Samples, sd: Samples | None, colour: str, label: str
         axes.plot(percent, mean, color=colour, linewidth=1.2, label=label)
 
 
+def _norm(axes: Axes, curves: Curves, channel: int) -> float:
+    """The normative band of a channel, behind its curve, where there is one; gives how far up it reaches."""
+    if not curves.norms.size or np.isnan(curves.norms[:, :, channel]).any():
+        return 0.0
+    low, high = curves.norms[:, :, channel]
+    percent = np.arange(len(low)) * (100 / len(low))
+    axes.fill_between(percent, np.maximum(low, 0), high, color=NORM, alpha=0.16, linewidth=0, zorder=0)
+    for edge in (low, high):
+        axes.plot(percent, edge, color=NORM, linewidth=0.6, linestyle=(0, (4, 2)), zorder=1, gid="norm")
+    return float(high.max())
+
+
 def _finish(axes: Axes, figure: Figure, top: float, unit: str) -> None:
     axes.set_xlim(0, 100)
     axes.set_ylim(0, top)
@@ -184,15 +197,15 @@ def draw(curves: Curves, stance_percent: float, unit: str, titles: list[str]) ->
     size = next(size for most, size in SIZES_IN.items() if len(titles) <= most)
     with rc_context(_STYLE):
         return [
-            _muscle(curves.mean[:, i], curves.sd[:, i], chosen[:, :, i], stance_percent, unit, title, size)
-            for i, title in enumerate(titles)
+            _muscle(curves, i, chosen[:, :, i], stance_percent, unit, title, size) for i, title in enumerate(titles)
         ]
 
 
 def _muscle(
-    mean: Samples, sd: Samples, single: Samples, stance: float, unit: str, title: str, size: tuple[float, float]
+    curves: Curves, channel: int, single: Samples, stance: float, unit: str, title: str, size: tuple[float, float]
 ) -> str:
     width, height = size
+    mean, sd = curves.mean[:, channel], curves.sd[:, channel]
     figure = Figure(figsize=size)
     axes = figure.add_axes((0.28 / width, 0.16 / height, 1 - 0.4 / width, 1 - 0.29 / height))
     percent = np.arange(len(mean)) * (100 / len(mean))
@@ -208,7 +221,7 @@ def _muscle(
     else:
         axes.text(50, 0.5, "no valid cycle", ha="center", color="#777777", transform=axes.get_xaxis_transform())
     axes.set_xlim(0, 100)
-    top = _top(mean, sd, single)
+    top = max(_top(mean, sd, single), 1.05 * _norm(axes, curves, channel))
     axes.set_ylim(0, top)
     _mark_cut(axes, single, top)
     axes.set_xticks([0, 25, 50, 75, 100])

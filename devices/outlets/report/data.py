@@ -153,6 +153,7 @@ class Curves:
     single     (k, 100, m)  some of the single cycles, evenly chosen
     active     (100, m)     in which share of the cycles each muscle was active
     stages     (s, 100, m)  mean curves of each stage
+    norms      (2, 100, m)  normative bands, low and high; NaN where a muscle has none
     """
 
     mean: Samples
@@ -160,6 +161,7 @@ class Curves:
     single: Samples
     active: Samples = field(default_factory=lambda: np.zeros((0, 0)))
     stages: Samples = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    norms: Samples = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
 
 def save(path: Path, report: Report, curves: Curves) -> None:
@@ -174,6 +176,7 @@ def save(path: Path, report: Report, curves: Curves) -> None:
             single=curves.single.astype(np.float32),
             stages=curves.stages,
             active=curves.active,
+            norms=curves.norms,
         )
 
 
@@ -183,5 +186,5 @@ def load(path: Path) -> tuple[Report, Curves]:
         file = arrays(path)
         report: Report = adapter(Report).validate_json(file["report"].tobytes())
         return report, Curves(
-            file["mean"], file["sd"], file["single"].astype(np.float64), file["active"], file["stages"]
+            file["mean"], file["sd"], file["single"].astype(np.float64), file["active"], file["stages"], file["norms"]
         )

@@ -24,6 +24,10 @@ BURSTS = (
     " duration of the burst that holds the cycle's peak: circular mean ± deviation; an offset below the onset lies in the next cycle. Bars:"
     " in which share of the cycles the muscle was active, from none (white) to all (dark)."
 )
+NORMS = (
+    "For how much of the cycle the mean curve lies outside the laboratory's own bands ({0}; drawn green behind the curves), and where it is"
+    " furthest outside. They hold for the people, the speed, the electrodes and the filters that they were made with."
+)
 FOOTFALLS = (
     "Phase: when in the reference limb's stride the limb touches down. Duty factor: for how much of the stride it stands. Support is the"
     " share of the stride with two feet or more on the ground, flight that with none."
@@ -64,6 +68,8 @@ def fill_groups(report: Report, tally: Tally, specs: Specs) -> None:
         unit = spec.units[0] if len(spec.units) == 1 else ""
         report.grids.append(tally.peaks.grid(unit))
         report.modes = [tally.peaks.of(name).tolist() for name in spec.channels]
+    if "low" in specs and "high" in specs:
+        report.grids.append(_norms(tally, specs))
     if groups.stages:
         report.stages = list(groups.stages)
         report.grids += _stages(tally, specs)
@@ -120,6 +126,31 @@ def _bursts(groups: Groups) -> Grid:
     columns = [("Muscle", ""), ("Cycles", ""), ("Bursts", "per cycle")]
     columns += [("Onset", "% of cycle"), ("Offset", "% of cycle"), ("Duration", "% of cycle")]
     return Grid("Bursts", BURSTS, columns, rows)
+
+
+def _norms(tally: Tally, specs: Specs) -> Grid:
+    """The mean curves beside the laboratory's bands."""
+    mean, (low, high) = tally.curve.centre(), tally.norms
+    rows = []
+    for i, name in enumerate(specs["cycles"].channels):
+        if np.isnan(low[:, i]).any() or np.isnan(mean[:, i]).any():
+            rows.append([name, "–", "–", "–", "–"])
+            continue
+        above, below = mean[:, i] > high[:, i], mean[:, i] < low[:, i]
+        over = np.where(above, mean[:, i] - high[:, i], np.where(below, mean[:, i] - low[:, i], 0.0))
+        furthest = int(np.abs(over).argmax())
+        most = f"{over[furthest]:+.1f} at {furthest} %" if over.any() else "–"
+        shares = [100 * share.mean() for share in (above | below, above, below)]
+        rows.append([name, *(f"{share:.0f}" for share in shares), most])
+    unit = specs["cycles"].units[0] if len(specs["cycles"].units) == 1 else ""
+    columns = [
+        ("Muscle", ""),
+        ("Outside", "% of cycle"),
+        ("Above", "% of cycle"),
+        ("Below", "% of cycle"),
+        ("Most", unit),
+    ]
+    return Grid("Beside the normative bands", NORMS.format(specs["low"].meta.get("norms", "a table")), columns, rows)
 
 
 def _stages(tally: Tally, specs: Specs) -> list[Grid]:

@@ -154,7 +154,9 @@ def limits(report: Report) -> list[str]:
         " electrode and a changing gait look the same there. The signal verdict judges the electrode, from clipping, flat line, mains hum,"
         " baseline noise and artefacts.",
         "Cycles are cut at the contacts that were detected. A contact found late shifts and stretches every curve of its cycle.",
-        "No norm values are shown: those depend on speed, age, electrodes and filters, and hold for the laboratory that made them.",
+        "Norm values depend on speed, age, electrodes and filters, and hold for the laboratory that made them."
+        if any(grid.title == "Beside the normative bands" for grid in report.grids)
+        else "No norm values are shown: those depend on speed, age, electrodes and filters, and hold for the laboratory that made them.",
     ]
 
 

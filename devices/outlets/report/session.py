@@ -8,7 +8,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import structlog
 from filelock import FileLock
@@ -22,6 +22,7 @@ from devices.outlets.report.data import Curves, Report, save
 from devices.outlets.report.peaks import MODE, MOVED
 from devices.outlets.report.tally import GAIT, Tally, hear, nothing_yet, numbers
 from devices.outlets.report.words import relative_to
+from devices.outlets.report.workbook import missing, write_tables
 from stream.chunk import Array, Chunk, Specs
 from stream.errors import DeviceError, InputError, ParameterError
 from stream.graph import Graph
@@ -75,11 +76,13 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
     bursts, active   of `operators.gait.bursts.CycleBursts` (`session`, `active`): when muscles are active, a table and bars
     modes            of `operators.emg.mixtures.PeakMixtures`: the modes of each muscle's activation peaks, as ellipses and a table
     distance         of `operators.emg.mixture_drift.MixtureDrift`: how far a muscle has moved, and how far it is from the other leg's
+    low, high        of `operators.gait.norms.NormativeBands`: the laboratory's own bands, drawn behind the curves, and a table
     emg              the raw signal: when the session began, its gaps and losses
 
     Where cycles name their limb, the limbs' curves of a muscle stand in one panel, and cadence, cycle and stance are told per limb. Where
     they name their stage (`operators.gait.stages.Stages`), curves and numbers are told per stage, too, and NAME-curves.csv holds the mean
-    curves of each stage (of the session, where there are none) with their standard deviations.
+    curves of each stage (of the session, where there are none) with their standard deviations. `tables: [xlsx, mat]` writes both tables
+    once more, as NAME.xlsx and NAME.mat.
 
     The CSV file has one row per cycle, rejected ones with the reason, written as the cycle closes. A cycle that is
     told again (it was taken back, or counts after all) has two rows while the session runs, of which the last counts, and one at its end.
@@ -90,7 +93,7 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
 
     inputs: ClassVar[tuple[str, ...]] = (
         "emg", "closed", "cycles", "statistics", "muscles", "pairs", "quality", "electrodes", "contacts", "changes",
-        "symmetry", "footfalls", "gait", "bursts", "active", "modes", "distance",
+        "symmetry", "footfalls", "gait", "bursts", "active", "modes", "distance", "low", "high",
     )  # fmt: skip
     optional: ClassVar[tuple[str, ...]] = (
         "emg",
@@ -108,17 +111,23 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
         "active",
         "modes",
         "distance",
+        "low",
+        "high",
     )
     durable: ClassVar[bool] = True
 
     path: str = param("reports/session.html", help="the page; the CSV file lies beside it")
     title: str = param("EMG session", help="the page's heading")
+    tables: tuple[Literal["xlsx", "mat"], ...] = param((), help="the tables as an Excel workbook or MATLAB file, too")
     interim_s: float = param(180.0, least=10.0, help="how often an interim page is drawn")
 
     def open(self, specs: Specs) -> Specs:
         wrong = check_path(Path(self.path))
         if wrong or Path(self.path).suffix != ".html":
             raise ParameterError("path", self.path, wrong or "a file that ends with .html")
+        for kind in self.tables:
+            if what := missing(kind):
+                raise ParameterError("tables", kind, f"left out, or written after `{what}`")
         cycles = specs["cycles"]
         if cycles.is_event or len(cycles.shape) != 2 or cycles.channel_axis != 1 or not cycles.channels:
             raise InputError(
@@ -133,6 +142,9 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
         _check_fields(specs, "bursts", ("name", "cycles", "per_cycle", "on_pct", "off_pct", "duration_pct"))
         if "active" in specs and specs["active"].shape != cycles.shape:
             raise InputError("active", specs["active"].describe(), "`active` of operators.gait.bursts.CycleBursts")
+        for port in ("low", "high"):
+            if port in specs and specs[port].shape != cycles.shape:
+                raise InputError(port, specs[port].describe(), f"`{port}` of operators.gait.norms.NormativeBands")
         _check_fields(specs, "gait", ("gait", "double_support_pct", "flight_pct", "feet"))
         _check_fields(specs, "modes", ("name", "number", *MODE))
         _check_fields(specs, "distance", ("name", *MOVED))
@@ -189,6 +201,9 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
                 if state.tally.revised:
                     settle(_table(state))
                 write_curves(Path(f"{state.stem}-curves.csv"), state.tally, runtime.specs)
+                written = {"cycles": _table(state), "curves": Path(f"{state.stem}-curves.csv")}
+                for kind in dict.fromkeys(self.tables):
+                    write_tables(Path(f"{state.stem}.{kind}"), written)
             if runtime.claim:
                 let_go(runtime.claim)
 
@@ -274,7 +289,9 @@ def _check_fields(specs: Specs, port: str, needed: tuple[str, ...]) -> None:
 def _free_stem(stem: Path) -> Path:
     """`stem`, or the first of stem-2, stem-3, ... of which neither page nor table exists."""
     number, free = 1, stem
-    while any(free.with_name(free.name + suffix).exists() for suffix in (".html", ".csv", "-curves.csv")):
+    while any(
+        free.with_name(free.name + suffix).exists() for suffix in (".html", ".csv", "-curves.csv", ".xlsx", ".mat")
+    ):
         number += 1
         free = stem.with_name(f"{stem.name}-{number}")
     return free

@@ -43,6 +43,7 @@ class Tally:
     alarms           (200,) the first alarms; alarmed: how many in all
     heard            (ports, 3) samples, gaps, samples lost (-1: not known) per port
     groups           the same by limb and by stage;  peaks: mixtures of activation peaks
+    norms            (2, 100, m) normative bands, low and high; NaN where there are none
     """
 
     started: int
@@ -70,6 +71,7 @@ class Tally:
     heard: Times
     groups: Groups
     peaks: Peaks
+    norms: Samples
 
     @property
     def rejected(self) -> int:
@@ -114,6 +116,7 @@ def nothing_yet(specs: Specs) -> Tally:
         heard=np.zeros((len(specs), 3), np.int64),
         groups=Groups.none(specs),
         peaks=Peaks(),
+        norms=np.full((2, *shape), np.nan),
     )
 
 
@@ -159,6 +162,8 @@ def hear(tally: Tally, specs: Specs, port: str, chunk: Chunk) -> None:
         tally.groups.hear(port, chunk.data)
     elif port in ("modes", "distance"):
         tally.peaks.hear(port, chunk.data)
+    elif port in ("low", "high"):
+        tally.norms[int(port == "high")] = chunk.data[-1]
     elif port == "quality":
         for row in chunk.data:
             _quality(tally, row, specs["cycles"].channels)
