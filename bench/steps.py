@@ -21,7 +21,7 @@ from operators.steps.commands.train import show_enrolment, show_trust
 from operators.steps.commands.validation import SETS, Labelled, forest, trust
 from operators.steps.forest import Forest
 from operators.steps.step_detection import CUTOFF_HZ, ORDER, find_steps, fresh_track
-from operators.steps.step_kernel import WEINBERG, describe
+from operators.steps.step_kernel import describe
 from operators.steps.steps import Steps
 from stream.chunk import NS, Array, Chunk, Samples, StreamSpec, Times
 from stream.plain import say
@@ -206,12 +206,13 @@ def lengths() -> None:
     )
     every = np.concatenate([np.array(legs) for legs in people.values()])
     each = np.array([np.mean(legs) for legs in people.values()])
+    usual = Steps().length_factor
     say(
-        f"Weinberg's model, factor {WEINBERG}: {len(every)} times {LEG_M:g} m come out as {np.mean(every):.1f} +- {np.std(every):.1f} m; "
+        f"Weinberg's model, factor {usual}: {len(every)} times {LEG_M:g} m come out as {np.mean(every):.1f} +- {np.std(every):.1f} m; "
         f"per person {np.min(each):.1f} to {np.max(each):.1f} m, off by {np.mean(np.abs(each - LEG_M)) / LEG_M:.0%} on the mean"
     )
     for factor in (0.35, 0.36, 0.37, 0.38, 0.39, 0.46):
-        wrong = np.mean(np.abs(each * factor / WEINBERG - LEG_M)) / LEG_M
+        wrong = np.mean(np.abs(each * factor / usual - LEG_M)) / LEG_M
         say(f"  factor {factor}: off by {wrong:.1%} on the mean")
     alone = [np.mean(np.delete(each, k)) for k in range(len(each))]
     left = np.array([abs(one * LEG_M / mean - LEG_M) for one, mean in zip(each, alone, strict=True)])

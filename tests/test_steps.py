@@ -17,7 +17,7 @@ from operators.steps.commands.validation import Labelled, _thinned, forest, leav
 from operators.steps.forest import Forest, StepModel
 from operators.steps.step_kernel import chosen, describe, feature_names
 from operators.steps.steps import Steps, some_walk
-from stream.chunk import NS
+from stream.chunk import NS, Chunk
 from stream.errors import InputError, KinegraphError
 from stream.model import ModelError
 from stream.recording.series import Series, write_recording
@@ -76,6 +76,19 @@ def test_features_are_what_they_say():
         }  # fmt: skip
         for what, value in expected.items():
             assert made[f"{name} {what}"] == pytest.approx(value, rel=1e-9), (name, what)
+
+
+def test_a_known_distance_scales_the_length_and_leaves_the_feature():
+    spec, time, data = some_walk(12.0, 100.0, 6)
+    made = []
+    for finder in (Steps(), Steps(length_factor=0.74)):
+        finder.open({"in": spec})
+        rows = finder.process("in", Chunk(time, data, int(time[-1]))).data
+        made.append(rows[rows["kind"] == "walk"])
+    usual, twice = made
+    assert len(usual) > 5 and np.allclose(twice["length_m"], 2 * usual["length_m"], rtol=1e-12)
+    assert np.allclose(usual["length_m"], 0.37 / 0.46 * usual["features"][:, 0], rtol=1e-12)
+    assert (usual["features"] == twice["features"])[:, :26].all()
 
 
 def test_features_by_gravity_do_not_depend_on_how_the_sensor_is_turned():
