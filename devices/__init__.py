@@ -43,8 +43,10 @@ if TYPE_CHECKING:
     from devices.outlets.osc_points import OscPoints
     from devices.outlets.prompt_panel import PromptPanel
     from devices.outlets.report import SessionReport
+    from devices.outlets.session_end import SessionEnd
     from devices.outlets.step_panel import StepPanel
     from devices.outlets.training import TrainingReport
+    from devices.outlets.trigger import TriggerOutlet
     from devices.outlets.vmc import VmcOutlet
     from devices.outlets.vrchat import VrchatTrackers
     from devices.pose_map.answers import PoseAnswers
@@ -114,6 +116,7 @@ __all__ = [
     "Qualisys",
     "RealSense",
     "RecordedStreams",
+    "SessionEnd",
     "SessionReport",
     "Shimmer",
     "SimulatedOak",
@@ -122,6 +125,7 @@ __all__ = [
     "TrainingReport",
     "Treadmill",
     "TreadmillControl",
+    "TriggerOutlet",
     "Trigno",
     "TwoActors",
     "Vmc",
@@ -180,6 +184,7 @@ __getattr__, __dir__ = offered(
         "Qualisys": "devices.qualisys",
         "RealSense": "devices.cameras.realsense",
         "RecordedStreams": "devices.files.recorded_streams",
+        "SessionEnd": "devices.outlets.session_end",
         "SessionReport": "devices.outlets.report",
         "Shimmer": "devices.shimmer",
         "SimulatedOak": "devices.simulators.oak",
@@ -188,6 +193,7 @@ __getattr__, __dir__ = offered(
         "TrainingReport": "devices.outlets.training",
         "Treadmill": "devices.simulators.treadmill",
         "TreadmillControl": "devices.ble.treadmill_control",
+        "TriggerOutlet": "devices.outlets.trigger",
         "Trigno": "devices.trigno",
         "TwoActors": "devices.simulators.quadruped",
         "Vmc": "devices.vmc",

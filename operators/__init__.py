@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from operators.gait.limb_cycles import LimbCycles
     from operators.gait.limb_watch import LimbWatch
     from operators.gait.marker import MarkerContacts
+    from operators.gait.norms import NormativeBands
     from operators.gait.pattern_watch import PatternWatch
     from operators.gait.review import CycleReview
     from operators.gait.stage_curves import StageCurves
@@ -66,6 +67,7 @@ if TYPE_CHECKING:
     from operators.gait.stride_shape import StrideShape
     from operators.gait.symmetry import LimbSymmetry
     from operators.gaps import FillGaps
+    from operators.gate import Gate
     from operators.iir import Bandpass, Highpass, Lowpass, Notch
     from operators.mean import RemoveMean
     from operators.motion_map import MotionMap
@@ -127,6 +129,7 @@ __all__ = [
     "Footing",
     "ForceContacts",
     "ForcePlate",
+    "Gate",
     "GentleAlarm",
     "Highpass",
     "InertialContacts",
@@ -152,6 +155,7 @@ __all__ = [
     "Nights",
     "Normalise",
     "NormalisedPose",
+    "NormativeBands",
     "Notch",
     "OneEuro",
     "PatternWatch",
@@ -228,6 +232,7 @@ __getattr__, __dir__ = offered(
         "Footing": "operators.whole_pose.footing",
         "ForceContacts": "operators.gait.force",
         "ForcePlate": "operators.force_plate",
+        "Gate": "operators.gate",
         "GentleAlarm": "operators.sleep.gentle_alarm",
         "Highpass": "operators.iir",
         "InertialContacts": "operators.gait.inertial",
@@ -253,6 +258,7 @@ __getattr__, __dir__ = offered(
         "Nights": "operators.sleep.nights",
         "Normalise": "operators.emg.normalise",
         "NormalisedPose": "operators.features.normalised_pose",
+        "NormativeBands": "operators.gait.norms",
         "Notch": "operators.iir",
         "OneEuro": "operators.one_euro",
         "PatternWatch": "operators.gait.pattern_watch",
