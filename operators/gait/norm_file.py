@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from pathlib import Path
 
@@ -11,8 +9,8 @@ import numpy as np
 
 from operators.gait.cycle import POINTS
 from stream.chunk import Samples
+from stream.csv_rows import csv_rows
 from stream.errors import KinegraphError
-from stream.tables import read_text
 
 NAMED = re.compile(r"(?P<name>[^\[(]*?)\s*(?:[\[(](?P<unit>[^\])]*)[\])])?\s*")
 ACCEPTED = "the columns muscle, cycle_pct, and low [unit] and high [unit], or mean [unit] and sd [unit]"
@@ -28,25 +26,24 @@ def read_bands(path: Path, sds: float) -> tuple[str, dict[str, Samples]]:
     Between the table's points it is interpolated, linearly and across the touch-down. Of mean and sd the band is mean -+ `sds` sd; so the
     curves that a session report wrote (NAME-curves.csv, of one stage) are such a table. Raises NormError with file and line.
     """
-    lines = read_text(path, "normative bands").splitlines()
-    start = next((i for i, line in enumerate(lines) if line.strip() and not line.startswith("#")), len(lines))
-    rows = list(csv.reader(io.StringIO("\n".join(lines[start:]))))
+    rows = csv_rows(path, "normative bands")
     if not rows:
         raise NormError(f"{path}: is empty; it needs {ACCEPTED}")
-    names, units = zip(*(_named(head) for head in rows[0]), strict=True)
+    start, heads = rows[0]
+    names, units = zip(*(_named(head) for head in heads), strict=True)
     pair = next((two for two in (("low", "high"), ("mean", "sd")) if set(two) <= set(names)), None)
     if pair is None or not {"muscle", "cycle_pct"} <= set(names):
         raise NormError(
-            f"{path}: line {start + 1}: has {', '.join(filter(None, names)) or 'no columns'}; it needs {ACCEPTED}"
+            f"{path}: line {start}: has {', '.join(filter(None, names)) or 'no columns'}; it needs {ACCEPTED}"
         )
     columns = [names.index(name) for name in ("cycle_pct", *pair)]
     told = {units[i] for i in columns[1:]}
     if len(told) > 1:
         raise NormError(
-            f"{path}: line {start + 1}: {' and '.join(pair)} have the units {', '.join(sorted(told))}; one is needed"
+            f"{path}: line {start}: {' and '.join(pair)} have the units {', '.join(sorted(told))}; one is needed"
         )
     points: dict[str, dict[float, tuple[float, float]]] = {}
-    for number, row in enumerate(rows[1:], start + 2):
+    for number, row in rows[1:]:
         if any(cell.strip() for cell in row):
             _take(points, row, (names.index("muscle"), *columns), f"{path}: line {number}")
     bands = {muscle: _band(known, sds if pair == ("mean", "sd") else 0.0) for muscle, known in points.items()}
