@@ -57,7 +57,7 @@ nodes:
     use: operators.gait.cycle_targets.CycleTargets
     from: {{closed: cycles.closed, cycles: cycles.cycles}}
     targets: [{{muscle: SO, from_pct: 20, to_pct: 60, low: 1, high: 1000}}, {{muscle: TA, from_pct: 90, to_pct: 10, low: 900, high: 1000}}]
-  norms: {{use: operators.gait.norms.NormativeBands, from: {{closed: cycles.closed, cycles: cycles.cycles}}, file: bands.csv}}
+  norms: {{use: operators.gait.norms.NormativeBands, from: {{closed: cycles.closed, cycles: cycles.cycles}}, file: BANDS}}
   body: {{use: operators.whole_pose.operator.WholePose, from: performer.markers, up: y}}
   legs:
     use: operators.steering.actors.Actors
@@ -72,7 +72,7 @@ nodes:
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("panels")
-    (folder / "panels.yaml").write_text(GRAPH)
+    (folder / "panels.yaml").write_text(GRAPH.replace("BANDS", str(folder / "bands.csv")))
     (folder / "bands.csv").write_text("muscle,cycle_pct,low [uV],high [uV]\nTA,0,5,30\nSO,0,5,30\n")
     command = [KINEGRAPH, "run", "panels.yaml", "--view", "none", "-o", "s"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
