@@ -27,8 +27,10 @@ SEEN = tuple(BONES.index(f"{side}{bone}") for side in ("Left", "Right") for bone
 WIDEST_S = 0.2
 
 
-def received(seconds: float, folder: Path, settings: list[str]) -> list[tuple[float, int]]:
-    """For every datagram with the last bone of a pose: the pose's time as sent (s), and when it came (ns UTC)."""
+def received(
+    seconds: float, folder: Path, settings: list[str], config: str = "avatar_markers"
+) -> list[tuple[float, int]]:
+    """Run `config`: for every datagram with the last bone of a pose: the pose's time as sent (s), and when it came (ns UTC)."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as port:
         port.bind(("127.0.0.1", 0))
         port.settimeout(0.2)
@@ -38,7 +40,7 @@ def received(seconds: float, folder: Path, settings: list[str]) -> list[tuple[fl
             "-m",
             "stream",
             "run",
-            "avatar_markers",
+            config,
             "--for",
             str(seconds),
             "-o",

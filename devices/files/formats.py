@@ -108,4 +108,4 @@ XDF = Importer("XDF", (".xdf", ".xdfz"), _xdf, order=10, claims=_is_xdf)
 MOTION = Importer(
     "motion capture (AMC with its ASF)", (".bvh", ".c3d", ".amc", ".asf"), _motion, order=0, claims=_is_motion
 )
-MESH = Importer("meshes, a file a frame", (".obj",), _mesh, order=20)
+MESH = Importer("meshes, a file a frame", (".obj", ".ply", ".glb"), _mesh, order=20)

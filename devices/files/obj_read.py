@@ -1,4 +1,4 @@
-"""Wavefront OBJ files: a moving mesh, one file a frame."""
+"""A moving mesh, one file a frame: Wavefront OBJ, and PLY and GLB through trimesh."""
 
 from __future__ import annotations
 
@@ -16,18 +16,20 @@ from stream.recording.series import Series
 from stream.tables import read_text
 
 RATE_HZ = 30.0
+BY_TRIMESH = (".ply", ".glb")
 
 
 def read_obj(files: Sequence[Path], rate_hz: float = RATE_HZ, scale: float = 1.0, start_ns: int = 0) -> list[Series]:
     """One stream, called after the first file: the vertices (vertices, 3) of each file in turn, times `scale` in metres.
 
-    Every file holds the same mesh; polygons become fans of triangles; textures and normals are left out. Raises RecordingError.
+    Every file holds the same mesh; polygons become fans of triangles; textures and normals are left out. The vertices stay in the file's
+    order. Of a GLB file the scene at rest is read, its meshes one after the other. Raises RecordingError.
     """
     frames: list[Samples] = []
     faces: Array = np.empty((0, 3), np.int32)
     for number, path in enumerate(files):
-        with reading(path, "a mesh (OBJ)"):
-            vertices, mine = _mesh(path)
+        with reading(path, f"a mesh ({path.suffix.lower() or 'OBJ'})"):
+            vertices, mine = _by_trimesh(path) if path.suffix.lower() in BY_TRIMESH else _mesh(path)
         if number and (len(vertices) != len(frames[0]) or not np.array_equal(mine, faces)):
             raise RecordingError(
                 f"{path}: is another mesh than {files[0]}: every frame must have the same vertices and faces"
@@ -60,3 +62,19 @@ def _mesh(path: Path) -> tuple[Samples, Array]:
     if triangles.size and not (triangles.min() >= 0 and triangles.max() < len(made)):
         raise RecordingError(f"{path}: a face names a vertex that is not there; there are {len(made)}")
     return made, triangles
+
+
+def _by_trimesh(path: Path) -> tuple[Samples, Array]:
+    try:
+        import trimesh
+    except ImportError:
+        raise RecordingError(f"{path}: is read by trimesh: pip install 'kinegraph[mesh]'") from None
+    scene = trimesh.load_scene(str(path), process=False, maintain_order=True)
+    parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh)]
+    if not parts:
+        raise RecordingError(f"{path}: holds no triangles")
+    first = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    made = np.concatenate([np.asarray(part.vertices, np.float64) for part in parts])
+    if not np.isfinite(made).all():
+        raise RecordingError(f"{path}: holds vertices that are not finite")
+    return made, np.concatenate([part.faces + n for part, n in zip(parts, first[:-1], strict=True)]).astype(np.int32)
