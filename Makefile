@@ -13,7 +13,7 @@ OPERATORS ?= iir.Lowpass or threshold.Threshold or align.Align
 SEED ?= 1
 BIN := .venv/bin
 
-.PHONY: demo check test mutants test-peers bench fuzz soak audit licences site dist clean
+.PHONY: demo check test mutants test-peers bench fuzz soak nights audit licences site dist clean
 
 demo: .venv/installed
 	$(BIN)/kinegraph run configs/treadmill_emg.yaml --set treadmill.duration_s=$(SECONDS_OF_DEMO) --page
@@ -49,6 +49,11 @@ fuzz: .venv/installed-for-tests
 SOAK_MIN ?= 20
 soak: .venv/installed-for-tests
 	$(BIN)/python -m tests.soak --minutes $(SOAK_MIN) --seed $(SEED)
+
+# forty simulated nights with power cuts, lamps, partners, nudges and clock changes: every number of each report against the night's log
+NIGHTS ?= 40
+nights: .venv/installed-for-tests
+	KINEGRAPH_NIGHTS=$(NIGHTS) $(BIN)/pytest tests/test_hard_nights.py -n 2
 
 # known holes in what kinegraph depends on; the tool is installed for the purpose, and fails where a package cannot be looked up
 audit: .venv/installed

@@ -28,8 +28,8 @@ from stream.operator import Operator
 
 SENSORS: dict[str, tuple[slice, tuple[Operator[Any], ...]]] = {
     "accelerometer, rest left out (count_repetitions)": (slice(0, 3), (Stack(), SkipRest(moves=0.3))),
-    "gyroscope": (slice(3, 6), (Stack(),)),
-    "accelerometer and gyroscope (segment_imu)": (slice(0, 6), (Standardise(freeze_s=10.0), Stack())),
+    "gyroscope (segment_imu)": (slice(3, 6), (Stack(),)),
+    "accelerometer and gyroscope, standardised": (slice(0, 6), (Standardise(freeze_s=10.0), Stack())),
 }
 PLACES = {"rf": "right foot", "lf": "left foot", "lb": "lower back"}
 
