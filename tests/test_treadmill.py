@@ -12,6 +12,7 @@ import pytest
 from devices.simulators.treadmill import Treadmill, truth
 from devices.simulators.treadmill.faults import Fault
 from devices.simulators.treadmill.signal import BURSTS, Signal, Walker
+from devices.simulators.treadmill.source import BeltSpeed
 from stream.chunk import NS, Chunk
 from stream.errors import ParameterError
 from stream.params import build
@@ -139,6 +140,21 @@ def test_cycles_are_plausible() -> None:
     assert np.array_equal(cycles[1:, 0], cycles[:-1, 2])
     assert abs(length.mean() - 60 / 57) < 0.002 and 0.01 < length.std() < 0.03
     assert abs(stance.mean() - 0.63) < 0.002 and stance.std() < 0.01
+
+
+def test_cadence_and_stance_follow_the_belt() -> None:
+    speeds = (BeltSpeed(0.0, 0.8), BeltSpeed(60.0, 1.5))
+    gait = Treadmill(muscles=("TA",), speeds=speeds).signal().gait
+    cycles = gait.cycles(0, 120_000)
+    stance = []
+    for begin, speed in ((0, 0.8), (60_000, 1.5)):
+        mine = cycles[(cycles[:, 0] >= begin) & (cycles[:, 2] < begin + 60_000)]
+        strides = mine[:, 2] - mine[:, 0]
+        assert abs(strides.mean() / (60_000 / 57 / np.sqrt(speed / 1.2)) - 1) < 0.01 and len(mine) > 40
+        stance.append(float(np.mean((mine[:, 1] - mine[:, 0]) / strides)))
+    assert abs(stance[0] - stance[1] - 0.035) < 0.005
+    with pytest.raises(ParameterError, match="in order of from_s"):
+        Treadmill(speeds=speeds[::-1]).specs()
 
 
 def test_force_crosses_twenty_newtons_at_the_contacts() -> None:
