@@ -3,8 +3,9 @@
     python -m bench.page
 
 A board of 16 channels at 2000 Hz in 10-sample chunks, its envelope, and an operator that notes how old samples are there; the
-session is a process of its own, its clients are headless WebSocket clients in this one. Rounds without a page, with one client and
-with five take turns. Processor time is of the session's process and of the server's, from /proc.
+session is a process of its own, its clients are headless WebSocket clients in this one. Rounds without a page, with one client, five,
+twenty, one that reads nothing, and a server that is killed every second take turns; so do timeflux_ui and the Foxglove SDK's server,
+where they install. Processor time is of the session's process and of the server's, from /proc. `--write` puts it all into docs/page.md.
 """
 
 from __future__ import annotations
@@ -19,27 +20,23 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from bench.report import Goal, Section, short, whole
-from devices.outlets.page.pyramid import Pyramid
-from devices.outlets.page.viewing import RecordingHub
-from devices.outlets.page.wire import Look, decode
+from bench.report import Goal, Section, marks, publish, short, whole
+from devices.outlets.page.wire import decode
 from stream.chunk import NS, Chunk, Specs, StreamSpec, grid
-from stream.graph import RecordingOptions
 from stream.mesh import Topology
 from stream.operator import Operator
 from stream.params import param
-from stream.recording import Recorder, Recording
 from stream.source import Feed, Source
 
 HOUSE = Path(__file__).resolve().parent.parent
@@ -148,7 +145,9 @@ class Turn:
 
 
 def cpu_s(pid: int) -> float:
-    """Processor time of a process so far, children apart."""
+    """Processor time of a process so far, children apart; 0 for one that is gone."""
+    if not Path(f"/proc/{pid}/stat").exists():
+        return 0.0
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / TICKS_S
 
@@ -205,6 +204,27 @@ def watch(url: str, turn: Turn, kind: str, stop: threading.Event) -> None:
             turn.ages.append(1000 * (time.time() - hello["t0_ms"] / 1000 - at))
 
 
+def stall(url: str, stop: threading.Event) -> None:
+    """See everything, and read none of it."""
+    with connect(url, max_size=None, max_queue=1, compression=None, ping_interval=None) as client:
+        looks(client, 0)
+        stop.wait()
+
+
+def servers(process: subprocess.Popen[bytes]) -> list[int]:
+    """The processes that a session has started."""
+    told = subprocess.run(["ps", "-o", "pid=", "--ppid", str(process.pid)], capture_output=True, text=True, check=False)
+    return [*map(int, told.stdout.split())]
+
+
+def kill(process: subprocess.Popen[bytes], stop: threading.Event) -> None:
+    """End the page's server every second."""
+    while not stop.wait(1.0):
+        for pid in servers(process):
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+
+
 def drain(url: str, stop: threading.Event) -> None:
     """Take messages and look at none."""
     with connect(url, max_size=None, compression=None, ping_interval=None) as client:
@@ -216,74 +236,110 @@ def drain(url: str, stop: threading.Event) -> None:
                 return
 
 
-def take_turn(graph: str, kind: str, clients: int, seconds: float, *, page: bool = True) -> Turn:
-    """One session with so many clients."""
+def take_turn(graph: str, kind: str, clients: int, seconds: float, *, page: bool = True, harm: str = "") -> Turn:
+    """One session with so many clients; `harm`: one more "stalls", or the server is "killed" again and again."""
     turn, stop = Turn(), threading.Event()
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         with session(folder, graph, page=page) as (process, url):
-            first = [threading.Thread(target=watch, args=(url, turn, kind, stop))] if clients else []
-            others = [threading.Thread(target=drain, args=(url, stop)) for _ in range(clients - 1)]
-            for thread in (*first, *others):
+            jobs: list[tuple[Callable[..., None], tuple[Any, ...]]] = [(drain, (url, stop))] * (clients - 1)
+            jobs += [(watch, (url, turn, kind, stop))] if clients else []
+            jobs += (
+                [(stall, (url, stop))] if harm == "stalls" else [(kill, (process, stop))] if harm == "killed" else []
+            )
+            threads = [threading.Thread(target=job, args=given) for job, given in jobs]
+            for thread in threads:
                 thread.start()
             if clients:
                 turn.begun.wait(PATIENCE_S)
             time.sleep(WARM_S)
-            told = subprocess.run(
-                ["ps", "-o", "pid=", "--ppid", str(process.pid)], capture_output=True, text=True, check=False
-            )
-            pids = [process.pid, *map(int, told.stdout.split())]
-            before, began = [cpu_s(pid) for pid in pids], time.monotonic()
-            time.sleep(seconds)
-            lasted = time.monotonic() - began
-            shares = [(cpu_s(pid) - then) / lasted for pid, then in zip(pids, before, strict=True)]
+            turn.session, turn.server, lasted = shares(process, seconds)
             stop.set()
-            for thread in (*first, *others):
+            for thread in threads:
                 thread.join()
-        turn.session, turn.server, turn.updates = shares[0], sum(shares[1:]), len(turn.ages) / lasted
+        turn.updates = len(turn.ages) / lasted
         ages = folder / "ages.json"
         turn.graph = [age / 1e6 for age in json.loads(ages.read_text())[RATE_HZ // CHUNK :]] if ages.exists() else []
     return turn
 
 
+def shares(process: subprocess.Popen[bytes], seconds: float) -> tuple[float, float, float]:
+    """Processor time of a session and of its servers over so many seconds, as shares of a core, and how long that was."""
+    pids = [process.pid, *servers(process)]
+    before, began = [cpu_s(pid) for pid in pids], time.monotonic()
+    time.sleep(seconds)
+    lasted = time.monotonic() - began
+    own, *others = [max(0.0, cpu_s(pid) - then) / lasted for pid, then in zip(pids, before, strict=True)]
+    return own, sum(others), lasted
+
+
+KINDS: dict[str, dict[str, Any]] = {
+    "no page": {"page": False, "clients": 0},
+    "a page, nobody looks": {"clients": 0},
+    "one client": {"clients": 1},
+    "five clients": {"clients": 5},
+    "twenty clients": {"clients": 20},
+    "one client, and one that reads nothing": {"clients": 1, "harm": "stalls"},
+    "the server killed every second": {"clients": 0, "harm": "killed"},
+}
+
+
 def live(rounds: int, seconds: float) -> Section:
-    """Without a page, with one client, with five: in turns."""
-    kinds = {
-        "no page": (False, 0),
-        "a page, nobody looks": (True, 0),
-        "one client": (True, 1),
-        "five clients": (True, 5),
-    }
-    turns: dict[str, list[Turn]] = {name: [] for name in kinds}
+    """Every kind of company, in turns."""
+    turns: dict[str, list[Turn]] = {name: [] for name in KINDS}
     for _ in range(rounds):
-        for name, (page, clients) in kinds.items():
-            turns[name].append(take_turn(GRAPH, "signal", clients, seconds, page=page))
-    none = turns["no page"]
-    rows = []
-    for name, taken in turns.items():
-        ages, graph = np.concatenate([t.ages for t in taken]), np.concatenate([t.graph for t in taken])
-        rows.append([
-            name, f"{short(np.percentile(graph, 50))}, {short(np.percentile(graph, 99))}",
-            f"{short(np.percentile(ages, 50))}, {short(np.percentile(ages, 99))}" if len(ages) else "",
-            short(float(np.median([t.updates for t in taken]))) if len(ages) else "",
-            short(100 * float(np.median([t.session for t in taken]))), short(100 * float(np.median([t.server for t in taken]))),
-        ])  # fmt: skip
-    one, five = turns["one client"], turns["five clients"]
+        for name, kind in KINDS.items():
+            turns[name].append(take_turn(GRAPH, "signal", seconds=seconds, **kind))
+    none = [float(np.percentile(t.graph, 99)) for t in turns["no page"]]
+    against = {
+        name: float(np.median([np.percentile(t.graph, 99) / p99 for t, p99 in zip(taken, none, strict=True)]))
+        for name, taken in turns.items()
+    }
+    header = ["", "graph ms p50, p99", "p99 against none", "client ms p50, p99", "updates/s", "session %", "server %"]
+    rows = [row(name, taken, against[name]) for name, taken in turns.items()]
+    noise = max(none) / min(none)
+    notes = [f"Without a page the rounds' p99 differ from one another by up to {short(noise)} times."]
+    return Section(
+        f"The page of 16 channels at 2000 Hz, {rounds} rounds of {seconds:g} s",
+        header,
+        rows,
+        notes,
+        promises(turns, against, noise),
+    )
+
+
+def row(name: str, taken: list[Turn], against: float) -> list[str]:
+    """A line of the table."""
+    ages, graph = np.concatenate([t.ages for t in taken]), np.concatenate([t.graph for t in taken])
+    middle = [100 * float(np.median([getattr(t, what) for t in taken])) for what in ("session", "server")]
+    seen = [both(ages), short(float(np.median([t.updates for t in taken])))] if len(ages) else ["", ""]
+    return [name, both(graph), short(against), *seen, *map(short, middle)]
+
+
+def both(values: Any) -> str:
+    """The median and the 99th percentile."""
+    return f"{short(float(np.percentile(values, 50)))}, {short(float(np.percentile(values, 99)))}"
+
+
+def promises(turns: dict[str, list[Turn]], against: dict[str, float], noise: float) -> list[Goal]:
+    """What was promised of all that."""
+    none, one, five = (turns[name] for name in ("no page", "one client", "five clients"))
     ages = np.concatenate([t.ages for t in one])
     ratio = float(np.median([a.session / b.session for a, b in zip(one, none, strict=True)]))
-    slower = float(
-        np.median([np.percentile(a.graph, 99) / np.percentile(b.graph, 99) for a, b in zip(one, none, strict=True)])
-    )
-    goals = [
+    harmless = [name for name in KINDS if name.startswith(("twenty", "one client, and", "the server killed"))]
+    return [
         Goal("page: sample to message, p50", float(np.percentile(ages, 50)), 40, "ms"),
         Goal("page: sample to message, p99", float(np.percentile(ages, 99)), 100, "ms"),
+        Goal("page: updates", float(np.median([t.updates for t in one])), 29.0, "/s", least=True),
         Goal("page: session's processor time with one client, against none", ratio, 1.1, "times"),
-        Goal("page: graph's p99 latency with one client, against none", slower, 1.1, "times"),
+        Goal("page: graph's p99 latency with one client, against none", against["one client"], 1.1, "times"),
+        *(
+            Goal(f"page: graph's p99 latency, {name}, against none", against[name], max(1.1, noise), "times")
+            for name in harmless
+        ),
         Goal("page: server, one client", 100 * float(np.median([t.server for t in one])), 10, "% of a core"),
         Goal("page: server, five clients", 100 * float(np.median([t.server for t in five])), 25, "% of a core"),
     ]
-    header = ["", "graph ms p50, p99", "client ms p50, p99", "updates/s", "session %", "server %"]
-    return Section(f"The page of 16 channels at 2000 Hz, {rounds} rounds of {seconds:g} s", header, rows, goals=goals)
 
 
 def meshes(seconds: float) -> Section:
@@ -301,80 +357,24 @@ def meshes(seconds: float) -> Section:
     return Section("Meshes", ["", "client ms p50, p99", "updates/s", "session %", "server %"], [row], goals=[goal])
 
 
-def recorded(path: Path, minutes: float) -> None:
-    """A recording of 16 channels at 2000 Hz: an offset that wanders, and noise of a converter's steps."""
-    recorder = Recorder(path, {"graph": ""}, RecordingOptions(), wait=True)
-    spec = StreamSpec((CHANNELS,), np.dtype("<f4"), float(RATE_HZ), channels=BOARD.channels, units=("uV",))
-    number = recorder.add_stream("board", spec, "input")
-    noise = np.random.default_rng(1).integers(-40, 40, (RATE_HZ, CHANNELS)).astype(np.float32)
-    for second in range(round(60 * minutes)):
-        time_ns = grid(RATE_HZ, RATE_HZ, start_ns=second * NS)
-        chunk = Chunk(time_ns, noise + np.float32(50 * np.sin(second / 100)), int(time_ns[-1]))
-        recorder.write(number, chunk, int(time_ns[-1]), second)
-    recorder.close()
-    recorder.check()
-
-
-def looked(minutes: float, scrubs: int) -> Section:
-    """How soon a recording can be looked at, with and without the recorder's overview, and how long a look takes."""
-    rows, opened = [], {}
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "s"
-        recorded(path, minutes)
-        for name in ("overview", "none"):
-            began = time.monotonic()
-            with Recording.open(path) as recording:
-                hub = RecordingHub(recording)
-                hub.seen(0, Look([0], 0.0, 10.0, 5.0, 1000))
-                first = time.monotonic() - began
-                if name == "overview":
-                    hub.build(lambda message: None)
-                else:
-                    source = recording.streams["board"]
-                    hub.pyramids[0] = Pyramid(source.spec, source.first or 0, source.last or 0)
-                    hub.pyramids[0].build(recording.chunks("board"), lambda share: None)
-                opened[name] = time.monotonic() - began
-                rows.append([f"opened, {name}", short(1000 * first), short(1000 * opened[name])])
-                if name == "overview":
-                    rows += scrubbed(hub, minutes, scrubs)
-    goal = Goal(f"page: {minutes:g} min of 16 channels at 2000 Hz, opened", opened["overview"], 2.0, "s")
-    return Section(
-        f"A recording of {minutes:g} min",
-        ["", "first picture ms; a look's p50", "whole ms; a look's p99"],
-        rows,
-        goals=[goal],
-    )
-
-
-def scrubbed(hub: RecordingHub, minutes: float, scrubs: int) -> list[list[str]]:
-    """Looks at random moments, by how much is looked at."""
-    rng, rows = np.random.default_rng(1), []
-    for span in (1.0, 10.0, 60.0, 600.0):
-        took = []
-        for at in rng.uniform(0, 60 * minutes, scrubs):
-            began = time.perf_counter()
-            hub.seen(0, Look([0], at - span / 2, at + span / 2, at, 1000))
-            took.append(1000 * (time.perf_counter() - began))
-        rows.append(
-            [f"a look at {span:g} s", short(float(np.percentile(took, 50))), short(float(np.percentile(took, 99)))]
-        )
-    return rows
-
-
 def main() -> None:
+    from bench import page_peers, page_recording, page_screen
+
     parser = argparse.ArgumentParser(prog="python -m bench.page", description=__doc__)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=10.0, help="of each turn")
     parser.add_argument("--minutes", type=float, default=60.0, help="of the recording that is looked at")
+    parser.add_argument("--no-peers", action="store_true", help="without timeflux_ui and the Foxglove SDK's server")
+    parser.add_argument("--write", action="store_true", help="write goals and tables into docs/page.md")
     given = parser.parse_args()
     load = os.getloadavg()[0]
-    sections = [live(given.rounds, given.seconds), meshes(given.seconds), looked(given.minutes, 50)]
-    print(
-        whole(
-            sections,
-            f"Load average at the start {load:.1f}, at the end {os.getloadavg()[0]:.1f}, on {os.cpu_count()} cores.",
-        )
-    )
+    sections = [live(given.rounds, given.seconds), meshes(given.seconds)]
+    sections += [] if given.no_peers else [page_peers.beside(given.rounds, given.seconds)]
+    sections += [page_screen.drawn(given.seconds), page_recording.looked(given.minutes, 50)]
+    about = f"Load average at the start {load:.1f}, at the end {os.getloadavg()[0]:.1f}, on {os.cpu_count()} cores."
+    print(whole(sections, about))
+    if given.write:
+        publish(sections, about, "page.md", *marks("bench.page"))
 
 
 if __name__ == "__main__":

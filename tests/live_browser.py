@@ -23,16 +23,18 @@ FLAGS = [
     f"--{flag}" for flag in ("headless", "no-sandbox", *QUIET[1:], *GRAPHICS, "disable-sync", "remote-debugging-port=0")
 ]
 PATIENCE_S = 100.0
-CODES = {"Tab": 9}
+CODES = {"Tab": 9, "Escape": 27, "ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40}
 """What a key needs beside its name to do what the browser itself does at it."""
 
 
 class LiveBrowser:
-    """One tab. `complaints` are its errors and warnings: whatever the console would show in red or yellow."""
+    """One tab. `complaints` are its errors and warnings: whatever the console would show in red or yellow; `fetched` the addresses that it
+    asked for, other than the one it was told to open."""
 
     def __init__(self, socket: ClientConnection) -> None:
         self._socket, self._number = socket, 0
         self.complaints: list[str] = []
+        self.fetched: list[str] = []
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.ask(f"{domain}.enable")
 
@@ -54,6 +56,10 @@ class LiveBrowser:
                 self.complaints.append(json.dumps(given["exceptionDetails"])[:2000])
             case "Runtime.consoleAPICalled" if given["type"] in ("error", "assert"):
                 self.complaints.append(json.dumps(given["args"])[:2000])
+            case "Network.requestWillBeSent":
+                self.fetched.append(given["request"]["url"])
+            case "Network.webSocketCreated":
+                self.fetched.append(given["url"])
             case "Log.entryAdded" if given["entry"]["level"] == "error":
                 self.complaints.append(given["entry"]["text"] + " " + given["entry"].get("url", ""))
 
@@ -62,6 +68,7 @@ class LiveBrowser:
         self.ask("Page.navigate", url="about:blank")
         self.wait("location.href === 'about:blank'")  # a page that was open before complains no more
         self.complaints.clear()
+        self.fetched.clear()
         self.ask("Page.navigate", url=url)
         self.wait("document.readyState === 'complete'")
         return self
@@ -94,13 +101,12 @@ class LiveBrowser:
             self.ask("Input.dispatchKeyEvent", type="keyDown", text=key, **named)
             self.ask("Input.dispatchKeyEvent", type="keyUp", **named)
 
-    def press(self, key: str, times: int = 1) -> None:
-        """Press a key that has a name ("ArrowRight")."""
+    def press(self, key: str, times: int = 1, *, shift: bool = False) -> None:
+        """Press a key that has a name ("ArrowRight"), with Shift if asked for."""
+        code = {"key": key, "code": key, "windowsVirtualKeyCode": CODES.get(key, 0), "modifiers": 8 if shift else 0}
         for _ in range(times):
             for kind in ("rawKeyDown", "keyUp"):
-                self.ask(
-                    "Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=CODES.get(key, 0)
-                )
+                self.ask("Input.dispatchKeyEvent", type=kind, **code)
 
     def drag(self, selector: str, begin: float, end: float) -> None:
         """Press the mouse within an element, at a share of its width, and let go of it at another."""
@@ -137,7 +143,7 @@ class LiveBrowser:
         ))  # fmt: skip
 
     def picture(self, path: Path, selector: str = "") -> None:
-        """A screenshot, of one element where one is named. With KINEGRAPH_PICTURES=FOLDER it is kept there, too."""
+        """A screenshot, of one element where one is named. With KINEGRAPH_PICTURES=FOLDER, as .ci/run sets it, it is kept there, too."""
         more: dict[str, Any] = {}
         if selector:
             box = f"(r => [r.x + scrollX, r.y + scrollY, r.width, r.height])(document.querySelector({selector!r}).getBoundingClientRect())"

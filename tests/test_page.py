@@ -7,14 +7,18 @@ import json
 import os
 import re
 import signal
+import ssl
 import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from datetime import UTC, datetime, timedelta
+from ipaddress import ip_address
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
+from prometheus_client.openmetrics.parser import text_string_to_metric_families
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
@@ -140,20 +144,24 @@ CONTRAST = """
     return .2126 * r + .7152 * g + .0722 * b; };
   const back = e => { while (e && /rgba\\(0, 0, 0, 0\\)|transparent/.test(getComputedStyle(e).backgroundColor)) e = e.parentElement;
     return getComputedStyle(e ?? document.body).backgroundColor; };
-  const texts = [...document.querySelectorAll('h1, h2, button, select, th, td, output, label')]
-    .filter(e => e.textContent.trim() && e.offsetParent);
-  return Math.min(...texts.map(e => { const [a, b] = [light(getComputedStyle(e).color), light(back(e))].sort((x, y) => y - x);
+  const said = e => [...e.childNodes].some(n => n.nodeType === 3 && n.textContent.trim()) || e.placeholder;
+  const texts = [...document.querySelectorAll('body *')].filter(e => said(e) && e.getClientRects().length);
+  const own = e => getComputedStyle(e)[e instanceof SVGElement ? 'fill' : 'color'];
+  const ink = e => e.placeholder ? getComputedStyle(e, '::placeholder').color : own(e);
+  const behind = e => e instanceof SVGElement ? getComputedStyle(document.body).backgroundColor : back(e);
+  return Math.min(...texts.map(e => { const [a, b] = [light(ink(e)), light(behind(e))].sort((x, y) => y - x);
     return (a + .05) / (b + .05); }));
 })()
 """
 """The least contrast of any text, as WCAG 2 defines it."""
 
 
-def test_twenty_clients_and_one_that_stops_reading_change_nothing(small: PageProcess, tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", [5, 20])
+def test_many_clients_and_one_that_stops_reading_change_nothing(small: PageProcess, tmp_path: Path, count: int) -> None:
     with ExitStack() as stack:
         frozen = stack.enter_context(small.client(max_queue=1))
         see(frozen)
-        clients = [stack.enter_context(small.client()) for _ in range(20)]
+        clients = [stack.enter_context(small.client()) for _ in range(count)]
         for client in clients:
             see(client)
         for client in clients:
@@ -242,8 +250,74 @@ def test_metrics_can_be_read_by_prometheus(small: PageProcess) -> None:
         status, headers, body = answer(small, "/metrics")
     assert status == 200
     assert headers["content-type"].startswith("application/openmetrics-text")
-    assert 'kinegraph_samples_total{session="small",node="board.emg"}' in body.decode()
-    assert body.endswith(b"# EOF\n")
+    families = {family.name: family for family in text_string_to_metric_families(body.decode())}
+    samples = {sample.labels["node"]: sample.value for sample in families["kinegraph_samples"].samples}
+    assert samples.keys() >= {"board.emg", "calf"} and samples["board.emg"] > 0
+    assert {sample.labels["session"] for sample in families["kinegraph_samples"].samples} == {"small"}
+    assert families["kinegraph_samples"].type == "counter" and families["kinegraph_rate_hertz"].type == "gauge"
+    assert families["kinegraph_page_clients"].samples[0].value == 1
+
+
+def test_a_page_with_a_certificate_is_encrypted(tmp_path: Path) -> None:
+    certificate, key = certificate_of(tmp_path)
+    (tmp_path / "small.yaml").write_text(SMALL)
+    given = ("--page-certificate", certificate, "--page-key", key)
+    with page_process(tmp_path, "run", "small.yaml", "--view", "none", "--no-record", *given) as process:
+        assert process.url.startswith("https://127.0.0.1:")
+        trusted = ssl.create_default_context(cafile=certificate)
+        with connect(process.url.replace("https", "wss", 1) + "socket", ssl=trusted) as client:
+            until(client, "hello")
+        with pytest.raises(ssl.SSLCertVerificationError), connect(process.url.replace("https", "wss", 1) + "socket"):
+            pass
+
+
+def certificate_of(folder: Path) -> tuple[Path, Path]:
+    """A certificate of 127.0.0.1 for a day, and its key."""
+    x509 = pytest.importorskip("cryptography.x509")
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    secret, now = ec.generate_private_key(ec.SECP256R1()), datetime.now(UTC)
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "127.0.0.1")])
+    made = (
+        x509.CertificateBuilder(
+            name, name, secret.public_key(), x509.random_serial_number(), now, now + timedelta(days=1)
+        )
+        .add_extension(x509.SubjectAlternativeName([x509.IPAddress(ip_address("127.0.0.1"))]), critical=False)
+        .sign(secret, hashes.SHA256())
+    )
+    plain = (serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
+    (folder / "c.pem").write_bytes(made.public_bytes(serialization.Encoding.PEM))
+    (folder / "k.pem").write_bytes(secret.private_bytes(serialization.Encoding.PEM, *plain))
+    return folder / "c.pem", folder / "k.pem"
+
+
+CAMERA = """
+record: [simplify.blocks]
+page: {unrecorded_pictures: true}
+nodes:
+  camera: {use: devices.simulators.bedside.Bedside, width: 64, height: 48, fps: 1, bed_h: 0.1}
+  simplify: {use: operators.depth.simplify.Simplify, from: camera.depth}
+"""
+
+
+@pytest.mark.parametrize(("at", "seen"), [("127.0.0.1:0", True), ("0.0.0.0:0", False)])
+def test_pictures_that_are_not_recorded_are_shown_to_nobody_outside(tmp_path: Path, at: str, seen: bool) -> None:
+    (tmp_path / "camera.yaml").write_text(CAMERA)
+    with page_process(tmp_path, "run", "camera.yaml", "--view", "none", "--no-record", at=at) as process:
+        place = urlsplit(process.url)
+        with connect(f"ws://127.0.0.1:{place.port}/socket?{place.query}", max_size=None) as client:
+            hello = see(client)
+            kinds = {stream["name"]: stream["kind"] for stream in hello["streams"]}
+            assert ("camera.depth" in kinds) is seen
+            if seen:
+                until(client, "frame")
+            else:
+                assert "frame" not in kinds.values() and not [p for p in hello["panels"] if p["kind"] == "frame"]
+                with pytest.raises(ConnectionClosed, match="1008"):
+                    client.send(json.dumps({"do": "see", "streams": {str(len(kinds)): 0}}))
+                    while True:
+                        client.recv(timeout=20)
 
 
 def test_outside_loopback_the_address_has_a_token(tmp_path: Path) -> None:

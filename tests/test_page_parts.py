@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
 from devices.outlets.page import messages
 from devices.outlets.page.access import Access
@@ -20,7 +22,7 @@ from devices.outlets.page.lane import parsed
 from devices.outlets.page.metrics import openmetrics
 from devices.outlets.page.shown import default_panels, described, hello, kind_of, offered
 from devices.outlets.page.thin import thinned
-from devices.outlets.page.wire import asked, decode, encode
+from devices.outlets.page.wire import Asked, asked, decode, encode
 from stream.chunk import NS, Chunk, StreamSpec, grid
 from stream.errors import GraphError, KinegraphError
 from stream.graph.load import load, load_text
@@ -413,8 +415,27 @@ def test_metrics_are_openmetrics() -> None:
     assert 'kinegraph_call_p99_seconds{session="s",node="a\\"b\\n"} 2e-05' in lines
     assert 'kinegraph_failed{session="s",node="a\\"b\\n"} 1' in lines
     assert "kinegraph_page_dropped_views_total 1" in lines
-    types = [line.split()[2] for line in lines if line.startswith("# TYPE")]
-    assert len(types) == len(set(types))
+    families = {family.name: family for family in text_string_to_metric_families("\n".join([*lines, ""]))}
+    assert {sample.labels["node"] for sample in families["kinegraph_samples"].samples} == {'a"b\n'}
+    assert len(families) == len([line for line in lines if line.startswith("# TYPE")])
+
+
+def test_every_message_stands_in_the_docs() -> None:
+    """What the server sends and takes, as the page's own TypeScript and the decoder know it."""
+    folder = Path(__file__).resolve().parent.parent
+    told = (
+        (folder / "docs" / "page.md")
+        .read_text(encoding="utf-8")
+        .partition("## Messages")[2]
+        .partition("## Building")[0]
+    )
+    wire = (folder / "devices/outlets/page/web/wire.ts").read_text(encoding="utf-8")
+    sent = {name for line in re.findall(r"\bt: ((?:\"\w+\"(?: \| )?)+)", wire) for name in re.findall(r"\w+", line)}
+    assert len(sent) > 12
+    assert {name for name in sent if f"`{name}`" not in told} == set()
+    asked_for = {kind.__struct_config__.tag for kind in get_args(Asked)}
+    assert len(asked_for) > 6
+    assert {name for name in asked_for if f'"do": "{name}"' not in told} == set()
 
 
 SHIPPED = {

@@ -156,6 +156,7 @@ def test_a_person_finds_the_gap_and_the_mark_and_scrubs_all_panels(view: PagePro
         browser.open(view.url, height=1600)
         browser.wait("document.getElementById('line').dataset.gaps === '1'")
         assert "<i>S1</i>" in browser.value("document.getElementById('name').textContent")
+        browser.wait("document.getElementById('line').dataset.events === '1'")
         browser.type("g")
         browser.wait("Math.abs(document.querySelector('#line canvas').getAttribute('aria-valuenow') - 25) < .01")
         browser.wait("document.querySelector('.signal').dataset.gaps === '1'")

@@ -93,6 +93,18 @@ def test_an_image_is_what_protocol_buffers_and_foxglove_say(tmp_path: Path) -> N
         )
 
 
+def test_foxgloves_own_library_decodes_images(tmp_path: Path) -> None:
+    decoder = pytest.importorskip("mcap_protobuf.decoder", reason="mcap-protobuf-support is not installed")
+    made = session()
+    record(tmp_path / "one.mcap", made, "image")
+    frames = np.concatenate([c.data for name, c, _ in made if name == "cam"])
+    with (tmp_path / "one.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[decoder.DecoderFactory()])
+        images = [image for *_, image in reader.iter_decoded_messages(topics=["cam"])]
+    found = [np.frombuffer(image.data, "<u2").reshape(image.height, image.width) for image in images]
+    assert np.array_equal(found, frames)
+
+
 @pytest.mark.parametrize("frames", ["packed", "image"])
 def test_frames_of_a_cut_or_damaged_file(tmp_path: Path, frames: str) -> None:
     made = session(400)

@@ -24,6 +24,8 @@ CURVES_S = 10
 """So far back a curve of every channel is looked for."""
 EVENTS_BEFORE = 200
 """Events before what is looked at, for those that last into it."""
+MOST_MOMENTS = 2000
+"""Of more events of a stream the time line shows this many of the moments at which there is one."""
 MOST_RAW = 400_000
 """More values than this are not read from the file for one look."""
 
@@ -45,6 +47,7 @@ class RecordedViews:
         self.begin = min((s.first for s in self._streams if s.first is not None), default=0)
         self.end = max((s.last for s in self._streams if s.last is not None), default=0)
         self.pyramids: dict[int, Pyramid] = {}
+        self.moments: dict[int, list[float]] = {}
         self._events: dict[int, tuple[Times, Array]] = {}
         self._reading = Lock()
 
@@ -133,6 +136,7 @@ class RecordedViews:
                         self.specs[stream], overviews, source.first or 0, source.last or 0
                     )
                     told(encode({"t": "gaps", "s": stream, "gaps": self._gaps(stream)}))
+            self._find_moments(own, told)
         signals = [stream for stream in signals if stream not in self.pyramids]
         for done, stream in enumerate(signals):
             source = self._streams[stream]
@@ -150,6 +154,18 @@ class RecordedViews:
             self.pyramids[stream] = pyramid
             told(encode({"t": "gaps", "s": stream, "gaps": self._gaps(stream)}))
         told(encode({"t": "progress", "share": 1, "what": "reading"}))
+
+    def _find_moments(self, own: Recording, told: Callable[[bytes], None]) -> None:
+        """When there were events, for the time line (s)."""
+        for stream, spec in enumerate(self.specs):
+            if kind_of(spec) == "events" and stream != self._marks_at:
+                time, data = own.read(self.names[stream])
+                onset = data["onset"] if "onset" in (spec.dtype.names or ()) else time
+                at = (np.clip(onset.astype(np.int64), self.begin, self.end) - self.begin) / NS
+                piece = max((self.end - self.begin) / NS / MOST_MOMENTS, 1e-9)
+                first = np.unique(np.floor(at / piece), return_index=True)[1]
+                self.moments[stream] = at[first].tolist()
+                told(encode({"t": "moments", "s": stream, "at": self.moments[stream]}))
 
     def _gaps(self, stream: int) -> list[list[float]]:
         pyramid = self.pyramids.get(stream)

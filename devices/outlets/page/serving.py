@@ -126,7 +126,10 @@ class PageServer:
             return _response(HTTPStatus.OK, FILES["/page.js"][1], module.encode()) if module else _plain(*NO_PAGE)
         if path not in self._files:
             return _plain(*NO_PAGE)
-        response = _response(HTTPStatus.OK, self._files[path][1], self._packed[path], ("Content-Encoding", "gzip"))
+        if "gzip" in "".join(request.headers.get_all("Accept-Encoding")):
+            response = _response(HTTPStatus.OK, self._files[path][1], self._packed[path], ("Content-Encoding", "gzip"))
+        else:
+            response = _response(HTTPStatus.OK, self._files[path][1], gzip.decompress(self._packed[path]))
         if access.token and path == "/":
             response.headers["Set-Cookie"] = access.cookie
         return response

@@ -66,6 +66,7 @@ class RecordingHub(RecordedViews):
             "streams": [described(name, spec) for name, spec in specs.items()], "nodes": [], "edges": [], "values": [], "words": [],
             "panels": panels, "length_s": (self.end - self.begin) / NS, "spans": spans,
             "gaps": [self._gaps(i) for i in range(len(self.names))],
+            "moments": [self.moments.get(i) for i in range(len(self.names))],
         })  # fmt: skip
 
     @cached_property

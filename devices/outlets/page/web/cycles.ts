@@ -32,7 +32,9 @@ export class CyclesPanel extends Panel {
     const targets = this.streams.find((s) => has(s, "name", "number", "from_pct", "to_pct", "low", "high", "state"));
     let [ellipses, bands, norms] = [0, 0, 0];
     const names = mean?.info.channels ?? [];
-    const columns = Math.max(1, Math.min(names.length, Math.floor(this.body.clientWidth / CELL_WIDTH)));
+    const order = sideBySide(names);
+    const fit = Math.max(1, Math.min(names.length, Math.floor(this.body.clientWidth / CELL_WIDTH)));
+    const columns = order && fit > 1 ? fit - (fit % 2) : fit;
     const until = this.page.recording ? span.at : Infinity;
     const seen = [modes, targets].map((s) => (s ? newestOf(s, until).reduce((n, row) => Math.max(n, row[0] as number), 0) : 0));
     const state = this.streams.reduce((n, s) => n * 31 + s.count, columns * 7 + this.body.clientWidth + seen.reduce((a, b) => a * 3 + b, 0));
@@ -41,8 +43,9 @@ export class CyclesPanel extends Panel {
     this.sheet.canvas.style.height = `${Math.ceil(names.length / columns) * CELL_HEIGHT}px`;
     const pen = this.sheet.clear();
     const cell = this.sheet.width / columns;
-    names.forEach((name, c) => {
-      const [x, y] = [(c % columns) * cell, Math.floor(c / columns) * CELL_HEIGHT];
+    (order ?? names.map((_, c) => c)).forEach((c, place) => {
+      const name = names[c] as string;
+      const [x, y] = [(place % columns) * cell, Math.floor(place / columns) * CELL_HEIGHT];
       const box = { left: x + PAD, top: y + HEAD, width: cell - 2 * PAD, height: CELL_HEIGHT - HEAD - PAD, most: 1 };
       box.most = this.drawChannel(pen, c, name, x + PAD, y, cell - 2 * PAD, mean?.newest ?? null, sd?.newest ?? null, last?.newest ?? null);
       if (low?.newest && high?.newest) norms += drawNorm(pen, column(low.newest, c), column(high.newest, c), box);
@@ -109,6 +112,12 @@ export class CyclesPanel extends Panel {
     pen.stroke();
     pen.lineWidth = 1;
   }
+}
+
+/** Each left channel with its right one behind it, where all have one ("L_TA", "R_TA"), by their numbers; else null. */
+function sideBySide(names: string[]): number[] | null {
+  const pairs = names.flatMap((name, c) => (/^(L|left)[ _]/.test(name) ? [c, names.indexOf(name.replace(/^L/, "R").replace(/^left/, "right"))] : []));
+  return pairs.length === names.length && new Set(pairs).size === names.length && !pairs.includes(-1) ? pairs : null;
 }
 
 const column = (newest: Newest, c: number): number[] => {

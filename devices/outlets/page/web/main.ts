@@ -103,6 +103,9 @@ class Main implements Page {
         this.timeline?.take(message.s, message.gaps);
         this.moved = true;
         return;
+      case "moments":
+        this.timeline?.takeEvents(message.s, message.at);
+        return;
       case "log":
         for (const panel of this.panels) if (panel instanceof LogPanel) panel.take(message);
         return;

@@ -49,6 +49,11 @@ export abstract class Panel {
     const head = make("header", {}, make("h2", {}, title), this.tools, this.note);
     this.element = make("section", { class: `panel ${info.kind} wide${info.wide ?? 1}`, "aria-label": title, tabindex: "0" }, head, this.body);
     this.element.dataset["of"] = info.of.join(" ");
+    this.element.addEventListener("keydown", (event) => {
+      if (event.target !== this.element || event.ctrlKey || event.metaKey || event.altKey || !this.key(event)) return;
+      event.preventDefault();
+      event.stopPropagation();
+    });
     if (info.missing?.length) this.note.textContent = `not shown here: ${info.missing.join(", ")}`;
   }
 
@@ -59,6 +64,11 @@ export abstract class Panel {
 
   /** Draw what there is. */
   abstract draw(span: Span): void;
+
+  /** A key, while the panel itself has the focus; whether it was one of its own. */
+  protected key(_event: KeyboardEvent): boolean {
+    return false;
+  }
 
   /** The theme was changed, or the size. */
   restyle(): void {}

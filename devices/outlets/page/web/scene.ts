@@ -13,6 +13,10 @@ import type { PanelInfo } from "./wire";
 const MOST_NAMES = 40;
 const TO_METRES: Record<string, number> = { m: 1, cm: 0.01, mm: 0.001 };
 const SKIN = 0x8fa8c8;
+/** What a key does to the view: to the side, upwards (radians), and how much nearer. */
+const KEYS: Record<string, [number, number, number]> = {
+  ArrowLeft: [-0.1, 0, 1], ArrowRight: [0.1, 0, 1], ArrowUp: [0, 0.1, 1], ArrowDown: [0, -0.1, 1], "+": [0, 0, 0.9], "-": [0, 0, 1 / 0.9],
+};
 
 interface Extent { centre: Vector3; radius: number }
 
@@ -105,7 +109,7 @@ export class ScenePanel extends Panel {
     this.renderer = renderer;
     this.tools.append(this.up);
     this.body.append(renderer.domElement);
-    renderer.domElement.setAttribute("aria-label", "three-dimensional view; drag turns it");
+    renderer.domElement.setAttribute("aria-label", "three-dimensional view; drag turns it, so do Shift and the arrows; plus and minus bring it near and far");
     const sun = new DirectionalLight(0xffffff, 2);
     sun.position.set(0.4, 1, 0.7);
     this.scene.add(new AmbientLight(0xffffff, 0.9), sun);
@@ -131,6 +135,16 @@ export class ScenePanel extends Panel {
   override restyle(): void {
     for (const figure of this.figures) figure.restyle();
     this.look();
+  }
+
+  protected override key({ key, shiftKey }: KeyboardEvent): boolean {
+    const turn = KEYS[key];
+    if (!turn || !this.controls || (key.startsWith("Arrow") && !shiftKey)) return false;
+    const [side, up, nearer] = turn;
+    const from = this.camera.position.clone().sub(this.controls.target);
+    from.applyAxisAngle(this.camera.up, side).applyAxisAngle(this.camera.up.clone().cross(from).normalize(), -up).multiplyScalar(nearer);
+    if (Math.abs(from.clone().normalize().dot(this.camera.up)) < 0.99) this.camera.position.copy(this.controls.target).add(from);
+    return true;
   }
 
   draw(_span: Span): void {

@@ -11,6 +11,8 @@ const FILL = 0.46;
 /** How fast a channel's scale shrinks after a large value has left, per frame. */
 const SHRINK = 0.04;
 const SIGNIFICANT = 3;
+/** How far a key moves a cursor, as a share of the chart's width. */
+const KEY_STEP = 0.02;
 
 interface Scale { middle: number; half: number }
 
@@ -60,6 +62,28 @@ export class SignalPanel extends Panel {
   override restyle(): void {
     this.plot?.destroy();
     this.plot = null;
+  }
+
+  /** Shift and the arrows: to the sides, the second cursor; up and down, both. Escape ends measuring. */
+  protected override key({ key, shiftKey }: KeyboardEvent): boolean {
+    const plot = this.plot;
+    if (!plot) return false;
+    const [all, step] = [plot.over.clientWidth, plot.over.clientWidth * KEY_STEP];
+    let { left, width } = plot.select;
+    if (key === "Escape" && width) {
+      plot.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+      this.note.textContent = "";
+      return true;
+    }
+    if (!shiftKey || !key.startsWith("Arrow")) return false;
+    if (!width) left = this.page.recording ? plot.valToPos(this.span.at, "x") : all / 2;
+    if (key === "ArrowRight") width += step;
+    if (key === "ArrowLeft") width = Math.max(step, width - step);
+    if (key === "ArrowUp") left += step;
+    if (key === "ArrowDown") left -= step;
+    left = Math.max(0, Math.min(all - step, left));
+    plot.setSelect({ left, top: 0, width: Math.min(Math.max(width, step), all - left), height: plot.over.clientHeight });
+    return true;
   }
 
   draw(span: Span): void {
@@ -125,11 +149,13 @@ export class SignalPanel extends Panel {
     const { time, low, high, thin, width } = this.stream.signal;
     let first = 0;
     while (first < time.length && (time[first] as number) < this.span.begin - 1) first++;
-    this.rescale(first);
+    let last = time.length;
+    while (last > first && (time[last - 1] as number) > this.span.end + 1) last--;
+    this.rescale(first, last);
     const step = thin ? 2 : 1;
-    const n = (time.length - first) * step;
+    const n = (last - first) * step;
     const x = new Array<number>(n);
-    for (let i = first, k = 0; i < time.length; i++, k += step) {
+    for (let i = first, k = 0; i < last; i++, k += step) {
       x[k] = time[i] as number;
       if (thin) x[k + 1] = (time[i] as number) + width / 2;
     }
@@ -139,7 +165,7 @@ export class SignalPanel extends Panel {
       const [zero, factor] = [low.length - c - 0.5, half ? FILL / half : 0];
       const y = new Array<number | null>(n);
       const [lows, highs] = [low[c] as number[], high[c] as number[]];
-      for (let i = first, k = 0; i < time.length; i++, k += step) {
+      for (let i = first, k = 0; i < last; i++, k += step) {
         const value = lows[i] as number;
         y[k] = value === value ? zero + (value - middle) * factor : null;
         if (thin) y[k + 1] = value === value ? zero + ((highs[i] as number) - middle) * factor : null;
@@ -149,10 +175,10 @@ export class SignalPanel extends Panel {
     return data;
   }
 
-  private rescale(first: number): void {
+  private rescale(first: number, last: number): void {
     const { low, high, thin } = this.stream.signal;
     const { least, most } = this.info;
-    const found = low.map((lows, c) => extremes(lows, thin ? (high[c] as number[]) : lows, first));
+    const found = low.map((lows, c) => extremes(lows, thin ? (high[c] as number[]) : lows, first, last));
     const widest = Math.max(...found.map(([a, b]) => (b - a) / 2));
     found.forEach(([a, b], c) => {
       const scale = this.scales[c] as Scale;
@@ -199,16 +225,16 @@ export class SignalPanel extends Panel {
     const { time, low, high, thin } = this.stream.signal;
     const [first, last] = [time.findIndex((t) => t >= from), time.findLastIndex((t) => t <= to)];
     const parts = this.channels.slice(0, 6).map((name, c) => {
-      const [a, b] = extremes((low[c] as number[]).slice(0, last + 1), ((thin ? high : low)[c] as number[]).slice(0, last + 1), Math.max(first, 0));
+      const [a, b] = extremes(low[c] as number[], (thin ? high : low)[c] as number[], Math.max(first, 0), last + 1);
       return a > b ? `${name} -` : `${name} ${a.toPrecision(SIGNIFICANT)} to ${b.toPrecision(SIGNIFICANT)}`;
     });
     this.note.textContent = `${((to - from) * 1000).toFixed(0)} ms: ${parts.join("; ")}`;
   }
 }
 
-function extremes(low: number[], high: number[], first: number): [number, number] {
+function extremes(low: number[], high: number[], first: number, last: number): [number, number] {
   let [least, most] = [Infinity, -Infinity];
-  for (let i = first; i < low.length; i++) {
+  for (let i = first; i < last; i++) {
     if ((low[i] as number) < least) least = low[i] as number;
     if ((high[i] as number) > most) most = high[i] as number;
   }

@@ -6,15 +6,18 @@ import type { Hello, PaceMessage } from "./wire";
 
 const LABEL = 118;
 const LANE = 13;
-const MOST_LANES = 14;
+const HEAD = 16;
 const STEP = 0.1;
 /** Streams that hold what people marked: while the session ran, and afterwards. */
 export const MARKS = new Set(["annotations", "marks"]);
 
+interface Lane { name: string; number: number; span: [number, number, number] }
+
 export class Timeline {
   private readonly sheet: Sheet;
   private readonly gaps = new Map<number, [number, number][]>();
-  private readonly lanes: { name: string; number: number; span: [number, number, number] }[];
+  private readonly events = new Map<number, number[]>();
+  private readonly lanes: Lane[];
   private readonly length: number;
   private dragging = false;
 
@@ -22,11 +25,12 @@ export class Timeline {
     this.length = Math.max(hello.length_s ?? 0, 1e-9);
     const spans = hello.spans ?? [];
     this.lanes = hello.streams.map((s, number) => ({ name: s.name, number, span: spans[number] ?? [0, this.length, 0] as [number, number, number] }))
-      .filter(({ name }) => name !== "marks").slice(0, MOST_LANES);
+      .filter(({ name }) => name !== "marks");
     (hello.gaps ?? []).forEach((gaps, s) => this.take(s, gaps));
+    (hello.moments ?? []).forEach((at, s) => { if (at) this.takeEvents(s, at); });
     host.replaceChildren();
     host.hidden = false;
-    this.sheet = new Sheet(host, this.lanes.length * LANE + 18);
+    this.sheet = new Sheet(host, this.lanes.length * LANE + HEAD);
     const canvas = this.sheet.canvas;
     for (const [name, value] of Object.entries({ role: "slider", tabindex: "0", "aria-label": "time", "aria-valuemin": "0", "aria-valuemax": String(this.length) })) canvas.setAttribute(name, value);
     canvas.onpointerdown = (event) => { this.dragging = true; canvas.setPointerCapture(event.pointerId); this.move(event); };
@@ -37,6 +41,12 @@ export class Timeline {
   take(stream: number, gaps: [number, number][]): void {
     this.gaps.set(stream, gaps);
     this.host.dataset["gaps"] = String([...this.gaps.values()].reduce((n, g) => n + g.length, 0));
+  }
+
+  /** The moments of a stream's events. */
+  takeEvents(stream: number, at: number[]): void {
+    this.events.set(stream, at);
+    this.host.dataset["events"] = String([...this.events.values()].reduce((n, e) => n + e.length, 0));
   }
 
   /** The next gap behind a moment, of any stream; the first one where there is none behind it. */
@@ -60,26 +70,30 @@ export class Timeline {
     pen.textBaseline = "middle";
     pen.fillStyle = colour("rule");
     pen.fillRect(x(Math.max(0, span.begin)), 0, Math.max(2, (Math.min(this.length, span.end) - Math.max(0, span.begin)) * scale), this.sheet.height);
-    this.lanes.forEach(({ name, number, span: [from, to] }, i) => {
-      const y = i * LANE;
-      pen.fillStyle = colour("dim");
-      pen.fillText(name, 2, y + LANE / 2, LABEL - 8);
-      pen.globalAlpha = 0.55;
-      pen.fillStyle = colour("accent");
-      pen.fillRect(x(from), y + 3, Math.max(1, (to - from) * scale), LANE - 6);
-      pen.globalAlpha = 1;
-      pen.fillStyle = colour("bad");
-      for (const [begin, end] of this.gaps.get(number) ?? []) pen.fillRect(x(begin), y + 1, Math.max(2, (end - begin) * scale), LANE - 2);
-    });
+    this.lanes.forEach((lane, i) => this.lane(pen, lane, HEAD + i * LANE, x));
     const marks = this.streams.filter((s) => MARKS.has(s.info.name)).flatMap((s) => s.rows);
     this.host.dataset["marks"] = String(marks.length);
     pen.fillStyle = colour("warn");
-    for (const row of marks) pen.fillRect(x((row[1] ?? row[0]) as number) - 1, 0, 2, this.sheet.height - 14);
+    for (const row of marks) pen.fillRect(x((row[1] ?? row[0]) as number) - 1, HEAD, 2, this.sheet.height);
     pen.fillStyle = colour("ink");
-    pen.fillRect(x(span.at) - 1, 0, 2, this.sheet.height - 14);
-    pen.fillText(this.page.clock(span.at, true), Math.min(x(span.at) + 4, this.sheet.width - 90), this.sheet.height - 7);
+    pen.fillRect(x(span.at) - 1, 0, 2, this.sheet.height);
+    pen.fillText(this.page.clock(span.at, true), Math.min(x(span.at) + 4, this.sheet.width - 90), HEAD / 2);
     this.sheet.canvas.setAttribute("aria-valuenow", span.at.toFixed(3));
     this.sheet.canvas.setAttribute("aria-valuetext", this.page.clock(span.at, true));
+  }
+
+  /** A stream: from when until when there is anything of it, its gaps, and, of events, each. */
+  private lane(pen: CanvasRenderingContext2D, { name, number, span: [from, to] }: Lane, y: number, x: (t: number) => number): void {
+    const events = this.events.get(number);
+    pen.fillStyle = colour("dim");
+    pen.fillText(name, 2, y + LANE / 2, LABEL - 8);
+    pen.globalAlpha = events ? 0.15 : 0.55;
+    pen.fillStyle = colour("accent");
+    pen.fillRect(x(from), y + 3, Math.max(1, x(to) - x(from)), LANE - 6);
+    pen.globalAlpha = 1;
+    for (const at of events ?? []) pen.fillRect(x(at), y + 2, 1, LANE - 4);
+    pen.fillStyle = colour("bad");
+    for (const [begin, end] of this.gaps.get(number) ?? []) pen.fillRect(x(begin), y + 1, Math.max(2, x(end) - x(begin)), LANE - 2);
   }
 
   private move(event: PointerEvent): void {

@@ -43,6 +43,7 @@ export interface Hello {
   length_s?: number;
   spans?: [number, number, number][];
   gaps?: [number, number][][];
+  moments?: (number[] | null)[];
 }
 export interface SignalMessage { t: "signal"; s: number; n: number; w: number; thin: boolean; fresh: boolean }
 /** A spectrum of all channels, or a spectrogram of one; without a whole window it has no bins. */
@@ -64,10 +65,11 @@ export interface StateMessage {
 export interface LogMessage { t: "log"; lines: { at: number; level: string; text: string }[] }
 export interface ProgressMessage { t: "progress"; share: number; what: string }
 export interface GapsMessage { t: "gaps"; s: number; gaps: [number, number][] }
+export interface MomentsMessage { t: "moments"; s: number; at: number[] }
 export interface LookedMessage { t: "looked"; at: number }
 /** How far a replay is, of how much (s), and its speed; 0: it stands still. */
 export interface PaceMessage { t: "pace"; at: number; length: number; speed: number }
-export type Message = PaceMessage | SpectrumMessage | LookedMessage | GapsMessage | Hello | SignalMessage | EventsMessage | NewestMessage | StateMessage | LogMessage | ProgressMessage;
+export type Message = PaceMessage | SpectrumMessage | LookedMessage | GapsMessage | MomentsMessage | Hello | SignalMessage | EventsMessage | NewestMessage | StateMessage | LogMessage | ProgressMessage;
 
 const text = new TextDecoder();
 
