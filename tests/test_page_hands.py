@@ -204,17 +204,17 @@ def by_keys(browser: LiveBrowser) -> None:
     browser.press("ArrowRight", 2)
     assert float(browser.value("document.querySelector('input[type=range]').value")) > before
     browser.wait("document.querySelector('.log').textContent.includes('set on the page')")
-    browser.value("document.querySelector('select[aria-label=\"seconds shown\"]').focus()")
-    browser.press("ArrowDown")
-    browser.wait("document.querySelector('select[aria-label=\"seconds shown\"]').value === '30'")
     browser.value("document.activeElement.blur()")
     browser.type("p")
     browser.wait(
         "[...document.querySelectorAll('button')].find(b => b.textContent === 'pause').getAttribute('aria-pressed') === 'true'"
     )
     picture = "document.querySelector('.signal canvas').toDataURL()"
-    settled = f"(async () => {{ const a = {picture}; await new Promise(r => setTimeout(r, 400)); return a === {picture}; }})()"
-    browser.wait(settled)  # scales give way for a while
+    browser.wait(
+        f"(async () => {{ const a = {picture}, n = +document.body.dataset.drawn;"
+        "while (document.body.dataset.drawn < n + 10) await new Promise(requestAnimationFrame);"
+        f"return a === {picture}; }})()"
+    )  # scales give way for a while
     held = browser.value(picture)
     browser.type("7")
     browser.wait("document.querySelector('.log').textContent.includes('annotated on the page')")
@@ -223,6 +223,10 @@ def by_keys(browser: LiveBrowser) -> None:
     assert browser.value(picture) == held, "a held picture stays, while the session goes on"
     browser.type("p")
     browser.wait(f"{picture} !== {json.dumps(held)}")
+    browser.value("document.querySelector('select[aria-label=\"seconds shown\"]').focus()")
+    browser.press("ArrowDown")
+    browser.wait("document.querySelector('select[aria-label=\"seconds shown\"]').value === '30'")
+    browser.value("document.activeElement.blur()")
 
 
 def test_a_scene_turns_by_keys(browser: LiveBrowser, tmp_path: Path) -> None:
