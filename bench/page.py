@@ -117,7 +117,7 @@ class Aged(Operator[Ages]):
 
     def process(self, port: str, chunk: Chunk) -> None:
         if len(chunk.time):
-            if not self.ages:
+            if len(self.ages) == RATE_HZ // CHUNK:  # a second of them: what came before was the warm-up's
                 Path(self.path).with_suffix(".begun").touch()
             self.ages.append(time.time_ns() - int(chunk.time[-1]))
 

@@ -7,8 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from bench import page, page_recording
 from bench.__main__ import MEASURES
 from bench.report import BEGIN, END, HEADLINES, Goal, Section, goals, into_page, short
+from tests.page_session import needs_page
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -36,6 +40,19 @@ def test_stalls_run() -> None:
     due = json.loads(run("bench.stalls", "--one", json.dumps(order)).splitlines()[-1])
     assert len(due) == 20
     assert min(due) > 0
+
+
+@needs_page
+@pytest.mark.timeout(600)
+def test_the_page_and_its_recordings_can_be_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    kinds = {
+        name: page.KINDS[name] for name in ("no page", "one client", "five clients", "the server killed every second")
+    }
+    monkeypatch.setattr(page, "KINDS", kinds)
+    monkeypatch.setattr(page, "WARM_S", 0.2)
+    text = page.live(1, 1.0).markdown()
+    assert all(name in text for name in kinds)
+    assert len(page_recording.looked(0.2, 2).goals) == 2
 
 
 def test_a_report_replaces_the_one_before(tmp_path: Path) -> None:
