@@ -25,12 +25,16 @@ from devices.lsl.stamps import NEWEST_S
 from devices.simulators.lsl import Lsl, Sender
 from devices.simulators.misbehaviour import Misbehaviour
 from stream.chunk import NS, Array
+from stream.commands.info import clocks
 from stream.engine.session import Session
 from stream.errors import DeviceError, GraphError
 from stream.graph.load import load_text
 from stream.recording import Recording
+from tests.command_line import Command, kinegraph
 from tests.device_feed import Kept, check, reading, wait_for
 from tests.lsl_sender import can_be_elsewhere, process
+
+__all__ = ["kinegraph"]
 
 MUSCLES = ("TA", "GM", "SO", "RF")
 EMG = LslInlet(channels=MUSCLES, rate_hz=1000.0, unit="uV", type="EMG")
@@ -91,6 +95,28 @@ def test_the_clock_of_another_computer_is_corrected(name: str, host: str) -> Non
     ahead = (timing["device"] + feed._offset - timing["stamp"]) / NS
     assert np.abs(ahead - 5000).max() < 1e-3
     assert np.abs(np.diff(feed.time("out")) - 1_000_000).max() <= 1001, "no estimate of the clock makes a stamp leap"
+
+
+@pytest.mark.skipif(not can_be_elsewhere(), reason="unshare cannot give a process another clock here (it takes root)")
+def test_the_offset_of_two_computers_clocks_stands_in_the_recording(
+    name: str, tmp_path: Path, kinegraph: Command
+) -> None:
+    """Of a computer whose clock is 5000 s ahead of this one's, and of a sender here: `info` tells both, and how far they may be apart."""
+    one, other = f"{name}-here", f"{name}-there"
+    line = "  %s: {use: devices.lsl.LslInlet, source_id: %s, channels: 4, rate_hz: 1000, unit: uV, type: EMG}\n"
+    graph = load_text("nodes:\n" + line % ("here", one) + line % ("there", other))
+    settings = {"channels": list(MUSCLES), "rate_hz": 1000}
+    with process(source_id=one, **settings), process("elsewhere", source_id=other, **settings):
+        outcome = Session(graph, tmp_path / "s", duration_s=4).run()
+    assert outcome.error is None
+    with Recording.open(tmp_path / "s") as recording:
+        known = clocks(recording)
+    ahead = known["here"]["offset_s"] - known["there"]["offset_s"]
+    assert abs(ahead - 5000) < 0.01 and all(0 < clock["uncertainty_s"] < 0.1 for clock in known.values())
+    _, shown, _ = kinegraph("info", str(tmp_path / "s"))
+    assert (
+        "here and there agree within" in shown or "there and here agree within" in shown
+    ) and "clock there: within" in shown
 
 
 def test_a_sender_that_is_killed_and_started_again_is_found_and_the_loss_marked(name: str) -> None:

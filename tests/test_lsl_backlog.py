@@ -57,6 +57,9 @@ class Scripted:
             return None
         return 0.0
 
+    def uncertainty(self) -> float:
+        return 0.0
+
     def has_our_clock(self, stamp: float) -> bool:
         return False
 

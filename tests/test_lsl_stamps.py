@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from devices.lsl.clock import SenderClock
 from devices.lsl.stamps import NEWEST_S, STEADY_S, LslStamps
 from stream.chunk import NS, Samples
 
@@ -151,3 +152,16 @@ def test_no_stamps_whatever_make_time_run_backwards(stamps: list[float], size: i
         assert all(0 <= i < len(part) and (lost > 0 or lost == -1) for i, lost in found.gaps)
         assert abs(int(found.time[-1]) - ZERO) < 10**14
         last = int(found.time[-1])
+
+
+def test_a_senders_clock_drifts_and_is_set() -> None:
+    clock = SenderClock(zero_s=100.0)
+    assert clock.state() is None
+    for k in range(21):
+        clock.see(5.0 + 30e-6 * k, 0.0003, float(k))
+    state = clock.state()
+    assert state and state.offset_s == pytest.approx(105.0006) and state.drift_ppm == pytest.approx(30.0)
+    assert not state.settling and state.jumps == 0 and state.uncertainty_s == 0.0003
+    clock.see(-3595.0, 0.0003, 21.0)
+    state = clock.state()
+    assert state and state.settling and state.jumps == 1 and state.jump_s == pytest.approx(3600.0, abs=0.001)

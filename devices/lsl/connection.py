@@ -6,6 +6,7 @@ import socket
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from ctypes import byref, c_double, c_int
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,8 @@ MOST = 4096
 """Samples of one read."""
 SAME_CLOCK_S = 1e-3
 """Two clocks on hosts of one name that are so close are one clock, and what was measured is the measurement's error."""
+MEASURED_S = 0.2e-3
+"""How exact LSL's measurements are at best, by its authors."""
 FRESH_S = 2.0
 """Two computers of one name were hardly switched on so close together."""
 
@@ -57,6 +60,14 @@ class Connection:
         except RuntimeError:
             return None
         return 0.0 if self._at_home and abs(measured) < SAME_CLOCK_S else measured
+
+    def uncertainty(self) -> float:
+        """How far the measured correction may be off (s): LSL's own bound, and at least what its authors measured."""
+        remote, trip, error = c_double(), c_double(), c_int()
+        self.lsl.lib.lib.lsl_time_correction_ex(
+            self._inlet.obj, byref(remote), byref(trip), c_double(0.0), byref(error)
+        )
+        return MEASURED_S if error.value else max(trip.value, MEASURED_S)
 
     def has_our_clock(self, stamp: float) -> bool:
         """Whether the sender's clock is surely this computer's: a host of our name, and a sample that is of just now."""

@@ -7,8 +7,9 @@ import time
 import numpy as np
 import structlog
 
+from devices.clocks.clock_log import ClockLog
 from devices.clocks.timing import timing_chunk
-from devices.lsl.clock import zero_ns
+from devices.lsl.clock import SenderClock, zero_ns
 from devices.lsl.connection import Connection
 from devices.lsl.find import is_there
 from devices.lsl.stamps import LslStamps, Mapped
@@ -24,7 +25,6 @@ THERE_S = 2.0
 """How long a silent outlet may take to answer."""
 TIMING_S = 0.1
 """How long events of `timing` are gathered."""
-LOGGED_S = 60.0
 QUICKEST_S = 0.05
 """LSL does not find an outlet again within less."""
 
@@ -38,11 +38,14 @@ class Pull:
         self, connection: Connection, spec: StreamSpec, feed: Feed, gap_s: float, latency_s: float, lost_after_s: float
     ) -> None:
         self._connection, self._spec, self._feed, self._lost_after = connection, spec, feed, lost_after_s
-        self._stamps = LslStamps(spec.rate_hz, zero_ns(connection.lsl, feed.now), gap_s, latency_s)
+        zero = zero_ns(connection.lsl, feed.now)
+        self._stamps = LslStamps(spec.rate_hz, zero, gap_s, latency_s)
+        self._clock = SenderClock(zero / NS)
+        self._told_clock = ClockLog(connection.described.name, feed, self._clock.state)
         self._count = 0
         self._timing: list[tuple[int, int, int, int]] = []
         self._timing_lost = 0
-        self._told = self._asked = self._logged = time.monotonic()
+        self._told = self._asked = time.monotonic()
 
     def run(self) -> None:
         """Emit what comes. Returns when told to stop; raises DeviceError when the stream is lost."""
@@ -83,8 +86,12 @@ class Pull:
                 )
             if self._feed.wait(0.01):
                 return False
-        self._stamps.correct(correction, at_once=True)
+        self._correct(correction, at_once=True)
         return True
+
+    def _correct(self, correction: float, *, at_once: bool = False) -> None:
+        self._stamps.correct(correction, at_once=at_once)
+        self._clock.see(correction, self._connection.uncertainty(), time.monotonic())
 
     def _emit(self, data: Array, stamps: Samples, anew: bool) -> None:
         """Hand over what a read brought; last of all, so that the graph's thread need not wait for what we still do."""
@@ -150,10 +157,8 @@ class Pull:
             self._asked = now
             correction = self._connection.correction()
             if correction is not None:
-                self._stamps.correct(correction)
-                if now - self._logged > LOGGED_S:
-                    self._logged = now
-                    log.info("clock", name=self._connection.described.name, correction_s=correction)
+                self._correct(correction)
+        self._told_clock.tell()
 
 
 def _ns(seconds: float) -> int:
