@@ -37,7 +37,7 @@ test-peers: .venv/installed-for-tests
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps bitalino
 	$(BIN)/python -m tests.compile_kernels
 	$(BIN)/pytest -n 2 --dist loadgroup tests/peers tests/test_oak.py tests/test_depthai_replay.py tests/test_simulators.py \
-		tests/test_export.py tests/test_night_report.py
+		tests/test_export.py tests/test_lab_exports.py tests/test_night_report.py
 
 # damaged copies of valid files of every format, FUZZ_S seconds each, others every day
 FUZZ_S ?= 60

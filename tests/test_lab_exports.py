@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import ezc3d
@@ -196,6 +198,70 @@ def test_bids(tmp_path: Path, walk: dict[str, Series]) -> None:
     back = {one.name.rpartition(".")[2]: one for one in read_files([motion], wishes)}
     np.testing.assert_allclose(back["markers"].data, walk["markers"].data, rtol=1e-9)
     assert wishes.findings.facts["subject"] == "S01"
+
+
+VALIDATOR = Path(sys.executable).parent / "bids-validator-deno"
+
+
+def complaints(study: Path) -> list[tuple[str, str]]:
+    """Errors of the standard's own validator: code and file."""
+    done = subprocess.run([VALIDATOR, "--format", "json", study], capture_output=True, text=True, timeout=200)
+    found = json.loads(done.stdout)["issues"]["issues"]
+    return [(one["code"], one.get("location", "")) for one in found if one["severity"] == "error"]
+
+
+@pytest.mark.skipif(not VALIDATOR.exists(), reason="bids-validator-deno is not installed (extra `test`)")
+def test_a_study_is_valid_to_the_bids_validator(tmp_path: Path, walk: dict[str, Series]) -> None:
+    """A study of two people, one of whom did two tasks; a file of it that is changed by hand is no longer valid."""
+    for subject, task in (("S01", "walk"), ("S02", "walk"), ("S02", "turn run")):
+        session = {"subject": subject, "age": 31, "sex": "F", "handedness": "R", "task": task}
+        write_recording(tmp_path / "walk.mcap", [*walk.values()], {"graph": "", "session": session}, overwrite=True)
+        folder = export(tmp_path, "study", "--format", "bids")
+    assert complaints(folder) == []
+    assert {path.name for path in (folder / "sub-S02" / "emg").glob("*.edf")} == {
+        "sub-S02_task-walk_emg.edf",
+        "sub-S02_task-turnrun_emg.edf",
+    }
+    channels = folder / "sub-S01" / "emg" / "sub-S01_task-walk_channels.tsv"
+    channels.write_text(channels.read_text().replace("EMG", "muscle"))
+    assert [(code, Path(place).name) for code, place in complaints(folder)] == [
+        ("TSV_VALUE_INCORRECT_TYPE", channels.name)
+    ]
+
+
+@pytest.mark.parametrize("suffix", ["edf", "bdf"])
+def test_mne_reads_what_is_exported(tmp_path: Path, walk: dict[str, Series], suffix: str) -> None:
+    mne = pytest.importorskip("mne", reason="mne is not installed (extra `test`)")
+    path = export(
+        tmp_path, f"walk.{suffix}", "--stream", "lab.emg", "--stream", "lab.words", "--stream", "lab.right_foot_strike"
+    )
+    raw = (mne.io.read_raw_bdf if suffix == "bdf" else mne.io.read_raw_edf)(path, verbose="error")
+    assert raw.ch_names == ["TA", "GM"] and raw.info["sfreq"] == 1000 and raw.info["subject_info"]["his_id"] == "S01"
+    values = np.delete(raw.get_data(units="uV").T, np.s_[700:710], 0)
+    np.testing.assert_allclose(values, walk["emg"].data, atol=2e-5 if suffix == "bdf" else 0.01)
+    texts = raw.annotations.description.tolist()
+    assert texts.count("right Foot Strike") == 4 and "halt" in texts
+    (gap,) = (one for one in raw.annotations if one["description"] == "missing TA")
+    assert gap["onset"] == pytest.approx(0.7) and gap["duration"] == pytest.approx(0.01)
+
+
+def test_opensim_itself_reads_what_is_exported(tmp_path: Path, walk: dict[str, Series]) -> None:
+    opensim = pytest.importorskip("opensim", reason="OpenSim is not installed (extra `peers`)")
+    markers = opensim.TimeSeriesTableVec3(str(export(tmp_path, "walk.trc")))
+    assert list(markers.getColumnLabels()) == ["LTOE", "RTOE", "LHIP"]
+    assert markers.getTableMetaDataString("DataRate") == "100" and markers.getTableMetaDataString("Units") == "mm"
+    read = np.array(
+        [
+            [cell.to_numpy() for cell in map(row.getElt, [0] * 3, range(3))]
+            for row in map(markers.getRowAtIndex, range(200))
+        ]
+    )
+    np.testing.assert_allclose(read, walk["markers"].data, rtol=1e-9)
+    for suffix in ("mot", "sto"):
+        angle = opensim.TimeSeriesTable(str(export(tmp_path, f"knee.{suffix}", "--stream", "lab.knee")))
+        assert list(angle.getColumnLabels()) == ["knee_angle_r"] and angle.getTableMetaDataString("inDegrees") == "yes"
+        np.testing.assert_allclose(angle.getMatrix().to_numpy(), walk["knee"].data, rtol=1e-9)
+        np.testing.assert_allclose(np.diff(angle.getIndependentColumn()), 0.02, atol=1e-9)
 
 
 def test_nothing_is_replaced_unasked(tmp_path: Path, walk: dict[str, Series]) -> None:

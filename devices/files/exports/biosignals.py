@@ -184,7 +184,7 @@ def _motion(path: Path, one: Gathered, task: str, tracking: str, events: list[Ga
     about = {
         "TaskName": task, "SamplingFrequency": rate, "TrackingSystemName": tracking, "MotionChannelCount": flat.shape[1],
         "POSChannelCount": flat.shape[1], "RecordingDuration": len(points) / rate, "RecordingType": "continuous",
-        "MissingValues": "n/a", "SpatialAxes": "n/a",
+        "TrackedPointsCount": len(one.labels), "MissingValues": "n/a", "SpatialAxes": "n/a",
     }  # fmt: skip
     _json(path.with_suffix(".json"), about)
     _events(path.parent / f"{stem.rpartition('_tracksys')[0]}_events.tsv", events, start)
