@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import ast
+import json
 import os
 import subprocess
 import sys
+import tomllib
 import venv
+import zipfile
 from pathlib import Path
 from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
@@ -19,6 +22,7 @@ from tests.browser import needs_browser
 from tests.live_browser import live_browser
 from tests.page_session import needs_page, page_process
 from tests.test_docs import blocks, commands
+from tests.test_raspberry_wheels import UNREACHABLE
 
 pytestmark = pytest.mark.xdist_group("installed")
 """One worker builds the wheel."""
@@ -87,6 +91,35 @@ def test_the_wheel_holds_the_service_file_of_the_bedside_too(site: Path) -> None
     of_a_graph = {".yaml", ".service"}
     shipped, there = ({p.name for p in f.iterdir() if p.suffix in of_a_graph} for f in (HOUSE / "configs", folder))
     assert there == shipped
+
+
+@pytest.mark.timeout(600)
+def test_the_sdist_gives_the_same_wheel(site: Path, tmp_path: Path) -> None:
+    """As `pip install` takes an sdist: built anew from it, file by file the wheel of the checkout; it is installed and runs."""
+    run(sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", tmp_path, cwd=HOUSE)
+    (sdist,) = tmp_path.glob("kinegraph-*.tar.gz")
+    offline = ("--no-deps", "--no-index", "--no-build-isolation", "-q")
+    run(sys.executable, "-m", "pip", "wheel", *offline, "-w", tmp_path, sdist, cwd=tmp_path)
+    (again,), (wheel,) = tmp_path.glob("*.whl"), site.parent.parent.glob("*.whl")
+    with zipfile.ZipFile(again) as one, zipfile.ZipFile(wheel) as other:
+        assert {item.filename: item.CRC for item in one.infolist()} == {i.filename: i.CRC for i in other.infolist()}
+    run(
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "-q",
+        "--no-deps",
+        "--no-index",
+        "--target",
+        "there",
+        again,
+        cwd=tmp_path,
+    )
+    code = "import sys; sys.path.insert(0, 'there'); import stream.cli; print(stream.cli.__file__); stream.cli.main()"
+    told = run(site / "python", "-c", code, "configs", cwd=tmp_path).splitlines()
+    assert Path(told[0]).is_relative_to(tmp_path / "there")
+    assert {line.split()[0] for line in told[1:]} == NAMES
 
 
 EVERY_HELP = """
@@ -192,6 +225,7 @@ def test_every_command_of_the_readme_works_from_the_wheel(site: Path, tmp_path: 
     assert len(done) > 6 and (tmp_path / "session").exists()
 
 
+NEWER = ("3.12", "3.13")
 REMOVED = {"distutils", "imp", "asynchat", "asyncore", "smtpd"} | {
     *(
         "aifc",
@@ -224,6 +258,64 @@ def test_the_source_has_nothing_that_newer_pythons_removed_or_warn_of() -> None:
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             assert not {name.partition(".")[0] for name in names} & REMOVED, path
+
+
+COMPILED_BY = """
+import pathlib, sys, warnings
+warnings.simplefilter("error")
+paths = [pathlib.Path("kinegraph.py"), *(p for name in ("stream", "devices", "operators") for p in pathlib.Path(name).rglob("*.py"))]
+for path in paths:
+    compile(path.read_bytes(), str(path), "exec")
+print("%d.%d" % sys.version_info[:2], len(paths))
+"""
+
+
+def interpreters() -> list[str]:
+    """Other Pythons of this machine: those on the path, and those of pyenv, by their commands."""
+    places = [Path.home() / ".pyenv" / "versions", *map(Path, os.environ.get("PATH", "").split(os.pathsep))]
+    found = [
+        p
+        for newer in NEWER
+        for place in places
+        for p in (*place.glob(f"python{newer}"), *place.glob(f"{newer}.*/bin/python"))
+    ]
+    return [str(p) for p in found if "shims" not in p.parts]
+
+
+@pytest.mark.parametrize("newer", NEWER)
+def test_a_newer_python_compiles_the_source(newer: str) -> None:
+    found = [path for path in interpreters() if f"python{newer}" in path or f"/{newer}." in path]
+    if not found:
+        pytest.skip(f"Python {newer} is not on this machine")
+    version, count = run(found[0], "-c", COMPILED_BY, cwd=HOUSE).split()
+    assert version == newer and int(count) > 300
+
+
+@pytest.mark.timeout(280)
+@pytest.mark.parametrize("newer", NEWER)
+def test_a_newer_python_has_wheels_of_every_dependency(newer: str, tmp_path: Path) -> None:
+    asked = tomllib.loads((HOUSE / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "--dry-run",
+        "--ignore-installed",
+        "-q",
+        "--only-binary",
+        ":all:",
+    ]
+    command += ["--target", str(tmp_path), "--python-version", newer, "--retries", "1", "--report", "-", *asked]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=250)
+    except subprocess.TimeoutExpired:
+        pytest.skip("the package index did not answer within 250 s")
+    if done.returncode and any(word in done.stderr for word in UNREACHABLE):
+        pytest.skip("the package index cannot be reached")
+    assert done.returncode == 0, done.stderr[-2000:]
+    files = [one["download_info"]["url"].rpartition("/")[2] for one in json.loads(done.stdout)["install"]]
+    assert any(f"-cp{newer.replace('.', '')}-" in name for name in files if name.startswith("numba-")), files
 
 
 def test_in_a_checkout_the_graphs_beside_pyproject_are_found() -> None:

@@ -11,7 +11,11 @@ import pytest
 
 from devices.commands.skeleton import FILES, write_skeleton
 from stream.errors import KinegraphError
+from tests.browser import needs_browser
 from tests.command_line import Command, kinegraph, refused
+from tests.live_browser import live_browser
+from tests.page_session import needs_page, page_process
+from tests.test_docs import HOUSE, blocks
 
 __all__ = ["kinegraph"]
 
@@ -103,7 +107,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (place / "pyproject.toml").write_text(PROJECT)
     for name, text in {"__init__": "", "greet": GREET, "tally": TALLY, "panels": PANELS}.items():
         (place / "gait_lab" / f"{name}.py").write_text(text)
-    (place / "gait_lab" / "knee.js").write_text("export default () => {};\n")
+    (module,) = (text for _, name, text in blocks(HOUSE / "docs" / "page.md") if name == "bars.js")
+    (place / "gait_lab" / "knee.js").write_text(module)
     run(place, sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", place / "dist", cwd=place)
     wheel = next((place / "dist").glob("*.whl"))
     pip = (sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--disable-pip-version-check")
@@ -143,13 +148,27 @@ def test_its_device_is_simulated_its_operator_and_outlet_run(site: Path, tmp_pat
 
 
 def test_its_panel_is_a_kind_of_the_page(site: Path, tmp_path: Path) -> None:
-    from stream.graph import page_section
-
-    if not hasattr(page_section, "GROUP"):
-        pytest.skip("the page takes no panels from packages")
     (tmp_path / "graph.yaml").write_text(GRAPH + "page: {panels: [{kind: knee, of: wander}]}\n")
     run(site, PROGRAM, "check", "graph.yaml", cwd=tmp_path)
     run(tmp_path, PROGRAM, "check", "graph.yaml", cwd=tmp_path, code=2)
+
+
+@needs_page
+@needs_browser
+def test_its_panel_is_drawn_in_a_browser(
+    site: Path, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The module of the docs' panel, from the installed package: no file of it lies beside the graph."""
+    monkeypatch.setenv("PYTHONPATH", str(site))
+    (tmp_path / "graph.yaml").write_text(GRAPH + "page: {panels: [{kind: knee, of: wander, title: knee}]}\n")
+    with (
+        live_browser(tmp_path_factory.mktemp("browser")) as browser,
+        page_process(tmp_path, "run", "graph.yaml", "--simulate", "--view", "none", "--no-record") as process,
+    ):
+        browser.open(process.url)
+        drawn = browser.wait("document.querySelector('.knee')?.dataset.drawn")
+        browser.wait(f"document.querySelector('.knee').dataset.drawn > {drawn} + 2")
+        assert browser.complaints == []
 
 
 @pytest.mark.parametrize(("kind", "name"), [("operator", "my_filter"), ("device", "my_board")])
