@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -10,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas
@@ -147,7 +149,9 @@ def test_units_and_gaps_are_in_the_file(folder: Path) -> None:
 
 def test_what_has_not_changed_is_kept(folder: Path) -> None:
     (folder / "s1").unlink()
-    kg.run(kg.load("graph.yaml"), folder / "s1")
+    kg.run(
+        kg.load("graph.yaml", {"board.duration_s": 40}), folder / "s1"
+    )  # long enough for half of its file to hold whole chunks
     job = Job(folder / "s1", "s1")
     out = out_with(common())
     first, now = do(out, job)
@@ -319,9 +323,81 @@ def test_the_workers_are_reached_with_the_batchs_certificate_only() -> None:
         assert client.scheduler_info()["address"].startswith("tls://127.0.0.1:")
 
 
+SUBMIT = """#!/bin/sh
+for script do :; done
+kept=$(mktemp "$QUEUE/job.XXXXXX")
+cp "$script" "$kept"
+setsid bash "$kept" > /dev/null 2>&1 &
+echo $! >> "$QUEUE/pids"
+echo "%s$!%s"
+"""
+CANCEL = """#!/bin/bash
+for job do kill -- "-${job%.*}"; done
+"""
+QUEUES = {"slurm": ("sbatch", "scancel", "Submitted batch job ", ""), "pbs": ("qsub", "qdel", "", ".head")}
+ASKED = {
+    "slurm": ("#SBATCH -n 1", "#SBATCH --cpus-per-task=1", "#SBATCH --mem="),
+    "pbs": ("#PBS -l select=1:ncpus=1:mem=",),
+}
+
+
+@pytest.fixture
+def queue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The commands of Slurm and PBS, which run what is submitted on this machine at once; the folder that keeps each script."""
+    place = tmp_path / "queue"
+    (place / "bin").mkdir(parents=True)
+    (place / "pids").touch()
+    for submit, cancel, before, after in QUEUES.values():
+        for name, text in ((submit, SUBMIT % (before, after)), (cancel, CANCEL)):
+            (place / "bin" / name).write_text(text)
+            (place / "bin" / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{place / 'bin'}:{os.environ['PATH']}")
+    monkeypatch.setenv("QUEUE", str(place))
+    yield place
+    for pid in (place / "pids").read_text().split():
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(int(pid), signal.SIGKILL)
+
+
+@pytest.mark.parametrize("where", sorted(QUEUES))
+def test_through_a_queue(folder: Path, queue: Path, where: str) -> None:
+    pytest.importorskip("dask_jobqueue")
+    settings = {f"DASK_JOBQUEUE__{where.upper()}__INTERFACE": "lo"}
+    command = [KINEGRAPH, "batch", "graph.yaml", "s1", "s2", "-o", "out", "--cluster", where, "--workers", "2"]
+    done = subprocess.run(command, env=os.environ | settings, capture_output=True, text=True, timeout=280)
+    assert done.returncode == 0 and "2 jobs done, 0 unchanged, 0 failed" in done.stdout, done.stdout + done.stderr
+    scripts = [path.read_text() for path in queue.glob("job.*")]
+    assert len(scripts) == 2 and all("--nthreads 1 " in text for text in scripts), scripts
+    assert all(asked in text for text in scripts for asked in ASKED[where]), scripts
+    assert set(kg.BatchResults("out").to_pandas("smooth")["recording"]) == {"s1", "s2"}
+
+
+def test_what_kubernetes_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The resource that dask-kubernetes would create; there is no Kubernetes to create it in."""
+    operator = pytest.importorskip(
+        "dask_kubernetes.operator", reason="dask-kubernetes is not installed (extra `peers`)"
+    )
+    asked: list[dict[str, Any]] = []
+
+    def cluster(*, name: str, n_workers: int, resources: dict[str, Any], worker_command: list[str]) -> None:
+        asked.append(
+            operator.make_cluster_spec(name, n_workers=n_workers, resources=resources, worker_command=worker_command)
+        )
+        raise ClusterError("no Kubernetes here")
+
+    monkeypatch.setattr(operator, "KubeCluster", cluster)
+    with pytest.raises(ClusterError, match="no Kubernetes"), workers("kubernetes", 3, 1 << 30, 1):
+        pass
+    worker = asked[0]["spec"]["worker"]
+    (container,) = worker["spec"]["containers"]
+    assert worker["replicas"] == 3 and container["resources"] == {"requests": {"memory": "1024Mi"}}
+    assert container["args"][:4] == ["dask", "worker", "--nthreads", "1"]
+
+
 @pytest.mark.parametrize("where", ["slurm", "pbs", "kubernetes"])
 def test_a_cluster_without_its_library_is_refused(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "dask_jobqueue", None)
     monkeypatch.setitem(sys.modules, "dask_kubernetes.operator", None)
-    with pytest.raises(ClusterError, match="pip install dask-"), workers(where, 1, 1 << 30, 1):
+    extra = "kubernetes" if where == "kubernetes" else "queue"
+    with pytest.raises(ClusterError, match=rf"pip install 'kinegraph\[{extra}\]'"), workers(where, 1, 1 << 30, 1):
         pass

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Any
+from itertools import islice
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from stream.errors import KinegraphError
 
@@ -17,6 +20,9 @@ QUEUES = {"slurm": "SLURMCluster", "pbs": "PBSCluster"}
 KUBERNETES = "kubernetes"
 PATIENCE_S = 10
 """Within which a scheduler that is there answers."""
+LOOK_S = 1.0
+"""How often it is looked how many workers there are."""
+Item = TypeVar("Item")
 
 
 class ClusterError(KinegraphError):
@@ -48,9 +54,32 @@ def workers(where: str, count: int, memory_bytes: int, retries: int) -> Iterator
         yield stack.enter_context(client)
 
 
+def spread(client: Any, call: Callable[[Item], Any], items: Iterable[Item]) -> Iterator[tuple[Item, Any]]:
+    """`call` with each of the items, on workers of a thread each: the items and their futures, in the order in which they end.
+
+    As many are under way as there are workers: no item waits at a worker, to be lost with it, and memory does not grow with their number.
+    """
+    from distributed import as_completed
+
+    waiting, at_work = iter(items), dict[str, Item]()
+    finished: Any = as_completed()  # type: ignore[no-untyped-call]
+    places, looked = 0, -math.inf
+    while True:
+        if time.monotonic() - looked > LOOK_S:
+            places, looked = sum(client.nthreads().values()), time.monotonic()
+        for item in islice(waiting, max(places, 1) - len(at_work)):
+            future = client.submit(call, item, pure=False)
+            at_work[future.key] = item
+            finished.add(future)
+        if not at_work:
+            return
+        future = next(finished)
+        yield at_work.pop(future.key), future
+
+
 def _cluster(distributed: Any, where: str, count: int, memory_bytes: int) -> Any:
     """The cluster that is made for this batch; None where one is there already."""
-    memory = f"{max(memory_bytes >> 20, 1)}MiB"
+    mebibytes = max(memory_bytes >> 20, 1)
     if where == LOCAL:
         return distributed.LocalCluster(
             n_workers=count,
@@ -62,11 +91,24 @@ def _cluster(distributed: Any, where: str, count: int, memory_bytes: int) -> Any
             security=_private(distributed),
         )
     if where in QUEUES:
-        queue = getattr(_imported("dask_jobqueue", "dask-jobqueue"), QUEUES[where])
-        return queue(cores=1, processes=1, memory=memory, n_workers=count)
+        queue = getattr(_imported("dask_jobqueue", "queue"), QUEUES[where])
+        import dask
+
+        configured = dask.config.get(f"jobqueue.{where}.worker-extra-args", None) or []
+        unlimited = [
+            *configured,
+            "--memory-limit",
+            "0",
+        ]  # the queue ends what takes too much; Dask would let it stand still at 80 %
+        return queue(cores=1, processes=1, memory=f"{mebibytes}MiB", n_workers=count, worker_extra_args=unlimited)
     if where == KUBERNETES:
-        operator = _imported("dask_kubernetes.operator", "dask-kubernetes")
-        return operator.KubeCluster(name="kinegraph", n_workers=count, resources={"requests": {"memory": memory}})
+        operator = _imported("dask_kubernetes.operator", "kubernetes")
+        return operator.KubeCluster(
+            name="kinegraph-{uuid}",  # a cluster of this batch's own: one of the same name would be joined, and closed for others
+            n_workers=count,
+            resources={"requests": {"memory": f"{mebibytes}Mi"}},
+            worker_command=["dask", "worker", "--nthreads", "1"],
+        )
     return None
 
 
@@ -87,10 +129,11 @@ def _dask() -> tuple[Any, Any]:
     return dask, distributed
 
 
-def _imported(module: str, package: str) -> Any:
+def _imported(module: str, extra: str) -> Any:
     import importlib
 
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError:
-        raise ClusterError(f"{package} is not installed; install it: pip install {package}") from None
+        missing = module.partition(".")[0].replace("_", "-")
+        raise ClusterError(f"{missing} is not installed; install it: pip install 'kinegraph[{extra}]'") from None

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 import os
-import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
 
-from stream.batch.cluster import LOCAL, workers
+from stream.batch.cluster import LOCAL, spread, workers
 from stream.batch.jobs import Job
 from stream.batch.manifest import JobEntry, Manifest
 from stream.batch.parquet import ROWS, arrow
@@ -26,8 +24,6 @@ from stream.recording import Recording
 
 WORKER_BYTES = 400_000_000
 """What a worker takes before it holds anything of a job: Python, numba, the kernels, Arrow."""
-LOOK_S = 1.0
-"""How often it is looked how many workers there are."""
 
 
 @dataclass(slots=True)
@@ -131,23 +127,8 @@ def _done(
     folder: Path, jobs: Sequence[Job], manifest: Manifest, *, where: str, count: int, needed: int, retries: int
 ) -> Iterator[tuple[JobEntry, bool]]:
     """What comes of the jobs, in the order in which they end."""
-    client: Any  # distributed is not typed
     with workers(where, count, needed, retries) as client:
-        from distributed import as_completed
-
-        waiting, at_work = deque(jobs), dict[str, Job]()
-        finished: Any = as_completed()  # type: ignore[no-untyped-call]
-        places, looked = 0, -math.inf
-        while waiting or at_work:
-            if time.monotonic() - looked > LOOK_S:
-                places, looked = sum(client.nthreads().values()), time.monotonic()
-            while waiting and len(at_work) < max(places, 1):  # no job waits at a worker, to be lost with it
-                job = waiting.popleft()
-                future = client.submit(do, folder.absolute(), job, pure=False)
-                at_work[future.key] = job
-                finished.add(future)
-            future = next(finished)
-            job = at_work.pop(future.key)
+        for job, future in spread(client, partial(do, folder.absolute()), jobs):
             if future.status == "finished":
                 yield future.result()
             else:
