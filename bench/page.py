@@ -51,7 +51,8 @@ GRAPH = """
 nodes:
   board: {use: bench.page.Board}
   envelope: {use: operators.emg.Envelope, from: board}
-  aged: {use: bench.page.Aged, from: envelope, path: AGES}
+  rectified: {use: operators.rectify.Rectify, from: board}
+  aged: {use: bench.page.Aged, from: rectified, path: AGES}
 """
 MESH = "nodes:\n  mesh: {use: bench.page.Meshes}\n"
 
