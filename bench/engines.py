@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Self
 
 HERE = Path(__file__).resolve().parent
-NEEDED = ["numba", "scipy", "platformdirs", "msgspec", "lz4", "zstandard"]
+NEEDED = ["numba", "scipy", "platformdirs", "msgspec", "lz4", "zstandard", "typing-extensions"]
 """What the shared work itself needs in a peer's environment."""
 MODULES = {
     "bare": "bare",
