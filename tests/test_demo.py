@@ -29,7 +29,8 @@ def test_the_demo_tells_its_pages_address_which_answers_and_ends_by_itself(tmp_p
     shutil.copy(HOUSE / "Makefile", tmp_path)
     shutil.copytree(HOUSE / "configs", tmp_path / "configs")
     command = ["make", "demo", "-o", ".venv/installed", f"BIN={Path(sys.executable).parent}", "SECONDS_OF_DEMO=5"]
-    alone = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}  # not a part of `make test`
+    alone = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
+    """It is no part of the `make` that runs the tests."""
     log = tmp_path / "said.txt"
     with (
         log.open("w") as out,
