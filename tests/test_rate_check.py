@@ -108,6 +108,34 @@ def test_a_radio_that_catches_up_or_falls_behind_at_its_start_is_no_other_rate(
     assert not feed.problems
 
 
+@pytest.mark.parametrize("speed", [0.4, 0.7, 0.9])
+def test_a_computer_that_does_not_keep_up_is_no_other_unit_of_time(speed: float) -> None:
+    """Each report is taken later than the one before; their own times are those of the declared rate."""
+    check, feed = RateCheck("a", 250.0, "fail", unit="us"), Kept()
+    for i in range(round(9.0 * 250 * speed)):
+        device = np.array([i * 4_000_000])
+        check.see(1, 0, round(device[0] / speed), feed, device)
+    assert not feed.problems
+
+
+def test_a_time_and_a_rate_that_are_wrong_alike_are_told_after_ten_seconds() -> None:
+    check, feed = RateCheck("a", 500.0, "fail", unit="us"), Kept()
+    with pytest.raises(RunError, match="advances by 0.5 s in a second"):
+        for i in range(3000):
+            check.see(1, 0, i * 4_000_000, feed, np.array([i * 2_000_000]))
+
+
+@pytest.mark.parametrize("at_once", [1, 5])
+def test_a_radio_that_drops_out_each_second_is_no_other_unit_of_time(at_once: int) -> None:
+    """Three tenths of each second are missing, and the device's time shows it."""
+    check, feed = RateCheck("a", None, "fail", unit="us"), Kept()
+    kept = [i for i in range(12 * 250) if i % 250 >= 75]
+    for first in range(0, len(kept), at_once):
+        device = np.array(kept[first : first + at_once]) * 4_000_000
+        check.see(at_once, 0, int(device[-1]) + NS, feed, device)
+    assert not feed.problems
+
+
 @pytest.mark.parametrize(("share", "grave"), [(0.03, False), (0.05, False), (0.12, False), (0.5, True)])
 @pytest.mark.parametrize("seed", range(3))
 def test_what_may_be_loss_is_no_reason_to_end_a_session(share: float, grave: bool, seed: int) -> None:

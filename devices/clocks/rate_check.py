@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stream.chunk import NS, Samples, Times
 from stream.errors import RunError
@@ -31,6 +32,8 @@ OUTLIER = 50
 TWICE = 0.1
 """Where fewer steps of the device's time are none at all, these are records that came twice, not a coarse time."""
 TOLD_AGAIN = 0.01
+BEHIND = 0.75
+"""A time that fits the declared rate may run so slow: a computer that does not keep up takes late what came in time."""
 UNITS_NS = {"ns": 1.0, "us": 1e3, "ms": 1e6, "s": 1e9, "ticks of 1/1024 s": NS / 1024, "ticks of 1/32768 s": NS / 32768}
 NEAR = 0.02
 
@@ -119,11 +122,11 @@ class RateCheck:
         if len(good) < 2:
             return None, ""
         usual = _usual(steps[steps >= 0])
-        steps[(steps < 0) | (steps > OUTLIER * usual)] = usual
+        self._bridge(steps, (steps < 0) | (steps > OUTLIER * usual), usual)
         ends = np.cumsum([len(part) for part in self._steps]) - 1
         device = np.concatenate([[0.0], np.cumsum(steps)])[ends]
         pace = _pace(np.array(self._arrivals), device, least)
-        if pace is not None:
+        if pace is not None and not (pace < 1 and self._fits(usual) and (pace > BEHIND or least > WRONG)):
             return 0.0, self._of_unit(pace)
         if not self._rate:
             return None, ""
@@ -134,6 +137,21 @@ class RateCheck:
         ):
             return None, ""
         return rates[-1], self._of_rate(rates[-1])
+
+    def _bridge(self, steps: Samples, jumps: NDArray[np.bool_], usual: float) -> None:
+        """Where the device's time jumps (n,), so much is put in as went by at its packet's arrival, and at least a usual step."""
+        if not jumps.any():
+            return
+        packet = np.repeat(np.arange(len(self._steps)), [len(part) for part in self._steps])[1:]
+        passed = np.diff(self._arrivals, prepend=self._arrivals[0]) - np.bincount(
+            packet[~jumps], steps[~jumps], len(self._steps)
+        )
+        share = passed[packet[jumps]] / np.bincount(packet[jumps], minlength=len(self._steps))[packet[jumps]]
+        steps[jumps] = np.maximum(share, usual)
+
+    def _fits(self, usual: float) -> bool:
+        """Whether the steps of the device's time are those of the declared rate: then its unit is right, too."""
+        return self._rate is not None and abs(NS / usual / self._rate - 1) <= WRONG
 
     def _tell(self, hz: float, text: str, at_start: bool, feed: Feed) -> float | None:
         if at_start and (self._policy == "fail" or not hz):
