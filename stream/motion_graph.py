@@ -84,7 +84,7 @@ class MotionGraph:
             tree = JointTree.from_facts(model.header["skeleton"])
             rate_hz, blend = float(model.header["rate_hz"]), int(model.header["blend"])
             names = tuple(str(name) for name in model.header["clusters"])
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise ModelError(f"{path}: the header does not describe a motion graph ({error})") from None
         poses = model.array("poses", (None, tree.width))
         kinds = {
@@ -122,6 +122,8 @@ def _wrong(g: MotionGraph) -> str:
         return "a node names a cluster that is not there"
     if not all(np.all((ends >= 0) & (ends < k)) for ends in (g.source, g.target)) or np.any(np.diff(g.source) < 0):
         return "an edge names a node that is not there, or edges are not in the order of their nodes"
+    if any(np.any((at < 0) | (at > n)) for at in (g.leave, g.enter)):
+        return "an edge names frames that are not there"
     steps = np.where(g.natural, 0, b)
     low, high = np.minimum(g.leave, g.enter) - steps, np.maximum(g.leave, g.enter) + steps
     if np.any(low < 0) or np.any(high >= n + g.natural):

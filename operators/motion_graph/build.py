@@ -75,9 +75,10 @@ def build_graph(
         raise KinegraphError(
             f"no stretch of {SHORTEST_S:g} s or more in these recordings: there is nothing to make nodes of"
         )
-    edges = find_edges(joints_of(tree, poses)[1], nodes, within_m * FARTHEST, blend)
-    near, core = walkable(nodes, edges.part((edges.placed[:, 3] <= within_m) | _natural(edges)), blend)
+    joints = joints_of(tree, poses)[1]
+    near, core = walkable(nodes, find_edges(joints, nodes, within_m, blend), blend)
     if not core.any():
+        edges = find_edges(joints, nodes, within_m * FARTHEST, blend)
         raise KinegraphError(_open_ended(nodes, edges, within_m, blend, rate_hz, takes))
     return MotionGraph(
         tree, rate_hz, tuple(names), blend, poses, contacts, number, nodes.first, nodes.last, nodes.cluster, nodes.mirrored, core,
@@ -131,20 +132,25 @@ def find_edges(joints: Samples, nodes: Nodes, most_m: float, blend: int) -> Edge
     if len(at):
         seen = _features(joints, at, offsets, left, right)
         index = Index(seen.shape[1], len(seen), most=0)
-        for row in seen:
-            index.insert(row)
+        index.follow(seen, 0)
         radius = ROOM * most_m * np.sqrt(seen.shape[1] / 3)
         for k, ends in enumerate(leaves):
-            best: dict[int, tuple[float, int, int]] = {}
+            best = np.full(len(enters), np.inf)
+            seams = np.zeros((len(enters), 2), np.int64)
             for leave, row in zip(ends.tolist(), _features(joints, ends, offsets, left, right), strict=True):
-                frames, far = index.within(radius, row, band=-1)
-                for found, distance in zip(frames.tolist(), far.tolist(), strict=True):
-                    if (
-                        abs(int(at[found]) - leave) > blend
-                        and distance < best.get(int(owner[found]), (np.inf, 0, 0))[0]
-                    ):
-                        best[int(owner[found])] = (distance, leave, int(at[found]))
-            for other, (_, leave, enter) in sorted(best.items()):
+                found, far = index.within(radius, row, band=-1)
+                apart = np.abs(at[found] - leave) > blend
+                found, far = found[apart], far[apart]
+                order = np.lexsort(
+                    (far, owner[found])
+                )  # of each node the nearest window first, of two as near the earlier one
+                nodes_found, first = np.unique(owner[found][order], return_index=True)
+                nearest = order[first]
+                better = far[nearest] < best[nodes_found]
+                best[nodes_found[better]] = far[nearest][better]
+                seams[nodes_found[better]] = np.stack([np.full(better.sum(), leave), at[found[nearest[better]]]], 1)
+            for other in np.flatnonzero(np.isfinite(best)).tolist():
+                leave, enter = (int(frame) for frame in seams[other])
                 placed = cloud_distance(joints, leave, enter, blend)
                 if placed[3] <= most_m:
                     rows.append((k, other, leave, enter, placed))
