@@ -10,6 +10,7 @@ import gzip
 import math
 import sys
 import threading
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -36,6 +37,9 @@ ROOM = 192 << 20
 """Bytes that reading any file may take, beside those that its size allows."""
 RATIO = 16
 """A larger piece may unpack to so many times its size."""
+WHOLE_RATIO = 500
+"""All pieces of a recording together may unpack to so many times its size; what kinegraph writes unpacks to far less, even zeros."""
+LEAST_WHOLE = 1 << 31
 _STEP = 1 << 20
 MOST_ROWS = 1 << 48
 _MANY_ARRAYS = 10_000
@@ -48,6 +52,12 @@ class TooLarge(ValueError):
 def most(packed: int) -> int:
     """Bytes that `packed` bytes from a stranger may unpack to."""
     return max(LEAST, RATIO * packed)
+
+
+def check_whole(declared: int, packed: int) -> None:
+    """Raises TooLarge where the pieces of a recording of `packed` bytes declare more than it may unpack to, `declared` bytes."""
+    if declared > (limit := max(LEAST_WHOLE, WHOLE_RATIO * packed)):
+        raise TooLarge(f"it claims to hold {declared} bytes in {packed}; at most {limit} are unpacked")
 
 
 def check_size(declared: int, packed: int, what: str = "it") -> int:
@@ -137,6 +147,7 @@ def _array(file: IO[bytes], size: int) -> Array:
 DAMAGE = (
     *(ValueError, ArithmeticError, LookupError, TypeError, AttributeError, AssertionError, MemoryError, RuntimeError),
     *(EOFError, StopIteration, NotImplementedError, zipfile.BadZipFile, zlib.error, zstandard.ZstdError),
+    *(SyntaxError, tokenize.TokenError),  # of the header of an array
 )
 """What a library may raise at a damaged file, beside its own errors: whatever its author did not think of."""
 

@@ -106,15 +106,11 @@ def to_humanoid(tree: JointTree, poses: Samples, bones: Mapping[str, str] | None
     World rotations are kept, but for the turn from this skeleton's rest to the T-pose. A bone that it does not have lies where its parent
     is and turns with it. Raises KinegraphError.
     """
-    found = find_bones(tree.joints, bones)
-    at = [tree.joints.index(found[bone]) if bone in found else -1 for bone in BONES]
+    at, heads, change = body_in(tree, bones)
     turns, places = joints_of(tree, poses)
-    rest = tree.at_rest
-    heads, world = np.empty((len(BONES), 3)), np.empty((len(poses), len(BONES), 4))
+    world = np.empty((len(poses), len(BONES), 4))
     for b in range(len(BONES)):
-        heads[b] = rest[at[b]] if at[b] >= 0 else heads[NUMBERS[b]]
         world[:, b] = turns[:, at[b]] if at[b] >= 0 else world[:, NUMBERS[b]]
-    change = _from_t_pose(heads)
     offsets = heads.copy()
     for b in range(1, len(BONES)):
         offsets[b] = _turned(change[NUMBERS[b]] * [1.0, -1.0, -1.0, -1.0], heads[b] - heads[NUMBERS[b]])
@@ -122,6 +118,17 @@ def to_humanoid(tree: JointTree, poses: Samples, bones: Mapping[str, str] | None
     for b in range(len(BONES)):
         world[:, b] = _times(world[:, b], change[b])
     return made, local_poses(made, places[:, at[0]], world)
+
+
+def body_in(tree: JointTree, bones: Mapping[str, str] | None = None) -> tuple[list[int], Samples, Samples]:
+    """Of every bone: its joint (-1: it moves with its parent), where it is at rest (22, 3), and the rotation (22, 4) that takes it from the
+    T-pose to that rest. Raises KinegraphError where the skeleton is no humanoid."""
+    found = find_bones(tree.joints, bones)
+    at = [tree.joints.index(found[bone]) if bone in found else -1 for bone in BONES]
+    rest, heads = tree.at_rest, np.empty((len(BONES), 3))
+    for b in range(len(BONES)):
+        heads[b] = rest[at[b]] if at[b] >= 0 else heads[NUMBERS[b]]
+    return at, heads, _from_t_pose(heads)
 
 
 def _from_t_pose(heads: Samples) -> Samples:

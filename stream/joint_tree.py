@@ -82,14 +82,14 @@ class JointTree:
             tree = JointTree.from_facts(spec.meta["skeleton"])
             if spec.shape != (tree.width,) or spec.is_event:
                 raise ValueError(f"{len(tree.joints)} joints need rows of {tree.width} numbers")
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             accepts = "a stream of poses: rows of a root position and quaternions, with a skeleton in its spec"
             raise InputError(port, f"{spec.describe()} ({error})", accepts) from None
         return tree
 
     @staticmethod
     def from_facts(facts: Any) -> JointTree:
-        """What `facts` gave. Raises KeyError, TypeError or ValueError."""
+        """What `facts` gave. Raises KeyError, TypeError, ValueError or OverflowError."""
         joints, parents, offsets = facts["joints"], facts["parents"], facts["offsets_m"]
         if not all(isinstance(name, str) for name in joints):
             raise ValueError("joints have names")

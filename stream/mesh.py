@@ -68,7 +68,7 @@ class Topology:
             made = Topology(spec.shape[0], _faces(facts), str(facts["name"]))
             if made.hash != facts["topology"]:
                 raise ValueError("the triangles are not those that its hash was made of")
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             accepts = "a stream of a mesh's vertices (vertices, 3), with the mesh in its spec"
             raise InputError(port, f"{spec.describe()} ({error})", accepts) from None
         return made

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import json
 import stat
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -19,14 +17,13 @@ from typing import Any
 
 import numpy as np
 
+from stream import bounded
 from stream.chunk import Array, StreamSpec
 from stream.complete import complete
 from stream.errors import InputError, KinegraphError, nearest
 from stream.owners import refuse_shared
 
 VERSION = 1
-MOST_BYTES = 1 << 30
-"""A larger model is refused before it is unpacked."""
 NUMBERS = "biufc"
 
 
@@ -107,24 +104,10 @@ def read_model(path: Path, kind: str) -> Model:
     """Read a model of this kind, from a place that nobody else may write. Raises ModelError."""
     _refuse_planted(path)
     try:
-        with zipfile.ZipFile(path) as archive:
-            if sum(entry.file_size for entry in archive.infolist()) > MOST_BYTES:
-                raise ModelError(f"{path}: unpacked the model would take more than {MOST_BYTES >> 20} MiB")
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+        arrays = bounded.arrays(path)
     except FileNotFoundError:
         raise ModelError(f"{path}: there is no such file; make a model with kinegraph train {kind}") from None
-    except (
-        OSError,
-        ValueError,
-        EOFError,
-        KeyError,
-        NotImplementedError,
-        RuntimeError,
-        zipfile.BadZipFile,
-        zlib.error,
-        MemoryError,
-    ) as error:
+    except (OSError, *bounded.DAMAGE) as error:
         raise ModelError(f"{path}: not a model that can be read ({error or type(error).__name__})") from None
     header = _header(path, arrays.pop("header", None))
     if header.get("kind") != kind:

@@ -112,7 +112,7 @@ class MotionIndex:
             markers = tuple(str(name) for name in model.header["markers"])
             unit = str(model.header["unit"])
             sequences = tuple(_sequence(one) for one in model.header["sequences"])
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
             raise ModelError(f"{path}: the header does not describe a map of motion ({error})") from None
         sizes = _sizes(model, len(markers))
         arrays = {name: model.array(name, sizes[name], dtype) for name, dtype in ARRAYS.items()}

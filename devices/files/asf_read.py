@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from array import array
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from devices.files.kinematics import in_turn, place
+from devices.files.kinematics import blocks, in_turn, place
 from devices.files.timing import grid_of
 from stream.chunk import Samples, StreamSpec
 from stream.errors import RecordingError, nearest
@@ -56,20 +58,17 @@ def read_amc(path: Path, skeleton: Skeleton, rate_hz: float = 120.0, start_ns: i
     degrees = rows * np.array([np.degrees(1.0) if radians and c[1] in TURNS else 1.0 for c in names])
     cm = CMU_CM / skeleton.length_unit
     degrees *= np.array([cm if c[1] not in TURNS else 1.0 for c in names])
-    steps, turns = [], []
-    for bone in skeleton.bones:
-        columns = {dof: names.index((bone.name, dof)) for dof in bone.dof}
-        spun = [dof for dof in bone.dof if dof in TURNS]
-        rest = in_turn(bone.order[::-1], np.array([bone.axis[::-1]]))[0]
-        moved = in_turn("".join(TURNS[dof] for dof in spun[::-1]), degrees[:, [columns[dof] for dof in spun[::-1]]])
-        turns.append(np.einsum("ij,njk,lk->nil", rest, moved, rest))
-        step = np.tile(np.array(bone.direction) * bone.length * cm, (len(rows), 1))
-        for dof, axis in MOVES.items():
-            if dof in columns:
-                step[:, axis] += degrees[:, columns[dof]]
-        steps.append(step)
     time = grid_of(rate_hz, np.arange(len(rows)), start_ns)
-    ends = place(skeleton.parents, steps, turns, ends=True)
+    posed = not any(dof in MOVES for bone in skeleton.bones[1:] for dof in bone.dof)
+    bones = len(skeleton.bones)
+    ends, poses = np.empty((len(rows), bones, 3)), np.empty((len(rows), 3 + 4 * bones if posed else 0))
+    for block in blocks(len(rows)):
+        steps, turns = _steps_and_turns(skeleton, names, degrees[block], cm)
+        ends[block] = place(skeleton.parents, steps, turns, ends=True)
+        if posed:
+            poses[block, :3] = steps[0] / 100.0
+            for k, turn in enumerate(turns):
+                poses[block, 3 + 4 * k : 7 + 4 * k] = Rotation.from_matrix(turn).as_quat(scalar_first=True)
     spec = StreamSpec(ends.shape[1:], rate_hz=rate_hz, channels=tuple(b.name for b in skeleton.bones), units=("cm",))
     angles = StreamSpec(
         (len(names),),
@@ -78,20 +77,37 @@ def read_amc(path: Path, skeleton: Skeleton, rate_hz: float = 120.0, start_ns: i
         units=tuple("deg" if dof in TURNS else "cm" for _, dof in names),
     )
     made = [Series(path.stem, spec, time, ends), Series(f"{path.stem}.angles", angles, time, degrees)]
-    if not any(dof in MOVES for bone in skeleton.bones[1:] for dof in bone.dof):
-        tree, poses = _poses(skeleton, steps[0], turns, cm / 100.0)
-        made.append(Series(f"{path.stem}.pose", tree.spec(rate_hz), time, poses))
+    if posed:
+        made.append(Series(f"{path.stem}.pose", _tree(skeleton, cm / 100.0).spec(rate_hz), time, poses))
     return made
 
 
-def _poses(skeleton: Skeleton, root: Samples, turns: list[Samples], to_m: float) -> tuple[JointTree, Samples]:
-    """A joint at the beginning of each bone, which ends where its children begin; and the poses (n, 3 + 4 j) m."""
+def _steps_and_turns(
+    skeleton: Skeleton, names: list[tuple[str, str]], degrees: Samples, cm: float
+) -> tuple[list[Samples], list[Samples]]:
+    """Per bone the way to its end (n, 3) in cm, and its rotation (n, 3, 3), seen from its parent."""
+    steps, turns = [], []
+    for bone in skeleton.bones:
+        columns = {dof: names.index((bone.name, dof)) for dof in bone.dof}
+        spun = [dof for dof in bone.dof if dof in TURNS]
+        rest = in_turn(bone.order[::-1], np.array([bone.axis[::-1]]))[0]
+        moved = in_turn("".join(TURNS[dof] for dof in spun[::-1]), degrees[:, [columns[dof] for dof in spun[::-1]]])
+        turns.append(np.einsum("ij,njk,lk->nil", rest, moved, rest))
+        step = np.tile(np.array(bone.direction) * bone.length * cm, (len(degrees), 1))
+        for dof, axis in MOVES.items():
+            if dof in columns:
+                step[:, axis] += degrees[:, columns[dof]]
+        steps.append(step)
+    return steps, turns
+
+
+def _tree(skeleton: Skeleton, to_m: float) -> JointTree:
+    """A joint at the beginning of each bone, which ends where its children begin."""
     bones, parents = skeleton.bones, skeleton.parents
     ends = [np.array(bone.direction) * bone.length * to_m for bone in bones]
     offsets = np.array([ends[p] if p > 0 else np.zeros(3) for p in parents])
-    quaternions = [Rotation.from_matrix(turn).as_quat(scalar_first=True) for turn in turns]
     names = ("hips", *(bone.name for bone in bones[1:]))  # "root" is what a pose calls the position
-    return JointTree(names, np.array(parents), offsets), np.hstack([root / 100.0, *quaternions])
+    return JointTree(names, np.array(parents), offsets)
 
 
 def read_asf(path: Path) -> Skeleton:
@@ -165,6 +181,8 @@ def _bone(where: str, bone: Bone, words: list[str]) -> None:
                 raise RecordingError(
                     f"{where}: {dof!r} is no degree of freedom; valid are {', '.join((*TURNS, *MOVES))}"
                 )
+        if len(set(bone.dof)) < len(bone.dof):
+            raise RecordingError(f"{where}: a bone has each degree of freedom once, not {' '.join(rest)!r}")
 
 
 def _order(where: str, text: str) -> str:
@@ -194,41 +212,42 @@ def _motion(path: Path, skeleton: Skeleton) -> tuple[list[tuple[str, str]], Samp
     names = [(bone.name, dof) for bone in skeleton.bones for dof in bone.dof]
     first = {bone.name: names.index((bone.name, bone.dof[0])) for bone in skeleton.bones if bone.dof}
     width = {bone.name: len(bone.dof) for bone in skeleton.bones}
-    rows: list[Samples] = []
+    values, row = array("d"), [math.nan] * len(names)
     begun, count, radians = 0, 0, skeleton.radians
     for number, line in enumerate(read_text(path, "AMC").split("\n"), 1):
         words = line.partition("#")[0].split()
         if not words or words[0].startswith(":"):
             radians = UNITS.get(words[0].upper() if words else "", radians)
             continue
-        where = f"{path}: line {number}"
         if len(words) == 1 and words[0].isdecimal():
-            _whole(path, begun, rows, names)
-            if rows and int(words[0]) != count + 1:
-                raise RecordingError(f"{where}: frame {words[0]} comes after frame {count}")
-            count, begun = int(words[0]), number
-            rows.append(np.full(len(names), np.nan))
-        elif not rows:
-            raise RecordingError(f"{where}: a frame's number must come first, not {words[0]!r}")
+            if begun:
+                _whole(path, begun, row, names)
+                values.extend(row)
+                if int(words[0]) != count + 1:
+                    raise RecordingError(f"{path}: line {number}: frame {words[0]} comes after frame {count}")
+            count, begun, row = int(words[0]), number, [math.nan] * len(names)
+        elif not begun:
+            raise RecordingError(f"{path}: line {number}: a frame's number must come first, not {words[0]!r}")
         elif words[0] not in first:
             raise RecordingError(
-                f"{where}: {skeleton.path.name} has no moving bone {words[0]!r}; {nearest(words[0], first)}"
+                f"{path}: line {number}: {skeleton.path.name} has no moving bone {words[0]!r}; {nearest(words[0], first)}"
             )
         else:
             start = first[words[0]]
-            if not np.isnan(rows[-1][start]):
-                raise RecordingError(f"{where}: frame {count} speaks of {words[0]!r} for the second time")
-            rows[-1][start : start + width[words[0]]] = _numbers(where, words[1:], width[words[0]])
-    if not rows:
+            if not math.isnan(row[start]):
+                raise RecordingError(f"{path}: line {number}: frame {count} speaks of {words[0]!r} for the second time")
+            row[start : start + width[words[0]]] = _numbers(f"{path}: line {number}", words[1:], width[words[0]])
+    if not begun:
         raise RecordingError(f"{path}: holds no frames")
-    _whole(path, begun, rows, names)
-    return names, np.array(rows), radians
+    _whole(path, begun, row, names)
+    values.extend(row)
+    return names, np.frombuffer(values).reshape(-1, len(names)), radians
 
 
-def _whole(path: Path, begun: int, rows: list[Samples], names: list[tuple[str, str]]) -> None:
-    """Raises where the newest frame lacks a bone."""
-    if rows and np.isnan(rows[-1]).any():
-        missing = names[int(np.flatnonzero(np.isnan(rows[-1]))[0])][0]
+def _whole(path: Path, begun: int, row: list[float], names: list[tuple[str, str]]) -> None:
+    """Raises where a frame lacks a bone."""
+    missing = next((name for value, (name, _) in zip(row, names, strict=True) if math.isnan(value)), None)
+    if missing is not None:
         raise RecordingError(
             f"{path}: line {begun}: this frame says nothing about {missing!r}; the file was cut off, or is of another body"
         )
@@ -239,6 +258,6 @@ def _numbers(where: str, words: list[str], count: int) -> list[float]:
         made = [float(word) for word in words]
     except ValueError:
         made = []
-    if len(made) != count or not np.isfinite(made).all():
+    if len(made) != count or not all(map(math.isfinite, made)):
         raise RecordingError(f"{where}: {count} numbers are needed here, not {' '.join(words)!r}")
     return made

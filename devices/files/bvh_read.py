@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from devices.files.kinematics import in_turn, place
+from devices.files.kinematics import blocks, in_turn, place
 from devices.files.timing import grid_of, snapped
 from stream.chunk import Samples, StreamSpec
 from stream.errors import RecordingError, nearest
@@ -54,23 +54,27 @@ def read_bvh(path: Path, unit: str = "", scale: float = 1.0, start_ns: int = 0) 
         units=tuple("deg" if channel.endswith("rotation") else unit for _, channel in named),
     )
     moved = frames * np.array([1.0 if channel.endswith("rotation") else scale for _, channel in named])
-    steps, turns = _steps_and_turns(joints, frames)
-    placed = place([joint.parent for joint in joints], steps, turns, ends=False)
-    made = [Series(path.stem, spec, time, placed * scale), Series(f"{path.stem}.angles", angles, time, moved)]
-    if unit in METRES and not any(c.endswith("position") for joint in joints[1:] for c in joint.channels):
-        tree, poses = _poses(joints, steps[0], turns, scale * METRES[unit])
-        made.append(Series(f"{path.stem}.pose", tree.spec(rate), time, poses))
+    posed = unit in METRES and not any(c.endswith("position") for joint in joints[1:] for c in joint.channels)
+    to_m = scale * METRES[unit] if posed else 0.0
+    turning = [j for j, joint in enumerate(joints) if joint.channels or joint.parent < 0] if posed else []
+    placed, poses = np.empty((len(frames), len(joints), 3)), np.empty((len(frames), 3 + 4 * len(turning)))
+    for block in blocks(len(frames)):
+        steps, turns = _steps_and_turns(joints, frames[block])
+        placed[block] = place([joint.parent for joint in joints], steps, turns, ends=False) * scale
+        poses[block, :3] = to_m * steps[0]
+        for k, j in enumerate(turning):
+            poses[block, 3 + 4 * k : 7 + 4 * k] = Rotation.from_matrix(turns[j]).as_quat(scalar_first=True)
+    made = [Series(path.stem, spec, time, placed), Series(f"{path.stem}.angles", angles, time, moved)]
+    if posed:
+        made.append(Series(f"{path.stem}.pose", _tree(joints, turning, to_m).spec(rate), time, poses))
     return made
 
 
-def _poses(joints: list[Joint], root: Samples, turns: list[Samples], to_m: float) -> tuple[JointTree, Samples]:
-    """The joints that turn as a skeleton, and their poses."""
-    kept = [j for j, joint in enumerate(joints) if joint.channels or joint.parent < 0]
+def _tree(joints: list[Joint], kept: list[int], to_m: float) -> JointTree:
+    """The joints that turn, as a skeleton."""
     offsets = to_m * np.array([joints[j].offset for j in kept])
     parents = [kept.index(joints[j].parent) if joints[j].parent >= 0 else -1 for j in kept]
-    tree = JointTree(tuple(joints[j].name for j in kept), np.array(parents), offsets)
-    quaternions = [Rotation.from_matrix(turns[j]).as_quat(scalar_first=True) for j in kept]
-    return tree, np.hstack([to_m * root, *quaternions])
+    return JointTree(tuple(joints[j].name for j in kept), np.array(parents), offsets)
 
 
 def _steps_and_turns(joints: list[Joint], frames: Samples) -> tuple[list[Samples], list[Samples]]:
@@ -207,11 +211,14 @@ def _timing(path: Path, lines: list[str], at: int) -> tuple[float, int]:
 
 
 def _frames(path: Path, lines: list[str], at: int, width: int) -> Samples:
-    body = [(number, line) for number, line in enumerate(lines[at:], at + 1) if line.strip()]
+    body = [line for line in lines[at:] if line.strip()]
     try:
-        made: Samples = np.loadtxt([line for _, line in body], ndmin=2, comments=None)
+        made: Samples = np.loadtxt(body, ndmin=2, comments=None)
         if made.shape == (len(body), width) and np.isfinite(made).all():
             return made
     except ValueError:
         pass
-    return np.array([_numbers(f"{path}: line {number}", line.split(), width, "a frame") for number, line in body])
+    numbered = ((number, line.split()) for number, line in enumerate(lines[at:], at + 1))
+    return np.array(
+        [_numbers(f"{path}: line {number}", words, width, "a frame") for number, words in numbered if words]
+    )

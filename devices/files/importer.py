@@ -118,7 +118,12 @@ def read_files(files: Sequence[Path], wishes: Wishes, *, kinect: bool = False) -
     kinds.sort(key=lambda kind: kind[0].order)
     series: list[Series] = []
     for one, mine in kinds:
-        made, wishes = one.read(mine, wishes, one is kinds[-1][0])
+        try:
+            made, wishes = one.read(mine, wishes, one is kinds[-1][0])
+        except RecordingError as error:
+            if any(str(file) in str(error) for file in mine):
+                raise
+            raise RecordingError(f"{', '.join(map(str, mine))}: {error}") from None
         for file in mine:
             wishes.findings.kinds.setdefault(file, one.what)
         series += made

@@ -1,12 +1,20 @@
-"""From joint angles to joint positions: what BVH and ASF/AMC files need, whole recordings at once."""
+"""From joint angles to joint positions: what BVH and ASF/AMC files need."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from stream.chunk import Samples
+
+BLOCK = 1 << 14
+"""Frames that are worked through together, so that rotations of a long recording are never in memory all at once."""
+
+
+def blocks(count: int) -> Iterator[slice]:
+    """All of `count` frames, some at a time."""
+    return (slice(at, min(at + BLOCK, count)) for at in range(0, count, BLOCK))
 
 
 def about(axis: str, radians: Samples) -> Samples:
