@@ -1,9 +1,10 @@
 """`python -m bench.emg_faults`: faults of EMG sessions in a simulated walk: what notices them, when, and what the numbers become.
 
 45 s of walking, four muscles of the right leg, contacts from the force under both feet (the left belt's is there for its cross-talk). Each
-fault is put into the arrays, 15 s after the start unless it says otherwise. "Change" is that of the highest point of a muscle's mean curve
-against the walk without the fault, of the muscle that changes most: of all cycles, and of those that `CycleReview` leaves in. "Noticed" is
-the first alarm after the fault began; or else what the report says at the end: a channel's verdict, or cycles that were left out.
+fault is put into the arrays, 15 s after the start unless it says otherwise. The number is the one that it changes most of each muscle's
+peak and means (cycle, stance, swing), stance and cadence, averaged over all cycles, and over those that `CycleReview` leaves in.
+"Noticed" is the first alarm after the fault began; or else what the report says at the end: a channel's verdict, or cycles left out.
+`python -m bench.emg_real_faults` does the same to recordings of real walks.
 """
 
 from __future__ import annotations
@@ -11,31 +12,20 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from itertools import pairwise
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
+from bench.emg_session import HEAD, Outcome, analysed, drive, table_row
 from devices.simulators.treadmill import Treadmill
 from devices.simulators.treadmill.faults import Fault, Faults
-from operators.emg.channel_watch import ChannelWatch
-from operators.emg.electrode_watch import ElectrodeWatch
-from operators.emg.envelope import Envelope
-from operators.emg.quality import SignalQuality
-from operators.gait.cycle_watch import CycleWatch
-from operators.gait.cycles import Cycles
-from operators.gait.ensemble import CycleEnsemble
 from operators.gait.force import ForceContacts
-from operators.gait.pattern_watch import PatternWatch
-from operators.gait.review import CycleReview
-from stream.chunk import FOREVER, NS, Chunk, Samples, StreamSpec
-from stream.engine.merge import Merge
+from stream.chunk import NS, Samples, StreamSpec
 
 MUSCLES = ("RF", "BF", "TA", "SO")
 SECONDS, FROM_S = 45, 15
 RATE = 1000
 TA, SO = 2, 3
-Stream: TypeAlias = tuple[StreamSpec, Any, Any]
 
 
 @dataclass
@@ -191,118 +181,32 @@ FROM_THE_START = (
 )  # fmt: skip
 
 
-def drive(operator: Any, inputs: dict[str, Stream], lost: Any = None) -> dict[str, Stream]:
-    """An operator over whole streams, in chunks of 500; `lost`: which samples of the only input arrived."""
-    specs = {port: given[0] for port, given in inputs.items()}
-    outputs = operator.open(specs)
-    merge, pieces = Merge(specs), []
-    for port, (_, time, data) in inputs.items():
-        edges = [*range(0, len(time), 500), len(time)]
-        if lost is not None:
-            edges = sorted({*edges, *(np.flatnonzero(np.diff(time) > 1.5 * NS / RATE) + 1).tolist()})
-        for a, b in pairwise(edges):
-            gap = a and lost is not None and time[a] - time[a - 1] > 1.5 * NS / RATE
-            until = int(time[b]) - 1 if b < len(time) else int(time[b - 1])
-            pieces.append((port, Chunk(time[a:b], data[a:b], until, -1 if gap else 0)))
-    pieces.sort(key=lambda piece: piece[1].time[0])
-    pieces += [(port, Chunk(given[1][:0], given[2][:0], FOREVER)) for port, given in inputs.items()]
-    found: dict[str, list[Chunk]] = {name: [] for name in outputs}
-    for port, chunk in pieces:
-        for name, piece in merge.push(port, chunk) if len(specs) > 1 else [(port, chunk)]:
-            made = operator.process(name, piece)
-            for output, out in [(next(iter(outputs)), made)] if isinstance(made, Chunk) else made or ():
-                found[output].append(out)
-    return {
-        name: (outputs[name], np.concatenate([c.time for c in cs]), np.concatenate([c.data for c in cs]))
-        for name, cs in found.items()
-    }
-
-
-@dataclass
-class Outcome:
-    """peaks (m,) of the mean curves of all cycles, and of those left in; alarms (s, whose, what); cycles; what the report says."""
-
-    all_peaks: Samples
-    peaks: Samples
-    alarms: list[tuple[float, str, str]]
-    cycles: int
-    said: list[str]
-
-
-def analysed(w: Walk) -> Outcome:
-    """The walk through the session's operators."""
+def analysed_walk(w: Walk) -> Outcome:
+    """The walk through the session's operators; contacts from the force."""
     time = np.arange(len(w.emg)) * (NS // RATE)
     emg = (StreamSpec((4,), rate_hz=float(RATE), channels=MUSCLES, units=("uV",)), time[w.here], w.emg[w.here])
     force = (StreamSpec((2,), rate_hz=float(RATE), channels=("right", "left"), units=("N",)), time, w.force)
-    feet = drive(ForceContacts(channels=("right",), other=("left",)), {"in": force})
-    quality = drive(SignalQuality(), {"in": emg}, w.here)["out"]
-    envelope = drive(Envelope(), {"in": emg}, w.here)["out"]
-    cycles = drive(Cycles(), {"signal": envelope, **feet})
-    both = {name: cycles[name] for name in ("closed", "cycles")}
-    kept = drive(CycleReview(), {"quality": quality, **both})
-    left = {name: kept[name] for name in ("closed", "cycles")}
-    watched = [
-        drive(ElectrodeWatch(), {"in": quality})["out"],
-        drive(ChannelWatch(), {"in": emg}, w.here)["out"],
-        drive(CycleWatch(), {"signal": envelope, "closed": cycles["closed"]})["out"],
-        drive(PatternWatch(), both)["out"],
-    ]
-    alarms = [
-        (stamp / NS, str(row["subject"]), str(row["what"]))
-        for _, stamps, rows in watched
-        for stamp, row in zip(stamps.tolist(), rows, strict=True)
-        if row["state"] == "on"
-    ]
-    every, reviewed = (_peaks(streams) for streams in (both, left))
-    closed = {int(row["number"]): str(row["rejected"]) for row in left["closed"][2]}
-    said = [f"{r['name']} {r['session_flag']}" for r in quality[2][-4:] if r["session_flag"] != "good"]
-    out = sum(int(row["used"] == 0) for row in kept["judged"][2])
-    said += [f"{out} cycles of a muscle left out"] if out else []
-    rejected = sum(bool(reason) for reason in closed.values())
-    said += [f"{rejected} cycles rejected"] if rejected else []
-    return Outcome(every, reviewed, sorted(alarms), len(closed) - rejected, said)
+    return analysed(emg, drive(ForceContacts(channels=("right",), other=("left",)), {"in": force}), w.here)
 
 
-def _peaks(streams: dict[str, Stream]) -> Samples:
-    """The highest point of each muscle's mean curve; NaN where there is none."""
-    rows = drive(CycleEnsemble(), streams)["muscles"][2]
-    return np.array([rows["peak"][rows["name"] == name][-1:].sum() if len(rows) else np.nan for name in MUSCLES])
-
-
-def table(names: list[str]) -> list[tuple[str, str, str, str, str, int]]:
-    """Rows of fault, what noticed it, after how long, change of all cycles, of those left in, and good cycles."""
-    sound, whole = walk(), None
-    whole = analysed(sound)
-    rows = [("none", "-", "-", "0 %", "0 %", whole.cycles)]
+def table(names: list[str]) -> list[tuple[str, ...]]:
+    """The rows of these faults, after that of the walk without one."""
+    sound = walk()
+    whole = analysed_walk(sound)
+    rows = [table_row("none", 0.0, whole, whole)]
     for name in names:
         w = sound.copy()
         FAULTS[name](w)
-        now = analysed(w)
-        begin = 22 if "22 s" in name else 0 if name in FROM_THE_START else FROM_S
-        known = {(who, what) for _, who, what in whole.alarms}
-        first = next(((t, who, what) for t, who, what in now.alarms if t >= begin and (who, what) not in known), None)
-        noticed = f"{first[1]}: {first[2]}" if first else "; ".join(s for s in now.said if s not in whole.said) or "not"
-        after = f"{first[0] - begin:.1f} s" if first else "at the end" if noticed != "not" else "-"
-        rows.append(
-            (name, noticed, after, _change(now.all_peaks, whole.peaks), _change(now.peaks, whole.peaks), now.cycles)
-        )
+        begin_s = 22 if "22 s" in name else 0 if name in FROM_THE_START else FROM_S
+        rows.append(table_row(name, begin_s, analysed_walk(w), whole))
         print(rows[-1], file=sys.stderr, flush=True)
     return rows
 
 
-def _change(now: Samples, before: Samples) -> str:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        part = 100 * (now / before - 1)
-    if not np.isfinite(part).any() or not np.nansum(now):
-        return "no curve"
-    return f"{part[np.nanargmax(np.abs(part))]:+.0f} %"
-
-
 def main() -> None:
-    print("| fault | noticed by | after | change, all cycles | change, those left in | cycles |")
-    print("|---|---|---|---|---|---|")
+    print(HEAD)
     for row in table(sys.argv[1:] or list(FAULTS)):
-        print(f"| {' | '.join(map(str, row))} |", flush=True)
+        print(f"| {' | '.join(row)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,10 @@ MOST_MB = 500.0
 """So much memory may the reading of a file of 10 MB from a stranger take, all in all."""
 
 
+MOST_S = 10.0
+"""And so much processor time."""
+
+
 class Measured(NamedTuple):
     code: int
     out: str

@@ -90,6 +90,15 @@ def test_every_second_step_missed_is_told_at_the_second_long_cycle() -> None:
     assert ("on", "cadence") not in [(state, what) for _, state, what in told]
 
 
+def test_contacts_found_early_and_late_are_told_and_another_speed_is_not() -> None:
+    late = np.cumsum(np.full(60, 1.0)) + np.where(np.arange(60) > 30, np.random.default_rng(3).normal(0, 0.1, 60), 0)
+    told = [(at, state) for at, state, what in watched(late, 62.0) if what.startswith("cycles differ by")]
+    assert [state for _, state in told] == ["on"] and 31 < told[0][0] < 45
+    speeds = np.cumsum(np.where(np.arange(60) < 20, 1.3, np.where(np.arange(60) < 40, 1.05, 0.9)))
+    tremble = np.random.default_rng(4).normal(0, 0.02, 60)
+    assert watched(speeds + tremble, float(speeds[-1]) + 1) == []
+
+
 def test_cycles_that_cover_little_of_the_session_are_told() -> None:
     rng = np.random.default_rng(0)
     touch = np.arange(1.0, 79.0, 1.05)

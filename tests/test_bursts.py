@@ -117,6 +117,30 @@ def test_leads_that_are_swapped_in_mid_session_are_told() -> None:
     assert all(26 < (t - NS) / NS - 0.02 <= 30 for t in time)
 
 
+def test_another_stage_has_its_own_size_and_leads_swapped_between_stages_are_told() -> None:
+    """At 15 both muscles get 1.6 times as high with the belt's speed; at 40 leads are swapped as the next stage begins."""
+    rng = np.random.default_rng(4)
+    shapes = np.stack([5 + bump(c, 8, 80.0) for c in (10, 40)], axis=1)
+    curves = shapes[None] * np.exp(0.1 * rng.standard_normal((80, 1, 2))) + rng.standard_normal((80, POINTS, 2))
+    curves[15:40] *= 1.6
+    given = cycles_of(curves, ("TA", "SO"))
+    assert {str(r["what"])[:9] for r in drive(PatternWatch(), given)["out"][2]} == {"its curve"}, "told without stages"
+    _, time, rows = given["closed"]
+    kind = np.dtype([*rows.dtype.descr, ("stage", "<U32"), ("speed_m_s", "<f8")])
+    closed = np.zeros(len(rows), kind)
+    for name in rows.dtype.names or ():
+        closed[name] = rows[name]
+    closed["stage"] = ["slow"] * 15 + ["fast"] * 25 + ["slow again"] * 40
+    staged = {**given, "closed": (StreamSpec((), kind, units=("",)), time, closed)}
+    assert not len(drive(PatternWatch(), staged)["out"][2])
+    staged["cycles"][2][40:] = staged["cycles"][2][40:, :, ::-1]
+    told = drive(PatternWatch(), staged)["out"][2]
+    assert [str(r["what"]) for r in told] == ["its curve is that of SO", "its curve is that of TA"]
+    staged["cycles"][2][60:, :, 0] *= 2
+    sizes = [r for r in drive(PatternWatch(), staged)["out"][2] if "times" in str(r["what"])]
+    assert len(sizes) == 1 and "as high as at first" in str(sizes[0]["what"])
+
+
 def test_targets_tell_below_within_and_above() -> None:
     curves = np.stack([np.full((POINTS, 1), v) for v in (10.0, 50.0, 90.0)])
     target = TargetBand("TA", 40.0, 60.0, 90.0, 10.0)

@@ -13,6 +13,7 @@ from operators.emg.mixture_reference import chance_limit
 from operators.emg.mixtures import PeakMixtures, some_maxima
 from operators.emg.peak_window import PeakWindow
 from operators.emg.refit import Refit
+from stream.chunk import NS, StreamSpec
 from stream.errors import InputError, ParameterError
 
 FROM = 61
@@ -200,6 +201,53 @@ def test_each_of_two_legs_is_as_it_would_be_alone_and_beside_the_other():
     pairs = drifted(left, other=theirs)["distance"][2]
     last = pairs[(pairs["name"] == "L_TA") & (pairs["number"] == 40)]["from_other"][0]
     assert np.isclose(late["from_other"][-1], last, rtol=0.2), "the right leg's cycle comes after the left's"
+
+
+def staged(inputs, stages, speeds=None):
+    """The same cycles, of which each has its stage, and the belt's speed."""
+    _, time, rows = inputs["closed"]
+    kind = np.dtype([*rows.dtype.descr, ("stage", "<U32"), ("speed_m_s", "<f8")])
+    made = np.zeros(len(rows), kind)
+    for name in rows.dtype.names:
+        made[name] = rows[name]
+    made["stage"], made["speed_m_s"] = stages, np.nan if speeds is None else speeds
+    return {**inputs, "closed": (StreamSpec((), kind, units=("",)), time, made)}
+
+
+def test_another_stage_has_another_reference_and_is_no_drift():
+    stages = ["0.8 m/s"] * 40 + [""] + ["1.2 m/s"] * 49
+    inputs = staged(moved(bursts(90), 42), stages)
+    assert not len(drifted(inputs)["change"][2]), "what comes with the belt's speed is no drift"
+    rows = drifted(staged(moved(moved(bursts(90), 42), 75), stages))["distance"][2]
+    limit = rows["limit"][rows["name"] == "TA"]
+    assert np.isfinite(limit[20:40]).all() and np.isnan(limit[41:60]).all() and np.isfinite(limit[61:]).all()
+    told = drifted(staged(moved(moved(bursts(90), 42), 75), stages))["change"]
+    assert [str(name) for name in told[2]["subject"]] == ["TA"] and 75 * NS < told[1][0] <= 86 * NS
+    assert len(drifted(moved(bursts(90), 42))["change"][2]), "without stages it is drift"
+
+
+def test_a_stage_that_comes_ends_an_alarm_and_an_earlier_cycle_that_is_told_again_begins_none():
+    stages = ["a"] * 60 + ["b"] * 30
+    alarms = drifted(staged(moved(bursts(90), 40), stages))["change"][2]
+    assert [str(state) for state in alarms["state"]] == ["on", "over"]
+    inputs = staged(bursts(90), stages)
+    (spec, time, closed), (wide, when, curves), kept = inputs["closed"], inputs["cycles"], inputs["maxima"]
+    again = {
+        "closed": (spec, np.insert(time, 70, time[69]), np.insert(closed, 70, closed[55])),
+        "cycles": (wide, np.insert(when, 70, when[69]), np.insert(curves, 70, curves[55], axis=0)),
+    }
+    plain, told = (drifted({"maxima": kept, **more})["distance"][2] for more in (inputs, again))
+    late = plain[plain["number"] > 81]
+    np.testing.assert_array_equal(late["limit"], told[told["number"] > 81]["limit"])
+    assert np.isfinite(late["limit"]).all()
+
+
+def test_a_belt_at_another_speed_is_another_stage_and_an_uneven_one_is_not():
+    inputs = moved(bursts(90), 42)
+    slow = np.where(np.arange(90) < 41, 0.8, 1.2)
+    assert not len(drifted(staged(inputs, [""] * 90, slow))["change"][2])
+    uneven = 1.0 + 0.04 * np.sin(np.arange(90))
+    assert len(drifted(staged(inputs, [""] * 90, uneven))["change"][2]) == 1
 
 
 def test_a_joint_mixture_of_two_limbs_is_refused():

@@ -55,6 +55,31 @@ def test_a_ttl_pulse_starts_and_ends_what_is_measured() -> None:
     assert closed["onset"].tolist() == inside[:-1].tolist() and len(inside) > 8
 
 
+@pytest.mark.parametrize(("tail_s", "told"), [(0.0, 8), (0.4, 9)])
+def test_a_cycle_that_ends_just_before_the_closing_pulse_is_told_where_the_gate_has_a_tail(
+    tail_s: float, told: int
+) -> None:
+    """The pulse comes 20 ms after a touch-down, which is reported another 10 ms later; what began after it is not told."""
+    n, touch = 20_000, contacts(np.arange(0.5, 20, 1.1))
+    time = stamps(n)
+    close = int(touch[1][13]) + NS // 50
+    pulses = (EVENTS, np.array([time[4000], close]), np.array([(time[4000],), (close,)], ONSET))
+    spec, when, rows = touch
+    late = (spec, when + 30_000_000, rows)
+    emg = (StreamSpec((1,), rate_hz=1000.0, units=("uV",)), time, np.random.default_rng(1).normal(0, 50, (n, 1)))
+    gated = {
+        port: drive(Gate(tail_s=tail_s), {"pulses": pulses, "in": given})["out"]
+        for port, given in (("emg", emg), ("touch", late))
+    }
+    assert close + (tail_s - 0.001) * NS <= gated["emg"][1][-1] < close + tail_s * NS
+    closed = drive(Cycles(), {"signal": drive(Envelope(), {"in": gated["emg"]})["out"], "touchdown": gated["touch"]})[
+        "closed"
+    ][2]
+    inside = when[(when >= time[4000]) & (when < close)]
+    assert len(inside) == 10 and closed["onset"].tolist() == inside[:told].tolist()
+    assert closed["rejected"].tolist() == [""] * told
+
+
 def test_markers_open_and_close_by_their_text_and_what_was_kept_back_is_lost() -> None:
     pulses = marks((0.5, "hello"), (1, "go"), (1.5, "go"), (2, "end"), (3, "go"))
     time = stamps(400, 100.0)
@@ -160,19 +185,25 @@ GRAPH = """
 nodes:
   treadmill: {use: devices.simulators.treadmill.Treadmill, muscles: [TA]}
   pulses: {use: operators.threshold.Threshold, from: treadmill.force, level: 100, release: 50}
-  measured: {use: operators.gate.Gate, from: {pulses: pulses.onset, in: treadmill.emg}}
+  measured: {use: operators.gate.Gate, from: {pulses: pulses.onset, in: treadmill.emg}, tail_s: TAIL}
   out: {use: devices.outlets.trigger.TriggerOutlet, from: measured, osc: "127.0.0.1:PORT"}
-  end: {use: devices.outlets.session_end.SessionEnd, from: pulses.onset}
+  end: {use: devices.outlets.session_end.SessionEnd, from: pulses.onset, after_s: AFTER}
 record: [pulses.onset, measured]
 """
 
 
-def test_a_live_session_begins_and_ends_with_pulses(tmp_path: Path) -> None:
+@pytest.mark.parametrize("tail_s", [0.0, 0.3])
+def test_a_live_session_begins_and_ends_with_pulses(tail_s: float, tmp_path: Path) -> None:
     """Nothing else ends it: without the second pulse it would run until the test is given up."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
         receiver.settimeout(60)
-        session = Session(load_text(GRAPH.replace("PORT", str(receiver.getsockname()[1]))), tmp_path / "w")
+        graph = (
+            GRAPH.replace("PORT", str(receiver.getsockname()[1]))
+            .replace("TAIL", str(tail_s))
+            .replace("AFTER", str(1.5 * tail_s))
+        )
+        session = Session(load_text(graph), tmp_path / "w")
         outcome = session.run()
         told = [receiver.recv(1024)[-4:] for _ in range(2)]
     assert outcome.error is None and outcome.exit_code == 0
@@ -180,4 +211,5 @@ def test_a_live_session_begins_and_ends_with_pulses(tmp_path: Path) -> None:
     with Recording.open(tmp_path / "w") as recording:
         at, pulses = recording.read("pulses.onset")
         time, _ = recording.read("measured")
-    assert len(pulses) >= 2 and at[0] <= time[0] <= at[0] + NS // 100 and time[-1] < at[1]
+    assert len(pulses) >= 2 and at[0] <= time[0] <= at[0] + NS // 100
+    assert at[1] + tail_s * NS - (NS // 500 if tail_s else NS) <= time[-1] < at[1] + tail_s * NS

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import structlog
 
-from stream.chunk import Chunk, Specs
+from stream.chunk import FOREVER, NEVER, NS, Chunk, Specs
 from stream.errors import InputError, ParameterError
 from stream.operator import Outlet
 from stream.params import param
@@ -17,9 +17,10 @@ log = structlog.get_logger(__name__)
 
 @dataclass(slots=True)
 class SessionEndState:
-    """pulses: how many there have been."""
+    """pulses: how many there have been;  over: when the session is over; NEVER: not known, FOREVER: it was ended."""
 
     pulses: int
+    over: int
 
 
 @dataclass(slots=True)
@@ -35,11 +36,13 @@ class SessionEnd(Outlet[SessionEndState, SessionEndRuntime]):
 
     in       events: pulses of a trigger (`operators.threshold.Threshold` on a TTL channel, markers from LSL), or any others
 
-    With `text`, only markers of that text count. A replay ends with its recording.
+    With `text`, only markers of that text count. With `after_s` it goes on for so long after that event, for what looks ahead (`tail_s` of
+    `operators.gate.Gate`). A replay ends with its recording.
     """
 
     pulse: int = param(2, least=1, help="the how-manieth pulse ends it: 2 where the first one starts")
     text: str = param("", help="the marker that counts; left out: every event")
+    after_s: float = param(0.0, least=0.0, most=60.0, help="how long after it the session ends")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
@@ -47,7 +50,7 @@ class SessionEnd(Outlet[SessionEndState, SessionEndRuntime]):
             raise InputError("in", spec.describe(), "events; operators.threshold.Threshold makes them of a signal")
         if self.text and "text" not in (spec.dtype.names or ()):
             raise ParameterError("text", self.text, "left out: these events have no field `text`")
-        self.hold(SessionEndState(0), SessionEndRuntime())
+        self.hold(SessionEndState(0, NEVER), SessionEndRuntime())
         return {}
 
     def let_stop(self, stop: Callable[[], None]) -> None:
@@ -55,8 +58,12 @@ class SessionEnd(Outlet[SessionEndState, SessionEndRuntime]):
 
     def process(self, port: str, chunk: Chunk) -> None:
         state, stop = self.state, self.runtime.stop
-        before = state.pulses
-        state.pulses += sum(1 for row in chunk.data if not self.text or str(row["text"]) == self.text)
-        if before < self.pulse <= state.pulses and stop is not None:
-            log.info("the session ends: a trigger says so", pulse=self.pulse)
-            stop()
+        for stamp, row in zip(chunk.time.tolist(), chunk.data, strict=True):
+            state.pulses += not self.text or str(row["text"]) == self.text
+            if state.pulses == self.pulse and state.over == NEVER:
+                state.over = stamp + round(self.after_s * NS)
+        if state.over not in (NEVER, FOREVER) and state.over <= chunk.until:
+            state.over = FOREVER
+            if stop is not None:
+                log.info("the session ends: a trigger says so", pulse=self.pulse)
+                stop()

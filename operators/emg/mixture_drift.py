@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.alarm import ALARM, ALARM_UNITS
+from operators.alarm import ALARM, ALARM_UNITS, OVER
 from operators.emg.emg_model import read_references
 from operators.emg.mixture_distance import cauchy_schwarz
 from operators.emg.mixture_events import MIXTURE, WHEN
@@ -19,6 +19,7 @@ from operators.emg.moved import FIRST, STORED, Alarm, Moved
 from operators.emg.peak_window import PeakWindow
 from operators.emg.refit import Fitting, Refit
 from operators.gait.cycle import MAXIMUM, Expected, check_cycles, some_cycles
+from operators.gait.stage_change import StageUnderWay
 from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
@@ -51,7 +52,7 @@ class MixtureDriftState:
     first, stored   the references of each mixture;  limb (g,): whose muscles it is of
     other (o,)      the other leg's latest mixtures;  pairing (g,): which of them is each one's counterpart, -1: none
     fresh (g,)   mixtures since the last window that was judged
-    moved        what has moved away, from which reference
+    moved        what has moved away, from which reference;  stage: of each limb
     """
 
     expected: Expected
@@ -71,6 +72,7 @@ class MixtureDriftState:
     pairing: Times
     fresh: Times
     moved: Moved
+    stage: StageUnderWay
     names: list[str]
     spread: bool
     how: Fitting
@@ -94,7 +96,9 @@ class MixtureDrift(Operator[MixtureDriftState]):
     (`pairs` of them), followed alike. Only windows that share no cycle are judged, so one odd cycle is no change. The limit is not known
     before the first cycles are there and all pairs are fitted (`pace`: some 200 samples a muscle).
 
-    A cycle that is taken back after the reference was made stays in it.
+    A cycle that is taken back after the reference was made stays in it. Where `closed` has stages (`operators.gait.stages.Stages`), the
+    reference is that of the stage's `first` cycles: another stage, or a belt whose speed differs by more than 0.1 m/s, begins another, and
+    ends an alarm. The stored reference stays.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("maxima", "closed", "cycles", "other", "mixture", "pace")
@@ -141,7 +145,8 @@ class MixtureDrift(Operator[MixtureDriftState]):
                 Expected.none(specs["closed"].dtype),
                 room, held, Refit.none(self.cycles, group.shape[1]), np.zeros(limbs, np.int64), np.zeros((limbs, self.first), np.int64),
                 ReferenceFit.none(self.first, group.shape[1], self.pairs), -1, np.zeros(g, np.int64), References.none(g), stored, group,
-                limb, np.zeros(len(others), MIXTURE), pairs, np.zeros(g, np.int64), Moved.none(g), names, "pace" in specs, how,
+                limb, np.zeros(len(others), MIXTURE), pairs, np.zeros(g, np.int64), Moved.none(g), StageUnderWay.none(limbs), names,
+                "pace" in specs, how,
             ),
             decision_s={"distance": 0.0},
         )  # fmt: skip
@@ -166,7 +171,7 @@ class MixtureDrift(Operator[MixtureDriftState]):
             for _ in range(len(chunk)):
                 self._step()
         else:
-            self._collect(port, chunk)
+            self._collect(port, chunk, alarms)
         lost = -1 if chunk.lost and port == "mixture" else 0
         when = np.array([stamp for stamp, _ in alarms], np.int64)
         data = np.concatenate([np.empty(0, DISTANCE), *rows])
@@ -192,8 +197,8 @@ class MixtureDrift(Operator[MixtureDriftState]):
             Case(cls(first=6, pairs=10), {port: given for port, given in every.items() if port != "other"}, least=20),
         ]
 
-    def _collect(self, port: str, chunk: Chunk) -> None:
-        """Take a cycle in; when there are enough, the reference begins."""
+    def _collect(self, port: str, chunk: Chunk, alarms: list[tuple[int, Alarm]]) -> None:
+        """Take a cycle in; when there are enough, the reference begins. Another stage has another reference."""
         s = self.state
         if port == "maxima":
             s.window.note_peaks(chunk.data)
@@ -206,13 +211,31 @@ class MixtureDrift(Operator[MixtureDriftState]):
                 closed = s.expected.match(stamp)
                 if closed is None:
                     continue
-                s.window.accept(number := int(closed["number"][0]), curve)
-                limb = s.window.limb(number)
+                limb = s.window.limb(number := int(closed["number"][0]))
+                if s.stage.begins(limb, closed[0]):
+                    self._begin_again(stamp, limb, alarms)
+                if not s.stage.holds(limb, number):
+                    continue
+                s.window.accept(number, curve)
                 if not s.frozen[limb] and len(slots := s.window.latest(self.first, limb)) == self.first:
                     s.slots[limb], s.frozen[limb] = slots, 1
                     s.held[limb].take(s.window)
         while not s.spread and self._step():
             pass
+
+    def _begin_again(self, stamp: int, limb: int, alarms: list[tuple[int, Alarm]]) -> None:
+        """A limb's cycles so far are no reference for those to come."""
+        s = self.state
+        s.window.forget(limb)
+        s.frozen[limb] = 0
+        if s.job >= 0 and s.limb[s.job] == limb:
+            s.fit.abandon()
+            s.job = -1
+        for muscle in np.flatnonzero(s.limb == limb).tolist():
+            s.made[muscle] = s.fresh[muscle] = 0
+            s.first.forget(muscle)
+            if s.moved.forget(FIRST, muscle):
+                alarms.append((stamp, s.moved.alarm(FIRST, muscle, s.names[muscle], OVER, self.first)))
 
     def _step(self) -> bool:
         """A piece of work on the references; whether there was any."""

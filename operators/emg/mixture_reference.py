@@ -55,6 +55,10 @@ class References:
         k = max(int(self.modes[which]), 0)
         return self.weights[which, :k], self.means[which, :k], self.covariances[which, :k]
 
+    def forget(self, which: int) -> None:
+        self.modes[which], self.cycles[which] = -1, 0
+        self.limit[which] = self.full[which] = self.noise[which] = np.nan
+
     def put(self, which: int, refit: Refit) -> None:
         k = 0 if refit.unknown else refit.modes
         self.modes[which], self.cycles[which] = k, refit.cycles
@@ -111,8 +115,12 @@ class ReferenceFit:
         known = self.distances[np.isfinite(self.distances)]
         if 2 * len(known) > len(self.distances):
             out.limit[which] = chance_limit(known, len(slots) / size)
-        self.task, self.distances[:] = 0, np.nan
+        self.abandon()
         return True
+
+    def abandon(self) -> None:
+        """Leave the reference under way."""
+        self.begun, self.task, self.distances[:] = False, 0, np.nan
 
     def _begin(
         self, window: PeakWindow, slots: Times, group: Times, which: int, size: int, out: References, how: Fitting

@@ -56,6 +56,12 @@ class Moved:
             return OVER
         return ""
 
+    def forget(self, kind: int, muscle: int) -> bool:
+        """There is no such reference any more; gives whether the muscle had moved from it."""
+        was = bool(self.on[kind, muscle])
+        self.above[kind, muscle] = self.below[kind, muscle] = self.on[kind, muscle] = 0
+        return was
+
     def alarm(self, kind: int, muscle: int, name: str, state: str, first: int) -> Alarm:
         advice = ADVICE if state == ON else ""
         return int(self.since[kind, muscle]), name, state, ALARM_TEXT[kind].format(first), advice

@@ -94,6 +94,10 @@ class PeakWindow:
         self.accepted[found[0]] = 0
         return True
 
+    def forget(self, limb: int) -> None:
+        """Count none of a limb's cycles any longer."""
+        self.accepted[(self.numbers - 1) % self.limbs == limb] = 0
+
     def take(self, other: PeakWindow) -> None:
         """Become a copy of another of the same size."""
         for name in ("numbers", "accepted", "tops", "peaks", "curves"):

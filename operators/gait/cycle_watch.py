@@ -17,11 +17,12 @@ from stream.params import param
 Found: TypeAlias = list[tuple[int, tuple[int, str, str, str, str]]]
 """Alarms with their stamps."""
 RECENT, LATEST = 11, 3
-SILENT, SLOW, SPARSE = range(3)
+SILENT, SLOW, SPARSE, UNEVEN = range(4)
 ADVICE = (
     "is somebody walking? see the contact sensor, zero the plate, look at its threshold",
     "steps may be missed, or found twice: see the contact sensor and its threshold",
     "see why cycles are rejected or not found, before the session goes on",
+    "either the person walks so, or contacts are found early and late: see the contact sensor",
 )
 
 
@@ -30,7 +31,8 @@ class CycleWatchState:
     """
     began, newest   the signal's first and newest stamp;  heard: the stamp of the latest cycle
     durations (11,) of the latest cycles in ns, while their pace is not in question, a ring; `measured` in all;  latest (3,): of all
-    covered         how much of the session lies in accepted cycles, ns;  on (3,): which alarms there are
+    covered         how much of the session lies in accepted cycles, ns;  on (4,): which alarms there are
+    spans (11,)     of the latest cycles in ns, in turn, a ring; `walked` in all
     """
 
     began: int
@@ -42,6 +44,8 @@ class CycleWatchState:
     seen: int
     covered: int
     on: Times
+    spans: Times
+    walked: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +54,7 @@ class CycleWatch(Operator[CycleWatchState]):
 
     no contact            no cycle has ended for the time of `silent_cycles` of the latest 11 (before the first: for `first_s`)
     cadence               the latest 3 cycles' median is `off_pace` times that of the 11 before them, or as much shorter
+    uneven                cycles differ from their neighbours by more than `most_uneven` of their duration (median of the latest 11)
     cycles too few        accepted cycles cover less than `least_covered` of the session, from its 30th second on
 
     Of several limbs (a field `limb` in `closed`), `operators.gait.limb_watch.LimbWatch` watches each.
@@ -63,6 +68,9 @@ class CycleWatch(Operator[CycleWatchState]):
     first_s: float = param(10.0, above=0.0, help="the same before the first cycle")
     off_pace: float = param(1.6, above=1.0, help="cycles this many times longer or shorter than before are an alarm")
     least_covered: float = param(0.7, least=0.0, most=1.0, help="the part of a session that cycles must cover")
+    most_uneven: float = param(
+        0.1, above=0.0, help="the part of its duration by which a cycle may differ from the one before it"
+    )
     subject: str = param("contacts", help="what the alarms are about, where there are several")
 
     def open(self, specs: Specs) -> Specs:
@@ -82,7 +90,9 @@ class CycleWatch(Operator[CycleWatchState]):
                 np.zeros(LATEST, np.int64),
                 0,
                 0,
-                np.zeros(3, np.int64),
+                np.zeros(4, np.int64),
+                np.zeros(RECENT, np.int64),
+                0,
             ),
             decision_s={"out": silent_s} if longest_s else None,
         )
@@ -151,6 +161,7 @@ class CycleWatch(Operator[CycleWatchState]):
             s.latest[s.seen % LATEST] = duration
             s.seen += 1
             self._pace(found, stamp, duration)
+            self._evenness(found, stamp, duration)
         self._coverage(found, stamp)
 
     def _pace(self, found: Found, stamp: int, duration: int) -> None:
@@ -168,6 +179,23 @@ class CycleWatch(Operator[CycleWatchState]):
         if near and not s.on[SLOW]:
             s.durations[s.measured % RECENT] = duration
             s.measured += 1
+
+    def _evenness(self, found: Found, stamp: int, duration: int) -> None:
+        """Of neighbours: a belt that changes its speed makes one of them differ, a contact that is found late makes three."""
+        s = self.state
+        s.spans[s.walked % RECENT] = duration
+        s.walked += 1
+        if s.walked < RECENT:
+            return
+        in_turn = np.roll(s.spans, -(s.walked % RECENT))
+        uneven = float(np.median(np.abs(np.diff(in_turn))) / np.median(in_turn))
+        if uneven > self.most_uneven and not s.on[UNEVEN]:
+            s.on[UNEVEN] = 1
+            text = f"cycles differ by {100 * uneven:.0f} % from one to the next"
+            found.append((stamp, self._alarm(stamp, ON, text, UNEVEN)))
+        elif s.on[UNEVEN] and uneven < self.most_uneven / 1.5:
+            s.on[UNEVEN] = 0
+            found.append((stamp, self._alarm(stamp, OVER, "cycles differ", UNEVEN)))
 
     def _coverage(self, found: Found, stamp: int) -> None:
         s = self.state

@@ -10,12 +10,18 @@ import numpy as np
 from operators.alarm import ALARM, ALARM_UNITS, ON, OVER
 from operators.gait.cycle import POINTS, Expected, check_cycles, longest_cycle_s, some_cycles
 from operators.gait.limbs import Belonging
+from operators.gait.stage_change import StageUnderWay
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.finite import only_finite
 from stream.operator import Case, Operator
 from stream.params import param
 
 RESIZED = "look at the electrode, the gain and the belt's speed; it may also be that the muscle tires"
+UNRESTED = "look at the electrode and its cable: there is noise, or another muscle, where this one was at rest"
+SIZE, REST = 0, 1
+MEASURES = (("its curve", "its curve has another size", RESIZED), ("its rest", "its rest is another", UNRESTED))
+QUIET_PCT = 10
+"""A curve's rest is the mean of so many of its lowest points."""
 ADVICE = "look whether its leads were swapped with the other's; cycles since then belong to the other muscle"
 
 
@@ -25,7 +31,8 @@ class PatternWatchState:
     first (100, m), taken (m,)   sum of each muscle's first cycles, and how many
     recent (k, 100, m), seen (m,) the latest cycles, rings
     on, agreed (m,)              the muscle whose pattern each has (-1: its own), and cycles in a row that say otherwise
-    sized (2, m)                 1: its size is another than at first; cycles in a row that say otherwise
+    sized (2, 2, m)              of size and rest: 1: another than at first; cycles in a row that say otherwise
+    level (100, m), within (m,)  sum of each muscle's first cycles in the stage under way; how many it has in it;  stage: of each limb
     """
 
     expected: Expected
@@ -36,6 +43,9 @@ class PatternWatchState:
     on: Times
     agreed: Times
     sized: Times
+    level: Samples
+    within: Times
+    stage: StageUnderWay
     limbs: Belonging
     names: list[str]
 
@@ -48,7 +58,10 @@ class PatternWatch(Operator[PatternWatchState]):
     correlates by `clearly` more with the other's pattern than with its own, and by 0.7 at least, in `cycles` cycles in a row; the alarm is
     over when it has been its own again for as long. Told `latest` / 2 + `cycles` cycles after a swap or so. Muscles that are alike from the
     start are not told apart. A muscle has another size where the mean of its latest cycles' curves is `times` as high as that of its first
-    ones or more, or as much lower, for as many cycles in a row; over below half of that change.
+    ones or more, or as much lower, for as many cycles in a row; over below half of that change. Its rest, the mean of that curve's ten
+    lowest points, is compared in the same way (`times_rest`): noise that is small beside a burst. Where `closed` has stages
+    (`operators.gait.stages.Stages`), these are the stage's first cycles: at another speed of the belt a muscle has another size, but its
+    pattern still.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")
@@ -60,16 +73,17 @@ class PatternWatch(Operator[PatternWatchState]):
     times: float = param(
         1.4, above=1.0, help="a curve this many times as high as at first, or as much lower, raises an alarm"
     )
+    times_rest: float = param(2.0, above=1.0, help="the same for its rest, between bursts")
     clearly: float = param(0.3, above=0.0, most=2.0, help="by how much the other's pattern correlates better")
 
     def open(self, specs: Specs) -> Specs:
         spec = check_cycles(specs)
-        m, longest_s = spec.shape[1], longest_cycle_s(specs["closed"])
+        m, limbs, longest_s = spec.shape[1], Belonging.of(spec), longest_cycle_s(specs["closed"])
         self.hold(
             PatternWatchState(
                 Expected.none(specs["closed"].dtype), np.zeros((POINTS, m)), np.zeros(m, np.int64), np.zeros((self.latest, POINTS, m)),
-                np.zeros(m, np.int64), np.full(m, -1), np.zeros(m, np.int64), np.zeros((2, m), np.int64),
-                Belonging.of(spec), list(spec.channels),
+                np.zeros(m, np.int64), np.full(m, -1), np.zeros(m, np.int64), np.zeros((2, 2, m), np.int64),
+                np.zeros((POINTS, m)), np.zeros(m, np.int64), StageUnderWay.none(max(1, len(limbs.names))), limbs, list(spec.channels),
             ),
             decision_s={"out": longest_s} if longest_s else None,
         )  # fmt: skip
@@ -100,16 +114,27 @@ class PatternWatch(Operator[PatternWatchState]):
         self, found: list[tuple[int, tuple[int, str, str, str, str]]], stamp: int, closed: np.void, curve: Samples
     ) -> None:
         s = self.state
+        limb = s.limbs.names.index(str(closed["limb"])) if s.limbs.names else 0
+        if s.stage.begins(limb, closed):
+            self._begin_again(found, (stamp, int(closed["onset"])), s.limbs.mine(closed))
+        if not s.stage.holds(limb, int(closed["number"])):
+            return
         mine = np.flatnonzero(s.limbs.mine(closed) & ~np.isnan(curve).any(axis=0))
         for i in mine.tolist():
+            if s.within[i] < self.first:
+                s.level[:, i] += curve[:, i]
+            s.within[i] += 1
             if s.taken[i] < self.first:
                 s.first[:, i] += curve[:, i]
                 s.taken[i] += 1
             s.recent[s.seen[i] % self.latest, :, i] = curve[:, i]
             s.seen[i] += 1
         ready = mine[(s.taken[mine] >= self.first) & (s.seen[mine] >= self.first + self.latest)]
-        for i in ready.tolist():
-            self._size(found, (stamp, int(closed["onset"])), i)
+        for i in ready[s.within[ready] >= self.first + self.latest].tolist():
+            level, now = s.level[:, i] / self.first, s.recent[:, :, i].mean(axis=0)
+            when = stamp, int(closed["onset"])
+            self._size(found, when, i, SIZE, (float(level.mean()), float(now.mean()), self.times))
+            self._size(found, when, i, REST, (_rest(level), _rest(now), self.times_rest))
         if len(ready) < 2:
             return
         like = _correlations(s.recent[:, :, ready].mean(axis=0), s.first[:, ready])
@@ -118,18 +143,33 @@ class PatternWatch(Operator[PatternWatchState]):
             other = like[k, best] > max(0.7, like[k, k] + self.clearly)
             self._tell(found, (stamp, int(closed["onset"])), i, int(ready[best]) if other else -1)
 
-    def _size(self, found: list[tuple[int, tuple[int, str, str, str, str]]], when: tuple[int, int], i: int) -> None:
+    def _begin_again(
+        self, found: list[tuple[int, tuple[int, str, str, str, str]]], when: tuple[int, int], mine: Array
+    ) -> None:
+        """Another stage has begun: what a limb's muscles had before is no measure for their size."""
         s = self.state
-        before = float(s.first[:, i].mean()) / self.first
-        now = float(s.recent[:, :, i].mean())
+        for kind, (_, over, _) in enumerate(MEASURES):
+            for i in np.flatnonzero(mine & (s.sized[kind, 0] == 1)).tolist():
+                found.append((when[0], (when[1], s.names[i], OVER, over, "")))
+        s.level[:, mine], s.within[mine], s.sized[:, :, mine] = 0.0, 0, 0
+
+    def _size(
+        self, found: list[tuple[int, tuple[int, str, str, str, str]]], when: tuple[int, int], i: int, kind: int,
+        measured: tuple[float, float, float],
+    ) -> None:  # fmt: skip
+        """Compare a measure of muscle `i` before and now with how many times as high it may be."""
+        sized, (before, now, times) = self.state.sized[kind], measured
         ratio = now / before if before > 0 and now > 0 else 1.0
         off = max(ratio, 1 / ratio)
-        other = off >= (1 + (self.times - 1) / 2 if s.sized[0, i] else self.times)
-        s.sized[1, i] = 0 if other == bool(s.sized[0, i]) else s.sized[1, i] + 1
-        if s.sized[1, i] >= self.cycles:
-            s.sized[:, i] = int(other), 0
-            what = f"its curve is {ratio:.2g} times as high as at first" if other else "its curve has another size"
-            found.append((when[0], (when[1], s.names[i], ON if other else OVER, what, RESIZED if other else "")))
+        other = off >= (1 + (times - 1) / 2 if sized[0, i] else times)
+        sized[1, i] = 0 if other == bool(sized[0, i]) else sized[1, i] + 1
+        if sized[1, i] >= self.cycles:
+            sized[:, i] = int(other), 0
+            what, over, advice = MEASURES[kind]
+            told = f"{what} is {ratio:.2g} times as high as at first" if other else over
+            found.append(
+                (when[0], (when[1], self.state.names[i], ON if other else OVER, told, advice if other else ""))
+            )
 
     def _tell(
         self, found: list[tuple[int, tuple[int, str, str, str, str]]], when: tuple[int, int], i: int, like: int
@@ -142,6 +182,10 @@ class PatternWatch(Operator[PatternWatchState]):
         what = f"its curve is that of {s.names[like if like >= 0 else was]}"
         row = (when[1], s.names[i], ON if like >= 0 else OVER, what, ADVICE if like >= 0 else "")
         found.append((when[0], row))
+
+
+def _rest(curve: Samples) -> float:
+    return float(np.sort(curve)[: len(curve) * QUIET_PCT // 100].mean())
 
 
 def _correlations(now: Samples, patterns: Samples) -> Array:

@@ -59,6 +59,8 @@ def compare(
     private_folder(output)
     write_page(found, page, " and ".join(found.labels) if len(read) < 4 else f"{len(read)} sessions")
     write_tables(found, table)
+    for speed in found.speeds:
+        say(speed)
     for band in found.bands:
         say(
             f"{band.muscle}: divergence {found.distances[band.muscle][0, 1]:.3f}, means differ at {stretches(band.places)} % of the cycle"

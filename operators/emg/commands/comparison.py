@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.emg.commands.session_cycles import SessionCycles
+from operators.emg.commands.session_cycles import SessionCycles, other_speeds
 from operators.emg.mixture_reference import References
 from operators.emg.mixtures import PeakMixtures
 from stream.chunk import Samples
@@ -46,7 +46,7 @@ class Band:
 class Comparison:
     """labels of the sessions, and the muscles that all have; intra, inter: scatter about the own and about the group's mean curve;
     distances {muscle: (n, n)}: Cauchy-Schwarz divergences; features (n, 11 m): of the 5 highest modes and their number;
-    linkage (n - 1, 4): scipy's, single; bands: of the first two sessions"""
+    linkage (n - 1, 4): scipy's, single; bands: of the first two sessions; speeds: which sessions walked faster or slower than the first"""
 
     labels: list[str]
     cycles: list[int]
@@ -59,6 +59,7 @@ class Comparison:
     features: Samples
     linkage: Samples
     bands: list[Band]
+    speeds: list[str]
 
 
 def compare_sessions(sessions: list[SessionCycles], mixer: PeakMixtures) -> Comparison:
@@ -76,7 +77,7 @@ def compare_sessions(sessions: list[SessionCycles], mixer: PeakMixtures) -> Comp
     return Comparison(
         [s.label for s in sessions], [len(s.curves) for s in sessions], muscles, dict(sessions[0].alike), intra, inter, tables,
         {name: [int(max(f.modes[at[k]], 0)) for f, at in zip(made, where, strict=True)] for k, name in enumerate(muscles)},
-        features, linkage(standardised(features), "single"), bands,
+        features, linkage(standardised(features), "single"), bands, other_speeds(sessions),
     )  # fmt: skip
 
 

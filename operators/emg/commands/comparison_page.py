@@ -17,7 +17,8 @@ body{font:15px/1.4 sans-serif;max-width:60em;margin:2em auto}table{border-collap
 td,th{padding:.15em .7em;text-align:right}td:first-child,th:first-child{text-align:left}img{max-width:100%}</style></head><body>
 <h1>{{ title }}</h1>
 <p>{% for s in sessions %}{{ s[0] }}: {{ s[1] }} cycles. {% endfor %}Normalisation: {{ alike.normalisation }};
-heights in {{ alike.height_unit or "no unit" }}. Sessions that were normalised or filtered otherwise are refused.</p>
+heights in {{ alike.height_unit or "no unit" }}. Sessions that were normalised or filtered otherwise are refused.
+{% for s in speeds %} <b>{{ s }}.</b>{% endfor %}</p>
 {% for table in tables %}<h2>{{ table.title }}</h2><p>{{ table.note }}</p>
 <table><tr>{% for h in table.head %}<th>{{ h }}</th>{% endfor %}</tr>
 {% for row in table.rows %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</table>{% endfor %}
@@ -33,7 +34,7 @@ def write_page(found: Comparison, path: Path, title: str) -> None:
 
     text = Environment(autoescape=True).from_string(PAGE).render(
         title=title, sessions=list(zip(found.labels, found.cycles, strict=True)), alike=found.alike, tables=_tables(found),
-        dendrogram=_dendrogram(found),
+        dendrogram=_dendrogram(found), speeds=found.speeds,
     )  # fmt: skip
     with complete(path) as draft:
         draft.write_text(text, encoding="utf-8")

@@ -20,6 +20,7 @@ from stream.chunk import Array, Samples, StreamSpec
 from stream.errors import KinegraphError
 
 MOST_CYCLES = 500
+OTHER_SPEED = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +30,7 @@ class SessionCycles:
     label      the session's name, and which cycles (the node) where it has several;  subject: as recorded
     curves     (k, 100, m), NaN where a muscle does not count in a cycle;  maxima: their peaks
     alike      what sessions must have in common to be compared
+    durations_s (k,)   how long each cycle took
     limb       whose they are, where the session has several;  channels: as recorded (L_TA); `muscles` are what they stand for (TA)
     """
 
@@ -39,6 +41,7 @@ class SessionCycles:
     curves: Samples
     maxima: Array
     alike: dict[str, Any]
+    durations_s: Samples
     limb: str = ""
     channels: tuple[str, ...] = ()
 
@@ -110,7 +113,11 @@ def _read(recording: StoredSession, path: Path, node: str, limb: str, several: b
     label = " ".join([name_of(recording), *([node] if several else []), *([limb] if limb else [])])
     units = spec.units[0] if len(spec.units) == 1 else ""
     alike = {**made_alike({**spec.meta, "height_unit": units}), "cut at": "touch-down"}
-    whole = SessionCycles(label, str(about.get("subject", "")), spec, accepted[used], curves[used], maxima, alike)
+    took = {int(row["number"]): float(row["duration_s"]) for row in closed}
+    seconds = np.array([took[int(number)] for number in accepted[used]])
+    whole = SessionCycles(
+        label, str(about.get("subject", "")), spec, accepted[used], curves[used], maxima, alike, seconds
+    )
     return _of_limb(whole, limb, closed) if limb else whole
 
 
@@ -130,6 +137,7 @@ def _of_limb(both: SessionCycles, limb: str, closed: Array) -> SessionCycles:
         spec=own,
         numbers=both.numbers[here],
         curves=both.curves[here][:, :, places],
+        durations_s=both.durations_s[here],
         maxima=maxima,
         limb=limb,
         channels=mine,
@@ -175,7 +183,20 @@ def joined(sessions: list[SessionCycles]) -> SessionCycles:
         numbers.append(session.numbers + since)
         since = max(int(part.max()) for part in (numbers[-1], peaks["number"], np.array([since])) if len(part)) + 1
     label = " + ".join(session.label for session in sessions)
-    curves = np.concatenate([session.curves for session in sessions])[-MOST_CYCLES:]
+    curves, seconds = (
+        np.concatenate([getattr(s, part) for s in sessions])[-MOST_CYCLES:] for part in ("curves", "durations_s")
+    )
     every = np.concatenate(numbers)[-MOST_CYCLES:]
     peaks = np.concatenate(maxima)
-    return replace(first, label=label, numbers=every, curves=curves, maxima=peaks)
+    return replace(first, label=label, numbers=every, curves=curves, maxima=peaks, durations_s=seconds)
+
+
+def other_speeds(sessions: list[SessionCycles]) -> list[str]:
+    """What to say of sessions whose cycles take a tenth longer, or less long, than the first's: what differs may be the speed."""
+    took = [float(np.median(session.durations_s)) if len(session.durations_s) else np.nan for session in sessions]
+    return [
+        f"{session.label}: cycles of {mine:.2f} s, {mine / took[0]:.2f} times those of {sessions[0].label}; "
+        "what differs may be the speed"
+        for session, mine in zip(sessions[1:], took[1:], strict=True)
+        if abs(mine / took[0] - 1.0) > OTHER_SPEED
+    ]
