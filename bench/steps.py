@@ -7,45 +7,21 @@ python -m bench.steps --only detection
 from __future__ import annotations
 
 import argparse
-import os
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
-from scipy.signal import butter
 
+from bench.step_walks import SPEC, detection, folder, lengths, lower_back, neighbours
 from operators.steps.commands.enrolment import enrolment
 from operators.steps.commands.recordings import grouped
 from operators.steps.commands.train import show_enrolment, show_trust
 from operators.steps.commands.validation import SETS, Labelled, forest, trust
 from operators.steps.forest import Forest
-from operators.steps.step_detection import CUTOFF_HZ, ORDER, find_steps, fresh_track
 from operators.steps.step_kernel import describe
 from operators.steps.steps import Steps
-from stream.chunk import NS, Array, Chunk, Samples, StreamSpec, Times
+from stream.chunk import NS, Array, Chunk, Samples, Times
 from stream.plain import say
-
-TOLERANCE_S = 0.25
-UNITS = ("m/s2",) * 3 + ("rad/s",) * 3
-CHANNELS = ("ax", "ay", "az", "gx", "gy", "gz")
-
-
-def folder() -> Path:
-    return Path(os.environ["KINEGRAPH_DATA"]) / "steps"
-
-
-def lower_back() -> Iterator[tuple[str, str, Times, Samples, Samples, Samples, dict[str, str]]]:
-    """Person, trial, stamps by packet counter, samples, contacts in s, the walk's bounds and the turn's in s, and facts."""
-    for path in sorted(folder().glob("imu_voisard_*.npz")):
-        d = np.load(path)
-        facts = {name: str(d[name]) for name in ("gender", "age", "height") if name in d.files}
-        for key in d.files:
-            if key.endswith("_lb"):
-                t = key[:-3]
-                stamps = d[f"{t}_lb_counter"].astype(np.int64) * (NS // 100)
-                contacts = np.sort(np.concatenate([d[f"{t}_{side}_events"][:, 1] for side in ("left", "right")])) / 100
-                yield path.stem[-3:], t, stamps, d[key].astype(np.float64), contacts, d[f"{t}_bounds"] / 100, facts
 
 
 def foot() -> Iterator[tuple[str, str, Times, Samples, dict[str, str]]]:
@@ -81,52 +57,9 @@ def phones(site: str) -> Iterator[tuple[str, str, Times, Samples, dict[str, str]
                 yield path.stem[-3:], t, np.round((even - even[0]) * 1e6).astype(np.int64), resampled, facts
 
 
-def matched(found: Samples, true: Samples) -> int:
-    """How many of them lie within the tolerance of one another, one to one, the nearest first."""
-    pairs = sorted(
-        (abs(f - t), i, j) for i, f in enumerate(found) for j, t in enumerate(true) if abs(f - t) <= TOLERANCE_S
-    )
-    taken_found, taken_true = set[int](), set[int]()
-    for _, i, j in pairs:
-        if i not in taken_found and j not in taken_true:
-            taken_found.add(i)
-            taken_true.add(j)
-    return len(taken_found)
-
-
-def detection() -> None:
-    """F1 against delay, lower back, straight walking."""
-    sos = np.ascontiguousarray(butter(ORDER, CUTOFF_HZ, fs=100.0, output="sos"))
-    trials = list(lower_back())
-    people = len({person for person, *_ in trials})
-    say(f"steps at the lower back: {people} people, {len(trials)} walks, within 250 ms, turns left out")
-    for wait_s in (0.0, 0.1, 0.15, 0.2, 0.3):
-        hits = told = true = 0
-        delays = list[float]()
-        for _, _, stamps, data, contacts, bounds, _ in trials:
-            found = np.zeros((len(data), 3), np.int64)
-            count = find_steps(
-                stamps, data, sos, np.zeros((1, 2)), fresh_track(), round(wait_s * NS), 300_000_000, found
-            )
-            peaks = found[:count, 1] / NS
-            delays += list((stamps[found[:count, 0]] - found[:count, 1]) / 1e6 + 46)
-            steps, contacts = straight(peaks - 0.08, bounds), straight(contacts, bounds)
-            hits, told, true = hits + matched(steps, contacts), told + len(steps), true + len(contacts)
-        say(
-            f"wait_s {wait_s:.2f}: F1 {2 * hits / (told + true):.4f}  precision {hits / told:.3f}  recall {hits / true:.3f}  "
-            f"told after the peak: median {np.median(delays):.0f} ms, p95 {np.percentile(delays, 95):.0f} ms"
-        )
-
-
-def straight(times: Samples, bounds: Samples) -> Samples:
-    """Those within the walk, a quarter of a second more to either side, and not within the turn."""
-    inside = (times >= bounds[0] - 0.25) & (times <= bounds[1] + 0.25)
-    return np.asarray(times[inside & ~((times > bounds[2]) & (times < bounds[3]))])
-
-
 def found_steps(site: str, stamps: Times, data: Samples, axes: str) -> Array:
     finder = Steps(site=site, axes=axes)  # type: ignore[arg-type]
-    finder.open({"in": StreamSpec((6,), rate_hz=100.0, channels=CHANNELS, units=UNITS)})
+    finder.open({"in": SPEC})
     rows = finder.process("in", Chunk(stamps, data, int(stamps[-1]))).data
     return np.asarray(rows[(rows["kind"] == "walk") & np.isfinite(rows["features"]).all(axis=1)])
 
@@ -134,7 +67,9 @@ def found_steps(site: str, stamps: Times, data: Samples, axes: str) -> Array:
 def dataset(site: str, target: str, axes: str) -> Labelled:
     """The steps of all people of a site, with their classes."""
     if site == "lower_back":
-        walks = [(p, f"{p} {t}", found_steps(site, s, d, axes), facts) for p, t, s, d, _, _, facts in lower_back()]
+        walks = [
+            (t.person, f"{t.person} {t.name}", found_steps(site, t.stamps, t.data, axes), t.facts) for t in lower_back()
+        ]
     else:
         worn = foot() if site == "foot" else phones({"pocket": "sp", "wrist": "sw"}[site])
         walks = [(p, f"{p} {t}", found_steps(site, s, d, axes), facts) for p, t, s, d, facts in worn]
@@ -170,61 +105,12 @@ def enrolled() -> None:
     show_enrolment(enrolment(given, "both", 60), len(np.unique(given.persons)))
 
 
-LEG_M = 10.0
-"""How far these people walk to the turn, and back from it, by the recordings' protocol; nobody measured single steps."""
-
-
-def lengths() -> None:
-    """Lower back: what a turn, standing and straight walking are called; durations beside contacts'; distances beside the protocol's."""
-    kinds = {where: dict.fromkeys(("walk", "turn", "slow", "first"), 0) for where in ("straight", "turn", "standing")}
-    apart, people = list[float](), dict[str, list[float]]()
-    for person, _, stamps, data, contacts, bounds, _ in lower_back():
-        finder = Steps(site="lower_back")
-        finder.open({"in": StreamSpec((6,), rate_hz=100.0, channels=CHANNELS, units=UNITS)})
-        rows = finder.process("in", Chunk(stamps, data, int(stamps[-1]))).data
-        peaks = rows["end"] / NS - 0.08
-        turning = (peaks > bounds[2]) & (peaks < bounds[3])
-        walking = (peaks >= bounds[0] - 0.25) & (peaks <= bounds[1] + 0.25)
-        for row, turn, walk in zip(rows, turning, walking, strict=True):
-            kinds["turn" if turn else "straight" if walk else "standing"][str(row["kind"])] += 1
-        steady = walking & ~turning & (rows["kind"] == "walk")
-        for peak, seconds in zip(peaks[steady], rows["duration_s"][steady], strict=True):
-            near = int(np.argmin(np.abs(contacts - peak)))
-            if near and abs(contacts[near] - peak) <= TOLERANCE_S:
-                apart.append(seconds - (contacts[near] - contacts[near - 1]))
-        there = (peaks >= bounds[0] - 0.25) & (peaks <= bounds[2])
-        back = (peaks >= bounds[3]) & (peaks <= bounds[1] + 0.25)
-        people.setdefault(person, []).extend(float(np.nansum(rows["length_m"][leg])) for leg in (there, back))
-    for where, counts in kinds.items():
-        told = sum(counts.values())
-        say(
-            f"{where}: {told} steps, " + ", ".join(f"{kind} {n} ({n / max(told, 1):.1%})" for kind, n in counts.items())
-        )
-    off = np.abs(np.array(apart)) * 1000
-    say(
-        f"duration beside the contacts', {len(off)} steps: off by {np.median(off):.0f} ms (median), {np.percentile(off, 95):.0f} ms (p95)"
-    )
-    every = np.concatenate([np.array(legs) for legs in people.values()])
-    each = np.array([np.mean(legs) for legs in people.values()])
-    usual = Steps().length_factor
-    say(
-        f"Weinberg's model, factor {usual}: {len(every)} times {LEG_M:g} m come out as {np.mean(every):.1f} +- {np.std(every):.1f} m; "
-        f"per person {np.min(each):.1f} to {np.max(each):.1f} m, off by {np.mean(np.abs(each - LEG_M)) / LEG_M:.0%} on the mean"
-    )
-    for factor in (0.35, 0.36, 0.37, 0.38, 0.39, 0.46):
-        wrong = np.mean(np.abs(each * factor / usual - LEG_M)) / LEG_M
-        say(f"  factor {factor}: off by {wrong:.1%} on the mean")
-    alone = [np.mean(np.delete(each, k)) for k in range(len(each))]
-    left = np.array([abs(one * LEG_M / mean - LEG_M) for one, mean in zip(each, alone, strict=True)])
-    say(f"  the factor that fits everybody else: off by {np.mean(left) / LEG_M:.1%} of people left out")
-
-
 def speed() -> None:
     """Features and forest beside scikit-learn's."""
     given = dataset("lower_back", "gender", "gravity")
     trained = forest(100).fit(given.features, given.labels)
     flat = Forest.of(trained)
-    window = next(iter(lower_back()))[3][500:555].copy()
+    window = lower_back()[0].data[500:555].copy()
     scratch, out = np.empty((6, len(window))), np.empty(50)
     rows = np.ascontiguousarray(given.features[:2000])
     ours = np.array([flat.probabilities(row) for row in rows])
@@ -246,9 +132,50 @@ def speed() -> None:
         say(f"{name}: {np.median(taken):.1f} us a step")
 
 
+def sites() -> None:
+    """Pocket and wrist, whose contacts nobody annotated: the cadence of the steps beside that of the signal's own period."""
+    for site, short in (("pocket", "sp"), ("wrist", "sw")):
+        ratios, stretches = list[float](), 0
+        for _, _, stamps, data, _ in phones(short):
+            rows = found_steps(site, stamps, data, "gravity")
+            for a, b in walked_for(data, 200):
+                mine = rows["duration_s"][(rows["onset"] >= stamps[a]) & (rows["end"] <= stamps[b - 1])]
+                stretches += 1
+                ratios.append(period_s(data[a:b, :3]) / float(np.median(mine)) if len(mine) else 0.0)
+        found = np.array(ratios)
+        near = {
+            name: int((np.abs(found / times - 1) < 0.1).sum())
+            for name, times in (("1", 1.0), ("half", 0.5), ("twice", 2.0))
+        }
+        counts = ", ".join(f"{name} {n}" for name, n in near.items())
+        say(
+            f"{site}: cadence over that of the signal's period, {stretches} stretches of 2 s or more: {counts} (within 10 %)"
+        )
+
+
+def walked_for(data: Samples, least: int) -> list[tuple[int, int]]:
+    """Where so many rows or more are known without a break: first, end."""
+    known = np.concatenate([[False], np.isfinite(data).all(axis=1), [False]])
+    edges = np.flatnonzero(np.diff(known.astype(np.int8)))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= least]
+
+
+def period_s(acceleration: Samples) -> float:
+    """The lag of 0.36 to 0.9 s at which the norm (100 Hz) is most like itself."""
+    norm = np.linalg.norm(acceleration, axis=1)
+    norm -= norm.mean()
+    lags = np.arange(36, 91)
+    return float(lags[np.argmax([(norm[k:] * norm[:-k]).mean() for k in lags])]) / 100
+
+
+MEASURES = {
+    "detection": detection, "neighbours": neighbours, "lengths": lengths, "sites": sites, "speed": speed, "enrolment": enrolled,
+}  # fmt: skip
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.steps", description=__doc__)
-    parser.add_argument("--only", nargs="+", default=["detection", "lengths", "speed", "enrolment", "accuracy"])
+    parser.add_argument("--only", nargs="+", default=[*MEASURES, "accuracy"])
     parser.add_argument("--sites", nargs="+", default=["lower_back", "foot", "pocket", "wrist"])
     parser.add_argument("--targets", nargs="+", default=["gender", "age", "height"])
     parser.add_argument("--axes", nargs="+", default=["sensor", "gravity"])
@@ -258,7 +185,7 @@ def main() -> None:
         if name == "accuracy":
             accuracy(given.sites, given.targets, given.axes, given.shuffles)
         else:
-            {"detection": detection, "lengths": lengths, "speed": speed, "enrolment": enrolled}[name]()
+            MEASURES[name]()
 
 
 if __name__ == "__main__":

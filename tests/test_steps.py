@@ -18,7 +18,7 @@ from operators.steps.forest import Forest, StepModel
 from operators.steps.step_kernel import chosen, describe, feature_names
 from operators.steps.steps import Steps, some_walk
 from stream.chunk import NS, Chunk
-from stream.errors import InputError, KinegraphError
+from stream.errors import InputError, KinegraphError, ParameterError
 from stream.model import ModelError
 from stream.recording.series import Series, write_recording
 
@@ -127,6 +127,14 @@ def test_what_is_no_inertial_sensor_is_refused(change):
     spec, time, data = some_walk(4.0, 100.0, 6)
     with pytest.raises(InputError):
         found((replace(spec, **change), time, data))
+
+
+def test_a_shortest_step_is_shorter_than_the_longest_and_leaves_out_what_comes_sooner():
+    given = some_walk(20.0, 100.0, 6)
+    with pytest.raises(ParameterError, match="shortest_s"):
+        found(given, Steps(shortest_s=0.8, longest_s=0.8))
+    rows = found(given, Steps(shortest_s=0.7))[2]
+    assert np.nanmin(rows["duration_s"]) > 0.7, "at 1.8 steps a second every other one is left out"
 
 
 def test_the_forest_has_scikit_learns_bits():

@@ -83,7 +83,7 @@ class StepModel:
             features = np.array(chosen(model.header["features"]))
             threshold = float(model.header["uncertain_below"])
             rate, site, axes = float(model.header["rate_hz"]), str(model.header["site"]), str(model.header["axes"])
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise ModelError(f"{path}: the header does not say {error}: train it again") from None
         share = model.array("share", (None, len(classes)))
         n = len(share)

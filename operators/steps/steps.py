@@ -8,10 +8,10 @@ from typing import ClassVar, Literal
 import numpy as np
 from scipy.signal import butter
 
-from operators.steps.step_detection import CUTOFF_HZ, ORDER, find_steps, fresh_track
+from operators.steps.step_detection import APART_S, CUTOFF_HZ, ORDER, find_steps, fresh_track, rule_of
 from operators.steps.step_kernel import COUNT, WEINBERG, describe, feature_names, turned_by
 from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
-from stream.errors import InputError
+from stream.errors import InputError, ParameterError
 from stream.filter import reset_gap
 from stream.kernel import kernel
 from stream.operator import Case, Operator, grid
@@ -41,7 +41,7 @@ LATE_NS = {"lower_back": 80_000_000, "wrist": 46_000_000, "pocket": 46_000_000, 
 @dataclass(slots=True)
 class StepsState:
     """
-    sos, z     the smoothing filter and its memory;  track: the peak under way (`TRACK`)
+    sos, z     the smoothing filter and its memory;  track: the peak under way (`TRACK`);  rule: what makes a step (`RULE`)
     stamps, ring, held   the latest samples (keep, 6), oldest first, `held` of them
     """
 
@@ -50,6 +50,7 @@ class StepsState:
     sos: Samples
     z: Samples
     track: Array
+    rule: Array
     stamps: Times
     ring: Samples
     held: int
@@ -62,8 +63,8 @@ class Steps(Operator[StepsState]):
     """A regular signal of an inertial sensor in (3 channels of acceleration, perhaps 3 of angular velocity), its steps out.
 
     Acceleration is found by its unit (m/s2, g), angular velocity by its (rad/s, deg/s). A step is a peak of acceleration's norm below 5 Hz;
-    it is certain when the value has fallen by a tenth of its usual height, and `wait_s` after the peak at the earliest: waiting costs delay
-    and saves false steps (docs/steps.md has the curve). Steps are at least 0.32 s apart.
+    it is certain when the value has fallen by 0.7 m/s2, and `wait_s` after the peak at the earliest: waiting costs delay and saves false
+    steps (docs/steps.md has the curve). Steps are more than `shortest_s` apart: 0.36 s are 166 steps/min, and runners take more.
 
     The features are the thesis's: length and duration, and of each channel mean, standard deviation, least, most, RMS, entropy, energy and
     the largest spectral amplitude. `axes: gravity` takes amounts that do not depend on how the sensor is turned: along the step's mean
@@ -85,6 +86,9 @@ class Steps(Operator[StepsState]):
         "gravity", help="what the features are of: axes by gravity, or the sensor's own"
     )
     wait_s: float = param(0.0, least=0.0, most=0.5, help="how long a peak must stand before it is reported")
+    shortest_s: float = param(
+        APART_S, least=0.15, most=1.0, help="a peak no later than this after a step is none; less for runners"
+    )
     longest_s: float = param(1.2, above=0.35, most=3.0, help="a longer step has a pause in it")
     length_factor: float = param(0.37, above=0.0, most=2.0, help="of the step length: scale it by a known distance")
     turn_deg: float = param(20.0, above=0.0, help="a step that turns the body by more is a turn")
@@ -102,12 +106,15 @@ class Steps(Operator[StepsState]):
         angular = [i for i, unit in enumerate(units) if unit in ("rad/s", "deg/s", "dps")]
         if len(acceleration) != 3 or len(angular) not in (0, 3):
             raise InputError("in", spec.describe(), "3 channels in m/s2 or g, and 3 or none in rad/s or deg/s")
+        if self.shortest_s >= self.longest_s:
+            raise ParameterError("shortest_s", self.shortest_s, f"below longest_s ({self.longest_s})")
         picked = acceleration + angular
         keep = int((self.longest_s + 2.0) * spec.rate_hz) + 8
         self.hold(
             StepsState(
                 np.array([FACTORS[units[i]] for i in picked]), np.array(picked),
                 np.ascontiguousarray(butter(ORDER, CUTOFF_HZ, fs=spec.rate_hz, output="sos")), np.zeros((1, 2)), fresh_track(),
+                rule_of(self.wait_s, self.reset_gap_s + 1.0 / spec.rate_hz, self.shortest_s),
                 np.zeros(keep, np.int64), np.full((keep, 6), np.nan), 0, 0, spec.rate_hz,
             )
         )  # fmt: skip
@@ -139,8 +146,7 @@ class Steps(Operator[StepsState]):
         six = np.full((len(time), 6), np.nan)
         six[:, : len(s.picked)] = data[:, s.picked] * s.scale
         found = np.empty((len(time), 3), np.int64)
-        gap = round(self.reset_gap_s * NS + NS / s.rate)
-        count = find_steps(time, six, s.sos, s.z, s.track, round(self.wait_s * NS), gap, found)
+        count = find_steps(time, six, s.sos, s.z, s.track, s.rule, found)
         s.held = push(s.stamps, s.ring, s.held, time, six)
         return [(int(time[i]), self._step(int(end), int(before))) for i, end, before in found[:count]]
 
