@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from devices.outlets.page.wire import decode
+from devices.pose_map import picture
 from operators.pose_map.commands.gather import pieces
 from operators.pose_map.commands.marker_table import read_table
 from operators.pose_map.retrieve import ANSWER, EXAMPLE, QUERY, PoseSearch, Retrieve
@@ -79,6 +81,7 @@ def test_a_trained_map_places_a_live_pose_as_it_did_its_own(index: MotionIndex, 
     found = through(PoseGrid(model=tmp_path / "m.npz"), frames, spec)
     np.testing.assert_allclose(found["place"], index.som[100:300], atol=1e-4)
     assert len(found["cells"]) == 0
+    np.testing.assert_array_equal(found["poses"], index.codes[None])
     with pytest.raises(KinegraphError, match=r"withers\.x"):
         PoseGrid(model=tmp_path / "m.npz").open({"in": SPEC})
     with pytest.raises(KinegraphError, match="trained on"):
@@ -232,3 +235,16 @@ def test_recordings_that_cannot_be_mapped_are_refused(kinegraph: Command, tmp_pa
         refused(kinegraph("train", "map", f"{name}.mcap", "--markers", "m.yaml", "-o", "x.npz"), why)
         assert not (tmp_path / "x.npz").exists()
     refused(kinegraph("train", "map", "other.mcap", "-o", "x.npz"), "--origin is needed")
+
+
+def test_of_many_poses_some_are_drawn_and_the_rest_is_density(
+    index: MotionIndex, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(picture, "MOST_DRAWN", 500)
+    header, numbers = decode(picture.points(index))
+    n, bins = header["n"], header["bins"]
+    assert 400 <= n <= 500 < len(index.poses)
+    frames = np.frombuffer(numbers, "<i4", n)
+    assert (np.diff(frames) == np.diff(frames)[0]).all()
+    density = np.frombuffer(numbers, "<f4", bins * bins, offset=n * 20)
+    assert density.sum() == (index.cell >= 0).sum(), "all poses count"

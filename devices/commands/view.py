@@ -27,12 +27,15 @@ def view(
     ] = "",
     page_certificate: Annotated[str, typer.Option(metavar="FILE", help="encrypt the page with this certificate")] = "",
     page_key: Annotated[str, typer.Option(metavar="FILE", help="the certificate's key")] = "",
+    avatar: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="the avatar on the page: your own VRM file")
+    ] = None,
     duration_s: Annotated[
         float, typer.Option("--for", metavar="SECONDS", min=0.0, help="end after this many seconds; 0: at Ctrl-C")
     ] = 0.0,
 ) -> None:
     """Open a recording in a browser: scrub through all its streams, see gaps and annotations."""
-    from devices.outlets.page.lane import parsed, refuse_unbuilt
+    from devices.outlets.page.lane import checked_avatar, parsed, refuse_unbuilt
     from devices.outlets.page.viewing import RecordingHub
     from stream.commands import logs
     from stream.recording import Recording
@@ -41,15 +44,19 @@ def view(
     address = parsed(page_at, page_certificate, page_key)
     address.check()
     refuse_unbuilt()
+    shown = checked_avatar(avatar).read_bytes()
     with Recording.open(recording) as opened:
-        asyncio.run(_serve(RecordingHub(opened), address, duration_s))
+        asyncio.run(_serve(RecordingHub(opened, asks_avatar=avatar is not None), address, duration_s, shown))
 
 
-async def _serve(hub: RecordingHub, address: Address, duration_s: float) -> None:
+async def _serve(hub: RecordingHub, address: Address, duration_s: float, avatar: bytes) -> None:
     from devices.outlets.page.metrics import openmetrics
     from devices.outlets.page.serving import PageServer, tls_context
 
-    server = PageServer(hub, lambda: openmetrics(hub.recording.path.name, hub.metrics(), len(hub.clients), 0))
+    def metrics() -> str:
+        return openmetrics(hub.recording.path.name, hub.metrics(), len(hub.clients), 0)
+
+    server = PageServer(hub, metrics, avatar=avatar)
     port = await server.open(address.host, address.port, address.token, tls_context(address.certificate, address.key))
     say(f"page: {address.url(port)} (Ctrl-C ends it)", err=True)
     loop = asyncio.get_running_loop()

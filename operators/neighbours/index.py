@@ -52,6 +52,13 @@ class Index:
                 raise NeighbourError(f"{name} is {value}; it must be from {least} to {largest}")
         self.state: IndexState = allocate(width, window, most, vector=vector)
 
+    @classmethod
+    def of(cls, state: IndexState) -> Index:
+        """The index that an operator keeps in its own state."""
+        made = cls.__new__(cls)
+        made.state = state
+        return made
+
     def __len__(self) -> int:
         """How many frames the window holds, bad ones included."""
         return int(self.state.head["next"]) - self.first

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from operators.neighbours.index import Index
-from operators.pose_map.warp_kernel import warp
+from operators.pose_map.warp_kernel import far_apart, warp
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError
 from stream.motion_index import MISSING, MotionIndex
@@ -29,7 +29,9 @@ ANSWER = np.dtype(
 """The n-th nearest (`place`, from 0): frames `first` to `last`, and the distance, rms over the markers that count, in the index's unit.
 `place` is -1 where nothing (more) was found: the end of an answer."""
 MOST = 4096
-"""So many near poses are looked at."""
+"""So many near poses are looked at where poses are asked for."""
+AROUND = 2048
+"""So many near poses of each anchor of a stretch."""
 REGIONS = 96
 """In so many places a stretch is looked for."""
 LONGEST = 48
@@ -45,6 +47,7 @@ class PoseSearch:
 
     def __init__(self, motion: MotionIndex) -> None:
         self.motion = motion
+        self.ends = np.array([s.last for s in motion.sequences])
         self.columns = (3 * motion.used[:, None] + np.arange(3)).ravel()
         n = len(motion.poses)
         self.near = Index(len(self.columns), max(n, 1), min(MOST, max(n, 1)))
@@ -55,6 +58,10 @@ class PoseSearch:
         """(k, 3 u) of these frames; NaN where a marker is not known."""
         found = self.motion.poses[frames][:, self.columns]
         return np.where(found == MISSING, np.nan, found * self.motion.step)
+
+    def of(self, frame: int) -> int:
+        """The number of the sequence that a frame lies in."""
+        return int(self.ends.searchsorted(frame, side="right"))
 
     def weights(self, markers: int) -> Samples:
         """One weight per feature, so that the distance is rms over the markers that count."""
@@ -72,10 +79,10 @@ class PoseSearch:
 
     def poses(self, frame: int, count: int, band: int) -> list[tuple[int, int, int, float]]:
         """(sequence, frame, frame, distance) of the nearest poses outside of the band around `frame`."""
-        mine = self.motion.of(frame)
+        mine = self.of(frame)
         found = []
         for other, apart in zip(*self.nearest(frame, count + 2 * band + 1), strict=True):
-            sequence = self.motion.of(int(other))
+            sequence = self.of(int(other))
             if sequence != mine or abs(int(other) - frame) > band:
                 found.append((sequence, int(other), int(other), float(apart)))
         return found[:count]
@@ -105,18 +112,16 @@ class PoseSearch:
         """(sequence, begin, end) of places with a pose near to one of the stretch's, the nearest first, none in the band."""
         length = last - first + 1
         anchors = [first + int(share * (length - 1)) for share in ANCHORS]
-        found = [self.nearest(anchor, MOST) for anchor in anchors]
+        found = [self.nearest(anchor, AROUND) for anchor in anchors]
         starts = np.concatenate([frames - (a - first) for a, (frames, _) in zip(anchors, found, strict=True)])
         apart = np.concatenate([d for _, d in found]).astype(np.float64)
-        order = np.lexsort((starts, apart))
-        starts = starts[order]
-        free = (starts + length // 2 >= 0) & (starts + length // 2 < len(self.motion.poses))
+        middles = starts + length // 2
+        within = (middles >= 0) & (middles < len(self.motion.poses))
+        starts, apart = starts[within], apart[within]
+        places = np.empty(REGIONS, np.int64)
+        count = far_apart(starts[np.lexsort((starts, apart))], max(1, length // 2), places)
         made = list[tuple[int, int, int]]()
-        for _ in range(REGIONS):
-            if not free.any():
-                break
-            at = int(starts[int(free.argmax())])
-            free &= np.abs(starts - at) >= max(1, length // 2)
+        for at in places[:count].tolist():
             made += self._region(at, first, last, band)
         return made
 
@@ -124,10 +129,10 @@ class PoseSearch:
         """The place around a stretch that begins at frame `at`, within one sequence and outside of the band; none if it is too short."""
         length = last - first + 1
         middle = at + length // 2
-        sequence = self.motion.of(middle)
+        sequence = self.of(middle)
         one = self.motion.sequences[sequence]
         begin, end = max(one.first, at - length // 2), min(one.last, at + length + length // 2)
-        if sequence == self.motion.of(first) and begin <= last + band and end > first - band:
+        if sequence == self.of(first) and begin <= last + band and end > first - band:
             if middle < first + length // 2:
                 end = min(end, first - band)
             else:
@@ -139,12 +144,7 @@ class PoseSearch:
         first, last, count = int(query["first"]), int(query["last"]), int(query["count"])
         found: list[tuple[int, int, int, float]] = []
         n = len(self.motion.poses)
-        if (
-            0 <= first <= last < n
-            and self.motion.of(first) == self.motion.of(last)
-            and count > 0
-            and query["band_s"] >= 0
-        ):
+        if 0 <= first <= last < n and self.of(first) == self.of(last) and count > 0 and query["band_s"] >= 0:
             band = int(min(float(query["band_s"]) * self.motion.rate_hz, n))
             weights = self.weights(int(query["markers"]))
             self.near.weigh(weights)
@@ -177,7 +177,7 @@ class Retrieve(_Searching):
     out  per query one event (ANSWER) for each that was found, then one whose place is -1
 
     One frame asks for poses: exact, by the neighbour index over all frames. More frames ask for stretches, of half to twice the length:
-    places are found by the poses nearest to three of the stretch's own (4096 each, 96 places at most), and each is searched by subsequence
+    places are found by the poses nearest to three of the stretch's own (2048 each, 96 places at most), and each is searched by subsequence
     warping, with at most 48 frames of the query. So a stretch that resembles it in none of the three is not found. Nothing within `band_s`
     of the query in its own sequence is an answer. A query that names no stretch of one sequence is answered by its end at once. No delay.
 

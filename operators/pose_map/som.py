@@ -123,6 +123,7 @@ class PoseGridState:
     errors, trial (e,)    of the poses that the map shown, and the one being learned, was tried on
     hits (c,)             how many of these fell on each cell
     found, distances      room, which remembers nothing
+    drawn                 how many maps `poses` has told of
     """
 
     used: Times
@@ -141,6 +142,7 @@ class PoseGridState:
     hits: Times
     found: Times
     distances: Samples
+    drawn: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,6 +154,8 @@ class PoseGrid(Operator[PoseGridState]):
                  was tried on lies no further from it. An outlier is a pose whose rank is above 0.99, say
     cells  an event whenever a map is shown: its number, mean quantisation error, topographic error (share of poses whose two nearest
                  cells do not touch), how many poses it was tried on, per cell how many of these it has, and its pose
+    poses  (cells, width)  the poses of the cells, row by row, whenever a map is shown, a trained one with the first pose; the page's
+                 panel `map` draws them
 
     It learns from a random sample of all poses so far (`reservoir` of them), `steps` a frame. Every `learn_s` the new map takes the place
     of the one shown, which does not change in between. Each begins as the one before it, so that cells hardly move. After `maps` of them
@@ -162,7 +166,7 @@ class PoseGrid(Operator[PoseGridState]):
     Source: thesis, 5.3.3; Kohonen 1982. Departure: live, out of a reservoir; the thesis trains on whole recordings.
     """
 
-    outputs: ClassVar[tuple[str, ...]] = ("place", "error", "cells")
+    outputs: ClassVar[tuple[str, ...]] = ("place", "error", "cells", "poses")
 
     rows: int = param(12, least=1, most=40, help="rows of the grid")
     columns: int = param(12, least=1, most=40, help="columns of the grid")
@@ -178,16 +182,23 @@ class PoseGrid(Operator[PoseGridState]):
         if not spec.is_signal or len(set(spec.units)) != 1:
             raise InputError("in", spec.describe(), "a signal of features in one unit")
         rate_hz = regular(spec)
-        s = self._learned(spec, MotionIndex.read(self.model)) if self.model else self._fresh(spec, rate_hz)
+        index = MotionIndex.read(self.model) if self.model else None
+        s = self._learned(spec, index) if index else self._fresh(spec, rate_hz)
         self.hold(s)
         place = spec.derive(shape=(2,), dtype=np.dtype(np.float64), channels=("column", "row"), units=("", ""))
         names = names_of(spec)
-        facts = {"columns": s.columns, "features": [names[c] for c in s.used]}
+        facts = {**spec.meta, "columns": s.columns, "features": [names[c] for c in s.used]}
+        if index:
+            facts["bones"] = [[index.markers[a], index.markers[b]] for a, b in index.bones.tolist()]
+        poses = StreamSpec(
+            s.codes.shape, channels=tuple(facts["features"]), channel_axis=1, units=spec.units[:1], meta=facts
+        )
         units = ("", spec.units[0], "", "", "", spec.units[0])
         return {
             "place": place,
             "error": place.derive(channels=("error", "rank"), units=(spec.units[0], "")),
-            "cells": StreamSpec((), _event_of(s), units=units, meta={**spec.meta, **facts}),
+            "cells": StreamSpec((), _event_of(s), units=units, meta=facts),
+            "poses": poses,
         }
 
     def _fresh(self, spec: StreamSpec, rate_hz: float) -> PoseGridState:
@@ -221,6 +232,9 @@ class PoseGrid(Operator[PoseGridState]):
         s, n = self.state, len(chunk.time)
         place, error = np.empty((n, 2)), np.empty((n, 2))
         told, at, done = list[Array](), list[int](), 0
+        drawn, drawn_at = list[Samples](), list[int]()
+        if n and s.counts[SHOWN] > s.drawn:
+            drawn, drawn_at, s.drawn = [s.codes.copy()], [0], int(s.counts[SHOWN])
         x = np.ascontiguousarray(chunk.data, np.float64)
         while done < n:
             shown = int(s.counts[SHOWN])
@@ -235,11 +249,16 @@ class PoseGrid(Operator[PoseGridState]):
                 one["count"], one["pose"] = s.hits, s.codes
                 told.append(one)
                 at.append(done - 1)
+                drawn.append(s.codes.copy())
+                drawn_at.append(done - 1)
+                s.drawn = shown + 1
+        poses = np.array(drawn).reshape(-1, *s.codes.shape)
         cells = np.concatenate(told) if told else np.empty(0, _event_of(s))
         return [
             ("place", Chunk(chunk.time, place, chunk.until, chunk.lost)),
             ("error", Chunk(chunk.time, error, chunk.until, chunk.lost)),
             ("cells", Chunk(chunk.time[at], cells, chunk.until, -1 if chunk.lost else 0)),
+            ("poses", Chunk(chunk.time[drawn_at], poses, chunk.until, -1 if chunk.lost else 0)),
         ]
 
     @classmethod
@@ -250,8 +269,8 @@ class PoseGrid(Operator[PoseGridState]):
         spec = StreamSpec((5,), rate_hz=50.0, channels=tuple("abcde"), units=("cm",), meta={"missing": ["e"]})
         inputs = {"in": (spec, grid(50.0, 400), data)}
         return [
-            Case(cls(rows=3, columns=4, learn_s=1.5, reservoir=60), inputs, least=805),
-            Case(cls(rows=1, columns=5, learn_s=2.0, maps=1), inputs, least=801),
+            Case(cls(rows=3, columns=4, learn_s=1.5, reservoir=60), inputs, least=810),
+            Case(cls(rows=1, columns=5, learn_s=2.0, maps=1), inputs, least=802),
         ]
 
 

@@ -46,3 +46,19 @@ def warp(query: Array, there: Array, weights: Samples, cost: Samples, start: Tim
         if cost[row, j] < out[2]:
             out[0], out[1], out[2] = start[row, j], j, cost[row, j]
     out[2] = math.sqrt(out[2] / length)
+
+
+@kernel
+def far_apart(starts: Times, least: int, out: Times) -> int:
+    """Take from `starts` (n,), in their order, each that is at least `least` from all taken before it, into `out`; returns how many fit."""
+    count = 0
+    for start in starts:
+        near = False
+        for k in range(count):
+            near = near or abs(start - out[k]) < least
+        if not near:
+            out[count] = start
+            count += 1
+            if count == out.shape[0]:
+                break
+    return count

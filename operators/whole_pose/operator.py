@@ -108,7 +108,7 @@ class WholePose(_Solving):
         if unit not in CM:
             raise InputError("in", spec.describe(), "markers in m, cm or mm")
         found, columns = find_landmarks(spec, self.landmarks or {})
-        learned = _regression(read_model(self.model, "pose")) if self.model else no_regression()
+        learned = regression_of(read_model(self.model, "pose")) if self.model else no_regression()
         if missing := [NAMES[k] for k in learned.chosen if NAMES[k] not in found]:
             what = f"has no {missing[0]}, which {self.model} was trained for; it has {', '.join(found)}"
             raise ParameterError("model", str(self.model), f"a model for these markers: the input {what}")
@@ -203,7 +203,7 @@ def start(tree: JointTree) -> WholePoseState:
     )  # fmt: skip
 
 
-def _regression(model: Model) -> Regression:
+def regression_of(model: Model) -> Regression:
     """What a model of a pose says. Raises ModelError."""
     chosen = model.array("landmarks", (None,), np.int64)
     centres = model.array("centres", (None, 3 * len(chosen)))

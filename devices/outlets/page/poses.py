@@ -1,4 +1,5 @@
-"""Poses as the page shows them: where the joints are. Plain Python, for the page's server loads no compiler."""
+"""Poses as the page shows them: where the joints are, and how an avatar's bones are turned. Plain Python, for the page's server loads no
+compiler."""
 
 from __future__ import annotations
 
@@ -7,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stream.chunk import Array, Samples, StreamSpec
+from stream.errors import KinegraphError
 
 
 class Bones(NamedTuple):
@@ -29,6 +31,28 @@ def bones_of(spec: StreamSpec) -> Bones | None:
         return None
     found = Bones(facts["joints"], facts["parents"], facts["offsets_m"])
     return found if spec.shape == (3 + 4 * len(found.joints),) else None
+
+
+def avatar_bones(spec: StreamSpec) -> dict[str, Any] | None:
+    """What an avatar needs to follow a stream of poses: the joints' parents, and of every humanoid bone its joint (-1: it moves with its
+    parent) and the rotation (w, x, y, z) from the T-pose to the skeleton's rest. None for what is no humanoid."""
+    if bones_of(spec) is None:
+        return None
+    from stream.humanoid import BONES, NUMBERS, body_in  # the session's process has the compiler that these load
+    from stream.joint_tree import JointTree
+
+    try:
+        joints, _, turns = body_in(tree := JointTree.of(spec))
+    except KinegraphError:
+        return None
+    names = [bone[0].lower() + bone[1:] for bone in BONES]  # as VRM writes them
+    return {
+        "parents": tree.parents.tolist(),
+        "bones": [
+            {"bone": name, "parent": int(parent), "joint": joint, "turn": turn.round(9).tolist()}
+            for name, parent, joint, turn in zip(names, NUMBERS, joints, turns, strict=True)
+        ],
+    }
 
 
 def places(bones: Bones, pose: Array) -> Samples:
