@@ -3,7 +3,8 @@
     python -m bench.page
 
 A board of 16 channels at 2000 Hz in 10-sample chunks, its envelope, and an operator that notes how old samples are there; the
-session is a process of its own, its clients are headless WebSocket clients in this one. Rounds without a page, with one client, five,
+session is a process of its own; the client whose messages are timed is a headless WebSocket client in this one, those beside it are in
+another of low priority, for people look from machines of their own. Rounds without a page, with one client, five,
 twenty, one that reads nothing, and a server that is killed every second take turns; so do timeflux_ui and the Foxglove SDK's server,
 where they install. Processor time is of the session's process and of the server's, from /proc. `--write` puts it all into docs/page.md.
 """
@@ -226,25 +227,17 @@ def kill(process: subprocess.Popen[bytes], stop: threading.Event) -> None:
                 os.kill(pid, signal.SIGKILL)
 
 
-def drain(url: str, stop: threading.Event) -> None:
-    """Take messages and look at none."""
-    with connect(url, max_size=None, compression=None, ping_interval=None) as client:
-        looks(client, 0)
-        while not stop.is_set():
-            try:
-                client.recv(timeout=PATIENCE_S)
-            except (TimeoutError, ConnectionClosed):
-                return
-
-
 def take_turn(graph: str, kind: str, clients: int, seconds: float, *, page: bool = True, harm: str = "") -> Turn:
     """One session with so many clients; `harm`: one more "stalls", or the server is "killed" again and again."""
+    from bench.page_clients import company
+
     turn, stop = Turn(), threading.Event()
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         with session(folder, graph, page=page) as (process, url):
-            jobs: list[tuple[Callable[..., None], tuple[Any, ...]]] = [(drain, (url, stop))] * (clients - 1)
-            jobs += [(watch, (url, turn, kind, stop))] if clients else []
+            stack.enter_context(company(url, clients - 1 if clients else 0))
+            jobs: list[tuple[Callable[..., None], tuple[Any, ...]]]
+            jobs = [(watch, (url, turn, kind, stop))] if clients else []
             jobs += (
                 [(stall, (url, stop))] if harm == "stalls" else [(kill, (process, stop))] if harm == "killed" else []
             )

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import struct
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +20,6 @@ from bench.engines import EngineError, environment
 from bench.page import GRAPH, HOUSE, PATIENCE_S, WARM_S, Turn, both, cpu_s, take_turn
 from bench.report import Section, short
 
-TIMEFLUX = ["timeflux", "timeflux_ui", "pandas<3"]
 MESSAGE = struct.Struct("<BIQ")
 """Of Foxglove's protocol: opcode, subscription, stamp (ns)."""
 
@@ -32,15 +28,11 @@ def beside(rounds: int, seconds: float) -> Section:
     """Who installs, in turns with our own."""
     pythons: dict[str, tuple[Path, str, Callable[..., None]]] = {}
     absent = []
-    try:
-        pythons["timeflux_ui"] = (environment("timeflux_ui", TIMEFLUX), "timeflux_page", watch_timeflux)
-    except (EngineError, OSError, subprocess.SubprocessError) as error:
-        absent.append(str(error))
-    if importlib.util.find_spec("foxglove"):
-        sdk = f"Foxglove SDK {version('foxglove-sdk')}, a JSON message per sample"
-        pythons[sdk] = (Path(sys.executable), "foxglove_page", watch_foxglove)
-    else:
-        absent.append("the Foxglove SDK is not installed: pip install 'kinegraph[foxglove]'")
+    for peer, packages, module, watch in PEERS:
+        try:
+            pythons[peer] = (environment(module, packages), module, watch)
+        except (EngineError, OSError, subprocess.SubprocessError) as error:
+            absent.append(str(error))
     turns: dict[str, list[Turn]] = {"kinegraph": [], **{name: [] for name in pythons}}
     for _ in range(rounds):
         turns["kinegraph"].append(take_turn(GRAPH, "signal", 1, seconds))
@@ -128,6 +120,13 @@ def watch_foxglove(port: int, turn: Turn, stop: threading.Event) -> None:
             elif (said := json.loads(told))["op"] == "advertise":
                 wanted = [{"id": 1, "channelId": said["channels"][0]["id"]}]
                 client.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+
+
+PEERS: list[tuple[str, list[str], str, Callable[..., None]]] = [
+    ("timeflux_ui", ["timeflux", "timeflux_ui", "pandas<3"], "timeflux_page", watch_timeflux),
+    ("the Foxglove SDK, a JSON message per sample", ["foxglove-sdk", "numpy"], "foxglove_page", watch_foxglove),
+]
+"""What they are called, what is installed, what runs, and who watches."""
 
 
 @contextmanager

@@ -175,7 +175,7 @@ def _tab(port: str) -> str:
     from urllib.request import urlopen
 
     def found() -> list[str]:
-        with urlopen(f"http://127.0.0.1:{port}/json/list", timeout=10) as told:
+        with urlopen(f"http://127.0.0.1:{port}/json/list", timeout=PATIENCE_S) as told:
             return [tab["webSocketDebuggerUrl"] for tab in json.load(told) if tab["type"] == "page"]
 
     end = time.monotonic() + PATIENCE_S

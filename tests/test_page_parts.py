@@ -279,6 +279,10 @@ def test_every_kind_of_stream_has_its_panel() -> None:
         "c": StreamSpec((9, 2), channels=("a", "b"), channel_axis=1), "s": SIGNAL, "d": StreamSpec((3, 4), np.dtype("<u2")),
         "p": StreamSpec((5, 3)), "e": StreamSpec((), np.dtype([("onset", "<i8")])),
     }  # fmt: skip
+    body = {"first": usual_body().spec(30.0), "second": usual_body().spec(30.0)}
+    assert [(p["kind"], p["of"]) for p in default_panels(body, {})] == [
+        ("avatar", ["second"]), ("scene", ["first"]), ("scene", ["second"])
+    ]  # fmt: skip
     panels = default_panels(specs, {"m": ["c", "e"]})
     assert {(p["kind"], *p["of"]) for p in panels} == {
         ("scene", "p"), ("frame", "d"), ("cycles", "m.mean", "m.sd", "c"), ("signal", "s"), ("events", "e"), ("table", "e"),
@@ -333,7 +337,7 @@ def test_a_client_gets_all_that_it_has_not_been_sent_and_a_slow_one_gets_it_at_o
     hub.clients |= {quick, slow}
     for client in (quick, slow):
         hub.take(client, asked('{"do": "see", "streams": {"0": 0}}'))
-    assert told[-1] == {"do": "want", "streams": [0]}
+    assert told[-1] == {"do": "want", "streams": [0], "seen": True}
     quick.news.clear()
     counts = []
     for k in range(10):
@@ -376,8 +380,9 @@ def test_a_pose_is_told_as_its_joints() -> None:
     pose = np.r_[rng.normal(size=3), (turns / np.linalg.norm(turns, axis=1)[:, None]).ravel()]
     header, numbers = decode(messages.newest(0, tree.spec(30.0), 1, 0, pose, 0))
     assert (header["t"], header["shape"]) == ("points", [len(tree.joints), 3])
-    found = np.frombuffer(numbers, "<f4").reshape(-1, 3)
-    assert np.allclose(found, joints_of(tree, pose[None])[1][0], atol=1e-6)
+    found, turned = np.split(np.frombuffer(numbers, "<f4"), [3 * len(tree.joints)])
+    assert np.allclose(found.reshape(-1, 3), joints_of(tree, pose[None])[1][0], atol=1e-6)
+    assert np.allclose(turned, pose[3:], atol=1e-6)
     told = described("pose", tree.spec(30.0))
     assert told["channels"] == list(tree.joints)
     assert [[int(p), j] for j, p in enumerate(tree.parents) if p >= 0] == told["bones"]
@@ -439,6 +444,7 @@ def test_every_message_stands_in_the_docs() -> None:
 
 
 SHIPPED = {
+    "avatar_markers": {"avatar", "scene", "signal", "state", "graph", "log"},
     "treadmill_emg": {"cycles", "signal", "events", "table", "state", "graph", "log"},
     "bedside_simulated": {"hypnogram", "signal", "events", "table", "state", "graph", "log"},
     "bedside_sleep": {"hypnogram", "signal", "events", "table", "state", "graph", "log"},

@@ -122,6 +122,23 @@ def test_the_night_grows_and_what_is_provisional_is_told_from_what_is_final(
         assert browser.complaints == []
 
 
+def test_the_shipped_bedside_graph_draws_its_night_and_offers_no_image(browser: LiveBrowser, tmp_path: Path) -> None:
+    with page_process(tmp_path, "run", "bedside_simulated", "--view", "none", "-o", "s") as process:
+        browser.open(process.url)
+        browser.value("document.documentElement.dataset.theme = 'light'")
+        night = "document.querySelector('.hypnogram').dataset"
+        browser.wait("!!document.querySelector('.hypnogram')")
+        first = int(browser.wait(f"+{night}.provisional > 0 && +{night}.final > 20 && +{night}.final"))
+        browser.wait(f"+{night}.final > {first}")
+        assert len(browser.like(".hypnogram canvas", "accent", within=20)) > 20
+        assert browser.like(".hypnogram canvas", "warn", within=60)
+        browser.wait("document.querySelector('.signal')?.dataset.points > 10")
+        assert browser.value("document.querySelectorAll('.frame').length") == 0
+        browser.picture(tmp_path / "page-bedside.png")
+        assert browser.complaints == []
+        assert process.stop() == 0
+
+
 # both legs -----------------------------------------------------------------------------------------------------------
 
 

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from devices.files.foxglove_write import JsonMessages
-from devices.outlets.page.server import say
+from devices.outlets.page.server import say, yield_to_sessions
 from devices.outlets.page.shown import kind_of
 from devices.outlets.page.wire import LENGTH, MOST_BYTES, decode
 from stream.chunk import NS, Chunk, StreamSpec
@@ -56,7 +56,8 @@ class Bridge:
     def note(self, topic: str, change: int) -> None:
         with self._lock:
             self._subscribers[self._numbers[topic]] += change
-            say({"do": "want", "streams": [i for i, n in self._subscribers.items() if n > 0]})
+            wanted = [i for i, n in self._subscribers.items() if n > 0]
+            say({"do": "want", "streams": wanted, "seen": bool(wanted)})
 
     def give(self, number: int, chunk: Chunk) -> None:
         """Samples, as messages."""
@@ -120,4 +121,5 @@ def main(options: dict[str, Any]) -> None:
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the session, which then ends us
+    yield_to_sessions()
     main(msgspec.json.decode(sys.argv[1]))

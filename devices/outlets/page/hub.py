@@ -67,7 +67,7 @@ class Hub:
         self.dropped = 0
         self._log: deque[dict[str, Any]] = deque(maxlen=LOG_LINES)
         self._lines = 0
-        self._wanted: list[int] = []
+        self._wanted: dict[str, Any] = {}
         self._made: dict[tuple[int, int, int], tuple[bytes, int] | None] = {}
         self._t0 = 0
         self._pace, self._paces = b"", 0
@@ -128,9 +128,10 @@ class Hub:
         """Tell the session which streams somebody looks at."""
         kept = {i for i, spec in enumerate(self.specs) if always_kept(spec)}
         seen = {s for client in self.clients for s in client.widths if s < len(self.specs)}
-        if (wanted := sorted(kept | seen)) != self._wanted:
+        wanted = {"do": "want", "streams": sorted(kept | seen), "seen": bool(self.clients)}
+        if wanted != self._wanted:
             self._wanted = wanted
-            self._ask({"do": "want", "streams": wanted})
+            self._ask(wanted)
 
     def take(self, client: Looking, asked: Asked) -> None:
         """What a client asks for. Raises ValueError for what this session does not have."""

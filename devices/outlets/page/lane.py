@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, MutableMapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import structlog
@@ -23,7 +24,7 @@ from devices.outlets.page.access import is_loopback, new_token
 from devices.outlets.page.channel import PageChannel
 from devices.outlets.page.marks import MARKS, SPEC, Marks, shown_with
 from devices.outlets.page.serving import FILES, built, tls_context
-from devices.outlets.page.shown import described, hello, is_newest_only, offered, own_modules
+from devices.outlets.page.shown import described, hello, is_newest_only, offered, own_modules, with_avatar
 from devices.outlets.page.wire import LENGTH, encode
 from stream.chunk import NS, Chunk
 from stream.engine.status import Table
@@ -37,10 +38,15 @@ if TYPE_CHECKING:
     from stream.engine.session import Session
 
 TICK_S = 1 / 30
+UNSEEN_TICK_S = 0.25
+"""While nobody looks."""
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
 START_S = 20.0
 """How long a server is waited for when a session begins."""
 DEFAULT_PORT = 7790
+AVATAR = Path(__file__).with_name("avatar.vrm")
+"""After a mesh of MakeHuman, CC0."""
+MOST_AVATAR = 128 << 20
 FOXGLOVE_PORT = 8765
 
 log = structlog.get_logger(__name__)
@@ -81,13 +87,23 @@ class LivePage:
     called: ClassVar[str] = "page"
 
     def __init__(
-        self, graph: Graph, address: str = "", certificate: str = "", key: str = "", *, mode: str = "live"
+        self,
+        graph: Graph,
+        address: str = "",
+        certificate: str = "",
+        key: str = "",
+        *,
+        mode: str = "live",
+        avatar: Path | None = None,
     ) -> None:
-        """`address` is HOST, HOST:PORT or :PORT. Raises KinegraphError where the page cannot be served."""
+        """`address` is HOST, HOST:PORT or :PORT; `avatar` a VRM file that the graph's avatar gives way to. Raises KinegraphError where the
+        page cannot be served."""
         self._graph, self._mode = graph, mode
         self._address = parsed(address, certificate, key)
         self._address.check()
         self.refuse_missing()
+        self._avatar = checked_avatar(avatar or graph.page.avatar)
+        self._avatar_asked = avatar is not None
         self._modules = own_modules(graph)
         self._specs = offered(graph, outside=not is_loopback(self._address.host))
         self._channel = PageChannel([is_newest_only(spec) for spec in self._specs.values()])
@@ -100,7 +116,7 @@ class LivePage:
         self._over, self._listening = threading.Event(), threading.Event()
         self._server: subprocess.Popen[bytes] | None = None
         self._port, self._t0 = self._address.port, time.time_ns()
-        self._said = False
+        self._said = self._seen = False
         self._pipeline: Pipeline | None = None
         self._samples: dict[str, int] = {}
         self._counted_s = 0.0
@@ -208,14 +224,14 @@ class LivePage:
                 log.debug("the page's server has ended", error=str(error))
             if self._over.is_set():
                 break
-            self._channel.wanted[:] = [False] * len(self._specs)
+            self._channel.wanted[:], self._seen = [False] * len(self._specs), False
             pause = FIRST_PAUSE_S if time.monotonic() - began > LONGEST_PAUSE_S else min(2 * pause, LONGEST_PAUSE_S)
             log.warning(f"the {self.called}'s server has ended; it is started again", in_s=pause)
             self._over.wait(pause)
 
     def _serve(self) -> None:
         """One server, from its start until it or the session ends."""
-        options = json.dumps(asdict(self._address) | {"port": self._port})
+        options = json.dumps(asdict(self._address) | {"port": self._port, "avatar": str(self._avatar)})
         command = [sys.executable, "-m", self.server, options]
         with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0) as server:
             self._server = server
@@ -224,13 +240,15 @@ class LivePage:
             try:
                 outside = not is_loopback(self._address.host)
                 greeting = hello(self._graph, outside=outside, mode=self._mode, t0_ns=self._t0)
+                if self._avatar_asked:
+                    greeting["panels"] = with_avatar(greeting["panels"], self._specs)
                 if self._marks:
                     greeting["streams"].append(described(MARKS, SPEC))
                     greeting["panels"] = shown_with(greeting["panels"])
                 specs = [spec.to_json() for spec in self._specs.values()]
                 self._write(encode({**greeting, "t0_ns": self._t0, "specs": specs, "modules": self._modules}))
                 self._announce_marks()
-                while not self._over.wait(TICK_S) and server.poll() is None:
+                while not self._over.wait(TICK_S if self._seen else UNSEEN_TICK_S) and server.poll() is None:
                     self._hand_over()
                 if self._over.is_set():
                     self._hand_over()
@@ -242,22 +260,17 @@ class LivePage:
 
     def _hand_over(self) -> None:
         with self._writing:
-            waiting, self._pending = self._pending, []
-        for message in waiting:
-            self._write(message)
-        taken = self._channel.take()
-        for number, chunk in taken:
-            self._write(_message(number, chunk))
+            messages, self._pending = self._pending, []
+        messages += [_message(number, chunk) for number, chunk in self._channel.take()]
         (state, self._state), (pace, self._pace) = (self._state, b""), (self._pace, b"")
-        for message in (state, pace):
-            if message:
-                self._write(message)
-        if taken or waiting or state or pace:
-            self._write(TICK)
+        messages += [message for message in (state, pace) if message]
+        if messages:
+            self._write(*messages, TICK)
 
-    def _write(self, message: bytes) -> None:
+    def _write(self, *messages: bytes) -> None:
+        """To the server, at once: every call costs a system call."""
         assert self._server and self._server.stdin
-        view = memoryview(LENGTH.pack(len(message)) + message)
+        view = memoryview(b"".join(part for message in messages for part in (LENGTH.pack(len(message)), message)))
         while view:
             view = view[self._server.stdin.write(view) :]
 
@@ -282,7 +295,7 @@ class LivePage:
                     self._said = True
                     say(f"{self.called}: {self.url(self._port)}", err=True)
             case "want":
-                wanted = set(asked["streams"])
+                wanted, self._seen = set(asked["streams"]), asked["seen"]
                 self._channel.wanted[:] = [number in wanted for number in range(len(self._specs))]
             case what if what in self._steered:
                 self._steered[what](**asked)
@@ -353,6 +366,20 @@ def refuse_unbuilt() -> None:
         raise KinegraphError(
             "the page was not built: `python -m pip install -e .` builds it (from the npm registry)"
         ) from None
+
+
+def checked_avatar(path: Path | None) -> Path:
+    """The avatar that a page shows: this file, or the one that comes with it. Raises KinegraphError for one that cannot be shown."""
+    if path is None:
+        return AVATAR
+    from devices.files.vrm_read import read_vrm  # loads scipy
+
+    if not path.is_file():
+        raise KinegraphError(f"avatar {path}: there is no such file; it must be a VRM file")
+    if path.stat().st_size > MOST_AVATAR:
+        raise KinegraphError(f"avatar {path}: {path.stat().st_size >> 20} MB; at most {MOST_AVATAR >> 20}")
+    read_vrm(path)
+    return path.resolve()
 
 
 def parsed(address: str, certificate: str = "", key: str = "") -> Address:

@@ -29,7 +29,7 @@ class Marks:
         found = read_json(self.path, "file of marks") if self.path.exists() else {"marks": []}
         try:
             self._marks = sorted((int(mark["onset_ns"]), str(mark["text"])[:MOST_TEXT]) for mark in found["marks"])
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise KinegraphError(f"{self.path}: is no file of marks ({error!r})") from None
 
     def add(self, onset: int, text: str) -> None:

@@ -65,8 +65,9 @@ def completed(samples: Array) -> Array:
 
 def newest(number: int, spec: StreamSpec, count: int, stamp: int, sample: Array, t0_ns: int) -> bytes:
     """One sample that is shown as a whole: a frame, points, a mesh or a bundle of curves; `count` is its running number."""
+    turns = b""
     if skeleton := bones_of(spec):
-        sample = places(skeleton, sample)
+        turns, sample = np.ascontiguousarray(sample[3:], "<f4").tobytes(), places(skeleton, sample)
     header: dict[str, Any] = {
         "t": "points" if skeleton else kind_of(spec),
         "s": number,
@@ -80,4 +81,4 @@ def newest(number: int, spec: StreamSpec, count: int, stamp: int, sample: Array,
         scale = 65535 / np.maximum(high - low, 1e-9)
         return encode(header, ((sample - low) * scale).round().astype("<u2").tobytes())
     header["type"] = "u2" if sample.dtype == np.uint16 else "f4"
-    return encode(header, np.ascontiguousarray(sample, "<u2" if header["type"] == "u2" else "<f4").tobytes())
+    return encode(header, np.ascontiguousarray(sample, "<u2" if header["type"] == "u2" else "<f4").tobytes(), turns)

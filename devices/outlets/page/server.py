@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -17,11 +18,20 @@ from devices.outlets.page.serving import PageServer, tls_context
 from devices.outlets.page.wire import LENGTH, MOST_BYTES, decode
 from stream.commands import logs
 
+NICE = 10
+"""How far the server's priority is below the session's."""
+
 
 def say(asked: dict[str, Any]) -> None:
     """Ask the session for something, one line of JSON each; where it is gone, so is what `read_session` reads, and this process ends."""
     with suppress(OSError):
         os.write(1, msgspec.json.encode(asked) + b"\n")
+
+
+def yield_to_sessions() -> None:
+    """Views wait where the machine is busy; samples do not."""
+    if hasattr(os, "nice"):
+        os.nice(NICE)
 
 
 async def read_session(hub: Hub, first: asyncio.Event) -> None:
@@ -44,17 +54,23 @@ async def main(options: dict[str, Any]) -> None:
     hub, first = Hub(say), asyncio.Event()
     reading = asyncio.create_task(read_session(hub, first))
     await asyncio.wait([reading, asyncio.create_task(first.wait())], return_when=asyncio.FIRST_COMPLETED)
-    server = PageServer(hub, lambda: openmetrics(hub.hello.get("name", ""), hub.table, len(hub.clients), hub.dropped))
+    server = PageServer(
+        hub,
+        lambda: openmetrics(hub.hello.get("name", ""), hub.table, len(hub.clients), hub.dropped),
+        avatar=Path(options["avatar"]).read_bytes(),
+    )
     tls = tls_context(options["certificate"], options["key"])
     port = await server.open(options["host"], options["port"], options["token"], tls)
     say({"do": "listen", "port": port})
     await reading
     hub.hear({"t": "tick"}, memoryview(b""))
     await asyncio.sleep(0.3)
-    await asyncio.wait_for(server.close(), 2)
+    with suppress(TimeoutError):  # a client that reads nothing has not heard that this is the end
+        await asyncio.wait_for(server.close(), 2)
 
 
 if __name__ == "__main__":
     logs.set_up()
+    yield_to_sessions()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the session, which then ends us
     asyncio.run(main(msgspec.json.decode(sys.argv[1])))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gzip
+import socket
 import ssl
 from collections.abc import Callable, Mapping
 from http import HTTPStatus
@@ -28,12 +29,14 @@ FILES = {
     "/page.js": ("page.js", "text/javascript; charset=utf-8"),
     "/page.css": ("page.css", "text/css; charset=utf-8"),
 }
+AVATAR = "/avatar.vrm"
+"""The one avatar that this page shows; what a client asks for never names a file."""
 SOCKET = "/socket"
 MODULES = "/panels/"
 NO_PAGE = HTTPStatus.NOT_FOUND, "there is no such page\n"
 MOST_CLIENTS = 64
 WAITING_BYTES = 1 << 18
-"""More than this is not buffered for a client that does not read: it is sent no news until it has caught up."""
+"""More than this is not buffered for a client that does not read, here or by the system: it is sent no news until it has caught up."""
 METRICS_TYPE = "application/openmetrics-text; version=1.0.0; charset=utf-8"
 
 
@@ -63,6 +66,7 @@ class PageServer:
 
     metrics      writes the text behind `/metrics`
     files        the page's own files, by path: (name, type)
+    avatar       what stands behind AVATAR: a VRM file
     understand   what a client asks for, out of its message; raises ValueError
     """
 
@@ -73,9 +77,10 @@ class PageServer:
         *,
         files: Mapping[str, tuple[str, str]] = FILES,
         understand: Callable[[str | bytes], Any] = asked,
+        avatar: bytes = b"",
     ) -> None:
         self._shows, self._metrics, self._files, self._understand = shows, metrics, files, understand
-        self._access = Access("", 0)
+        self._access, self._avatar = Access("", 0), avatar
         self._packed = {path: gzip.compress(built(name), mtime=0) for path, (name, _) in files.items()}
         self._server: Server | None = None
 
@@ -124,6 +129,8 @@ class PageServer:
         if path.startswith(MODULES) and path.endswith(".js"):
             module = self._shows.modules.get(path[len(MODULES) : -len(".js")])
             return _response(HTTPStatus.OK, FILES["/page.js"][1], module.encode()) if module else _plain(*NO_PAGE)
+        if path == AVATAR and self._avatar:
+            return _response(HTTPStatus.OK, "model/gltf-binary", self._avatar)
         if path not in self._files:
             return _plain(*NO_PAGE)
         if "gzip" in "".join(request.headers.get_all("Accept-Encoding")):
@@ -136,6 +143,7 @@ class PageServer:
 
     async def _meet(self, connection: ServerConnection) -> None:
         """One client, from its first message to its last."""
+        connection.transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WAITING_BYTES)
         client = self._shows.visitor()
         self._shows.clients.add(client)
         speaking = asyncio.create_task(self._speak(connection, client))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal, TypeAlias
 
-from devices.outlets.page.poses import bones_of
+from devices.outlets.page.poses import avatar_bones, bones_of
 from devices.outlets.page.wire import MOST_TEXT
 from stream.chunk import StreamSpec
 from stream.errors import KinegraphError
@@ -94,7 +94,9 @@ def described(name: str, spec: StreamSpec) -> dict[str, Any]:
         "units": [] if spec.is_event else units,
         "fields": fields,
         "describe": spec.describe(),
+        "avatar": avatar_bones(spec),
         "bones": skeleton.pairs if skeleton else _pairs(spec.meta.get("bones")),
+        "columns": spec.meta.get("columns") if isinstance(spec.meta.get("columns"), int) else None,
         "faces": Topology.of(spec).faces.tolist() if kind_of(spec) == "mesh" else None,
     }
 
@@ -185,13 +187,20 @@ def _known(panel: dict[str, Any], specs: dict[str, StreamSpec]) -> dict[str, Any
     return {**panel, "missing": [name for name in panel["of"] if name not in specs]}
 
 
+def with_avatar(panels: list[dict[str, Any]], specs: dict[str, StreamSpec]) -> list[dict[str, Any]]:
+    """The panels, and before them an avatar that follows the last humanoid pose, where there is one and none of them is an avatar."""
+    followed = [name for name, spec in specs.items() if avatar_bones(spec)][-1:]
+    shown = any(panel["kind"] == "avatar" for panel in panels)
+    return panels if shown or not followed else [{"kind": "avatar", "of": followed}, *panels]
+
+
 def default_panels(specs: dict[str, StreamSpec], inputs: dict[str, list[str]]) -> list[dict[str, Any]]:
     """Panels by the streams' kinds; `inputs` says what each node reads."""
     of = {
         kind: [n for n, s in specs.items() if kind_of(s) == kind]
         for kind in ("signal", "events", "frame", "points", "pose", "mesh")
     }
-    panels: list[dict[str, Any]] = []
+    panels = with_avatar([], specs)
     panels += [{"kind": "scene", "of": [name]} for name in [*of["mesh"], *of["pose"], *of["points"]]]
     panels += [{"kind": "frame", "of": [name]} for name in of["frame"]]
     for name in specs:

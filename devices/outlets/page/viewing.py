@@ -12,7 +12,7 @@ from devices.outlets.page import messages
 from devices.outlets.page.hub import Looking, check_analysis
 from devices.outlets.page.marks import MARKS, SPEC, shown_with
 from devices.outlets.page.reading import RecordedViews
-from devices.outlets.page.shown import default_panels, described, own_modules, panels_of
+from devices.outlets.page.shown import default_panels, described, own_modules, panels_of, with_avatar
 from devices.outlets.page.wire import Analyse, Asked, Look, Mark, encode
 from stream.chunk import NS
 from stream.errors import KinegraphError
@@ -35,10 +35,14 @@ class Visitor(Looking):
 
 
 class RecordingHub(RecordedViews):
-    """What the page's server shows of a recording."""
+    """What the page's server shows of a recording.
 
-    def __init__(self, recording: Recording) -> None:
+    asks_avatar   an avatar is shown although no panel of the recording's graph is one
+    """
+
+    def __init__(self, recording: Recording, *, asks_avatar: bool = False) -> None:
         super().__init__(recording)
+        self._asks_avatar = asks_avatar
         self.clients: set[Looking] = set()
 
     def visitor(self) -> Looking:
@@ -52,7 +56,7 @@ class RecordingHub(RecordedViews):
         panels = (
             [p for p in panels_of(graph, specs) if p["kind"] not in wide] if graph else default_panels(specs, inputs)
         )
-        panels = shown_with(panels)
+        panels = shown_with(with_avatar(panels, specs) if self._asks_avatar else panels)
         for panel in panels:
             panel["missing"] = [
                 name for name in panel.get("missing", ()) if name not in self.recording.streams and name != MARKS

@@ -5,9 +5,10 @@ import { CyclesPanel } from "./cycles";
 import { EventsPanel, TablePanel } from "./events";
 import { FramePanel } from "./frame";
 import { HypnogramPanel } from "./hypnogram";
+import { LiveMapPanel } from "./map_live";
 import { OwnPanel } from "./own";
 import { make, type Page, Panel, type Span } from "./panel";
-import { ScenePanel } from "./scene";
+import { AvatarPanel, ScenePanel } from "./scene";
 import { SignalPanel } from "./signal";
 import { SimilarityPanel } from "./similarity";
 import { GraphPanel, LogPanel, StatePanel } from "./state";
@@ -17,7 +18,7 @@ import { Connection, type Hello, type Message, VERSION } from "./wire";
 
 const WINDOWS_S = [2, 5, 10, 30, 60, 300, 1800, 3600, 36000];
 const LOOK_MS = 80;
-const DRAW_MS = 1000 / 30;
+const DRAW_MS = 1000 / 60;
 const SLOW_DRAW_MS = 250;
 /** A machine that draws slowly rests for as long as it drew. */
 const BREATH = 2;
@@ -167,7 +168,9 @@ class Main implements Page {
       case "cycles": return new CyclesPanel(info, streams, this);
       case "frame": return new FramePanel(info, streams, this);
       case "hypnogram": return streams.length ? new HypnogramPanel(info, streams, this) : null;
+      case "map": return streams.length ? new LiveMapPanel(info, streams, this) : null;
       case "similarity": return streams.length ? new SimilarityPanel(info, streams, this) : null;
+      case "avatar": return new AvatarPanel(info, streams, this);
       case "scene": return new ScenePanel(info, streams, this);
       case "state": return new StatePanel(info, this);
       case "log": return new LogPanel(info, this);
@@ -316,7 +319,7 @@ class Main implements Page {
     const newest = Math.max(-Infinity, ...this.streams.filter((s) => s.info.kind !== "events").map((s) => s.last).filter((t) => t === t));
     if (this.hello?.mode === "replay" && Number.isFinite(newest)) return { begin: newest - this.window_s, end: newest, at: newest };
     const ahead = newest - Date.now() / 1000;
-    if (Number.isFinite(ahead)) this.ahead = Math.max(ahead, this.ahead - DRIFT / 30);
+    if (Number.isFinite(ahead)) this.ahead = Math.max(ahead, this.ahead - (DRIFT * DRAW_MS) / 1000);
     const end = Number.isFinite(this.ahead) ? this.now() : this.hello ? (Date.now() - this.t0_ms) / 1000 : 0;
     return { begin: end - this.window_s, end, at: end };
   }

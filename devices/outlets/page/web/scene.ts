@@ -6,6 +6,7 @@ import {
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
+import { AvatarFigure } from "./avatar";
 import { colour, make, type Page, Panel, shade, type Span } from "./panel";
 import type { Newest, Stream } from "./store";
 import type { PanelInfo } from "./wire";
@@ -20,8 +21,19 @@ const KEYS: Record<string, [number, number, number]> = {
 
 interface Extent { centre: Vector3; radius: number }
 
+/** What stands in a scene. */
+interface Figure {
+  readonly parts: Object3D[];
+  readonly labels: HTMLElement[];
+  readonly positions: Float32Array;
+  /** Take what is newest; whether there is anything new. */
+  take(): boolean;
+  restyle(): void;
+  leave?(): void;
+}
+
 /** One stream in the scene. Where a coordinate is missing, its point, its lines and its triangles are not drawn. */
-class Figure {
+class Drawn implements Figure {
   readonly parts: Object3D[] = [];
   readonly labels: HTMLElement[];
   positions = new Float32Array(0);
@@ -82,16 +94,18 @@ class Figure {
 export class ScenePanel extends Panel {
   private readonly scene = new Scene();
   private readonly camera = new PerspectiveCamera(40, 1, 0.01, 200);
-  private readonly figures: Figure[];
+  protected readonly figures: Figure[];
   private readonly up = make("button", { type: "button", "aria-pressed": "false" }, "z up");
   private renderer: WebGLRenderer | null = null;
   private controls: OrbitControls | null = null;
   private grid: GridHelper | null = null;
+  /** Whether something else than the view has changed since it was drawn. */
+  private changed = true;
 
   constructor(info: PanelInfo, streams: Stream[], page: Page) {
     super(info, streams, page);
     this.body.style.minHeight = `${this.height * 1.2}px`;
-    this.figures = streams.map((stream, i) => new Figure(stream, i, streams.length === 1));
+    this.figures = streams.map((stream, i) => this.figure(stream, i));
     this.up.onclick = () => {
       this.up.setAttribute("aria-pressed", String(this.up.getAttribute("aria-pressed") !== "true"));
       this.look();
@@ -101,6 +115,15 @@ export class ScenePanel extends Panel {
     } catch (error) {
       this.note.textContent = `no 3-D here: ${String(error)}`;
     }
+  }
+
+  protected figure(stream: Stream, number: number): Figure {
+    return new Drawn(stream, number, this.streams.length === 1);
+  }
+
+  /** From where it is looked at first. */
+  protected get from(): Vector3 {
+    return new Vector3(0.5, 0.35, 0.8);
   }
 
   private begin(): void {
@@ -121,6 +144,7 @@ export class ScenePanel extends Panel {
   }
 
   override leave(): void {
+    for (const figure of this.figures) figure.leave?.();
     this.controls?.dispose();
     this.renderer?.dispose();
     this.renderer?.forceContextLoss();
@@ -134,6 +158,7 @@ export class ScenePanel extends Panel {
 
   override restyle(): void {
     for (const figure of this.figures) figure.restyle();
+    this.changed = true;
     this.look();
   }
 
@@ -152,6 +177,7 @@ export class ScenePanel extends Panel {
     if (!renderer || !controls) return;
     const news = this.figures.map((figure) => figure.take()).some((taken) => taken);
     if (news) {
+      this.changed = true;
       if (!this.grid) this.look();
       const points = this.figures.reduce((n, f) => n + f.positions.length / 3, 0);
       this.element.dataset["points"] = String(points);
@@ -162,8 +188,10 @@ export class ScenePanel extends Panel {
       renderer.setSize(clientWidth, clientHeight);
       this.camera.aspect = clientWidth / clientHeight;
       this.camera.updateProjectionMatrix();
+      this.changed = true;
     }
-    controls.update();
+    if (!controls.update() && !this.changed) return;
+    this.changed = false;
     renderer.render(this.scene, this.camera);
     for (const figure of this.figures) this.label(figure, clientWidth, clientHeight);
     this.stamp();
@@ -176,7 +204,7 @@ export class ScenePanel extends Panel {
     const { centre, radius } = extent;
     const zUp = this.up.getAttribute("aria-pressed") === "true";
     this.camera.up.set(0, zUp ? 0 : 1, zUp ? 1 : 0);
-    const from = zUp ? new Vector3(0.5, -0.8, 0.35) : new Vector3(0.5, 0.35, 0.8);
+    const from = zUp ? new Vector3(0.5, -0.8, 0.35) : this.from;
     this.controls.target.copy(centre);
     this.camera.position.copy(centre).add(from.normalize().multiplyScalar(3 * radius));
     this.camera.near = radius / 30;
@@ -190,6 +218,7 @@ export class ScenePanel extends Panel {
       this.grid.position.z -= radius;
     } else this.grid.position.y -= radius;
     this.scene.add(this.grid);
+    this.changed = true;
   }
 
   private label({ labels, positions }: Figure, width: number, height: number): void {
@@ -199,6 +228,25 @@ export class ScenePanel extends Panel {
       label.hidden = !Number.isFinite(at.x) || at.z > 1;
       if (!label.hidden) label.style.transform = `translate(${((at.x + 1) * width) / 2 + 6}px, ${((1 - at.y) * height) / 2 - 8}px)`;
     });
+  }
+}
+
+/** Avatars that follow streams of poses; other streams stand beside them. */
+export class AvatarPanel extends ScenePanel {
+  protected override figure(stream: Stream, number: number): Figure {
+    const { avatar } = stream.info;
+    return avatar ? new AvatarFigure(stream, avatar, (text) => { this.note.textContent = text; }) : super.figure(stream, number);
+  }
+
+  protected override get from(): Vector3 {
+    return new Vector3(0.2, 0.1, 1);
+  }
+
+  override draw(span: Span): void {
+    super.draw(span);
+    const first = this.figures.find((figure) => figure instanceof AvatarFigure);
+    const at = ["leftHand", "rightHand", "head"].map((bone) => first?.place(bone).map((v) => v.toFixed(3)).join(" "));
+    if (at[0]) this.element.dataset["bones"] = at.join(", ");
   }
 }
 

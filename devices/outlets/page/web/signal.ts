@@ -9,7 +9,7 @@ import type { PanelInfo, SpectrumMessage } from "./wire";
 
 const FILL = 0.46;
 /** How fast a channel's scale shrinks after a large value has left, per frame. */
-const SHRINK = 0.04;
+const SHRINK = 0.02;
 const SIGNIFICANT = 3;
 /** How far a key moves a cursor, as a share of the chart's width. */
 const KEY_STEP = 0.02;
@@ -147,10 +147,8 @@ export class SignalPanel extends Panel {
   /** Each channel in its lane, the least and the greatest value of a bucket one after the other. */
   private lanes(): uPlot.AlignedData {
     const { time, low, high, thin, width } = this.stream.signal;
-    let first = 0;
-    while (first < time.length && (time[first] as number) < this.span.begin - 1) first++;
-    let last = time.length;
-    while (last > first && (time[last - 1] as number) > this.span.end + 1) last--;
+    const first = Math.max(0, from(time, this.span.begin) - 1); // the line goes on beyond both edges
+    const last = Math.max(first, Math.min(time.length, from(time, this.span.end) + 1));
     this.rescale(first, last);
     const step = thin ? 2 : 1;
     const n = (last - first) * step;
@@ -230,6 +228,17 @@ export class SignalPanel extends Panel {
     });
     this.note.textContent = `${((to - from) * 1000).toFixed(0)} ms: ${parts.join("; ")}`;
   }
+}
+
+/** The first of some times that is not before `at`. */
+function from(time: number[], at: number): number {
+  let [low, high] = [0, time.length];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if ((time[middle] as number) < at) low = middle + 1;
+    else high = middle;
+  }
+  return low;
 }
 
 function extremes(low: number[], high: number[], first: number, last: number): [number, number] {

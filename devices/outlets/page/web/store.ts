@@ -49,7 +49,7 @@ export class Signal {
   }
 }
 
-export interface Newest { at: number; count: number; shape: number[]; data: Uint16Array | Float32Array; low: number[]; high: number[] }
+export interface Newest { at: number; count: number; shape: number[]; data: Uint16Array | Float32Array; low: number[]; high: number[]; turns: Float32Array }
 
 /** One stream: its newest samples, when they came, and how far they reach. */
 export class Stream {
@@ -83,7 +83,8 @@ export class Stream {
   addNewest(message: NewestMessage, buffer: ArrayBuffer, at: number, now: number): void {
     const size = message.shape.reduce((a, b) => a * b, 1);
     const data = message.type === "u2" ? new Uint16Array(buffer, at, size) : new Float32Array(buffer, at, size);
-    this.newest = { at: message.at, count: message.count, shape: message.shape, data, low: message.low ?? [], high: message.high ?? [] };
+    const turns = this.info.avatar ? new Float32Array(buffer, at + data.byteLength, 4 * this.info.avatar.parents.length) : new Float32Array(0);
+    this.newest = { turns, at: message.at, count: message.count, shape: message.shape, data, low: message.low ?? [], high: message.high ?? [] };
     if (message.t === "curves") this.curves = [...this.curves.slice(1 - MOST_CURVES), this.newest];
     this.note(message.at, 1, now);
   }

@@ -13,7 +13,14 @@ export interface StreamInfo {
   describe: string;
   bones: [string | number, string | number][];
   faces: number[][] | null;
+  columns: number | null;
+  avatar: AvatarInfo | null;
 }
+/** A humanoid bone: its parent among the bones, the pose's joint (-1: it moves with its parent), and how it is turned (w, x, y, z) from the
+ * T-pose to the skeleton's rest. */
+export interface AvatarBone { bone: string; parent: number; joint: number; turn: [number, number, number, number] }
+/** Of a stream of poses: the joints' parents, and the bones. */
+export interface AvatarInfo { parents: number[]; bones: AvatarBone[] }
 export interface PanelInfo {
   kind: string;
   of: string[];
