@@ -19,7 +19,7 @@ from typing import Any
 
 import kinegraph as kg
 from bench.report import short
-from stream.batch.cluster import LOCAL, spread, workers
+from stream.batch.cluster import LOCAL, Lost, spread, workers
 from stream.batch.jobs import jobs
 from stream.batch.study import batch
 from stream.batch.work import Common, do
@@ -49,10 +49,11 @@ def main() -> None:
         with TemporaryDirectory(prefix="kinegraph-bench-") as folder:
             replays(Path(folder), max(given.jobs, 5), given.rounds)
     for count in given.workers if given.sleeping else ():
-        over, busy = overhead_s(count, given.sleeping, given.sleep_ms / 1e3)
+        over, busy, theirs = overhead_s(count, given.sleeping, given.sleep_ms / 1e3)
         what = f"{given.sleeping} jobs that sleep {given.sleep_ms:g} ms, {count} workers"
         tell(f"| scheduler, {what}: beyond the sleep | {short(over * 1e3)} ms a job |")
-        tell(f"| of these, CPU time of the scheduler and its client | {short(busy * 1e3)} ms a job |")
+        tell(f"| CPU time of the scheduler and its client, {count} workers | {short(busy * 1e3)} ms a job |")
+        tell(f"| CPU time of the {count} workers together | {short(theirs * 1e3)} ms a job |")
 
 
 def tell(line: str) -> None:
@@ -99,17 +100,19 @@ def batch_s(folder: Path, common: Common, todo: list[Any], number: int) -> float
     return (marks[-1] - marks[number]) / (len(marks) - 1 - number)  # marks[0] is the begin
 
 
-def overhead_s(count: int, jobs: int, sleep_s: float) -> tuple[float, float]:
-    """Seconds that a job takes beyond its share of the sleep, on `count` workers of one thread each, and those of CPU in this process."""
+def overhead_s(count: int, jobs: int, sleep_s: float) -> tuple[float, float, float]:
+    """Seconds that a job takes beyond its share of the sleep, on `count` workers of one thread each; of CPU here; of CPU in the workers."""
     with workers(LOCAL, count, 0, 0) as client:
         made: Any = client  # distributed is not typed
         made.wait_for_workers(count)
         made.gather([made.submit(time.sleep, 0.01, pure=False) for _ in range(4 * count)])  # each has done one
+        theirs = -sum(made.run(time.process_time).values())
         began, busy = time.perf_counter(), time.process_time()
-        ended = sum(future.status == "finished" for _, future in spread(client, partial(_sleep, sleep_s), range(jobs)))
+        ended = sum(not isinstance(came, Lost) for _, came in spread(client, partial(_sleep, sleep_s), range(jobs)))
         took, busy = time.perf_counter() - began, time.process_time() - busy
+        theirs += sum(made.run(time.process_time).values())
     assert ended == jobs
-    return (took - sleep_s * jobs / count) / jobs, busy / jobs
+    return (took - sleep_s * jobs / count) / jobs, busy / jobs, theirs / jobs
 
 
 def _sleep(seconds: float, _: int) -> None:

@@ -5,26 +5,32 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pandas
 import pytest
+from rich.console import Console
 
 import kinegraph as kg
-from stream.batch.cluster import ClusterError, workers
+from stream.batch.cluster import AHEAD, ClusterError, spread, workers
 from stream.batch.digests import recording_digest
 from stream.batch.jobs import Job, jobs, read_grid
-from stream.batch.manifest import JOBS, Manifest
-from stream.batch.study import memory_of, number_of_workers
+from stream.batch.manifest import JOBS, JobEntry, Manifest
+from stream.batch.study import BatchState, memory_of, number_of_workers
 from stream.batch.work import Common, do
 from stream.ceiling import ceiling
+from stream.commands.batch import _shown, _tell
 from stream.errors import GraphError, KinegraphError
 from stream.recording.series import write_recording
 from tests.command_line import KINEGRAPH, Command, kinegraph, refused
@@ -273,6 +279,81 @@ def test_on_the_command_line(folder: Path, kinegraph: Command) -> None:
     refused(kinegraph("batch", "graph.yaml", "s1", "-o", "o2", "--cluster", "tcp://127.0.0.1:9"), "127.0.0.1:9")
 
 
+def test_a_terminal_shows_the_jobs_done_the_failures_and_the_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = StringIO()
+    monkeypatch.setattr("stream.screen.Screen", lambda **_: Console(file=drawn, force_terminal=True, width=120))
+    tally = BatchState(40)
+    with _shown(40, quiet=False) as progress:
+        for k in range(8):
+            tally.add(JobEntry(f"{k}", "s1", {}, "failed" if k == 3 else "done", ""), now=k != 2)
+            progress(tally)
+            time.sleep(0.1)  # the bar is drawn ten times a second
+    shown = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", drawn.getvalue())
+    assert re.search(r"batch\s[^\n]*[1-3]/40 jobs", shown) and re.search(
+        r"batch, 1 failed[^\n]*/40 jobs 0:00:\d\d", shown
+    ), shown
+    assert tally.finished == 8 and tally.kept == 1 and tally.made["done"] == 6
+
+
+def test_what_is_printed_to_a_pipe_is_the_summary_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    tally = BatchState(13)
+    for k in range(13):
+        tally.add(
+            JobEntry(f"{k}", f"s{k}", {"a.b": 1}, "failed" if k < 12 else "done", "", error="why", seconds=9.0), True
+        )
+    with _shown(13, quiet=False) as progress:
+        progress(tally)
+    _tell(tally, Path("out"))
+    told = capsys.readouterr()
+    assert told.out == "1 jobs done, 0 unchanged, 12 failed; 117 s replayed; results in out\n"
+    assert told.err.splitlines()[0] == "  s0 with a.b=1: why" and "and 2 more, in out/failed.parquet" in told.err
+
+
+class Workers:
+    """A Dask client of so many places; what it was given at a time, and what has ended."""
+
+    def __init__(self, places: int) -> None:
+        self.places = places
+        self.given: list[int] = []
+
+    def nthreads(self) -> dict[str, int]:
+        return {f"tcp://{k}": 1 for k in range(self.places)}
+
+    def map(self, call: Callable[[int], int], items: Sequence[int], **_: object) -> list[SimpleNamespace]:
+        self.given.append(len(items))
+        ended: dict[int, Any] = {k: call(k) for k in items}
+        return [SimpleNamespace(key=f"job-{k}", status="finished", value=value) for k, value in ended.items()]
+
+    def gather(self, futures: dict[str, SimpleNamespace]) -> dict[str, int]:
+        return {key: future.value for key, future in futures.items()}
+
+
+class Ended:
+    """What `as_completed` is, of futures that have ended: a few at a time."""
+
+    def __init__(self) -> None:
+        self.waiting: list[SimpleNamespace] = []
+
+    def update(self, futures: list[SimpleNamespace]) -> None:
+        self.waiting += futures
+
+    def next_batch(self, block: bool = True) -> list[SimpleNamespace]:
+        taken, self.waiting = self.waiting[:7], self.waiting[7:]
+        return taken
+
+
+@pytest.mark.parametrize(("places", "jobs"), [(1, 1), (1, 2), (4, 9), (16, 20), (16, 40), (2, 1000), (200, 500)])
+def test_jobs_wait_at_the_scheduler_not_at_workers(places: int, jobs: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Up to two for each worker, Dask hands jobs to workers at once; so no more are given out than there are workers, until more follow."""
+    monkeypatch.setattr("distributed.as_completed", Ended)
+    client = Workers(places)
+    came = dict(spread(client, lambda k: -k, range(jobs)))
+    assert came == {k: -k for k in range(jobs)}
+    first = client.given[0]
+    assert first <= places or first > 2 * places
+    assert max(client.given) <= places + AHEAD and len(client.given) <= max(jobs, 7)
+
+
 def test_a_worker_that_dies_costs_its_own_job(folder: Path, kinegraph: Command) -> None:
     Path("deadly_part.py").write_text(DEADLY)
     text = GRAPH.replace("operators.iir.Lowpass", "deadly_part.Deadly").replace(", cutoff_hz: 6", "")
@@ -369,6 +450,23 @@ def test_through_a_queue(folder: Path, queue: Path, where: str) -> None:
     scripts = [path.read_text() for path in queue.glob("job.*")]
     assert len(scripts) == 2 and all("--nthreads 1 " in text for text in scripts), scripts
     assert all(asked in text for text in scripts for asked in ASKED[where]), scripts
+    assert set(kg.BatchResults("out").to_pandas("smooth")["recording"]) == {"s1", "s2"}
+
+
+def has_slurm() -> bool:
+    """Whether a Slurm controller answers."""
+    scontrol = shutil.which("scontrol")
+    return bool(scontrol) and subprocess.run([scontrol or "", "ping"], capture_output=True, timeout=60).returncode == 0
+
+
+@pytest.mark.skipif(not has_slurm(), reason="no Slurm controller answers `scontrol ping`")
+@pytest.mark.timeout(600)
+def test_through_slurm_itself(folder: Path) -> None:
+    pytest.importorskip("dask_jobqueue")
+    settings = {"DASK_JOBQUEUE__SLURM__INTERFACE": "lo"} | dict(os.environ)
+    command = [KINEGRAPH, "batch", "graph.yaml", "s1", "s2", "-o", "out", "--cluster", "slurm", "--workers", "2"]
+    done = subprocess.run(command, env=settings, capture_output=True, text=True, timeout=580)
+    assert done.returncode == 0 and "2 jobs done, 0 unchanged, 0 failed" in done.stdout, done.stdout + done.stderr
     assert set(kg.BatchResults("out").to_pandas("smooth")["recording"]) == {"s1", "s2"}
 
 

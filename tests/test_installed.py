@@ -10,11 +10,14 @@ import sys
 import tomllib
 import venv
 import zipfile
+from importlib import metadata
 from pathlib import Path
 from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from stream.graph.load import load
 from stream.graph.shipped import resolve, shipped, shipped_folder, summary
@@ -61,8 +64,36 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         cwd=place,
     )
     around = [p for p in sys.path if p.endswith("site-packages")]
-    (home / "around.pth").write_text("\n".join(around), encoding="utf-8")
+    (home / "only_declared.py").write_text(ONLY_DECLARED.format(undeclared()), encoding="utf-8")
+    (home / "around.pth").write_text("\n".join([*around, "import only_declared"]), encoding="utf-8")
     return place / "env" / "bin"
+
+
+ONLY_DECLARED = """
+import sys
+
+class OnlyDeclared:
+    @staticmethod
+    def find_spec(name, path=None, target=None):
+        if name.partition(".")[0] in {!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}: the wheel does not ask for it", name=name)
+
+sys.meta_path.insert(0, OnlyDeclared)
+"""
+
+
+def undeclared() -> set[str]:
+    """Modules that are installed here, but not with the wheel alone: no dependency of it, nor of one of these."""
+    asked = tomllib.loads((HOUSE / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
+    todo, found = [Requirement(text) for text in asked], {"kinegraph", "pip"}
+    while todo:
+        one = todo.pop()
+        name = canonicalize_name(one.name)
+        if name not in found and (one.marker is None or one.marker.evaluate({"extra": ""})):
+            found.add(name)
+            todo += map(Requirement, metadata.requires(name) or ())
+    there = metadata.packages_distributions().items()
+    return {module for module, names in there if not {canonicalize_name(name) for name in names} & found}
 
 
 @pytest.mark.timeout(250)
@@ -84,6 +115,12 @@ def test_the_readme_works_from_a_wheel(site: Path, tmp_path: Path) -> None:
     printed = run(site / "python", "-c", code, cwd=tmp_path).splitlines()
     assert Path(printed[0]).is_relative_to(site.parent)
     assert printed[-1] == "()"
+
+
+def test_nothing_but_what_the_wheel_asks_for_is_there(site: Path, tmp_path: Path) -> None:
+    assert {"pytest", "pandas", "hatchling"} & undeclared() and not {"numpy", "stream", "matplotlib"} & undeclared()
+    run(site / "python", "-c", "import numpy, matplotlib", cwd=tmp_path)
+    run(site / "python", "-c", "import pytest", cwd=tmp_path, code=1)
 
 
 def test_the_wheel_holds_the_service_file_of_the_bedside_too(site: Path) -> None:

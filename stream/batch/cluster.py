@@ -5,9 +5,9 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from itertools import islice
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from stream.errors import KinegraphError
@@ -22,11 +22,22 @@ PATIENCE_S = 10
 """Within which a scheduler that is there answers."""
 LOOK_S = 1.0
 """How often it is looked how many workers there are."""
+AHEAD = 256
+"""Items that wait at the scheduler."""
+GATHER_S = 0.05
+"""What came of the items that end within it is fetched at once: asked for one by one it takes longer than to give them out."""
 Item = TypeVar("Item")
 
 
 class ClusterError(KinegraphError):
     """There are no workers."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lost:
+    """An item whose call did not return: its worker died, or the call raised."""
+
+    error: BaseException
 
 
 @contextmanager
@@ -40,7 +51,12 @@ def workers(where: str, count: int, memory_bytes: int, retries: int) -> Iterator
     dask, distributed = _dask()
     settings = {
         "distributed.scheduler.allowed-failures": retries,
+        "distributed.scheduler.worker-saturation": 1.0,  # one job at each worker; the others wait at the scheduler
+        "distributed.scheduler.work-stealing": False,
+        "distributed.scheduler.active-memory-manager.start": False,
+        "distributed.deploy.lost-worker-timeout": "1h",  # a worker that died is started again; on a busy machine not within 15 s
         "distributed.worker.daemon": False,
+        "distributed.worker.profile.enabled": False,  # which looks at every worker's stack a hundred times a second
         "distributed.admin.tick.limit": "1h",
     }
     with dask.config.set(settings), ExitStack() as stack:
@@ -54,27 +70,44 @@ def workers(where: str, count: int, memory_bytes: int, retries: int) -> Iterator
         yield stack.enter_context(client)
 
 
-def spread(client: Any, call: Callable[[Item], Any], items: Iterable[Item]) -> Iterator[tuple[Item, Any]]:
-    """`call` with each of the items, on workers of a thread each: the items and their futures, in the order in which they end.
+def spread(client: Any, call: Callable[[Item], Any], items: Sequence[Item]) -> Iterator[tuple[Item, Any]]:
+    """`call` with each of the items, on workers of a thread each: the items and what came of them, in the order in which they end.
 
-    As many are under way as there are workers: no item waits at a worker, to be lost with it, and memory does not grow with their number.
+    What came of an item is what the call returned, or what ended it, a `Lost`. AHEAD items wait at the scheduler: none waits at a worker,
+    to be lost with it; no worker waits for this process; and memory does not grow with the number of items.
     """
     from distributed import as_completed
 
-    waiting, at_work = iter(items), dict[str, Item]()
+    at_work = dict[str, Item]()
     finished: Any = as_completed()  # type: ignore[no-untyped-call]
-    places, looked = 0, -math.inf
-    while True:
+    places, looked, given = 1, -math.inf, 0
+    while given < len(items) or at_work:
         if time.monotonic() - looked > LOOK_S:
-            places, looked = sum(client.nthreads().values()), time.monotonic()
-        for item in islice(waiting, max(places, 1) - len(at_work)):
-            future = client.submit(call, item, pure=False)
-            at_work[future.key] = item
-            finished.add(future)
-        if not at_work:
-            return
-        future = next(finished)
-        yield at_work.pop(future.key), future
+            places, looked = max(sum(client.nthreads().values()), 1), time.monotonic()
+        if (room := _room(places, len(at_work), given, len(items))) > 0:
+            chosen = items[given : given + room]
+            futures = client.map(call, chosen, key="job", pure=False)
+            at_work |= {future.key: item for future, item in zip(futures, chosen, strict=True)}
+            given += len(chosen)
+            finished.update(futures)
+        ended = finished.next_batch()
+        time.sleep(GATHER_S)
+        ended += finished.next_batch(block=False)
+        returned = client.gather({future.key: future for future in ended if future.status == "finished"})
+        for future in ended:
+            came = returned[future.key] if future.key in returned else Lost(future.exception())
+            yield at_work.pop(future.key), came
+
+
+def _room(places: int, at_work: int, given: int, total: int) -> int:
+    """How many more items are given to the scheduler: none, or at least half of what may be under way, for each time has its price.
+
+    The scheduler keeps items back once there were more than two for each place; fewer it would hand to the workers at once.
+    """
+    window = places + AHEAD
+    if min(given + window - at_work, total) <= 2 * places:
+        return places - at_work
+    return window - at_work if at_work <= window // 2 else 0
 
 
 def _cluster(distributed: Any, where: str, count: int, memory_bytes: int) -> Any:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from stream.batch.cluster import LOCAL, spread, workers
+from stream.batch.cluster import LOCAL, Lost, spread, workers
 from stream.batch.jobs import Job
 from stream.batch.manifest import JobEntry, Manifest
 from stream.batch.parquet import ROWS, arrow
@@ -128,14 +128,11 @@ def _done(
 ) -> Iterator[tuple[JobEntry, bool]]:
     """What comes of the jobs, in the order in which they end."""
     with workers(where, count, needed, retries) as client:
-        for job, future in spread(client, partial(do, folder.absolute()), jobs):
-            if future.status == "finished":
-                yield future.result()
-            else:
-                yield _lost(manifest, job, future.exception()), True
+        for job, came in spread(client, partial(do, folder.absolute()), jobs):
+            yield (_lost(manifest, job, came.error), True) if isinstance(came, Lost) else came
 
 
-def _lost(manifest: Manifest, job: Job, error: BaseException | None) -> JobEntry:
+def _lost(manifest: Manifest, job: Job, error: BaseException) -> JobEntry:
     """A job whose worker died, which could not write what came of it."""
     died = type(error).__name__ == "KilledWorker"
     text = "its worker died while it was at work (killed for memory, or crashed)" if died else f"{error}"

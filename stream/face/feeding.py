@@ -8,9 +8,10 @@ from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
 from stream.arrays import series
-from stream.chunk import Chunk, StreamSpec
+from stream.chunk import NS, Chunk, StreamSpec
 from stream.engine.replay import Replay
 from stream.errors import KinegraphError, nearest
+from stream.face.notebook_bar import notebook_bar
 from stream.face.results import Results
 from stream.graph import Edge, Graph
 from stream.operator import Operator
@@ -54,7 +55,8 @@ def on_recording(
     kept: dict[str, list[Chunk]] = {name: [] for name in _kept(at_work.graph, [*keep])}
     for name, chunks in kept.items():
         at_work.observe(name, chunks.append)
-    replayed = at_work.run()
+    with notebook_bar("replay", recording.duration_ns / NS) as progress:
+        replayed = at_work.run(progress)
     results = Results({name: _joined(name, at_work.graph, chunks) for name, chunks in kept.items()})
     results.differing = tuple(replayed.differing)
     return results
