@@ -1,4 +1,4 @@
-# make demo: a treadmill session on a simulated signal, live in the terminal and in a browser, with a report at the end.
+# make demo: a treadmill session on a simulated signal that loses a second, live in the terminal and in a browser, with a report at the end.
 # make check: lint, types, and the laws on three operators, in under a minute (make check OPERATORS="Envelope or Cycles": on others).
 # make test: everything that is checked before a change goes in.
 # make mutants: 100 random changes to operators/ and stream/, of which the tests must notice at least 90 %; a while (SEED=2 draws others).
@@ -16,7 +16,8 @@ BIN := .venv/bin
 .PHONY: demo check test mutants test-peers bench fuzz soak nights audit licences site dist clean
 
 demo: .venv/installed
-	$(BIN)/kinegraph run configs/treadmill_emg.yaml --set treadmill.duration_s=$(SECONDS_OF_DEMO) --page
+	$(BIN)/kinegraph run configs/treadmill_emg.yaml --set treadmill.duration_s=$(SECONDS_OF_DEMO) \
+		--set 'treadmill.faults=[{kind: lost, from_s: 6, for_s: 1}]' --page
 	@echo "the same session in a browser: $(BIN)/kinegraph view $$(ls -td recordings/treadmill_emg-* | head -n 1)"
 
 check: .venv/installed-for-tests
@@ -39,10 +40,10 @@ test-peers: .venv/installed-for-tests
 	$(BIN)/pytest -n 2 --dist loadgroup tests/peers tests/test_oak.py tests/test_depthai_replay.py tests/test_simulators.py \
 		tests/test_export.py tests/test_lab_exports.py tests/test_night_report.py
 
-# damaged copies of valid files of every format, FUZZ_S seconds each, others every day
+# damaged copies of valid files of every format and of every kind of model, FUZZ_S seconds each, others every day
 FUZZ_S ?= 60
 fuzz: .venv/installed-for-tests
-	KINEGRAPH_FUZZ_S=$(FUZZ_S) $(BIN)/pytest tests/test_fuzz_files.py -n 2
+	KINEGRAPH_FUZZ_S=$(FUZZ_S) $(BIN)/pytest tests/test_fuzz_files.py tests/test_fuzz_models.py -n 2
 
 # all three uses at once in real time under random faults, every sample accounted for; then ten hours of each as fast as they go.
 # A week: make soak SOAK_MIN=10080

@@ -70,6 +70,7 @@ if TYPE_CHECKING:
     from operators.gate import Gate
     from operators.iir import Bandpass, Highpass, Lowpass, Notch
     from operators.mean import RemoveMean
+    from operators.motion_graph.growing import GrowingGraph
     from operators.motion_map import MotionMap
     from operators.moving import MovingMean, MovingRms
     from operators.neighbours import Neighbours
@@ -131,6 +132,7 @@ __all__ = [
     "ForcePlate",
     "Gate",
     "GentleAlarm",
+    "GrowingGraph",
     "Highpass",
     "InertialContacts",
     "LimbContacts",
@@ -234,6 +236,7 @@ __getattr__, __dir__ = offered(
         "ForcePlate": "operators.force_plate",
         "Gate": "operators.gate",
         "GentleAlarm": "operators.sleep.gentle_alarm",
+        "GrowingGraph": "operators.motion_graph.growing",
         "Highpass": "operators.iir",
         "InertialContacts": "operators.gait.inertial",
         "LimbContacts": "operators.gait.limb_contacts",

@@ -26,8 +26,8 @@ def one_line(text: object) -> str:
 
 
 def say(text: object = "", *, err: bool = False, end: str = "\n", flush: bool = False) -> None:
-    """Print to standard output, or error."""
-    print(plain(text), file=sys.stderr if err else sys.stdout, end=end, flush=flush)
+    """Print to standard output, or error: in one piece, so that no other thread's line stands in it."""
+    print(f"{plain(text)}{end}", file=sys.stderr if err else sys.stdout, end="", flush=flush)
 
 
 def plain_log(_logger: object, _method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import datetime
+import os
 import random
 import re
 import struct
+
+SECONDS = float(os.environ.get("KINEGRAPH_FUZZ_S", "0"))
+"""How long copies are made of each file; 0: a fixed number of them."""
 
 EXTREME = [
     *(
@@ -31,6 +36,11 @@ TEXTS = [
 ]
 TEXTS += [b"9999-12-31T23:59:59Z", b"0001-01-01", b"1e-320", b"\xe2\x80\xae", b"{" * 40]
 NUMBER = re.compile(rb"-?\d+(\.\d+)?")
+
+
+def seed_of(name: str) -> str:
+    """What copies of it are drawn from: always the same, or, for KINEGRAPH_FUZZ_S, others every day or by KINEGRAPH_FUZZ_SEED."""
+    return f"{name} {os.environ.get('KINEGRAPH_FUZZ_SEED', datetime.date.today()) if SECONDS else ''}"
 
 
 def mutant(whole: bytes, chance: random.Random) -> bytes:

@@ -220,7 +220,17 @@ def test_the_engine_stays_small() -> None:
 COMMANDS = {"commands", "evaluation", "setup"}
 """Rooms within operators/ whose modules read and write files: commands, and what only commands use."""
 FILES = {"open", "read_text", "read_bytes", "write_text", "write_bytes", "savez", "savefig", "fromfile"}
-READERS = ("stream.recording", "stream.tables", "stream.sheet", "stream.complete", "json", "csv", "os", "io")
+READERS = (
+    "stream.recording",
+    "stream.tables",
+    "stream.sheet",
+    "stream.complete",
+    "json",
+    "csv",
+    "os",
+    "io",
+    "tempfile",
+)
 
 
 def opens_files(path: Path) -> list[str]:

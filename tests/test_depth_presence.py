@@ -8,6 +8,7 @@ import pytest
 from operators.depth.activity import Activity
 from operators.depth.breathing import Breathing
 from operators.depth.presence import BED, Presence
+from operators.depth.view import VIEW
 from operators.sleep.scorer import SleepScorer
 from stream.chunk import NS, Array, StreamSpec
 from stream.errors import InputError
@@ -184,6 +185,26 @@ def test_out_of_bed_is_awake_unknown_is_unknown_and_unseen_is_unseen() -> None:
     assert made["epochs"]["seen"][[15, 16, 18]] == pytest.approx([1 / 3, 2 / 3, 1.0])
     unknown = active(x, [])
     assert np.isnan(unknown["out"]).all(), "nobody knows whether anybody is in bed"
+
+
+@pytest.mark.parametrize("comes", [True, False])
+def test_a_second_body_is_noticed_also_before_the_empty_bed_is_known_again_after_a_move(comes: bool) -> None:
+    time, depth = bedroom(1900, (200, 1900))
+    at = (time - time[0]) / NS
+    other = np.zeros((ROWS, COLUMNS))
+    other[3:12, 6:8] = 200.0
+    depth[(at > 1400) & (at < 1600)] -= comes * other
+    turned = (at > 1700)[:, None, None] * (np.roll(other, 3, 1) - other)
+    depth[:, :, :14] += turned[:, :, :14]  # the sleeper lies a little further to the side
+    moved = np.array([(time[0] + 800 * NS, "moved", 0.0, 0.0)], VIEW)
+    inputs = {"regions": regions(int(time[0]), a=REGION), "blocks": (blocks_spec(ROWS, COLUMNS, RATE), time, depth)}
+    made = play(Presence(), view=(StreamSpec((), VIEW), moved["onset"].copy(), moved), **inputs)["out"]
+    seconds = [(str(e["state"]), str(e["why"]), (int(e["onset"]) - int(time[0])) // NS) for e in made]
+    came = [("in", "body", 1400), ("in", "", 1600)]
+    assert seconds == [
+        ("out", "", 0), ("in", "", 200), ("unknown", "camera", 800), ("in", "", 800), *came[: 2 * comes],
+        ("unknown", "unseen", 1900),
+    ]  # fmt: skip
 
 
 def test_a_partners_movement_is_flagged() -> None:

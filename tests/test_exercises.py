@@ -15,7 +15,7 @@ from rich.console import Console
 from devices.outlets.exercise_panel import FIELDS, ExercisePanel, panel
 from devices.outlets.terminal import LineView
 from devices.outlets.training import TrainingReport
-from operators.segmentation.naming import BELIEVED_NAME, REPETITION, NameRepetitions, letters
+from operators.segmentation.naming import BELIEVED_NAME, REPETITION, TURNS, NameRepetitions, letters
 from operators.segmentation.operator import OUTPUTS, PRIMITIVE
 from operators.segmentation.taught import UNKNOWN, Taught, taught
 from stream import cli
@@ -257,6 +257,16 @@ def test_without_a_model_clusters_have_letters_and_what_has_left_the_window_has_
     assert found["name"].tolist() == ["A", "B"] and np.isnan(found["distance"]).all()
     assert [letters(k) for k in (0, 25, 26, 701, 702)] == ["A", "Z", "AA", "ZZ", "AAA"]
     assert np.isnan(named(x, [(0, 1900)], None)["range"][0])
+
+
+def test_the_shipped_turns_are_those_of_the_cases() -> None:
+    """What a session does before it starts must not need room on a disk."""
+    case = NameRepetitions.cases()[0]
+    spec, _, x = case.inputs["in"]
+    kept, fresh = Taught.read(TURNS, "in", spec), taught([("turn", [x[:31], x[31:62]])], 0.5)
+    assert kept.names == fresh.names and (kept.lengths == fresh.lengths).all()
+    np.testing.assert_allclose(kept.frames, fresh.frames, atol=1e-12)
+    np.testing.assert_allclose(kept.reach, fresh.reach, rtol=1e-9)
 
 
 def test_a_model_of_other_features_or_a_broken_one_is_refused(tmp_path: Path) -> None:

@@ -87,3 +87,17 @@ def test_frames_are_not_joined() -> None:
     assert not joinable(StreamSpec((4, 6), np.dtype("<u2")))
     assert joinable(StreamSpec((5, 3)))
     assert all(map(joinable, SPECS.values()))
+
+
+def test_a_gap_is_before_its_first_sample_and_time_has_come_up_to_it(tmp_path: Path) -> None:
+    """So that an alarm that time alone brings about comes before the gap, however long the chunks are."""
+    record(tmp_path / "r.mcap", 5)
+    with Recording.open(tmp_path / "r.mcap") as recording:
+        until = dict.fromkeys(SPECS, 0)
+        gaps = 0
+        for _, name, chunk, _ in joined(recording, set(SPECS)):
+            if chunk.lost and len(chunk):  # without samples: behind the last one
+                gaps += 1
+                assert until[name] == chunk.time[0] - 1
+            until[name] = chunk.until
+        assert gaps > 10

@@ -17,7 +17,7 @@ from mcap.opcode import Opcode
 
 from stream import bounded
 from stream.errors import RecordingError
-from tests.measured import MOST_MB, measured
+from tests.measured import MOST_MB, MOST_S, measured
 
 
 def zeros_zstd(size: int) -> bytes:
@@ -35,15 +35,15 @@ def zeros_lz4(size: int) -> bytes:
         return b"".join([*parts, compressor.flush()])
 
 
-def bomb(whole: bytes, compression: str, data: bytes, declared: int) -> bytes:
-    """A recording with one more chunk of records behind its first, as it would stand in an unfinished file."""
+def bomb(whole: bytes, compression: str, data: bytes, declared: int, count: int = 1) -> bytes:
+    """A recording with more chunks of records before its first, as they would stand in an unfinished file."""
     name = compression.encode()
     body = struct.pack("<QQQII", 0, 1, declared, 0, len(name)) + name + struct.pack("<Q", len(data)) + data
     record = struct.pack("<BQ", Opcode.CHUNK, len(body)) + body
     at = 8
     while whole[at] != Opcode.CHUNK:
         at += 9 + int.from_bytes(whole[at + 1 : at + 9], "little")
-    return whole[:at] + record + record
+    return whole[:at] + record * (count + 1)
 
 
 @pytest.mark.parametrize("command", ["info", "recover"])
@@ -66,6 +66,16 @@ def test_a_recording_unpacks_within_bounds(
     assert "Traceback" not in told.err and told.code in (0, 2), told.err
     assert "bomb.mcap" in told.out + told.err
     assert told.peak_mb < MOST_MB
+
+
+@pytest.mark.parametrize("command", ["info", "recover"])
+def test_a_recording_of_nothing_but_zeros_is_refused_at_once(made: Path, tmp_path: Path, command: str) -> None:
+    whole = (made / "s" / "session.0000.mcap").read_bytes()
+    packed = zeros_zstd(bounded.LEAST)
+    (tmp_path / "bomb.mcap").write_bytes(bomb(whole, "zstd", packed, bounded.LEAST, 10_000_000 // len(packed)))
+    told = measured(command, "bomb.mcap", folder=tmp_path)
+    assert told.code == 2 and "bomb.mcap: it claims to hold" in told.err
+    assert told.peak_mb < MOST_MB and told.cpu_s < MOST_S
 
 
 def npz(path: Path, header: bytes, zeros: int) -> None:

@@ -47,6 +47,7 @@ class PresenceState:
     """
     regions    (k, 4)           in blocks: row, column, rows, columns; no rows: not known
     empty      (rows, columns)  the empty bed's depth, NaN where not known
+    taken      (rows, columns)  while it is not known: the bed's depth with the sleeper in it; NaN where not known
     seconds                     the present second, and the present stretch of `learn_s`
     state, wanted (k,)          UNKNOWN, IN or OUT; what the depth has said since `since` (k,) ns; `seen` (k,) ns: when it was last seen
     still      (k,)             for how many stretches nothing has moved
@@ -61,6 +62,7 @@ class PresenceState:
     block: int
     regions: Times
     empty: Samples
+    taken: Samples
     seconds: Seconds
     state: Times
     wanted: Times
@@ -96,7 +98,8 @@ class Presence(Operator[PresenceState]):
     What cannot be judged is `unknown`, and `why` says so: no breath and no movement for `unsure_min`, though the bed is high (a heap that
     was left behind, or breath that is not seen): then movement, or a flat bed, decides; movement for `odd_min` without a break where
     nobody lies (a region that is too large or elsewhere); the camera was moved or sees nothing (`view`). After a move the empty bed is
-    learned again. `in` with `body`: 1.4 times as much is raised, for 30 s, as in the sleeper's first five minutes: there are two.
+    learned again. `in` with `body`: 1.4 times as much is raised, for 30 s, as in the sleeper's first five minutes: there are two. While
+    the empty bed is not known again, what is raised since the sleeper was seen again counts; who came before that is not noticed.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("view", "regions", "blocks")
@@ -126,7 +129,8 @@ class Presence(Operator[PresenceState]):
         k, quiet_min = len(sleepers), (self.vacant_min, self.unsure_min, self.odd_min)
         self.hold(
             PresenceState(
-                list(sleepers), block, np.zeros((k, 4), np.int64), np.full(spec.shape, np.nan), Seconds.of(spec.shape),
+                list(sleepers), block, np.zeros((k, 4), np.int64), np.full(spec.shape, np.nan), np.full(spec.shape, np.nan),
+                Seconds.of(spec.shape),
                 np.zeros(k, np.int64), np.zeros(k, np.int64), np.full(k, NEVER), np.full(k, NEVER), np.zeros(k, np.int64),
                 np.full((k, 3), np.nan), np.zeros(k, np.int64), np.zeros(k, np.int64), np.zeros(k, np.int64),
                 np.zeros((k, 2)), np.zeros(k, np.int64), np.zeros(k, np.int64), np.zeros(2, np.int64),
@@ -212,7 +216,7 @@ class Presence(Operator[PresenceState]):
         """The view has become another one."""
         s = self.state
         if what == "moved":
-            s.empty[:] = np.nan
+            s.empty[:] = s.taken[:] = np.nan
             s.seconds.since = NEVER
         for k in range(len(s.sleepers)):
             if what in ("moved", "dark"):
@@ -262,18 +266,29 @@ class Presence(Operator[PresenceState]):
     def _count_bodies(self, k: int, raised: float, end: int, events: Rows) -> None:
         """Learn what one body raises, and notice a second one."""
         s = self.state
+        known = s.alone[k, 1] >= ALONE_S
+        one = float(s.alone[k, 0] / s.alone[k, 1]) if known else np.nan
+        if s.state[k] == IN and raised != raised:
+            raised = one + self._come(k)
         if s.state[k] != IN or raised != raised:
             s.crowd[k] = 0
             return
-        if s.alone[k, 1] < ALONE_S:
+        if not known:
             s.alone[k] += raised, 1.0
             return
-        one = s.alone[k, 0] / s.alone[k, 1]
         other = raised < ALONE * one if s.two[k] else raised >= CROWD * one
         s.crowd[k] = s.crowd[k] + 1 if other else 0
         if s.crowd[k] >= CROWD_S:
             s.two[k], s.crowd[k] = 1 - s.two[k], 0
             events.append((end - 1, self._event(k, end - CROWD_S * NS, "body" if s.two[k] else "")))
+
+    def _come(self, k: int) -> float:
+        """The share of the region that is higher than with the sleeper alone, less what is lower: who turns over only moves it."""
+        s = self.state
+        higher, lower = np.full_like(s.seen_now, np.nan), np.full_like(s.seen_now, np.nan)
+        look(s.seconds.mean, s.taken, s.regions, self.rise_mm, higher)
+        look(-s.seconds.mean, -s.taken, s.regions, self.rise_mm, lower)
+        return float(higher[k, 0] - lower[k, 0])
 
     def _judge_stretch(self, k: int, end: int, events: Rows) -> None:
         """What the stretch that is over says: learn the empty bed, or note that somebody is there."""
@@ -302,6 +317,7 @@ class Presence(Operator[PresenceState]):
             return
         depth = s.seconds.depth()[part]
         s.empty[part] = np.where(np.isfinite(depth), depth, s.empty[part])
+        s.taken[part] = np.nan
         s.doubt[k] = s.was_in[k] = 0
         if s.state[k] != OUT:
             self._become(k, OUT, end - round(quiet_s * NS), end - 1, events)
@@ -312,6 +328,10 @@ class Presence(Operator[PresenceState]):
         s.still[k] = 0
         s.alive[k] = s.alive[k] + 1 if s.state[k] == OUT else 0
         if s.state[k] == UNKNOWN and (not known or s.doubt[k] in (STILL, CAMERA)):
+            if not known:
+                row, column, rows, columns = s.regions[k]
+                part = (slice(row, row + rows), slice(column, column + columns))
+                s.taken[part] = s.seconds.depth()[part]
             self._become(k, IN, s.seconds.since, end - 1, events)
         elif self.odd_min and s.alive[k] * self.learn_s >= 60 * self.odd_min:
             s.doubt[k] = ODD

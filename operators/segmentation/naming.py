@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from operators.features.mirror import STACKED
 from operators.inputs.channels import names_of
 from operators.segmentation.operator import BELIEVED, PRIMITIVE, RADIUS
 from operators.segmentation.recent_frames import RecentFrames, sides_alike, widest
-from operators.segmentation.taught import MOST_LETTERS, MOST_NAMES, UNKNOWN, Taught, fit_for_name, grown, said, taught
+from operators.segmentation.taught import MOST_LETTERS, MOST_NAMES, UNKNOWN, Taught, fit_for_name, grown, said
 from stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.manual import ANNOTATION
@@ -38,6 +37,8 @@ LATELY_NS = 10 * 10**9
 """What a person names is what was done last, unless that ended so long ago."""
 REMEMBERED = 16
 """So many final repetitions are remembered, for a name that is said after them."""
+TURNS = Path(__file__).with_name("turns.npz")
+"""Two turns of a made-up signal, taught as "turn": what the cases are named by."""
 NONE, COMING = -1, -2
 """No activity; the one that has not been noticed yet."""
 NEEDED = {"provisional": BELIEVED, "primitive": PRIMITIVE, "annotations": ANNOTATION, "radius": RADIUS}
@@ -293,8 +294,6 @@ def _cases(cls: type[NameRepetitions]) -> list[Case]:
         "primitive": (StreamSpec((), PRIMITIVE), time[ends + 30], told),
     }
     inputs = {"in": (spec, time, x), **events}
-    path = Path(tempfile.mkdtemp(prefix="kinegraph-")) / "exercises.npz"
-    taught([("turn", [x[:31], x[31:62]])], 0.5).write(path, spec, "made up")
     marks = np.zeros(60, ANNOTATION)
     marks["text"] = "well done"
     marks["text"][10] = "this is: a"
@@ -305,7 +304,7 @@ def _cases(cls: type[NameRepetitions]) -> list[Case]:
         "radius": (StreamSpec((), RADIUS), time[::10], radii),
     }
     return [
-        Case(cls(model=str(path)), inputs, least=20),
+        Case(cls(model=str(TURNS)), inputs, least=20),
         Case(cls(window_s=3.0), inputs, least=20),
         Case(cls(), inputs | live, least=20),
     ]

@@ -48,6 +48,9 @@ def replay(
         typer.Option("--page", help="show the replay in a browser, at --speed 1 unless it is said; prints the address"),
     ] = False,
     page_at: Annotated[str, typer.Option(metavar="HOST:PORT", help="serve the page there")] = "",
+    avatar: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="the avatar on the page: your own VRM file")
+    ] = None,
     quiet: Annotated[bool, typer.Option("-q", "--quiet", help="no progress bar")] = False,
     trusted_only: Annotated[
         bool, typer.Option("--trusted-only", help="run installed code only, no files next to the graph")
@@ -76,7 +79,7 @@ def replay(
 
         graph = made(quiet)
         speaking = _speaking(graph, speak or [])
-        shown = page_of(graph, page_at, mode="replay") if page or page_at else None
+        shown = page_of(graph, page_at, mode="replay", avatar=avatar) if page or page_at or avatar else None
         pace = Pace(speed or 1.0, forwards_only=out is not None) if shown else speed or None
         run = Replay(graph, source, speaking=speaking, speed=pace, output=out, strict=verify)
         if shown:

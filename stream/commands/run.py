@@ -57,6 +57,10 @@ def run(
     ] = "",
     page_certificate: Annotated[str, typer.Option(metavar="FILE", help="encrypt the page with this certificate")] = "",
     page_key: Annotated[str, typer.Option(metavar="FILE", help="the certificate's key")] = "",
+    avatar: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="the avatar on the page: your own VRM file; default: one that comes with it"),
+    ] = None,
     foxglove: Annotated[
         bool, typer.Option("--foxglove", help="serve the session to Foxglove on this machine (extra `foxglove`)")
     ] = False,
@@ -90,8 +94,8 @@ def run(
     folder = session_folder(graph, out, resume) if record or resume else None
     if folder and not resume:
         refuse_taken_folder(folder)
-    asked = page or page_at or graph.page.serve
-    pages = [page_of(graph, page_at, page_certificate, page_key)] if asked else []
+    asked = page or page_at or avatar or graph.page.serve
+    pages = [page_of(graph, page_at, page_certificate, page_key, avatar=avatar)] if asked else []
     pages += [page_of(graph, name="foxglove")] if foxglove else []
     conduct(graph, folder, resume=resume, duration_s=duration_s, view=view, simulate=simulate, pages=pages)
 
@@ -176,7 +180,7 @@ def _screen(view: str, graph: Any) -> Any:
     raise KinegraphError(f"there is no view {view!r}; valid are auto, none, {names}")
 
 
-def page_of(graph: Graph, *address: str, name: str = "page", **more: str) -> Any:
+def page_of(graph: Graph, *address: str, name: str = "page", **more: str | Path | None) -> Any:
     """The page of a graph; it comes from the entry-point group `kinegraph.pages`. Raises KinegraphError where there is none."""
     for entry in entry_points(group="kinegraph.pages", name=name):
         return entry.load()(graph, *address, **more)

@@ -9,8 +9,8 @@ from typing import Any
 from stream.params import param
 
 PANEL_KINDS = (
-    *("signal", "events", "table", "cycles", "frame", "scene", "hypnogram", "similarity", "state", "graph", "log"),
-)
+    "signal", "events", "table", "cycles", "frame", "scene", "avatar", "hypnogram", "map", "similarity", "state", "graph", "log",
+)  # fmt: skip
 """Those that the page has itself; operators and outlets bring others."""
 
 
@@ -43,11 +43,13 @@ class PageOptions:
     unrecorded_pictures   whether pictures that are not recorded may be shown, in a browser on the same machine
     serve                 whether `kinegraph run` serves the page without being asked with --page
     panels                as the page's server takes them: the keys of a `Panel`, and `of`, the names of streams
+    avatar                the VRM file that panels of the kind `avatar` show; default: one that comes with the page
     modules               panels of the graph's own parts, and of what is installed: per kind, the file of their JavaScript module
     """
 
     unrecorded_pictures: bool = False
     serve: bool = False
+    avatar: Path | None = None
     panels: tuple[dict[str, Any], ...] = field(default=(), init=False)
     modules: dict[str, Path] = field(default_factory=dict, init=False)
 

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from stream.chunk import NS, Chunk, StreamSpec, add_lost
+from stream.chunk import NS, Chunk, StreamSpec, add_lost, empty
 from stream.recording.format import COLUMNS, HEAD
 from stream.recording.reader import Recording
 
@@ -30,6 +30,8 @@ class _Heap:
 
     end      the recording's index of the sample after the last one, over all heaps of the stream
     missed   (chunks before it, samples): what a full disk cost
+    owed     samples lost before the first one that comes
+    last     sequence and `until` of the newest chunk that was taken
     """
 
     spec: StreamSpec
@@ -41,6 +43,8 @@ class _Heap:
     chunks: int = 0
     first_sequence: int = 0
     arrival: int = 0
+    owed: int = 0
+    last: tuple[int, int] = (0, 0)
 
     def add(self, body: memoryview) -> int:
         """Take a message; returns its bytes."""
@@ -60,19 +64,32 @@ class _Heap:
         return len(body)
 
     def take(self) -> list[tuple[int, Chunk, int]]:
-        """(sequence, chunk, arrival) of what was gathered: one chunk, and one more for every gap; empties the heap."""
+        """(sequence, chunk, arrival) of what was gathered: one chunk, and two more for every gap; empties the heap."""
         rows = np.frombuffer(bytearray().join(self.rows), "<i8").reshape(-1, COLUMNS)
         time = np.frombuffer(bytearray().join(self.times), "<i8").astype(np.int64, copy=False)
         data = np.frombuffer(bytearray().join(self.data), self.spec.dtype).reshape(len(time), *self.spec.shape)
-        lost: dict[int, int] = dict(self.missed)
-        for i in np.flatnonzero(rows[:, 2]).tolist():
-            lost[i] = add_lost(lost.get(i, 0), int(rows[i, 2]))
+        # what is lost on an empty chunk is lost before the next sample: until then time went on without a gap, as it did live
+        filled = np.flatnonzero(rows[:, 0])
+        gaps = [(0, self.owed), *self.missed, *((i, int(rows[i, 2])) for i in np.flatnonzero(rows[:, 2]).tolist())]
+        lost: dict[int, int] = {}
+        self.owed = 0
+        for i, missing in gaps:
+            if not missing:
+                continue
+            if (at := int(np.searchsorted(filled, i))) == len(filled):
+                self.owed = add_lost(self.owed, missing)
+            else:
+                lost[int(filled[at])] = add_lost(lost.get(int(filled[at]), 0), missing)
         taken: list[tuple[int, Chunk, int]] = []
         bounds = [0, *np.cumsum(rows[:, 0]).tolist()]
         cuts = sorted({0, len(rows), *lost})
         for i, k in pairwise(cuts):
+            if i in lost:  # what time alone brings about comes before the gap, as it did where chunks were short
+                until = int(time[bounds[i]]) - 1
+                taken.append((int(rows[max(i - 1, 0), 4]), empty(self.spec, until), self.arrival))
             chunk = Chunk(time[bounds[i] : bounds[k]], data[bounds[i] : bounds[k]], int(rows[k - 1, 1]), lost.get(i, 0))
             taken.append((int(rows[k - 1, 4]), chunk, self.arrival))
+        self.last = int(rows[-1, 4]), int(rows[-1, 1])
         self.rows, self.times, self.data, self.missed, self.chunks = [], [], [], [], 0
         return taken
 
@@ -102,6 +119,10 @@ def joined(recording: Recording, names: set[str]) -> Iterator[tuple[int, str, Ch
             held += heap.add(body)
             newest = max(newest, heap.arrival)
         yield from _flush(heaps)
+    for name, heap in heaps.items():
+        if heap.owed:
+            sequence, until = heap.last
+            yield sequence, name, empty(heap.spec, until, heap.owed), heap.arrival
 
 
 def _flush(heaps: dict[str, _Heap]) -> Iterator[tuple[int, str, Chunk, int]]:

@@ -29,6 +29,8 @@ _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _SPAN = struct.Struct("<QQ")
 """The first and the last time in a chunk of records, with which it begins."""
+_UNPACKED = struct.Struct("<16xQ")
+"""How large it is unpacked stands behind these."""
 
 
 class _Readable(Protocol):
@@ -64,10 +66,11 @@ class RecordFile:
 
     torn          bytes at its end that belong to no whole record
     torn_until    the last time in the chunk of records that breaks off there (ns); 0 where it is not known
+    unpacked      bytes that its chunks of records say they hold
     """
 
     def __init__(self, path: Path) -> None:
-        """Raises RecordingError for what is no MCAP file."""
+        """Raises RecordingError for what is no MCAP file, or claims to hold far more than it can."""
         self.path = path
         try:
             self._file = path.open("rb", buffering=0)
@@ -77,7 +80,12 @@ class RecordFile:
             self._check_magic()
             self.finished = False
             self.torn = self.torn_until = 0
+            self.unpacked = 0
             self.records = list(self._hop())
+            bounded.check_whole(self.unpacked, self.size)
+        except bounded.TooLarge as error:
+            self._file.close()
+            raise RecordingError(f"{path}: {error}; it is damaged, or made to do harm") from None
         except BaseException:
             self._file.close()
             raise
@@ -104,14 +112,19 @@ class RecordFile:
         at = len(MAGIC)
         while at + _RECORD.size <= self.size:
             self._file.seek(at)
-            head = self._file.read(_RECORD.size)
+            head = self._file.read(_RECORD.size + _UNPACKED.size)
             if len(head) < _RECORD.size:
                 return  # it became shorter since it was opened
-            opcode, length = _RECORD.unpack(head)
+            opcode, length = _RECORD.unpack_from(head)
             offset = at + _RECORD.size
             if opcode == 0 or offset + length > self.size:
                 self._tear(at, opcode)
                 return
+            if opcode == Opcode.CHUNK and length >= _UNPACKED.size:
+                declared = _UNPACKED.unpack_from(head, _RECORD.size)[0]
+                self.unpacked += (
+                    declared if declared <= bounded.most(length) else 0
+                )  # a damaged one is refused by itself
             if opcode not in (Opcode.MESSAGE_INDEX, Opcode.CHUNK_INDEX):
                 yield Record(opcode, offset, length)
             at = offset + length

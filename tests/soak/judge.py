@@ -108,13 +108,20 @@ def _complain(judged: Judged, watched: Watched, index: Times, dropped: int) -> N
         say(f"{judged.name}: a kill cost {max(judged.kills_s):.2f} s")
     *before_last, last = watched.ends
     if set(before_last) - {-9} or last not in ({ENDED_WELL, LOST_DATA} if watched.filled else {ENDED_WELL}):
-        say(f"{judged.name}: its processes ended with {watched.ends}")
+        say(
+            f"{judged.name}: its processes ended with {watched.ends}; the last one's log ends\n{_end(watched.folder / 'log.txt')}"
+        )
     told = (watched.folder / "log.txt").read_text(errors="replace")
     for word in ("Traceback", "soak:"):
         if found := re.search(rf".*{word}.*(\n.*)*", told):
             say(f"{judged.name}: its log holds\n{found[0][:2000]}")
     if code := _replay(watched, verify=not dropped):
-        say(f"{judged.name}: its replay ended with {code}")
+        say(f"{judged.name}: its replay ended with {code}\n{_end(watched.folder / 'replay.txt')}")
+
+
+def _end(path: Path) -> str:
+    """The last lines of what a process said."""
+    return "\n".join(path.read_text(errors="replace").splitlines()[-12:])
 
 
 def _replay(watched: Watched, *, verify: bool) -> int:
