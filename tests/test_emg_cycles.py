@@ -156,6 +156,17 @@ def closed_of(spec, time, data, touch, operator=None, **gaps):
     )["closed"][2]
 
 
+def test_a_flat_baseline_has_no_maxima_by_rounding():
+    """One burst in each cycle of 1.07 s, at 0.7 elsewhere to the last bit."""
+    spec, touch = StreamSpec((1,), rate_hz=100.0, channels=("TA",), units=("%",)), 1 + 1.07 * np.arange(9)
+    time = stamps(1100, 100.0)
+    data = np.full((1100, 1), 0.7)
+    for onset in touch:
+        data[(time / 1e9 > onset + 0.3) & (time / 1e9 < onset + 0.5)] = 1.7
+    told = drive(Cycles(), {"signal": (spec, time, data), "touchdown": contacts(touch)}, 12)
+    assert set(told["maxima"][2]["position_pct"].tolist()) <= set(range(25, 50))
+
+
 def test_reasons_for_rejection():
     spec, time, data, touch = walk()
     assert set(closed_of(spec, time, data, touch)["rejected"]) == {""}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from emg_run import contacts, drive, stamps
 from test_emg_compare import run, session
 from test_emg_mixtures_live import bursts
@@ -47,10 +48,13 @@ def test_a_new_speed_counts_once_most_of_the_latest_cycles_have_it():
     left_out = closed["number"][closed["rejected"] == "irregular"]
     assert left_out.tolist() == list(range(21, 27)), "until six of the latest eleven have it"
     assert not np.isin(mixtures["number"], left_out).any()
-    highest = mixtures[-1]["mean"][
-        0, 0
-    ]  # a line that is flat to the last bit has maxima by rounding: those are a lower mode
-    assert abs(highest - SLOW) < 1.5
+    last = mixtures[-1]
+    modes = sorted(zip(last["weight"][:2], last["mean"][:2, 0], strict=True))
+    assert last["modes"] == 2
+    assert modes == [
+        (pytest.approx(0.3), pytest.approx(USUAL, abs=1.5)),
+        (pytest.approx(0.7), pytest.approx(SLOW, abs=1.5)),
+    ]
 
 
 def test_sessions_of_another_speed_are_compared_with_a_word(tmp_path):

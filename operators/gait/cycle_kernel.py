@@ -14,7 +14,8 @@ def normalise_time(time: Times, data: Samples, onset: int, duration: int, out: S
 
     Between two samples the curve is the cubic with their values and with slopes that are those of the parabola through each sample and
     its two neighbours (on an even grid: Catmull-Rom, Keys' cubic convolution). Exact for parabolas; at 120 Hz a 10 Hz wave is off by
-    0.3 % at most, where straight lines would be off by 3.4 %. NaN where one of the four samples around is missing or NaN.
+    0.3 % at most, where straight lines would be off by 3.4 %. What is flat stays so to the last bit, and gives no maxima by rounding.
+    NaN where one of the four samples around is missing or NaN.
     """
     n = time.shape[0]
     i = 0
@@ -37,11 +38,8 @@ def normalise_time(time: Times, data: Samples, onset: int, duration: int, out: S
             slope = (data[i + 1, c] - data[i, c]) / width
             left = ((data[i, c] - data[i - 1, c]) / before * width + slope * before) / (before + width)
             right = (slope * after + (data[i + 2, c] - data[i + 1, c]) / after * width) / (width + after)
-            out[p, c] = (
-                rest * rest * (1.0 + 2.0 * s) * data[i, c]
-                + s * s * (3.0 - 2.0 * s) * data[i + 1, c]
-                + width * s * rest * (rest * left - s * right)
-            )
+            rise = s * s * (3.0 - 2.0 * s) * (data[i + 1, c] - data[i, c])
+            out[p, c] = data[i, c] + rise + width * s * rest * (rest * left - s * right)
 
 
 @kernel
