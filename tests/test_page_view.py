@@ -15,6 +15,7 @@ from stream.chunk import NS, Chunk, StreamSpec, grid
 from stream.graph import RecordingOptions
 from stream.manual import ANNOTATION
 from stream.recording import Recorder, Recording
+from stream.recording.series import Series, write_recording
 from tests.browser import needs_browser
 from tests.live_browser import live_browser
 from tests.page_session import PageProcess, needs_page, page_process
@@ -129,6 +130,25 @@ def test_without_an_overview_there_is_a_picture_at_once_and_the_rest_comes_with_
         gaps = [header["gaps"] for header, _ in map(decode, told) if header["t"] == "gaps" and header["s"] == number]
         assert [round(begin) for begin, _ in gaps[-1]] == [GAP_S]
         assert hub.seen(number, look(0, 40, 20, points=200))
+
+
+def test_panels_stand_as_arranged_although_a_file_that_the_graph_names_is_elsewhere(tmp_path: Path) -> None:
+    graph = """
+page:
+  panels: [{kind: signal, of: board.emg, title: legs, wide: 2}, {kind: cycles, of: bands.low}, {kind: theirs, of: board.emg}]
+nodes:
+  board: {use: devices.simulators.treadmill.Treadmill}
+  bands: {use: operators.gait.norms.NormativeBands, from: {closed: board.touchdown, cycles: board.emg}, file: elsewhere.csv}
+"""
+    write_recording(
+        tmp_path / "s.mcap",
+        [Series("board.emg", SIGNAL, second(0).time, second(0).data)],
+        {"graph": graph, "session": {}},
+    )
+    with Recording.open(tmp_path / "s.mcap") as opened:
+        panel, marks = decode(RecordingHub(opened).greeting())[0]["panels"]
+    assert marks["title"] == "marks"
+    assert (panel["kind"], panel["of"], panel["title"], panel["wide"]) == ("signal", ["board.emg"], "legs", 2)
 
 
 @pytest.mark.parametrize(("at", "value"), [(0.0, 1), (12.35, 13), (39.9, 40)])

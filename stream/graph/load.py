@@ -6,7 +6,7 @@ Whatever is wrong is reported with file and line, and all of it at once as far a
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from stream.graph import Edge, Graph, RecordingOptions
 from stream.graph.draft import Draft, build_from, read_node
 from stream.graph.opening import open_nodes
 from stream.graph.overrides import override, rewrite
+from stream.graph.page_options import PageOptions
 from stream.graph.page_section import read_page
 from stream.graph.parts import import_from
 from stream.graph.problems import Problems
@@ -104,6 +105,22 @@ def load_text(
     if recorded is None:
         refuse_unsuited(graph)
     return graph
+
+
+def load_page(text: str, streams: Iterable[str]) -> PageOptions:
+    """The section `page` alone, of a recorded graph whose nodes cannot be made here, for the streams that were recorded.
+
+    What it says of others, and panels that nodes bring, are left out. Raises KinegraphError where the text is no graph.
+    """
+    problems, outputs = Problems("recorded"), dict[str, tuple[str, ...]]()
+    for name in streams:
+        node, _, output = name.partition(".")
+        outputs[node] = (*outputs.get(node, ()), output or "out")
+    root = parse(text, "recorded")
+    section = root.items().get("page") if isinstance(root.value, dict) else None
+    return read_page(
+        section.items() if section and isinstance(section.value, dict) else {}, Wiring(outputs, problems), problems
+    )
 
 
 class _Loading:

@@ -10,6 +10,7 @@ from stream.chunk import StreamSpec
 from stream.errors import KinegraphError
 from stream.filter import SampleWise
 from stream.graph import Edge, Graph
+from stream.graph.page_options import PageOptions
 from stream.manual import Annotations, Value
 from stream.mesh import Topology
 from stream.operator import Operator
@@ -173,7 +174,7 @@ def own_modules(graph: Graph) -> dict[str, str]:
 def panels_of(graph: Graph, specs: dict[str, StreamSpec]) -> list[dict[str, Any]]:
     """The panels as the graph arranges them under `page`, else one or more for each kind of stream there is."""
     if graph.page.panels:
-        return [_known(panel, specs) for panel in graph.page.panels]
+        return arranged(graph.page, specs)
     inputs = {node.name: [str(edge) for edge in node.inputs.values()] for node in graph.nodes.values()}
     return [
         *own_panels(graph, specs),
@@ -182,9 +183,9 @@ def panels_of(graph: Graph, specs: dict[str, StreamSpec]) -> list[dict[str, Any]
     ]
 
 
-def _known(panel: dict[str, Any], specs: dict[str, StreamSpec]) -> dict[str, Any]:
-    """A panel as the graph says; streams that are not offered (a picture, outside this machine) are named, so that the page can say so."""
-    return {**panel, "missing": [name for name in panel["of"] if name not in specs]}
+def arranged(page: PageOptions, specs: dict[str, StreamSpec]) -> list[dict[str, Any]]:
+    """Panels as the graph says; streams that are not offered (a picture, outside this machine) are named, so that the page can say so."""
+    return [{**panel, "missing": [name for name in panel["of"] if name not in specs]} for panel in page.panels]
 
 
 def with_avatar(panels: list[dict[str, Any]], specs: dict[str, StreamSpec]) -> list[dict[str, Any]]:

@@ -12,12 +12,13 @@ from devices.outlets.page import messages
 from devices.outlets.page.hub import Looking, check_analysis
 from devices.outlets.page.marks import MARKS, SPEC, shown_with
 from devices.outlets.page.reading import RecordedViews
-from devices.outlets.page.shown import default_panels, described, own_modules, panels_of, with_avatar
+from devices.outlets.page.shown import arranged, default_panels, described, own_modules, panels_of, with_avatar
 from devices.outlets.page.wire import Analyse, Asked, Look, Mark, encode
-from stream.chunk import NS
+from stream.chunk import NS, StreamSpec
 from stream.errors import KinegraphError
 from stream.graph import Graph
-from stream.graph.load import load_text
+from stream.graph.load import load_page, load_text
+from stream.graph.page_options import PANEL_KINDS
 from stream.recording import Recording
 
 log = structlog.get_logger(__name__)
@@ -51,11 +52,9 @@ class RecordingHub(RecordedViews):
     def greeting(self) -> bytes:
         graph = self._made_by
         specs = dict(zip(self.names, self.specs, strict=True))
-        inputs = {n.name: [str(edge) for edge in n.inputs.values()] for n in graph.nodes.values()} if graph else {}
         wide = ("graph", "state", "log")
-        panels = (
-            [p for p in panels_of(graph, specs) if p["kind"] not in wide] if graph else default_panels(specs, inputs)
-        )
+        panels = panels_of(graph, specs) if graph else self._arranged(specs) or default_panels(specs, {})
+        panels = [panel for panel in panels if panel["kind"] not in wide]
         panels = shown_with(with_avatar(panels, specs) if self._asks_avatar else panels)
         for panel in panels:
             panel["missing"] = [
@@ -85,6 +84,14 @@ class RecordingHub(RecordedViews):
             return load_text(str(self.recording.header["graph"]), "recorded", recorded=recorded, trusted_only=True)
         except (KinegraphError, KeyError):
             return None
+
+    def _arranged(self, specs: dict[str, StreamSpec]) -> list[dict[str, Any]]:
+        """Panels as the graph arranged them, although it cannot be loaded: a file that it names is elsewhere, or a part not installed."""
+        try:
+            page = load_page(str(self.recording.header["graph"]), self.recording.streams)
+        except (KinegraphError, KeyError):
+            return []
+        return [panel for panel in arranged(page, specs) if panel["of"] and panel["kind"] in PANEL_KINDS]
 
     def want(self) -> None:
         """Nothing: all is read when it is looked at."""
