@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from devices.simulators.indexed import Indexed
 from stream.engine.replay import Replay
 from stream.engine.session import Session
 from stream.errors import KinegraphError
@@ -141,6 +142,30 @@ def test_killed_and_resumed_three_times(config: Path, tmp_path: Path) -> None:
     process = live(config, folder, "--resume")
     wait_for(process, folder, before + 900)
     end(process)
+    check_whole(folder, config)
+
+
+def test_resumed_while_a_cable_is_out(config: Path, tmp_path: Path) -> None:
+    """The others go on at once, however long a device is away that was there before, and nothing of theirs is lost."""
+    folder = tmp_path / "s"
+    with Indexed(rate_hz=100.0).serving() as port:
+        text = config.read_text()
+        lines = f"nodes:\n  lines: {{use: devices.ascii_lines.AsciiLines, port: {port}, columns: [i, t, n], deadline_s: 0.5}}\n"
+        config.write_text(text.replace("nodes:\n", lines))
+        process = live(config, folder)
+        wait_for(process, folder, 900)
+        kill(process)
+    with Recording.open(folder) as recording:
+        before, of_lines = recording.last_samples("board"), recording.last_samples("lines")
+    assert of_lines > 10
+    process = live(config, folder, "--resume")
+    wait_for(process, folder, before + 3000)
+    end(process)
+    with Recording.open(folder) as recording:
+        failed = [entry for entry in recording.log if entry["kind"] == "source failed"]
+        assert failed and "does not exist" in failed[-1]["error"]
+        numbers = np.sort(recording.read("board")[1][before:, 0])
+        assert numbers[0] == 0 and (np.diff(numbers) == 1).all(), "a device that counts from 0 when it is opened"
     check_whole(folder, config)
 
 

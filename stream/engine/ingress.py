@@ -231,6 +231,8 @@ class Ingress:
             port.number = self._log.add_input(port.stream, port.edge.spec, recorded)
             if prior and prior.checkpoint:
                 port.watermark = prior.checkpoint.promised.get(port.stream, NEVER)
+        if prior:
+            self._start.excuse([port.runner for port in self.ports if prior.recorded(port.stream)])
 
     def tell(self, node: str, text: str) -> None:
         """Give a source what a person typed for it; raises KinegraphError if it cannot be."""

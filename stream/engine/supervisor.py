@@ -337,6 +337,10 @@ class StartBarrier(Generic[P]):
         self._began = self.since = time.monotonic()
         self.done = False
 
+    def excuse(self, known: Sequence[Runner]) -> None:
+        """Sources that were there before a session was broken off: the others go on at once, as when a cable is pulled meanwhile."""
+        self._required = [r for r in self._required if r not in known]
+
     def begin(self) -> None:
         """The sources are started now."""
         self._began = self.since = time.monotonic()
