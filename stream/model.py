@@ -8,6 +8,7 @@ of another kind, or one that was trained on another stream.
 from __future__ import annotations
 
 import json
+import math
 import stat
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -136,9 +137,15 @@ def _header(path: Path, entry: Array | None) -> dict[str, Any]:
     try:
         if entry is None or entry.dtype != np.uint8 or entry.ndim != 1:
             raise ValueError("no header")
-        header = json.loads(entry.tobytes().decode())
+        header = json.loads(entry.tobytes().decode(), parse_constant=_finite, parse_float=_finite)
     except (ValueError, RecursionError) as error:
         raise ModelError(f"{path}: not a kinegraph model ({error})") from None
     if not isinstance(header, dict) or header.get("kinegraph") != "model":
         raise ModelError(f"{path}: not a kinegraph model")
     return header
+
+
+def _finite(text: str) -> float:
+    if not math.isfinite(value := float(text)):
+        raise ValueError(f"its header holds {text}, which is no number of a model's")
+    return value

@@ -56,7 +56,9 @@ def from_model(model: Model) -> tuple[Steering, Topology]:
         raise ModelError(f"{model.path}: {error}") from None
     vertices = model.array("vertices", (len(names),), np.int64)
     reference = model.array("reference", (None,), np.int64)
-    parts = tuple(_part(model, k) for k in range(int(model.header.get("parts", 0))))
+    if not isinstance(how_many := model.header.get("parts"), int):
+        raise ModelError(f"{model.path}: does not say how many parts it has")
+    parts = tuple(_part(model, k) for k in range(how_many))
     facing, reach = np.zeros(0), 1.0
     if "facing" in model.arrays:
         facing, reach = model.array("facing", (None,)), float(model.array("reach", (1,))[0])
