@@ -29,9 +29,8 @@ mutants: .venv/installed-for-tests
 
 test: .venv/installed-for-tests
 	$(BIN)/ruff check .
-	$(BIN)/mypy
 	cache=$$(mktemp -d) && trap 'rm -rf "$$cache"' EXIT && export KINEGRAPH_CACHE="$$cache" && \
-		$(BIN)/python -m tests.compile_kernels && $(BIN)/pytest -n 3 --dist loadgroup --reruns 2 --durations=40
+		{ $(BIN)/mypy & types=$$!; } && $(BIN)/python -m tests.compile_kernels && wait $$types && $(BIN)/pytest -n 3 --dist loadgroup --reruns 2 --durations=40
 
 test-peers: .venv/installed-for-tests
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,oak,peers]'
