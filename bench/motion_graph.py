@@ -1,6 +1,7 @@
 """`python -m bench.motion_graph`: motion graphs of one CMU recording, cut in several ways, and how smooth a walk on them is; Markdown.
 
 `--building` measures only how long a graph of ten minutes takes: all CMU sequences, then their mirror images until the time is full.
+`--following` measures only how near a walk keeps to a path: on a graph of made-up walks, and on one of all CMU sequences.
 
 Needs the folder of recordings that the environment variable KINEGRAPH_DATA names.
 """
@@ -18,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.report import table
-from devices.synthesis.walker import LEGS, GraphWalk
+from devices.synthesis.walker import LEGS, Aim, GraphWalk
 from operators.motion_graph.build import build_graph
 from operators.motion_graph.measures import measure
 from operators.motion_graph.primitives import segmented
@@ -27,10 +28,20 @@ from stream.chunk import Array, Samples, Times
 from stream.errors import KinegraphError
 from stream.joint_tree import JointTree, joints_of
 from stream.motion_graph import MotionGraph
+from tests import motion_made
 from tests.motion_made import RATE, cmu_takes
 
 NAME, WITHIN_M, BLEND = "13_29", 0.12, 5
 BUILDING_S = 600.0
+FOLLOWED_S, SEEDS = 90.0, 5
+"""A walk along a path ends after so long, if it has not arrived."""
+_ROUND = np.linspace(0.0, 2.0 * np.pi, 25)[:-1]
+PATHS = {
+    "straight, 8 m": np.array([[0.0, 0.0], [0.0, 8.0]]),
+    "a corner, 4 and 4 m": np.array([[0.0, 0.0], [0.0, 4.0], [4.0, 4.0]]),
+    "round, 2 m from the middle": np.column_stack([2.0 - 2.0 * np.cos(_ROUND), 2.0 * np.sin(_ROUND)]),
+}
+"""x, z in m."""
 
 
 def main() -> None:
@@ -38,6 +49,9 @@ def main() -> None:
         sys.exit("KINEGRAPH_DATA must name the folder that holds body/cmu_mocap_30hz.npz")
     if "--building" in sys.argv:
         print(building())
+        return
+    if "--following" in sys.argv:
+        print(following())
         return
     tree, (take,) = cmu_takes([NAME])
     began = time.perf_counter()
@@ -119,6 +133,43 @@ def building() -> str:
     return table(
         ["motion, s", "segmented, s of processor", "built, s of processor", "both, wall s", "nodes", "ways"], rows[1:]
     )
+
+
+def following() -> str:
+    """How far from a path its walks lie, along all of each, and how many of them arrive."""
+    turns = (0.0, 15.0, -15.0, 30.0, -30.0)
+    made = [
+        motion_made.take(f"turning {turn:g} deg", motion_made.walking(6, np.radians(turn), sway=0.1), 0)
+        for turn in turns
+    ]
+    with np.load(Path(os.environ["KINEGRAPH_DATA"]) / "body" / "cmu_mocap_30hz.npz") as z:
+        names = sorted(name.removeprefix("rot_") for name in z.files if name.startswith("rot_"))
+    graphs = {
+        "made-up walks": build_graph(motion_made.TREE, made, ["walk"], RATE, WITHIN_M, BLEND),
+        "17 CMU sequences": motion_made.recorded(*names, within_m=WITHIN_M),
+    }
+    rows = []
+    for graph_name, graph in graphs.items():
+        for name, path in PATHS.items():
+            walks = [followed(graph, path, seed) for seed in range(SEEDS)]
+            off = 100 * np.concatenate([off for off, _ in walks])
+            rows.append([
+                graph_name, name, f"{np.median(off):.0f} / {np.quantile(off, 0.95):.0f}",
+                f"{sum(arrived for _, arrived in walks)} of {SEEDS}",
+            ])  # fmt: skip
+    return table(["graph", "path", "off by cm, median / p95", "arrived"], rows)
+
+
+def followed(graph: MotionGraph, path: Samples, seed: int) -> tuple[Samples, bool]:
+    """How far each pose's root lies from the path (m), and whether the walk came to its end."""
+    walker, roots = GraphWalk(graph, [Aim(path=path)], seed=seed), []
+    while len(roots) < FOLLOWED_S * RATE and len(walker.path):
+        walker.step()
+        roots.append(walker.pose[[0, 2]])
+    begins, steps = path[:-1], np.diff(path, axis=0)
+    away = np.array(roots)[:, None] - begins
+    share = np.clip((away * steps).sum(2) / (steps**2).sum(1), 0.0, 1.0)
+    return np.linalg.norm(away - share[..., None] * steps, axis=2).min(axis=1), not len(walker.path)
 
 
 def build(tree: JointTree, take: Take) -> MotionGraph:

@@ -12,7 +12,8 @@ BEAM, DEPTH = 24, 5
 EVERY = 4
 """Every so many frames the root is looked at."""
 TOUCH = 1e3
-"""What a step into a forbidden area costs."""
+"""What a step into a forbidden area costs, or nearer to one than `MARGIN_M`: blends and feet move the root by as much."""
+MARGIN_M = 0.2
 HALF = 2
 """A blend has at least so many frames on either side of its middle."""
 COLUMNS = 16
@@ -20,7 +21,13 @@ NODE, FRAME, TURN, X, Z, SECONDS, ALONG, ERROR, LOOKS, HITS, FIRST, SCORE, OFF, 
 """What is known of a walk, in one row: where it is, how it is placed, how long it takes, how far along the path it is, the sum of squared
 distances from it, of how many looks, how many in forbidden areas, its first edge, its score,
  its last distance from the path, its heading, and where it is (two numbers)."""
-SAME_M, SAME_RAD = 0.3, 0.35
+PROGRESS = 3.0
+"""What a metre a second along the path is worth, in metres from it."""
+AHEAD_M = 1.0
+"""So far ahead on the path is what a walk should face."""
+FACING_M = 0.5
+"""What a radian away from it costs, as if so much farther from the path."""
+SAME_M, SAME_RAD = 0.2, 0.2
 """Of walks along a path that end so near to one another only the best is followed."""
 
 
@@ -68,19 +75,40 @@ def look(
             walk[ERROR] += d * d
             walk[OFF] = d
         for k in range(areas.shape[0]):
-            walk[HITS] += (x - areas[k, 0]) ** 2 + (z - areas[k, 1]) ** 2 < areas[k, 2] ** 2
+            walk[HITS] += (x - areas[k, 0]) ** 2 + (z - areas[k, 1]) ** 2 < (areas[k, 2] + MARGIN_M) ** 2
         walk[LOOKS] += 1.0
     walk[SECONDS] += (upto - walk[FRAME]) / rate_hz
 
 
 @kernel
-def score(walk: Samples, before: float, togo: Samples, noise: Samples, timed: bool) -> float:
-    """The lower, the better: seconds to the next cluster, or distance from the path against progress along it; else chance decides."""
+def astray(walk: Samples, path: Samples, length: Samples) -> float:
+    """By how many radians a walk does not face the point of the path that lies `AHEAD_M` ahead of where it is."""
+    at = min(walk[ALONG] + AHEAD_M, length[length.shape[0] - 1])
+    i = 0
+    while i < path.shape[0] - 2 and length[i + 1] < at:
+        i += 1
+    size = length[i + 1] - length[i]
+    share = (at - length[i]) / size if size > 0.0 else 1.0
+    x = path[i, 0] + share * (path[i + 1, 0] - path[i, 0]) - walk[ENDS]
+    z = path[i, 1] + share * (path[i + 1, 1] - path[i, 1]) - walk[ENDS + 1]
+    away = math.atan2(x, z) - walk[HEADING]
+    return float(abs(math.atan2(math.sin(away), math.cos(away))))
+
+
+@kernel
+def score(
+    walk: Samples, before: float, path: Samples, length: Samples, togo: Samples, noise: Samples, timed: bool
+) -> float:
+    """The lower, the better: seconds to the next cluster; or distance and facing away from the path against progress; else chance."""
     made = TOUCH * walk[HITS] + noise[int(walk[FIRST])]
     if timed:
         made += walk[SECONDS] + togo[int(walk[NODE])]
     elif walk[SECONDS] > 0.0 and walk[LOOKS] > 0.0:
-        made += 2.0 * math.sqrt(walk[ERROR] / walk[LOOKS]) + walk[OFF] - (walk[ALONG] - before) / walk[SECONDS]
+        made += (
+            2.0 * math.sqrt(walk[ERROR] / walk[LOOKS]) + walk[OFF] - PROGRESS * (walk[ALONG] - before) / walk[SECONDS]
+        )
+        if path.shape[0] > 1:
+            made += FACING_M * astray(walk, path, length)
     return float(made)
 
 
@@ -160,7 +188,7 @@ def plan(
                     one[FIRST] = e
                 one[SECONDS] += (leave[e] - upto) / rate_hz
                 go_over(one, poses, first, target[e], natural[e], enter[e], blend, turn[e], shift[e])
-                one[SCORE] = score(one, start[ALONG], togo, noise, timed)
+                one[SCORE] = score(one, start[ALONG], path, length, togo, noise, timed)
                 if goal[target[e]] and one[SCORE] < best:
                     best, found = one[SCORE], int(one[FIRST])
                 kept = keep(then, kept, path.shape[0] > 1)

@@ -22,7 +22,8 @@ NODE = np.dtype(
     [("onset", "<i8"), ("node", "<i4"), ("cluster", "<U32"), ("mirrored", "?"), ("x_m", "<f8"), ("z_m", "<f8")]
 )
 NOWHERE_S = 60.0
-"""A target or the end of a path that is not nearer by a decimetre after so long is not reached."""
+NEARER_M = 1.0
+"""A target or the end of a path that is not so much nearer after so long is not reached: seams alone move somebody on the spot by half."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +142,7 @@ class Synthesis(Source):
             if aims and walker.over and self.then == "stop":
                 return
             left = _left(walker)
-            if left < nearest_m - 0.1:
+            if left < nearest_m - NEARER_M:
                 nearest_m, since = left, frame
             if len(walker.path) and frame - since > NOWHERE_S * graph.rate_hz:
                 feed.tell("not reached", left_m=round(left, 2), seconds=NOWHERE_S)
