@@ -19,6 +19,10 @@ LONGEST = 9000
 """Bytes of a record that are believed where there is a choice: 255 labels of 32 letters, and a description."""
 WIDEST = 128
 """Characters of a name, at the most."""
+LONGEST_TEXT = 127
+"""Letters of a description: one signed byte counts them, and the library takes -1 for 4 GB."""
+MOST_VALUES = 4 * MOST_BLOCKS * BLOCK
+"""Steps through the dimensions of all parameters: [255, 255, 255, 0] hold nothing, and yet the library goes through all of them."""
 
 
 def broken_at(head: bytes) -> int:
@@ -34,15 +38,16 @@ def broken_at(head: bytes) -> int:
     if len(data) < 4 or data[3] not in (INTEL, DEC, MIPS):
         return begin
     order = ">" if data[3] == MIPS else "<"
-    at = 4
+    at, values = 4, 0
     while at + 2 <= len(data) and data[at]:
-        after = _record(data, at, order)
-        if after < 0:
+        after, more = _record(data, at, order)
+        values += more
+        if after < 0 or values > MOST_VALUES:
             return begin + at
         if after == 0:
             return -1
         at = after
-    return -1
+    return -1 if at < len(data) else begin + at
 
 
 def step_at(data: bytes, offset: int, order: str) -> int:
@@ -54,24 +59,27 @@ def step_at(data: bytes, offset: int, order: str) -> int:
     return int(step)
 
 
-def _record(data: bytes, at: int, order: str) -> int:
-    """Where the record after this one begins; 0: this is the last; -1: it cannot be."""
+def _record(data: bytes, at: int, order: str) -> tuple[int, int]:
+    """Where the record after this one begins (0: this is the last; -1: it cannot be), and the steps through its dimensions."""
+    broken = (-1, 0)
     length, group = struct.unpack_from("bb", data, at)
     name = at + 2
     offset = name + abs(length)
     if group == 0 or abs(length) > WIDEST or offset + 2 > len(data) or not data[name:offset].isascii():
-        return -1
+        return broken
     step = step_at(data, offset, order)
     end = offset + step if step else len(data)
+    text, steps = offset + 2, 0
     if step < 0 or end > len(data):
-        return -1
+        return broken
     if group > 0:
         if offset + 4 > end:
-            return -1
+            return broken
         kind, dimensions = struct.unpack_from("bB", data, offset + 2)
         if kind not in TYPES or dimensions > 7 or offset + 4 + dimensions > end:
-            return -1
-        size = prod(data[offset + 4 : offset + 4 + dimensions]) * TYPES[kind]
-        if offset + 4 + dimensions + size > end:
-            return -1
-    return end if step else 0
+            return broken
+        extents = data[offset + 4 : offset + 4 + dimensions]
+        text, steps = offset + 4 + dimensions + prod(extents) * TYPES[kind], prod(extent or 1 for extent in extents)
+    if text > end or (text < end and data[text] > LONGEST_TEXT):
+        return broken
+    return (end if step else 0), steps
