@@ -17,6 +17,7 @@ from devices.clocks.stamps import chunks
 from devices.clocks.timing import timing_chunk, timing_spec
 from stream.chunk import Array, Chunk, Specs, StreamSpec, Times
 from stream.errors import DeviceError, ParameterError, nearest
+from stream.optional import optional
 from stream.params import param
 from stream.source import Feed, Source
 
@@ -31,11 +32,7 @@ COUNTED = {-1: 8, 0: 8}
 
 def library() -> Any:
     """brainflow.board_shim; raises DeviceError that says how to install it."""
-    try:
-        from brainflow import board_shim
-    except ImportError:
-        raise DeviceError("BrainFlow's boards need brainflow; install it: pip install 'kinegraph[boards]'") from None
-    return board_shim
+    return optional("brainflow.board_shim", "a board of BrainFlow's", "pip install 'kinegraph[boards]'", DeviceError)
 
 
 class _Outputs:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from stream.chunk import Array
 from stream.columns import column_names, columns
 from stream.errors import KinegraphError
+from stream.optional import optional
 
 if TYPE_CHECKING:
     from stream.series import Series
@@ -20,7 +20,7 @@ VOLTS = {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "µV": 1e-6, "nV": 1e-9}
 
 def to_xarray(series: Series) -> Any:
     """An xarray.DataArray (time, channel), or (time, axis, ...) for markers and frames; events: a Dataset with a variable per field."""
-    xarray = needed("xarray", "pip install xarray")
+    xarray = optional("xarray", "an xarray array", "pip install xarray")
     spec, time = series.spec, ("time", series.time.astype("datetime64[ns]"))
     if spec.is_event:
         names = [name for name, _ in column_names(spec)]
@@ -40,7 +40,7 @@ def to_xarray(series: Series) -> Any:
 
 def to_polars(series: Series) -> Any:
     """A polars.DataFrame with the columns of `Series.to_pandas`, and `time` in UTC."""
-    polars = needed("polars", "pip install polars")
+    polars = optional("polars", "a polars table", "pip install polars")
     stamps = polars.Series("time", series.time).cast(polars.Datetime("ns", "UTC"))
     names = [name for name, _ in column_names(series.spec)]
     return polars.DataFrame([stamps, *map(polars.Series, names, map(plain_values, columns(series.spec, series.data)))])
@@ -51,7 +51,7 @@ def to_mne(series: Series, kind: str = "emg") -> Any:
 
     `kind`: MNE's channel type ("emg", "eeg", "bio", "misc"). Raises KinegraphError for what is no regular signal.
     """
-    mne = needed("mne", "pip install mne")
+    mne = optional("mne", "MNE's Raw", "pip install mne")
     spec = series.spec
     if not (spec.is_signal and spec.rate_hz and len(series)):
         raise KinegraphError(
@@ -70,14 +70,6 @@ def to_mne(series: Series, kind: str = "emg") -> Any:
         onset = (places[holes] + 1) / spec.rate_hz
         raw.set_annotations(mne.Annotations(onset, (np.diff(places)[holes] - 1) / spec.rate_hz, "BAD_gap"))
     return raw
-
-
-def needed(module: str, install: str) -> Any:
-    """A package that is no dependency of ours. Raises KinegraphError with the command that installs it."""
-    try:
-        return importlib.import_module(module)
-    except ModuleNotFoundError:
-        raise KinegraphError(f"{module} is not installed; install it: {install}") from None
 
 
 def plain_values(column: Array) -> Any:

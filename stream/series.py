@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from stream.chunk import Array, Chunk, StreamSpec, Times, add_lost
-from stream.errors import KinegraphError
+from stream.optional import optional
 
 if TYPE_CHECKING:
     import pandas
@@ -53,15 +53,12 @@ class Series:
 
         Stamps within events (`onset`, `end`) stay int64 ns. pandas comes with `pip install 'kinegraph[pandas]'`.
         """
-        try:
-            import pandas
-        except ModuleNotFoundError:
-            raise KinegraphError("pandas is not installed; install it: pip install 'kinegraph[pandas]'") from None
+        frames = optional("pandas", "a table", "pip install 'kinegraph[pandas]'")
         from stream.columns import column_names, columns
 
         named = column_names(self.spec)
-        index = pandas.DatetimeIndex(pandas.to_datetime(self.time, unit="ns", utc=True), name="time")
-        table = pandas.DataFrame(
+        index = frames.DatetimeIndex(frames.to_datetime(self.time, unit="ns", utc=True), name="time")
+        table: pandas.DataFrame = frames.DataFrame(
             {name: column for (name, _), column in zip(named, columns(self.spec, self.data), strict=True)}, index=index
         )
         table.attrs = {"name": self.name, "rate_hz": self.spec.rate_hz, "units": dict(named)}

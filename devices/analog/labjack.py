@@ -12,6 +12,7 @@ from devices.analog.inputs import AnalogInput, AnalogReading, analog_specs, bloc
 from devices.clocks.clock_log import ClockLog
 from stream.chunk import Specs
 from stream.errors import DeviceError
+from stream.optional import optional
 from stream.params import param
 from stream.source import Feed, Source
 
@@ -22,12 +23,9 @@ SAME_RATE = 1e-3
 
 def library() -> Any:
     """labjack.ljm; raises DeviceError that says how to install it, or LabJack's own library."""
-    try:
-        from labjack import ljm
-    except ImportError:
-        raise DeviceError(
-            "a LabJack needs labjack-ljm; install it: pip install 'kinegraph[labjack]', and LabJack's LJM library"
-        ) from None
+    ljm = optional(
+        "labjack.ljm", "a LabJack", "pip install 'kinegraph[labjack]', and LabJack's LJM library,", DeviceError
+    )
     if ljm.ljm._staticLib is None:
         raise DeviceError(
             "LabJack's own LJM library is not there; install it (labjack.com): labjack-ljm alone is not enough"

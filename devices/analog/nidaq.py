@@ -12,6 +12,7 @@ from devices.analog.inputs import AnalogInput, AnalogReading, analog_specs, bloc
 from devices.clocks.clock_log import ClockLog
 from stream.chunk import Specs
 from stream.errors import DeviceError
+from stream.optional import optional
 from stream.params import param
 from stream.source import Feed, Source
 
@@ -28,13 +29,7 @@ BUFFER_S = 5.0
 
 def library() -> Any:
     """nidaqmx; raises DeviceError that says how to install it."""
-    try:
-        import nidaqmx
-    except ImportError:
-        raise DeviceError(
-            "NI-DAQ needs nidaqmx; install it: pip install 'kinegraph[ni]', and NI's own driver, NI-DAQmx"
-        ) from None
-    return nidaqmx
+    return optional("nidaqmx", "NI-DAQ", "pip install 'kinegraph[ni]', and NI's own driver, NI-DAQmx,", DeviceError)
 
 
 @dataclass(frozen=True, slots=True)

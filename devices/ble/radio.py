@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 from stream.errors import DeviceError
+from stream.optional import optional
 
 if TYPE_CHECKING:
     from bleak.backends.client import BaseBleakClient
     from bleak.backends.scanner import BaseBleakScanner
 
 SHOWN = 8
-MISSING = "Bluetooth LE needs bleak; install it: pip install 'kinegraph[ble]'"
 
 
 class Radio(Protocol):
@@ -29,11 +29,7 @@ simulated: list[Radio] = []
 
 def library() -> Any:
     """bleak; raises DeviceError that says how to install it."""
-    try:
-        import bleak
-    except ImportError:
-        raise DeviceError(MISSING) from None
-    return bleak
+    return optional("bleak", "Bluetooth LE", "pip install 'kinegraph[ble]'", DeviceError)
 
 
 def uuid(text: str) -> str:

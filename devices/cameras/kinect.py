@@ -12,6 +12,7 @@ import numpy as np
 from devices.cameras.depth_camera import CameraFrame, DepthCamera, OpenCamera
 from stream.chunk import Specs
 from stream.errors import DeviceError, ParameterError
+from stream.optional import optional
 from stream.params import param
 
 MODES = {
@@ -28,13 +29,12 @@ MOST_INFRARED = 1000
 
 def library() -> Any:
     """pyk4a; raises DeviceError that says how to install it."""
-    try:
-        import pyk4a
-    except ImportError as error:
-        raise DeviceError(
-            f"an Azure Kinect needs pyk4a ({error}), whose wheels need numpy 1: pip install --no-deps --no-binary pyk4a pyk4a"
-        ) from None
-    return pyk4a
+    return optional(
+        "pyk4a",
+        "an Azure Kinect",
+        "pip install --no-deps --no-binary pyk4a pyk4a (its wheels need numpy 1)",
+        DeviceError,
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ import numpy as np
 from devices.cameras.depth_camera import CameraFrame, DepthCamera, OpenCamera
 from devices.cameras.realsense import in_mm
 from stream.errors import DeviceError
+from stream.optional import optional
 
 simulated: list[Any] = []
 """Libraries that stand in for pyorbbecsdk; the last one put in."""
@@ -21,13 +22,9 @@ def library() -> Any:
     """pyorbbecsdk; raises DeviceError that says how to install it."""
     if simulated:
         return simulated[-1]
-    try:
-        import pyorbbecsdk
-    except ImportError as error:
-        raise DeviceError(
-            f"an Orbbec camera needs pyorbbecsdk2 ({error}); install it: pip install --no-deps pyorbbecsdk2 (it asks for numpy 1)"
-        ) from None
-    return pyorbbecsdk
+    return optional(
+        "pyorbbecsdk", "an Orbbec camera", "pip install --no-deps pyorbbecsdk2 (it asks for numpy 1)", DeviceError
+    )
 
 
 def cameras(sdk: Any) -> list[dict[str, str]]:

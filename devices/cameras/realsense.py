@@ -11,6 +11,7 @@ import numpy as np
 
 from devices.cameras.depth_camera import CameraFrame, DepthCamera, OpenCamera
 from stream.errors import DeviceError
+from stream.optional import optional
 from stream.params import param
 
 MS = 1_000_000
@@ -18,13 +19,7 @@ MS = 1_000_000
 
 def library() -> Any:
     """pyrealsense2; raises DeviceError that says how to install it."""
-    try:
-        import pyrealsense2
-    except ImportError:
-        raise DeviceError(
-            "a RealSense camera needs pyrealsense2; install it: pip install 'kinegraph[realsense]'"
-        ) from None
-    return pyrealsense2
+    return optional("pyrealsense2", "a RealSense camera", "pip install 'kinegraph[realsense]'", DeviceError)
 
 
 @dataclass(frozen=True, slots=True)

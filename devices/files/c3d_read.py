@@ -17,8 +17,8 @@ from devices.files.c3d_turn import low_byte_first
 from devices.files.findings import Findings
 from devices.files.timing import grid_of
 from stream.chunk import NS, Array, StreamSpec
-from stream.conversions import needed
 from stream.errors import RecordingError
+from stream.optional import optional
 from stream.recording.series import Series
 
 UNITS = {
@@ -89,7 +89,7 @@ def read_c3d(path: Path, start_ns: int = 0, findings: Findings | None = None) ->
 
 
 def _open(path: Path) -> Any:
-    ezc3d = needed("ezc3d", "pip install ezc3d (for ARM there is no wheel)")
+    ezc3d = optional("ezc3d", "a C3D file", "pip install ezc3d (for ARM there is no wheel)", RecordingError)
 
     if not path.is_file():
         raise RecordingError(f"{path}: there is no such file")

@@ -12,6 +12,7 @@ from stream.bounded import reading
 from stream.chunk import Array, Samples
 from stream.errors import RecordingError
 from stream.mesh import Topology
+from stream.optional import optional
 from stream.recording.series import Series
 from stream.tables import read_text
 
@@ -65,10 +66,7 @@ def _mesh(path: Path) -> tuple[Samples, Array]:
 
 
 def _by_trimesh(path: Path) -> tuple[Samples, Array]:
-    try:
-        import trimesh
-    except ImportError:
-        raise RecordingError(f"{path}: is read by trimesh: pip install 'kinegraph[mesh]'") from None
+    trimesh = optional("trimesh", f"{path}: a mesh of this kind", "pip install 'kinegraph[mesh]'", RecordingError)
     scene = trimesh.load_scene(str(path), process=False, maintain_order=True)
     parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh)]
     if not parts:

@@ -9,6 +9,7 @@ from typing import Any
 
 from devices.usb.bus import UsbAddress, rule
 from stream.errors import DeviceError
+from stream.optional import optional
 
 VENDOR = 0x03E7
 """Intel Movidius: the chip in every OAK with USB."""
@@ -27,12 +28,7 @@ def library() -> Any:
     """depthai. What the user's own environment says is left as it is. Raises DeviceError where it is not installed."""
     for name, value in QUIET.items():
         os.environ.setdefault(name, value)
-    try:
-        import depthai
-    except ImportError as error:
-        raise DeviceError(
-            f"OAK cameras need the library depthai, version 3: pip install 'kinegraph[oak]' (it cannot be imported: {error})"
-        ) from None
+    depthai = optional("depthai", "an OAK camera", "pip install 'kinegraph[oak]'", DeviceError)
     if not hasattr(depthai, "Clock") or not hasattr(depthai.Pipeline, "setDeviceStateCallback"):
         raise DeviceError(
             f"depthai {depthai.__version__} is too old for kinegraph: pip install --upgrade 'kinegraph[oak]'"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Self
 
 from stream.errors import DeviceError
+from stream.optional import optional
 
 SCHEME = "zmq+"
 MOST_WAITING = 10_000
@@ -19,10 +20,7 @@ class ZeroMqTransport:
     """
 
     def __init__(self, address: str) -> None:
-        try:
-            import zmq
-        except ImportError:
-            raise DeviceError("ZeroMQ needs pyzmq; install it: pip install 'kinegraph[zmq]'") from None
+        zmq = optional("zmq", "ZeroMQ", "pip install 'kinegraph[zmq]'", DeviceError)
         self.address = address
         where, _, topic = address.removeprefix(SCHEME).partition("?topic=")
         self._zmq = zmq

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from stream.errors import KinegraphError
+from stream.optional import optional
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -124,7 +125,10 @@ def _cluster(distributed: Any, where: str, count: int, memory_bytes: int) -> Any
             security=_private(distributed),
         )
     if where in QUEUES:
-        queue = getattr(_imported("dask_jobqueue", "queue"), QUEUES[where])
+        queue = getattr(
+            optional("dask_jobqueue", f"--cluster {where}", "pip install 'kinegraph[queue]'", ClusterError),
+            QUEUES[where],
+        )
         import dask
 
         configured = dask.config.get(f"jobqueue.{where}.worker-extra-args", None) or []
@@ -135,7 +139,9 @@ def _cluster(distributed: Any, where: str, count: int, memory_bytes: int) -> Any
         ]  # the queue ends what takes too much; Dask would let it stand still at 80 %
         return queue(cores=1, processes=1, memory=f"{mebibytes}MiB", n_workers=count, worker_extra_args=unlimited)
     if where == KUBERNETES:
-        operator = _imported("dask_kubernetes.operator", "kubernetes")
+        operator = optional(
+            "dask_kubernetes.operator", "--cluster kubernetes", "pip install 'kinegraph[kubernetes]'", ClusterError
+        )
         return operator.KubeCluster(
             name="kinegraph-{uuid}",  # a cluster of this batch's own: one of the same name would be joined, and closed for others
             n_workers=count,
@@ -154,19 +160,6 @@ def _private(distributed: Any) -> Any:
 
 
 def _dask() -> tuple[Any, Any]:
-    try:
-        import dask
-        import distributed
-    except ModuleNotFoundError:
-        raise ClusterError("Dask is not installed; install it: pip install 'kinegraph[batch]'") from None
-    return dask, distributed
-
-
-def _imported(module: str, extra: str) -> Any:
-    import importlib
-
-    try:
-        return importlib.import_module(module)
-    except ModuleNotFoundError:
-        missing = module.partition(".")[0].replace("_", "-")
-        raise ClusterError(f"{missing} is not installed; install it: pip install 'kinegraph[{extra}]'") from None
+    return tuple(
+        optional(name, "a batch", "pip install 'kinegraph[batch]'", ClusterError) for name in ("dask", "distributed")
+    )

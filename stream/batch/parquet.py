@@ -12,7 +12,7 @@ import numpy as np
 from stream.chunk import Array, Chunk, StreamSpec, add_lost
 from stream.columns import column_names, columns
 from stream.conversions import plain_values
-from stream.errors import KinegraphError
+from stream.optional import optional
 
 if TYPE_CHECKING:
     import pyarrow
@@ -24,12 +24,8 @@ TIME, LOST = "time", "lost"
 
 def arrow() -> Any:
     """pyarrow, imported when it is needed. Raises KinegraphError."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ModuleNotFoundError:
-        raise KinegraphError("pyarrow is not installed; install it: pip install 'kinegraph[batch]'") from None
-    return pyarrow
+    optional("pyarrow.parquet", "a batch", "pip install 'kinegraph[batch]'")
+    return optional("pyarrow", "a batch", "pip install 'kinegraph[batch]'")
 
 
 class ParquetTable:

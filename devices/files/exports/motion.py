@@ -12,8 +12,8 @@ from devices.files.exporter import Export, Exporter, Written
 from devices.files.exports.gathered import Gathered, events_of, gather, the_one
 from stream.chunk import NS, Samples
 from stream.complete import complete, private_folder
-from stream.conversions import needed
 from stream.errors import RecordingError
+from stream.optional import optional
 
 MOST_FRAMES = 65_535
 MOST_EVENTS = 255
@@ -21,7 +21,7 @@ NEAR = 1e-6
 
 
 def _c3d(wanted: Export) -> list[Written]:
-    ezc3d = needed("ezc3d", "pip install ezc3d (for ARM there is no wheel)")
+    ezc3d = optional("ezc3d", "a C3D file", "pip install ezc3d (for ARM there is no wheel)", RecordingError)
 
     wanted.refuse_existing(wanted.place)
     private_folder(wanted.place.parent)

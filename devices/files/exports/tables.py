@@ -14,6 +14,7 @@ from stream.chunk import NS, utc
 from stream.columns import column_names, columns
 from stream.complete import complete, private_folder
 from stream.errors import RecordingError
+from stream.optional import optional
 
 SHEET_ROWS, SHEET_COLUMNS = 1_048_576, 16_384
 MATLAB_NAME = 63
@@ -36,10 +37,7 @@ def _named(streams: list[Gathered], width: int, wanted: str) -> list[str]:
 
 
 def _xlsx(wanted: Export) -> list[Written]:
-    try:
-        import openpyxl
-    except ModuleNotFoundError:
-        raise RecordingError("openpyxl is not installed; install it: pip install 'kinegraph[excel]'") from None
+    openpyxl = optional("openpyxl", "an Excel file", "pip install 'kinegraph[excel]'", RecordingError)
     wanted.refuse_existing(wanted.place)
     private_folder(wanted.place.parent)
     book = openpyxl.Workbook(write_only=True)
@@ -115,11 +113,8 @@ def _plain(column: Any) -> Any:
 
 
 def _parquet(wanted: Export) -> list[Written]:
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ModuleNotFoundError:
-        raise RecordingError("pyarrow is not installed; install it: pip install 'kinegraph[parquet]'") from None
+    pyarrow = optional("pyarrow", "a Parquet file", "pip install 'kinegraph[parquet]'", RecordingError)
+    optional("pyarrow.parquet", "a Parquet file", "pip install 'kinegraph[parquet]'", RecordingError)
     if wanted.place.exists() and not wanted.place.is_dir():
         raise RecordingError(f"--out {wanted.place}: is a file; name a folder for the tables")
     private_folder(wanted.place)

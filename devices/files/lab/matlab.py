@@ -12,6 +12,7 @@ import numpy as np
 from stream.bounded import check_size
 from stream.chunk import Array
 from stream.errors import RecordingError
+from stream.optional import optional
 
 RATES = re.compile(
     r"(^|\.)(fs|srate|rate|rate_hz|fs_hz|sampling_?rate|sampling_?frequency|sample_?rate|frame_?rate|frequency|freq)$",
@@ -89,12 +90,7 @@ def _unfolded(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, Arra
 
 
 def _newer(path: Path) -> Iterator[tuple[str, Array]]:
-    try:
-        import h5py
-    except ModuleNotFoundError:
-        raise RecordingError(
-            f"{path}: is of MATLAB's version 7.3; install h5py to read it: pip install 'kinegraph[matlab]'"
-        ) from None
+    h5py = optional("h5py", f"{path}: MATLAB's version 7.3", "pip install 'kinegraph[matlab]'", RecordingError)
     with h5py.File(path, "r") as file:
         yield from _group(path, file, file, "", 0)
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from stream.errors import KinegraphError
+from stream.optional import optional
 from stream.plain import say
 
 if TYPE_CHECKING:
@@ -81,10 +82,7 @@ def steps(
 
     Only the second says how it does with people it has never seen. Needs scikit-learn: pip install 'kinegraph[train]'.
     """
-    try:
-        import sklearn  # noqa: F401
-    except ImportError:
-        raise KinegraphError("training needs scikit-learn: pip install 'kinegraph[train]'") from None
+    optional("sklearn", "training", "pip install 'kinegraph[train]'")
     from operators.steps.commands.recordings import labelled, read_labels, read_walk
     from operators.steps.commands.training import learned
     from operators.steps.steps import Steps
