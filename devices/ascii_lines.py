@@ -8,6 +8,7 @@ from typing import ClassVar, Literal
 import numpy as np
 import structlog
 
+from devices.clocks.counter_check import CounterCheck
 from devices.clocks.device_clock import ClockState
 from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.stamps import Stamps, chunks, tell_losses, tell_problems
@@ -59,6 +60,9 @@ class AsciiLines(SerialSource):
     )
     counter: str = param("", help="the column that counts lines")
     counter_bits: int = param(16, least=1, most=32, help="after how many bits the counter starts again")
+    counter_wraps: int = param(
+        0, least=0, help="after how many lines it starts again, where that is no power of two (0: by `counter_bits`)"
+    )
     rate_hz: float | None = param(None, above=0, help="lines per second; left out: irregular")
     start: str = param("", help='sent when the port has been opened, e.g. "b\\n"')
     stop: str = param("", help="sent before it is closed")
@@ -123,17 +127,24 @@ class LinesReading:
         self._data = [columns.index(name) for name in of.channels]
         self._ns = NS_PER[of.time_unit]
         self._scale, self._offset = np.array(of.scale), np.array(of.offset)
-        self._bits = of.counter_bits
+        self._turn = of.counter_wraps or 1 << of.counter_bits
+        self._counting = CounterCheck(of.port, self._turn, "counter_wraps") if of.counter else None
         wraps = (1 << of.time_bits) * self._ns if of.time_bits else 0
         self._stamps = Stamps(
             of.rate_hz,
             counter_bits=of.counter_bits if of.counter else 0,
+            counter_turn=of.counter_wraps,
             has_time=bool(of.time),
             wraps_ns=wraps,
             latency_s=of.latency_s,
         )
         self._rate = RateCheck(
-            of.port, of.rate_hz, of.rate_mismatch, unit=of.time_unit if of.time else "", counted=bool(of.counter)
+            of.port,
+            of.rate_hz,
+            of.rate_mismatch,
+            unit=of.time_unit if of.time else "",
+            counted=bool(of.counter),
+            wraps_ns=wraps,
         )
 
     @property
@@ -173,8 +184,10 @@ class LinesReading:
             return
         arrival = feed.now()
         device = None if self._time is None else np.round(rows[:, self._time] * self._ns).astype(np.int64)
-        counter = None if self._counter is None else rows[:, self._counter].astype(np.int64) % (1 << self._bits)
+        counter = None if self._counter is None else rows[:, self._counter].astype(np.int64) % self._turn
         packets = self._stamps.take(len(rows), arrival, device, counter, self._again(rows))
+        if self._counting and counter is not None:
+            self._counting.see(counter, arrival, feed)
         missing = tell_losses(packets, feed, "lost line", "device restarted")
         tell_problems(feed, repeated_line_or_wrong_time=len(rows) - len(packets.stamp))
         if hz := self._rate.see(len(packets.stamp), missing * (counter is not None), arrival, feed, device):

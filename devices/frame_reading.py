@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
+from devices.clocks.counter_check import CounterCheck
 from devices.clocks.device_clock import ClockState, DeviceClock
 from devices.clocks.device_time import DeviceTime
 from devices.clocks.packet_clock import Packets
@@ -62,13 +63,27 @@ class FrameReading:
         self._now: int | None = None
         """The device's time by the last frame that brought one."""
         self._timed = any(f.with_role("time") for f in of.frames)
-        bits = [c[0].bits if (c := f.with_role("counter")) else 0 for f in of.frames]
-        self._losses = [Losses(f.rate_hz, b) for f, b in zip(of.frames, bits, strict=True)]
+        counters = [c[0] if (c := f.with_role("counter")) else None for f in of.frames]
+        bits = [c.bits if c else 0 for c in counters]
+        turns = [c.wraps if c else 0 for c in counters]
+        self._losses = [Losses(f.rate_hz, b, t) for f, b, t in zip(of.frames, bits, turns, strict=True)]
         self._stamps = [
-            Stamps(f.rate_hz, counter_bits=b, latency_s=of.latency_s) for f, b in zip(of.frames, bits, strict=True)
+            Stamps(f.rate_hz, counter_bits=b, counter_turn=t, latency_s=of.latency_s)
+            for f, b, t in zip(of.frames, bits, turns, strict=True)
+        ]
+        self._counting = [
+            CounterCheck(of.port, c.turn, f"frames[{i}]: the counter's `wraps`") if c else None
+            for i, c in enumerate(counters)
         ]
         self._rates = [
-            RateCheck(of.port, f.rate_hz, of.rate_mismatch, setting=f"frames[{i}].rate_hz", counted=bool(b))
+            RateCheck(
+                of.port,
+                f.rate_hz,
+                of.rate_mismatch,
+                setting=f"frames[{i}].rate_hz",
+                counted=bool(b),
+                wraps_ns=of.wraps_ns,
+            )
             for i, (f, b) in enumerate(zip(of.frames, bits, strict=True))
         ]
         self._last = 0
@@ -117,6 +132,8 @@ class FrameReading:
 
     def _check_rate(self, kind: int, table: Array, packets: Packets, arrival: int, feed: Feed) -> None:
         layout = self._layouts[kind]
+        if (counting := self._counting[kind]) and (counters := layout.counters(table)) is not None:
+            counting.see(counters, arrival, feed)
         counted = bool(layout.frame.with_role("counter"))
         missing = int(packets.lost.clip(0).sum()) if counted else 0
         hz = self._rates[kind].see(len(packets.stamp), missing, arrival, feed, layout.times_ns(table))
@@ -149,7 +166,8 @@ class FrameReading:
             lost[i] = self._losses[kind].before(
                 self._now, None if count is None else int(count[place]), arrival, restarted
             )
-            device[i], number[i], kept[i] = self._now, self._losses[kind].number, lost[i] > REPEATED
+            within = 0 if own is None else self._losses[kind].within_ns
+            device[i], number[i], kept[i] = self._now + within, self._losses[kind].number, lost[i] > REPEATED
         self._clock.map(device[mapped:], kept[mapped:], arrival, stamp[mapped:])
         packets = {}
         for kind in tables:

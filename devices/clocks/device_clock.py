@@ -252,9 +252,10 @@ class Counter:
     A number that runs ahead of time, such as one with a changed digit, is left out, unless the next one goes on from it.
     """
 
-    def __init__(self, bits: int, rate_hz: float) -> None:
-        """`rate_hz`: packets per second, by which the number of whole turns in an outage is chosen."""
-        self._range, self.rate_hz = 1 << bits, rate_hz
+    def __init__(self, bits: int, rate_hz: float, turn: int = 0) -> None:
+        """`rate_hz`: packets per second, by which the number of whole turns in an outage is chosen; `turn`: after how many it starts
+        again, where that is no power of two."""
+        self._range, self.rate_hz = turn or 1 << bits, rate_hz
         self._last: int | None = None
         self._former: tuple[int, int] | None = None
         """Counter and running number of the one before the last."""

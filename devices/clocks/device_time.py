@@ -9,6 +9,12 @@ from stream.chunk import Times
 
 SLACK_NS = 10_000_000_000
 """A device's time may advance by so much more than what has passed here: what was made during a stall comes all at once."""
+STILL_NS, STILL_STEPS = 500_000_000, 4
+"""A time that has not advanced for longer, and for longer than so many of its steps, while records came, stands still."""
+FIRST_NS = 3_000_000_000
+"""The same while no step is known."""
+COARSE = 0.1
+"""Where more of its steps are none at all, it is coarser than the records."""
 BELIEVED = 3
 """So many numbers in a row that fit each other, but not what was before, mean that the device's clock was set or started again."""
 
@@ -27,16 +33,31 @@ class DeviceTime:
         """The smaller of the last two steps."""
         self._step = 0
         self._doubtful: list[int] = []
+        self._moved, self._advance = 0, 0
+        """When it last advanced (arrival), and by how much."""
+        self._stands = False
+        self._reads = self._same = self._finest = 0
         self.restarted = False
         """Whether with the last number the device's clock was found to have been set, or to have started again."""
         self.jump_ns = 0
         """By how much."""
 
-    def read(self, raw_ns: int, arrival_ns: int) -> int | None:
-        """Unwrapped ns; None for a number that cannot be right."""
+    @property
+    def coarse_ns(self) -> int:
+        """How coarse it is, where it often does not tell one record from the next; else 0."""
+        return self._finest if self._same > COARSE * self._reads else 0
+
+    def read(self, raw_ns: int, arrival_ns: int, *, again: bool = False) -> int | None:
+        """Unwrapped ns; None for a number that cannot be right. `again`: the record is the one before it once more.
+
+        A time that stands still is set by the arrivals, until it advances again.
+        """
         self.restarted = False
         if self._raw is None:
+            self._moved = arrival_ns
             return self._accept(raw_ns, raw_ns, arrival_ns)
+        if raw_ns == self._raw and not again:
+            return self._same_again(raw_ns, arrival_ns)
         value = self._value + self._step_from(self._raw, raw_ns, arrival_ns - self._arrival)
         if self._follows(value, arrival_ns):
             self._learn(value - self._value)
@@ -44,6 +65,20 @@ class DeviceTime:
             value = past
         else:
             return self._doubt(raw_ns, arrival_ns)
+        return self._accept(value, raw_ns, arrival_ns)
+
+    def _same_again(self, raw_ns: int, arrival_ns: int) -> int:
+        """The value of a record whose time is that of the record before it."""
+        self._reads, self._same = self._reads + 1, self._same + 1
+        stood = arrival_ns - self._moved
+        if self._stands:
+            value = self._value + arrival_ns - self._arrival
+        elif stood > (max(STILL_NS, STILL_STEPS * self._advance) if self._advance else FIRST_NS):
+            self._stands = self.restarted = True
+            value, self.jump_ns = self._value + stood, -stood
+        else:
+            value = self._value
+            self._learn(0)
         return self._accept(value, raw_ns, arrival_ns)
 
     def read_even(self, raw_ns: Times, arrival_ns: int) -> Times | None:
@@ -60,6 +95,7 @@ class DeviceTime:
         before, self._step = first if len(steps) == 1 else int(steps[-2]), int(steps[-1])
         self._usual = min(before, self._step)
         self._former = int(raw_ns[-2]), int(values[-2]), arrival_ns
+        self._moved, self._advance, self._stands = arrival_ns, self._step, False
         self._raw, self._value, self._arrival = int(raw_ns[-1]), int(values[-1]), arrival_ns
         return values
 
@@ -91,6 +127,11 @@ class DeviceTime:
         self._step = step
 
     def _accept(self, value: int, raw_ns: int, arrival_ns: int) -> int:
+        if raw_ns != self._raw and self._raw is not None:
+            self._reads, self._stands = self._reads + 1, False
+            self._advance, self._moved = max(value - self._value, 0), arrival_ns
+            if self._advance:
+                self._finest = min(self._finest or self._advance, self._advance)
         known = self._raw is not None and not self.restarted
         self._former = (self._raw, self._value, self._arrival) if known and self._raw is not None else None
         self._value, self._raw, self._arrival = value, raw_ns, arrival_ns

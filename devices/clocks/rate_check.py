@@ -23,6 +23,7 @@ SURE_S = 1.0
 """Before `TO_S`, what is not as declared makes so much of a difference; less may be a radio's queue that fills or empties at the start."""
 LOSS = 0.15
 """So many samples too few, and no counter that tells why: lost ones, perhaps, which are no reason to end a session."""
+STANDS = "its time stands still: every record has the same one; is it the column or field of the time? Else leave the time out"
 LOOK_NS = NS // 2
 PAUSE_NS = 50 * NS
 """Between the ten seconds in which a device is looked at, and the next."""
@@ -36,18 +37,25 @@ BEHIND = 0.75
 """A time that fits the declared rate may run so slow: a computer that does not keep up takes late what came in time."""
 UNITS_NS = {"ns": 1.0, "us": 1e3, "ms": 1e6, "s": 1e9, "ticks of 1/1024 s": NS / 1024, "ticks of 1/32768 s": NS / 32768}
 NEAR = 0.02
+STILL = 10
+"""So many records with one and the same time, over `FROM_S` or more: the device's time stands still."""
+TURNS, SHORTEST_NS = 4, NS // 2
+"""So often its time goes back in the first seconds, each time from about the same value to about 0: it starts again at that value. A value
+that is higher than that may be a device that is switched off and on."""
 
 
 class RateCheck:
     """One stream's. `see` gathers what comes; what is found ends the session or raises the alarm, as `policy` has it."""
 
     def __init__(
-        self, device: str, rate_hz: float | None, policy: Policy, *, setting: str = "rate_hz", unit: str = "", counted: bool = False
+        self, device: str, rate_hz: float | None, policy: Policy, *, setting: str = "rate_hz", unit: str = "", counted: bool = False,
+        wraps_ns: int = 0,
     ) -> None:  # fmt: skip
         """`setting`: the parameter that holds the rate, or a sentence; `unit`: of the device's time, as declared by `time_unit`;
-        `counted`: what is lost is known by a counter."""
+        `counted`: what is lost is known by a counter; `wraps_ns`: where the device's time starts again, as declared."""
         self._device, self._rate, self._policy = device, rate_hz, policy
         self._setting, self._unit, self._counted = setting, unit, counted
+        self._wraps = wraps_ns if wraps_ns < 2**62 else 0
         self._told = rate_hz or 0.0
         self._first = True
         self._from = 0
@@ -60,6 +68,8 @@ class RateCheck:
         """With those that are missing by the counter; it may have been garbled, so that the truth lies between the two."""
         self._steps: list[Times] = []
         self._last: int | None = None
+        self._zero = 0
+        """The device's time of the first record."""
         self._due = 0
 
     def see(self, n: int, lost: int, arrival_ns: int, feed: Feed, device_ns: Times | None = None) -> float | None:
@@ -70,8 +80,12 @@ class RateCheck:
         if arrival_ns < self._from or not (self._rate or device_ns is not None):
             return None
         if device_ns is not None:
-            last = int(device_ns[0]) if self._last is None else self._last
-            self._steps.append(np.diff(device_ns, prepend=last))
+            if self._last is None:
+                self._zero = self._last = int(device_ns[0])
+            steps: Times = np.diff(device_ns, prepend=self._last)
+            if self._wraps:
+                steps = np.where(steps % self._wraps < self._wraps // 2, steps % self._wraps, steps)
+            self._steps.append(steps)
             self._last = int(device_ns[-1])
         self._made.append((self._made[-1] + n + lost) if self._made else 0)
         self._came.append((self._came[-1] + n) if self._came else 0)
@@ -120,9 +134,11 @@ class RateCheck:
         steps = np.concatenate(self._steps).astype(np.float64)[1:]
         good = steps[steps > 0]
         if len(good) < 2:
-            return None, ""
+            return (0.0, STANDS) if not steps.any() and len(steps) >= STILL else (None, "")
+        if self._first and (turn := self._turn(steps)):
+            return 0.0, self._of_turn(turn)
         usual = _usual(steps[steps >= 0])
-        self._bridge(steps, (steps < 0) | (steps > OUTLIER * usual), usual)
+        self._bridge(steps, (steps < 0) | (steps > OUTLIER * max(usual, float(np.median(good)))), usual)
         ends = np.cumsum([len(part) for part in self._steps]) - 1
         device = np.concatenate([[0.0], np.cumsum(steps)])[ends]
         pace = _pace(np.array(self._arrivals), device, least)
@@ -131,12 +147,23 @@ class RateCheck:
         if not self._rate:
             return None, ""
         overall = self._made[-1] / device[-1] * NS
+        coarse = float(np.median(good)) if np.count_nonzero(steps == 0) > TWICE * len(steps) else 0.0
         rates = [NS / usual, overall] if self._counted else [overall, NS / usual]
         if self._came[-1] / device[-1] * NS < self._rate < overall or any(
-            abs(hz / self._rate - 1) <= WRONG for hz in rates
+            abs(hz / self._rate - 1) <= WRONG + 2 * coarse / device[-1] for hz in rates
         ):
             return None, ""
         return rates[-1], self._of_rate(rates[-1])
+
+    def _turn(self, steps: Samples) -> float:
+        """The value (ns) at which the device's time starts again and again, by its `steps` (n,); 0.0: it does not."""
+        raw = self._zero + np.concatenate([[0.0], np.cumsum(steps)])
+        back = np.flatnonzero(steps < 0)
+        if len(back) < TURNS:
+            return 0.0
+        top, near = float(np.median(raw[back])), 3 * float(np.median(steps[steps > 0]))
+        alike = (np.abs(raw[back] - top) <= max(near, 0.05 * top)) & (np.abs(raw[back + 1]) <= max(near, 0.05 * top))
+        return top + near / 3 if alike.mean() > 0.8 and near < top < SHORTEST_NS else 0.0
 
     def _bridge(self, steps: Samples, jumps: NDArray[np.bool_], usual: float) -> None:
         """Where the device's time jumps (n,), so much is put in as went by at its packet's arrival, and at least a usual step."""
@@ -174,6 +201,16 @@ class RateCheck:
                 what += f", one in {times}: does it divide its rate by {times}, or send each sample in {times} frames?"
         mend = f"set {self._setting} to {hz:.4g}" if " " not in self._setting else self._setting
         return f"{what}; {mend}, or the device to {self._rate:g} Hz"
+
+    def _of_turn(self, turn_ns: float) -> str:
+        unit = UNITS_NS.get(self._unit, 0.0)
+        fits = [bits for bits in range(1, 64) if unit and abs(turn_ns / unit / 2**bits - 1) < 0.1]
+        mend = (
+            f": its numbers have {fits[0]} bits; set `time_bits` to {fits[0]}"
+            if fits
+            else "; say where it wraps around"
+        )
+        return f"its time starts again every {turn_ns / NS:.4g} s{mend}"
 
     def _of_unit(self, pace: float) -> str:
         what = f"its time advances by {pace:.4g} s in a second"

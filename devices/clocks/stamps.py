@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from math import inf
 
@@ -18,6 +19,9 @@ REPEATED = -2
 GAP_PERIODS = 1.75
 """Without a counter, a longer step of the device's time means that something is missing."""
 
+TICK = 0.03
+"""By so much the number of records between two ticks of a coarse time may be off, beside one."""
+
 _NONE = np.empty(0, np.int64)
 NOTHING = Packets(np.zeros(1, bool), _NONE, _NONE, _NONE, _NONE)
 """Of one record that is left out."""
@@ -28,6 +32,7 @@ class Stamps:
 
     rate_hz        how many a second, where that is known; needed where a counter is the only clock
     counter_bits   of the counter in each record; 0: there is none
+    counter_turn   after how many records it starts again, where that is no power of two
     has_time       whether each record brings the device's time
     wraps_ns       where that starts again; 0: never
     """
@@ -37,6 +42,7 @@ class Stamps:
         rate_hz: float | None,
         *,
         counter_bits: int = 0,
+        counter_turn: int = 0,
         has_time: bool = False,
         wraps_ns: int = 0,
         latency_s: float = 0.0,
@@ -45,8 +51,9 @@ class Stamps:
         self._latency = round(latency_s * NS)
         self._clock = DeviceClock(latency_s)
         self._time = DeviceTime(self._clock, wraps_ns)
-        self._losses = Losses(rate_hz, counter_bits)
-        self._packets = PacketClock(counter_bits, rate_hz or 1.0, latency_s) if counter_bits and not has_time else None
+        self._losses = Losses(rate_hz, counter_bits, counter_turn)
+        alone = counter_bits and not has_time
+        self._packets = PacketClock(counter_bits, rate_hz or 1.0, latency_s, counter_turn) if alone else None
         self._last: int | None = None
 
     @property
@@ -54,7 +61,10 @@ class Stamps:
         """What is known of the device's clock; None where it has none."""
         if self._packets:
             return self._packets.state
-        return self._clock.state if self._has_time else None
+        if not self._has_time:
+            return None
+        state, coarse_ns = self._clock.state, 0 if self._rate else self._time.coarse_ns
+        return replace(state, uncertainty_s=state.uncertainty_s + coarse_ns / NS) if coarse_ns else state
 
     def follow(self, rate_hz: float) -> None:
         """From here on there are so many records a second."""
@@ -90,7 +100,7 @@ class Stamps:
         number, lost, device, stamp = (np.full(len(raw_ns), -1, np.int64) for _ in range(4))
         mapped = 0
         for i in range(len(raw_ns)):
-            value = self._time.read(int(raw_ns[i]), arrival_ns)
+            value = self._time.read(int(raw_ns[i]), arrival_ns, again=bool(again[i]))
             if value is None:
                 continue
             if self._time.restarted:
@@ -99,13 +109,14 @@ class Stamps:
                 mapped = i
             here = None if counter is None else int(counter[i])
             lost[i] = self._losses.before(value, here, arrival_ns, self._time.restarted, again=bool(again[i]))
-            kept[i], number[i], device[i] = lost[i] > REPEATED, self._losses.number, value
+            kept[i], number[i] = lost[i] > REPEATED, self._losses.number
+            device[i] = value + self._losses.within_ns
         self._clock.map(device[mapped:], kept[mapped:], arrival_ns, stamp[mapped:])
         return Packets(kept, number[kept], lost[kept], device[kept], stamp[kept])
 
     def _one(self, raw_ns: Times, counter: Array | None, arrival_ns: int, again: bool) -> Packets:
         """The same as `_by_time` for one record, as most reads bring it, without arrays on the way."""
-        value = self._time.read(int(raw_ns[0]), arrival_ns)
+        value = self._time.read(int(raw_ns[0]), arrival_ns, again=again)
         if value is None:
             return NOTHING
         if self._time.restarted:
@@ -114,6 +125,7 @@ class Stamps:
         lost = self._losses.before(value, here, arrival_ns, self._time.restarted, again=again)
         if lost <= REPEATED:
             return NOTHING
+        value += self._losses.within_ns
         self._clock.see(value, arrival_ns)
         row = np.array([self._losses.number, lost, value, self._clock.stamp(value)])
         return Packets(np.ones(1, bool), row[0:1], row[1:2], row[2:3], row[3:4])
@@ -146,14 +158,16 @@ class Stamps:
 class Losses:
     """What is missing between records that bring the device's time, by their counter, else by the steps of that time."""
 
-    def __init__(self, rate_hz: float | None, counter_bits: int = 0) -> None:
+    def __init__(self, rate_hz: float | None, counter_bits: int = 0, counter_turn: int = 0) -> None:
         self._rate = rate_hz
-        self._counter = Counter(counter_bits, rate_hz or 0.0) if counter_bits else None
+        self._counter = Counter(counter_bits, rate_hz or 0.0, counter_turn) if counter_bits else None
         self._device: int | None = None
         self._finest = inf
         """The shortest step of the device's time so far, in periods."""
         self._beside = 0
         """How many records had the same time as the one before them: the device's time is too coarse for them."""
+        self._known = False
+        """Whether all records with the present time have come here."""
 
     def follow(self, rate_hz: float) -> None:
         """From here on there are so many records a second."""
@@ -179,7 +193,7 @@ class Losses:
         lost = np.zeros(len(device_ns), np.int64)
         lost[0] = self.before(int(device_ns[0]), None, arrival_ns)
         self._finest = min(self._finest, int(np.diff(device_ns).min()) / NS * self._rate)
-        self._device, self._beside = int(device_ns[-1]), 0
+        self._device, self._beside, self._known = int(device_ns[-1]), 0, True
         return lost
 
     def before(
@@ -192,6 +206,8 @@ class Losses:
         """
         last, self._device = self._device, device_ns
         missing = self._counter.lost_before(counter, arrival_ns) if self._counter and counter is not None else None
+        periods = (device_ns - last) / NS * self._rate if last is not None and self._rate else 0.0
+        beside = 0 if last is None else self._place(periods, missing or 0, restarted)
         if restarted:
             return -1
         if missing is not None:
@@ -200,14 +216,35 @@ class Losses:
             return REPEATED if missing < 0 else missing
         if last is None or not self._rate:
             return 0
-        periods = (device_ns - last) / NS * self._rate
         if periods > 0:
-            self._finest, beside, self._beside = min(self._finest, periods), self._beside, 0
-            return max(0, round(periods) - 1 - beside) if periods > GAP_PERIODS else 0
+            gap = round(periods) - 1 - beside
+            return gap if beside >= 0 and periods > GAP_PERIODS and gap > (beside and 1 + TICK * periods) else 0
         if again and self._finest < GAP_PERIODS:
+            self._beside -= 1
             return REPEATED
-        self._beside += 1
         return 0
+
+    def _place(self, periods: float, missing: int, restarted: bool) -> int:
+        """Where the record lies among those that have the same time; returns how many had the one before, -1: nobody knows.
+
+        The first time of all may be that of records which came before anybody listened.
+        """
+        beside = self._beside
+        if periods > 0 or restarted:
+            known, self._beside, self._known = self._known or not beside, 0, True
+            if periods > 0 and not restarted:
+                self._finest = min(self._finest, periods) if known else self._finest
+            return beside if known else -1
+        self._beside += 1 + max(0, missing)
+        return beside
+
+    @property
+    def within_ns(self) -> int:
+        """How long after its time the last record was made, where that is too coarse to tell it from those before it: as many periods as
+        have the same time, as long as the next one has not come."""
+        if not self._beside or not self._rate or not 1 < self._finest < inf:
+            return 0
+        return int(min(self._beside, self._finest - 1) * NS / self._rate)
 
 
 def chunks(stamp: Times, lost: Times, data: Array) -> Iterator[Chunk]:

@@ -48,6 +48,9 @@ class Field:
     offset: float = param(0.0, help="added after the factor")
     unit: str = param("", help="unit of the channel, or of the time")
     endian: Literal["", "little", "big"] = param("", help="byte order, where it differs from the frame's")
+    wraps: int = param(
+        0, least=0, help="of a counter: after how many frames it starts again, where that is not by its bits"
+    )
     count: int = param(1, least=1, most=4096, help="how many of them follow one another: channels NAME1, NAME2, ...")
 
     def each(self) -> tuple[Field, ...]:
@@ -59,6 +62,11 @@ class Field:
     @property
     def bits(self) -> int:
         return int(self.type[1:])
+
+    @property
+    def turn(self) -> int:
+        """After how many frames a counter starts again."""
+        return self.wraps or 1 << self.bits
 
     @property
     def is_channel(self) -> bool:

@@ -109,7 +109,7 @@ class FrameLayout:
 
     def near(self, counter: int, later: int) -> bool:
         """Whether a frame may follow another one, by their counters: with a few lost in between."""
-        return self._counter is not None and 1 <= (later - counter) % (1 << self.fields[self._counter].bits) <= NEAR
+        return self._counter is not None and 1 <= (later - counter) % self.fields[self._counter].turn <= NEAR
 
     def counters(self, table: Array) -> Times | None:
         """The counter of every frame; None if there is none."""
