@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import sys
 import threading
+import time
 import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -348,6 +349,18 @@ class TestWithDepthai:
                 if turn == 2:
                     before = usage()
             assert usage() == before
+
+    def test_the_room_is_seen_empty_however_late_the_camera_is_opened(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Kernels compile for a minute after the camera was plugged in: the performer must not be there already."""
+        clock = time.monotonic
+        with plugged_in(image="mono") as (source, simulated):
+            monkeypatch.setattr("devices.simulators.oak.time.monotonic", lambda: clock() + 60.0)
+            with reading(source) as feed:
+                wait_for(lambda: feed.count("depth") >= 3)
+            room = simulated.performer.frame(0, 0.0)
+            assert (
+                np.abs(feed.data("depth")[0].astype(int) - room)[(room > 0) & (feed.data("depth")[0] > 0)].max() < 200
+            )
 
     def test_a_session_goes_on_after_the_camera_was_gone(self, tmp_path: Path) -> None:
         graph = load_text(

@@ -6,6 +6,7 @@ depthai's can play.
 
 from __future__ import annotations
 
+import math
 import struct
 import threading
 import time
@@ -92,13 +93,16 @@ class OakSimulator(Simulator):
 
 
 class SimulatedCamera:
-    """The camera at the end of its cable. Its night began when it was made, and goes on while nobody looks."""
+    """The camera at the end of its cable. What it sees begins when it is opened first, and goes on while nobody looks.
+
+    So a room that is empty at first is seen empty, however long the session took to get ready.
+    """
 
     def __init__(self, of: OakSimulator, misbehaviour: Misbehaviour) -> None:
         self.of, self.mishaps = of, Mishaps(misbehaviour)
         self.performer = RenderedPerformer(of.width, of.height, seed=of.seed)
         self.sleeper = Sleeper(of.width, of.height, seed=of.seed, per_min=of.per_min, invalid=of.invalid)
-        self.began = time.monotonic()
+        self.began = math.nan
         self._freeze = Mishaps(Misbehaviour(stall_every_s=of.freeze_every_s, stall_s=of.freeze_s))
         self._blind = Mishaps(Misbehaviour(stall_every_s=of.blind_every_s, stall_s=of.blind_s))
         self._pulled = threading.Event()
@@ -114,11 +118,16 @@ class SimulatedCamera:
 
     def out(self) -> bool:
         """Whether the cable is out."""
-        return self._pulled.is_set() or self.mishaps.unplugged(time.monotonic() - self.began)
+        return self._pulled.is_set() or self.mishaps.unplugged(self.since())
+
+    def since(self) -> float:
+        """How long ago it was opened first (s)."""
+        return 0.0 if math.isnan(self.began) else time.monotonic() - self.began
 
     @contextmanager
     def opened(self, dai: Any, link: CameraLink) -> Iterator[Camera]:
         """As a real camera is opened. Raises DeviceError while the cable is out."""
+        self._begin()
         if self.out():
             raise DeviceError(NONE)
         with dai.Pipeline(createImplicitDevice=False) as pipeline:
@@ -135,6 +144,10 @@ class SimulatedCamera:
                 self.light,
             )
 
+    def _begin(self) -> None:
+        if math.isnan(self.began):
+            self.began = time.monotonic()
+
     def light(self) -> list[str]:
         """The lights are set; how often is counted."""
         self.times_lit += 1
@@ -143,6 +156,7 @@ class SimulatedCamera:
     @contextmanager
     def recording(self, path: Path) -> Iterator[None]:
         """Within: depthai records what the camera shows."""
+        self._begin()
         dai = library()
         with dai.Pipeline(createImplicitDevice=False) as pipeline:
             recorder = pipeline.create(dai.node.RecordMessage)
@@ -177,7 +191,7 @@ class RunningScene:
 
     def _begin(self) -> None:
         """Nothing of what was before is sent, and numbers start again."""
-        now = time.monotonic() - self._camera.began
+        now = self._camera.since()
         self._first = self._said = int(now * self._camera.of.fps) + 1
         self._moved = int(now * self._camera.of.imu_hz)
         self._kept.clear()
@@ -193,7 +207,7 @@ class RunningScene:
             self._begin()
         if self._gone:
             return
-        seconds = time.monotonic() - camera.began
+        seconds = camera.since()
         for packet in self._due(seconds):
             message = self._message(packet)
             if camera.of.image and message.getSequenceNum() >= 0:
