@@ -118,12 +118,12 @@ class NatNet(Source):
             )  # fmt: skip
             reading = NatNetReading(self, info, link)
             feed.ready()
-            clock_log = ClockLog(f"NatNet {self.server}", feed, lambda: reading.stamps.state)
-            while not feed.stopped:
-                for kind, payload, arrival in link.fetch(feed):
-                    reading.take(kind, payload, arrival, feed)
-                link.keep_alive()
-                clock_log.tell()
+            with ClockLog(f"NatNet {self.server}", feed, lambda: reading.stamps.state) as clock_log:
+                while not feed.stopped:
+                    for kind, payload, arrival in link.fetch(feed):
+                        reading.take(kind, payload, arrival, feed)
+                    link.keep_alive()
+                    clock_log.tell()
 
 
 class NatNetLink:

@@ -127,12 +127,12 @@ class Qualisys(Source):
             parts = " ".join(asked).replace("skeleton", "skeleton:global")
             link.write(protocol.command(f"streamframes allframes {parts}"))
             feed.ready()
-            clock_log = ClockLog(f"QTM {self.server}", feed, lambda: reading.stamps.state)
             try:
-                while not feed.stopped:
-                    for kind, payload in talk.packets():
-                        reading.take(kind, payload, feed)
-                    clock_log.tell()
+                with ClockLog(f"QTM {self.server}", feed, lambda: reading.stamps.state) as clock_log:
+                    while not feed.stopped:
+                        for kind, payload in talk.packets():
+                            reading.take(kind, payload, feed)
+                        clock_log.tell()
             finally:
                 with suppress(DeviceError):
                     link.write(protocol.command("streamframes stop"))

@@ -59,12 +59,12 @@ class BleSource(Source):
                 self._tell_who(link, feed)
                 reading = self.greet(link, feed)
                 feed.ready()
-                clock_log = ClockLog(link.name, feed, lambda: reading.clock)
-                while not feed.stopped:
-                    for note in link.fetch(READ_S):
-                        reading.take(note, feed)
-                    self.serve(reading, feed)
-                    clock_log.tell()
+                with ClockLog(link.name, feed, lambda: reading.clock) as clock_log:
+                    while not feed.stopped:
+                        for note in link.fetch(READ_S):
+                            reading.take(note, feed)
+                        self.serve(reading, feed)
+                        clock_log.tell()
             finally:
                 with suppress(DeviceError):
                     self.rest(link, feed)

@@ -113,9 +113,10 @@ class DepthCamera(Source):
             feed.identify(self.maker, **facts)
             feed.ready()
             reading = CameraReading(self, camera)
-            clock_log = ClockLog(f"{self.maker} {facts.get('serial', '')}".strip(), feed, lambda: reading.stamps.state)
-            while not feed.stopped and reading.step(feed):
-                clock_log.tell()
+            name = f"{self.maker} {facts.get('serial', '')}".strip()
+            with ClockLog(name, feed, lambda: reading.stamps.state) as clock_log:
+                while not feed.stopped and reading.step(feed):
+                    clock_log.tell()
 
 
 @dataclass(slots=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Self
 
 import structlog
 
@@ -26,9 +27,17 @@ class ClockLog:
 
     def tell(self) -> None:
         """Tell offset, drift and uncertainty, if it is time and there is a clock."""
-        now = time.monotonic()
-        if now < self._due:
-            return
+        if (now := time.monotonic()) >= self._due:
+            self._tell(now)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """The end is told too: what has happened since the last second would never be."""
+        self._tell(time.monotonic())
+
+    def _tell(self, now: float) -> None:
         self._due = now + EVERY_S
         if (state := self._state()) is None:
             return

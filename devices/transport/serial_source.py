@@ -72,7 +72,10 @@ class SerialSource(Source):
                     self.rest(link, feed)
 
     def _pass_on(self, link: Transport, reading: Reading, feed: Feed) -> None:
-        clock_log = ClockLog(self.port, feed, lambda: reading.clock)
+        with ClockLog(self.port, feed, lambda: reading.clock) as clock_log:
+            self._take_all(link, reading, feed, clock_log)
+
+    def _take_all(self, link: Transport, reading: Reading, feed: Feed, clock_log: ClockLog) -> None:
         heard, came = time.monotonic(), b""
         while not feed.stopped:
             data = self.fetch(link, heard)
