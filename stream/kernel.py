@@ -73,6 +73,7 @@ class _Kept:
 
     def __getattr__(self, name: str) -> Any:
         if self._opened is None:
+            _load_numba()
             folder = cache_folder() / f"{self._function.__module__}-{fingerprint(self._function)}"
             folder.mkdir(exist_ok=True)
             os.utime(folder)
@@ -83,6 +84,19 @@ class _Kept:
                 finally:
                     config.CACHE_DIR = before
         return getattr(self._opened, name)
+
+
+@cache
+def _load_numba() -> None:
+    """Load what numba knows of numpy, without scipy.linalg, which takes a third of a second and only shows that there is a BLAS; code that
+    calls one still loads it."""
+    from numba.np import linalg
+
+    asks, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+    try:
+        import numba.np.arraymath  # noqa: F401
+    finally:
+        linalg.ensure_blas = asks
 
 
 def is_kernel(candidate: object) -> bool:

@@ -116,6 +116,11 @@ class Operator(Generic[S]):
         """What the laws try this operator on: at least one case, with enough samples that its windows fill and outputs come."""
         return ()
 
+    @classmethod
+    def warm_up_cases(cls) -> Sequence[Case]:
+        """What it is run on before devices open: cases that call every kernel with arguments of every type that `cases` do, only sooner."""
+        return cls.cases()
+
     def hold(self, state: S, *, delay_s: float = 0.0, decision_s: Mapping[str, float] | None = None) -> None:
         """Keep the state (a slotted dataclass of arrays, numbers and texts) and declare the delays; called by `open`."""
         object.__setattr__(self, "state", state)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+import pytest
 from parts import Counting
 
 from stream.chunk import Chunk, Specs, StreamSpec
@@ -16,6 +20,7 @@ from stream.operator import Case, Operator, grid
 from stream.params import param
 
 MET: dict[str, int] = {}
+ROOT = Path(__file__).resolve().parent.parent
 
 
 @dataclass(slots=True)
@@ -87,3 +92,18 @@ def test_made_up_samples_of_several_inputs_come_in_the_order_of_time() -> None:
     counting = f"parts.{Counting.__name__}"
     order = "test_warmup.InOrder, from: {in: a, other: b}"
     warm_up(load_text(f"nodes:\n  a: {{use: {counting}}}\n  b: {{use: {counting}}}\n  c: {{use: {order}}}"))
+
+
+@pytest.mark.parametrize("use", ["operators.emg.mixtures.PeakMixtures", "operators.emg.mixture_drift.MixtureDrift"])
+def test_shorter_cases_for_the_warm_up_compile_all_that_the_cases_do(use: str) -> None:
+    command = [sys.executable, "-m", "tests.warm_up_kernels", use]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout == ""
+
+
+def test_every_operator_with_shorter_cases_for_the_warm_up_is_tried() -> None:
+    sources = {path: path.read_text(encoding="utf-8") for path in (ROOT / "operators").rglob("*.py")}
+    assert {path.name for path, source in sources.items() if "def warm_up_cases" in source} == {
+        "mixtures.py",
+        "mixture_drift.py",
+    }

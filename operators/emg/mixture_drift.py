@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from operators.emg.emg_model import read_references
 from operators.emg.mixture_distance import cauchy_schwarz
 from operators.emg.mixture_events import MIXTURE, WHEN
 from operators.emg.mixture_pairs import limb_pairing, pairing
-from operators.emg.mixture_reference import ReferenceFit, References
+from operators.emg.mixture_reference import ReferenceFit, References, student
 from operators.emg.mixtures import PeakMixtures, limb_of_groups, muscle_groups, some_maxima
 from operators.emg.moved import FIRST, STORED, Alarm, Moved
 from operators.emg.peak_window import PeakWindow
@@ -41,6 +41,7 @@ DISTANCE = np.dtype(
 """Cauchy-Schwarz divergences of a muscle's latest mixture; NaN: not known (yet). `full` and `noise` are the reference's own, to read the
 others by. `moved` says from what it has moved away: "", "first", "stored" or "both"."""
 DISTANCE_UNITS = ("ns", "ns", *("",) * 11)
+Given: TypeAlias = tuple[StreamSpec, Array, Array]
 
 
 @dataclass(slots=True)
@@ -136,6 +137,7 @@ class MixtureDrift(Operator[MixtureDriftState]):
         if "other" in specs and specs["other"].meta.get("height_unit") != mixture.meta.get("height_unit"):
             accepts = f"in {mixture.meta.get('height_unit')!r}, as `mixture` is"
             raise InputError("other", f"heights in {specs['other'].meta.get('height_unit')!r}", accepts)
+        student(self.first / self.cycles - 1.0)  # designed here, not while samples come
         g = len(group)
         stored = read_references(Path(self.reference), mixture, names) if self.reference else References.none(g)
         room, *held = (PeakWindow.none(max(self.first, self.cycles), spec.shape[1], limbs) for _ in range(limbs + 1))
@@ -169,7 +171,8 @@ class MixtureDrift(Operator[MixtureDriftState]):
             self._remember(chunk.data)
         elif port == "pace":
             for _ in range(len(chunk)):
-                self._step()
+                if not self._step():
+                    break  # nothing is due before the next cycle
         else:
             self._collect(port, chunk, alarms)
         lost = -1 if chunk.lost and port == "mixture" else 0
@@ -182,20 +185,18 @@ class MixtureDrift(Operator[MixtureDriftState]):
 
     @classmethod
     def cases(cls) -> list[Case]:
-        inputs = some_cycles(24, 2, 5)
-        inputs = {"maxima": some_maxima(inputs), **inputs}
-        mixer = PeakMixtures(cycles=6, fewest_cycles=2, contrast=1.1)
-        spec = mixer.open({port: given[0] for port, given in inputs.items()})["mixture"]
-        stamps, rows = _mixtures(mixer, inputs)
-        other = rows.copy()
-        other["mean"][:, :, 0] += 3.0
-        last = int(stamps[-1] / NS * 200)
+        inputs, other = _some_mixtures(24, PeakMixtures(cycles=6, fewest_cycles=2, contrast=1.1))
+        last = int(other[1][-1] / NS * 200)
         pace = (StreamSpec((1,), rate_hz=200.0), grid(200.0, last), np.zeros((last, 1)))
-        every = {**inputs, "other": (spec, stamps, other), "mixture": (spec, stamps, rows)}
         return [
-            Case(cls(first=4, windows=1, cycles=2, pairs=10), {**every, "pace": pace}, least=20),
-            Case(cls(first=6, pairs=10), {port: given for port, given in every.items() if port != "other"}, least=20),
+            Case(cls(first=4, windows=1, cycles=2, pairs=10), {**inputs, "other": other, "pace": pace}, least=20),
+            Case(cls(first=6, pairs=10), inputs, least=20),
         ]
+
+    @classmethod
+    def warm_up_cases(cls) -> list[Case]:
+        inputs, other = _some_mixtures(10, PeakMixtures(cycles=4, fewest_cycles=2, contrast=1.0, most_sweeps=4))
+        return [Case(cls(first=4, windows=1, cycles=2, pairs=10), {**inputs, "other": other})]
 
     def _collect(self, port: str, chunk: Chunk, alarms: list[tuple[int, Alarm]]) -> None:
         """Take a cycle in; when there are enough, the reference begins. Another stage has another reference."""
@@ -300,7 +301,18 @@ def fitting_of(spec: StreamSpec) -> Fitting:
     return Fitting(**spec.meta["fitting"])
 
 
-def _mixtures(mixer: PeakMixtures, inputs: dict[str, tuple[StreamSpec, Array, Array]]) -> tuple[Times, Array]:
+def _some_mixtures(cycles: int, mixer: PeakMixtures) -> tuple[dict[str, Given], Given]:
+    """Made-up cycles, their maxima and what `mixer` makes of them; and the other leg's mixtures, 3 % of the cycle later."""
+    inputs = some_cycles(cycles, 2, 5)
+    inputs = {"maxima": some_maxima(inputs), **inputs}
+    spec = mixer.open({port: given[0] for port, given in inputs.items()})["mixture"]
+    stamps, rows = _mixtures(mixer, inputs)
+    other = rows.copy()
+    other["mean"][:, :, 0] += 3.0
+    return {**inputs, "mixture": (spec, stamps, rows)}, (spec, stamps, other)
+
+
+def _mixtures(mixer: PeakMixtures, inputs: dict[str, Given]) -> tuple[Times, Array]:
     """What an opened operator makes of these cycles: stamps and events."""
     stamps, rows = list[Array](), list[Array]()
     order = sorted((int(t), k, port, i) for k, port in enumerate(inputs) for i, t in enumerate(inputs[port][1]))

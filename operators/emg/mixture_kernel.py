@@ -49,13 +49,13 @@ def sweep(
         scratch[j, 1], scratch[j, 2], scratch[j, 3] = c / det, b / det, a / det
         scratch[j, 4:10] = 0.0
     for i in range(n):
-        highest = -inf
+        place, height, highest = points[i, 0], points[i, 1], -inf
         for j in range(k):
-            dy = points[i, 1] - means[j, 1]
+            mean, dy = means[j, 0], height - means[j, 1]
+            base, a, b, c = scratch[j, 0], scratch[j, 1], scratch[j, 2], scratch[j, 3]
             for t in range(2 * turns + 1):
-                dx = points[i, 0] + CYCLE * (t - turns) - means[j, 0]
-                far = scratch[j, 1] * dx * dx - 2.0 * scratch[j, 2] * dx * dy + scratch[j, 3] * dy * dy
-                value = scratch[j, 0] - 0.5 * far
+                dx = place + CYCLE * (t - turns) - mean
+                value = base - 0.5 * (a * dx * dx - 2.0 * b * dx * dy + c * dy * dy)
                 scratch[j, 10 + t] = value
                 highest = max(highest, value)
         mass = 0.0
@@ -65,17 +65,32 @@ def sweep(
                 scratch[j, 10 + t] = exp(near) if near > NOTHING else 0.0
                 mass += scratch[j, 10 + t]
         for j in range(k):
-            dy = points[i, 1] - means[j, 1]
+            mean, dy = means[j, 0], height - means[j, 1]
+            m, x, y, xx, xy, yy = (
+                scratch[j, 4],
+                scratch[j, 5],
+                scratch[j, 6],
+                scratch[j, 7],
+                scratch[j, 8],
+                scratch[j, 9],
+            )
             for t in range(2 * turns + 1):
-                r = scratch[j, 10 + t] / mass
-                if r > 0.0:
-                    dx = points[i, 0] + CYCLE * (t - turns) - means[j, 0]
-                    scratch[j, 4] += r
-                    scratch[j, 5] += r * dx
-                    scratch[j, 6] += r * dy
-                    scratch[j, 7] += r * dx * dx
-                    scratch[j, 8] += r * dx * dy
-                    scratch[j, 9] += r * dy * dy
+                if scratch[j, 10 + t] > 0.0:
+                    r, dx = scratch[j, 10 + t] / mass, place + CYCLE * (t - turns) - mean
+                    m += r
+                    x += r * dx
+                    y += r * dy
+                    xx += r * dx * dx
+                    xy += r * dx * dy
+                    yy += r * dy * dy
+            scratch[j, 4], scratch[j, 5], scratch[j, 6], scratch[j, 7], scratch[j, 8], scratch[j, 9] = (
+                m,
+                x,
+                y,
+                xx,
+                xy,
+                yy,
+            )
         total += highest + log(mass)
     maximise(n, weights, means, covariances, turns, least, scratch)
     return float(total / n)

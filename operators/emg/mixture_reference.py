@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
-from scipy.special import stdtrit
 
 from operators.emg.mixture_distance import cauchy_schwarz
 from operators.emg.mixture_events import MOST_MODES
@@ -14,6 +14,7 @@ from operators.emg.refit import Fitting, Refit
 from operators.gait.cycle import POINTS
 from stream.chunk import Samples, Times
 from stream.kernel import kernel
+from stream.remembered import remembered
 
 SHARE = 0.99
 OWN, FULL, NOISE, FIRST_HALF = range(4)
@@ -163,5 +164,18 @@ def chance_limit(distances: Samples, windows: float) -> float:
     percentile: limits taken from them alone scatter twice as much from reference to reference, and a low one costs false alarms.
     """
     roots = np.cbrt(distances)
-    far = stdtrit(windows - 1.0, SHARE) * np.sqrt(1.0 + 1.0 / windows)
+    far = student(windows - 1.0) * np.sqrt(1.0 + 1.0 / windows)
     return float(max(roots.mean() + far * roots.std(), 0.0) ** 3)
+
+
+@cache
+def student(freedom: float) -> float:
+    """What Student's t with so many degrees of freedom (any positive number) stays below in 99 of 100 cases."""
+    return _student(freedom)
+
+
+@remembered
+def _student(freedom: float) -> float:
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, SHARE))

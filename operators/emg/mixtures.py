@@ -146,6 +146,8 @@ class PeakMixtures(Operator[MixturesState]):
                         made += [(stamp, row) for row in self._all()]
         else:
             for stamp in chunk.time.tolist():
+                if not self._waiting():
+                    break  # nothing is due before the next cycle
                 if (row := self._step()) is not None:
                     made.append((stamp, row))
         until = s.told if chunk.until == FOREVER and self._waiting() else chunk.until
@@ -156,6 +158,12 @@ class PeakMixtures(Operator[MixturesState]):
         """The mixtures of the last cycle that are not done."""
         stamp = self.state.told + 1
         return self._emitted([(stamp, row) for row in self._all()] if self._waiting() else [], FOREVER, 0)
+
+    @classmethod
+    def warm_up_cases(cls) -> list[Case]:
+        closed_cycles = some_cycles(8, 2, 5)
+        inputs = {"maxima": some_maxima(closed_cycles), **closed_cycles}
+        return [Case(cls(cycles=4, fewest_cycles=4, contrast=1.0, most_sweeps=8), inputs)]
 
     @classmethod
     def cases(cls) -> list[Case]:

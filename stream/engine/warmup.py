@@ -1,7 +1,7 @@
 """Before any device opens: sources prepare and scratch operators are run, so that nothing compiles while a graph runs.
 
-Two runs for each operator: its own cases, which reach every kernel, and made-up samples under the specs of this graph, which also show
-whether the operator keeps the promises of its specs.
+Two runs for each operator: its own `warm_up_cases`, which reach every kernel, and made-up samples under the specs of this graph, which
+also show whether the operator keeps the promises of its specs.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def warm_up(graph: Graph, stopped: Callable[[], bool] = bool) -> None:
 
 
 def _run_cases(part: Operator[Any]) -> None:
-    for case in part.cases():
+    for case in part.warm_up_cases():
         operator = case.operator.fresh()
         specs = {port: spec for port, (spec, _, _) in case.inputs.items()}
         operator.open(specs)

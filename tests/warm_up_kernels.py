@@ -1,0 +1,34 @@
+"""`python -m tests.warm_up_kernels OPERATOR`: what its `cases` compile and its `warm_up_cases` do not; in a process of its own."""
+
+from __future__ import annotations
+
+import gc
+import importlib
+import sys
+from typing import Any
+
+from numba.core.dispatcher import Dispatcher
+
+from stream.engine.warmup import _run_cases
+from stream.operator import Operator
+
+
+def main(use: str) -> None:
+    module, name = use.rsplit(".", 1)
+    part: type[Operator[Any]] = getattr(importlib.import_module(module), name)
+    _run_cases(part)
+    before = compiled()
+    part.warm_up_cases = part.cases  # type: ignore[method-assign]
+    _run_cases(part)
+    for kernel in sorted(compiled() - before):
+        print(kernel)
+
+
+def compiled() -> set[str]:
+    """Every kernel with the types of arguments that it is compiled for."""
+    kernels = [found for found in gc.get_objects() if isinstance(found, Dispatcher)]
+    return {f"{kernel.__module__}.{kernel.__name__}{types}" for kernel in kernels for types in kernel.signatures}
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
