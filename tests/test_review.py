@@ -134,3 +134,13 @@ def test_what_is_typed_in_a_session_of_the_shipped_graph_counts_in_its_replay(tm
         assert len(rows) and not rows["used"][rows["name"] == "TA"].any() and rows["used"][rows["name"] == "SO"].all()
         graph = load("treadmill_emg", recorded={n: s.spec for n, s in recording.streams.items()}, overrides=overrides)
         assert Replay(graph, recording).run().differing == []
+
+
+def test_a_cycle_stays_left_out_when_its_seconds_are_long_gone() -> None:
+    """Windows of signal quality are kept as long as the cycles that they are about can be told again."""
+    found = reviewed(seconds=120, fault=Fault("flat", "TA", from_s=10.0, for_s=6.0), said=[(100.0, "leave out SO")])
+    judged = found["judged"][found["judged"]["name"] == "TA"]
+    bad = {int(row["number"]) for row in judged if row["flag"] == "bad"}
+    assert len(bad) >= 5
+    last = last_of(judged)
+    assert {number for number in bad if str(last[number]["flag"]) != "bad"} == set()

@@ -13,7 +13,7 @@ from operators.gait.cycle import POINTS, Expected, check_cycles, some_cycles
 from operators.gait.history import REVISABLE
 from operators.gait.limbs import Belonging
 from operators.gait.verdicts import FLAGS, IN, OUT, UNSAID, Windows, understood
-from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
+from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.finite import only_finite
 from stream.operator import Case, Operator
@@ -46,7 +46,7 @@ class ReviewState:
     rows (64,), curves (64, 100, m)   the latest accepted cycles as they came, a ring; `seen` in all;  used (64, m) what was told of them
     said (64, m)          what a person said of a muscle in one of these cycles, OUT or IN
     session (m,)          what a person said of a muscle in all cycles
-    pending               the stamp of judged windows that have not been applied; NEVER: none
+    pending, since        the stamp of judged windows that have not been applied (NEVER: none), and when the first of them begins
     """
 
     expected: Expected
@@ -58,6 +58,7 @@ class ReviewState:
     session: Times
     seen: int
     pending: int
+    since: int
     limbs: Belonging
     names: list[str]
 
@@ -101,7 +102,7 @@ class CycleReview(Operator[ReviewState]):
         state = ReviewState(
             Expected.none(specs["closed"].dtype), Windows.none(n),
             np.zeros(REVISABLE, specs["closed"].dtype), np.zeros((REVISABLE, POINTS, n)),
-            np.ones((REVISABLE, n), np.int64), np.zeros((REVISABLE, n), np.int64), np.zeros(n, np.int64), 0, NEVER,
+            np.ones((REVISABLE, n), np.int64), np.zeros((REVISABLE, n), np.int64), np.zeros(n, np.int64), 0, NEVER, FOREVER,
             Belonging.of(spec), names,
         )  # fmt: skip
         self.hold(state, decision_s={"closed": 0.0, "judged": 0.0})
@@ -124,7 +125,7 @@ class CycleReview(Operator[ReviewState]):
                 name = str(chunk.data["name"][i])
                 if name in s.names:
                     s.windows.add(chunk.data[i], s.names.index(name))
-                    s.pending = stamp
+                    s.pending, s.since = stamp, min(s.since, int(chunk.data["onset"][i]))
             elif port == "annotations":
                 self._said(out, stamp, str(chunk.data["text"][i]).strip())
             elif port == "closed":
@@ -175,13 +176,13 @@ class CycleReview(Operator[ReviewState]):
         self._tell(out, stamp, k)
 
     def _apply(self, out: Told, until: int) -> None:
-        """Judge the latest cycles again by windows that have come, once they are all there; tell those that change."""
+        """Judge the cycles again that windows which have come are about, once these are all there; tell those that change."""
         s = self.state
         if s.pending == NEVER or s.pending > until:
             return
-        stamp, s.pending = s.pending, NEVER
+        stamp, since, s.pending, s.since = s.pending, s.since, NEVER, FOREVER
         for k in self._latest():
-            if not np.array_equal(self._used(k)[0], s.used[k]):
+            if s.rows["end"][k] > since and not np.array_equal(self._used(k)[0], s.used[k]):
                 self._tell(out, stamp, k)
 
     def _said(self, out: Told, stamp: int, text: str) -> None:

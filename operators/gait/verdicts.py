@@ -10,13 +10,13 @@ from stream.chunk import Array, Times
 
 FLAGS = ("good", "doubtful", "bad")
 UNSAID, OUT, IN = 0, 1, 2
-WINDOWS = 64
-"""This many of the latest judged windows are kept per channel: more than the longest cycle has."""
+WINDOWS = 256
+"""This many of the latest judged windows are kept per channel: of windows of a second, those of the latest 64 cycles of up to 4 s."""
 
 
 @dataclass(slots=True)
 class Windows:
-    """onset, end (64,), flag (64, m): the latest windows of signal quality, a ring; `seen` in all; reasons (64, m)."""
+    """onset, end (256,), flag (256, m): the latest windows of signal quality, a ring; `seen` in all; reasons (256, m)."""
 
     onset: Times
     end: Times
