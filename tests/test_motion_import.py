@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from devices.files.asf_read import read_amc, read_asf
 from devices.files.bvh_read import read_bvh
-from devices.files.c3d_check import broken_at
 from devices.files.c3d_read import read_c3d
 from devices.files.kinect_read import ONE, read_kinect
 from devices.files.kinematics import in_turn, place
@@ -327,10 +326,9 @@ def test_broken_c3d_files_are_refused(tmp_path):
         read_c3d(tmp_path / "none.c3d")
 
 
-def test_a_c3d_file_whose_parameters_do_not_hold_together_is_refused_before_the_library_sees_it(tmp_path):
+def test_a_c3d_file_whose_parameters_do_not_hold_together_is_refused(tmp_path):
     c3d_file(tmp_path / "gait.c3d")
     whole = (tmp_path / "gait.c3d").read_bytes()
-    assert broken_at((tmp_path / "gait.c3d").read_bytes()) == -1
     at = whole.index(b"LABELS") + len(
         b"LABELS"
     )  # then: where the next record begins, the type, the number of dimensions, these
@@ -352,9 +350,8 @@ def test_a_c3d_file_longer_than_its_header_can_say_is_not_cut_in_silence(tmp_pat
     c3d_file(tmp_path / "long.c3d", frames=65_535)
     assert len(read_c3d(tmp_path / "long.c3d")[0].time) == 65_535
     with (tmp_path / "long.c3d").open("ab") as file:
-        file.write(bytes(100 * 4 * (2 * 4 + 2 * 5)))
-    with pytest.raises(RecordingError, match=r"long\.c3d: holds 656\d\d frames, of which 65535 can be read"):
-        read_c3d(tmp_path / "long.c3d")
+        file.write(np.ones(100 * (2 * 4 + 2 * 5), np.float32).tobytes())
+    assert 65_635 <= len(read_c3d(tmp_path / "long.c3d")[0].time) <= 65_643  # 8: what filled up the last block
 
 
 @needs_data
