@@ -73,16 +73,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.steering", description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--mesh", choices=("horse-gallop", "samba"), default="horse-gallop")
+    parser.add_argument("--every", type=int, help="which frames train: every second, third, ...")
     given = parser.parse_args()
     held = np.load(given.folder / f"{given.mesh}.npz")
     frames, faces = held["vertices"].astype(float), held["faces"]
-    every = 2 if given.mesh == "horse-gallop" else 4
+    every = given.every or (2 if given.mesh == "horse-gallop" else 4)
     train, test = frames[::every], frames[np.arange(len(frames)) % every > 0]
     diagonal = float(np.linalg.norm(np.ptp(train[0], axis=0)))
     markers = markers_of(train[0]) if given.mesh == "horse-gallop" else spread_markers(train[0], faces)
     reference = REFERENCE if given.mesh == "horse-gallop" else tuple(markers)
     began = time.perf_counter()
-    _, way, off = choose(train, faces, markers, reference)
+    chosen, way, off = choose(train, faces, markers, reference)
     print(
         f"training frames left out: {', '.join(f'{name} {error:.3f} %' for name, error in off.items())}; chosen: {way}"
     )
@@ -90,9 +91,11 @@ def main() -> None:
     began = time.perf_counter()
     model = fit_steering(train, faces, markers, reference)
     print(f"trained in {time.perf_counter() - began:.1f} s, {len(model.parts)} parts")
-    print(f"live: {live(model, frames, faces):.0f} us a frame of {frames.shape[1]} vertices, median")
+    for name, one in (("parts", model), (f"chosen, {way}", chosen)):
+        print(f"live: {live(one, frames, faces):.0f} us a frame of {frames.shape[1]} vertices, median ({name})")
     print("method | mean % | p95 % | max %")
     marks = test[:, model.vertices]
+    told(f"chosen: {way}", chosen(marks, frames.shape[1]), test, diagonal)
     told("part model, kernel ridge", model(marks, frames.shape[1]), test, diagonal)
     peers(model, train, test, diagonal, faces)
 
@@ -139,11 +142,25 @@ def peers(model: Steering, train: Samples, test: Samples, diagonal: float, faces
     }
     for name, peer in others.items():
         told(name, peer(x, shapes, query).reshape(test.shape) + moved, test, diagonal)
+    told(
+        "the truth, as near as sums of training frames come", nearest_sum(shapes, test - moved), test - moved, diagonal
+    )
     apart = np.sqrt(((query[:, None] - x[None]) ** 2).sum(-1).min(axis=1))
     among = np.sqrt(((x[:, None] - x[None]) ** 2).sum(-1) + np.diag(np.full(len(x), np.inf))).min(axis=1)
     print(
         f"nearest training pose, markers: {np.median(apart):.3f} from test frames, {np.median(among):.3f} among themselves"
     )
+
+
+def nearest_sum(train: Samples, truth: Samples) -> Samples:
+    """Of `truth` (f, v, 3) what the affine sums of the training's frames (n, 3 v) come nearest to, in the mean of squares.
+
+    No regression straight to the vertices can do better than that.
+    """
+    mean = train.mean(axis=0)
+    directions = np.linalg.svd(train - mean, full_matrices=False)[2][: len(train) - 1]
+    off = truth.reshape(len(truth), -1) - mean
+    return np.asarray(off @ directions.T @ directions + mean).reshape(truth.shape)
 
 
 if __name__ == "__main__":

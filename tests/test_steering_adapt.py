@@ -9,7 +9,7 @@ import pytest
 
 from devices.simulators.quadruped import LEGS, marked, topology, walking
 from operators.steering.adapt import adapt, limb_frames, matched, nearest_frames
-from operators.steering.choose import choose
+from operators.steering.choose import best_of, choose
 from operators.steering.fit import fit_steering, fit_straight
 from operators.steering.operator import SteerMesh
 from operators.steering.stored import KIND, to_arrays
@@ -81,9 +81,22 @@ def test_the_way_is_chosen_by_frames_left_out() -> None:
     faces = np.array([(20 * r + c, 20 * r + c + 1, 20 * r + c + 20) for r in range(19) for c in range(19)])
     marks = {"a": 0, "b": 19, "c": 380, "d": 399, "e": 190, "f": 210}
     _, way, off = choose(sheet, faces, marks, tuple(marks), count=5)
-    assert way == "straight" and off["straight"] < off["parts"]
+    assert way == "straight" and off["straight"] < off["both"] < off["parts"]
     model, way, off = choose(STRIDE, FACES, marked(), REFERENCE, LIMBS)
     assert way == "parts" and not off and len(model.parts) > 5
+
+
+def test_both_is_the_mean_and_taken_where_it_is_not_clearly_worse(tmp_path: Path) -> None:
+    both, way, off = choose(STRIDE[::2], FACES, marked(), REFERENCE, method="both")
+    ways = [choose(STRIDE[::2], FACES, marked(), REFERENCE, method=one)[0] for one in ("parts", "straight")]
+    assert way == "both" and not off and len(both.parts) == sum(len(one.parts) for one in ways)
+    header, arrays = to_arrays(both, topology(), ())
+    write_model(tmp_path / "m.npz", KIND, header, arrays)
+    wanted = sum(one(STRIDE[:, AT], 432) for one in ways) / 2
+    assert np.allclose(steered(tmp_path / "m.npz", STRIDE[:, AT]), wanted, atol=1e-9)
+    frames = np.ones(8)
+    alike = {"parts": frames, "straight": frames + np.linspace(-0.1, 0.08, 8), "both": frames}
+    assert best_of(alike) == "both" and best_of({**alike, "straight": frames - 0.1}) == "straight"
 
 
 def test_frames_are_paired_as_the_equations_say() -> None:

@@ -29,7 +29,7 @@ def mesh(
     method: Annotated[
         str,
         typer.Option(
-            help="parts, or straight (from markers to vertices) [default: what predicts frames left out better]"
+            help="parts, straight (from markers to vertices) or both (their mean) [default: what predicts frames left out best]"
         ),
     ] = "",
     performer: Annotated[
@@ -52,19 +52,19 @@ def mesh(
     motion made equal. The model is used by operators.steering.operator.SteerMesh.
     """
     from operators.steering.adapt import adapt
-    from operators.steering.choose import choose
+    from operators.steering.choose import METHODS, choose
     from operators.steering.stored import KIND, to_arrays
     from stream.model import write_model
 
     if output.exists() and not overwrite:
         raise KinegraphError(f"{output}: exists; choose another --out, or replace it with --overwrite")
-    if method not in ("", "parts", "straight"):
-        raise KinegraphError(f"--method: there is no method {method!r}; {nearest(method, ('parts', 'straight'))}")
+    if method not in ("", *METHODS):
+        raise KinegraphError(f"--method: there is no method {method!r}; {nearest(method, METHODS)}")
     frames, topology = _frames(recordings)
     said = _markers(markers, topology.vertices)
-    if said["limbs"] and method == "straight":
+    if said["limbs"] and method not in ("", "parts"):
         raise KinegraphError(
-            f"{markers}: limbs move by themselves only where there are parts; leave out --method straight"
+            f"{markers}: limbs move by themselves only where there are parts; leave out --method {method}"
         )
     performed = _performed(performer, tuple(said["markers"])) if performer else None
     say(f"{len(frames)} frames of {topology.vertices} vertices; learning ...")
@@ -83,8 +83,10 @@ def mesh(
     if how == "straight":
         say(f"{output}: straight to the vertices, {len(model.parts[0].modes)} components, {len(model.markers)} markers")
         return
-    say(f"{output}: {len(model.parts)} parts, {len(model.markers)} markers")
-    for k, part in enumerate(model.parts):
+    near_rigid = model.parts[:-1] if how == "both" else model.parts
+    said_too = ", and half of it straight to the vertices" if how == "both" else ""
+    say(f"{output}: {len(near_rigid)} parts, {len(model.markers)} markers{said_too}")
+    for k, part in enumerate(near_rigid):
         alone = model.markers[int(part.features[0]) // 3] if len(part.features) == 3 else "all markers"
         say(
             f"  part {k}: {len(part.vertices)} vertices, by {alone}, width {part.learned.width:g}, ridge {part.learned.ridge:g}"
