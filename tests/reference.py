@@ -6,7 +6,7 @@ exemplars that were kept: every distance is asked for through `Reference.apart`,
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ Event = tuple[Any, ...]
 KNOWN, SHARED, FAR, STILL, TRAVELS = 2, 4, 100.0, 0.12, 0.5
 SURE, STRAYS, SAME, HOLE = 3, 4.0, 0.4, 8
 DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 0.8, 1.25, 64, 24
-CHANCE = 0.7
+CHANCE, SMALLER = 0.7, 0.8
 
 
 @dataclass
@@ -84,6 +84,20 @@ class Paths:
         self.best = None
 
 
+@dataclass
+class Held:
+    """An activity that has ended; its end is decided with the next one's start."""
+
+    first: int
+    last: int
+    cycles: int
+    cluster: int
+    forced: int
+    how: int
+    certain: float
+    radius: float
+
+
 class Reference:
     """Feed `run` a recording (n, features); `frames` are the parameters in frames, named as in operators/segmentation/layout.py.
 
@@ -119,6 +133,8 @@ class Reference:
         self.believed = self.believed_of = 0
         self.like: list[float] = []
         self.certain: list[float] = []
+        self.held: Held | None = None
+        self.resumed = -1
 
     def run(self, *, end: bool = True) -> list[Event]:
         self.seed = self.untold = self.when = self.repeated = 0
@@ -127,6 +143,8 @@ class Reference:
         for i in range(len(self.came)):
             self.frame = i
             if self.rests(i):
+                if len(self.resting) == self.p["TRANSITION"] + 1 and not self.open:
+                    self.let_go()
                 if len(self.resting) == self.p["LAG"]:
                     self.close_all(0)
             else:
@@ -140,9 +158,6 @@ class Reference:
     def tell(self, kind: str, *what: int) -> None:
         """An event; frames that were worked through are told by what number they came with."""
         spans = {"rest": 0, "begin": 1, "activity": 2, "primitive": 2, "bout": 2, "provisional": 2}.get(kind, 0)
-        if kind == "activity":
-            later = what[3] - 1
-            self.certain.append(max(0.0, 1 - sum(self.prices) / (later * CHANCE * self.radius)) if later > 0 else 0.0)
         numbers = [self.frames[v] for v in what[:spans]] + [int(v) for v in what[spans:]]
         self.events.append((kind, self.frame, *numbers))
 
@@ -155,6 +170,8 @@ class Reference:
         if i < n or self.moved >= STILL * self.peak:
             if self.resting:
                 self.tell("rest", max(0, self.resting[0] - n), self.resting[-1])
+                if len(self.resting) > self.p["TRANSITION"]:
+                    self.resumed = len(self.frames)
                 self.resting = []
             return False
         if not self.resting:
@@ -222,6 +239,8 @@ class Reference:
         if not self.open:
             if t + 1 < p["LEARN"]:
                 return
+            if self.held and t - self.held.last > p["LAG"] + p["TRANSITION"]:
+                self.let_go()
             if t >= self.when:
                 self.choose_radius(t)
                 self.when = t + p["EVERY"]
@@ -281,7 +300,7 @@ class Reference:
         self.last, first = marked[-1], marked[0]
         k = next(k for k in range(self.band, first + 1) if self.apart(first, first - k) <= self.radius)
         self.tell("radius")
-        self.tell("provisional", first - k, t, self.activity + (first - k > self.untold), 0)
+        self.tell("provisional", first - k, t, self.number_of(first - k), 0)
 
     def grown(self) -> int:
         """Grow backward from the last frame with a neighbour."""
@@ -328,7 +347,7 @@ class Reference:
         """Before anything is decided of an activity that began about frame `first`: its repetitions, if it has a cycle by now."""
         length, _ = self.first_dip(self.means(first, t), last_chance=False)
         if length:
-            activity = self.activity + (first > self.untold)
+            activity = self.number_of(first)
             for k in range(self.believed if self.believed_of == activity else 0, (t - first + 1) // length):
                 self.tell("provisional", first + k * length, first + (k + 1) * length - 1, activity, k + 1)
                 self.believe(activity, k + 1)
@@ -346,15 +365,110 @@ class Reference:
         self.cluster = -1
 
     def tell_start(self) -> None:
+        if self.meets(self.start):
+            assert self.held
+            self.start = self.border(self.held, self.start)
+            self.held.last, self.untold = self.start - 1, self.start
+        self.let_go()
         self.told, self.pieces = True, self.start
         if self.start > self.untold:
             self.stretch(self.start - 1, 0)
         self.tell("begin", self.start, self.activity)
 
     def stretch(self, last: int, forced: int) -> None:
-        self.tell("primitive", self.untold, last, self.activity, 0, -1, forced, 0)
-        self.tell("activity", self.untold, last, self.activity, 0, -1, forced, 0)
+        cuts = self.gaps(self.untold, last + 1, self.radius) if self.open or self.repeated > self.now else []
+        for stop in [*cuts, last + 1]:
+            end = forced if stop > last else 0
+            self.tell("primitive", self.untold, stop - 1, self.activity, 0, -1, end, 0)
+            self.tell_activity(Held(self.untold, stop - 1, 0, -1, end, 0, 0.0, self.radius), self.activity)
+            self.activity += 1
+            self.untold = stop
+
+    def tell_activity(self, made: Held, number: int) -> None:
+        self.certain.append(made.certain)
+        self.tell("activity", made.first, made.last, number, made.cycles, made.cluster, made.forced, made.how)
+
+    # Where activities meet
+
+    def hold(self, last: int, forced: int) -> None:
+        """The open activity has ended: it is told when the next one's start is decided, or when none can follow any more."""
+        later = self.cycles - 1
+        certain = max(0.0, 1 - sum(self.prices) / (later * CHANCE * self.radius)) if later > 0 else 0.0
+        self.held = Held(self.start, last, self.cycles, self.cluster, forced, self.how(), certain, self.radius)
         self.activity += 1
+
+    def let_go(self) -> None:
+        made = self.held
+        if made is None:
+            return
+        self.held = None
+        cuts = [] if made.cycles else self.gaps(made.first, made.last + 1, made.radius)
+        for stop in [*cuts, made.last + 1]:
+            ends = stop == made.last + 1
+            if self.pieces < stop:
+                self.tell("primitive", self.pieces, stop - 1, self.activity - 1, 0, -1, made.forced if ends else 0, 0)
+            part = made if ends else replace(made, last=stop - 1, forced=0, how=0)
+            self.tell_activity(part, self.activity - 1)
+            if not ends:
+                made.first = self.pieces = stop
+                self.activity += 1
+                self.tell("begin", stop, self.activity - 1)
+
+    def meets(self, first: int) -> bool:
+        """Whether an activity from `first` on follows the held one within a transition, and with no long rest between."""
+        if self.held is None or self.held.last < self.resumed <= first:
+            return False
+        return first - self.held.last - 2 <= self.p["TRANSITION"]
+
+    def number_of(self, first: int) -> int:
+        return self.activity + (first > self.untold and not self.meets(first))
+
+    def border(self, held: Held, first: int) -> int:
+        """From where on frames lie nearer to what comes from `first` on than to the held activity."""
+        p, mass = self.p, self.p["MASS"]
+        start = min(first, max(self.pieces, held.first + mass, held.last + 1 - mass - mass // 2))
+        best, total, cut = 0.0, 0.0, start
+        for i in range(start, first):
+            lags = range(self.band, p["LAG"] + 1)
+            before = min((self.apart(i, i - k) for k in lags if held.first <= i - k < start), default=np.inf)
+            after = min((self.apart(i + k, i) for k in lags if first <= i + k <= self.now), default=np.inf)
+            if before < np.inf and after < np.inf:
+                total += before - after
+            if total < best:
+                best, cut = total, i + 1
+        return cut
+
+    def gaps(self, first: int, stop: int, radius: float) -> list[int]:
+        """Where a radius that is smaller, by a fifth at the most, divides frames first..stop-1, and again what it divides them into."""
+        first = max(first, stop - 3 * self.p["LAG"], self.now + 1 - 3 * self.p["LAG"] - self.p["FIRM"])
+        if first >= stop:
+            return []
+        far = np.full((stop - first, stop - first), np.inf)
+        for i in range(first, stop):
+            for j in range(i + self.band, min(stop - 1, i + self.p["LAG"]) + 1):
+                if self.good[i] and self.good[j]:
+                    far[i - first, j - first] = far[j - first, i - first] = self.apart(j, i)
+        cuts: list[int] = []
+        self.part(far, 0, len(far), radius, cuts)
+        return [first + cut for cut in cuts]
+
+    def part(self, far: Any, first: int, stop: int, radius: float, cuts: list[int]) -> None:
+        mass = self.p["MASS"]
+        across = {c: float(far[first:c, c:stop].min()) for c in range(first + mass, stop - mass + 1)}
+        runs: list[list[int]] = []
+        for c in across:
+            if runs and across[runs[-1][-1]] == across[c]:
+                runs[-1].append(c)
+            else:
+                runs.append([c])
+        for run in sorted((r for r in runs if across[r[0]] > SMALLER * radius), key=lambda r: -across[r[0]]):
+            cut, near = (run[0] + run[-1]) // 2, min(across[run[0]], radius)
+            halves = far[first:cut, first:cut], far[cut:stop, cut:stop]
+            if all((half.min(1) < near).sum() >= mass for half in halves):
+                self.part(far, first, cut, radius, cuts)
+                cuts.append(cut)
+                self.part(far, cut, stop, radius, cuts)
+                return
 
     def under_way(self, t: int) -> bool:
         q = self.paths
@@ -382,14 +496,10 @@ class Reference:
             self.accept()
         if self.pending:
             assert self.paths
-            self.pending = (self.pending[0], min(self.pending[1], last))
-            self.settle(last if last - self.pending[1] <= self.paths.slack else self.pending[1])
+            self.settle(min(self.pending[1], last))
         self.close_bout()
         self.conclude(self.cycles)
-        if self.pieces <= last:
-            self.piece(last, forced)
-        self.tell("activity", self.start, last, self.activity, self.cycles, self.cluster, forced, self.how())
-        self.activity += 1
+        self.hold(last, int(forced))
         self.open, self.when = False, 0
         self.seed = self.untold = last + 1
 
@@ -406,6 +516,7 @@ class Reference:
                 self.done += 1
                 self.explore(self.done)
             self.finish(bool(forced))
+        self.let_go()
         if self.untold <= self.now:
             self.stretch(self.now, forced)
         self.seed = self.untold = self.now + 1
@@ -436,8 +547,7 @@ class Reference:
             if origin - self.pieces > self.p["FIRM"]:
                 self.piece(origin - 1, False)
             self.conclude(self.cycles)
-            self.tell("activity", self.start, self.pieces - 1, self.activity, self.cycles, self.cluster, 0, self.how())
-            self.activity += 1
+            self.hold(self.pieces - 1, 0)
             self.seed = self.untold = self.pieces
             self.told = False
             self.start = max(origin, self.seed)

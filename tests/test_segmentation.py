@@ -84,6 +84,7 @@ def frames_of(operator: Segment) -> dict[str, int]:
         "BAND_MOST": operator.band_s[1], "EVERY": 0.5, "REST": operator.rest_s,
     }  # fmt: skip
     frames = {name: round(value * RATE) for name, value in seconds.items()}
+    frames["TRANSITION"] = min(round(operator.transition_s * RATE), frames["LAG"])
     return frames | {"FIRM": max(frames["FIRM"], 2 * frames["LAG"])}
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from operators.segmentation.belief import conclude, foresee, keep_count
 from operators.segmentation.bouts import close_bout
-from operators.segmentation.cycles import cycle_length, slack
+from operators.segmentation.cycles import cycle_length
 from operators.segmentation.distances import choose_radius, insert, mark, reflect
+from operators.segmentation.division import hold, let_go, number_of
 from operators.segmentation.events import stamp, tell
-from operators.segmentation.final import how, piece, settle, stretch, tell_start
+from operators.segmentation.final import how, settle, stretch, tell_start
 from operators.segmentation.layout import (
-    ACTIVITY,
-    ACTIVITY_EVENT,
     BAND,
     BEGUN,
     BELIEVED_EVENT,
@@ -24,10 +23,11 @@ from operators.segmentation.layout import (
     EVENTS,
     EVERY,
     FIRM,
+    HELD,
+    HELD_LAST,
     LAG,
     LAST,
     LEARN,
-    LENGTH,
     MASS,
     MODE,
     NEXT,
@@ -35,7 +35,6 @@ from operators.segmentation.layout import (
     OPEN,
     OPENED,
     PENDING,
-    PIECES_FROM,
     PRICES,
     QUIET,
     RADIUS,
@@ -51,10 +50,10 @@ from operators.segmentation.layout import (
     SETTLE,
     SINCE,
     START,
-    START_AT,
     TO,
     TOLD,
     TRACK,
+    TRANSITION,
     UNTOLD,
     UNTOLD_AT,
     Memory,
@@ -89,6 +88,8 @@ def follow(s: Memory, x: Samples, mirrored: Samples, time: Times, first: int, ga
         if gap and i == first:
             end(s)
         if rests(s, x[i], time[i]):
+            if s.books[RESTED] == s.books[TRANSITION] + 1 and not s.books[OPEN]:
+                let_go(s)
             if s.books[RESTED] == s.books[LAG]:
                 stand(s)
         else:
@@ -109,6 +110,8 @@ def step(s: Memory, t: int) -> None:
     if not b[OPEN]:
         if t - b[SINCE] + 1 < b[LEARN]:
             return
+        if b[HELD] and t - b[HELD_LAST] > b[LAG] + b[TRANSITION]:
+            let_go(s)
         if t >= b[RADIUS_AT]:
             choose_radius(s, t)
             b[RADIUS_AT] = t + b[EVERY]
@@ -160,7 +163,7 @@ def open_up(s: Memory, t: int) -> None:
     while row[k] > s.values[RADIUS]:
         k += 1
     tell(s, RADIUS_EVENT, 0, 0, 0, 0, 0, 0)
-    tell(s, BELIEVED_EVENT, stamp(s, first - k), stamp(s, t), b[ACTIVITY] + (first - k > b[UNTOLD]), 0, 0, 0)
+    tell(s, BELIEVED_EVENT, stamp(s, first - k), stamp(s, t), number_of(s, first - k), 0, 0, 0)
 
 
 @kernel
@@ -232,23 +235,10 @@ def finish(s: Memory, forced: bool) -> None:
     if b[BEST_END] >= 0 and b[MODE] == TRACK and b[BEST_START] <= last:
         accept(s)
     if b[PENDING]:
-        b[TO] = min(b[TO], last)
-        settle(s, last if last - b[TO] <= slack(b[LENGTH]) else b[TO])
+        settle(s, min(b[TO], last))
     close_bout(s)
     conclude(s, b[CYCLES])
-    if b[PIECES_FROM] <= last:
-        piece(s, last, forced)
-    tell(
-        s,
-        ACTIVITY_EVENT,
-        b[START_AT],
-        s.times[last % s.times.shape[0]],
-        b[ACTIVITY],
-        b[CYCLES],
-        b[CLUSTER],
-        how(s) + forced,
-    )
-    b[ACTIVITY] += 1
+    hold(s, last, s.times[last % s.times.shape[0]], how(s) + forced)
     b[OPEN] = b[BEGUN] = b[ROWS] = 0
     b[SEED] = b[UNTOLD] = last + 1
     b[UNTOLD_AT] = s.times[(last + 1) % s.times.shape[0]]
@@ -286,6 +276,7 @@ def close_all(s: Memory, forced: bool) -> None:
             b[DONE] += 1
             explore(s, b[DONE])
         finish(s, forced)
+    let_go(s)
     if b[UNTOLD] <= newest:
         stretch(s, newest, forced)
     b[SEED] = b[UNTOLD] = b[NEXT]

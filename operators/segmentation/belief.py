@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from operators.segmentation.cycles import FAR, first_dip, longest_lag
+from operators.segmentation.division import number_of
 from operators.segmentation.events import stamp, tell
 from operators.segmentation.layout import (
     ACTIVITY,
@@ -22,7 +23,6 @@ from operators.segmentation.layout import (
     PENDING,
     RADIUS,
     TRACK,
-    UNTOLD,
     Memory,
 )
 from stream.kernel import kernel
@@ -82,7 +82,7 @@ def foresee(s: Memory, first: int, t: int) -> None:
         s.scratch[k] = total / n
     length = first_dip(s, last, False)[0]
     if length:
-        activity = b[ACTIVITY] + (first > b[UNTOLD])
+        activity = number_of(s, first)
         told = b[BELIEVED] if b[BELIEVED_OF] == activity else 0
         for k in range(told, (t - first + 1) // length):
             onset = first + k * length

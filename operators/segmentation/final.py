@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from operators.segmentation.bouts import join
 from operators.segmentation.clusters import alike
+from operators.segmentation.division import divide
 from operators.segmentation.events import stamp, tell
 from operators.segmentation.layout import (
     ACTIVITY,
@@ -17,12 +18,14 @@ from operators.segmentation.layout import (
     MERGE_EVENT,
     NEXT,
     NUMBER,
+    OPEN,
     PENDING,
     PIECES_AT,
     PIECES_FROM,
     PRICE,
     PRICES,
     PRIMITIVE_EVENT,
+    RADIUS,
     REPEATED,
     SLOT,
     START,
@@ -34,6 +37,7 @@ from operators.segmentation.layout import (
     WINDOW,
     Memory,
 )
+from operators.segmentation.separation import gaps
 from operators.segmentation.symmetry import leader, symmetry
 from stream.kernel import kernel
 
@@ -114,8 +118,9 @@ def piece(s: Memory, last: int, forced: bool) -> None:
 
 @kernel
 def tell_start(s: Memory) -> None:
-    """The activity's start is decided; what lies before it is a stretch of its own."""
+    """The activity's start is decided; what lies before it belongs to the one before, or is a stretch of its own."""
     b = s.books
+    divide(s)
     first = b[START]
     b[START_AT] = b[UNTOLD_AT] if first == b[UNTOLD] else s.times[first % s.times.shape[0]]
     b[TOLD] = 1
@@ -131,9 +136,22 @@ STRETCH = 2
 
 @kernel
 def stretch(s: Memory, last: int, forced: bool) -> None:
-    """What lies between activities, from UNTOLD to `last`, repeats nothing: one primitive."""
+    """What lies between activities, from UNTOLD to `last`, repeats nothing: one primitive, or where it falls into several, one each."""
+    b = s.books
+    parted = 0
+    if b[OPEN] or b[REPEATED] >= b[NEXT]:
+        for cut in gaps(s, b[UNTOLD], last + 1, s.values[RADIUS]):
+            passage(s, cut - 1, 0)
+            b[UNTOLD], b[UNTOLD_AT] = cut, s.times[cut % s.times.shape[0]]
+            parted = 1
+    passage(s, last, forced if parted else STRETCH + forced)
+
+
+@kernel
+def passage(s: Memory, last: int, how: int) -> None:
+    """Frames UNTOLD to `last` are an activity that repeats nothing."""
     b = s.books
     onset, stop = b[UNTOLD_AT], s.times[last % s.times.shape[0]]
-    tell(s, PRIMITIVE_EVENT, onset, stop, b[ACTIVITY], 0, -1, forced)
-    tell(s, ACTIVITY_EVENT, onset, stop, b[ACTIVITY], 0, -1, STRETCH + forced)
+    tell(s, PRIMITIVE_EVENT, onset, stop, b[ACTIVITY], 0, -1, how & 1)
+    tell(s, ACTIVITY_EVENT, onset, stop, b[ACTIVITY], 0, -1, how)
     b[ACTIVITY] += 1

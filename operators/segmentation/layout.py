@@ -17,6 +17,7 @@ NAMES = [
     "PIECES_FROM", "PIECES_AT", "TOLD_TO", "BOUT", "BOUT_COUNT", "BOUT_AT", "BOUT_TO", "BOUT_END",
     "CLUSTER", "NEXT_CLUSTER", "CLOCK", "TURN", "EVENTS", "TOLD", "NOW", "PRESENT", "PATCHY",
     "RECENT", "RESTED", "REST_FROM", "REST_TO", "PEAK_AT", "BELIEVED", "BELIEVED_OF", "LIKE",
+    "TRANSITION", "RESUMED", "HELD", "HELD_FIRST", "HELD_LAST", "HELD_AT", "HELD_TO", "HELD_CYCLES", "HELD_CLUSTER", "HELD_HOW",
 ]  # fmt: skip
 (
     LAG, WINDOW, LEARN, QUIET, MASS, SETTLE, FIRM, BAND_LEAST, BAND_MOST, EVERY, REST, FIXED,
@@ -26,6 +27,7 @@ NAMES = [
     PIECES_FROM, PIECES_AT, TOLD_TO, BOUT, BOUT_COUNT, BOUT_AT, BOUT_TO, BOUT_END,
     CLUSTER, NEXT_CLUSTER, CLOCK, TURN, EVENTS, TOLD, NOW, PRESENT, PATCHY,
     RECENT, RESTED, REST_FROM, REST_TO, PEAK_AT, BELIEVED, BELIEVED_OF, LIKE,
+    TRANSITION, RESUMED, HELD, HELD_FIRST, HELD_LAST, HELD_AT, HELD_TO, HELD_CYCLES, HELD_CLUSTER, HELD_HOW,
 ) = range(len(NAMES))  # fmt: skip
 """
 LAG                       longest cycle, and how far back neighbours are looked for, in frames; as all down to REST
@@ -72,12 +74,20 @@ REST_FROM, REST_TO        stamps of its first and newest frame
 PEAK_AT                   when it is judged again how much the liveliest frames move
 BELIEVED, BELIEVED_OF     the count told last, and of which activity
 LIKE                      repetitions told since the exemplar was taken up
+TRANSITION                frames between two activities, at the most, that are divided between them
+RESUMED                   the first frame after the last rest that was longer
+HELD                      whether an activity has ended whose end is decided with the next one's start
+HELD_FIRST, HELD_LAST     its first and last frame, as far as it is known; HELD_AT, HELD_TO: their stamps
+HELD_CYCLES, HELD_CLUSTER its repetitions and cluster; HELD_HOW: the last number of its event
 """
 SEARCH, TRACK = 0, 1
-RADIUS, BEST, FACTOR, PRICE, MOVED, PEAK, STILL_SHARE, TRAVEL_SHARE, FARTHEST, PRICES = range(10)
+RADIUS, BEST, FACTOR, PRICE, MOVED, PEAK, STILL_SHARE, TRAVEL_SHARE, FARTHEST, PRICES, HELD_CERTAINTY, HELD_RADIUS = (
+    range(12)
+)
 """Places in `values`: the radius, the best path's mean distance, the radius as a share of the median distance, the
 pending repetition's mean distance, how much the newest frame moves, and the window's liveliest ones; STILL and TRAVELS; how far those
-that are counted in LIKE lie from their exemplar at the most; how far the open activity's repetitions lie from theirs, added up."""
+that are counted in LIKE lie from their exemplar at the most; how far the open activity's repetitions lie from theirs, added up;
+how certain those of the activity are whose end is held, and its radius."""
 
 STILL = 0.12
 """Who has moved less than this share of what the window's liveliest frames do, is at rest."""
@@ -229,6 +239,6 @@ def allocate(
         kinds=np.zeros(4, np.int64),
         books=books,
         values=np.array(
-            [0.0 if radius is None else radius, np.inf, factor, np.inf, 0.0, 0.0, STILL, TRAVELS, 0.0, 0.0]
+            [0.0 if radius is None else radius, np.inf, factor, np.inf, 0.0, 0.0, STILL, TRAVELS, 0.0, 0.0, 0.0, 0.0]
         ),
     )

@@ -157,7 +157,7 @@ class Segment(Operator[SegmentState]):
     radius: float | None = param(
         None, above=0.0, help="radius per feature, in their unit; left out: found from the data"
     )
-    radius_share: float = param(0.45, above=0.0, most=2.0, help="the radius as a share of the median distance")
+    radius_share: float = param(0.475, above=0.0, most=2.0, help="the radius as a share of the median distance")
     cycle_s: float = param(7.0, above=0.0, most=60.0, help="longest cycle")
     window_s: float = param(60.0, above=0.0, help="the radius is found from so much")
     learn_s: float = param(5.0, above=0.0, help="nothing is decided before so much has been seen")
@@ -197,6 +197,7 @@ class Segment(Operator[SegmentState]):
         frames = {name: samples_in(parameter, value, rate_hz) for name, (parameter, value) in seconds.items()}
         frames["LEARN"] = max(2, frames["LEARN"])
         frames["FIRM"] = max(frames["FIRM"], 2 * frames["LAG"])
+        frames["TRANSITION"] = min(round(self.transition_s * rate_hz), frames["LAG"])
         frames["EVERY"] = max(1, round(0.5 * rate_hz))
         firsts = _firsts(spec, specs["mirrored"]) if "mirrored" in specs else None
         self.hold(

@@ -17,11 +17,11 @@ from operators.segmentation.cycles import (
     sum_up,
     track,
 )
+from operators.segmentation.division import hold
 from operators.segmentation.events import stamp, tell
 from operators.segmentation.final import how, piece, settle, tell_start
 from operators.segmentation.layout import (
     ACTIVITY,
-    ACTIVITY_EVENT,
     BELIEVED_EVENT,
     BEST,
     BEST_END,
@@ -51,7 +51,6 @@ from operators.segmentation.layout import (
     SIZE,
     SLOT,
     START,
-    START_AT,
     TO,
     TOLD,
     TOLD_TO,
@@ -123,8 +122,7 @@ def change(s: Memory, origin: int) -> None:
     if origin - b[PIECES_FROM] > b[FIRM]:
         piece(s, origin - 1, False)
     conclude(s, b[CYCLES])
-    tell(s, ACTIVITY_EVENT, b[START_AT], b[TOLD_TO], b[ACTIVITY], b[CYCLES], b[CLUSTER], how(s))
-    b[ACTIVITY] += 1
+    hold(s, b[PIECES_FROM] - 1, b[TOLD_TO], how(s))
     b[SEED] = b[UNTOLD] = b[PIECES_FROM]
     b[UNTOLD_AT] = b[PIECES_AT]
     b[START], b[TOLD] = max(origin, b[SEED]), 0

@@ -11,6 +11,7 @@ from operators.segmentation.layout import (
     EVERY,
     MASS,
     MOVED,
+    NEXT,
     PEAK,
     PEAK_AT,
     RECENT,
@@ -20,8 +21,10 @@ from operators.segmentation.layout import (
     REST_TO,
     RESTED,
     RESTING_EVENT,
+    RESUMED,
     SINCE,
     STILL_SHARE,
+    TRANSITION,
     WINDOW,
     Memory,
 )
@@ -55,6 +58,8 @@ def tell_rest(s: Memory) -> None:
     b = s.books
     if b[RESTED]:
         tell(s, REST_EVENT, b[REST_FROM], b[REST_TO], 0, 0, 0, 0)
+        if b[RESTED] > b[TRANSITION]:
+            b[RESUMED] = b[NEXT]
         b[RESTED] = 0
 
 
