@@ -231,7 +231,7 @@ class CytonReading:
 
 
 def _identity(text: str) -> dict[str, str]:
-    """What the greeting tells of the board: its firmware, and the rest on one line. It has no serial number."""
+    """What the greeting says about the board: its firmware, and the rest on one line. It has no serial number."""
     lines = [line.strip() for line in text.removesuffix("$$$").splitlines() if line.strip()]
     firmware = [line.partition(":")[2].strip() for line in lines if line.startswith("Firmware")]
     return {"firmware": firmware[0] if firmware else "", "greeting": "; ".join(lines)}

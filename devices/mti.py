@@ -49,7 +49,7 @@ QUANTITIES: dict[Measure, Quantity] = {
 SILENCE_S = 2.0
 """A sensor that was measuring and says nothing for so long is asked again."""
 FEW_HZ = 500.0
-"""Above so many packets a second they are taken some at a time, and `timing` has an event per read instead of per packet."""
+"""Above this many packets a second they are read several at a time, and `timing` has an event per read instead of per packet."""
 GATHER_S = 0.01
 PIECE = 4000
 """A read of a serial port takes all that is there, if that is not more than the system's buffer of 4096 bytes."""
@@ -91,7 +91,7 @@ class Mti(SerialSource):
         None,
         least=0,
         most=0.1,
-        help="packets of so much time are taken at once; left out: as they come, above 500 Hz 10 ms",
+        help="packets of this time are read at once; left out: as they come, above 500 Hz 10 ms",
     )
     latency_s: float = param(
         0.0, least=0, most=1, help="the constant delay from the measurement to the port, if you know it"

@@ -129,7 +129,7 @@ class Trigno(Source):
                     control.write(protocol.command(protocol.STOP))
 
     def _behind(self, step: int) -> str:
-        """The data port that lies so many behind the command port."""
+        """The data port at this offset from the command port."""
         head, _, port = self.port.rpartition(":")
         return f"{head}:{int(port) + step}"
 

@@ -226,7 +226,7 @@ class MotionMapState:
     """
     used          (c,)     which of the input's numbers count
     least                  the least that a frame counts in mean and covariance
-    every                  learn the plane again after so many frames
+    every                  frames after which the plane is learned again
     most_rad               the most that axes turn from one frame to the next
     frames        (1,)     how many frames were learned
     mean, centre  (c,)     of all frames; of the picture

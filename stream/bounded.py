@@ -36,9 +36,9 @@ LEAST = 64 << 20
 ROOM = 192 << 20
 """Bytes that reading any file may take, beside those that its size allows."""
 RATIO = 16
-"""A larger piece may unpack to so many times its size."""
+"""A larger piece may unpack to this many times its size."""
 WHOLE_RATIO = 500
-"""All pieces of a recording together may unpack to so many times its size; what kinegraph writes unpacks to far less, even zeros."""
+"""All pieces of a recording together may unpack to this many times its size; what kinegraph writes unpacks to far less, even zeros."""
 LEAST_WHOLE = 1 << 31
 _STEP = 1 << 20
 MOST_ROWS = 1 << 48
@@ -61,7 +61,7 @@ def check_whole(declared: int, packed: int) -> None:
 
 
 def check_size(declared: int, packed: int, what: str = "it") -> int:
-    """`declared` bytes, if so many may come of `packed` ones. Raises TooLarge."""
+    """`declared` bytes, if `packed` ones may unpack to that. Raises TooLarge."""
     if not 0 <= declared <= most(packed):
         raise TooLarge(f"{what} claims to hold {declared} bytes in {packed}; at most {most(packed)} are unpacked")
     return declared

@@ -49,7 +49,7 @@ class KernelCall:
     """A kernel and what it is given beside the flow: all that a compiled segment needs of an operator.
 
     given  by name: arrays that are written in place and never replaced, and numbers that never change
-    rows   told n, how many samples come out of so many; None: as many
+    rows   given n, how many samples come out of n; None: as many
     last   (1,) where the newest stamp is noted; None: nowhere
     """
 

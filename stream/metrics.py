@@ -20,7 +20,7 @@ BINS_PER_OCTAVE = 16
 BINS = 40 * BINS_PER_OCTAVE
 MIDDLES_NS = 2 ** ((np.arange(BINS) + 0.5) / BINS_PER_OCTAVE)
 FOLD_AT = 1024
-"""Durations are folded at the latest after so many chunks."""
+"""Durations are folded at least once per this many chunks."""
 
 
 class Timing:

@@ -26,7 +26,7 @@ def one_line(text: object) -> str:
 
 
 def say(text: object = "", *, err: bool = False, end: str = "\n", flush: bool = False) -> None:
-    """Print to standard output, or error: in one piece, so that no other thread's line stands in it."""
+    """Print to standard output, or error: in one piece, so that no other thread's line lands in it."""
     print(f"{plain(text)}{end}", file=sys.stderr if err else sys.stdout, end="", flush=flush)
 
 

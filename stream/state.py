@@ -78,7 +78,7 @@ def _unpack(name: str, old: Any, hint: Any, arrays: dict[str, Array]) -> Any:
     made = old if is_dataclass(old) else _blank(hint)
     if made is None or not any(key.startswith(f"{name}.") for key in arrays):
         raise StateError(
-            f"the snapshot has no {name!r}: it was made by another version, or with other parameters; start anew"
+            f"the snapshot has no {name!r}: it was made by another version, or with other parameters; start a new session"
         )
     for part in fields(made):
         value = _unpack(f"{name}.{part.name}", getattr(old, part.name, None), _hint(type(made), part.name), arrays)

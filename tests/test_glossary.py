@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from collections import Counter
 from pathlib import Path
@@ -25,10 +26,8 @@ TRANSLATED = re.compile(
     re.IGNORECASE,
 )
 """Phrases that no native speaker writes in a manual."""
-READ_ALOUD = (
-    *("README", "CHANGELOG", "CONTRIBUTING", "filters", "glossary", "graphs", "operators", "outlets", "python"),
-    *("recordings", "running"),
-)
+NAMES = re.compile(r"`[^`\n]*`")
+"""What is quoted from the code is no prose."""
 
 
 def rows() -> list[tuple[str, str, str]]:
@@ -64,9 +63,20 @@ def test_no_other_name_stands_in_the_docs(page: Path) -> None:
     assert found <= TOLD.get(page.name, set())
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if p.stem in READ_ALOUD], ids=lambda p: p.stem)
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
 def test_a_page_is_native_english(page: Path) -> None:
     assert [match.group() for match in TRANSLATED.finditer(prose(page))] == []
+
+
+@pytest.mark.parametrize("package", ["stream", "devices", "operators"])
+def test_docstrings_and_messages_are_native_english(package: str) -> None:
+    found = []
+    for path in sorted((ROOT / package).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                text = NAMES.sub("", node.value)
+                found += [f"{path.relative_to(ROOT)}:{node.lineno}: {m.group()}" for m in TRANSLATED.finditer(text)]
+    assert found == []
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/graphs.md"])

@@ -37,7 +37,7 @@ def test_several_csv_files_into_one_recording(tmp_path: Path) -> None:
     (tmp_path / "steps.csv").write_text("time\n0.25\n0.75\n")
     files = [tmp_path / "emg.csv", tmp_path / "steps.csv"]
     refused(
-        tmp_path, "'time' stands in several files; name one of emg:time, steps:time", *files, "--events", "b.steps=time"
+        tmp_path, "'time' is in several files; name one of emg:time, steps:time", *files, "--events", "b.steps=time"
     )
     told = ["--stream", "b.emg=TA,GM", "--time", "emg:time", "--events", "b.steps=steps:time"]
     with imported(tmp_path, *files, *told) as recording:
@@ -57,7 +57,7 @@ def test_each_stream_takes_the_times_of_its_own_file(tmp_path: Path) -> None:
         assert [recording.streams[name].spec.rate_hz for name in ("b.emg", "b.force")] == [100.0, 50.0]
     (tmp_path / "plate.csv").write_text((tmp_path / "force.csv").read_text().replace("Fz", "Fx"))
     files.append(tmp_path / "plate.csv")
-    refused(tmp_path, "'time' stands in several files", *files, "--stream", "b.both=Fx,Fz", "--time", "time")
+    refused(tmp_path, "'time' is in several files", *files, "--stream", "b.both=Fx,Fz", "--time", "time")
 
 
 def test_a_micro_sign_is_spelt_as_everywhere(tmp_path: Path) -> None:

@@ -156,7 +156,7 @@ def test_inertial_sensors(tmp_path: Path) -> None:
             read(tmp_path / "MT_1.txt", made.MT_MANAGER.replace("\t", separator))[0]["acc"].data, acc.data
         )
     text = made.MT_MANAGER.replace("// Update Rate: 100.0Hz\n", "")
-    with pytest.raises(RecordingError, match=r"no update rate stands in it, and no times; give --rate HZ"):
+    with pytest.raises(RecordingError, match=r"it holds neither an update rate nor times; give --rate HZ"):
         read(tmp_path / "MT_1.txt", text)
     assert "count samples" in doubts(read(tmp_path / "MT_1.txt", text, preview=True)[1])
     found, findings = read(tmp_path / "a.csv", made.APDM)
@@ -305,7 +305,7 @@ def test_a_plain_table_below_other_lines(tmp_path: Path) -> None:
 def test_the_content_decides_and_not_the_name(tmp_path: Path) -> None:
     for name, text in made.TEXTS.items():
         assert read(tmp_path / f"{Path(name).stem}.dat", text)[0].keys() == read(tmp_path / name, text)[0].keys()
-    with pytest.raises(RecordingError, match=r"what kind of file this is cannot be told by what stands in it"):
+    with pytest.raises(RecordingError, match=r"its content does not show what kind of file this is"):
         read(tmp_path / "x.dat", "nothing\n")
 
 

@@ -208,7 +208,7 @@ class Answers(MtiModel):
         (
             {xbus.REQUEST_PRODUCT: xbus.message(xbus.ERROR, b"\x04")},
             {},
-            "refused message 1C: it tells of an invalid message",
+            "refused message 1C: an invalid message",
         ),
         ({}, {"rate_hz": 1000, "baud": 921600}, "was asked for acceleration at 1000 Hz and offers 400 Hz"),
         ({xbus.OUTPUT_CONFIGURATION: xbus.message(0xC1)}, {}, "asked for acceleration at 100 Hz and offers nothing"),

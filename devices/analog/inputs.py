@@ -15,7 +15,7 @@ from stream.params import param
 from stream.source import Feed
 
 BLOCK_S = 0.02
-"""About so much time is read at once."""
+"""About this much time is read at once."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ from stream.source import Feed
 ECG_HZ = 130.0
 ANSWER_S = 5.0
 FOLLOWS = 0.5
-"""A frame whose time is less than so many frames off its place follows the one before: its samples lie evenly between the two."""
+"""A frame whose time is off by less than this many frames follows the one before: its samples lie evenly between the two."""
 
 
 class _Outputs:

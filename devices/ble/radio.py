@@ -17,7 +17,7 @@ SHOWN = 8
 
 
 class Radio(Protocol):
-    """Backends of bleak that stand in for the system's."""
+    """Backends of bleak that replace the system's."""
 
     client: type[BaseBleakClient]
     scanner: type[BaseBleakScanner]

@@ -15,7 +15,7 @@ from stream.errors import DeviceError
 from stream.optional import optional
 
 simulated: list[Any] = []
-"""Libraries that stand in for pyorbbecsdk; the last one put in."""
+"""Libraries that replace pyorbbecsdk; the last one added."""
 
 
 def library() -> Any:

@@ -34,7 +34,7 @@ class ClockLog:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """The end is told too: what has happened since the last second would never be."""
+        """The end is reported too: what has happened since the last second would never be."""
         self._tell(time.monotonic())
 
     def _tell(self, now: float) -> None:

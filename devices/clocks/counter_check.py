@@ -12,7 +12,7 @@ from stream.source import Feed
 
 FROM_S, TO_S = 2.0, 10.0
 ENOUGH = 50
-"""So many steps tell."""
+"""This many steps decide."""
 MOSTLY, STANDS = 0.6, 0.95
 """The share of steps that makes one the rule; a step of 0 may be records that come twice."""
 TURNS = 3

@@ -21,12 +21,12 @@ BUCKET_NS = NS
 WINDOW = 120
 """Buckets (seconds) that the line rests on."""
 STEADY = 10
-"""Below so many buckets the drift is taken as zero."""
+"""Below this many buckets the drift is taken as zero."""
 MOST_DRIFT = 1e-3
 """No quartz is worse; a steeper line is an artefact of the delays, unless it is clear."""
 STEEPEST, CLEAR = 0.03, 20
-"""A device that is slow by more (an Arduino's resonator, a rate that is not quite the stated one) is believed up to so much, where what
-that makes over the time known is so many times what the least delays stray about the line. One that is fast needs no belief: each second's
+"""A device that is slow by more (an Arduino's resonator, a rate that is not quite the stated one) is believed up to this much, where over
+the time known that makes this many times what the least delays stray about the line. One that is fast needs no belief: each second's
 least delay is lower than those before.
 """
 SLEW = 0.01
@@ -34,7 +34,7 @@ SLEW = 0.01
 JUMP_NS = 10_000_000
 """A device's clock that is ahead of what can be by more, and has leapt by more, was set forward."""
 UNSURE_NS, SURE_FROM = 100_000_000, 3
-"""So much before so many seconds are known: the first packets may have waited somewhere."""
+"""The jump that is taken for a clock set forward until this many seconds are known: the first packets may have waited somewhere."""
 ROUNDED = 2
 """Stamps whose first is later than that by more ns than rounding makes are all later, as they advance faster."""
 

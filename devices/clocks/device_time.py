@@ -8,15 +8,15 @@ from devices.clocks.device_clock import JUMP_NS, DeviceClock
 from stream.chunk import Times
 
 SLACK_NS = 10_000_000_000
-"""A device's time may advance by so much more than what has passed here: what was made during a stall comes all at once."""
+"""A device's time may advance by this much more than what has passed here: what was made during a stall comes all at once."""
 STILL_NS, STILL_STEPS = 500_000_000, 4
-"""A time that has not advanced for longer, and for longer than so many of its steps, while records came, stands still."""
+"""A time that has not advanced for longer, nor for this many of its steps, while records came, has stopped."""
 FIRST_NS = 3_000_000_000
 """The same while no step is known."""
 COARSE = 0.1
 """Where more of its steps are none at all, it is coarser than the records."""
 BELIEVED = 3
-"""So many numbers in a row that fit each other, but not what was before, mean that the device's clock was set or started again."""
+"""This many numbers in a row that fit each other, but not what was before, mean that the device's clock was set or started again."""
 
 
 class DeviceTime:

@@ -11,7 +11,7 @@ from stream.chunk import NS, Times
 
 WATCHED_NS = NS
 ASTRAY_NS = 100_000_000
-"""By so much all samples of a second must be late, or one read early, before the count is taken to be wrong."""
+"""By this much all samples of a second must be late, or one read early, before the count is taken to be wrong."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ class DevicePace:
         return Counted(number, device, self._clock.stamps(device), astray)
 
     def follow(self, rate_hz: float) -> None:
-        """From here on there are so many samples a second; the next ones are marked, as some may be missing before them."""
+        """From here on the rate is another; the next samples are marked, as some may be missing before them."""
         self._period, self._followed = NS / rate_hz, True
         self._clock.restart()
         self._base, self._best, self._least = self._next, np.inf, np.inf

@@ -12,7 +12,7 @@ from stream.chunk import NS, Array, Times
 Flags = NDArray[np.bool_]
 
 EARLY_NS = 50_000_000
-"""A packet that claims to be made so much later than it arrived does not count on from those before it."""
+"""A packet that claims to be made this much later than it arrived does not count on from those before it."""
 
 
 class Packets(msgspec.Struct, eq=False, gc=False):
@@ -54,7 +54,7 @@ class PacketClock:
         return self._clock.state
 
     def follow(self, rate_hz: float) -> None:
-        """From here on there are so many packets a second."""
+        """From here on the packet rate is another."""
         self._from_ns, self._from_number = self._made(self._number), self._number
         self._rate, self._period = rate_hz, NS / rate_hz
         self._clock.restart()

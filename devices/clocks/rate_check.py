@@ -17,19 +17,19 @@ POLICY_HELP = (
 )
 
 WRONG = 0.03
-"""By so much a rate may be off: filters bear it, and the clocks follow it."""
+"""By this much a rate may be off: filters bear it, and the clocks follow it."""
 FROM_S, TO_S = 2.0, 10.0
 SURE_S = 1.0
-"""Before `TO_S`, what is not as declared makes so much of a difference; less may be a radio's queue that fills or empties at the start."""
+"""Before `TO_S`, what is not as declared differs by this much; less may be a radio's queue that fills or empties at the start."""
 LOSS = 0.15
-"""So many samples too few, and no counter that tells why: lost ones, perhaps, which are no reason to end a session."""
+"""This many samples too few, and no counter that tells why: lost ones, perhaps, which are no reason to end a session."""
 STANDS = "its time stands still: every record has the same one; is it the column or field of the time? Else leave the time out"
 LOOK_NS = NS // 2
 PAUSE_NS = 50 * NS
 """Between the ten seconds in which a device is looked at, and the next."""
 BUCKET_NS = NS // 4
 OUTLIER = 50
-"""A step of the device's time that is so many usual ones long is an outage or a jump, and tells nothing of its pace."""
+"""A step of the device's time this many times as long as usual is an outage or a jump, and says nothing of its pace."""
 TWICE = 0.1
 """Where fewer steps of the device's time are none at all, these are records that came twice, not a coarse time."""
 TOLD_AGAIN = 0.01
@@ -38,9 +38,9 @@ BEHIND = 0.75
 UNITS_NS = {"ns": 1.0, "us": 1e3, "ms": 1e6, "s": 1e9, "ticks of 1/1024 s": NS / 1024, "ticks of 1/32768 s": NS / 32768}
 NEAR = 0.02
 STILL = 10
-"""So many records with one and the same time, over `FROM_S` or more: the device's time stands still."""
+"""This many records with one and the same time, over `FROM_S` or more: the device's time stands still."""
 TURNS, SHORTEST_NS = 4, NS // 2
-"""So often its time goes back in the first seconds, each time from about the same value to about 0: it starts again at that value. A value
+"""How often its time goes back in the first seconds, each time from about the same value to about 0: it starts again at that value. A value
 that is higher than that may be a device that is switched off and on."""
 
 
@@ -166,7 +166,7 @@ class RateCheck:
         return top + near / 3 if alike.mean() > 0.8 and near < top < SHORTEST_NS else 0.0
 
     def _bridge(self, steps: Samples, jumps: NDArray[np.bool_], usual: float) -> None:
-        """Where the device's time jumps (n,), so much is put in as went by at its packet's arrival, and at least a usual step."""
+        """Where the device's time jumps (n,), as much is put in as went by at its packet's arrival, and at least a usual step."""
         if not jumps.any():
             return
         packet = np.repeat(np.arange(len(self._steps)), [len(part) for part in self._steps])[1:]

@@ -29,7 +29,7 @@ class ShortCounter:
         self._from_number, self._from_ns = 0, 0.0
 
     def follow(self, rate_hz: float) -> None:
-        """From here on there are so many packets a second."""
+        """From here on the packet rate is another."""
         self._from_ns += (self._number - self._from_number) * self._period
         self._from_number, self._period = self._number, NS / rate_hz
         self._clock.restart()

@@ -20,7 +20,7 @@ GAP_PERIODS = 1.75
 """Without a counter, a longer step of the device's time means that something is missing."""
 
 TICK = 0.03
-"""By so much the number of records between two ticks of a coarse time may be off, beside one."""
+"""By this much the number of records between two ticks of a coarse time may be off, beside one."""
 
 _NONE = np.empty(0, np.int64)
 NOTHING = Packets(np.zeros(1, bool), _NONE, _NONE, _NONE, _NONE)
@@ -67,7 +67,7 @@ class Stamps:
         return replace(state, uncertainty_s=state.uncertainty_s + coarse_ns / NS) if coarse_ns else state
 
     def follow(self, rate_hz: float) -> None:
-        """From here on there are so many records a second."""
+        """From here on the record rate is another."""
         self._rate = rate_hz
         self._losses.follow(rate_hz)
         if self._packets:
@@ -170,7 +170,7 @@ class Losses:
         """Whether all records with the present time have come here."""
 
     def follow(self, rate_hz: float) -> None:
-        """From here on there are so many records a second."""
+        """From here on the record rate is another."""
         self._rate = rate_hz
         if self._counter:
             self._counter.rate_hz = rate_hz

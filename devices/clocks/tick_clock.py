@@ -11,7 +11,7 @@ from stream.chunk import NS, STAMP, Times
 from stream.kernel import kernel
 
 SLACK_NS = 10_000_000_000
-"""A device's time may advance by so much more than what has passed here: what was made during a stall comes all at once."""
+"""A device's time may advance by this much more than what has passed here: what was made during a stall comes all at once."""
 
 
 @kernel

@@ -26,7 +26,7 @@ def import_(
     files: Annotated[
         list[File],
         typer.Argument(
-            help=f"files, known by what stands in them or what their names end in. {listed()}", metavar="FILE..."
+            help=f"files, recognised by their content or the ends of their names. {listed()}", metavar="FILE..."
         ),
     ],
     output: Annotated[

@@ -16,7 +16,7 @@ TURNS = "Zrotation Xrotation Yrotation"
 END_M = 0.05
 """A limb's end, which poses do not have, is drawn so far beyond its last joint."""
 COUNT = 10
-"""The number of frames stands in so many characters, so that it can be corrected in place as a file grows."""
+"""The number of frames takes this many characters, so that it can be corrected in place as a file grows."""
 
 
 def bvh_head(tree: JointTree, rate_hz: float) -> tuple[str, int]:

@@ -128,7 +128,7 @@ def _begin(path: Path, parameters: Parameters, block: int) -> int:
 
 
 def _counted(path: Path, frames: Frames, header: int | None, parameters: Parameters) -> Frames:
-    """`frames` with as many as there are; `header` announces so many, None: more than it can say.
+    """`frames` with as many as there are; `header` announces a number, None: more than it can say.
 
     Raises RecordingError where there are fewer than are announced.
     """

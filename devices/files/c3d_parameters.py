@@ -12,11 +12,11 @@ import numpy as np
 from stream.chunk import Array
 
 BLOCK = 512
-"""A C3D file counts in blocks of so many bytes, from 1."""
+"""A C3D file counts in blocks of this many bytes, from 1."""
 MOST_BLOCKS = 256
-"""So many blocks the parameters may take: one byte counts them."""
+"""This many blocks the parameters may take: one byte counts them."""
 HEAD = (254 + MOST_BLOCKS) * BLOCK
-"""So many bytes hold the parameters, wherever they begin: one byte says where."""
+"""This many bytes hold the parameters, wherever they begin: one byte says where."""
 INTEL, DEC, MIPS = 84, 85, 86
 """Processors, as a C3D file marks them: the first two put the low byte first."""
 WIDTHS = {-1: 1, 1: 1, 2: 2, 4: 4}

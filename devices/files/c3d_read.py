@@ -49,9 +49,9 @@ def read_c3d(path: Path, start_ns: int = 0, findings: Findings | None = None) ->
 
     .markers   positions (markers, 3), NaN where a marker was not seen; names without what is before a colon, if they differ all the same
     .analog    the analogue channels, at their own rate
-    .right_foot_strike, ...  one stream of events for each context and label, each event with its `onset`; the side stands in `meta`
+    .right_foot_strike, ...  one stream of events for each context and label, each event with its `onset`; the side is in `meta`
 
-    The file's first frame is at `start_ns` if it is number 1, else as much later. What else stands in it is noted in `findings`.
+    The file's first frame is at `start_ns` if it is number 1, else as much later. What else it holds is noted in `findings`.
     Raises RecordingError.
     """
     if not path.is_file():

@@ -39,7 +39,7 @@ class ColumnTable:
     def put(self, file: Path, columns: dict[str, FileColumn]) -> None:
         """Take the columns of a file; raises RecordingError where another file has the same name."""
         if other := next((c.file for c in self.columns.values() if c.file.stem == file.stem), None):
-            raise RecordingError(f"{file}: {other} has the same name; rename one, for columns are told apart by it")
+            raise RecordingError(f"{file}: {other} has the same name; rename one: column names must differ")
         for name, column in columns.items():
             if name in self.columns:
                 self._twice.add(name)
@@ -51,7 +51,7 @@ class ColumnTable:
             return own
         if name in self._twice:
             choices = ", ".join(sorted(k for k in self.columns if k.endswith(f":{name}")))
-            raise RecordingError(f"{option}: {name!r} stands in several files; name one of {choices}")
+            raise RecordingError(f"{option}: {name!r} is in several files; name one of {choices}")
         if name not in self.columns:
             raise RecordingError(f"{option}: there is no column or array {name!r}; {nearest(name, self.columns)}")
         return self.columns[name]

@@ -77,7 +77,7 @@ def importer_of(file: Path, by_suffix: Mapping[str, Importer]) -> Importer:
         if head.startswith(b"\x89MCAP"):
             raise RecordingError(f"{file}: is a recording already; `kinegraph info` shows it")
         raise RecordingError(
-            f"{file}: what kind of file this is cannot be told by what stands in it; its name must end in {', '.join(sorted(by_suffix))}"
+            f"{file}: its content does not show what kind of file this is; its name must end in {', '.join(sorted(by_suffix))}"
         )
     return found
 

@@ -24,7 +24,7 @@ RATE_HZ = 120.0
 
 OPTIONS = ("rate", "time", "time_unit", "counter", "names", "unit", "scale")
 TAKES = {".bvh": ("unit", "scale"), ".c3d": (), ".amc": ("rate",), ".asf": ()}
-"""What must be said of each kind of file, or may be; all else stands in it. Of Kinect tables it is what TABLE holds."""
+"""What must be said of each kind of file, or may be; the file holds all else. Of Kinect tables it is what TABLE holds."""
 TABLE = ("rate", "unit", "scale")
 
 

@@ -1,7 +1,7 @@
 """Streams as an XDF file (https://github.com/sccn/xdf/wiki/Specifications), which pyxdf, EEGLAB, MNE and FieldTrip read.
 
-No library writes XDF. A file is the word "XDF:" and chunks: a length, a two-byte tag, and the content; samples and headers are told
-apart by tag. Numbers are little-endian, texts are XML.
+No library writes XDF. A file is the word "XDF:" and chunks: a length, a two-byte tag, and the content; the tag
+says which are samples and which headers. Numbers are little-endian, texts are XML.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ UNITS = {"uV": "microvolts", "mV": "millivolts", "V": "volts"}
 
 
 class XdfWriter:
-    """Writes streams whose times are given in seconds since `origin` (ns UTC), which stands in every stream's header."""
+    """Writes streams whose times are given in seconds since `origin` (ns UTC), which every stream's header gives."""
 
     def __init__(self, file: BinaryIO, origin: int) -> None:
         self._file, self._origin = file, origin

@@ -26,7 +26,7 @@ def zero_ns(lsl: Any, now: Callable[[], int]) -> int:
 
 @dataclass(slots=True)
 class SenderClock:
-    """What LSL's measurements tell of a sender's clock.
+    """What LSL's measurements say about a sender's clock.
 
     zero_s      session time at which LSL's local clock stood at 0
     offset_s    what is added to the sender's stamps to have local ones, as measured last

@@ -16,7 +16,7 @@ LISTED_S = 1.0
 """How long streams may take to answer when all there are get listed."""
 
 Wait = Callable[[float], bool]
-"""Sleeps so many seconds, or less where it must stop; returns whether it must."""
+"""Sleeps for the given seconds, or less where it must stop; returns whether it must."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from stream.params import param
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 KEEPALIVE_S = 30
 MOST_NEWS = 1000
-"""So many messages may wait to be looked at; beyond, they are dropped and counted."""
+"""This many messages may wait to be looked at; beyond, they are dropped and counted."""
 FAREWELL_S = 2.0
 """How long the last messages are given to reach the broker."""
 ONLINE, OFFLINE = "online", "offline"
@@ -35,7 +35,7 @@ log = structlog.get_logger(__name__)
 class Broker:
     """Where the broker is and how it is spoken to.
 
-    password_file   a file whose first line is the password, so that none stands in a graph (which every recording holds a copy of)
+    password_file   a file whose first line is the password, so that the graph holds none (which every recording holds a copy of)
     tls             encrypted, the broker's certificate checked by the system's authorities, or by `ca_file`
     """
 

@@ -24,7 +24,7 @@ SWITCHED = np.dtype([("on", "?")])
 MOST_SHOWN = 200
 """Characters of a message that is neither ON nor OFF, of which the log tells."""
 MOST_TOLD = 20
-"""Such messages of one opening that the log tells of; whoever sends more has been named often enough."""
+"""How many such messages of one opening are logged; whoever sends more has been named often enough."""
 HEARTBEAT_S = 0.05
 """How often it says that it was not switched: so long does an operator that reads it wait for it."""
 

@@ -13,7 +13,7 @@ from stream.errors import DeviceError
 
 RETRY_S = 1.0
 PENDING_BYTES = 8 << 20
-"""At most so much waits in memory for a disk that is full."""
+"""At most this much waits in memory for a disk that is full."""
 
 log = structlog.get_logger(__name__)
 

@@ -18,7 +18,7 @@ from stream.operator import Outlet
 from stream.params import param
 
 MOST_REPEATED = 3000
-"""A gap longer than so many frames is not filled."""
+"""A gap of more frames is not filled."""
 
 
 @dataclass(slots=True)
@@ -30,7 +30,7 @@ class BvhState:
 
 
 class BvhRuntime:
-    """The skeleton; where the number of frames stands in the file; the file, once there is one."""
+    """The skeleton; where in the file the number of frames is; the file, once there is one."""
 
     def __init__(self, tree: JointTree, head: str, count_at: int) -> None:
         self.tree, self.head, self.count_at = tree, head, count_at

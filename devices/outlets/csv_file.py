@@ -148,7 +148,7 @@ def header(spec: StreamSpec) -> list[str]:
 
 
 def rows(spec: StreamSpec, chunk: Chunk, start_ns: int, lost: int) -> bytes:
-    """A chunk's samples as lines; `lost` stands in the first."""
+    """A chunk's samples as lines; the first gives `lost`."""
     n = len(chunk)
     stamps = np.datetime_as_string(chunk.time.view("datetime64[ns]"), unit="ns")
     columns: list[list[Any]] = [

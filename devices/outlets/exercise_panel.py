@@ -30,9 +30,9 @@ FIELDS = {
 PAST = np.dtype([("what", "<U24"), ("repetitions", "<i4"), ("seconds", "<f8"), ("doubtful", "?")])
 NAMED = np.dtype([("activity", "<i8"), ("name", "<U24")])
 RECENT = 8
-"""The names of so many activities are remembered: an activity's end is final when the next one goes on already."""
+"""The names of this many activities are remembered: an activity's end is final when the next one goes on already."""
 STRIP = 6
-"""So many stretches before this one are shown."""
+"""This many stretches before this one are shown."""
 SHORT_S = 2.0
 """Shorter rests, and what does not repeat and is shorter, are not worth a word."""
 
@@ -126,7 +126,7 @@ def _provisional(state: ExerciseState, event: Any, stamp: int) -> str:
 
 
 def _count(state: ExerciseState, event: Any, stamp: int) -> str:
-    """So many repetitions so far; a lower number corrects the last one."""
+    """This many repetitions so far; a lower number corrects the last one."""
     if event["activity"] != state.activity:
         if event["count"] == 0:
             return ""

@@ -1,4 +1,4 @@
-"""Steps and what they tell of who walks, on the terminal: a panel in the live view, a line wherever the vote changes elsewhere."""
+"""Steps and what they say about who walks, on the terminal: a panel in the live view, a line wherever the vote changes elsewhere."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from stream.chunk import Array, Samples, Times
 from stream.motion_index import MotionIndex
 
 MOST_DRAWN = 50_000
-"""So many poses are drawn; of more, those in between are shown as density."""
+"""This many poses are drawn; of more, those in between are shown as density."""
 BINS = 96
 """Squares across and down of the density."""
 BUNDLE = 5
@@ -19,7 +19,7 @@ BUNDLE = 5
 
 
 def drawn(index: MotionIndex) -> Times:
-    """The frames that are drawn: all, or evenly every so many."""
+    """The frames that are drawn: all, or evenly spaced ones."""
     return np.arange(0, len(index.poses), max(1, -(-len(index.poses) // MOST_DRAWN)))
 
 

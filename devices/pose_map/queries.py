@@ -19,7 +19,7 @@ QUIET_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class PoseQueries(Source):
-    """One event per line "query first last count band_s markers" that is told to it while it runs, all of them numbers; no sample else.
+    """One event per line "query first last count band_s markers" that is typed while it runs, all of them numbers; nothing else.
 
     query    a number by which the answer is known again
     first, last   frames of the index; count, how many are wanted; band_s, how near to the query none is; markers, their bits, 0: all

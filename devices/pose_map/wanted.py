@@ -18,7 +18,7 @@ class WantedFrames(msgspec.Struct, tag="frames", tag_field="do", forbid_unknown_
 
 
 class WantedCurve(msgspec.Struct, tag="curve", tag_field="do", forbid_unknown_fields=True):
-    """A sequence's markers over time, in at most so many points."""
+    """A sequence's markers over time, thinned out to at most `points` points."""
 
     sequence: int
     points: int

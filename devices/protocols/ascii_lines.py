@@ -15,7 +15,7 @@ import numpy as np
 from stream.chunk import Samples
 
 LONGEST = 4096
-"""A line without an end for so many bytes is no line."""
+"""What has no line end within this many bytes is no line."""
 _NUMBER = rb"[+-]?(?:\d+\.?\d*(?:[eE][+-]?\d{1,3})?|\.\d+(?:[eE][+-]?\d{1,3})?|nan|inf)"
 _END = re.compile(rb"[\r\n]+")
 _LABELLED = re.compile(rb"\s*([^:=]+?)\s*[:=]\s*(" + _NUMBER + rb")\s*", re.IGNORECASE)

@@ -33,11 +33,11 @@ GAINS: dict[Sensor, tuple[float, float, str]] = {
 
 STOP, VERSION, STATE = b"\x00", b"\x07", b"\x0b"
 AGREE = 3
-"""So many frames in a row must be right where nothing is known of where they begin."""
+"""This many frames in a row must be right where nothing is known of where they begin."""
 NEAR = 4
 """Frames behind a bad one within which two are enough that stand where they should."""
 STRAY = 3
-"""By so much the sequence may jump between the first two frames after a bad one."""
+"""By this much the sequence may jump between the first two frames after a bad one."""
 
 
 def rate_command(rate_hz: int) -> bytes:

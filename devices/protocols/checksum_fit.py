@@ -10,9 +10,9 @@ from devices.protocols.checksums import CHECKSUMS
 from devices.protocols.frame_layout import FrameLayout
 
 LEAST = 5
-"""So many different frames must have come; fewer may fit by chance."""
+"""This many different frames must have come; fewer may fit by chance."""
 SHARE = 0.7
-"""Of the candidates so many must fit; the others may be sync bytes within a frame, or broken."""
+"""This share of the candidates must fit; the others may be sync bytes within a frame, or broken."""
 MOST = 40
 """Candidates that are looked at."""
 

@@ -41,7 +41,7 @@ def _crc8(data: bytes) -> int:
 
 
 def _fletcher(data: bytes) -> int:
-    """Two sums of 8 bits; the first stands in the lower byte."""
+    """Two sums of 8 bits; the first is the lower byte."""
     first = second = 0
     for byte in data:
         first = (first + byte) & 0xFF

@@ -17,9 +17,9 @@ from devices.protocols.packet_decoder import Framing, uncobs, unslip
 MOST = 512
 """Bytes of the longest frame that is looked for."""
 LEAST = 12
-"""So many frames must have come."""
+"""This many frames must have come."""
 SHARE = 0.9
-"""Of the frames so many must bear a guess out."""
+"""This share of the frames must bear a guess out."""
 COMMON = 40
 """Beginnings that are tried, by how often they come."""
 

@@ -78,7 +78,7 @@ class GanglionDecoder:
 
 
 def fields(data: bytes, bits: int) -> NDArray[np.int64]:
-    """Eight numbers (2, 4) of so many bits behind the first byte, the highest bit first, the sign in the lowest."""
+    """Eight numbers (2, 4) of `bits` bits behind the first byte, the highest bit first, the sign in the lowest."""
     ones = np.unpackbits(np.frombuffer(data, np.uint8, 19, 1))[: 8 * bits].reshape(8, bits).astype(np.int64)
     number = (ones << np.arange(bits - 1, -1, -1)).sum(axis=1)
     return np.asarray((number - (ones[:, -1] << bits)).reshape(2, 4))

@@ -11,7 +11,7 @@ import numpy as np
 from devices.protocols.ascii_lines import LineDecoder
 
 LEAST = 5
-"""So many good lines must have come."""
+"""This many good lines must have come."""
 SHARE = 0.9
 _PRINTED = re.compile(rb"[\t\r\n -~]")
 _NAMED = re.compile(r"\s*([^:=,;\t]+?)\s*[:=]")

@@ -62,7 +62,7 @@ class Reader:
         return made
 
     def part(self) -> Reader:
-        """What follows as so many bytes as are said first."""
+        """What follows a count of bytes, as many as that says."""
         (size,) = self.take("i")
         if not 0 <= size <= len(self._data) - self._at:
             raise NatNetError(f"a part of {size} bytes, where {len(self._data) - self._at} are left")

@@ -10,7 +10,7 @@ from devices.protocols.frame_layout import FrameLayout
 
 Framing = Literal["none", "slip", "cobs", "packet"]
 LONGEST = 65536
-"""Without an end for so many bytes it is no packet."""
+"""What has no end within this many bytes is no packet."""
 
 
 class PacketDecoder(FrameDecoder):

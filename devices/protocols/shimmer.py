@@ -30,9 +30,9 @@ ANSWERS = {STATUS: 3, CHARGED: 5}
 """Length of what comes between packets, by its second byte."""
 
 AGREE = 3
-"""So many packets in a row must fit each other where nothing is known of where they begin."""
+"""This many packets in a row must fit each other where nothing is known of where they begin."""
 STRAY = 3
-"""At most so many periods lie between two packets of which one makes the other likely."""
+"""At most this many periods lie between two packets that make each other likely."""
 LONGEST = 10 * TICKS_HZ
 """A packet after a longer silence than 10 s starts again."""
 
@@ -84,7 +84,7 @@ def battery_v(data: bytes) -> float:
 
 
 def answer_in(data: bytes, code: int, size: int) -> bytes | None:
-    """The answer with this code and so many bytes behind it, among acknowledgements and news; None: it has not come whole.
+    """The answer with this code and `size` bytes behind it, among acknowledgements and news; None: it has not come whole.
 
     `size` 0: the first byte behind the code says how many follow; -1: an inquiry, whose seventh byte says so. For a command that is only
     acknowledged `code` is ACK.
@@ -203,7 +203,7 @@ class ShimmerDecoder:
         return self._agree(buffer, at, 2 if self._follows(step, LONGEST // self._divider) else AGREE)
 
     def _agree(self, buffer: bytes, at: int, packets: int) -> bool | None:
-        """Whether so many packets stand here in a row."""
+        """Whether there are this many `packets` in a row here."""
         before: int | None = None
         for _ in range(packets):
             while at < len(buffer) and (between := _between(buffer, at)):
@@ -223,7 +223,7 @@ class ShimmerDecoder:
         return True
 
     def _follows(self, step: int, most: int) -> bool:
-        """Whether a time so much later is that of one of the next `most` packets."""
+        """Whether a time this much later is that of one of the next `most` packets."""
         periods = round(step / self._divider)
         return 1 <= periods <= most and abs(step - periods * self._divider) <= self._slack
 

@@ -39,7 +39,7 @@ SIDES = (-0.035, 0.0, 0.035)
 EMPTY, HEAP = len(SIDES), len(SIDES) + 1
 """An empty bed: made, or with the blanket thrown back."""
 WALKS_EVERY_S, WALK_S = 1800.0, 20.0
-"""So often, and for so long, a cat walks along the bed."""
+"""How often, and for how long, a cat walks along the bed."""
 NAP_S, NAP_LENGTH_S = 4000.0, 600.0
 """When it lies on the foot of the bed, in s since the night's beginning."""
 

@@ -224,7 +224,7 @@ def read_stages(path: Path) -> tuple[str, ...]:
         stages += [stage] * max(0, round((following - onset) / EPOCH_S))
     if not stages or len(stages) * EPOCH_S > LONGEST_S:
         raise DeviceError(
-            f"{path} tells of {len(stages) * EPOCH_S / 3600:g} h; it must be a night, at most {LONGEST_S / 3600:g} h"
+            f"{path} describes {len(stages) * EPOCH_S / 3600:g} h; it must be a night, at most {LONGEST_S / 3600:g} h"
         )
     return tuple(stages)
 

@@ -98,7 +98,7 @@ class BinaryModel:
         return escaped(layout.build(numbers), self._framing)
 
     def number(self, frame: Frame, place: int, turn: int, earlier: float = 0.0) -> float:
-        """What stands in a field: a whole number, unless it is of type f. `earlier`: than the frame, in frames."""
+        """A field's content: a whole number, unless it is of type f. `earlier`: than the frame, in frames."""
         f = frame.fields[place]
         if f.role == "counter":
             return (turn - self._zero) % (1 << f.bits)

@@ -69,7 +69,7 @@ class SimulatedRadio:
 
 @contextmanager
 def radio() -> Iterator[SimulatedRadio]:
-    """A radio that stands in for the system's while the context lasts."""
+    """A radio that replaces the system's while the context lasts."""
     made = SimulatedRadio()
     real_radio.simulated.append(made)
     try:

@@ -17,7 +17,7 @@ class Misbehaviour:
     lose, duplicate, corrupt   a packet is left out, sent twice, has one byte changed
     stall_every_s, stall_s     nothing is sent for so long, then everything at once
     reset_every_s              the device's counters start again
-    jump_every_s, jump_s       the device's clock is set, forward or back, by so much
+    jump_every_s, jump_s       the device's clock is set, forward or back, by this much
     unplug_every_s, unplug_s   the cable is pulled out in mid-packet, and put in again after so long
     """
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from devices.mti import Mti
 
 MOST_BEHIND_S = 10.0
-"""Measurements of so much time are made at once at most; what is older by then is left out and lost."""
+"""Measurements of at most this much time are made at once; what is older by then is left out and lost."""
 FASTEST_HZ = {
     xbus.ACCELERATION: 400, xbus.RATE_OF_TURN: 400, xbus.QUATERNION: 400, xbus.MAGNETIC_FIELD: 100,
     xbus.ACCELERATION_HR: 2000, xbus.RATE_OF_TURN_HR: 2000,

@@ -14,7 +14,7 @@ from stream.errors import KinegraphError, explain, nearest
 
 
 def named() -> dict[str, type[Simulator]]:
-    """Every simulator of the house, by the name of its file (by its class's name too, where a file holds several)."""
+    """Every simulator of this package, by the name of its file (by its class's name too, where a file holds several)."""
     found: dict[str, type[Simulator]] = {}
     for info in pkgutil.iter_modules(simulators.__path__):
         kinds = list(_in_module(f"{simulators.__name__}.{info.name}"))

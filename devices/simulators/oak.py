@@ -34,7 +34,7 @@ HEAD = struct.Struct("<qq")
 """A packet, as misbehaviour spoils it: number, time on this computer (us); then the frame's bytes."""
 TICK_S = 0.005
 MOST_BEHIND = 10
-"""A frame that is due so many frames late is not rendered: the computer is too slow."""
+"""A frame that is this many frames late is not rendered: the computer is too slow."""
 BOOTED_S, DRIFT = 3.25, 20e-6
 """The camera's own clock: when it started, and by how much it is fast."""
 GRAVITY = 9.81

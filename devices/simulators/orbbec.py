@@ -1,4 +1,4 @@
-"""A simulated Orbbec camera before a performer: what stands in for pyorbbecsdk, with the calls and the frames of that library."""
+"""A simulated Orbbec camera before a performer: a replacement for pyorbbecsdk, with the calls and the frames of that library."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SCALE = 0.25
 
 
 class OrbbecFailure(Exception):
-    """What stands in for pyorbbecsdk.OBError."""
+    """Replaces pyorbbecsdk.OBError."""
 
 
 class SimulatedFrame:

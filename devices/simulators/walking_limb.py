@@ -28,7 +28,7 @@ Site = Literal["foot", "shank"]
 
 @dataclass(frozen=True, slots=True)
 class LimbTurn:
-    """One half-sine of turning: by `angle` rad, from and to so many seconds after a cycle's touch-down (0), lift-off (1), next one (2)."""
+    """One half-sine of turning: by `angle` rad, from and to seconds after a cycle's touch-down (0), lift-off (1), next one (2)."""
 
     angle: float
     begin: tuple[int, float]

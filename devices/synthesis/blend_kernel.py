@@ -11,7 +11,7 @@ from stream.joint_tree import multiply, place_joints, turn
 from stream.kernel import kernel
 
 REACH = 0.999
-"""A leg is stretched to so much of its length at most."""
+"""A leg is stretched to at most this share of its length."""
 RELEASE = 0.75
 """What is left, a frame later, of how far a foot was moved, once it stands no more."""
 RISE = 0.6
@@ -69,7 +69,7 @@ def between(a: Samples, b: Samples, out: Samples) -> None:
 
 @kernel
 def turn_joint(pose: Samples, turns: Samples, parents: Times, j: int, by: Samples, work: Samples) -> None:
-    """Turn joint `j` and what hangs on it by the rotation `by` (4,) of the world: its own entry in `pose`, and `turns[j]`."""
+    """Turn joint `j` and what it carries by the rotation `by` (4,) of the world: its own entry in `pose`, and `turns[j]`."""
     multiply(by, turns[j], work[0])
     turns[j] = work[0]
     relative(pose, turns, parents, j, work)

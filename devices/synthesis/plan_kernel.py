@@ -8,14 +8,14 @@ from stream.chunk import Array, Samples, Times
 from stream.kernel import kernel
 
 BEAM, DEPTH = 24, 5
-"""So many walks are followed at once, over so many nodes."""
+"""This many walks are followed at once, over this many nodes."""
 EVERY = 4
-"""Every so many frames the root is looked at."""
+"""The root is looked at every this many frames."""
 TOUCH = 1e3
 """What a step into a forbidden area costs, or nearer to one than `MARGIN_M`: blends and feet move the root by as much."""
 MARGIN_M = 0.2
 HALF = 2
-"""A blend has at least so many frames on either side of its middle."""
+"""A blend has at least this many frames on either side of its middle."""
 COLUMNS = 16
 NODE, FRAME, TURN, X, Z, SECONDS, ALONG, ERROR, LOOKS, HITS, FIRST, SCORE, OFF, HEADING, ENDS, _ = range(COLUMNS)
 """What is known of a walk, in one row: where it is, how it is placed, how long it takes, how far along the path it is, the sum of squared
@@ -26,7 +26,7 @@ PROGRESS = 3.0
 AHEAD_M = 1.0
 """So far ahead on the path is what a walk should face."""
 FACING_M = 0.5
-"""What a radian away from it costs, as if so much farther from the path."""
+"""What a radian away from it costs, as metres farther from the path."""
 SAME_M, SAME_RAD = 0.2, 0.2
 """Of walks along a path that end so near to one another only the best is followed."""
 

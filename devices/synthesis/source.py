@@ -23,7 +23,7 @@ NODE = np.dtype(
 )
 NOWHERE_S = 60.0
 NEARER_M = 1.0
-"""A target or the end of a path that is not so much nearer after so long is not reached: seams alone move somebody on the spot by half."""
+"""A target or a path's end that has not come this much nearer after this long is not reached: seams alone move somebody by half of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class Synthesis(Source):
     pose   root position and quaternions of the humanoid skeleton, for an avatar, a BVH file, the page
     node   an event whenever another stretch of the recordings begins: its number, its cluster, whether mirrored, and where (m)
 
-    What is done, in turn: `order`, the clusters named, each so many nodes of it; `path`, along a line on the floor; `target`, to a place.
+    What is done, in turn: `order`, the clusters named, a number of nodes of each; `path`, along a line on the floor; `target`, to a place.
     When all is done the stream ends, unless `then` is wander. With none of these it wanders by chance, the same for the same seed. A word
     typed while it runs takes the place of all that: a cluster's name (stay in it), `x z` (go there), `wander`, `stop`.
 

@@ -40,7 +40,7 @@ class XbusCommands:
                         self.behind = came_runs[i + 1 :]
                         return run.data
                     if run.mid == xbus.ERROR and mid != xbus.GO_TO_CONFIG:
-                        raise DeviceError(f"{self._port} refused message {mid:02X}: it tells of {reason(run)}")
+                        raise DeviceError(f"{self._port} refused message {mid:02X}: {reason(run)}")
         raise DeviceError(
             f"no answer from {self._port} within {TRIES * ANSWER_S:g} s: expected FA FF {mid + 1:02X} after message {mid:02X} "
             f"(is it an MTi, in Xbus mode, and `baud` as set in it?); came {shown(came)}"
@@ -48,6 +48,6 @@ class XbusCommands:
 
 
 def reason(run: XbusRun) -> str:
-    """What an error message tells of."""
+    """What an error message says."""
     code = run.data[0] if run.data else -1
     return xbus.ERRORS.get(code, f"error {code:#x}")

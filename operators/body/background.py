@@ -30,7 +30,7 @@ class BackgroundState:
     streak    (h, w)  frames in a row in which a pixel was farther than its background (1..), or as near as the frame before (-1..)
     front     (h, w)  where a pixel's streak began, in mm
     frames    how many were seen since the background was begun
-    moved     frames in a row in which so much is farther away that it must be the camera
+    moved     frames in a row in which enough is farther away to mean that the camera moved
     told      whether the floor was
     """
 

@@ -20,7 +20,7 @@ from stream.kernel import kernel
 from stream.model import read_model
 
 CELLS = 24
-"""The person's square is cut into so many cells along a side."""
+"""The person's square is cut into this many cells along a side."""
 DEEP_MM, DEEPEST = 300.0, 1.5
 FILE = Path(__file__).with_name("facing.npz")
 

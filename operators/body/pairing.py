@@ -10,7 +10,7 @@ import numpy as np
 from stream.chunk import NS, Array, Chunk, StreamSpec, Times
 
 SPARE = 3
-"""Room for so many frames more than come within the time that a partner is waited for."""
+"""Room for this many frames more than come within the time that a partner is waited for."""
 
 
 @dataclass(slots=True)

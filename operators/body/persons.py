@@ -57,7 +57,7 @@ class Persons(Operator[PersonsState]):
     outputs: ClassVar[tuple[str, ...]] = ("out", "labels", "persons")
 
     person: int = param(0, least=0, most=8, help="who is followed: a number; 0: the largest, until gone")
-    most: int = param(4, least=1, most=8, help="how many people are told apart")
+    most: int = param(4, least=1, most=8, help="how many people are distinguished")
     apart_mm: float = param(120.0, above=0.0, help="pixels side by side whose depths differ by more are not one thing")
     least_share: float = param(0.01, above=0.0, most=1.0, help="how much of the frame a person covers at least")
 

@@ -29,7 +29,7 @@ LENGTHS = np.array([0.296, 0.270, 0.413, 0.421, 0.361, 0.198])
 AGREES_M, POSSIBLE_M = 0.22, 0.45
 """A measured depth is believed if it differs by less from the guess; one that makes the bone as long as it is, by less than the second."""
 BONE_SHARE = 0.25
-"""A bone may differ so much from its length before its outer end is moved."""
+"""A bone may differ this much from its length before its outer end is moved."""
 KEEPS, LEARNS, AS_GIVEN, REVERSED = 0.8, 0.2, 0.3, -0.3
 """The heading: how much of it stays from frame to frame, how much the shape counts, what speaks for the network's word as it is given."""
 

@@ -11,7 +11,7 @@ from stream.chunk import Samples
 from stream.kernel import kernel
 
 REACH, LEAST = 3, 4
-"""The median of so many pixels to each side is a landmark's depth, if at least LEAST of them belong to the person."""
+"""The median of this many pixels to each side is a landmark's depth, if at least LEAST of them belong to the person."""
 
 
 @kernel(nogil=True)

@@ -27,7 +27,7 @@ LEAST_FILLED = 0.6
 LARGE = 20
 """A bed of more blocks than this is reported without those at its edge."""
 WIDE = 1.5
-"""Only in a bed that looks so many times wider than long do sleepers lie along the picture's rows."""
+"""Only in a bed that looks this many times wider than long do sleepers lie along the picture's rows."""
 
 Told: TypeAlias = list[tuple[int, str, int, int, int, int, bool]]
 

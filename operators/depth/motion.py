@@ -79,7 +79,7 @@ class Motion(Operator[MotionState]):
     Only pixels that were measured in both frames count: the thesis has no such mask, but what flickers between measured and not is most
     of what changes in real frames. (The remarks on 4.1 and 4.2 are exchanged in print.) N is NaN: in the first frame, after a gap of more
     than `longest_gap_s`, in the first frame under another basis (`scene`), where less than `least_valid` of the region was measured in
-    both frames, while the region is not known, and where no pixel of the whole frame has changed, for such a frame was not taken anew.
+    both frames, while the region is not known, and where no pixel of the whole frame has changed, for it repeats the last one.
 
     The state holds a frame. So that no checkpoint holds a raw one, frames that were not simplified are refused, unless `raw`.
     """

@@ -37,7 +37,7 @@ CROWD_S, ALONE_S = 30, 300
 DOUBTS = ("", "still", "region", "camera", "dark")
 STILL, ODD, CAMERA, DARK = 1, 2, 3, 4
 ALIVE = 0.005
-"""So much of a region must move (2 blocks at least) to be somebody."""
+"""This much of a region must move (2 blocks at least) to be somebody."""
 
 Rows = list[tuple[Any, ...]]
 

@@ -28,7 +28,7 @@ CONFIRM = 3
 ACCEPT_S = 60
 """A change that no jump explains is a change in the room: after this long it is what is there."""
 FLICKER_MM = 100.0
-"""A block that differs so much from the second before was not measured, or something moved there."""
+"""A block that differs this much from the second before was not measured, or something moved there."""
 LEAST_MM = 3.0
 """Less mean change than this, and than `USUAL` times the usual, is none."""
 USUAL = 3.0

@@ -77,7 +77,7 @@ class Envelope(Operator[EnvelopeState]):
       and by the low-pass's mean group delay below half its cut-off. One peak in ten then lies more than 1 % of a cycle off.
 
     Delay: declared by `delay_s`, subtracted from the stamps. The last `delay_s` of a stream lack their look-ahead and do not come out.
-    NaN or infinity: the last finite value of that channel stands in; the outputs whose interval holds it are NaN.
+    NaN or infinity: the last finite value of that channel replaces it; the outputs whose interval holds it are NaN.
     A gap longer than `reset_gap_s` resets the filters, which take `settling_s` to settle; after a shorter one samples count as consecutive.
     """
 

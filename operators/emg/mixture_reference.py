@@ -19,7 +19,7 @@ from stream.remembered import remembered
 SHARE = 0.99
 OWN, FULL, NOISE, FIRST_HALF = range(4)
 FULL_CYCLES = 20
-"""All points are taken of so many cycles at most: there are a hundred in each."""
+"""All points are taken of this many cycles at most: there are a hundred in each."""
 
 
 @dataclass(slots=True)
@@ -170,7 +170,7 @@ def chance_limit(distances: Samples, windows: float) -> float:
 
 @cache
 def student(freedom: float) -> float:
-    """What Student's t with so many degrees of freedom (any positive number) stays below in 99 of 100 cases."""
+    """The 99 % quantile of Student's t with `freedom` degrees of freedom (any positive number)."""
     return _student(freedom)
 
 

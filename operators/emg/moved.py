@@ -1,4 +1,4 @@
-"""Whether a muscle has moved from a reference: so many windows in a row beyond the limit, and it is over as it began."""
+"""Whether a muscle has moved from a reference: a number of windows in a row beyond the limit begin it, and as many within end it."""
 
 from __future__ import annotations
 

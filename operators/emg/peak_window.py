@@ -12,7 +12,7 @@ from stream.kernel import kernel
 
 MOST_PEAKS = POINTS // 2
 REVISABLE = 64
-"""So many of the latest cycles can still be reported again (`operators.gait.history`)."""
+"""This many of the latest cycles can still be reported again (`operators.gait.history`)."""
 
 
 @kernel
@@ -109,7 +109,7 @@ class PeakWindow:
         return (number - 1) % self.limbs
 
     def latest(self, cycles: int, limb: int = 0) -> Times:
-        """Where a limb's latest accepted cycles stand, oldest first, at most so many."""
+        """Slots of a limb's latest accepted cycles, oldest first, at most `cycles`."""
         counts = (self.accepted == 1) & (self.numbers <= self.last) & (self.numbers > self.last - len(self.numbers))
         counts &= (self.numbers - 1) % self.limbs == limb
         slots = np.flatnonzero(counts)

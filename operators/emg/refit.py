@@ -100,7 +100,7 @@ class Refit:
 
     @staticmethod
     def none(cycles: int, muscles: int, extra: int = 0) -> Refit:
-        """For so many cycles of so many muscles in one mixture, and `extra` points."""
+        """With room for `cycles` cycles of `muscles` muscles in one mixture, and `extra` points."""
         room = cycles * muscles * MOST_PEAKS + extra
         k = MOST_MODES
         return Refit(

@@ -66,7 +66,7 @@ class SelfSimilarity(Filter[SelfSimilarityState]):
     The distance is Euclidean, divided by the root of the number of features, as in `operators.segmentation.Segment`; over the features
     that both frames have, and NaN where there are none yet. The page draws it as the square matrix of the thesis (panel `similarity`). Row
     after row costs `lags` distances, and the state is `lags` frames, however long the session is. No delay. In a gap the lost frames are
-    counted, so that lags stay times; a longer one than `reset_gap_s` begins anew.
+    counted, so that lags stay times; a longer one than `reset_gap_s` starts afresh.
 
     Source: thesis, 2.2 (the matrix) and 2.3.1 (the distance). Departure: only the newest `lags` frames are compared.
     """
@@ -91,7 +91,7 @@ class SelfSimilarity(Filter[SelfSimilarityState]):
         return (n - self.state.held.item(0) + self.every - 1) // self.every
 
     def gap(self, chunk: Chunk) -> int:
-        """Frames that would have been compared stand in the ring as not known; a long gap begins anew."""
+        """Frames that would have been compared stand in the ring as not known; a long gap starts afresh."""
         ring, held = self.state.ring, self.state.held
         if self.breaks(chunk):
             held[:] = 0

@@ -168,7 +168,7 @@ class InertialContacts(Contacts[InertialState]):
     Nothing is fitted to a person or session.
 
     The foot's pitch turns some 31 ms after lift-off and again 26 ms before touch-down (medians over 13 people); onsets make
-    up for that. Steps without pitch (turning on the spot, stopping) are told when the foot has come to rest, by how far it
+    up for that. Steps without pitch (turning on the spot, stopping) are recognised when the foot has come to rest, by how far it
     has turned about any axis.
 
     Decided: touch-down mostly 20 to 60 ms after its onset, at most about 0.5 s (steps without pitch), which is the declared

@@ -65,7 +65,7 @@ class MarkerContacts(Contacts[MarkerState]):
     """
 
     marker: str = param(help="the marker on the foot or leg: its name, or its number from 0")
-    reference: str = param("", help="a marker on hip or sacrum; empty: the foot's own mean motion stands in")
+    reference: str = param("", help="a marker on hip or sacrum; empty: the foot's own mean motion is used")
     up: Literal["x", "y", "z"] = param("z", help="the vertical coordinate")
     unit: Literal["", "m", "cm", "mm"] = param("", help="unit of the positions; empty: the input's")
     cutoff_hz: float = param(10.0, above=0.0, help="low-pass of the positions")

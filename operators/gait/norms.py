@@ -56,7 +56,7 @@ class NormativeBands(Operator[NormativeBandsState]):
     outputs: ClassVar[tuple[str, ...]] = ("low", "high", "against")
 
     file: str = param(help="the table with the bands")
-    sds: float = param(2.0, above=0.0, help="of mean and sd, a band reaches so many sd to each side")
+    sds: float = param(2.0, above=0.0, help="of mean and sd: how many sd a band reaches to each side")
 
     def open(self, specs: Specs) -> Specs:
         spec = check_cycles(specs)

@@ -21,7 +21,7 @@ UNRESTED = "look at the electrode and its cable: there is noise, or another musc
 SIZE, REST = 0, 1
 MEASURES = (("its curve", "its curve has another size", RESIZED), ("its rest", "its rest is another", UNRESTED))
 QUIET_PCT = 10
-"""A curve's rest is the mean of so many of its lowest points."""
+"""A curve's rest is the mean of this many of its lowest points."""
 ADVICE = "look whether its leads were swapped with the other's; cycles since then belong to the other muscle"
 
 

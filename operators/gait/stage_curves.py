@@ -1,4 +1,4 @@
-"""The mean curve of the stage under way, live: what `CycleEnsemble` tells of the session, restarted with each stage."""
+"""The mean curve of the stage under way, live: what `CycleEnsemble` gives of the session, restarted with each stage."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ class LimbSymmetry(Operator[SymmetryState]):
     Student's t, from three pairs on. Neighbours are a cycle of the second limb and the first limb's accepted one that began last before
     it, at most the second's duration earlier.
 
-    An amplitude of two muscles is compared as it is: not normalised, electrodes differ too, and the index says so much less. A cycle that
+    An amplitude of two muscles is compared as it is: not normalised, electrodes differ too, and the index means less. A cycle that
     is reported again, among the latest 64 of its limb, replaces what it gave. Stamped like the cycle that completes the pair.
     """
 

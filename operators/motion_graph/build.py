@@ -21,9 +21,9 @@ from stream.motion_graph import TRANSITION, MotionGraph
 SHORTEST_S = 0.4
 """A shorter stretch is no node: it is added to the one before it, or after it."""
 ROOM = 1.5
-"""Clouds that are turned to the front lie at most so much further apart than those that are placed best (see docs)."""
+"""Clouds that are turned to the front lie at most this much further apart than those that are placed best (see docs)."""
 FARTHEST = 2.0
-"""So much further than `within` edges are looked for, to say which would close a cycle."""
+"""This much further than `within` edges are looked for, to say which would close a cycle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ def build_graph(
 ) -> MotionGraph:  # fmt: skip
     """The motion graph of takes of humanoid poses at `rate_hz`.
 
-    within_m  two clouds, of the joints over 2 `blend` + 1 frames, may differ by so much (rms) for an edge
+    within_m  two clouds, of the joints over 2 `blend` + 1 frames, may differ by this much (rms) for an edge
     Raises KinegraphError where nothing can be walked for ever, and says what is missing.
     """
     floored = [on_floor(tree, take.poses) for take in takes]

@@ -84,7 +84,7 @@ class GrowingGraph(Operator[GrowingState]):
     within_cm: float = param(12.0, above=0.0, most=100.0, help="so far may joints lie apart, rms, for an edge")
     blend_s: float = param(0.37, least=0.1, most=1.0, help="how long a blend takes")
     shortest_s: float = param(0.4, above=0.0, help="a shorter stretch is no node")
-    most_nodes: int = param(200, least=2, most=1000, help="so many of the newest stretches are compared")
+    most_nodes: int = param(200, least=2, most=1000, help="how many of the newest stretches are compared")
     memory_s: float = param(300.0, above=1.0, most=3600.0, help="joints are kept so long")
 
     def open(self, specs: Specs) -> Specs:

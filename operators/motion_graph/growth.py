@@ -18,7 +18,7 @@ from stream.kernel import kernel
 WINDOWS = 9
 """Windows of each end of a node, evenly over its first and its last quarter."""
 WAITING = 64
-"""So many nodes may wait for their edges."""
+"""This many nodes may wait for their edges."""
 ROOM = 1.5
 """As in operators.motion_graph.build."""
 

@@ -1,4 +1,4 @@
-"""Where everything stands in the two flat arrays that an index is: `floats` (float32) and `books` (int64).
+"""The layout of the two flat arrays that an index is: `floats` (float32) and `books` (int64).
 
 A snapshot is a copy of both, and Python calls a kernel with both and nothing else, as every array in a call costs time. Kernels see them
 as one `BareIndex`, in which every number and every array has a name. To add one, name it there, and for an array give its length in

@@ -29,13 +29,13 @@ ANSWER = np.dtype(
 """The n-th nearest (`place`, from 0): frames `first` to `last`, and the distance, rms over the markers that count, in the index's unit.
 `place` is -1 where nothing (more) was found: the end of an answer."""
 MOST = 4096
-"""So many near poses are looked at where poses are asked for."""
+"""This many near poses are looked at where poses are asked for."""
 AROUND = 2048
-"""So many near poses of each anchor of a stretch."""
+"""This many near poses of each anchor of a stretch."""
 REGIONS = 96
-"""In so many places a stretch is looked for."""
+"""A stretch is looked for in this many places."""
 LONGEST = 48
-"""A stretch is compared by so many of its frames at most."""
+"""A stretch is compared by at most this many of its frames."""
 ANCHORS = (0.2, 0.5, 0.8)
 """Where in a stretch its poses are taken by which places are found."""
 EXAMPLE = Path(__file__).with_name("example.npz")

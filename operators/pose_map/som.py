@@ -24,7 +24,7 @@ from stream.require import regular, samples_in, width_of
 WIDEST = 300
 """More features take longer than a frame."""
 TRIED = 256
-"""On so many poses a map is tried before it is shown."""
+"""A map is tried on this many poses before it is shown."""
 SEEN, STEP, SHOWN, GOOD, TORN = range(5)
 """Places in `counts`: whole poses so far; frame of the map that is being learned; maps shown; poses tried; those whose two nearest cells
 do not touch."""
@@ -116,7 +116,7 @@ class PoseGridState:
     used (u,)             which of the input's numbers count
     columns               of the grid
     every, tried          frames between maps; how many of them are for trying
-    most                  after so many maps nothing is learned; 0: always
+    most                  maps after which nothing more is learned; 0: always learn
     frame (u,), reservoir (r, u)
     draft, codes (c, u)   the map that is being learned, and the one that is shown
     counts (5,), random   see above
@@ -171,7 +171,7 @@ class PoseGrid(Operator[PoseGridState]):
     rows: int = param(12, least=1, most=40, help="rows of the grid")
     columns: int = param(12, least=1, most=40, help="columns of the grid")
     learn_s: float = param(20.0, above=0.0, help="how often a new map is shown")
-    maps: int = param(0, least=0, help="after so many maps nothing is learned any more; 0: always")
+    maps: int = param(0, least=0, help="maps after which nothing more is learned; 0: always learn")
     reservoir: int = param(4096, least=2, most=100_000, help="poses that it learns from")
     steps: int = param(3, least=1, most=100, help="steps of learning with every pose")
     seed: int = param(1, least=1, most=2_000_000_000, help="another seed, another sample")
@@ -275,7 +275,7 @@ class PoseGrid(Operator[PoseGridState]):
 
 
 def _event_of(s: PoseGridState) -> np.dtype[np.void]:
-    """The dtype of the event that tells of a map."""
+    """The dtype of the event that describes a map."""
     cells, width = s.codes.shape
     return np.dtype([
         ("map", "<i8"), ("quantisation", "<f8"), ("topographic", "<f8"), ("tried", "<i8"), ("count", "<i8", (cells,)),

@@ -12,7 +12,7 @@ from stream.chunk import Samples, Times
 from stream.kernel import kernel
 
 REACH = 3.0
-"""Cells further away than so many radii do not learn."""
+"""Cells further away than this many radii do not learn."""
 
 
 @kernel
@@ -85,7 +85,7 @@ def touch(a: int, b: int, columns: int) -> bool:
 def train_cells(
     x: Samples, codes: Samples, columns: int, steps: int, radius: float, random: Times, found: Times, distances: Samples
 ) -> None:
-    """Learn `codes` from poses `x` (n, w) drawn at random, in so many steps; the radius falls from `radius` to half a cell."""
+    """Learn `codes` from poses `x` (n, w) drawn at random, in `steps` steps; the radius falls from `radius` to half a cell."""
     for step in range(steps):
         done = step / steps
         pose = x[next_random(random, x.shape[0])]

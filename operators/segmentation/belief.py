@@ -30,7 +30,7 @@ from stream.kernel import kernel
 
 @kernel
 def believe(s: Memory, activity: int, count: int) -> None:
-    """So many repetitions have come in the activity: every number is reported once, and a lower one than the last is a correction."""
+    """This many repetitions have come in the activity: every number is reported once, and a lower one than the last is a correction."""
     b = s.books
     if b[BELIEVED_OF] != activity:
         if b[BELIEVED]:
@@ -45,7 +45,7 @@ def believe(s: Memory, activity: int, count: int) -> None:
 
 @kernel
 def conclude(s: Memory, count: int) -> None:
-    """The open activity has come to its end with so many repetitions: the next one begins with none."""
+    """The open activity has ended with `count` repetitions: the next one begins with none."""
     b = s.books
     believe(s, b[ACTIVITY] if count else b[BELIEVED_OF], count)
     b[BELIEVED] = 0

@@ -8,9 +8,9 @@ from stream.chunk import Samples
 from stream.kernel import kernel
 
 PHASES = 8
-"""At so many phases of the cycle the other repetition may begin."""
+"""The other repetition may begin at this many phases of the cycle."""
 LONGER = 3
-"""Of two repetitions of a kind neither takes more than so many times as long as the other."""
+"""Of two repetitions of a kind neither takes more than this many times as long as the other."""
 
 
 @kernel

@@ -33,18 +33,18 @@ DIP = 0.6
 RETURNS = 0.75
 """With this share in place of DIP, and TRUSTS radii, there is no cycle to count, but motion that comes back: an activity of its own."""
 SEEN = 0.7
-"""So much of the second cycle must have been seen."""
+"""This much of the second cycle must have been seen."""
 LEAVES = 0.8
 """The largest mean distance at a shorter lag must be at least this share of the radius: who hardly moves has no cycle."""
 GAIN = 0.3
 """What a path's step costs is its distance less this share of the radius; without it paths would shrink to their cheapest part."""
 TRUSTS = 1.25
-"""A known cycle's repetition may lie so many radii away on the mean, and so may motion that comes back."""
+"""A known cycle's repetition may lie this many radii away on average, and so may motion that comes back."""
 SURE, STRAYS, SAME = 3, 4.0, 0.4
 """Once SURE repetitions have been told, the next may lie STRAYS times as far from the exemplar as they do, or SAME radii: an activity's own
 radius. Half a knee's raise lies within the radius of a squat, but eight times as far from it as one squat from another."""
 FAR = 100.0
-"""So many radii apart are frames that have too few features in common, where a mean is taken."""
+"""This many radii apart are frames that have too few features in common, where a mean is taken."""
 LONGEST = 2
 """Paths advance by slopes from 1 / LONGEST to LONGEST, on the whole."""
 

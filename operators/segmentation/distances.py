@@ -120,7 +120,7 @@ def measure(s: Memory, first: int, n: int, row: Samples) -> None:
 
 @kernel
 def scaled(s: Memory, squares: float, common: float) -> float:
-    """The distance of two frames with so many features in common, whose squared differences add up to this; infinity: too few."""
+    """The distance of two frames, from the number of features in common and the sum of their squared differences; infinity: too few."""
     if common == 0.0 or common * SHARED < s.books[PRESENT]:
         return math.inf
     return math.sqrt(squares / common)

@@ -19,7 +19,7 @@ from operators.segmentation.layout import (
 from stream.kernel import kernel
 
 CHANCE = 0.7
-"""Repetitions that lie on the mean so many radii from their exemplar may be chance: in recordings of random phases few lie nearer."""
+"""Repetitions that lie on average this many radii from their exemplar may be chance: in recordings of random phases few lie nearer."""
 
 
 @kernel

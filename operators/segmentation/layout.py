@@ -190,7 +190,7 @@ class Remembered:
     values: Samples
 
     def with_room(self, rows: int) -> Memory:
-        """The arrays, and a table for so many events."""
+        """The arrays, and a table with room for `rows` events."""
         kept = [getattr(self, f.name) for f in fields(self)]
         return Memory(*kept, *[np.empty((rows, EVENT_WIDTH), np.int64), np.empty(rows)])
 

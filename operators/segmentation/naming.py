@@ -36,7 +36,7 @@ SPAN = np.dtype([("onset", "<i8"), ("end", "<i8"), ("activity", "<i8"), ("repeti
 LATELY_NS = 10 * 10**9
 """What a person names is what was done last, unless that ended so long ago."""
 REMEMBERED = 16
-"""So many final repetitions are remembered, for a name that is said after them."""
+"""This many final repetitions are remembered, for a name that is said after them."""
 TURNS = Path(__file__).with_name("turns.npz")
 """Two turns of a made-up signal, taught as "turn": what the cases are named by."""
 NONE, COMING = -1, -2
@@ -100,7 +100,7 @@ class NameRepetitions(Operator[NamingState]):
     outputs: ClassVar[tuple[str, ...]] = ("believed", "repetition")
 
     model: str = param("", help="the exercises that `kinegraph teach` wrote; without: clusters are named by letters")
-    window_s: float = param(60.0, above=0.0, most=600.0, help="so much of the features is kept")
+    window_s: float = param(60.0, above=0.0, most=600.0, help="how much of the features is kept")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]

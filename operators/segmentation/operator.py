@@ -66,9 +66,9 @@ REST = np.dtype([("onset", "<i8"), ("end", "<i8")])
 RESTING = np.dtype([("onset", "<i8")])
 RADIUS = np.dtype([("radius", "<f8")])
 DOUBTFUL = 3
-"""So many activities of which it is not sure that they repeat, and more than half of those that do, are worth a warning."""
+"""This many activities of which it is not sure that they repeat, and more than half of those that do, are worth a warning."""
 REACH = 1.43
-"""So many of the longest cycles back neighbours are looked for: it may be a sixth longer in turn, and must be the lowest lag around."""
+"""This many of the longest cycles back neighbours are looked for: it may be a sixth longer in turn, and must be the lowest lag around."""
 OUTPUTS = {
     "activity": (ACTIVITY, ACTIVITY_EVENT),
     "primitive": (PRIMITIVE, PRIMITIVE_EVENT),
@@ -159,8 +159,8 @@ class Segment(Operator[SegmentState]):
     )
     radius_share: float = param(0.475, above=0.0, most=2.0, help="the radius as a share of the median distance")
     cycle_s: float = param(7.0, above=0.0, most=60.0, help="longest cycle")
-    window_s: float = param(60.0, above=0.0, help="the radius is found from so much")
-    learn_s: float = param(5.0, above=0.0, help="nothing is decided before so much has been seen")
+    window_s: float = param(60.0, above=0.0, help="how much the radius is found from")
+    learn_s: float = param(5.0, above=0.0, help="nothing is decided before this much has been seen")
     quiet_s: float = param(0.4, above=0.0, help="so long without a neighbour ends an activity")
     mass_s: float = param(1.0, above=0.0, help="frames with neighbours that open one, in seconds")
     settle_s: float = param(2.0, above=0.0, help="after its opening, until its start is looked for")

@@ -13,7 +13,7 @@ from stream.kernel import kernel
 UNKNOWN, AT_ONCE, IN_TURN, NOT = range(4)
 """What is reported as an activity's symmetry; 1 to 3 are S1 to S3."""
 CLOSER = 0.6
-"""Sides take turns where the second step is so much nearer to the first one's mirror image than the cycle is to its own."""
+"""Sides take turns where the second step is this much nearer to the first one's mirror image than the cycle is to its own."""
 
 
 @kernel

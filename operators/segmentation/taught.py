@@ -20,9 +20,9 @@ UNKNOWN = "unknown"
 MOST_LETTERS = 24
 """A name is no longer."""
 MOST_NAMES = 32
-"""So many exercises may be taught while a session runs."""
+"""This many exercises may be taught while a session runs."""
 MOST_SHOWN = 5
-"""So many repetitions of an exercise are kept."""
+"""This many repetitions of an exercise are kept."""
 SAID = re.compile(r"this is\b:?\s*(\S.*)", re.IGNORECASE)
 """An annotation that names what is being done."""
 REACHES = 2.0

@@ -51,9 +51,9 @@ class GentleAlarm(Operator[GentleAlarmState]):
     at: str = param("07:00", help="the time to be up at, HH:MM")
     timezone: str = param("UTC", help="in which it is meant, e.g. Europe/Berlin")
     window_min: float = param(30.0, above=0.0, most=120.0, help="so long before a movement may give the alarm")
-    least_s: float = param(2.0, above=0.0, most=30.0, help="so much movement in an epoch")
+    least_s: float = param(2.0, above=0.0, most=30.0, help="how much movement in an epoch")
     days: str = param("mon,tue,wed,thu,fri,sat,sun", help="on which mornings")
-    sleeper: str = param("", help="whose, where `epochs` tell of several")
+    sleeper: str = param("", help="whose, where `epochs` are of several")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["epochs"]
@@ -100,7 +100,7 @@ class GentleAlarm(Operator[GentleAlarmState]):
         ]
 
     def _pass(self, until: int, made: list[tuple[int, int, str]]) -> None:
-        """Every set time up to `until` is over: those that were not rung for are told by the clock."""
+        """Every set time up to `until` is over: those not rung for are reported by the clock."""
         s = self.state
         while s.at != NEVER and s.at <= until:
             if not s.rung:

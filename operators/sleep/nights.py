@@ -72,7 +72,7 @@ class Nights(Operator[NightsState]):
     )
     shortest_h: float = param(1.0, least=0.0, help="shorter times in bed are no night")
     longest_h: float = param(20.0, above=0.0, most=36.0, help="longer than this no night is")
-    sleeper: str = param("", help="whose nights, where `bed` tells of several")
+    sleeper: str = param("", help="whose nights, where `bed` is of several")
 
     def open(self, specs: Specs) -> Specs:
         bed = specs["bed"]

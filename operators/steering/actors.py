@@ -22,7 +22,7 @@ from stream.params import param
 from stream.require import numeric
 
 MOST = 2.5
-"""No marker goes farther than so many standard deviations of its training."""
+"""No marker goes farther than this many standard deviations of its training."""
 
 
 @kernel

@@ -13,7 +13,7 @@ from stream.chunk import Samples, Times
 
 MOST_FRAMES = 300
 NEAR = 3.0
-"""No performed marker is taken to lie farther than so many standard deviations from its mean."""
+"""No performed marker is taken to lie farther than this many standard deviations from its mean."""
 
 
 def limb_frames(performed: Samples, mesh: Samples) -> Times:

@@ -57,7 +57,7 @@ class SteerMesh(_Steered):
 
     Where the model says which way its markers face, the mesh turns with them about the vertical, y. The input has the model's markers by
     their names; `markers` names others in their place. A marker that is not seen has moved with the reference markers since it was;
-    before all have been seen, the mesh stands in the training's mean pose. No delay.
+    before all have been seen, the mesh keeps the training's mean pose. No delay.
 
     Thesis 9.3 and 9.4, with kernel ridge for the linear maps, and every part placed by its own regression instead of one after the other:
     on the horse that halves the error. Alignment and blending (9.16) are by weights along the surface; 9.14 is left out.

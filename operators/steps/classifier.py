@@ -1,4 +1,4 @@
-"""What a person's steps tell of them, by a trained forest: step by step, as a running vote, "uncertain" where it is (thesis, ch. 7)."""
+"""What a person's steps say about them, by a trained forest: step by step, as a running vote, "uncertain" where it is (thesis, ch. 7)."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class StepClassifier(Operator[StepClassifierState]):
     """Steps (`operators.steps.steps.Steps`) in, an event per walking step out: what the model takes it for, and the running vote.
 
     `model` is a file of `kinegraph train steps`; without one, a forest of two manners of simulated walking. It is refused for another
-    sensor site, rate or axes. Its header says how well it tells people that it has never seen, and that stands in the output's `meta`
+    sensor site, rate or axes. Its header says how well it recognises people that it has never seen, and so does the output's `meta`
     (`accuracy`). Turns, first and slow steps, and steps with NaN features count for nothing. A model that was no better than guessing
     with left-out subjects says "uncertain" at every step.
 

@@ -18,7 +18,7 @@ from stream.chunk import Array, Samples, Times
 from stream.kernel import kernel
 
 LEAP_M, LEAP_M_S, DOUBTED = 0.3, 8.0, 3
-"""A marker farther from where it is expected than this, and this times the period, is not believed for so many samples."""
+"""A marker farther from where it is expected than this, and this times the period, is not believed for this many samples."""
 STILL_M = 0.12
 """Who stands for the calibration keeps hips, knees, ankles and shoulders within this distance."""
 NEEDED = 8

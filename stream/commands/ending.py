@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 HANG_UP: signal.Signals | None = getattr(signal, "SIGHUP", None)
 """What a terminal that is closed says to those in it; Windows has no such thing."""
 LOOK_S = 5.0
-"""So often it is looked whether the session goes on; a node's call that takes longer is reported."""
+"""How often to check that the session goes on; a node's call that takes longer is reported."""
 STUCK_S = 1.0
 """A call that has taken so long is not waited for at the second signal."""
 CLOSING_S = 20.0

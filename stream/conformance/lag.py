@@ -16,7 +16,7 @@ from stream.operator import Case
 ONE_WAY = 0.7
 """The part of a response that goes one way, as smoothing does; what lets slow changes not pass has no lag to speak of."""
 PERIODS = 1.0
-"""Up to so many periods of the slower stream are a matter of taste."""
+"""Up to this many periods of the slower stream are a matter of taste."""
 
 
 def lags(trial: Conformance) -> dict[str, float]:

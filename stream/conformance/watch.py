@@ -1,4 +1,4 @@
-"""Whether anything compiled: numba tells of every time that it looks for machine code it has not got yet."""
+"""Whether anything compiled: numba reports every time that it looks for machine code it has not got yet."""
 
 from __future__ import annotations
 

@@ -266,7 +266,7 @@ class Pipeline:
             edge.send = edge.carry
 
     def fold(self, least: int = FOLD_AT) -> None:
-        """Keep the lists of durations short: work up those that hold at least so many."""
+        """Keep the lists of durations short: fold those that hold at least `least`."""
         for segment in self.segments:
             segment.fold(least)
         for stage in self.stages.values():

@@ -33,7 +33,7 @@ class Digest:
     """A hash of a stream's samples, stamps and gap positions that does not depend on how they were cut into chunks."""
 
     def __init__(self, limit: int | None = None) -> None:
-        """`limit`: only so many samples count."""
+        """`limit`: only this many samples count."""
         self._data, self._time, self._gaps = hashlib.blake2b(), hashlib.blake2b(), hashlib.blake2b()
         self.samples = 0
         self._limit = limit

@@ -24,7 +24,7 @@ from stream.operator import Operator
 
 POSSIBLE = sys.platform == "linux"
 TIMED = 1024
-"""So many passages are timed between two readings of their times; further ones are not."""
+"""This many passages are timed between two readings of their times; further ones are not."""
 COUNT, TIMES, DESK, SAMPLES, STAMPS = 0, 1, 2, 3, 5
 """The table's first places: passages timed; the addresses of their times, of the clock's desk, and of two buffers each for samples and
 stamps between steps."""
@@ -60,7 +60,7 @@ class Row:
     table     what it is to be given
     room      samples that a chunk may have; `grow` makes more room
     thinning  the place of the one step that keeps only some samples; None if there is none
-    rows      told n, how many samples it keeps of so many
+    rows      given n, how many of n samples it keeps
     moves     whether stamps that come out are others than those that came in
     delay_ns  by how much they are earlier
     width     numbers in a sample that comes out
@@ -105,7 +105,7 @@ class Row:
         self.room = n
 
     def fold(self, timings: Sequence[Timing], least: int) -> None:
-        """Hand the times measured so far to the operators' timings, where there are at least so many."""
+        """Hand the times measured so far to the operators' timings, where there are at least `least`."""
         count = self.table.item(COUNT)
         if count < max(least, 1):
             return
@@ -160,7 +160,7 @@ class Row:
         ]
 
     def _noted(self, ended: int, indent: str) -> list[str]:
-        """A passage ends after so many steps: its times are kept, if there is room."""
+        """A passage ends after its last step: its times are kept, if there is room."""
         places = len(self._steps) + 1
         lines = [f"if t0 and table[{COUNT}] < {TIMED}:"]
         lines.append(f"    times = carray(longs_at(table[{TIMES}]), ({TIMED}, {places}))")

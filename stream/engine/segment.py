@@ -88,7 +88,7 @@ class CompiledSegment:
         self.send: Push = names["send"]
 
     def fold(self, least: int) -> None:
-        """Hand the durations measured so far to the operators' timings, where there are at least so many."""
+        """Hand the durations measured so far to the operators' timings, where there are at least `least`."""
         for noted in self._timed:
             if len(noted) < max(least, 1):
                 continue

@@ -27,7 +27,7 @@ QUIET = {"device", "source ended", "session resumed", "source reopened"}
 LOSSES = {"late samples dropped", "source queue dropped", DROPPED}
 """Reports that may come with every chunk."""
 TOLD_EVERY_S = 10.0
-"""On the screen, a stream's or queue's losses are reported at once, and then so often; the recording keeps each."""
+"""On the screen, a stream's or queue's losses are reported at once, and then this often; the recording keeps each."""
 
 log = structlog.get_logger(__name__)
 

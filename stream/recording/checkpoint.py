@@ -1,4 +1,4 @@
-"""The whole session on disk every so often, so that a power cut costs nothing: plain arrays, written beside the recording.
+"""The whole session on disk at regular intervals, so that a power cut costs nothing: plain arrays, written beside the recording.
 
 A checkpoint is valid once renamed into place; the one before is kept until then. It holds no pickle and is read without any.
 """

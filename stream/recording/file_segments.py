@@ -24,9 +24,9 @@ from stream.recording.recorded_stream import RecordedStream
 log = structlog.get_logger(__name__)
 
 MOST_SAVES = 2400
-"""A file is ended after so many saves (a quarter of an hour), for its index is held in memory until then: 1 to 3 KB per save."""
+"""A file ends after this many saves (a quarter of an hour), for its index is held in memory until then: 1 to 3 KB per save."""
 MOST_S = 900.0
-"""A session's file is ended once a stream's samples span so much time, however fast: overviews are held in memory until then."""
+"""A session's file is ended once a stream's samples span this much time, however fast: overviews are held in memory until then."""
 FULL = (errno.ENOSPC, errno.EDQUOT)
 """What a full disk says: it is waited for, and the file goes on where it stopped."""
 

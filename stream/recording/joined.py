@@ -17,7 +17,7 @@ from stream.recording.format import COLUMNS, HEAD
 from stream.recording.reader import Recording
 
 SPAN_NS = NS
-"""About so much session time is joined."""
+"""About this much session time is joined."""
 SPAN_BYTES = 8 << 20
 """More than this is not held to be joined."""
 ROW = struct.Struct("<5q")

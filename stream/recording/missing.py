@@ -19,7 +19,7 @@ class Missing:
 
     bytes      at the end of a file that belong to no whole record
     seconds    from the last input that can be read to the latest that is known to have been written: by the times in a record that
-               breaks off, and by the session's checkpoint; 0.0 where neither tells of more
+               breaks off, and by the session's checkpoint; 0.0 where neither shows more
     samples    that lay between an earlier file that breaks off and the next one, all streams together
     """
 

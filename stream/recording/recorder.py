@@ -25,7 +25,7 @@ from stream.recording.recorder_slot import OVERHEAD, STREAMS, RecorderSlot, Reco
 from stream.recording.rounds import Round, Rounds
 
 TURN = 0.8
-"""So much of `flush_s` the recorder's thread sleeps, unless much comes; then it writes all that came."""
+"""This much of `flush_s` the recorder's thread sleeps, unless much comes; then it writes all that came."""
 PATIENCE_S = 0.02
 """How long the recorder waits for a moment at which the session has nothing to do."""
 PIECE_BYTES = LEAST // 2

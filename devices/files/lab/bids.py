@@ -1,4 +1,4 @@
-"""BIDS: a table of motion without a header, whose columns stand in channels.tsv and whose rate stands in its JSON; facts of the study."""
+"""BIDS: a table of motion without a header, its columns in channels.tsv, its rate in a JSON file; facts of the study."""
 
 from __future__ import annotations
 

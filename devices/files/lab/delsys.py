@@ -30,7 +30,7 @@ DATES = ("%m/%d/%Y %I:%M:%S %p", "%m/%d/%Y %H:%M:%S", "%Y-%m-%d %H:%M:%S", "%d.%
 
 @dataclass(slots=True)
 class TimedChannel:
-    """A column: its name, unit and rate as far as they are told, and its samples from `start_s` on."""
+    """A column: its name, unit and rate as far as the file gives them, and its samples from `start_s` on."""
 
     name: str
     unit: str
@@ -201,7 +201,7 @@ def _streams(made: Understood, channels: Sequence[TimedChannel], asked: Asked) -
 def _unit(made: Understood, signal: str, data: Samples) -> str:
     unit = voltage_by_size(data) if signal in ("emg", "ekg", "ecg") else UNITS.get(signal, "")
     if unit:
-        made.doubt(f"no unit of {signal} stands in the file: by its size taken for {unit} (--unit says another)")
+        made.doubt(f"the file gives no unit of {signal}: judged by its size to be {unit} (--unit sets another)")
     return unit
 
 

@@ -1,4 +1,4 @@
-"""The importers of laboratories' exports: each knows its own files by what stands in them, and loads its reader when it reads."""
+"""The importers of laboratories' exports: each recognises its own files by their content, and loads its reader when it reads."""
 
 from __future__ import annotations
 

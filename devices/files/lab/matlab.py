@@ -26,7 +26,7 @@ def knows(head: bytes) -> bool:
 
 
 def read_arrays(path: Path) -> dict[str, Array]:
-    """Every array of numbers or texts by its name, with dots where it stands in a structure; the longer axis of a matrix comes first.
+    """Every array of numbers or texts by its name, with dots where it is part of a structure; the longer axis of a matrix comes first.
 
     Raises RecordingError, also for version 7.3 where h5py is not installed.
     """

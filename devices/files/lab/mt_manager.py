@@ -95,7 +95,7 @@ def _timing(
     told = re.match(r"([\d.]+)\s*Hz", facts.get("update rate", ""))
     rate = float(told[1]) if told else _by_fine_time(names, table) or asked.rate_hz
     if not rate:
-        raise RateMissing(f"{text.path}: no update rate stands in it, and no times; give --rate HZ")
+        raise RateMissing(f"{text.path}: it holds neither an update rate nor times; give --rate HZ")
     return rate, lost
 
 

@@ -19,7 +19,7 @@ from stream.recording.series import Series
 
 Grammar = Callable[[Path, Asked], Understood]
 PREVIEW_HZ = 1.0
-"""What stands in for a rate that nobody told, where a file is only looked at."""
+"""Replaces an unknown rate, where a file is only looked at."""
 
 
 def reader(kind: str, read: Grammar) -> Reader:

@@ -13,7 +13,7 @@ from stream.chunk import Samples
 from stream.errors import RecordingError
 
 NOTHING = {"", "nan", "-nan", "+nan", "n/a", "na", "null", "nan(ind)", "-nan(ind)", "1.#qnan", "-1.#ind"}
-"""What stands in a cell that holds no number, in small letters."""
+"""Contents of cells that hold no number, in lower case."""
 
 
 def decoded(data: bytes) -> str:

@@ -96,7 +96,7 @@ class Understood:
         self.series.append(Series(self.name(part), spec, grid_of(rate_hz, index, start), data, keep))
 
     def add_timed(self, part: str, seconds: Samples, data: Array, line: int, asked: Asked, **facts: Any) -> None:
-        """A stream whose samples were taken at `seconds`, the first of which stands in line `line`.
+        """A stream whose samples were taken at `seconds`, the first of which is in line `line`.
 
         `rate_hz` among `facts` is what the file says the rate is: it holds if the times agree with it, and is doubted if not.
         """

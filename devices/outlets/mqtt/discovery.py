@@ -31,7 +31,7 @@ class Entity:
     where          only events whose fields have these values ({final: true})
     values         what a value becomes ({in: "ON", out: "OFF"}); one that is not named becomes unknown
     alive_s        in place of a field: ON while samples come, OFF when none has for so long
-    every_s        a signal is reported at most so often
+    every_s        a signal is reported at most this often
     decimals       of numbers
     expire_after_s after how long without news Home Assistant shows the entity as unavailable; what has not changed is said again in time
     device_class   `timestamp`: the field is a time in ns, reported as ISO 8601

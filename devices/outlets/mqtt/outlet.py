@@ -217,7 +217,7 @@ class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
             runtime.outbox.state(self._topics.state(name), text)
 
     def _tell_report(self, *, now: bool = False) -> None:
-        """Tell of a report that is new."""
+        """Announce a new report."""
         runtime = self.runtime
         for topic, text in runtime.reports.look(now=now) if runtime.reports else ():
             assert runtime.outbox

@@ -11,7 +11,7 @@ from typing import Any
 from devices.outlets.mqtt.discovery import Device, Topics, shared
 
 EVERY_S = 5.0
-"""A folder is looked at so often, in the machine's time: a report is drawn by another process, which tells nobody."""
+"""How often a folder is looked at, in the machine's time: a report is drawn by another process, which tells nobody."""
 NAME = "report"
 
 

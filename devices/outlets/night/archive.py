@@ -50,7 +50,7 @@ class Facts:
     breaks     [from, to]: kinegraph did not run, though the night went on
     switched   [time, what]: "lights off", "lights on"
     exits      [time, state of the bed]: in, out, unknown
-    moved      [time, down, right]: the camera was moved, and by so many pixels the picture (null: nobody knows)
+    moved      [time, down, right]: when the camera was moved, and by how many pixels the picture (null: unknown)
     numbers    the row of the night's statistics; empty while the night goes on
     meta       of the scored stream: method, threshold, calibration
     settings   [node, use, parameters] of the graph

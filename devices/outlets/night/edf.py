@@ -16,7 +16,7 @@ from stream.complete import write_complete
 STAGES = {"wake": "Sleep stage W", "sleep": "Sleep stage S", "unknown": "Sleep stage ?"}
 """`S` is sleep without saying which: movement tells no stages apart."""
 NOT_SEEN = -1.0
-"""What stands in a signal where nothing is known: EDF has no other way."""
+"""Written to a signal where nothing is known: EDF has no other way."""
 
 
 def write_edf(path: Path, facts: Facts, epochs: LoggedEpochs) -> None:

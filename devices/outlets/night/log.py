@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from stream.clock import SessionClock
 
 HELD = 200
-"""What is known of so many epochs waits for their final scores (Webster's rules: up to 70)."""
+"""What is known of this many epochs waits for their final scores (Webster's rules: up to 70)."""
 APART_NS = 4 * 3600 * NS
 """So long after anyone was in bed, what follows is another night, whatever the statistics say."""
 MOST_WAITING = 3000
-"""So many epochs wait for a disk that takes no new folder: a day."""
+"""This many epochs wait for a disk that takes no new folder: a day."""
 
 log = structlog.get_logger(__name__)
 
@@ -65,7 +65,7 @@ class NightLog(Outlet[LogState, LogRuntime]):
 
     path: str = param("nights", help="the folder of all nights")
     timezone: str = param("", help="of the times in the report, e.g. Europe/Berlin; left out: the computer's")
-    sleeper: str = param("", help="whose night it is, where `seen`, `bed`, `breathing` tell of several")
+    sleeper: str = param("", help="whose night it is, where `seen`, `bed`, `breathing` are of several")
     keep_days: float = param(0.0, least=0.0, help="older nights are deleted; 0: none is")
     report: bool = param(True, help="draw the report in the morning")
 

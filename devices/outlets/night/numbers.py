@@ -1,4 +1,4 @@
-"""From a night's log to what stands in the report: the table, what was not seen, and the words that belong to them."""
+"""From a night's log to the contents of the report: the table, what was not seen, and the words that belong to them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NO_NUMBERS = {
 }
 """By whether it is closed."""
 SHOWN_NS = 15 * 60 * NS
-"""So much before and after the night is drawn."""
+"""This much before and after the night is drawn."""
 LEAST_SEEN = 0.5
 AT_ONCE_NS = 60 * NS
 

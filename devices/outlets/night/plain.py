@@ -11,7 +11,7 @@ COUNTED = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight",
 
 
 def sentence(facts: Facts, epochs: LoggedEpochs) -> str:
-    """Asleep so long, awake so long in so many stretches, in bed from when to when; and what nobody knows, if that is much.
+    """How long asleep, how long awake and in how many stretches, in bed from when to when; and what is not known, if that is much.
 
     Awake is all wake in the time in bed, before falling asleep, too, as the log's epochs say it.
     """

@@ -15,7 +15,7 @@ from stream.sleep_night import NAMES, SLEEP, UNKNOWN, WAKE, night
 def recounted(facts: Facts, epochs: LoggedEpochs) -> dict[str, Any]:
     """The numbers of `facts`, by their own definitions, of the epochs as they are logged; as they were, where nothing broke in on them.
 
-    What was final before a power cut stands in the log. The session that goes on has lost the newest frames, scores those epochs as not
+    What was final before a power cut is in the log. The session that goes on has lost the newest frames, scores those epochs as not
     seen, and its statistics count them so. Before the log's first epoch nobody was in bed: that is wake.
     """
     told = facts.numbers

@@ -51,7 +51,7 @@ class LogRuntime:
         self.held: dict[int, dict[str, Any]] = {}
         """What is known of epochs that are not final yet, by onset."""
         self.last = NEVER
-        """Onset of the newest epoch that stands in a log."""
+        """Onset of the newest epoch in a log."""
         self.waiting: list[dict[str, Any]] = []
         """Rows of a night whose folder could not be made yet: the disk is full."""
         self.switched: list[Any] = []

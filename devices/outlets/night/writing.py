@@ -17,7 +17,7 @@ from stream.complete import complete, private_folder
 from stream.errors import DeviceError
 
 MOST_LISTED = 500
-"""At most so many bed exits, switchings and breaks are kept of a night."""
+"""At most this many bed exits, switchings and breaks are kept of a night."""
 
 log = structlog.get_logger(__name__)
 

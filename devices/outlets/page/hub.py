@@ -19,7 +19,7 @@ from stream.chunk import NS, Chunk, StreamSpec
 
 LOG_LINES = 200
 CURVES = 8
-"""Of so many curves the newest of each channel is shown."""
+"""This many curves are kept, of which the newest of each channel is shown."""
 
 
 class Looking:

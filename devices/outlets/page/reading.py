@@ -123,8 +123,8 @@ class RecordedViews:
         return messages.newest(stream, spec, 0, *found, self.begin) if found else None
 
     def build(self, told: Callable[[bytes], None]) -> None:
-        """Have a pyramid of every signal: the recorder's, or one made in a pass over all its samples. Tells of the progress and
-        of the gaps that were found; called on a thread of its own."""
+        """Have a pyramid of every signal: the recorder's, or one made in a pass over all its samples. Reports progress and
+        the gaps that were found; called on a thread of its own."""
         signals = [
             i for i, spec in enumerate(self.specs) if kind_of(spec) == "signal" and self._streams[i].first is not None
         ]

@@ -42,13 +42,13 @@ def decode(message: bytes | memoryview) -> tuple[dict[str, Any], memoryview]:
 
 
 class See(msgspec.Struct, tag="see", tag_field="do", forbid_unknown_fields=True):
-    """Send these streams from now on, each thinned out to one point per so many nanoseconds; 0: every sample."""
+    """Send these streams from now on, each thinned out to one point per given number of nanoseconds; 0: every sample."""
 
     streams: dict[int, int]
 
 
 class Look(msgspec.Struct, tag="look", tag_field="do", forbid_unknown_fields=True):
-    """Of a recording: these streams from one time to another (s since the beginning), in at most so many points; `at` is the cursor."""
+    """Of a recording: these streams from one time to another (s since the beginning), in at most `points` points; `at` is the cursor."""
 
     streams: list[int]
     begin: float
@@ -88,7 +88,7 @@ class SetPace(msgspec.Struct, tag="pace", tag_field="do", forbid_unknown_fields=
 
 
 class StepOn(msgspec.Struct, tag="step", tag_field="do", forbid_unknown_fields=True):
-    """Of a replay: go on for so many seconds, and then stand still."""
+    """Of a replay: go on for the given seconds, then stop."""
 
     seconds: float
 

@@ -1,4 +1,4 @@
-"""From what was tallied to what stands in the report."""
+"""From the tally to the contents of the report."""
 
 from __future__ import annotations
 

@@ -19,12 +19,12 @@ from devices.outlets.report.data import Curves, LimbPanel
 from stream.chunk import Samples
 
 SIZES_IN = {4: (3.55, 1.9), 12: (2.36, 1.42), 10_000: (2.36, 1.18)}
-"""Width and height of a panel where there are at most so many, so that more than twelve still fit on one A4 page."""
+"""At most how many panels have which width and height, so that more than twelve still fit on one A4 page."""
 LONG = 4
 """A unit of more letters does not fit beside the axis."""
 SINGLE = 40
 POINTS = 100
-"""At most so many single cycles are drawn."""
+"""At most this many single cycles are drawn."""
 INK, BAND, THIN, STANCE, NORM = "#12395b", "#8fb3d3", "#9a9a9a", "#f1efe9", "#2f7d4f"
 
 _STYLE: dict[Any, Any] = {

@@ -12,7 +12,7 @@ from devices.outlets.report.running import Running
 from stream.chunk import Array, Samples, Specs, Times
 
 MOST_STAGES = 16
-"""So many stages are told apart; what comes after them counts in the session's numbers only."""
+"""This many stages are reported apart; later ones count in the session's numbers only."""
 GAIT = ("cadence", "duration_s", "stance_pct")
 BURSTS = ("cycles", "per_cycle", "on_pct", "on_sd_pct", "off_pct", "off_sd_pct", "duration_pct", "duration_sd_pct")
 NONE = -1

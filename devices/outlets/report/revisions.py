@@ -9,7 +9,7 @@ import numpy as np
 from stream.chunk import Array, Samples, Times
 
 REVISABLE = 64
-"""So many of the latest cycles can be reported again; `operators.gait.history` remembers as many."""
+"""This many of the latest cycles can be reported again; `operators.gait.history` remembers as many."""
 ACCEPTED = -1
 
 

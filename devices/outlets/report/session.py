@@ -79,8 +79,8 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
     low, high        of `operators.gait.norms.NormativeBands`: the laboratory's own bands, drawn behind the curves, and a table
     emg              the raw signal: when the session began, its gaps and losses
 
-    Where cycles name their limb, the limbs' curves of a muscle stand in one panel, and cadence, cycle and stance are told per limb. Where
-    they name their stage (`operators.gait.stages.Stages`), curves and numbers are told per stage, too, and NAME-curves.csv holds the mean
+    Where cycles name their limb, the limbs' curves of a muscle stand in one panel, and cadence, cycle and stance are given per limb. Where
+    they name their stage (`operators.gait.stages.Stages`), curves and numbers are given per stage, too, and NAME-curves.csv holds the mean
     curves of each stage (of the session, where there are none) with their standard deviations. `tables: [xlsx, mat]` writes both tables
     once more, as NAME.xlsx and NAME.mat.
 

@@ -18,7 +18,7 @@ REJECTION = np.dtype([("onset", "<i8"), ("duration_s", "<f8"), ("reason", "<U32"
 NOTICED = np.dtype([("onset", "<i8"), ("over", "<i8"), ("subject", "<U16"), ("what", "<U64")])
 """An alarm: since when, until when (0: it lasts), with whom, and what."""
 LISTED = 200
-"""At most so many rejected cycles are listed, and so many single curves kept."""
+"""At most this many rejected cycles are listed, and single curves kept."""
 GAIT = ("cadence", "duration_s", "stance_pct")
 UNSEEN = -1
 

@@ -10,7 +10,7 @@ import numpy as np
 from stream.chunk import NEVER, NS, Array
 
 MOST_SETS, MOST_REPETITIONS, MOST_RESTS = 500, 20_000, 2000
-"""Of a longer session the first so many are kept; the rest are counted, and the CSV file has them all."""
+"""Of a longer session this many rows are kept, the first ones; the rest are counted, and the CSV file has them all."""
 REPETITION = np.dtype(
     [
         ("activity", "<i8"), ("repetition", "<i4"), ("name", "<U24"), ("onset", "<i8"), ("duration_s", "<f8"),

@@ -35,7 +35,7 @@ def check(
 ) -> None:
     """Stay out of bed for a minute, lie down, and lie still for a minute: says whether the region holds, noise, and light.
 
-    Several sleepers lie down one after the other, in the order of their names; whose region does not hold them is told where it is.
+    Several sleepers lie down one after the other, in the order of their names; anyone whom their region does not hold learns where it is.
 
     Nothing is stored. Exit codes: 0 all is well; 2 something is not, or the graph is wrong; 3 the camera is missing.
     """

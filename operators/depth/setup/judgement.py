@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from stream.chunk import Samples
 
 LEAST_MEASURED = 0.5
-"""So much of the region must be measured; an epoch of which less is seen is unknown."""
+"""This much of the region must be measured; an epoch of which less is seen is unknown."""
 LEAST_INSIDE = 0.75
-"""So much of who lies in bed must be within the regions."""
+"""This much of who lies in bed must be within the regions."""
 NOISIER = 2.0
-"""Where nobody lies noise grows so much only in another light."""
+"""Where nobody lies noise grows this much only in another light."""
 LEAST_BLOCKS = 4
 
 Region = tuple[int, int, int, int]

@@ -15,7 +15,7 @@ from stream.motion_index import LARGEST, MISSING, MotionIndex, PoseSequence
 
 BLOCK = 16_384
 LEARNED = 100_000
-"""The grid learns from so many poses at most, drawn evenly."""
+"""The grid learns from at most this many poses, drawn evenly."""
 STEPS = 100_000
 """Steps of learning."""
 ENOUGH = 0.5

@@ -135,9 +135,7 @@ def _pair(
             say(f"{path} is damaged, and what is whole of it was read: {read.damage}", err=True)
     if found.dated and truth.dated and found.zoned != truth.zoned:
         bare, shift = (reference, -3600) if found.zoned else (estimate, 3600)
-        note = (
-            f"no time zone stands in {bare}, and UTC is assumed; --offset {shift} if its clock was an hour ahead of UTC"
-        )
+        note = f"{bare} gives no time zone; UTC is assumed; --offset {shift} if its clock was an hour ahead of UTC"
         say(note, err=True)
     return pair(name, person or name, found, truth, offset_s)
 

@@ -102,7 +102,7 @@ def tables(pairs: list[Pair]) -> list[Table]:
         intervals = pooled_intervals(pairs)
         if not any(np.isnan(low) for low, _ in intervals):
             told = (f"{low:.3f} to {high:.3f}" for low, high in intervals)
-            epochs.add_row("95 % interval (persons drawn anew)", "", "", "", *told)
+            epochs.add_row("95 % interval (persons resampled)", "", "", "", *told)
     nights = Table(
         box=None, title="Nights: estimate less reference, minutes (AASM), 95 % intervals", title_justify="left"
     )

@@ -70,6 +70,6 @@ def _walks(probability: Samples, walks: Array) -> list[Samples]:
 
 
 def _beyond(strangers: list[list[float]], accept: float) -> float:
-    """Just above so much of the strangers' scores that at most the share `accept` of them reaches it."""
+    """The score that at most the share `accept` of the strangers' scores reaches."""
     scores = np.sort(np.concatenate(strangers))
     return float(scores[min(int(np.ceil((1 - accept) * len(scores))), len(scores) - 1)]) + 1e-9

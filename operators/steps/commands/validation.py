@@ -146,7 +146,7 @@ def permutation(given: Labelled, columns: list[int], shuffles: int) -> float:
 
 
 def _thinned(given: Labelled, most: int) -> Labelled:
-    """At most so many steps of each person, evenly spread."""
+    """At most this many steps of each person, evenly spread."""
     kept = list[int]()
     for person in np.unique(given.persons):
         own = np.flatnonzero(given.persons == person)
