@@ -17,6 +17,7 @@ import scipy.io
 from devices.files.column_table import Wishes
 from devices.files.findings import Findings
 from devices.files.importer import read_files
+from devices.files.lab import matlab
 from operators.emg.envelope import Envelope
 from operators.emg.quality import SignalQuality
 from stream.chunk import NS, StreamSpec
@@ -216,6 +217,18 @@ def test_matlab_of_both_versions(tmp_path: Path) -> None:
         wishes = Wishes(**names, names={"lab.emg": "TA,GM"}, unit={"lab.emg": "mV"})
         (one,) = read_files([path], wishes)
         assert one.spec.channels == ("TA", "GM") and one.spec.units == ("mV",) and one.spec.rate_hz == 1000
+
+
+def test_matlab_files_of_every_version_that_scipy_keeps_for_its_own_tests() -> None:
+    """`testdouble`, nine numbers, written by MATLAB 4.2 to 7.4; the last one in HDF5, under a header that says 7.0."""
+    folder = Path(scipy.io.matlab.__file__).parent / "tests" / "data"
+    kept = sorted([*folder.glob("testdouble_*.mat"), *folder.glob("testhdf5_*.mat")])
+    if not kept:
+        pytest.skip("scipy came without its tests' data")
+    assert len(kept) >= 5
+    for path in kept:
+        assert matlab.knows(path.read_bytes()[:128]) or "_4.2c_" in path.name, path
+        assert np.array_equal(matlab.read_arrays(path)["testdouble"], np.linspace(0, 2 * np.pi, 9)), path
 
 
 def test_matlab_structures_tell_the_rates_of_their_own(tmp_path: Path) -> None:

@@ -19,10 +19,13 @@ RATES = re.compile(
     re.IGNORECASE,
 )
 DEEPEST = 8
+HEAD = re.compile(rb"MATLAB [5-7]\.\d MAT-file")
+HDF5 = b"\x89HDF\r\n\x1a\n"
+"""Stands after the header (512 bytes) of a file of version 7.3; the header's own words name an older version in files of MATLAB 7.4."""
 
 
 def knows(head: bytes) -> bool:
-    return head.startswith((b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"))
+    return bool(HEAD.match(head))
 
 
 def read_arrays(path: Path) -> dict[str, Array]:
@@ -31,7 +34,7 @@ def read_arrays(path: Path) -> dict[str, Array]:
     Raises RecordingError, also for version 7.3 where h5py is not installed.
     """
     with path.open("rb") as file:
-        newer = file.read(19).startswith(b"MATLAB 7.3")
+        newer = file.read(512 + len(HDF5)).endswith(HDF5)
     found = dict(_newer(path) if newer else _older(path))
     return {name: _time_first(array) for name, array in found.items()}
 
