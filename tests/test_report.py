@@ -245,6 +245,23 @@ def test_nothing_is_overwritten_and_a_second_instance_is_refused(tmp_path: Path)
     assert (tmp_path / "s-2.csv").exists()
 
 
+def test_a_report_lies_with_its_recording_and_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for recorded, place in (("walk", "walk/report"), ("again.mcap", "again-report"), ("", "reports/walk-report")):
+        outlet = SessionReport()
+        outlet.open(SPECS)
+        graph = Graph("walk", {}, "nodes: {}", recorded_in=recorded)
+        graph.nodes["report"] = Node("report", outlet, "devices.outlets.report.SessionReport")
+        outlet.meet(graph)
+        outlet.begin()
+        Walk(4).feed(outlet, 0, 4, tuple(SPECS))
+        outlet.close()
+        assert outlet.file == f"{place}.html"
+        for name in (place, f"{place}-curves"):
+            assert {row["recording"] for row in table(Path(f"{name}.csv"))} == {recorded}
+        assert (f"Recording <b>{recorded}</b>" in Path(f"{place}.html").read_text()) == bool(recorded)
+
+
 def test_a_page_that_cannot_be_drawn_is_told_and_its_data_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     outlet = opened(tmp_path / "s.html")
     outlet.begin()

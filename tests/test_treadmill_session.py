@@ -38,7 +38,7 @@ def table(path: Path) -> list[dict[str, str]]:
 def session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The folder in which a session was run, faster than real time, and what it printed."""
     folder = tmp_path_factory.mktemp("session")
-    quick = ["treadmill.realtime=false", f"treadmill.duration_s={SECONDS}", f"report.path={folder / 'live.html'}"]
+    quick = ["treadmill.realtime=false", f"treadmill.duration_s={SECONDS}"]
     faults = "treadmill.faults=[{kind: flat, muscle: SO, from_s: 6, for_s: 8}, {kind: lost, from_s: 10, for_s: 0.3}]"
     sets = [part for setting in [*quick, faults] for part in ("--set", setting)]
     done = kinegraph("run", CONFIG, *sets, "-o", folder / "recording", "--view", "lines")
@@ -48,7 +48,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 def test_every_cycle_is_where_it_truly_was(session: tuple[Path, str]) -> None:
     folder, shown = session
     true, envelope = truth(Treadmill(), SECONDS * 1000)
-    rows = [row for row in table(folder / "live.csv") if float(row["touch-down (s)"]) > 0]
+    rows = [row for row in table(folder / "recording" / "report.csv") if float(row["touch-down (s)"]) > 0]
     assert len(rows) >= len(true) - 1
     for row, (touch, lift, end) in zip(rows, true, strict=False):
         assert float(row["touch-down (s)"]) == touch / 1000
@@ -67,8 +67,9 @@ def test_every_cycle_is_where_it_truly_was(session: tuple[Path, str]) -> None:
 
 
 def test_the_page_names_what_went_wrong(session: tuple[Path, str]) -> None:
-    page = (session[0] / "live.html").read_text()
+    page = (session[0] / "recording" / "report.html").read_text()
     for told in (
+        "Recording <b>recording</b>",
         "SO bad (flat line",
         "gap in the signal or the contacts",
         "treadmill.emg",
@@ -115,7 +116,7 @@ def test_a_replay_that_may_speak_writes_the_same_table(session: tuple[Path, str]
     folder, _ = session
     again = ["--speak", "report", "--set", f"report.path={folder / 'again.html'}", "--verify", "-q"]
     kinegraph("replay", CONFIG, folder / "recording", *again)
-    assert (folder / "again.csv").read_bytes() == (folder / "live.csv").read_bytes()
+    assert (folder / "again.csv").read_bytes() == (folder / "recording" / "report.csv").read_bytes()
     assert "<svg" in (folder / "again.html").read_text()
 
 

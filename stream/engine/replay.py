@@ -104,6 +104,7 @@ class Replay:
         self.graph, self.recording = self.substitutes.reduced(graph), recording
         self.pace: Pace | None = speed if isinstance(speed, Pace) else Pace(speed) if speed else None
         self.graph.replays = recording.path.name
+        self.graph.recorded_in = str(output or "")
         self.graph.imported = tuple((recording.header.get("imported") or {}).get("files", ()))
         self._drops = recorded_drops(recording.log)
         self.pipeline = Pipeline(self.graph, speaking=speaking, bridge=self._bridge)

@@ -66,6 +66,7 @@ class Session:
     ) -> None:
         refuse_unsuited(graph)
         self.graph, self.folder, self._view, self._duration_s = graph, folder, view, duration_s
+        graph.recorded_in = str(folder or "")
         self._prior = PriorSession(folder, graph) if resume and folder else None
         self.clock = SessionClock(after=self._prior.last_time if self._prior else NEVER)
         self._ready: ReadyQueue = SimpleQueue()

@@ -95,6 +95,8 @@ class Graph:
 
     replays: str = ""
     """The recording that replaces the sources; "" where they are live."""
+    recorded_in: str = ""
+    """The folder or file that this run is being recorded in; "" where it is not."""
     imported: tuple[str, ...] = ()
     """The files that this recording was imported from; none if a session left it."""
 

@@ -34,6 +34,14 @@ class Held:
     sizes: list[int]
 
 
+@dataclass(frozen=True, slots=True)
+class About:
+    """What is the same in every row: what amplitudes are relative to, and the recording's name, "" where there is none."""
+
+    amplitudes: str
+    recording: str = ""
+
+
 def nothing_held(specs: Specs) -> Held:
     fields, muscles = len(numbers(specs.get("statistics"))), specs["cycles"].shape[1]
     limbs = dict(specs["cycles"].meta.get("limbs") or {}) if "limb" in (specs["closed"].dtype.names or ()) else {}
@@ -60,6 +68,7 @@ def header(specs: Specs) -> bytes:
         *(_named(f, closed) for f in CYCLE),
         "rejected",
         "amplitudes",
+        "recording",
     ]
     if statistics is not None:
         fields = numbers(statistics)
@@ -68,8 +77,8 @@ def header(specs: Specs) -> bytes:
     return _line(names)
 
 
-def take_closed(held: Held, rows: Array, start_ns: int, about: str) -> bytes:
-    """Take events of cycles; returns the lines that are complete with them. `about` says what amplitudes are normalised to."""
+def take_closed(held: Held, rows: Array, start_ns: int, about: About) -> bytes:
+    """Take events of cycles; returns the lines that are complete with them."""
     lines = b""
     for i in range(len(rows)):
         lines += release(held, start_ns, about)
@@ -82,7 +91,7 @@ def take_closed(held: Held, rows: Array, start_ns: int, about: str) -> bytes:
     return lines
 
 
-def take_statistics(held: Held, rows: Array, fields: Sequence[str], start_ns: int, about: str) -> bytes:
+def take_statistics(held: Held, rows: Array, fields: Sequence[str], start_ns: int, about: About) -> bytes:
     """Take numbers of muscles; returns the line of the held cycle, if they were the last that it lacked."""
     mine = rows[rows["number"] == held.number]
     for i, name in enumerate(fields):
@@ -105,7 +114,7 @@ def _awaited(held: Held) -> int:
     return held.sizes[held.limbs.index(str(held.event["limb"][0]))]
 
 
-def release(held: Held, start_ns: int, about: str) -> bytes:
+def release(held: Held, start_ns: int, about: About) -> bytes:
     """The line of the held cycle, with what has come of it; nothing if none is held."""
     if held.number == NONE:
         return b""
@@ -114,7 +123,7 @@ def release(held: Held, start_ns: int, about: str) -> bytes:
     values: list[Any] = [f"{np.datetime64(onset, 'ns')}Z", f"{(onset - start_ns) / NS:.6f}", held.number]
     values += [event[name].item() for name in _more(event.dtype)]
     values += [float(event[name]) for name in CYCLE]
-    values += [str(event["rejected"]), about, *held.values.T.ravel().tolist(), *held.flags]
+    values += [str(event["rejected"]), about.amplitudes, about.recording, *held.values.T.ravel().tolist(), *held.flags]
     held.number = NONE
     return _line(values)
 

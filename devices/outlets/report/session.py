@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -17,9 +17,19 @@ from devices.outlets.append_file import AppendFile
 from devices.outlets.claim import check_path, claim, let_go
 from devices.outlets.report.compose import compose
 from devices.outlets.report.curve_table import write_curves
-from devices.outlets.report.cycle_rows import Held, header, nothing_held, release, settle, take_closed, take_statistics
+from devices.outlets.report.cycle_rows import (
+    About,
+    Held,
+    header,
+    nothing_held,
+    release,
+    settle,
+    take_closed,
+    take_statistics,
+)
 from devices.outlets.report.data import Curves, Report, save
 from devices.outlets.report.peaks import MODE, MOVED
+from devices.outlets.report.place import free_stem, page_of, recording_of
 from devices.outlets.report.tally import GAIT, Tally, hear, nothing_yet, numbers
 from devices.outlets.report.words import relative_to
 from devices.outlets.report.workbook import missing, write_tables
@@ -52,7 +62,7 @@ class ReportRuntime:
 
     def __init__(self, specs: Specs) -> None:
         self.specs = specs
-        self.about = relative_to(specs["cycles"].meta)
+        self.about = About(relative_to(specs["cycles"].meta))
         self.graph: Graph | None = None
         self.table: AppendFile | None = None
         self.claim: FileLock | None = None
@@ -89,6 +99,7 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
     Memory is bounded: running statistics
     and at most 200 single curves. Every `interim_s` a page marked "interim" is drawn, so that a crash leaves one; pages are drawn by a
     process of their own and appear whole or not at all. Existing files are never overwritten: a second session gets name-2.html.
+    Without `path` the files lie with the session's recording, called after the node; where nothing is recorded, in reports.
     """
 
     inputs: ClassVar[tuple[str, ...]] = (
@@ -116,14 +127,14 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
     )
     durable: ClassVar[bool] = True
 
-    path: str = param("reports/session.html", help="the page; the CSV file lies beside it")
+    path: str = param("", help="the page; the tables lie beside it; empty: with the recording")
     title: str = param("EMG session", help="the page's heading")
     tables: tuple[Literal["xlsx", "mat"], ...] = param((), help="the tables as an Excel workbook or MATLAB file, too")
     interim_s: float = param(180.0, least=10.0, help="how often an interim page is drawn")
 
     def open(self, specs: Specs) -> Specs:
-        wrong = check_path(Path(self.path))
-        if wrong or Path(self.path).suffix != ".html":
+        wrong = check_path(Path(self.path)) if self.path else ""
+        if wrong or Path(self.path or "report.html").suffix != ".html":
             raise ParameterError("path", self.path, wrong or "a file that ends with .html")
         for kind in self.tables:
             if what := missing(kind):
@@ -156,18 +167,25 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
 
     @property
     def file(self) -> str:
-        return str(Path(self.path).with_name(f"{Path(self.state.stem).name}.html")) if self.state.stem else self.path
+        if not self.state.stem:
+            return self.path
+        page = Path(f"{self.state.stem}.html")
+        if self.path:
+            return str(Path(self.path).with_name(page.name))
+        return str(page.relative_to(Path.cwd()) if page.is_relative_to(Path.cwd()) else page)
 
     def meet(self, graph: Graph) -> None:
         self.runtime.graph = graph
+        self.runtime.about = replace(self.runtime.about, recording=recording_of(graph))
 
     def begin(self) -> None:
         runtime, state = self.runtime, self.state
-        runtime.claim = claim(Path(self.path).absolute())
+        page = page_of(self.path, runtime.graph, self._node)
+        runtime.claim = claim(page)
         try:
             fresh = not state.stem
             if fresh:
-                state.stem = str(_free_stem(Path(self.path).absolute().with_suffix("")))
+                state.stem = str(free_stem(page.with_suffix("")))
             runtime.table = AppendFile(_table(state), state.offset, state.pending.encode("latin-1"), fresh=fresh)
             if not runtime.table.offset and not runtime.table.pending:
                 runtime.table.write(header(runtime.specs))
@@ -200,7 +218,7 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
                 table.close()
                 if state.tally.revised:
                     settle(_table(state))
-                write_curves(Path(f"{state.stem}-curves.csv"), state.tally, runtime.specs)
+                write_curves(Path(f"{state.stem}-curves.csv"), state.tally, runtime.specs, runtime.about.recording)
                 written = {"cycles": _table(state), "curves": Path(f"{state.stem}-curves.csv")}
                 for kind in dict.fromkeys(self.tables):
                     write_tables(Path(f"{state.stem}.{kind}"), written)
@@ -218,7 +236,8 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
     def report(self, *, interim: bool = False) -> tuple[Report, Curves]:
         """What the page is drawn from, as far as the session has come."""
         runtime, state = self.runtime, self.state
-        inputs = next((n.inputs for n in runtime.graph.nodes.values() if n.part == self), {}) if runtime.graph else {}
+        node = runtime.graph.nodes.get(self._node) if runtime.graph else None
+        inputs = node.inputs if node else {}
         names = {port: str(edge) for port, edge in inputs.items()}
         report, curves = compose(state.tally, runtime.specs, runtime.graph, names)
         report.title, report.interim = self.title, interim
@@ -276,6 +295,12 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
         return process
 
     @property
+    def _node(self) -> str:
+        """What the graph calls it; of two with the same parameters, the first."""
+        nodes = self.runtime.graph.nodes.values() if self.runtime.graph else ()
+        return next((node.name for node in nodes if node.part == self), "report")
+
+    @property
     def _data(self) -> Path:
         path = Path(self.state.stem)
         return path.with_name(f".{path.name}.npz")
@@ -284,17 +309,6 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
 def _check_fields(specs: Specs, port: str, needed: tuple[str, ...]) -> None:
     if port in specs and not set(needed) <= set(specs[port].dtype.names or ()):
         raise InputError(port, specs[port].describe(), f"events with the fields {', '.join(needed)}")
-
-
-def _free_stem(stem: Path) -> Path:
-    """`stem`, or the first of stem-2, stem-3, ... of which neither page nor table exists."""
-    number, free = 1, stem
-    while any(
-        free.with_name(free.name + suffix).exists() for suffix in (".html", ".csv", "-curves.csv", ".xlsx", ".mat")
-    ):
-        number += 1
-        free = stem.with_name(f"{stem.name}-{number}")
-    return free
 
 
 def _table(state: ReportState) -> Path:

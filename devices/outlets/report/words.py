@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from devices.outlets.report.data import Column, Setting
+from devices.outlets.report.place import recording_of
 from stream.chunk import Samples, StreamSpec
 from stream.graph import Graph
 from stream.operator import Operator, Outlet
@@ -19,7 +20,7 @@ from stream.operator import Operator, Outlet
 COLUMNS = {
     "peak": ("Peak", 1, "highest point of a cycle."),
     "peak_pct": ("Peak at", 1, "place of the highest point; averaged on a circle, since 99 % and 1 % are neighbours."),
-    "mean": ("Mean", 1, "mean of the envelope over a cycle."),
+    "mean": ("Mean", 1, "mean over a cycle."),
     "integrated": ("iEMG", 2, "integrated EMG: mean times duration."),
     "mean_stance": ("Mean in stance", 1, ""),
     "mean_swing": ("Mean in swing", 1, ""),
@@ -96,6 +97,8 @@ def column(field: str, spec: StreamSpec) -> Column | None:
             "cycle": " Relative to each cycle's own maximum.",
         }.get(scale, "")
     unit = spec.unit_of(field)
+    if field == "integrated" and not unit.startswith(("V", "mV", "uV", "%")):
+        heading, note = "Integral", "mean times duration."
     return Column(heading, "% of cycle" if field == "peak_pct" else unit, decimals, note)
 
 
@@ -142,10 +145,10 @@ def sites(session: Mapping[str, Any], meta: Mapping[str, Any]) -> dict[str, str]
     return {}
 
 
-def replayed(graph: Graph | None) -> Iterator[tuple[str, str]]:
-    """Where a replay's samples come from."""
-    if graph and graph.replays:
-        yield "Recording", graph.replays + (f" (from {', '.join(graph.imported)})" if graph.imported else "")
+def recording(graph: Graph | None) -> Iterator[tuple[str, str]]:
+    """Where a replay's samples come from, and a session's lie."""
+    if graph and (name := recording_of(graph)):
+        yield "Recording", name + (f" (from {', '.join(graph.imported)})" if graph.imported else "")
 
 
 def settings(graph: Graph) -> Iterator[Setting]:
