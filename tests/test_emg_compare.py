@@ -23,6 +23,8 @@ from stream.chunk import StreamSpec
 from stream.errors import InputError, KinegraphError
 from stream.recording.series import Series, write_recording
 
+BAND = "its 95 % band at 40 %, low", "difference at 40 %", "its 95 % band at 40 %, high"
+
 
 def session(path, inputs, **meta):
     """A recording of these cycles, as a session leaves it."""
@@ -86,9 +88,25 @@ def test_the_command_writes_a_page_and_a_table(three, tmp_path):
     with (tmp_path / "out" / "comparison.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert {"divergence", "deviation, own mean", "eq_6_9, group mean"} <= {row["what"] for row in rows}
+    value = {(row["what"], row["muscle"], row["session"]): float(row["value"]) for row in rows}
+    read = [read_sessions(path)[0] for path in three]
+    for one in read:
+        column = one.curves[:, 40, one.muscles.index("TA")]
+        assert value["mean at 40 %", "TA", one.label] == pytest.approx(column.mean())
+        assert value["sd at 40 %", "TA", one.label] == pytest.approx(column.std(ddof=1))
+    low, at, high = (value[what, "TA", "a"] for what in BAND)
+    assert low < at < high and at == pytest.approx(value["mean at 40 %", "TA", "b"] - value["mean at 40 %", "TA", "a"])
+    assert page.count("<svg") == len(read[0].muscles) and all(
+        f">{name}</text>" in page for name in (*read[0].muscles, *"abc")
+    )
     assert run(compare, *three, "-o", tmp_path / "out").exit_code, "files that exist are not replaced"
     assert run(compare, three[0], "-o", tmp_path / "alone").exit_code, "one alone has nothing to be compared with"
     assert run(compare, three[0], "--node", "left", "-o", tmp_path / "x").exit_code
+
+
+def test_a_session_beside_itself_differs_nowhere(three, tmp_path):
+    done = run(compare, three[0], three[0], "-o", tmp_path / "out")
+    assert done.exit_code == 0 and "TA: divergence 0.000, means differ nowhere" in done.output
 
 
 def test_a_stored_reference_is_for_its_muscles_and_its_normalisation(three, tmp_path):

@@ -62,7 +62,6 @@ def compare(
     for speed in found.speeds:
         say(speed)
     for band in found.bands:
-        say(
-            f"{band.muscle}: divergence {found.distances[band.muscle][0, 1]:.3f}, means differ at {stretches(band.places)} % of the cycle"
-        )
+        where = f"at {stretches(band.places)} % of the cycle" if band.places else "nowhere"
+        say(f"{band.muscle}: divergence {found.distances[band.muscle][0, 1]:.3f}, means differ {where}")
     say(f"{page}: {', '.join(f'{label} ({n} cycles)' for label, n in zip(found.labels, found.cycles, strict=True))}")

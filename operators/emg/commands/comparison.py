@@ -46,7 +46,8 @@ class Band:
 class Comparison:
     """labels of the sessions, and the muscles that all have; intra, inter: scatter about the own and about the group's mean curve;
     distances {muscle: (n, n)}: Cauchy-Schwarz divergences; features (n, 11 m): of the 5 highest modes and their number;
-    linkage (n - 1, 4): scipy's, single; bands: of the first two sessions; speeds: which sessions walked faster or slower than the first"""
+    linkage (n - 1, 4): scipy's, single; means, sds {muscle: (n, 100)}: of each session's cycles, sds with n - 1;
+    bands: of the first two sessions; speeds: which sessions walked faster or slower than the first"""
 
     labels: list[str]
     cycles: list[int]
@@ -58,6 +59,8 @@ class Comparison:
     modes: dict[str, list[int]]
     features: Samples
     linkage: Samples
+    means: dict[str, Samples]
+    sds: dict[str, Samples]
     bands: list[Band]
     speeds: list[str]
 
@@ -74,10 +77,14 @@ def compare_sessions(sessions: list[SessionCycles], mixer: PeakMixtures) -> Comp
     curves = [s.curves[:, :, at] for s, at in zip(sessions, where, strict=True)]
     intra, inter = _scatters([s.label for s in sessions], muscles, curves)
     bands = [_band(name, curves[0][:, :, k], curves[1][:, :, k]) for k, name in enumerate(muscles)]
+    known = {name: [_known(c[:, :, k]) for c in curves] for k, name in enumerate(muscles)}
     return Comparison(
         [s.label for s in sessions], [len(s.curves) for s in sessions], muscles, dict(sessions[0].alike), intra, inter, tables,
         {name: [int(max(f.modes[at[k]], 0)) for f, at in zip(made, where, strict=True)] for k, name in enumerate(muscles)},
-        features, linkage(standardised(features), "single"), bands, other_speeds(sessions),
+        features, linkage(standardised(features), "single"),
+        {name: np.array([c.mean(axis=0) if len(c) else np.full(100, np.nan) for c in cs]) for name, cs in known.items()},
+        {name: np.array([c.std(axis=0, ddof=1) if len(c) > 1 else np.full(100, np.nan) for c in cs]) for name, cs in known.items()},
+        bands, other_speeds(sessions),
     )  # fmt: skip
 
 

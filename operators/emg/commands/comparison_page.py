@@ -10,15 +10,19 @@ from pathlib import Path
 import numpy as np
 
 from operators.emg.commands.comparison import Comparison, Scatter, standardised
+from operators.emg.commands.comparison_curves import WITH_BANDS, draw_curves
 from stream.complete import complete
 
 PAGE = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{{ title }}</title><style>
 body{font:15px/1.4 sans-serif;max-width:60em;margin:2em auto}table{border-collapse:collapse;margin:1em 0}
-td,th{padding:.15em .7em;text-align:right}td:first-child,th:first-child{text-align:left}img{max-width:100%}</style></head><body>
+td,th{padding:.15em .7em;text-align:right}td:first-child,th:first-child{text-align:left}img{max-width:100%}
+.curves{display:flex;flex-wrap:wrap}.curves figure{margin:0}</style></head><body>
 <h1>{{ title }}</h1>
 <p>{% for s in sessions %}{{ s[0] }}: {{ s[1] }} cycles. {% endfor %}Normalisation: {{ alike.normalisation }};
 heights in {{ alike.height_unit or "no unit" }}. Sessions that were normalised or filtered otherwise are refused.
 {% for s in speeds %} <b>{{ s }}.</b>{% endfor %}</p>
+<h2>Mean curves</h2><p>{{ curves_note }}</p>
+<div class="curves">{% for curve in curves %}<figure>{{ curve | safe }}</figure>{% endfor %}</div>
 {% for table in tables %}<h2>{{ table.title }}</h2><p>{{ table.note }}</p>
 <table><tr>{% for h in table.head %}<th>{{ h }}</th>{% endfor %}</tr>
 {% for row in table.rows %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</table>{% endfor %}
@@ -34,7 +38,7 @@ def write_page(found: Comparison, path: Path, title: str) -> None:
 
     text = Environment(autoescape=True).from_string(PAGE).render(
         title=title, sessions=list(zip(found.labels, found.cycles, strict=True)), alike=found.alike, tables=_tables(found),
-        dendrogram=_dendrogram(found), speeds=found.speeds,
+        dendrogram=_dendrogram(found), speeds=found.speeds, curves=draw_curves(found), curves_note=_curves_note(found),
     )  # fmt: skip
     with complete(path) as draft:
         draft.write_text(text, encoding="utf-8")
@@ -53,15 +57,32 @@ def write_tables(found: Comparison, path: Path) -> None:
                 ("divergence", muscle, mine, theirs, found.cycles[i], table[i, j])
                 for j, theirs in enumerate(found.labels)
             ]
+        for i, mine in enumerate(found.labels):
+            for what, curve in (("mean", found.means[muscle][i]), ("sd", found.sds[muscle][i])):
+                rows += [(f"{what} at {p} %", muscle, mine, "", found.cycles[i], v) for p, v in enumerate(curve)]
     for band in found.bands:
-        rows += [
-            (f"difference at {p} %", band.muscle, found.labels[0], found.labels[1], "", d)
-            for p, d in enumerate(band.difference)
-        ]
+        of = band.muscle, *found.labels[:2], ""
+        for p, (difference, width) in enumerate(zip(band.difference, band.width, strict=True)):
+            rows.append((f"difference at {p} %", *of, difference))
+            rows += [
+                (f"its 95 % band at {p} %, {end}", *of, difference + k * width) for end, k in (("low", -1), ("high", 1))
+            ]
     with complete(path) as draft, draft.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(("what", "muscle", "session", "other", "cycles", "value", "normalisation"))
         writer.writerows((*row, found.alike["normalisation"]) for row in rows)
+
+
+def _curves_note(found: Comparison) -> str:
+    bands = (
+        "mean of each session, with its standard deviation"
+        if len(found.labels) <= WITH_BANDS
+        else "mean of each session"
+    )
+    return (
+        f"Above: {bands}. Below: {found.labels[1]} less {found.labels[0]}, with a band that holds the whole difference in 95 % of "
+        "resamplings of cycles (bootstrap); shaded: where it excludes 0."
+    )
 
 
 def _tables(found: Comparison) -> list[dict[str, object]]:
@@ -125,7 +146,10 @@ def _dendrogram(found: Comparison) -> str:
 
     figure = Figure(figsize=(8, 1.5 + 0.3 * len(found.labels)), layout="constrained")
     axes = figure.add_subplot()
-    dendrogram(found.linkage, labels=found.labels, orientation="right", ax=axes, color_threshold=0.0)
+    linkage = found.linkage.copy()
+    if not linkage[:, 2].any():
+        linkage[:, 2] = np.finfo(float).eps  # all alike: an axis needs a length
+    dendrogram(linkage, labels=found.labels, orientation="right", ax=axes, color_threshold=0.0)
     axes.set_xlabel(f"distance ({standardised(found.features).shape[1]} features)")
     held = io.BytesIO()
     figure.savefig(held, format="png", dpi=110)
