@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -185,6 +186,11 @@ def test_left_stands_beside_right_and_stages_begin_and_end_from_the_page(browser
         browser.wait("document.querySelector('.table table').textContent.includes('uphill')")
         before = browser.value("document.querySelector('.cycles').dataset.cycles")
         beside(browser)
+        scales = json.loads(browser.value("document.querySelector('.cycles').dataset.scales"))
+        assert scales[:4] == scales[4:] and len({most for _, most in scales}) == 4, (
+            "left and right of a muscle share one"
+        )
+        assert {least for least, _ in scales} == {0}
         browser.wait(f"document.querySelector('.cycles').dataset.cycles > {before} + 5")
         browser.size(1280, 4000)
         browser.wait("innerWidth === 1280 && document.querySelector('.cycles canvas').width > 1000")

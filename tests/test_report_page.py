@@ -158,6 +158,17 @@ def test_modes_are_ellipses_from_half_a_cycle_before_to_half_a_cycle_after() -> 
     assert "150" in svg[0] and "−50" in svg[0]
 
 
+def test_an_angle_is_drawn_below_zero_and_is_called_no_muscle() -> None:
+    report, curves = sample(("hip",))
+    below = Curves(curves.mean - 80.0, curves.sd, curves.single - 80.0)
+    report.unit, report.envelopes = "deg", False
+    (above,), (angle,) = (draw(part, 63.0, "deg", ["hip"]) for part in (curves, below))
+    assert "−50" in angle and "−50" not in above
+    text = " ".join(Page(render(report, below)).text.split())
+    assert "Signals over the gait cycle 12 accepted cycles" in text and "Amplitude: deg. Every panel" in text
+    assert not any(told in text for told in ("Linear envelope", "Surface electrodes", "not normalised", "uscle"))
+
+
 def test_few_cycles_interim_and_normalised() -> None:
     report, curves = sample(accepted=4)
     report.interim, report.normalisation, report.unit = True, "MVC of 2026-01-01", "%"

@@ -33,7 +33,7 @@ def compose(tally: Tally, specs: Specs, graph: Graph | None, names: Mapping[str,
         normalisation=normalisation,
         started=max(tally.started, 0),
         ended=max(tally.ended, 0),
-        facts=[*_facts(tally, specs, session), *words.replayed(graph)],
+        facts=[*_facts(tally, specs, session), *words.recording(graph)],
         accepted=tally.accepted,
         rejected=tally.rejected,
         reasons=[(_reason(reason), n) for reason, n in most_common(tally)],
@@ -52,6 +52,7 @@ def compose(tally: Tally, specs: Specs, graph: Graph | None, names: Mapping[str,
         versions=words.versions(),
         graph=graph.text.strip() if graph else "",
         stance_percent=float(centre[2]),
+        envelopes="envelope" in cycles.meta or str(cycles.units[0]) in ("V", "mV", "uV"),
     )
     _fill_table(report, tally, specs, words.sites(session, cycles.meta))
     fill_groups(report, tally, specs)

@@ -53,13 +53,13 @@ def draw_limbs(curves: Curves, panels: list[LimbPanel], unit: str) -> list[str]:
         made = []
         for panel in panels:
             figure, axes = _empty_panel(size)
-            tops = []
+            ends = [0.0]
             for limb, channel, colour in zip(panel.limbs, panel.channels, cycle(LIMBS), strict=False):
                 mean, sd = curves.mean[:, channel], np.nan_to_num(curves.sd[:, channel])
                 _band(axes, mean, sd, colour, limb)
-                tops.append(np.nan_to_num(mean + sd).max())
-            tops += [_norm(axes, curves, channel) for channel in panel.channels]
-            _finish(axes, figure, 1.05 * max([*tops, 1e-9]), unit)
+                ends += [np.nan_to_num(mean + sd).max(), np.nan_to_num(_lower(mean, sd)).min()]
+            ends += [end for channel in panel.channels for end in _norm(axes, curves, channel)]
+            _finish(axes, figure, ends, unit)
             made.append(_svg(figure, f"{panel.name}, {' and '.join(panel.limbs)}"))
         return made
 
@@ -73,7 +73,7 @@ def draw_stages(curves: Curves, names: list[str], stages: list[str], unit: str) 
             figure, axes = _empty_panel(size)
             for k, stage in enumerate(stages):
                 _band(axes, curves.stages[k, :, i], None, STAGES[k % len(STAGES)], stage)
-            _finish(axes, figure, 1.05 * max(float(np.nan_to_num(curves.stages[:, :, i]).max(initial=0)), 1e-9), unit)
+            _finish(axes, figure, np.nan_to_num(curves.stages[:, :, i]).ravel().tolist(), unit)
             made.append(_svg(figure, f"{name} by stage"))
         return made
 
@@ -100,7 +100,7 @@ def draw_modes(curves: Curves, names: list[str], modes: list[list[list[float]]],
                     axes.plot(place + turn, height, color=LIMBS[0], linewidth=0.9)
             for cut in (0, 100):
                 axes.axvline(cut, color="#777777", linewidth=0.6, linestyle=(0, (3, 2)))
-            _finish(axes, figure, 1.05 * max([*tops, 1e-9]), unit)
+            _finish(axes, figure, tops, unit)
             axes.set_xlim(-50, 150)
             axes.set_xticks([-50, 0, 50, 100, 150])
             made.append(_svg(figure, f"{name} modes"))
@@ -165,25 +165,38 @@ def _band(axes: Axes, mean: Samples, sd: Samples | None, colour: str, label: str
     percent = np.arange(len(mean)) * (100 / len(mean))
     if np.isfinite(mean).any():
         if sd is not None:
-            axes.fill_between(percent, np.maximum(mean - sd, 0), mean + sd, color=colour, alpha=0.2, linewidth=0)
+            axes.fill_between(percent, _lower(mean, sd), mean + sd, color=colour, alpha=0.2, linewidth=0)
         axes.plot(percent, mean, color=colour, linewidth=1.2, label=label)
 
 
-def _norm(axes: Axes, curves: Curves, channel: int) -> float:
-    """The normative band of a channel, behind its curve, where there is one; gives how far up it reaches."""
+def _signed(mean: Samples) -> bool:
+    """Whether a mean curve goes below 0, as that of an angle or a moment does; an envelope undershoots by less than a twentieth."""
+    known = mean[np.isfinite(mean)]
+    return bool(len(known)) and bool(known.min() < -0.05 * max(known.max(), 0.0))
+
+
+def _lower(mean: Samples, sd: Samples) -> Samples:
+    """The lower edge of a curve's band, which is not below 0 where the signal never is."""
+    return mean - sd if _signed(mean) else np.maximum(mean - sd, 0)
+
+
+def _norm(axes: Axes, curves: Curves, channel: int) -> tuple[float, float]:
+    """The normative band of a channel, behind its curve, where there is one; gives how far down and up it reaches."""
     if not curves.norms.size or np.isnan(curves.norms[:, :, channel]).any():
-        return 0.0
+        return 0.0, 0.0
     low, high = curves.norms[:, :, channel]
+    low = low if _signed(curves.mean[:, channel]) else np.maximum(low, 0)
     percent = np.arange(len(low)) * (100 / len(low))
-    axes.fill_between(percent, np.maximum(low, 0), high, color=NORM, alpha=0.16, linewidth=0, zorder=0)
+    axes.fill_between(percent, low, high, color=NORM, alpha=0.16, linewidth=0, zorder=0)
     for edge in (low, high):
         axes.plot(percent, edge, color=NORM, linewidth=0.6, linestyle=(0, (4, 2)), zorder=1, gid="norm")
-    return float(high.max())
+    return float(low.min()), float(high.max())
 
 
-def _finish(axes: Axes, figure: Figure, top: float, unit: str) -> None:
+def _finish(axes: Axes, figure: Figure, ends: list[float], unit: str) -> None:
+    """An axis that holds all `ends`, and 0."""
     axes.set_xlim(0, 100)
-    axes.set_ylim(0, top)
+    axes.set_ylim(1.05 * min([*ends, 0.0]), 1.05 * max([*ends, 1e-9]))
     axes.set_xticks([0, 25, 50, 75, 100])
     axes.locator_params(axis="y", nbins=4)
     if axes.get_legend_handles_labels()[1]:
@@ -216,13 +229,18 @@ def _muscle(
     axes.add_collection(LineCollection(lines, colors=THIN, linewidths=0.25, alpha=0.55))
     if np.isfinite(mean).any():
         if np.isfinite(sd).any():
-            axes.fill_between(percent, np.maximum(mean - sd, 0), mean + sd, color=BAND, alpha=0.6, linewidth=0)
+            axes.fill_between(percent, _lower(mean, sd), mean + sd, color=BAND, alpha=0.6, linewidth=0)
         axes.plot(percent, mean, color=INK, linewidth=1.3)
     else:
         axes.text(50, 0.5, "no valid cycle", ha="center", color="#777777", transform=axes.get_xaxis_transform())
     axes.set_xlim(0, 100)
-    top = max(_top(mean, sd, single), 1.05 * _norm(axes, curves, channel))
-    axes.set_ylim(0, top)
+    low, high = _norm(axes, curves, channel)
+    top, bottom = max(_top(mean, sd, single), 1.05 * high), 1.05 * low
+    if _signed(mean):
+        bottom = min(bottom, -_top(-mean, sd, -single))
+        axes.axhline(0.0, color="#777777", linewidth=0.4)
+        _mark_cut(axes, -single, -bottom, below=True)
+    axes.set_ylim(bottom, top)
     _mark_cut(axes, single, top)
     axes.set_xticks([0, 25, 50, 75, 100])
     axes.locator_params(axis="y", nbins=4)
@@ -249,17 +267,21 @@ def _top(mean: Samples, sd: Samples, single: Samples) -> float:
     return float(1.05 * max(band.max() if len(band) else 0.0, np.quantile(values, 0.95), 1e-9))
 
 
-def _mark_cut(axes: Axes, single: Samples, top: float) -> None:
-    """Say where the axis ends below a cycle's peak: a mark where it leaves the picture, and up to where it goes."""
+def _mark_cut(axes: Axes, single: Samples, top: float, *, below: bool = False) -> None:
+    """Say where the axis ends before a cycle's peak: a mark where it leaves the picture, and how far it goes.
+
+    `below`: at the lower end, with `single` and `top` negated.
+    """
     highest = np.nan_to_num(single).max(axis=1) if single.size else np.empty(0)
-    over = np.flatnonzero(highest > top)
+    over = np.flatnonzero(highest > max(top, 0.0))
     if not len(over):
         return
     at = np.nan_to_num(single[over]).argmax(axis=1) * (100 / single.shape[1])
-    axes.plot(at, np.full(len(at), top), "^", color="#a3211b", markersize=2.5, clip_on=False)
+    sign, mark, word = (-1, "v", "down") if below else (1, "^", "up")
+    axes.plot(at, np.full(len(at), sign * top), mark, color="#a3211b", markersize=2.5, clip_on=False)
     axes.text(
-        0.99, 0.99, f"cut off: {len(over)} up to {highest.max():.3g}", ha="right", va="top", fontsize=5, color="#a3211b",
-        transform=axes.transAxes,
+        0.99, 0.01 if below else 0.99, f"cut off: {len(over)} {word} to {sign * highest.max():.3g}", ha="right",
+        va="bottom" if below else "top", fontsize=5, color="#a3211b", transform=axes.transAxes,
     )  # fmt: skip
 
 

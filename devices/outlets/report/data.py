@@ -138,6 +138,8 @@ class Report:
     graph: str = ""
     table_file: str = ""
     stance_percent: float = float("nan")
+    envelopes: bool = True
+    """Whether the curves are envelopes of EMG, not an angle's, a moment's or a force's."""
     panels: list[LimbPanel] = field(default_factory=list)
     grids: list[Grid] = field(default_factory=list)
     stages: list[str] = field(default_factory=list)

@@ -141,15 +141,18 @@ def limits(report: Report) -> list[str]:
             f"Only {report.accepted} cycles were accepted. Means and standard deviations of so few are uncertain; the variance ratio"
             " is given from ten cycles on."
         )
-    if report.normalisation in ("", "none"):
+    if report.envelopes and report.normalisation in ("", "none"):
         told.append(
             "Amplitudes are not normalised. They depend on electrodes, skin and their exact place: compare shapes and times between people"
             " and sessions, not sizes, and do not compare sizes between muscles."
         )
+    if report.envelopes:
+        told.append(
+            "Surface electrodes also pick up neighbouring muscles (cross-talk), most of all over thin or deep ones. An envelope shows when"
+            " a muscle's region was electrically active; it is not a force."
+        )
     return [
         *told,
-        "Surface electrodes also pick up neighbouring muscles (cross-talk), most of all over thin or deep ones. An envelope shows when a"
-        " muscle's region was electrically active; it is not a force.",
         "A high variance ratio or coefficient of variation alone says that the cycles are not alike. It does not say why: a loose"
         " electrode and a changing gait look the same there. The signal verdict judges the electrode, from clipping, flat line, mains hum,"
         " baseline noise and artefacts.",

@@ -43,15 +43,19 @@ export class CyclesPanel extends Panel {
     this.sheet.canvas.style.height = `${Math.ceil(names.length / columns) * CELL_HEIGHT}px`;
     const pen = this.sheet.clear();
     const cell = this.sheet.width / columns;
+    const scales: Range[] = [];
+    const ranges = names.map((_, c) => this.range(c, mean?.newest ?? null, sd?.newest ?? null, last?.newest ?? null));
     (order ?? names.map((_, c) => c)).forEach((c, place) => {
       const name = names[c] as string;
       const [x, y] = [(place % columns) * cell, Math.floor(place / columns) * CELL_HEIGHT];
-      const box = { left: x + PAD, top: y + HEAD, width: cell - 2 * PAD, height: CELL_HEIGHT - HEAD - PAD, most: 1 };
-      box.most = this.drawChannel(pen, c, name, x + PAD, y, cell - 2 * PAD, mean?.newest ?? null, sd?.newest ?? null, last?.newest ?? null);
+      const box = { left: x + PAD, top: y + HEAD, width: cell - 2 * PAD, height: CELL_HEIGHT - HEAD - PAD, least: 0, most: 1 };
+      [box.least, box.most] = scales[c] = (order ? shared(ranges, order, place) : ranges[c]) as Range;
+      this.drawChannel(pen, c, name, box, mean?.newest ?? null, sd?.newest ?? null, last?.newest ?? null);
       if (low?.newest && high?.newest) norms += drawNorm(pen, column(low.newest, c), column(high.newest, c), box);
       if (targets) bands += drawTargets(pen, targets, newestOf(targets, until, name), box);
       if (modes) ellipses += drawModes(pen, modes, newestOf(modes, until, name), box);
     });
+    this.element.dataset["scales"] = JSON.stringify(scales);
     if (high) this.element.dataset["norms"] = String(norms);
     if (modes) this.element.dataset["ellipses"] = String(ellipses);
     if (targets) this.element.dataset["targets"] = String(bands);
@@ -61,26 +65,32 @@ export class CyclesPanel extends Panel {
     this.sheet.canvas.setAttribute("aria-label", `${names.length} channels, ${this.note.textContent}`);
   }
 
-  private drawChannel(
-    pen: CanvasRenderingContext2D, c: number, name: string, left: number, top: number, width: number,
-    mean: Newest | null, sd: Newest | null, last: Newest | null
-  ): number {
-    const rows = [mean && column(mean, c), sd && column(sd, c), last && column(last, c)];
-    const [middle, band, newest] = rows as (number[] | null)[];
-    const tops = [...(middle ?? []).map((m, i) => m + (band?.[i] ?? 0)), ...(newest ?? [])].filter((v) => v === v);
-    const most = this.info.most ?? (tops.length ? Math.max(...tops) : 1);
-    const height = CELL_HEIGHT - HEAD - PAD;
-    const y = (v: number) => top + HEAD + height * (1 - Math.max(0, Math.min(1, v / most)));
+  /** From where to where a channel's curves reach; from 0, unless they go below it as an angle or a moment does. */
+  private range(c: number, mean: Newest | null, sd: Newest | null, last: Newest | null): Range {
+    const [middle, band, newest] = [mean, sd, last].map((n) => (n ? column(n, c) : []));
+    const known = (values: number[]) => values.filter((v) => v === v);
+    const tops = known([...(middle ?? []).map((m, i) => m + (band?.[i] ?? 0)), ...(newest ?? [])]);
+    const most = this.info.most ?? (Math.max(0, ...tops) || 1);
+    const least = Math.min(0, ...known([...(middle ?? []), ...(newest ?? [])]));
+    return [least < -0.05 * Math.max(most, 0) ? Math.min(least, ...known((middle ?? []).map((m, i) => m - (band?.[i] ?? 0)))) : 0, most];
+  }
+
+  private drawChannel(pen: CanvasRenderingContext2D, c: number, name: string, box: Box, mean: Newest | null, sd: Newest | null, last: Newest | null): void {
+    const { left, width, height, least, most } = box;
+    const top = box.top - HEAD;
+    const [middle, band, newest] = [mean && column(mean, c), sd && column(sd, c), last && column(last, c)];
+    const y = (v: number) => Math.max(box.top, Math.min(box.top + height, level(v, box)));
     const x = (i: number, n: number) => left + (width * i) / Math.max(1, n - 1);
     pen.font = "12px system-ui, sans-serif";
     pen.fillStyle = colour("ink");
     pen.fillText(name, left, top + 12);
     pen.fillStyle = colour("dim");
     pen.textAlign = "right";
-    pen.fillText(`${Number(most.toPrecision(2))} ${this.streams[0]?.info.units[0] ?? ""}`, left + width, top + 12);
+    pen.fillText(`${least < 0 ? `${Number(least.toPrecision(2))} to ` : ""}${Number(most.toPrecision(2))} ${this.streams[0]?.info.units[0] ?? ""}`, left + width, top + 12);
     pen.textAlign = "left";
     pen.strokeStyle = colour("rule");
-    pen.strokeRect(left + 0.5, top + HEAD + 0.5, width, height);
+    pen.strokeRect(left + 0.5, box.top + 0.5, width, height);
+    if (least < 0) pen.strokeRect(left + 0.5, y(0), width, 0);
     if (middle && band) {
       pen.beginPath();
       middle.forEach((m, i) => pen.lineTo(x(i, middle.length), y(m + (band[i] ?? 0))));
@@ -90,7 +100,6 @@ export class CyclesPanel extends Panel {
     }
     this.line(pen, middle ?? null, x, y, colour("dim"), 1);
     this.line(pen, newest ?? null, x, y, shade(c), 1.8);
-    return most;
   }
 
   private line(
@@ -125,7 +134,17 @@ const column = (newest: Newest, c: number): number[] => {
   return Array.from({ length: points }, (_, i) => newest.data[i * channels + c] as number);
 };
 
-interface Box { left: number; top: number; width: number; height: number; most: number }
+type Range = [number, number];
+
+interface Box { left: number; top: number; width: number; height: number; least: number; most: number }
+
+const level = (v: number, box: Box): number => box.top + box.height * (1 - (v - box.least) / (box.most - box.least));
+
+/** The range of a left channel and its right one together, so that they can be compared. */
+function shared(ranges: Range[], order: number[], place: number): Range {
+  const pair = [order[place - (place % 2)], order[place - (place % 2) + 1]].map((c) => ranges[c as number] as Range);
+  return [Math.min(...pair.map(([least]) => least)), Math.max(...pair.map(([, most]) => most))];
+}
 
 /** The rows of a channel's latest cycle, until a time; without a channel, of each. A joint mixture ("GM+GL") is each of its channels'. */
 function newestOf(stream: Stream, until: number, channel = ""): Cell[][] {
@@ -158,7 +177,7 @@ function drawModes(pen: CanvasRenderingContext2D, stream: Stream, rows: Cell[][]
         const [a, b] = [Math.cos((k * Math.PI) / 24), Math.sin((k * Math.PI) / 24)];
         const place = of(row, "place_pct") + turn + along * a;
         const height = of(row, "height") + up * (rho * a + Math.sqrt(Math.max(0, 1 - rho * rho)) * b);
-        pen.lineTo(box.left + (box.width * place) / 99, box.top + box.height * (1 - height / box.most));
+        pen.lineTo(box.left + (box.width * place) / 99, level(height, box));
       }
       pen.stroke();
     }
@@ -175,7 +194,7 @@ function drawNorm(pen: CanvasRenderingContext2D, low: number[], high: number[], 
   pen.strokeStyle = "#12924a";
   for (const edge of [low, high]) {
     pen.beginPath();
-    edge.forEach((v, i) => pen.lineTo(box.left + (box.width * i) / Math.max(1, edge.length - 1), box.top + box.height * (1 - Math.max(0, Math.min(1, v / box.most)))));
+    edge.forEach((v, i) => pen.lineTo(box.left + (box.width * i) / Math.max(1, edge.length - 1), Math.max(box.top, Math.min(box.top + box.height, level(v, box)))));
     pen.stroke();
   }
   pen.restore();
@@ -192,7 +211,7 @@ function drawTargets(pen: CanvasRenderingContext2D, stream: Stream, rows: Cell[]
   pen.lineWidth = 1.6;
   for (const row of rows) {
     const [from, to] = [of(row, "from_pct"), of(row, "to_pct")];
-    const y = (v: number) => box.top + box.height * (1 - v / box.most);
+    const y = (v: number) => level(v, box);
     pen.strokeStyle = String(row[field(stream, "state")]) === "within" ? "#12924a" : "#d6202e";
     for (const [a, b] of from <= to ? [[from, to]] : [[from, 100], [0, to]])
       pen.strokeRect(box.left + (box.width * (a as number)) / 100, y(of(row, "high")), (box.width * ((b as number) - (a as number))) / 100, y(of(row, "low")) - y(of(row, "high")));
