@@ -118,6 +118,18 @@ def alarms(hours: float, seeds: list[int], muscles: list[str]) -> None:
         say(f"{muscle}: false alarms {false} by seed; told after so many cycles, median (each): {late}")
 
 
+def references(hours: float, muscles: list[str]) -> None:
+    """The same steady walking as sessions of half an hour, each with a reference of its own: false alarms."""
+    say(f"drift: {hours:g} h of steady walking a muscle, in sessions of half an hour")
+    for muscle in muscles:
+        rng, found = np.random.default_rng([1, 7, *muscle.encode()]), list[int]()
+        for _ in range(round(2 * hours)):
+            watch = DriftWatch()
+            minutes = (watch.walk(walked(rng, 57, muscle)) for _ in range(30))
+            found.append(sum(state == "on" for minute in minutes for _, state in minute))
+        say(f"{muscle}: {sum(found)} false alarms in {len(found)} sessions, at most {max(found)} in one")
+
+
 def percentiles(call: Callable[[], object], times: int) -> str:
     taken = np.empty(times)
     for k in range(times):
@@ -187,7 +199,9 @@ def speed(times: int) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.mixtures", description=__doc__)
-    parser.add_argument("--only", nargs="+", default=["speed", "drift"], choices=["speed", "drift"])
+    parser.add_argument(
+        "--only", nargs="+", default=["speed", "drift", "references"], choices=["speed", "drift", "references"]
+    )
     parser.add_argument("--hours", type=float, default=20.0)
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3])
     parser.add_argument("--muscles", nargs="+", default=list(BURSTS))
@@ -196,6 +210,8 @@ def main() -> None:
         speed(1000)
     if "drift" in given.only:
         alarms(given.hours, given.seeds, given.muscles)
+    if "references" in given.only:
+        references(given.hours, given.muscles)
 
 
 if __name__ == "__main__":
