@@ -62,8 +62,7 @@ audit: .venv/installed
 		$(BIN)/python -m pip_audit --strict --no-deps --disable-pip --requirement "$$wanted"
 
 licences: .venv/installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check pip-licenses
-	$(BIN)/pip-licenses --order=license
+	$(BIN)/python -m tests.licences
 
 bench: .venv/installed-for-bench
 	$(BIN)/python -m bench --readme

@@ -17,7 +17,7 @@ import pytest
 
 from stream.ceiling import taken
 from stream.chunk import NS
-from stream.clock import SessionClock
+from stream.clock import BOOTTIME, SessionClock
 from stream.recording import Recording
 from tests.command_line import BOARD, KINEGRAPH, QUIET, Command, refused, shell, wait_for
 
@@ -274,3 +274,17 @@ def test_a_cache_that_cannot_be_written_says_what_to_do(made: Path, tmp_path: Pa
     (tmp_path / "file").touch()
     done = shell(f"{KINEGRAPH} check {made / 'graph.yaml'}", tmp_path, {"KINEGRAPH_CACHE": str(tmp_path / "file")})
     assert done.returncode == 2 and "set KINEGRAPH_CACHE to a folder that can be written" in done.stderr
+
+
+def test_a_machine_that_was_suspended_leaves_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Linux' monotonic clock stands still meanwhile; what comes afterwards is recorded at the time that it is, as if it had not."""
+    if BOOTTIME is None:
+        pytest.skip("this system's monotonic clock goes on while it is suspended, or there is no clock that does")
+    clock, gettime = SessionClock(), time.clock_gettime_ns
+    before, anchor = clock.now(), clock.to_json()
+    monkeypatch.setattr(time, "clock_gettime_ns", lambda which: gettime(which) + 600 * NS)
+    stamped_before = time.monotonic_ns() - NS
+    after = clock.now()
+    assert 600 * NS <= after - before < 660 * NS
+    assert 599 * NS <= clock.at(stamped_before) - before < 660 * NS and clock.now() >= after
+    assert clock.to_json() == anchor

@@ -7,7 +7,17 @@ from typing import Literal, get_args
 
 import numpy as np
 
-Kind = Literal["unplug", "suspend", "kill", "full disk", "broker down", "clock step", "stuck broker", "slow clients"]
+Kind = Literal[
+    "unplug",
+    "suspend",
+    "kill",
+    "full disk",
+    "broker down",
+    "clock step",
+    "stuck broker",
+    "slow clients",
+    "machine asleep",
+]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
 EVERY_S: dict[Kind, float] = {
@@ -19,6 +29,7 @@ EVERY_S: dict[Kind, float] = {
     "clock step": 90,
     "stuck broker": 75,
     "slow clients": 60,
+    "machine asleep": 90,
 }
 """How often each happens to each session, in the mean."""
 FOR_S: dict[Kind, tuple[float, float]] = {
@@ -30,6 +41,7 @@ FOR_S: dict[Kind, tuple[float, float]] = {
     "clock step": (5.0, 60.0),
     "stuck broker": (1.0, 20.0),
     "slow clients": (2.0, 30.0),
+    "machine asleep": (0.2, 3.0),
 }
 """The least and the most that each lasts; after a kill: until somebody starts the session again."""
 

@@ -15,6 +15,9 @@ LOOK_S = 1.0
 START_S = 120.0
 """The most that the first start may take, with every kernel to be compiled."""
 STEP_S = 3600
+ASLEEP_S = 600
+"""So long is the machine asleep, by its clocks, while a process that takes it for true is stopped for a moment."""
+STOPPED = {"suspend", "machine asleep"}
 
 
 def soak(sessions: Sequence[Watched], faults: Sequence[Fault], seconds: float) -> Counter[str]:
@@ -59,9 +62,11 @@ def _wait_until_going(sessions: Sequence[Watched]) -> None:
 def _begin(watched: Watched, fault: Fault) -> bool:
     """Whether it could happen: a process that is not there cannot be stopped, nor its page be looked at."""
     kind = fault.kind
-    if kind in ("kill", "suspend") and not watched.alive:
+    if kind in ("kill", "suspend", "machine asleep") and not watched.alive:
         return False
-    if kind == "kill" and ("suspend" in watched.wrong or not watched.going):
+    if kind == "kill" and (watched.wrong & STOPPED or not watched.going):
+        return False
+    if kind in STOPPED and watched.wrong & STOPPED:
         return False
     if kind in ("stuck broker", "broker down") and watched.wrong & {"stuck broker", "broker down"}:
         return False
@@ -80,6 +85,10 @@ def _begin(watched: Watched, fault: Fault) -> bool:
             watched.broker.stop()
         case "stuck broker":
             watched.broker.send(signal.SIGSTOP)
+        case "machine asleep":
+            watched.send(signal.SIGSTOP)
+            slept = watched.switches / "asleep"
+            slept.write_text(str(ASLEEP_S + (int(slept.read_text()) if slept.exists() else 0)))
         case "clock step":
             ahead = STEP_S if round(fault.at_s * 10) % 2 else -STEP_S
             (watched.switches / "clock").write_text(str(ahead))
@@ -92,7 +101,7 @@ def _end(watched: Watched, fault: Fault) -> None:
     match fault.kind:
         case "unplug":
             watched.device.plug()
-        case "suspend":
+        case "suspend" | "machine asleep":
             watched.send(signal.SIGCONT)
         case "kill":
             watched.start()

@@ -3,7 +3,8 @@
     python -m tests.soak.process SWITCHES ARGUMENTS...
 
 SWITCHES is a folder. While it holds a file `full`, no write to a recording or a table succeeds; a file `clock` holds the seconds by
-which the wall clock is ahead (below 0: behind).
+which the wall clock is ahead (below 0: behind), and a file `asleep` those that the machine was suspended: the wall clock and the clock of
+boot went on, the monotonic one did not.
 """
 
 from __future__ import annotations
@@ -33,9 +34,9 @@ def fill_disk(full: Path) -> None:
     os.write, os.pwrite = guarded(os.write), guarded(os.pwrite)
 
 
-def set_clock(switch: Path) -> None:
-    """From now on the wall clock is ahead by what `switch` holds."""
-    wall_ns = time.time_ns
+def set_clock(switch: Path, asleep: Path) -> None:
+    """From now on the wall clock is ahead by what `switch` holds, and the machine was suspended for as long as `asleep` says."""
+    wall_ns, gettime_ns = time.time_ns, time.clock_gettime_ns
 
     def ahead_s() -> float:
         try:
@@ -43,14 +44,21 @@ def set_clock(switch: Path) -> None:
         except (OSError, ValueError):
             return 0.0
 
-    time.time_ns = lambda: wall_ns() + round(ahead_s() * NS)
+    def slept_ns() -> int:
+        return NS * int(asleep.read_text()) if asleep.exists() else 0
+
+    def clock_ns(clock: int) -> int:
+        return gettime_ns(clock) + (slept_ns() if clock == time.CLOCK_BOOTTIME else 0)
+
+    time.time_ns = lambda: wall_ns() + round(ahead_s() * NS) + slept_ns()
     time.time = lambda: time.time_ns() / NS
+    time.clock_gettime_ns = clock_ns
 
 
 def main() -> None:
     switches = Path(sys.argv.pop(1))
     fill_disk(switches / "full")
-    set_clock(switches / "clock")
+    set_clock(switches / "clock", switches / "asleep")
     sys.argv[0] = "kinegraph"
     from stream.cli import main as kinegraph
 
