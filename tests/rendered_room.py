@@ -47,6 +47,8 @@ class Scene:
     lamp_noise: float = 5.0
     coarse: tuple[tuple[float, float], ...] = ()
     """When the blanket itself is measured badly: noise in bed far above the empty bed's."""
+    off: tuple[tuple[float, float], ...] = ()
+    """When there are no frames, as during a power cut."""
     seed: int = 1
 
 
@@ -172,7 +174,12 @@ class RenderedRoom(Bedside):
     def read(self, feed: Feed) -> None:
         renderer, begun = Renderer(self.scene, self.width, self.height), feed.now()
         times = np.arange(round(self.scene.length * self.fps)) / self.fps
+        lost = 0
         for part in np.array_split(times, max(1, len(times) // 8)):
-            stamps = begun + np.round(part * NS).astype(np.int64)
-            frames = np.stack([renderer.frame(float(t)) for t in part])
-            feed.emit(Chunk(stamps, frames, int(stamps[-1])), "depth")
+            seen = part[[not during(self.scene.off, float(t)) for t in part]]
+            lost = lost if len(seen) == len(part) else -1
+            if len(seen):
+                stamps = begun + np.round(seen * NS).astype(np.int64)
+                frames = np.stack([renderer.frame(float(t)) for t in seen])
+                feed.emit(Chunk(stamps, frames, int(stamps[-1]), lost), "depth")
+                lost = 0

@@ -18,7 +18,7 @@ from tests.depth_frames import blocks_spec, play
 
 GRAPH = """
 nodes:
-  camera: {use: devices.simulators.bedside.Bedside, width: 256, height: 192, fps: 2}
+  camera: {use: devices.simulators.bedside.Bedside, CAMERA}
   simplify: {use: operators.depth.simplify.Simplify, from: camera.depth}
   view: {use: operators.depth.view.View, from: simplify.blocks}
   bed: {use: operators.depth.bed.BedRegion, from: {view: view, in: simplify.blocks}, regions: REGIONS}
@@ -33,8 +33,8 @@ IN, MOVES = ((120.0, 2700.0),), (400.0, 1000.0, 1900.0, 2300.0)
 class Told:
     """What the graph says of a scene; epochs by their number."""
 
-    def __init__(self, scene: Scene, regions: str = "[]") -> None:
-        graph = load_text(GRAPH.replace("REGIONS", regions))
+    def __init__(self, scene: Scene, regions: str = "[]", camera: str = "width: 256, height: 192, fps: 2") -> None:
+        graph = load_text(GRAPH.replace("REGIONS", regions).replace("CAMERA", camera))
         graph.nodes["camera"].part = RenderedRoom.of(graph.nodes["camera"].part, scene)  # type: ignore[arg-type]
         run = Run(graph, ("view", "bed", "presence", "activity.epochs", "scorer")).run()
         finals = run["scorer"][run["scorer"]["final"]]
@@ -97,8 +97,10 @@ def test_people_beds_and_lamps_are_no_jump_of_the_view() -> None:
     assert [str(e["what"]) for e in Told(scene).view] == ["steady"]
 
 
-def test_a_lamp_on_the_bed_is_a_light_and_no_wake() -> None:
-    told = Told(Scene(3000, IN, moves=MOVES, lamp=((1500, 1860),)))
+@pytest.mark.parametrize("noise", [0.2, 0.5, 5.0, 30.0])
+def test_a_lamp_on_the_bed_is_a_light_and_no_wake_however_strong(noise: float) -> None:
+    camera = "width: 192, height: 144, fps: 1" if noise != 5.0 else "width: 256, height: 192, fps: 2"
+    told = Told(Scene(2100, IN, moves=MOVES, lamp=((1500, 1860),), lamp_noise=noise), camera=camera)
     states, why = told.of(1530, 1860)
     assert states <= {"unknown", "sleep"} and why == {"light"}
     assert "wake" not in told.of(270, 1850)[0]
@@ -109,6 +111,36 @@ def test_a_second_body_is_noticed_and_movement_with_it_is_nobodys() -> None:
     states, why = told.of(1260, 2070)
     assert "wake" not in states and "body" in why and why <= {"", "body"}
     assert told.of(2190, 2640) == ({"sleep"}, {""})
+
+
+CAME, LEFT = (1410.0, 2100.0), (900.0, 1410.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "partner", "nudges", "off"),
+    [
+        ("came in a cut, and is there after another", CAME, (), ((1380, 1500), (1800, 1860))),
+        ("came in a cut after a nudge", CAME, ((900, 0.08, 0.0),), ((1380, 1500),)),
+        ("came in the cut in which the camera was nudged", CAME, ((1400, 0.08, 0.0),), ((1380, 1500),)),
+        ("left in the cut in which the camera was nudged", LEFT, ((1400, -0.08, 0.0),), ((1380, 1500),)),
+        ("was there when the camera was nudged", (900.0, 2100.0), ((1400, 0.08, 0.0),), ()),
+    ],
+)
+def test_a_second_body_is_noticed_across_power_cuts_and_nudges(
+    name: str, partner: tuple[float, float], nudges: tuple[tuple[float, float, float], ...], off: tuple[tuple[float, float], ...]
+) -> None:  # fmt: skip
+    bout = tuple(float(t) for t in range(2400, 2580, 12))
+    stirs = tuple(float(t) for t in np.arange(partner[0] + 10, partner[1], 40))
+    scene = Scene(
+        2850, ((120.0, 2850.0),), partner=(partner,), partner_moves=stirs, moves=(400.0, *bout), nudges=nudges, off=off
+    )
+    told = Told(scene, camera="width: 192, height: 144, fps: 1")
+    states = told.of(270, 2370)[0]
+    assert states == {"sleep", "unknown"}, f"{name}: the other's movement is nobody's"
+    why = told.of(max(partner[0], off[0][1] if off else 0) + 90, partner[1])[1]
+    assert "body" in why if partner[1] > 1500 else True
+    assert told.of(2430, 2550)[0] == {"wake"}, f"{name}: alone again"
+    assert told.of(2700, 2760)[0] == {"sleep"}
 
 
 def test_a_heap_left_behind_is_unknown_after_ten_minutes_and_empty_after_45() -> None:

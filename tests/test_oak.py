@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import re
 import sys
 import threading
 import time
@@ -21,7 +22,7 @@ import pytest
 from devices.discovery.oak import described
 from devices.oak import Oak
 from devices.oak.adapter import Frames, ImuPackets, Message
-from devices.oak.camera import CameraLink, lit, opened
+from devices.oak.camera import CameraLink, _depth, lit, opened
 from devices.oak.library import NONE, all_cameras, library, not_opened, ns
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from devices.simulators.oak import BOOTED_S, SimulatedCamera, SimulatedOak
@@ -392,6 +393,32 @@ class TestWithDepthai:
             assert "source failed" in kinds and "source reopened" in kinds
             level = recording.read("level")[1]
             assert (abs(level[:, 0] - 2400) < 100).all() and (abs(level[:, 1] - 0.9) < 0.02).all()
+
+    @pytest.mark.parametrize(
+        "asked", [Oak(), Oak(preset="density"), Oak(depth="tof"), Oak(depth="tof", preset="mid_range")]
+    )
+    def test_the_depth_node_is_built_as_depthai_declares_it(self, asked: Oak) -> None:
+        """A node of a camera can be made only with one; so what is asked of it is held against depthai's own signatures."""
+        dai, calls = library(), []
+
+        def create(node: Any) -> Any:
+            return SimpleNamespace(build=lambda **given: calls.append((node.build.__doc__, given)))
+
+        _depth(dai, SimpleNamespace(create=create), asked)
+        ((text, given),) = calls
+        overloads = re.findall(r"build\(self: [\w.]+, (.*)\) -> depthai", text)
+        taken = [{part.split(":")[0] for part in re.split(r", (?=\w+:)", one)} for one in overloads]
+        assert any(set(given) <= names for names in taken), (sorted(given), taken)
+
+    @pytest.mark.parametrize(
+        "method", ["setIrLaserDotProjectorIntensity", "setIrFloodLightIntensity"], ids=["projector", "flood"]
+    )
+    def test_lights_are_set_as_depthai_declares_it(self, method: str) -> None:
+        declared = getattr(library().Device, method).__doc__
+        assert f"{method}(self: depthai.DeviceBase, intensity: float, mask: int = -1) -> bool" in declared
+        words = " ".join(declared.split())
+        assert "Intensity on range 0 to 1" in words and "The emitter is turned off by default" in words
+        assert "True on success, false if not found" in words
 
     def test_the_library_keeps_to_itself(self) -> None:
         """No report of its use goes out, and no crash dump is kept, unless the user's environment says so."""

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from operators.depth.light import LIGHT_S, STEADY, lit
 from operators.depth.noise import Noise
 from operators.depth.presence import BED, IN, NAMES, OUT, UNKNOWN
 from operators.depth.view import VIEW, check_view
@@ -40,12 +41,8 @@ LEAST_EPOCHS = 4
 """Fewer tell nothing of the noise."""
 RESTLESS = 3.0
 """No noise in bed is this many times that of the empty bed, unless it has been as steady as noise is."""
-STEADY, STEADY_EPOCHS = 0.2, 20
-"""Noise, unlike movement, scatters by less than this share of its level, within an epoch's still part and over this many epochs."""
-LIGHT_S, LIGHT_SHARE = 12.0, 0.9
-"""A rise for at least so long, with hardly a pause, and as steady as noise, may be a light that makes depths noisier."""
-DISPLACED = 0.2
-"""It is none where it grows by this share of itself over twice the time: a random walk grows by 0.41, steady movement by 1, noise by 0."""
+STEADY_EPOCHS = 20
+"""Over so many epochs noise scatters as little as within one (operators.depth.light)."""
 
 WHYS = np.array(["", "unseen", "dark", "camera", "still", "region", "body"])
 
@@ -65,26 +62,6 @@ def collect(x: Samples, time: Times, begin: int, slot_ns: int, sums: Samples, co
                 counts[slot, k] += 1.0
 
 
-def lit(change: Samples, far: Samples, moving: NDArray[np.bool_], n: int, level: float) -> NDArray[np.bool_]:
-    """Which averages (slots,) lie in a stretch of `n` that is all but throughout above the threshold, steady, and displaces nothing.
-
-    far    the change over twice the time; NaN: not known, and then nothing is lit
-    level  the change while nothing happens
-    """
-    found = np.zeros(len(change), np.bool_)
-    for first in range(len(change) - n + 1):
-        part = slice(first, first + n)
-        above = moving[part] & np.isfinite(far[part])
-        if above.sum() < LIGHT_SHARE * n:
-            continue
-        near, farther = change[part][above], far[part][above]
-        middle = float(np.mean(near))
-        grown = abs(float(np.mean(farther)) - middle)
-        if float(np.std(near)) <= STEADY * middle and grown <= DISPLACED * (middle - level):
-            found[part] |= moving[part]
-    return found
-
-
 @dataclass(slots=True)
 class ActivityState:
     """
@@ -92,8 +69,9 @@ class ActivityState:
     sums, counts    (slots, k) of the open epoch: change, and frames; far_sums, far_counts: of the change over twice the time
     needed          how many frames an epoch must have; expected: how many it should have
     bed, out        (k,) where each sleeper is (`unasked`: before anything is known); whether out of bed since the epoch's beginning
-    in_bed, empty   noise while each sleeper is in bed, and while the bed is empty
+    in_bed, empty   noise while each sleeper is in bed, and while the bed is empty; far_bed: in bed, of the change over twice the time
     why             (k,) of WHYS: why nobody knows where a sleeper is, or whose movement it is; moved: noise is learned again since a jump
+    crowded         (k,) whether there was a second body at any time in the open epoch
     dark, jumped    whether the view is dark; whether there was darkness or a jump in the open epoch
     lost            what the next emission says is missing before it
     """
@@ -113,8 +91,10 @@ class ActivityState:
     unasked: int
     out: Times
     in_bed: Noise
+    far_bed: Noise
     empty: Noise
     why: Times
+    crowded: Times
     moved: bool
     dark: bool
     jumped: bool
@@ -188,8 +168,8 @@ class Activity(Operator[ActivityState]):
             ActivityState(
                 list(spec.channels), epoch_ns, -(-epoch_ns // slots), NEVER, 0, int(self.reset_gap_s * NS) // epoch_ns,
                 self.epoch_s * rate_hz, np.zeros((slots, k)), np.zeros((slots, k)), np.zeros((slots, k)), np.zeros((slots, k)),
-                np.full(k, unasked), unasked, np.zeros(k, np.int64), Noise.of(k), Noise.of(k),
-                np.zeros(k, np.int64), False, False, False, 0,
+                np.full(k, unasked), unasked, np.zeros(k, np.int64), Noise.of(k), Noise.of(k), Noise.of(k),
+                np.zeros(k, np.int64), np.zeros(k, np.int64), False, False, False, 0,
             ),
             delay_s=self.epoch_s,
             decision_s={"epochs": 1 / rate_hz},
@@ -288,6 +268,7 @@ class Activity(Operator[ActivityState]):
         if what == "moved":
             s.moved = True
             s.in_bed.clear()
+            s.far_bed.clear()
             s.empty.clear()
 
     def _moved_to(self, sleeper: str, state: str, why: str) -> None:
@@ -295,6 +276,7 @@ class Activity(Operator[ActivityState]):
         if sleeper in s.sleepers:
             k = s.sleepers.index(sleeper)
             s.why[k] = int(np.flatnonzero(why == WHYS)[0]) if why in WHYS else 0
+            s.crowded[k] = s.crowded[k] or why == "body"
             s.bed[k] = int(np.flatnonzero(state == NAMES)[0])
             s.out[k] = s.out[k] and s.bed[k] == OUT
 
@@ -319,9 +301,10 @@ class Activity(Operator[ActivityState]):
         s = self.state
         s.begin, s.silent = NEVER, 0
         s.moved = s.jumped = False
-        s.why[:] = 0
+        s.why[:] = s.crowded[:] = 0
         s.bed[:] = s.unasked
         s.in_bed.clear()
+        s.far_bed.clear()
         s.empty.clear()
 
     def _epoch(self, made: Rows) -> None:
@@ -330,7 +313,7 @@ class Activity(Operator[ActivityState]):
         with np.errstate(invalid="ignore"):
             change = s.sums / s.counts
             far = s.far_sums / s.far_counts
-        limits = np.array([self._limit(k, change[:, k]) for k in range(len(s.sleepers))])
+        limits = np.array([self._limit(k, change[:, k], far[:, k]) for k in range(len(s.sleepers))])
         for k in range(len(s.sleepers)):
             made.append(self._row(k, change, far, limits))
         for held in (s.sums, s.counts, s.far_sums, s.far_counts):
@@ -338,14 +321,17 @@ class Activity(Operator[ActivityState]):
         s.jumped = s.dark
         s.begin += s.epoch_ns
         s.out[:] = s.bed == OUT
+        s.crowded[:] = WHYS[s.why] == "body"
 
-    def _limit(self, k: int, change: Samples) -> float:
+    def _limit(self, k: int, change: Samples, far: Samples) -> float:
         """Learn from the epoch's averages (slots,) of a sleeper, and give the threshold (mm); NaN: not known."""
         s = self.state
         finite = change[np.isfinite(change)]
         if 2 * len(finite) > len(change) and not s.jumped:
             if s.bed[k] == IN:
                 s.in_bed.learn(k, finite)
+                if np.isfinite(far).any():
+                    s.far_bed.learn(k, far[np.isfinite(far)])
             elif s.out[k]:
                 s.empty.learn(k, finite)
         if s.in_bed.count[k] < LEAST_EPOCHS:
@@ -361,8 +347,7 @@ class Activity(Operator[ActivityState]):
         seen = float(s.counts[:, k].sum()) / s.expected
         slot_s = s.slot_ns / NS
         moving = change[:, k] > limits[k]
-        level = s.in_bed.level_of(k) if limits[k] == limits[k] else math.nan
-        light = lit(change[:, k], far[:, k], moving, math.ceil(LIGHT_S * NS / s.slot_ns), level)
+        light = self._lit(k, change[:, k], far[:, k], moving)
         moving &= ~light
         there = np.isfinite(change[:, k]) & ~light
         moved_s = float(moving.sum()) * slot_s if limits[k] == limits[k] else math.nan
@@ -391,6 +376,14 @@ class Activity(Operator[ActivityState]):
         )
         return activity, event
 
+    def _lit(self, k: int, change: Samples, far: Samples, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which of the averages (slots,) in movement are none, but noise that has risen."""
+        s = self.state
+        if not moving.any() or not s.far_bed.count[k]:
+            return np.zeros(len(change), np.bool_)
+        n = math.ceil(LIGHT_S * NS / s.slot_ns)
+        return lit(change, far, moving, n, s.in_bed.level_of(k), s.in_bed.scatter_of(k), s.far_bed.level_of(k))
+
     def _why(self, k: int, seen: float, light: float, moved_s: float, own_s: float) -> str:
         """Why the epoch cannot be judged; "": it can. `own_s` of the movement is surely this sleeper's."""
         s = self.state
@@ -408,7 +401,7 @@ class Activity(Operator[ActivityState]):
             return "camera" if s.moved else "learning"
         if light > 1 - self.least_seen:
             return "light"
-        whose = WHYS[s.why[k]] == "body" or own_s < self.least_s
+        whose = bool(s.crowded[k]) or own_s < self.least_s
         return "body" if whose and moved_s >= self.least_s else ""
 
     def _chunks(self, made: Rows, until: int) -> list[tuple[str, Chunk]]:

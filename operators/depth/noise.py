@@ -43,10 +43,14 @@ class Noise:
 
     def threshold(self, k: int, sigmas: float, least_rise: float) -> float:
         """What channel `k` exceeds only where something moves; at least one epoch must have been learned."""
-        n, level = min(int(self.count[k]), EPOCHS), self.level_of(k)
+        level = self.level_of(k)
+        return level + max(sigmas * self.scatter_of(k), least_rise * level)
+
+    def scatter_of(self, k: int) -> float:
+        """How far channel `k` scatters in the stillest half of the epochs, as a standard deviation."""
+        n = min(int(self.count[k]), EPOCHS)
         order = np.argsort(self.level[:n, k], kind="stable")
-        scatter = float(np.median(self.scatter[order[: max(1, n // 2)], k]))
-        return level + max(sigmas * scatter, least_rise * level)
+        return float(np.median(self.scatter[order[: max(1, n // 2)], k]))
 
     def steady(self, k: int, most: float, epochs: int) -> bool:
         """Whether the stillest half of at least this many epochs scatters by at most `most` of its level, in each and among all."""

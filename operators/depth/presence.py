@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from operators.depth.bodies import CROWD, CROWD_S, Bodies
 from operators.depth.regions import REGION, block_of, region_spec, sleepers_of, take
 from operators.depth.seconds import Seconds, add, look, restless
 from operators.depth.view import VIEW, check_view
@@ -30,10 +31,6 @@ AGAIN = 0.7
 BLIND_S = 300.0
 """While the empty bed is not known: without movement for this long is an empty bed."""
 PAUSE_NS = 5 * NS
-CROWD, ALONE = 1.4, 1.2
-"""A second body: from this many times on, and down to this many times, the share that one body raises."""
-CROWD_S, ALONE_S = 30, 300
-"""For this long; and so long after lying down the share of one body is known."""
 DOUBTS = ("", "still", "region", "camera", "dark")
 STILL, ODD, CAMERA, DARK = 1, 2, 3, 4
 ALIVE = 0.005
@@ -47,14 +44,13 @@ class PresenceState:
     """
     regions    (k, 4)           in blocks: row, column, rows, columns; no rows: not known
     empty      (rows, columns)  the empty bed's depth, NaN where not known
-    taken      (rows, columns)  while it is not known: the bed's depth with the sleeper in it; NaN where not known
     seconds                     the present second, and the present stretch of `learn_s`
     state, wanted (k,)          UNKNOWN, IN or OUT; what the depth has said since `since` (k,) ns; `seen` (k,) ns: when it was last seen
     still      (k,)             for how many stretches nothing has moved
     seen_now   (k, 3)           of the newest second: share raised, mean height (mm), share measured
     doubt      (k,)             why the depth is not believed (of DOUBTS); alive: for how many stretches something has moved; was_in: in
                                 bed when the camera was moved
-    alone      (k, 2)           the share that one body raises: sum and how many seconds; crowd: seconds in a row with more; two: believed
+    bodies                      one in a region, or two
     lost       what the next chunks of `out` and `height` say is missing before them
     """
 
@@ -62,7 +58,6 @@ class PresenceState:
     block: int
     regions: Times
     empty: Samples
-    taken: Samples
     seconds: Seconds
     state: Times
     wanted: Times
@@ -73,9 +68,7 @@ class PresenceState:
     doubt: Times
     alive: Times
     was_in: Times
-    alone: Samples
-    crowd: Times
-    two: Times
+    bodies: Bodies
     lost: Times
 
 
@@ -129,11 +122,10 @@ class Presence(Operator[PresenceState]):
         k, quiet_min = len(sleepers), (self.vacant_min, self.unsure_min, self.odd_min)
         self.hold(
             PresenceState(
-                list(sleepers), block, np.zeros((k, 4), np.int64), np.full(spec.shape, np.nan), np.full(spec.shape, np.nan),
-                Seconds.of(spec.shape),
+                list(sleepers), block, np.zeros((k, 4), np.int64), np.full(spec.shape, np.nan), Seconds.of(spec.shape),
                 np.zeros(k, np.int64), np.zeros(k, np.int64), np.full(k, NEVER), np.full(k, NEVER), np.zeros(k, np.int64),
                 np.full((k, 3), np.nan), np.zeros(k, np.int64), np.zeros(k, np.int64), np.zeros(k, np.int64),
-                np.zeros((k, 2)), np.zeros(k, np.int64), np.zeros(k, np.int64), np.zeros(2, np.int64),
+                Bodies.of(k, spec.shape), np.zeros(2, np.int64),
             ),
             delay_s=1.0,
             decision_s={"out": max(60 * max(quiet_min), BLIND_S, CROWD_S, self.hold_s, self.unseen_s) + self.learn_s + 1},
@@ -216,7 +208,8 @@ class Presence(Operator[PresenceState]):
         """The view has become another one."""
         s = self.state
         if what == "moved":
-            s.empty[:] = s.taken[:] = np.nan
+            s.bodies.moved(s.empty, s.regions)
+            s.empty[:] = np.nan
             s.seconds.since = NEVER
         for k in range(len(s.sleepers)):
             if what in ("moved", "dark"):
@@ -266,43 +259,36 @@ class Presence(Operator[PresenceState]):
     def _count_bodies(self, k: int, raised: float, end: int, events: Rows) -> None:
         """Learn what one body raises, and notice a second one."""
         s = self.state
-        known = s.alone[k, 1] >= ALONE_S
-        one = float(s.alone[k, 0] / s.alone[k, 1]) if known else np.nan
-        if s.state[k] == IN and raised != raised:
-            raised = one + self._come(k)
-        if s.state[k] != IN or raised != raised:
-            s.crowd[k] = 0
-            return
-        if not known:
-            s.alone[k] += raised, 1.0
-            return
-        other = raised < ALONE * one if s.two[k] else raised >= CROWD * one
-        s.crowd[k] = s.crowd[k] + 1 if other else 0
-        if s.crowd[k] >= CROWD_S:
-            s.two[k], s.crowd[k] = 1 - s.two[k], 0
-            events.append((end - 1, self._event(k, end - CROWD_S * NS, "body" if s.two[k] else "")))
+        if s.state[k] != IN:
+            s.bodies.crowd[k] = 0
+        elif s.bodies.known(k):
+            if s.bodies.count(k, self._times(k)):
+                events.append((end - 1, self._event(k, end - CROWD_S * NS, "body" if s.bodies.two[k] else "")))
+        elif raised == raised:
+            s.bodies.learn(k, raised)
 
-    def _come(self, k: int) -> float:
-        """The share of the region that is higher than with the sleeper alone, less what is lower: who turns over only moves it."""
+    def _times(self, k: int) -> float:
+        """How many times the share of one body is raised now; NaN: not known."""
         s = self.state
-        higher, lower = np.full_like(s.seen_now, np.nan), np.full_like(s.seen_now, np.nan)
-        look(s.seconds.mean, s.taken, s.regions, self.rise_mm, higher)
-        look(-s.seconds.mean, -s.taken, s.regions, self.rise_mm, lower)
-        return float(higher[k, 0] - lower[k, 0])
+        return s.bodies.times(k, float(s.seen_now[k, 0]), s.seconds.mean, s.regions, self.rise_mm)
+
+    def _part(self, k: int) -> tuple[slice, slice]:
+        """The blocks of a sleeper's region."""
+        row, column, rows, columns = self.state.regions[k].tolist()
+        return slice(row, row + rows), slice(column, column + columns)
 
     def _judge_stretch(self, k: int, end: int, events: Rows) -> None:
         """What the stretch that is over says: learn the empty bed, or note that somebody is there."""
         s = self.state
         moving = restless(s.seconds.stretch, s.regions[k], self.still_mm)
-        row, column, rows, columns = s.regions[k]
-        part = (slice(row, row + rows), slice(column, column + columns))
+        part = self._part(k)
         known = bool(np.isfinite(s.empty[part]).any())
         if moving < 0 or s.seen_now[k, 2] < self.least_valid:
             s.still[k] = 0
             return
         if s.doubt[k] == DARK:
             return
-        if moving > max(2.0, ALIVE * rows * columns):
+        if moving > max(2.0, ALIVE * s.regions[k, 2] * s.regions[k, 3]):
             self._moves(k, known, end, events)
             return
         s.still[k] += 1
@@ -317,7 +303,7 @@ class Presence(Operator[PresenceState]):
             return
         depth = s.seconds.depth()[part]
         s.empty[part] = np.where(np.isfinite(depth), depth, s.empty[part])
-        s.taken[part] = np.nan
+        s.bodies.taken[part] = np.nan
         s.doubt[k] = s.was_in[k] = 0
         if s.state[k] != OUT:
             self._become(k, OUT, end - round(quiet_s * NS), end - 1, events)
@@ -329,9 +315,8 @@ class Presence(Operator[PresenceState]):
         s.alive[k] = s.alive[k] + 1 if s.state[k] == OUT else 0
         if s.state[k] == UNKNOWN and (not known or s.doubt[k] in (STILL, CAMERA)):
             if not known:
-                row, column, rows, columns = s.regions[k]
-                part = (slice(row, row + rows), slice(column, column + columns))
-                s.taken[part] = s.seconds.depth()[part]
+                part = self._part(k)
+                s.bodies.take(k, part, s.seconds.depth()[part], self.rise_mm)
             self._become(k, IN, s.seconds.since, end - 1, events)
         elif self.odd_min and s.alive[k] * self.learn_s >= 60 * self.odd_min:
             s.doubt[k] = ODD
@@ -342,6 +327,11 @@ class Presence(Operator[PresenceState]):
     ) -> None:
         """Be in another state; `keep`: how long it has been still goes on counting."""
         s = self.state
+        if (
+            state == IN and s.state[k] == UNKNOWN
+        ):  # a second one is still there, or came while nobody looked: known at once
+            s.bodies.two[k] = s.bodies.two[k] or self._times(k) >= CROWD
+            why = "body" if s.bodies.two[k] else ""
         s.state[k] = s.wanted[k] = state
         s.still[k] = s.still[k] if keep else 0
         s.alive[k] = 0
@@ -349,7 +339,7 @@ class Presence(Operator[PresenceState]):
             s.doubt[k] = 0
         if state == OUT:
             s.was_in[k] = 0
-            s.alone[k], s.crowd[k], s.two[k] = 0.0, 0, 0
+            s.bodies.left(k)
         events.append((stamp, self._event(k, since, why)))
 
     def _event(self, k: int, since: int, why: str) -> tuple[Any, ...]:

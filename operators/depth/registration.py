@@ -11,7 +11,7 @@ from stream.chunk import Samples
 MOST_MM = 200.0
 """A block counts for no more than this: one that shows something else is no reason to shift all the others."""
 REACH = 3
-EXPLAINS = 0.5
+EXPLAINS, EXPLAINS_PARTLY = 0.5, 0.75
 CELLS = 8
 EDGE_MM = 60.0
 LEAST_BLOCKS, LEAST_TILT_MM = 0.25, 10.0
@@ -30,8 +30,16 @@ class Fit:
     @property
     def explains(self) -> bool:
         """Whether it is a jump: it leaves at most half of the change, and is none too small."""
-        large = max(abs(self.down), abs(self.right)) >= LEAST_BLOCKS or self.tilt >= LEAST_TILT_MM
-        return large and self.left < EXPLAINS * self.was
+        return self._large and self.left < EXPLAINS * self.was
+
+    @property
+    def explains_partly(self) -> bool:
+        """Whether it is one beside which something else has changed: it leaves at most three quarters."""
+        return self._large and self.left < EXPLAINS_PARTLY * self.was
+
+    @property
+    def _large(self) -> bool:
+        return max(abs(self.down), abs(self.right)) >= LEAST_BLOCKS or self.tilt >= LEAST_TILT_MM
 
 
 def cost(difference: Samples) -> float:

@@ -23,8 +23,8 @@ VIEW = np.dtype([("onset", "<i8"), ("what", "U8"), ("down", "<f8"), ("right", "<
 """Since `onset` the view is `steady`, `moved` or `dark`; moved: by how many pixels the picture went down and right, NaN: unknown."""
 RECENT = 5
 """Seconds of which the mean is held against the reference."""
-CONFIRM = 3
-"""Seconds in a row in which a jump must explain the change."""
+CONFIRM, CONFIRM_PARTLY = 3, 10
+"""Seconds in a row in which a jump must explain the change, and in which it must explain a quarter of it, or all must be another."""
 ACCEPT_S = 60
 """A change that no jump explains is a change in the room: after this long it is what is there."""
 FLICKER_MM = 100.0
@@ -46,7 +46,8 @@ class ViewState:
     seconds    the present second. newest (RECENT, rows, cols): the means of the newest ones, a ring; count: how many there were
     reference  (rows, cols)  what is there, as it was before; NaN: not known. settled: of how many seconds it is
     usual      how much the picture differs from the reference when nothing has happened (mm)
-    changed    seconds since it has differed more. explained, replaced: those in a row which a jump explains, or in which all is another
+    changed    seconds since it has differed more. explained, partly, replaced: those in a row which a jump explains, or explains in
+               part, or in which all is another
     since      when the present change was noticed first (ns)
     dark       whether it is; hidden: seconds in a row that say otherwise
     told       whether anything was reported; jumped: whether the newest that was reported is a jump
@@ -62,6 +63,7 @@ class ViewState:
     usual: float
     changed: int
     explained: int
+    partly: int
     replaced: int
     since: int
     dark: bool
@@ -76,8 +78,9 @@ class View(Operator[ViewState]):
     """Mean depths of blocks in, an event at the first look and whenever the view becomes another one out.
 
     moved   the camera was: one shift of the picture (up to 3 blocks, to half a block) with one tilt explains at least half of what has
-            changed against the room as it was, in 3 seconds in a row; or, by more than that, 60 % of the blocks have another depth for
-            10 s. People, blankets, furniture and lamps change a part of the picture, which no shift of the whole explains
+            changed against the room as it was, in 3 seconds in a row, or a quarter in 10 (somebody lay down or got up, too);
+            or, by more than that, 60 % of the blocks have another depth for 10 s. People, blankets, furniture and lamps change a part of
+            the picture, which no shift of the whole explains
     dark    for `dark_s` less than `least_seen` of the blocks was measured steadily: a camera without a light of its own, at night
     steady  the view at the beginning, after darkness, and a minute after a jump
 
@@ -96,7 +99,7 @@ class View(Operator[ViewState]):
         self.hold(
             ViewState(
                 block, Seconds.of(spec.shape), np.full((RECENT, rows, columns), np.nan), 0, np.full(spec.shape, np.nan), 0, 0.0,
-                0, 0, 0, NEVER, False, 0, False, False, 0,
+                0, 0, 0, 0, NEVER, False, 0, False, False, 0,
             ),
             delay_s=1.0,
             decision_s={"out": max(self.dark_s, ACCEPT_S + 2.0) + 1.0},
@@ -160,7 +163,7 @@ class View(Operator[ViewState]):
             s.dark = not s.dark
             onset, s.hidden = end - s.hidden * NS, 0
             self._tell("dark" if s.dark else "steady", onset, end, made)
-            s.changed = s.explained = s.replaced = 0
+            s.changed = s.explained = s.partly = s.replaced = 0
             s.count = RECENT if s.dark else 0
             s.newest[:] = np.nan
 
@@ -181,29 +184,30 @@ class View(Operator[ViewState]):
                 fresh, recent, s.reference + SLOW * np.where(np.isfinite(recent), recent - s.reference, 0.0)
             )
             s.usual += SLOW * (differs - s.usual) if differs == differs else 0.0
-            s.changed = s.explained = s.replaced = 0
+            s.changed = s.explained = s.partly = s.replaced = 0
             return
         if not s.changed:
             s.since = end - 2 * NS
         s.changed += 1
         fit = registered(recent, s.reference)
         s.explained = s.explained + 1 if fit.explains else 0
+        s.partly = s.partly + 1 if fit.explains_partly else 0
         with np.errstate(invalid="ignore"):
             other = float((np.abs(recent - s.reference) > REPLACED_MM).sum() / max(1, int(np.isfinite(recent).sum())))
         s.replaced = s.replaced + 1 if other >= REPLACED_SHARE else 0
-        if s.explained >= CONFIRM or s.replaced >= 10:
+        if s.explained >= CONFIRM or max(s.partly, s.replaced) >= CONFIRM_PARTLY:
             self._moved(fit, end, made)
         elif s.changed >= ACCEPT_S:
-            s.reference[:], s.changed, s.explained, s.replaced = recent, 0, 0, 0
+            s.reference[:], s.changed, s.explained, s.partly, s.replaced = recent, 0, 0, 0, 0
 
     def _moved(self, fit: Fit, end: int, made: Rows) -> None:
         s = self.state
-        known = s.explained >= CONFIRM
+        known = s.explained >= CONFIRM or s.partly >= CONFIRM_PARTLY
         down, right = (fit.down * s.block, fit.right * s.block) if known else (math.nan, math.nan)
         self._tell("moved", s.since, end, made, down, right)
         s.settled, s.count, s.jumped = 0, 0, True
         s.newest[:] = np.nan
-        s.changed = s.explained = s.replaced = 0
+        s.changed = s.explained = s.partly = s.replaced = 0
 
     def _tell(
         self, what: str, onset: int, end: int, made: Rows, down: float = math.nan, right: float = math.nan
