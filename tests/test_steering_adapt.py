@@ -140,6 +140,28 @@ def kinegraph(*arguments: object) -> None:
     assert not ended.value.code
 
 
+def test_a_report_shows_parts_errors_and_modes(tmp_path: Path) -> None:
+    write_recording(tmp_path / "mesh.mcap", [Series("mesh", topology().spec(24.0), grid(24.0, 24), STRIDE)], {})
+    text = "markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}\nreference: [withers, croup]\n"
+    (tmp_path / "m.yaml").write_text(f"{text}limbs: [{', '.join(LIMBS)}]\n")
+    train = ("train", "mesh", tmp_path / "mesh.mcap", "-o", tmp_path / "m.npz", "--markers", tmp_path / "m.yaml")
+    kinegraph(*train, "--report", tmp_path / "m.html")
+    page = (tmp_path / "m.html").read_text()
+    assert page.count("<img") == 3 and "hoof_fl" in page
+    told = float(page.split("vertices are off by ")[1].split(" %")[0])
+    rest = [f for f in range(24) if f % 4]
+    made = fit_steering(STRIDE[rest], FACES, marked(), REFERENCE, LIMBS)(STRIDE[::4, AT], 432)
+    off = 100 * np.linalg.norm(made - STRIDE[::4], axis=-1).mean() / np.linalg.norm(np.ptp(STRIDE[0], axis=0))
+    assert told == pytest.approx(off, abs=0.002)
+    kept = (tmp_path / "m.html").stat().st_mtime_ns
+    with pytest.raises(KinegraphError, match=r"m\.html: exists"):
+        cli.call(
+            "train",
+            [*(str(word) for word in train[1:]), "-o", str(tmp_path / "n.npz"), "--report", str(tmp_path / "m.html")],
+        )
+    assert (tmp_path / "m.html").stat().st_mtime_ns == kept
+
+
 def test_the_command_takes_a_performer_and_says_what_is_wrong(tmp_path: Path) -> None:
     write_recording(tmp_path / "mesh.mcap", [Series("mesh", topology().spec(24.0), grid(24.0, 24), STRIDE)], {})
     marks = pacing(np.arange(60) / 30)

@@ -36,7 +36,10 @@ def mesh(
         File | None,
         typer.Option(help="a recording of the one who will steer: markers of the same names, on another body"),
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a model that exists")] = False,
+    report: Annotated[
+        File | None, typer.Option(help="a page (.html) with pictures: parts, each vertex's error, shape modes")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a model or a report that exists")] = False,
 ) -> None:
     """Learn how a mesh moves with a few of its vertices (thesis, chapter 9). The file of markers says
 
@@ -56,8 +59,9 @@ def mesh(
     from operators.steering.stored import KIND, to_arrays
     from stream.model import write_model
 
-    if output.exists() and not overwrite:
-        raise KinegraphError(f"{output}: exists; choose another --out, or replace it with --overwrite")
+    for place in (output, report):
+        if place and place.exists() and not overwrite:
+            raise KinegraphError(f"{place}: exists; choose another, or replace it with --overwrite")
     if method not in ("", *METHODS):
         raise KinegraphError(f"--method: there is no method {method!r}; {nearest(method, METHODS)}")
     frames, topology = _frames(recordings)
@@ -68,9 +72,16 @@ def mesh(
         )
     performed = _performed(performer, tuple(said["markers"])) if performer else None
     say(f"{len(frames)} frames of {topology.vertices} vertices; learning ...")
-    model, how, off = choose(
-        frames, topology.faces, said["markers"], said["reference"], said["limbs"], parts, modes, said["heading"], method or None  # type: ignore[arg-type]
-    )  # fmt: skip
+    given = (topology.faces, said["markers"], said["reference"], said["limbs"], parts, modes, said["heading"])
+    model, how, off = choose(frames, *given, method or None)  # type: ignore[arg-type]
+    if report:
+        from operators.steering.report import write_report
+
+        error = write_report(
+            report, f"{output.name}: {topology.name or 'a mesh'}", model, how, off, frames, topology.faces,
+            lambda rows: choose(rows, *given, how)[0],
+        )  # fmt: skip
+        say(f"{report}: off by {error:.3f} % of the mesh's diagonal in every fourth frame, left out")
     if performed is not None:
         model = adapt(model, frames[:, model.vertices], performed, said["heading"])
     header, arrays = to_arrays(model, topology, tuple(said["limbs"]))
