@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from devices.clocks import line_below
 from devices.clocks.clock_log import ClockLog
 from devices.clocks.device_clock import ClockState
 from devices.clocks.pace import DevicePace
@@ -116,6 +117,7 @@ class BrainflowBoard(Source):
         return specs
 
     def prepare(self) -> None:
+        line_below.prepare()
         library()
 
     def read(self, feed: Feed) -> None:

@@ -21,9 +21,12 @@ from devices.protocols.frame_decoder import SPOILT, FoundFrames, FrameDecoder
 from devices.protocols.frame_layout import FrameLayout
 from devices.transport.handshake import shown
 from stream.chunk import NS, Array, Chunk, Times
+from stream.errors import DeviceError, RunError
 from stream.source import Feed
 
 FIRST_FRAME_S = 5.0
+JUDGED, CHANCE = 300, 0.02
+"""How many frames tell whether checksums are right, and the share that chance makes right: of one byte 1 in 256."""
 
 
 class Declared(Protocol):
@@ -57,6 +60,8 @@ class FrameReading:
         self._port, self._hint = of.port, of.hint
         self._decoder, self._layouts = decoder, decoder.layouts
         self._seen = False
+        self._good = self._bad = 0
+        """Frames with a right and a wrong checksum, until there are `JUDGED`."""
         self._spoilt: deque[tuple[int, bytes]] = deque(maxlen=SPOILT)
         self._clock = DeviceClock(of.latency_s)
         self._time = DeviceTime(self._clock, of.wraps_ns)
@@ -110,10 +115,26 @@ class FrameReading:
         if found.kinds:
             self._seen = True
             self._emit_all(found, feed)
-        if not self._seen:
+        if self._good + self._bad < JUDGED:
             self._spoilt.extend(found.spoilt)
+            self._judge(len(found.kinds), found.bad, feed)
         tell_problems(feed, bad_checksum=found.bad, bytes_that_are_no_frame=found.dropped, resync=found.resyncs)
         return len(found.kinds)
+
+    def _judge(self, good: int, bad: int, feed: Feed) -> None:
+        """A device nearly all of whose first frames have a wrong checksum is another one: those that seem right are so by chance.
+
+        Raises RunError, DeviceError.
+        """
+        self._good, self._bad = self._good + good, self._bad + bad
+        if self._good + self._bad < JUDGED or self._good > CHANCE * self._bad:
+            return
+        text = (
+            f"{self._port} is not as declared: of {self._good + self._bad} frames {self._good} have a right checksum, which is chance"
+            + _fits(self._spoilt, self._layouts)
+            + self._hint
+        )
+        raise DeviceError(text) if feed.again else RunError(text)
 
     def _emit_all(self, found: FoundFrames, feed: Feed) -> None:
         arrival = feed.now()

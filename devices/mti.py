@@ -152,6 +152,7 @@ class Mti(SerialSource):
             )
 
     def prepare(self) -> None:
+        SerialSource.prepare(self)
         xbus_numbers.prepare()
         tick_clock.prepare()
 

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from devices.clocks import line_below
 from devices.clocks.clock_log import ClockLog
 from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
-from devices.clocks.stamps import Stamps, chunks
+from devices.clocks.stamps import Stamps
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.natnet_names import NatNetNames
 from devices.protocols import natnet as protocol
@@ -106,6 +107,9 @@ class NatNet(Source):
             rate = self.rate_hz * self.analog_samples
             specs["analog"] = StreamSpec((len(self.analog),), rate_hz=rate, channels=self.analog, meta=meta)
         return specs
+
+    def prepare(self) -> None:
+        line_below.prepare()
 
     def read(self, feed: Feed) -> None:
         with ExitStack() as stack:
@@ -252,7 +256,7 @@ class NatNetReading:
         if not len(packets.stamp):
             feed.problem("repeated frame or wrong time")
             return
-        lost = int(packets.lost[0])
+        lost, stamp = int(packets.lost[0]), int(packets.stamp[0])
         if lost:
             feed.problem("lost frame" if lost > 0 else "device restarted", max(lost, 1))
         self._rate.see(1, max(lost, 0), arrival, feed, np.array([ns]))
@@ -260,10 +264,9 @@ class NatNetReading:
             if output == "analog":
                 feed.emit(self._spread(packets.stamp, lost, rows), output)
             else:
-                for chunk in chunks(packets.stamp, packets.lost, rows):
-                    feed.emit(chunk, output)
+                feed.emit(Chunk(packets.stamp, rows, stamp, lost), output)
         feed.emit(timing_chunk(packets.number, packets.device, arrival, packets.stamp), "timing")
-        self._last = int(packets.stamp[0])
+        self._last = stamp
 
     def _spread(self, stamp: np.ndarray, lost: int, rows: np.ndarray) -> Chunk:
         """A frame's analog samples, evenly back to the frame before; the last one has the frame's stamp."""

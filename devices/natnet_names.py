@@ -40,6 +40,9 @@ class NatNetNames:
         markers = markers_of(models)
         self._markers = {_find(markers, name, "marker"): i for i, name in enumerate(of.markers)}
         channels = channels_of(models)
+        self._points = np.full((1, len(of.markers), 3), np.nan)
+        self._positions, self._rotations = (np.full((1, len(of.bodies), n), np.nan) for n in (3, 4))
+        """What nothing has been seen of, to be copied."""
         self._channels = [_find(channels, name, "analog channel") for name in of.analog]
 
     def rows(self, frame: NatNetFrame) -> dict[str, Samples]:
@@ -48,7 +51,7 @@ class NatNetNames:
         if self._of.bodies:
             made["bodies"], made["rotations"] = self._placed(frame)
         if self._of.markers:
-            points = np.full((1, len(self._of.markers), 3), np.nan)
+            points = self._points.copy()
             for marker in frame.markers:
                 place = self._markers.get((marker.model, marker.marker))
                 if place is not None and not marker.flags & OCCLUDED:
@@ -59,8 +62,7 @@ class NatNetNames:
         return made
 
     def _placed(self, frame: NatNetFrame) -> tuple[Samples, Samples]:
-        n = len(self._of.bodies)
-        positions, rotations = np.full((1, n, 3), np.nan), np.full((1, n, 4), np.nan)
+        positions, rotations = self._positions.copy(), self._rotations.copy()
 
         def put(skeleton: int, bodies: Sequence[NatNetBody]) -> None:
             for body in bodies:

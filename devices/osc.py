@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from devices.clocks import line_below
 from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.stamps import Stamps, chunks
 from devices.clocks.timing import timing_chunk, timing_spec
@@ -105,6 +106,9 @@ class OscInlet(Source):
         if not specs:
             raise ParameterError("streams", [], "at least one stream")
         return {**specs, "timing": timing_spec()}
+
+    def prepare(self) -> None:
+        line_below.prepare()
 
     def read(self, feed: Feed) -> None:
         readings: dict[str, list[OscReading]] = {}

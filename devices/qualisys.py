@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from devices.clocks import line_below
 from devices.clocks.clock_log import ClockLog
 from devices.clocks.stamps import Stamps, chunks, tell_losses
 from devices.clocks.timing import timing_chunk, timing_spec
@@ -107,6 +108,9 @@ class Qualisys(Source):
                 (len(self.analog),), rate_hz=self.analog_hz, channels=self.analog, units=(self.analog_unit,), meta=meta
             )
         return specs
+
+    def prepare(self) -> None:
+        line_below.prepare()
 
     def read(self, feed: Feed) -> None:
         with TcpTransport(f"tcp://{self.server}:{self.port}") as link:

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from devices.clocks import line_below
 from devices.clocks.clock_log import ClockLog
 from devices.clocks.pace import DevicePace
 from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
@@ -113,6 +114,9 @@ class Trigno(Source):
                 (len(channels),), rate_hz=protocol.AUX_HZ, channels=channels, units=units, meta=meta
             )
         return specs
+
+    def prepare(self) -> None:
+        line_below.prepare()
 
     def read(self, feed: Feed) -> None:
         with ExitStack() as links:

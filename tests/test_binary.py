@@ -207,6 +207,7 @@ def test_a_sync_that_begins_another() -> None:
 
 
 def served(source: Binary, misbehaviour: Misbehaviour = GOOD) -> tuple[Server, BinaryModel]:
+    source.prepare()  # before the device is switched on, so that its counter is not past its first turn
     brain = BinaryModel(source)
     return Server(brain, line_at(), misbehaviour), brain
 

@@ -158,3 +158,27 @@ def test_without_a_rate_the_uncertainty_is_as_coarse_as_the_time(monkeypatch: py
     source = AsciiLines("a", COLUMNS, time="t", time_unit="s", time_bits=0)
     feed = played(source, lines(lambda s: f"{s:.1f}"), 12.0, monkeypatch)
     assert feed.clocks[-1]["uncertainty_s"] > 0.09
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_checksums_of_which_only_chance_makes_some_right_end_the_session(
+    share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One byte of checksum is right once in 256 times: 13 of 3500 frames were taken for a device's, with exit code 0."""
+    frame = Frame(
+        "A5 5A", (Field("u8", role="counter"), Field("i32", name="a")), name="x", rate_hz=RATE, checksum="xor8"
+    )
+    rng = np.random.default_rng(2)
+
+    def said(i: int) -> bytes:
+        body = b"\xa5\x5a" + bytes([i % 256]) + rng.bytes(4)
+        right = np.bitwise_xor.reduce(np.frombuffer(body, np.uint8))
+        return body + bytes([sum(body) % 256 if rng.random() < share else int(right)])
+
+    source = Binary("the port", (frame,))
+    if share < 1:
+        feed = played(source, Liar(said), 12.0, monkeypatch)
+        assert feed.count("x") > 1000 and feed.problems["bad checksum"] > 1000
+        return
+    with pytest.raises(RunError, match=r"frames .* have a right checksum, which is chance; .*sum8"):
+        played(source, Liar(said), 12.0, monkeypatch)

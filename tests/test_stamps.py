@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from devices.ble.polar import PmdStream
 from devices.clocks.packet_clock import Packets
 from devices.clocks.stamps import Stamps
+from devices.protocols.polar_pmd import ECG, PmdFrame
 from stream.chunk import NS, Array, Times
 
 RATE_HZ = 130.0
@@ -62,3 +64,23 @@ def test_records_are_stamped_as_each_alone(seed: int, wraps_ns: int, counter_bit
         for name in ("kept", "number", "lost", "device", "stamp"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
         assert fast.state == slow.state
+
+
+def test_frames_that_go_on_are_stamped_as_all_others_bit_for_bit() -> None:
+    """Of a belt whose clock drifts, whose frames come late, of which some are missing, and whose clock is set once."""
+    rng, period = np.random.default_rng(8), NS / 130.0
+    quick, slow = PmdStream(130.0, 0.003), PmdStream(130.0, 0.003)
+    taken = 0
+    for i in range(400):
+        made = round((i + 1) * 73 * period)
+        arrival = NS + made + round(rng.exponential(0.004) * NS)
+        device = round(made * (1 + 60e-6)) + (5 * NS if i > 200 else 0)
+        if rng.random() < 0.05:
+            continue
+        frame = PmdFrame(ECG, device, np.zeros((73, 1)))
+        stamp = quick.go_on(frame, arrival)
+        taken += stamp is not None
+        if stamp is None:
+            stamp = quick.take(frame, arrival).stamp
+        assert stamp.tolist() == slow.take(frame, arrival).stamp.tolist()
+    assert 300 < taken < 390 and quick.stamps.state == slow.stamps.state

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from devices.analog.inputs import AnalogInput, AnalogReading, analog_specs, block_of
+from devices.clocks import line_below
 from devices.clocks.clock_log import ClockLog
 from stream.chunk import Specs
 from stream.errors import DeviceError
@@ -63,6 +64,7 @@ class NiDaq(Source):
         return analog_specs(self.inputs, self.rate_hz)
 
     def prepare(self) -> None:
+        line_below.prepare()
         library()
 
     def read(self, feed: Feed) -> None:

@@ -16,7 +16,7 @@ from devices.clocks.stamps import Stamps, chunks
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import heart_rate, polar_pmd
 from devices.protocols.polar_pmd import ACC, ECG, PmdDecoder, PmdFrame
-from stream.chunk import NS, Specs, StreamSpec, Times
+from stream.chunk import NS, Chunk, Specs, StreamSpec, Times
 from stream.errors import DeviceError
 from stream.params import param
 from stream.source import Feed
@@ -164,6 +164,11 @@ class PolarReading:
             feed.problem("cut frame" if frame is None else "frame that was not asked for")
             return
         stream = self._streams[frame.kind]
+        stamp = stream.go_on(frame, note.arrival)
+        if stamp is not None:
+            feed.emit(Chunk(stamp, frame.data, int(stamp[-1])), self._outputs[frame.kind])
+            self._tell_timing(stream, frame, note.arrival, stamp, feed)
+            return
         packets = stream.take(frame, note.arrival)
         missing = int(packets.lost.clip(0).sum())
         if missing:
@@ -174,8 +179,11 @@ class PolarReading:
             return
         for chunk in chunks(packets.stamp, packets.lost, frame.data[packets.kept]):
             feed.emit(chunk, self._outputs[frame.kind])
-        self._told = max(self._told, int(packets.stamp[-1]))
-        feed.emit(timing_chunk(stream.frames, frame.last_ns, note.arrival, np.array([self._told])), "timing")
+        self._tell_timing(stream, frame, note.arrival, packets.stamp, feed)
+
+    def _tell_timing(self, stream: PmdStream, frame: PmdFrame, arrival: int, stamp: Times, feed: Feed) -> None:
+        self._told = max(self._told, int(stamp[-1]))
+        feed.emit(timing_chunk(stream.frames, frame.last_ns, arrival, np.array([self._told])), "timing")
 
 
 class PmdStream:
@@ -186,6 +194,17 @@ class PmdStream:
         self.stamps = Stamps(rate_hz, has_time=True, latency_s=latency_s)
         self._last: int | None = None
         self.frames = 0
+
+    def go_on(self, frame: PmdFrame, arrival: int) -> Times | None:
+        """Stamps (n,) of a frame that follows the one before it, as nearly all do; None of others, which `take` takes."""
+        n, last = len(frame.data), self._last
+        if last is None or not n or abs(frame.last_ns - last - n * self._period) >= FOLLOWS * n * self._period:
+            return None
+        made = self.stamps.go_on(frame.last_ns, n, arrival)
+        if made is None:
+            return None
+        self._last, self.frames = frame.last_ns, self.frames + 1
+        return made[1]
 
     def take(self, frame: PmdFrame, arrival: int) -> Packets:
         self.frames += 1

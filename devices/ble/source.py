@@ -7,6 +7,7 @@ from typing import ClassVar, Protocol
 
 from devices.ble.link import BleLink, Notification
 from devices.ble.radio import library
+from devices.clocks import line_below
 from devices.clocks.clock_log import ClockLog
 from devices.clocks.device_clock import ClockState
 from stream.errors import DeviceError
@@ -52,6 +53,7 @@ class BleSource(Source):
 
     def prepare(self) -> None:
         library()  # where it is missing, waiting for a device would be in vain
+        line_below.prepare()
 
     def read(self, feed: Feed) -> None:
         with BleLink(feed, self.device, self.services, self.scan_s) as link:

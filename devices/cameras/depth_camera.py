@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.clocks import line_below
 from devices.clocks.clock_log import ClockLog
 from devices.clocks.stamps import Stamps
 from devices.clocks.timing import timing_chunk, timing_spec
@@ -104,6 +105,9 @@ class DepthCamera(Source):
     def opened(self) -> AbstractContextManager[OpenCamera]:
         """The camera, running; raises DeviceError."""
         raise NotImplementedError
+
+    def prepare(self) -> None:
+        line_below.prepare()
 
     def read(self, feed: Feed) -> None:
         with self.opened() as camera:

@@ -62,6 +62,7 @@ class AzureKinect(DepthCamera):
         return super(AzureKinect, self).specs()
 
     def prepare(self) -> None:
+        DepthCamera.prepare(self)
         library()
 
     @contextmanager

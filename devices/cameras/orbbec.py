@@ -53,6 +53,7 @@ class Orbbec(DepthCamera):
     maker: ClassVar[str] = "Orbbec"
 
     def prepare(self) -> None:
+        DepthCamera.prepare(self)
         library()
 
     @contextmanager

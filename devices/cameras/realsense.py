@@ -39,6 +39,7 @@ class RealSense(DepthCamera):
     projector: bool = param(True, help="the infrared dot projector, as the maker has it: on")
 
     def prepare(self) -> None:
+        DepthCamera.prepare(self)
         library()
 
     @contextmanager

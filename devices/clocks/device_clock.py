@@ -10,11 +10,11 @@ what `latency_s` of a source corrects.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.clocks.line_below import even_stamps, line_below
 from stream.chunk import NS, STAMP, Times
 
 BUCKET_NS = NS
@@ -76,13 +76,18 @@ class DeviceClock:
         self._restarted = False
         self._arrival = 0
         self._jumps = self._jump = 0
+        self._memory = np.empty(WINDOW, STAMP), np.empty(WINDOW), np.empty(3)
+        """The kernel's: hull, distances, line."""
         self._forget()
 
     def _forget(self) -> None:
-        self._x: list[int] = []
-        """Device time of each second's smallest difference, oldest first."""
-        self._y: list[int] = []
+        self._x = np.zeros(WINDOW, STAMP)
+        """Device time of each second's smallest difference, oldest first, of `_n` seconds."""
+        self._y = np.zeros(WINDOW, STAMP)
         """The smallest difference of each second, arrival minus device time (ns)."""
+        self._n = 0
+        self._least = 0
+        """That of the last second."""
         self._bucket: int | None = None
         self._slope = 0.0
         self._zero = 0
@@ -98,17 +103,33 @@ class DeviceClock:
         bucket = device_ns // BUCKET_NS
         if self._bucket is None or bucket > self._bucket:
             self._bucket = bucket
-            self._x.append(device_ns)
-            self._y.append(difference)
-            if len(self._x) > WINDOW:
-                del self._x[0], self._y[0]
+            if self._n == WINDOW:
+                self._x[:-1], self._y[:-1] = self._x[1:], self._y[1:]
+                self._n -= 1
+            self._n += 1
+            self._lowest(device_ns, difference)
             self._fit()
         elif bucket == self._bucket:
             below = difference - self._zero < self._above(device_ns)
-            if below or difference < self._y[-1]:
-                self._x[-1], self._y[-1] = device_ns, difference
+            if below or difference < self._least:
+                self._lowest(device_ns, difference)
             if below:
                 self._fit()
+
+    def _lowest(self, device_ns: int, difference: int) -> None:
+        """The smallest difference of the last second so far."""
+        self._x[self._n - 1], self._y[self._n - 1], self._least = device_ns, difference, difference
+
+    def even_stamps(self, last_ns: int, step_ns: float, n: int) -> tuple[Times, Times]:
+        """Device times (n,) of records so far apart, the last of which was made at `last_ns`, and what `stamps` gives for them."""
+        device, stamp = np.empty(n, STAMP), np.empty(n, STAMP)
+        even_stamps(last_ns, step_ns, self._at, self._slope, self._height, self._zero - self._latency, device, stamp)
+        if self._last is not None:
+            before, given = self._before(int(device[0]))
+            if int(stamp[0]) <= given + max(int(SLEW * (int(device[0]) - before)), 1) + ROUNDED:
+                return device, self.stamps(device)
+        self._last = last_ns, int(stamp[-1])
+        return device, stamp
 
     def stamps(self, device_ns: Times) -> Times:
         """Session times (n,) ns of device times (n,) ns, which do not run backwards.
@@ -172,25 +193,25 @@ class DeviceClock:
 
     def is_ahead(self, device_ns: int, arrival_ns: int) -> bool:
         """Whether a packet claims to have been made so long after its arrival that the device's clock must have been set forward."""
-        if not self._x:
+        if not self._n:
             return False
-        least = JUMP_NS if len(self._x) >= SURE_FROM else UNSURE_NS
+        least = JUMP_NS if self._n >= SURE_FROM else UNSURE_NS
         return device_ns - arrival_ns + self._zero + self._above(device_ns) > least
 
     @property
     def offset_ns(self) -> float | None:
         """Session time minus device time now, with the least delay in it; None where nothing is known yet."""
-        return self._line(self._x[-1]) if self._x else None
+        return self._line(int(self._x[self._n - 1])) if self._n else None
 
     @property
     def state(self) -> ClockState:
-        now = self._x[-1] if self._x else 0
-        unknown = MOST_DRIFT * (now - self._x[0] + BUCKET_NS) if 0 < len(self._x) < STEADY else 0.0
+        now = int(self._x[self._n - 1]) if self._n else 0
+        unknown = MOST_DRIFT * (now - int(self._x[0]) + BUCKET_NS) if 0 < self._n < STEADY else 0.0
         return ClockState(
             offset_s=self._line(now) / NS,
             drift_ppm=self._slope * 1e6,
             uncertainty_s=(self._spread + unknown) / NS,
-            seconds=len(self._x),
+            seconds=self._n,
             jumps=self._jumps,
             jump_s=self._jump / NS,
         )
@@ -204,42 +225,10 @@ class DeviceClock:
 
     def _fit(self) -> None:
         """The lower hull's edge over the middle of what is known."""
-        self._zero = self._y[0]
-        x = (np.array(self._x) - self._x[0]).astype(np.float64)
-        y = (np.array(self._y) - self._zero).astype(np.float64)
-        if len(x) < STEADY:
-            self._slope, lowest = 0.0, int(np.argmin(y))
-            self._height, self._at = float(y[lowest]), self._x[lowest]
-        else:
-            left, right = _edge(x.tolist(), y.tolist(), float(x.mean()))
-            slope = (y[right] - y[left]) / (x[right] - x[left])
-            if slope > MOST_DRIFT:
-                stray = np.median(y - y[left] - slope * (x - x[left]))
-                clear = (slope - MOST_DRIFT) * (x[-1] - x[0]) > CLEAR * stray
-                slope = min(slope, STEEPEST if clear else MOST_DRIFT)
-            self._slope = float(max(slope, -MOST_DRIFT))
-            self._at, self._height = self._x[left], float(y[left])
-            below = float((y - y[left] - self._slope * (x - x[left])).min())
-            self._height += min(below, 0.0)
-        rest = y - self._height - self._slope * (x + self._x[0] - self._at)
-        self._spread = float(np.median(rest))
-
-
-def _edge(x: list[float], y: list[float], middle: float) -> tuple[int, int]:
-    """Indices of the two points of the lower convex hull between which `middle` lies. x increasing; lists, for single numbers of an array
-    cost five times as much."""
-    hull: list[int] = []
-    for i, (right, height) in enumerate(zip(x, y, strict=True)):
-        while len(hull) > 1:
-            a, b = hull[-2], hull[-1]
-            if (x[b] - x[a]) * (height - y[a]) > (y[b] - y[a]) * (right - x[a]):
-                break
-            hull.pop()
-        hull.append(i)
-    for a, b in pairwise(hull):
-        if x[b] >= middle:
-            return a, b
-    return hull[-2], hull[-1]
+        x, y = self._x, self._y
+        at = line_below(x, y, self._n, STEADY, MOST_DRIFT, STEEPEST, float(CLEAR), *self._memory)
+        self._zero, self._at = int(y[0]), int(x[at])
+        self._slope, self._height, self._spread = self._memory[2].tolist()
 
 
 FORGOTTEN = 0.02

@@ -67,6 +67,31 @@ class DeviceTime:
             return self._doubt(raw_ns, arrival_ns)
         return self._accept(value, raw_ns, arrival_ns)
 
+    def go_on(self, last_ns: int, n: int, arrival_ns: int) -> float | None:
+        """How far apart n > 0 numbers of one arrival are (ns) that lie evenly between the last one and `last_ns`.
+
+        None, with nothing changed, where one of them leaps. What `read_even` does for them, without the numbers.
+        """
+        if self._raw is None or self._doubtful or self._former is None:
+            return None
+        passed = arrival_ns - self._arrival
+        whole = self._step_from(self._raw, last_ns, passed)
+        step = whole / n
+        least = min(step, self._usual)
+        if step < 1 or least < 0 or max(step, self._usual) - least > JUMP_NS or whole > passed + SLACK_NS:
+            return None
+        self.restarted = self._stands = False
+        self._step = self._usual = self._advance = round(step)
+        value = self._value + whole
+        self._former = last_ns - self._step, value - self._step, arrival_ns
+        self._raw, self._value, self._arrival, self._moved = last_ns, value, arrival_ns, arrival_ns
+        return step
+
+    @property
+    def value(self) -> int:
+        """The last number, unwrapped."""
+        return self._value
+
     def _same_again(self, raw_ns: int, arrival_ns: int) -> int:
         """The value of a record whose time is that of the record before it."""
         self._reads, self._same = self._reads + 1, self._same + 1

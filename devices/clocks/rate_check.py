@@ -82,7 +82,7 @@ class RateCheck:
         if device_ns is not None:
             if self._last is None:
                 self._zero = self._last = int(device_ns[0])
-            steps: Times = np.diff(device_ns, prepend=self._last)
+            steps: Times = np.diff(device_ns, prepend=self._last) if len(device_ns) > 1 else device_ns - self._last
             if self._wraps:
                 steps = np.where(steps % self._wraps < self._wraps // 2, steps % self._wraps, steps)
             self._steps.append(steps)

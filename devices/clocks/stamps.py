@@ -95,6 +95,21 @@ class Stamps:
             return self._packets.take(counter, arrival_ns)
         return self._by_arrival(n, arrival_ns)
 
+    def go_on(self, last_ns: int, n: int, arrival_ns: int) -> tuple[Times, Times] | None:
+        """Device time and stamp (n,) of n > 0 records that have arrived now and lie evenly between the last one before and `last_ns`.
+
+        None, with nothing changed, where they do not follow it without a gap; `take` is for those.
+        """
+        if (
+            not self._losses.go_on_by(last_ns - self._time.value, n)
+            or (step := self._time.go_on(last_ns, n, arrival_ns)) is None
+        ):
+            return None
+        value = self._time.value
+        self._losses.gone_on(value, step)
+        self._clock.see(value, arrival_ns)
+        return self._clock.even_stamps(value, step, n)
+
     def _by_time(self, raw_ns: Times, counter: Array | None, arrival_ns: int, again: Array) -> Packets:
         kept = np.zeros(len(raw_ns), bool)
         number, lost, device, stamp = (np.full(len(raw_ns), -1, np.int64) for _ in range(4))
@@ -186,6 +201,17 @@ class Losses:
             return False
         steps = np.diff(raw_ns)
         return bool(steps.min() > 0 and steps.max() / NS * self._rate <= GAP_PERIODS)
+
+    def go_on_by(self, whole_ns: int, n: int) -> bool:
+        """Whether nothing is missing among n > 0 records that lie evenly between the last one and one `whole_ns` later."""
+        if self._counter or not self._rate or self._device is None or self._beside:
+            return False
+        return 0 < whole_ns / NS * self._rate <= GAP_PERIODS * n
+
+    def gone_on(self, device_ns: int, step_ns: float) -> None:
+        """They have come; the last one was made at `device_ns`."""
+        self._finest = min(self._finest, step_ns / NS * (self._rate or 0.0))
+        self._device, self._known = device_ns, True
 
     def before_even(self, device_ns: Times, arrival_ns: int) -> Times:
         """What `before` gives for each of n > 1 records (n,) that follow each other: only before the first may some be missing."""

@@ -6,7 +6,9 @@ Source: the NatNet SDK 4.2's public sample clients (C++; its Python one misses p
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, NamedTuple
 
 CONNECT, SERVER_INFO, REQUEST, RESPONSE, REQUEST_MODELS, MODELS, FRAME, KEEP_ALIVE, UNKNOWN = (
@@ -33,6 +35,14 @@ class NatNetError(ValueError):
     """Bytes that are no message of NatNet, or one that is cut off."""
 
 
+NUMBER, POINT, BODY, MARKER = (struct.Struct("<" + form) for form in ("i", "3f", "i3f4ffh", "i3ffhf"))
+
+
+@cache
+def _packed(form: str) -> struct.Struct:
+    return struct.Struct("<" + form)
+
+
 class Reader:
     """Numbers and texts out of a message, one after the other; raises NatNetError at its end."""
 
@@ -41,15 +51,25 @@ class Reader:
 
     def take(self, form: str) -> tuple[Any, ...]:
         """Numbers, little-endian, packed."""
-        made = struct.Struct("<" + form)
+        return self.unpacked(_packed(form))
+
+    def unpacked(self, made: struct.Struct) -> tuple[Any, ...]:
+        """Numbers as packed so."""
         if self._at + made.size > len(self._data):
-            raise NatNetError(f"{form} at byte {self._at} of {len(self._data)}")
+            raise NatNetError(f"{made.format} at byte {self._at} of {len(self._data)}")
         self._at += made.size
         return made.unpack_from(self._data, self._at - made.size)
 
+    def rows(self, made: struct.Struct, n: int) -> Iterator[tuple[Any, ...]]:
+        """`n` times the same numbers."""
+        begin, self._at = self._at, self._at + n * made.size
+        if self._at > len(self._data):
+            raise NatNetError(f"{n} times {made.format} at byte {begin} of {len(self._data)}")
+        return made.iter_unpack(self._data[begin : self._at])
+
     def count(self) -> int:
         """A number of parts, which cannot be more than there are bytes."""
-        (number,) = self.take("i")
+        (number,) = self.unpacked(NUMBER)
         if not 0 <= number <= len(self._data):
             raise NatNetError(f"{number} parts in {len(self._data)} bytes")
         return int(number)
@@ -63,7 +83,7 @@ class Reader:
 
     def part(self) -> Reader:
         """What follows a count of bytes, as many as that says."""
-        (size,) = self.take("i")
+        (size,) = self.unpacked(NUMBER)
         if not 0 <= size <= len(self._data) - self._at:
             raise NatNetError(f"a part of {size} bytes, where {len(self._data) - self._at} are left")
         self._at += size
@@ -187,21 +207,22 @@ def frame(payload: bytes, version: Version) -> NatNetFrame:
     n, part = section()
     for _ in range(n):
         name = part.text()
-        made.sets[name] = [_point(part) for _ in range(part.count())]
+        made.sets[name] = list(part.rows(POINT, part.count()))
     n, part = section()
-    made.unlabelled = [_point(part) for _ in range(n)]
+    made.unlabelled = list(part.rows(POINT, n))
     n, part = section()
-    made.bodies = [_body(part) for _ in range(n)]
+    made.bodies = _bodies(part, n)
     n, part = section()
     for _ in range(n):
-        (number,) = part.take("i")
-        made.skeletons[number] = [_body(part) for _ in range(part.count())]
+        (number,) = part.unpacked(NUMBER)
+        made.skeletons[number] = _bodies(part, part.count())
     if sized:
         section()  # assets: their markers are among the labelled ones
     n, part = section()
-    for _ in range(n):
-        both, *position, size, flags, residual = part.take("i3ffhf")
-        made.markers.append(NatNetMarker(both >> 16, both & 0xFFFF, tuple(position), size, flags, residual))
+    made.markers = [
+        NatNetMarker(both >> 16, both & 0xFFFF, (x, y, z), size, flags, residual)
+        for both, x, y, z, size, flags, residual in part.rows(MARKER, n)
+    ]
     for kind in ("plate", "device"):
         n, part = section()
         for _ in range(n):
@@ -215,14 +236,11 @@ def frame(payload: bytes, version: Version) -> NatNetFrame:
     return made
 
 
-def _point(reader: Reader) -> tuple[float, float, float]:
-    x, y, z = reader.take("3f")
-    return x, y, z
-
-
-def _body(reader: Reader) -> NatNetBody:
-    number, *numbers, error, flags = reader.take("i3f4ffh")
-    return NatNetBody(number, tuple(numbers[:3]), tuple(numbers[3:]), error, bool(flags & 1))
+def _bodies(reader: Reader, n: int) -> list[NatNetBody]:
+    return [
+        NatNetBody(number, (x, y, z), (qx, qy, qz, qw), error, bool(flags & 1))
+        for number, x, y, z, qx, qy, qz, qw, error, flags in reader.rows(BODY, n)
+    ]
 
 
 def models(payload: bytes, version: Version) -> NatNetModels:

@@ -6,6 +6,7 @@ import time
 from contextlib import suppress
 from typing import Protocol
 
+from devices.clocks import line_below
 from devices.clocks.clock_log import ClockLog
 from devices.clocks.device_clock import ClockState
 from devices.transport.handshake import all_there
@@ -52,6 +53,9 @@ class SerialSource(Source):
 
     def rest(self, link: Transport, feed: Feed) -> None:
         """Tell the device to stop. Whether it hears that does not matter."""
+
+    def prepare(self) -> None:
+        line_below.prepare()
 
     def present(self) -> bool | None:
         return present(self.port)
