@@ -51,11 +51,11 @@ soak: .venv/installed-for-tests
 	$(BIN)/python -m tests.soak --minutes $(SOAK_MIN) --seed $(SEED)
 
 # forty simulated nights with power cuts, lamps, partners, nudges and clock changes: every number of each report against the night's log;
-# and, as root, power that goes at any moment on a disk.
+# and, as root, power that goes at any moment on a disk, and the service under systemd in a container.
 NIGHTS ?= 40
 nights: .venv/installed-for-tests
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check mfusepy
-	KINEGRAPH_NIGHTS=$(NIGHTS) $(BIN)/pytest tests/test_hard_nights.py tests/test_power_loss.py -n 2
+	KINEGRAPH_NIGHTS=$(NIGHTS) $(BIN)/pytest tests/test_hard_nights.py tests/test_power_loss.py tests/test_service_in_systemd.py -n 2
 
 # known holes in what kinegraph depends on; the tool is installed for the purpose, and fails where a package cannot be looked up
 audit: .venv/installed

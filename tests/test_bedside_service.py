@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import time
 from configparser import ConfigParser
 from pathlib import Path
 
@@ -66,6 +67,22 @@ def test_one_that_cannot_go_on_is_put_aside_and_nothing_is_deleted(tmp_path: Pat
 def test_a_camera_that_is_missing_is_tried_again_by_systemd(tmp_path: Path) -> None:
     assert started(tmp_path, checkpoint=True, resumes=3) == (3, [RESUMED])
     assert (tmp_path / "session" / "checkpoint.npz").exists()
+
+
+def test_a_stop_that_reaches_the_shell_waits_until_the_night_has_ended_in_order(tmp_path: Path) -> None:
+    program = tmp_path / "bin" / "kinegraph"
+    program.parent.mkdir()
+    program.write_text("#!/bin/sh\ntouch going\nsleep 1\ntouch ended\nexit 0\n")
+    program.chmod(0o755)
+    (tmp_path / "session").mkdir()
+    (tmp_path / "session" / "session.0000.mcap").touch()
+    path = f"{program.parent}:{os.environ['PATH']}"
+    shell = subprocess.Popen(["/bin/sh", "-c", command()], cwd=tmp_path, env={**os.environ, "PATH": path})
+    while not (tmp_path / "going").exists():
+        assert shell.poll() is None
+        time.sleep(0.01)
+    shell.terminate()
+    assert shell.wait(60) == 0 and (tmp_path / "ended").exists()
 
 
 def test_compiled_kernels_have_a_place_though_the_user_has_no_home() -> None:

@@ -12,7 +12,7 @@ from operators.sleep.epochs import Epochs
 from operators.sleep.periods import SleepPeriods
 from operators.sleep.scorer import EPOCH, SleepScorer
 from operators.sleep.statistics import SleepStatistics
-from stream.chunk import NS, Array, Chunk, StreamSpec
+from stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.sleep_night import SLEEP, UNKNOWN, WAKE, night
 from tests.sleep_data import epochs_of, needs_data, play, run, sleep_file, stamped
@@ -38,6 +38,17 @@ def scores(
     rows["activity"][rows["state"] == "unknown"] = np.nan
     units = ("ns", "ns", "", "", "counts", "", "")
     return StreamSpec((), EPOCH, units=units, meta={"epoch_s": epoch_s}), rows["onset"].copy(), rows
+
+
+def test_what_ends_before_anything_was_scored_takes_no_promise_back() -> None:
+    """A session that is stopped within its first half minute."""
+    spec, _, rows = scores(["sleep"])
+    made = SleepStatistics()
+    made.open({"epochs": spec})
+    promised = [
+        made.process("epochs", Chunk(rows["onset"][:0], rows[:0], t)).until for t in (MINUTE, 2 * MINUTE, FOREVER)
+    ]
+    assert promised == [MINUTE, 2 * MINUTE, 2 * MINUTE]
 
 
 @needs_data

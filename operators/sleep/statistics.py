@@ -59,7 +59,7 @@ class SleepStatisticsState:
     onset, states, activity (capacity,)  the newest `count` final epochs, at the front
     asked   (MOST_ASKED, 3)  times in bed whose last epoch is not final yet: begin, end, place in BEDS; the first `asks` hold
     dark    when the lights went off; NEVER: they are on. window (2,): the schedule's present night; NEVER: not known yet
-    last    the newest stamp of any input. bed: what the time in bed is by
+    last    the newest stamp of any input; promised: up to when nothing more comes. bed: what the time in bed is by
     known   end of the newest epoch that was scored; NEVER: none was since the last row. parted: nothing counts until one is
     """
 
@@ -73,6 +73,7 @@ class SleepStatisticsState:
     dark: int
     window: Times
     last: int
+    promised: int
     bed: str
     known: int
     parted: bool
@@ -142,7 +143,7 @@ class SleepStatistics(Operator[SleepStatisticsState]):
         self.hold(
             SleepStatisticsState(
                 round(epoch_s * NS), np.zeros(n, np.int64), np.zeros(n, np.int8), np.zeros(n), 0,
-                np.zeros((MOST_ASKED, 3), np.int64), 0, NEVER, np.array([NEVER, NEVER]), NEVER, bed, NEVER, False,
+                np.zeros((MOST_ASKED, 3), np.int64), 0, NEVER, np.array([NEVER, NEVER]), NEVER, NEVER, bed, NEVER, False,
             )
         )  # fmt: skip
         meta = {**spec.meta, "convention": self.convention, "bed": bed}
@@ -165,7 +166,8 @@ class SleepStatistics(Operator[SleepStatisticsState]):
             self._answer(made, ended=False)
             stamps += [stamp] * (len(made) - len(stamps))
         until = chunk.until if s.last == NEVER and chunk.until != FOREVER else max(s.last - 1, NEVER)
-        return Chunk(np.array(stamps, np.int64), np.array(made, NIGHT), until, -1 if chunk.lost else 0)
+        s.promised = max(s.promised, until)
+        return Chunk(np.array(stamps, np.int64), np.array(made, NIGHT), s.promised, -1 if chunk.lost else 0)
 
     def close(self) -> Chunk:
         s = self.state
