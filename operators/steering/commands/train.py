@@ -75,7 +75,7 @@ def mesh(
     given = (topology.faces, said["markers"], said["reference"], said["limbs"], parts, modes, said["heading"])
     model, how, off = choose(frames, *given, method or None)  # type: ignore[arg-type]
     if report:
-        from operators.steering.report import write_report
+        from operators.steering.commands.report import write_report
 
         error = write_report(
             report, f"{output.name}: {topology.name or 'a mesh'}", model, how, off, frames, topology.faces,
