@@ -11,6 +11,7 @@ from test_emg_compare import run, session
 from test_emg_mixtures_live import bursts
 
 from operators.emg.commands.compare import compare
+from operators.emg.commands.train_model import emg_model
 from operators.emg.mixtures import PeakMixtures
 from operators.gait.cycles import Cycles
 from stream.chunk import StreamSpec
@@ -65,3 +66,6 @@ def test_sessions_of_another_speed_are_compared_with_a_word(tmp_path):
     said = "slow: cycles of 2.30 s, 2.30 times those of usual; what differs may be the speed"
     assert done.exit_code == 0 and said in done.output.replace("\n", " ")
     assert said in (tmp_path / "out" / "comparison.html").read_text()
+    trained = run(emg_model, *files, "-o", tmp_path / "m.npz")
+    assert trained.exit_code == 0 and said in trained.output.replace("\n", " ")
+    assert "may be the speed" not in run(emg_model, files[0], "-o", tmp_path / "one.npz").output

@@ -14,7 +14,7 @@ from operators.emg.commands.comparison import Band, Comparison
 
 COLOURS = ("#12395b", "#b25b00", "#2f7d4f", "#a3211b", "#7a3b8f", "#55534e", "#0b7d8f", "#8f6b0b")
 WITH_BANDS = 4
-"""Of so many sessions, each has its band of one standard deviation; of more there are mean curves alone."""
+"""Up to this many sessions have a band of one standard deviation each; more are mean curves alone."""
 SIZE_IN = (3.6, 3.0)
 PLACE = np.arange(100)
 STYLE: dict[Any, Any] = {

@@ -30,11 +30,12 @@ def emg_model(
     import numpy as np
     from rich.table import Table
 
-    from operators.emg.commands.session_cycles import MOST_CYCLES, check_alike, joined, read_sessions
+    from operators.emg.commands.session_cycles import MOST_CYCLES, check_alike, joined, other_speeds, read_sessions
     from operators.emg.emg_model import write_references
     from operators.emg.mixture_reference import References
     from operators.emg.mixtures import PeakMixtures
     from stream.batch.sessions import sessions_at
+    from stream.plain import say
     from stream.screen import Screen
 
     if output.exists() and not overwrite:
@@ -69,3 +70,7 @@ def emg_model(
             name, str(made.cycles[k]), str(max(made.modes[k], 0)) if made.modes[k] > 0 else "no burst", *numbers
         )
     Screen().print(table)
+    for speed in (speeds := other_speeds(read)):
+        say(speed)
+    if speeds:
+        say(f"{output} takes all these speeds for usual")
