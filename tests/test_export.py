@@ -70,9 +70,10 @@ def mixed(
     return {name: (times, data) for name, (_, times, data) in made.items()}
 
 
-def test_csv_export_keeps_every_digit_and_comes_back(tmp_path: Path) -> None:
+def test_csv_export_keeps_every_digit_and_comes_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     truth = mixed(tmp_path / "r.mcap")
     kinegraph("export", tmp_path / "r.mcap", "-o", tmp_path / "out")
+    assert "0 s in the tables is 2023-11-14T22:13:20.000000005Z" in capsys.readouterr().out
     assert {p.name for p in (tmp_path / "out").iterdir()} == {f"{name}.csv" for name in truth if name != "depth"}
     lines = (tmp_path / "out" / "emg.csv").read_text().splitlines()
     assert lines[0] == "time [s],TA [uV],GM [uV],lost" and lines[2].startswith("0.001000000,")
@@ -84,7 +85,10 @@ def test_csv_export_keeps_every_digit_and_comes_back(tmp_path: Path) -> None:
     kinegraph("export", tmp_path / "r.mcap", "-o", tmp_path / "iso", "--stream", "steps", "--time", "iso")
     assert (tmp_path / "iso" / "steps.csv").read_text().splitlines()[
         1
-    ] == f"2023-11-14T22:13:20.000000005Z,{truth['steps'][0][0]},0"
+    ] == "2023-11-14T22:13:20.000000005Z,2023-11-14T22:13:20.000000005Z,0"
+    rows = [line.split(",") for line in (tmp_path / "out" / "steps.csv").read_text().splitlines()]
+    assert rows[0] == ["time [s]", "onset [s]", "lost"]
+    assert [row[1] for row in rows[1:]] == [f"{k / 10:.9f}" for k in range(5)], "seconds from the recording's start"
     with pytest.raises(RecordingError, match="stream 'depth': samples of 60 x 80 numbers do not fit"):
         cli.call("export", [str(tmp_path / "r.mcap"), "--stream", "depth"])
     with pytest.raises(RecordingError, match="no stream 'emgs' was recorded; did you mean 'emg'"):

@@ -58,12 +58,17 @@ def export(
                 done += rows
                 progress(done, total)
 
+            export = Export(opened, names, place, time.value, overwrite, more)
             try:
-                written = exporter.write(Export(opened, names, place, time.value, overwrite, more))
+                written = exporter.write(export)
             except OSError as error:
                 raise RecordingError(f"{place}: cannot be written ({error.strerror or error})") from None
     for name, path, rows in written:
         say(f"{name}: {rows} samples to {path}")
+    if exporter.suffix == "_csv" and time is ExportClock.seconds and export.origin > 0:
+        import numpy as np
+
+        say(f"0 s in the tables is {np.datetime64(export.origin, 'ns')}Z")
 
 
 def _fitting(recording: Recording, wanted: list[str], exporter: Exporter) -> list[str]:

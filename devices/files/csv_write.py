@@ -14,6 +14,7 @@ from stream.columns import column_names, columns
 from stream.sheet import Sheet
 
 Clock = Literal["seconds", "iso", "ns"]
+_TOLD_IN: dict[Clock, str] = {"seconds": "s", "iso": "", "ns": "ns"}
 
 
 def write_csv(
@@ -22,9 +23,14 @@ def write_csv(
     """Write one stream; returns its rows. `clock`: seconds since `origin` (ns), ISO 8601 in UTC, or ns since 1970.
 
     Every digit is kept: stamps to the nanosecond, numbers as the shortest text that reads back as the same number. A column `lost`
-    says how many samples are missing just before a row (-1: an unknown number).
+    says how many samples are missing just before a row (-1: an unknown number). Times in events (their unit is ns: onset, end) are told by
+    the same clock; one that is not known is empty.
     """
-    heads = [f"{name} [{unit}]" if unit else name for name, unit in column_names(spec)]
+    names = column_names(spec)
+    times = [unit == "ns" and spec.is_event and clock != "ns" for _, unit in names]
+    heads = [
+        _head(name, _TOLD_IN[clock] if is_time else unit) for (name, unit), is_time in zip(names, times, strict=True)
+    ]
     first = {"seconds": "time [s]", "iso": "time", "ns": "time [ns]"}[clock]
     rows = 0
     with path.open("w", newline="", encoding="utf-8") as file:
@@ -34,12 +40,25 @@ def write_csv(
             n = len(chunk.time)
             if n:
                 lost = [chunk.lost, *[0] * (n - 1)]
-                writer.writerows(
-                    zip(_stamps(chunk.time, clock, origin), *map(_texts, columns(spec, chunk.data)), lost, strict=True)
-                )
+                told = [
+                    _times(column, clock, origin) if is_time else _texts(column)
+                    for column, is_time in zip(columns(spec, chunk.data), times, strict=True)
+                ]
+                writer.writerows(zip(_stamps(chunk.time, clock, origin), *told, lost, strict=True))
                 rows += n
                 progress(n)
     return rows
+
+
+def _head(name: str, unit: str) -> str:
+    return f"{name} [{unit}]" if unit else name
+
+
+def _times(column: Array, clock: Clock, origin: int) -> list[str]:
+    known = column.astype(np.int64) > 0
+    return [
+        str(text) if there else "" for text, there in zip(_stamps(column, clock, origin), known.tolist(), strict=True)
+    ]
 
 
 def _stamps(time: Array, clock: Clock, origin: int) -> list[str] | list[int]:
