@@ -1,4 +1,4 @@
-"""Which way to take next on a motion graph: a beam search with a bounded look-ahead."""
+"""Which way to take next on a motion graph: a beam search with a bounded look-ahead, level by level."""
 
 from __future__ import annotations
 
@@ -21,6 +21,9 @@ NODE, FRAME, TURN, X, Z, SECONDS, ALONG, ERROR, LOOKS, HITS, FIRST, SCORE, OFF, 
 """What is known of a walk, in one row: where it is, how it is placed, how long it takes, how far along the path it is, the sum of squared
 distances from it, of how many looks, how many in forbidden areas, its first edge, its score,
  its last distance from the path, its heading, and where it is (two numbers)."""
+DEEP, COUNT, BEST, FOUND, CHOSEN = range(5)
+"""What is known of a search: how deep it is, how many walks it follows, the best score at the cluster that is wanted, the first edge of
+that walk, and that of the best walk of all."""
 PROGRESS = 3.0
 """What a metre a second along the path is worth, in metres from it."""
 AHEAD_M = 1.0
@@ -158,20 +161,21 @@ def keep(then: Samples, kept: int, apart: bool) -> int:
 
 
 @kernel
-def plan(
-    start: Samples, poses: Samples, first: Times, last: Times, core: Array, begin: Times, target: Times, leave: Times, enter: Times,
-    natural: Array, turn: Samples, shift: Samples, blend: int, rate_hz: float, path: Samples, length: Samples, areas: Samples,
-    togo: Samples, goal: Array, noise: Samples, now: Samples, then: Samples,
-) -> int:  # fmt: skip
-    """The edge to take out of the node of `start` (16,), or -1 where there is none.
+def deepen(
+    levels: int, search: Samples, along: float, poses: Samples, first: Times, last: Times, core: Array, begin: Times, target: Times,
+    leave: Times, enter: Times, natural: Array, turn: Samples, shift: Samples, blend: int, rate_hz: float, path: Samples, length: Samples,
+    areas: Samples, togo: Samples, goal: Array, noise: Samples, now: Samples, then: Samples,
+) -> None:  # fmt: skip
+    """So many more levels of a search: walks go over into the nodes that lie behind theirs.
 
+    search (5,)      how deep it is, how many walks are followed, and the edge to take; -1: none. Begins with (0, 1, inf, -1, -1)
+    along            how far along the path the walk was when the search began
     togo, goal (k,)  seconds from the start of each node to the cluster that is wanted (0: none is, or it is of it); which nodes are of it
-    noise (m,)       added to the score of what begins with an edge     now, then (BEAM + 1, 16)  room
+    noise (m,)       added to the score of what begins with an edge     now, then (BEAM + 1, 16)  room; the first row is the walk
     """
-    now[0] = start
-    count, best, found, chosen, timed = 1, math.inf, -1, -1, bool(goal.any())
-    for depth in range(DEPTH):
-        kept = 0
+    timed = bool(goal.any())
+    for _ in range(levels):
+        count, kept = int(search[COUNT]), 0
         for w in range(count):
             node = int(now[w, NODE])
             upto = last[node]
@@ -184,17 +188,17 @@ def plan(
                     continue
                 one = then[kept]
                 one[:] = now[w]
-                if depth == 0:
+                if search[DEEP] == 0:
                     one[FIRST] = e
                 one[SECONDS] += (leave[e] - upto) / rate_hz
                 go_over(one, poses, first, target[e], natural[e], enter[e], blend, turn[e], shift[e])
-                one[SCORE] = score(one, start[ALONG], path, length, togo, noise, timed)
-                if goal[target[e]] and one[SCORE] < best:
-                    best, found = one[SCORE], int(one[FIRST])
+                one[SCORE] = score(one, along, path, length, togo, noise, timed)
+                if goal[target[e]] and one[SCORE] < search[BEST]:
+                    search[BEST], search[FOUND] = one[SCORE], one[FIRST]
                 kept = keep(then, kept, path.shape[0] > 1)
         if not kept:
+            search[DEEP] = DEPTH
             break
-        count = kept
         now[:kept] = then[:kept]
-        chosen = int(now[now[:kept, SCORE].argmin(), FIRST])
-    return found if found >= 0 else chosen
+        search[DEEP], search[COUNT] = search[DEEP] + 1, kept
+        search[CHOSEN] = now[now[:kept, SCORE].argmin(), FIRST]

@@ -51,6 +51,7 @@ class GraphWalk:
         nodes = len(graph.first)
         self._none, self._all_zero = np.zeros(nodes, np.bool_), np.zeros(nodes)
         self._rooms = np.zeros((2, beam.BEAM + 1, beam.COLUMNS))
+        self._progress = np.zeros(5)
         joints = len(graph.tree.joints)
         self._turns, self._joints, self._work = room_for(joints)
         self._one, self._two, self.pose = (
@@ -75,6 +76,7 @@ class GraphWalk:
         cos, sin = np.cos(-heading), np.sin(-heading)
         self.place = np.array([-heading, -(root[0] * cos + root[2] * sin), -(root[2] * cos - root[0] * sin)])
         self.along, self._half, self._edge = 0.0, 0, -1
+        self._searching = False
         self.go(aims)
 
     def _first_node(self, cluster: int) -> int:
@@ -88,8 +90,8 @@ class GraphWalk:
         self.aims, self.passed, self.along, self.over = list(aims), 0, 0.0, not aims
         self._count()
         self._aim()
-        if not self._blending and (edge := self._plan()) >= 0:
-            self._edge = edge
+        if not self._blending:
+            self._search()
 
     @property
     def _blending(self) -> bool:
@@ -120,26 +122,51 @@ class GraphWalk:
         self.over = self.over or not self.aims
         self._aim()
 
-    def _plan(self) -> int:
-        """The edge that is taken next; -1 where there is none."""
+    def _search(self) -> None:
+        """Begin to look for the edge that is taken next; where none is found, the one that was to be taken stays."""
         g = self.graph
-        start = np.zeros(beam.COLUMNS)
+        start = self._rooms[0, 0]
+        start[:] = 0.0
         start[beam.NODE], start[beam.FRAME], start[beam.ALONG] = self.node, self.frame, self.along
         start[beam.TURN : beam.Z + 1] = self.place
         by_chance = not self.goal.any() and not len(self.path)
-        noise = self.random.random(len(g.source)) * (1.0 if by_chance else 1e-3)
-        togo = self._togo[:, self.aims[0].cluster] if self.goal.any() else self._all_zero
-        edge = beam.plan(
-            start, g.poses, g.first, g.last, g.core, self._begin, g.target, g.leave, g.enter, self._natural, g.turn, g.shift, g.blend,
-            g.rate_hz, self.path, self.length, self.areas, np.ascontiguousarray(togo), self.goal, noise, self._rooms[0], self._rooms[1],
+        self._noise = self.random.random(len(g.source)) * (1.0 if by_chance else 1e-3)
+        wanted = np.ascontiguousarray(self._togo[:, self.aims[0].cluster]) if self.goal.any() else self._all_zero
+        self._sought = self.path, self.length, self.areas, wanted, self.goal
+        self._progress[:] = 0.0, 1.0, np.inf, -1.0, -1.0
+        self._from, self._from_along = self.frame, self.along
+        if self._edge >= 0 or not self._searching:
+            self._otherwise = self._edge
+        ways = np.arange(self._begin[self.node], self._begin[self.node + 1])
+        leave = g.leave[
+            ways[g.core[g.target[ways]] & (self._natural[ways] | (g.leave[ways] - self.frame >= beam.HALF))]
+        ]
+        self._due = int(np.maximum(leave - g.blend, self.frame).min(initial=self.frame + beam.DEPTH))
+        if self._otherwise >= 0:
+            self._due = min(self._due, int(g.leave[self._otherwise]) - self._half)
+        self._edge, self._searching = -1, True
+
+    def _look_ahead(self) -> None:
+        """A part of the search, so that no frame takes much longer than others; what is left of it where the edge must be known now."""
+        g, deep = self.graph, int(self._progress[beam.DEEP])
+        levels = -(-(beam.DEPTH - deep) // max(1, self._due - self.frame + 1))
+        beam.deepen(
+            levels, self._progress, self._from_along, g.poses, g.first, g.last, g.core, self._begin, g.target, g.leave, g.enter,
+            self._natural, g.turn, g.shift, g.blend, g.rate_hz, *self._sought, self._noise, *self._rooms,
         )  # fmt: skip
-        if edge >= 0:
-            free = int(g.leave[edge]) - self.frame
-            self._half = 0 if self._natural[edge] else min(g.blend, free)
-        return int(edge)
+        if self._progress[beam.DEEP] < beam.DEPTH:
+            return
+        self._searching = False
+        found = self._progress[beam.FOUND] if self._progress[beam.FOUND] >= 0 else self._progress[beam.CHOSEN]
+        self._edge = int(found) if found >= 0 else self._otherwise
+        if found >= 0:
+            free = int(g.leave[self._edge]) - self._from
+            self._half = 0 if self._natural[self._edge] else min(g.blend, free)
 
     def step(self) -> bool:
         """Make the next pose, in `pose`; whether a node was entered with it."""
+        if self._searching:
+            self._look_ahead()
         g, edge = self.graph, self._edge
         entered = False
         placed(g.poses[self.frame], self.place, self._one)
@@ -185,7 +212,7 @@ class GraphWalk:
             self.frame = int(g.enter[edge]) + self.frame - int(g.leave[edge])
         self.node, self._edge = int(g.target[edge]), -1
         self._count()
-        self._edge = self._plan()
+        self._search()
 
     def _follow(self) -> None:
         """How far along the path the walk is; and whether it is where it must not be."""
