@@ -1,6 +1,7 @@
 """`python -m bench.motion_map [POSES]`: a map of a million made-up poses of 19 markers: opening it, asking it, dragging, memory; Markdown.
 
-Rendering is not in it: times end where a client without a browser has the whole message.
+Rendering is not in it: times end where a client without a browser has the whole message. `--live` measures only what a pose takes on the
+live map, grid and PCA, one pose a chunk, of 100 000: processor time, which other work hardly changes.
 """
 
 from __future__ import annotations
@@ -18,10 +19,13 @@ from websockets.sync.client import ClientConnection, connect
 
 from bench.report import table
 from devices.outlets.page.wire import decode
+from operators.motion_map import MotionMap
 from operators.pose_map.commands.build import build_index
 from operators.pose_map.commands.gather import Gathered
 from operators.pose_map.commands.marker_table import MarkerTable
 from operators.pose_map.retrieve import QUERY, PoseSearch
+from operators.pose_map.som import PoseGrid
+from stream.chunk import Chunk, StreamSpec, grid
 from stream.motion_index import MotionIndex
 
 MARKERS, RATE_HZ, SEQUENCE = 19, 60.0, 20_000
@@ -132,5 +136,28 @@ def in_operator(path: Path, poses: int, length: int) -> str:
     return f"{np.median(took[1:]):.1f} ms / {max(took[1:]):.1f} ms"
 
 
+def live(poses: int = 100_000) -> str:
+    """What each pose takes of the operators of the live map."""
+    data = np.concatenate([one.poses for one in sequences(poses)])[:poses]
+    names = tuple(f"m{k}.{axis}" for k in range(MARKERS) for axis in "xyz")
+    spec = StreamSpec((data.shape[1],), rate_hz=RATE_HZ, channels=names, units=("m",))
+    stamps = grid(RATE_HZ, len(data))
+    rows = []
+    for operator in (PoseGrid(), MotionMap()):
+        operator.open({"in": spec})
+        took = np.empty(len(data))
+        for i in range(len(data)):
+            chunk = Chunk(stamps[i : i + 1], data[i : i + 1], int(stamps[i]))
+            began = time.thread_time()
+            for _ in operator.process("in", chunk) or ():
+                pass
+            took[i] = 1e6 * (time.thread_time() - began)
+        half = took[len(took) // 2 :]
+        rows.append([type(operator).__name__, *(f"{v:.0f}" for v in (half.mean(), *np.quantile(half, (0.5, 0.99))))])
+    return table(["us a pose, after 50 000", "mean", "median", "p99"], rows)
+
+
 if __name__ == "__main__":
+    if "--live" in sys.argv:
+        sys.exit(print(live()))
     main(int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000)
