@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from websockets.sync.client import ClientConnection, connect
@@ -149,7 +150,8 @@ def live(poses: int = 100_000) -> str:
         for i in range(len(data)):
             chunk = Chunk(stamps[i : i + 1], data[i : i + 1], int(stamps[i]))
             began = time.thread_time()
-            for _ in operator.process("in", chunk) or ():
+            made: Any = operator.process("in", chunk)
+            for _ in made or ():
                 pass
             took[i] = 1e6 * (time.thread_time() - began)
         half = took[len(took) // 2 :]

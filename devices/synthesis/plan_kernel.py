@@ -166,7 +166,7 @@ def deepen(
     leave: Times, enter: Times, natural: Array, turn: Samples, shift: Samples, blend: int, rate_hz: float, path: Samples, length: Samples,
     areas: Samples, togo: Samples, goal: Array, noise: Samples, now: Samples, then: Samples,
 ) -> None:  # fmt: skip
-    """So many more levels of a search: walks go over into the nodes that lie behind theirs.
+    """This many more levels of a search: walks go over into the nodes that lie behind theirs.
 
     search (5,)      how deep it is, how many walks are followed, and the edge to take; -1: none. Begins with (0, 1, inf, -1, -1)
     along            how far along the path the walk was when the search began
