@@ -23,7 +23,7 @@ def write_csv(
     """Write one stream; returns its rows. `clock`: seconds since `origin` (ns), ISO 8601 in UTC, or ns since 1970.
 
     Every digit is kept: stamps to the nanosecond, numbers as the shortest text that reads back as the same number. A column `lost`
-    says how many samples are missing just before a row (-1: an unknown number). Times in events (their unit is ns: onset, end) are told by
+    says how many samples are missing just before a row (-1: an unknown number). Times in events (their unit is ns: onset, end) follow
     the same clock; one that is not known is empty.
     """
     names = column_names(spec)
