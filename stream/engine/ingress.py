@@ -158,6 +158,14 @@ class DataTime:
         """The session's time: the data's where no source is live, else the clock's."""
         return self.newest if self.newest != NEVER else self.clock.now()
 
+    def passes(self, port: IngressPort, until: int) -> bool:
+        """Whether a chunk up to `until` enters alone: data, and nothing is due to be said to the followers. Notes how far the data come."""
+        if port.follows or until > self._due:
+            return False
+        if until > self.newest:
+            self.newest = until
+        return True
+
     def entering(self, port: IngressPort, chunk: Chunk, arrival: int) -> Iterator[tuple[IngressPort, Chunk, int]]:
         """What enters now that this chunk has come, in its order; each is taken in before the next is asked for."""
         until = chunk.until
@@ -283,7 +291,7 @@ class Ingress:
 
     def enter(self, port: IngressPort, chunk: Chunk, arrival: int) -> int:
         """A source's chunk enters the graph, as far as it is admitted, and all that it leads to is done: returns how many ns that took."""
-        if not self.time.followers:
+        if not self.time.followers or self.time.passes(port, chunk.until):
             return self._admit(port, chunk, arrival)
         return sum(self._admit(*entry) for entry in self.time.entering(port, chunk, arrival))
 
