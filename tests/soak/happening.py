@@ -15,7 +15,7 @@ LOOK_S = 1.0
 START_S = 120.0
 """The most that the first start may take, with every kernel to be compiled."""
 STEP_S = 3600
-ASLEEP_S = 600
+ASLEEP_S = 60
 """So long is the machine asleep, by its clocks, while a process that takes it for true is stopped for a moment."""
 STOPPED = {"suspend", "machine asleep"}
 
