@@ -149,3 +149,29 @@ def test_what_cannot_be_is_said():
         Envelope(highpass_hz=500.0).open({"in": spec_of(1)})
     with pytest.raises(InputError, match="irregular"):
         Envelope().open({"in": StreamSpec((1,))})
+
+
+@pytest.mark.parametrize("phase", ["zero", "causal"])
+def test_stamps_that_lie_close_after_a_stall_do_not_run_backwards(phase):
+    """A device that was held up sends what it has at once: a hundred samples within 0.1 ms, each output's place is a share of 0.5 ms on."""
+    steps = np.full(3000, 500_000)
+    steps[1000:1100] = 1000
+    time = 1_000_000_000 + np.cumsum(steps)
+    data = np.random.default_rng(3).normal(size=(3000, 2))
+    made = []
+    for size in (7, 3000):
+        operator = Envelope(phase=phase)
+        operator.open({"in": StreamSpec((2,), rate_hz=2000.0, units=("uV",))})
+        chunks = [
+            operator.process("in", Chunk(time[i : i + size], data[i : i + size], int(time[i : i + size][-1])))
+            for i in range(0, 3000, size)
+        ]
+        stamps = np.concatenate([chunk.time for chunk in chunks])
+        until = [chunk.until for chunk in chunks]
+        assert (np.diff(stamps) >= 0).all() and until == sorted(until)
+        reached = 0
+        for chunk in chunks:
+            assert not len(chunk.time) or (int(chunk.time[0]) > reached and int(chunk.time[-1]) <= chunk.until)
+            reached = chunk.until
+        made.append(stamps)
+    assert np.array_equal(*made)

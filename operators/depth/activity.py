@@ -42,7 +42,7 @@ LEAST_EPOCHS = 4
 RESTLESS = 3.0
 """No noise in bed is this many times that of the empty bed, unless it has been as steady as noise is."""
 STEADY_EPOCHS = 20
-"""Over so many epochs noise scatters as little as within one (operators.depth.light)."""
+"""Over this many epochs noise scatters as little as within one (operators.depth.light)."""
 
 WHYS = np.array(["", "unseen", "dark", "camera", "still", "region", "body"])
 

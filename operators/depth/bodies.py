@@ -13,7 +13,7 @@ from stream.chunk import Samples, Times
 CROWD, ALONE = 1.4, 1.2
 """A second body: from this many times on, and down to this many times, the share that one body raises."""
 TWO = 1.7
-"""Where only what has changed since is known: so many times, so that one of two has gone once half of what one raises has."""
+"""Where only what has changed since is known: this many times, so that one of two has gone once half of what one raises has."""
 CROWD_S, ALONE_S = 30, 300
 """For this long; and so long after lying down the share of one body is known."""
 
@@ -57,9 +57,9 @@ class Bodies:
         self.alone[k], self.crowd[k], self.two[k] = 0.0, 0, 0
 
     def take(self, k: int, part: tuple[slice, slice], depth: Samples, rise: float) -> None:
-        """Somebody lies in the `part` of a region whose empty depth is not known, `depth` (rows, columns): what comes is told from that on.
+        """Somebody lies in the `part` of a region whose empty depth is not known, `depth` (rows, columns): changes are told from there on.
 
-        Whether these are two is told by what stands out of the plane in which the bed lay before the camera was moved.
+        What stands out of the plane in which the bed lay before the camera was moved says whether these are two.
         """
         if np.isfinite(self.taken[part]).any():
             return
@@ -91,7 +91,7 @@ class Bodies:
         self.alone[k] += raised, 1.0
 
     def count(self, k: int, times: float) -> bool:
-        """One more second, of so many times one body; whether there are now as many as were not there before, for 30 s."""
+        """One more second, of this many times one body; whether there are now as many as were not there before, for 30 s."""
         other = times < ALONE if self.two[k] else times >= CROWD
         self.crowd[k] = self.crowd[k] + 1 if other else 0
         if self.crowd[k] < CROWD_S:

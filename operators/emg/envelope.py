@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from operators.emg.envelope_kernel import envelope, gap
+from operators.emg.envelope_kernel import envelope, gap, stamp
 from operators.emg.one_kind import refuse_mixed
 from operators.emg.zero_phase import antialias_phases, highpass_reach, lowpass_phases
 from operators.iir import butterworth, steady_memory
@@ -260,7 +260,7 @@ class Envelope(Operator[EnvelopeState]):
         sample, phase = divmod(int(s.count[2]) * down, up)
         if s.last == NEVER or sample >= s.count[0] or until >= s.last + s.limit:
             return earliest
-        return min(earliest, int(s.stamps[sample % len(s.stamps), 0] + step[3 + phase]) - 1)
+        return min(earliest, stamp(s.stamps, sample, step, phase, sample + 1 < s.count[0]) - 1)
 
 
 @remembered

@@ -160,6 +160,18 @@ def envelope(
 
 
 @kernel
+def stamp(stamps: Times, sample: int, step: Times, phase: int, followed: bool) -> int:
+    """When the position `phase` / up after `sample` is; at the earliest, where the next sample is not yet known (`followed`).
+
+    After a stall a device's stamps may lie closer than its rate says: the position comes before the next sample all the same.
+    """
+    begin = stamps[sample % stamps.shape[0], 0]
+    if phase == 0 or not followed:
+        return int(begin + step[3])
+    return int(min(begin + step[3 + phase], stamps[(sample + 1) % stamps.shape[0], 0] + step[3] - 1))
+
+
+@kernel
 def low(
     clean: Samples,
     at: int,
@@ -204,7 +216,7 @@ def low(
             for c in range(out.shape[1]):
                 if bad[slot, c]:
                     out[rows, c] = math.nan
-        marks[rows, 0] = stamps[sample % stamps.shape[0], 0] + step[3 + phase]
+        marks[rows, 0] = stamp(stamps, sample, step, phase, sample < newest)
         marks[rows, 1] = lost
         rows += 1
     return rows
