@@ -121,6 +121,7 @@ class Reference:
         self.frames: list[int] = []
         self.present, self.good = np.zeros(len(x), int), np.zeros(len(x), bool)
         self.moves: list[float] = []
+        self.rested: set[int] = set()
         self.moved = self.peak = 0.0
         self.peak_at = 0
         self.resting: list[int] = []
@@ -176,6 +177,9 @@ class Reference:
             return False
         if not self.resting:
             self.tell("resting", max(0, i - n))
+            for j in range(len(self.frames)):
+                if self.frames[j] >= max(0, i - n):
+                    self.rested.add(j)
         self.resting.append(i)
         return True
 
@@ -648,6 +652,9 @@ class Reference:
         return sum(d for d in far if d < np.inf)
 
     def track(self, paths: Paths, i: int) -> bool:
+        for c, start in enumerate(paths.begin):
+            if start in self.rested:
+                paths.cost[c], paths.begin[c] = np.inf, -1
         mean = paths.advance(self.along(i, paths.frames), i, self.radius)
         exemplar = self.exemplars[self.slot]
         assert exemplar

@@ -12,8 +12,10 @@ import pytest
 from reference import Event, Reference
 from structlog.testing import capture_logs
 
+from devices.simulators.exerciser import JOINTS, Exerciser, Routine
 from devices.simulators.walking_limb import Limb
 from operators.features.mirror import Mirror
+from operators.features.pose import Pose
 from operators.features.stack import Stack
 from operators.iir import Lowpass
 from operators.resample import Resample
@@ -22,6 +24,7 @@ from operators.segmentation.operator import REACH
 from stream.chunk import Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.operator import Operator, grid
+from stream.rows import taking
 
 RATE = 30.0
 QUICK: dict[str, Any] = {"cycle_s": 2.8, "learn_s": 3.0, "window_s": 12.0, "firm_s": 4.0}
@@ -653,3 +656,22 @@ def test_a_warning_says_once_that_most_of_what_is_counted_may_be_chance(capture:
     for _ in range(3):
         operator._say_doubtful(np.array([0.0]))
     assert len(capture) == 1 and capture[0]["doubtful"] == 3 and capture[0]["of"] == 4
+
+
+def test_half_of_the_next_exercise_is_no_repetition_of_the_last_one_though_stillness_comes_before_it() -> None:
+    """Squats, a rest of 1.5 s, knees raised: the stillness with half a knee raise after it passed for a seventh squat."""
+    routine = Routine(Exerciser(noise_mm=6.0, jitter_ms=0.0, seed=0))
+    begins = routine.starts(1)
+    x = np.array([routine.joints(i) for i in range(round(RATE * (routine.starts(2)[-1] + 2.0)))])
+    pose = Pose()
+    spec = StreamSpec(x.shape[1:], rate_hz=RATE, channels=JOINTS, units=("m",))
+    pose.open({pose.inputs[0]: spec})
+    time = grid(RATE, len(x))
+    take = taking(pose, {pose.inputs[0]: spec})
+    (made,) = chunks_of(pose.process(pose.inputs[0], take(pose.inputs[0], Chunk(time, x, int(time[-1])))))
+    events, _ = played(Segment(), stacked(made.data))
+    found = events["primitive"][events["primitive"]["repetition"] > 0]
+    middle = (found["onset"] + found["end"]) / 2e9 + 1 / 3
+    assert ((middle > begins[0] - 0.5) & (middle < routine.starts(2)[0])).sum() == 6
+    for rest in events["rest"]:
+        assert not ((found["onset"] > rest["onset"]) & (found["onset"] < rest["end"])).any()

@@ -25,6 +25,7 @@ from operators.segmentation.layout import (
     TRAVEL_SHARE,
     Memory,
 )
+from operators.segmentation.rest import reported_at_rest
 from stream.chunk import Samples, Times
 from stream.kernel import kernel
 
@@ -216,9 +217,12 @@ def trusted(s: Memory) -> float:
 
 @kernel
 def track(s: Memory, i: int) -> bool:
-    """Follow the exemplar's paths to frame `i`; True if the best one (BEST_START to BEST_END) is now accepted."""
+    """Follow the exemplar's paths to frame `i`; True if the best one (BEST_START to BEST_END) is now accepted. None begins at rest."""
     b = s.books
     length = b[LENGTH]
+    for c in range(length):
+        if s.begin[0, c] >= 0 and reported_at_rest(s, s.begin[0, c]):
+            s.cost[0, c], s.begin[0, c] = math.inf, -1
     columns(s, i, b[SLOT], length)
     radius = s.values[RADIUS]
     mean = advance(s.scratch, i, length, b[FREE], GAIN * radius, s.cost, s.begin)

@@ -128,7 +128,7 @@ class Memory(NamedTuple):
     firsts     (features,)         1: the first of a pair that changes places in the mirror
     leads      (clusters,)         how much more the firsts have moved in the first steps of a cluster's cycles than in the second ones
     recent     (REST, features)    the newest frames as they came, by RECENT modulo REST, and their stamps recent_at (REST,)
-    moves      (ring,)             how much each frame moves: its mean distance to the REST before it
+    moves      (ring,)             how much each frame moves: its mean distance to the REST before it; negative: in a rest that was reported
     travels    (clusters,)         how far the exemplars move, from stride to stride
     kinds      (4,)                repetitions of the open activity by their symmetry
     books, values                  the numbers named above

@@ -34,7 +34,10 @@ from stream.kernel import kernel
 
 @kernel
 def rests(s: Memory, x: Samples, stamp: int) -> bool:
-    """Whether frame `x` (features,) belongs to a rest: so it is not worked through. A rest that it ends is reported."""
+    """Whether frame `x` (features,) belongs to a rest: so it is not worked through. A rest that it ends is reported.
+
+    Frames of the rest that were worked through, before it was known to be one, have a negative number in `moves` from then on.
+    """
     b = s.books
     s.values[MOVED] = moved(s, x)
     b[RECENT] += 1
@@ -46,6 +49,10 @@ def rests(s: Memory, x: Samples, stamp: int) -> bool:
         return False
     if not b[RESTED]:
         b[REST_FROM] = oldest
+        i = b[NEXT] - 1
+        while i >= b[SINCE] and s.times[i % s.times.shape[0]] >= oldest:
+            s.moves[i % s.moves.shape[0]] = -abs(s.moves[i % s.moves.shape[0]])
+            i -= 1
         tell(s, RESTING_EVENT, oldest, 0, 0, 0, 0, 0)
     b[RESTED] += 1
     b[REST_TO] = stamp
@@ -98,7 +105,7 @@ def choose_peak(s: Memory, t: int) -> None:
         return
     found = np.empty(n)
     for i in range(n):
-        found[i] = s.moves[(first + i) % s.moves.shape[0]]
+        found[i] = abs(s.moves[(first + i) % s.moves.shape[0]])
     found.sort()
     s.values[PEAK] = found[n - b[MASS]]
 
@@ -106,4 +113,10 @@ def choose_peak(s: Memory, t: int) -> None:
 @kernel
 def at_rest(s: Memory, i: int) -> bool:
     """Whether frame `i`, which was worked through, would be left out by what is known of the motion now."""
-    return bool(s.moves[i % s.moves.shape[0]] < s.values[STILL_SHARE] * s.values[PEAK])
+    return bool(abs(s.moves[i % s.moves.shape[0]]) < s.values[STILL_SHARE] * s.values[PEAK])
+
+
+@kernel
+def reported_at_rest(s: Memory, i: int) -> bool:
+    """Whether frame `i`, which was worked through, lies in a rest that was reported: it began before it was noticed."""
+    return bool(s.moves[i % s.moves.shape[0]] < 0.0)
