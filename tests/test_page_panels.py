@@ -298,14 +298,17 @@ def test_cycles_have_their_mean_band_and_last_cycle(page: LiveBrowser, shown: Sh
     names = shown.specs["ensemble.mean"].channels
     width = page.value(f"document.querySelector({canvas('cycles')!r}).width")
     columns = min(len(names), width // 150)
-    cell = width / columns
+    cell, tall = width / columns, int(page.value("document.querySelector('[aria-label=\"cycles\"]').dataset.cell"))
+    middle = (tall + 18 - 6) / 2
     band = np.array(page.like(canvas("cycles"), "rule", within=10))
     for c, _ in enumerate(names):
-        left, top = c % columns * cell, c // columns * 92
-        inside = band[(abs(band[:, 0] - left - cell / 2) < cell / 2 - 8) & (abs(band[:, 1] - top - 55) < 34)]
+        left, top = c % columns * cell, c // columns * tall
+        inside = band[
+            (abs(band[:, 0] - left - cell / 2) < cell / 2 - 8) & (abs(band[:, 1] - top - middle) < (tall - 24) / 2)
+        ]
         assert len(inside) > 60, (names[c], "no band")
         line = np.array(page.like(canvas("cycles"), page.value(f"({SHADES})[{c} % 12]"), within=60))
-        line = line[(abs(line[:, 0] - left - cell / 2) < cell / 2) & (abs(line[:, 1] - top - 55) < 40)]
+        line = line[(abs(line[:, 0] - left - cell / 2) < cell / 2) & (abs(line[:, 1] - top - middle) < tall / 2 - 6)]
         _, last = shown.at("cycles.cycles", at["cycles"])
         peak = np.argmax(last[:, c]) / (len(last) - 1)
         highest = line[line[:, 1] <= line[:, 1].min() + 2, 0]  # real muscles have plateaus
@@ -332,12 +335,15 @@ def test_modes_are_ellipses_where_they_are_and_targets_are_boxes(
     )
     width = page.value(f"document.querySelector({canvas('modes')!r}).width")
     columns = min(len(names), width // 150)
-    cell = width / columns
-    ink = np.array(page.like(canvas("modes"), "ink", within=40))
+    cell, tall = width / columns, int(page.value(f"{box}.cell"))
+    ink = np.array(page.like(canvas("modes"), "ink", within=90))
     for name, rows in last.items():
         c = names.index(name)
-        left, top = c % columns * cell + 6, c // columns * 92 + 18
-        inside = ink[(abs(ink[:, 0] - left - cell / 2 + 6) < cell / 2 - 6) & (abs(ink[:, 1] - top - 34) < 33)]
+        left, top = c % columns * cell + 6, c // columns * tall + 18
+        inside = ink[
+            (abs(ink[:, 0] - left - cell / 2 + 6) < cell / 2 - 6)
+            & (abs(ink[:, 1] - top - (tall - 24) / 2) < (tall - 24) / 2)
+        ]
         narrow = rows[(rows["sd_pct"] < 8) & (rows["place_pct"] > 20) & (rows["place_pct"] < 80)]
         for row in narrow:
             at = left + (cell - 12) * row["place_pct"] / 99

@@ -216,15 +216,17 @@ def beside(browser: LiveBrowser) -> None:
         browser.wait(f"document.querySelector('.cycles canvas').width < {width} && innerWidth === {width}")
         wide = browser.value("document.querySelector('.cycles canvas').width")
         columns = min(8, wide // 150) // 2 * 2
+        cell, rows = wide / columns, -(-8 // columns)
         browser.wait(
-            f"document.querySelector('.cycles canvas').height === {8 // columns * 92 + (8 % columns > 0) * 92}"
+            "(c => Number(c.dataset.cell) > 90 && c.querySelector('canvas').height === "
+            f"{rows} * Number(c.dataset.cell))(document.querySelector('.cycles'))"
         )
-        cell = wide / columns
+        tall = int(browser.value("document.querySelector('.cycles').dataset.cell"))
         for leg, muscle in ((leg, muscle) for leg in (0, 1) for muscle in range(4)):
             line = np.array(browser.like(".cycles canvas", SHADES[4 * leg + muscle], within=40))
             place = 2 * muscle + leg
-            left, top = place % columns * cell, place // columns * 92
-            inside = (line[:, 0] >= left) & (line[:, 0] < left + cell) & (line[:, 1] >= top) & (line[:, 1] < top + 92)
+            left, top = place % columns * cell, place // columns * tall
+            inside = (line[:, 0] >= left) & (line[:, 0] < left + cell) & (line[:, 1] >= top) & (line[:, 1] < top + tall)
             assert len(line) and inside.mean() > 0.6, (width, leg, muscle, "drawn elsewhere")
 
 

@@ -119,7 +119,7 @@ def hello(graph: Graph, *, outside: bool, mode: str, t0_ns: int) -> dict[str, An
         "name": graph.name,
         "mode": mode,
         "t0_ms": t0_ns / 1e6,
-        "session": {str(key): str(value) for key, value in graph.session.items()},
+        "session": {str(key): as_text(value) for key, value in graph.session.items()},
         "streams": [described(name, spec) for name, spec in specs.items()],
         "nodes": [
             {"name": n.name, "use": n.use, "kind": "source" if n.is_source else "outlet" if n.is_outlet else "operator"}
@@ -134,6 +134,11 @@ def hello(graph: Graph, *, outside: bool, mode: str, t0_ns: int) -> dict[str, An
         "words": words_of(graph) if mode == "live" else [],
         "panels": panels_of(graph, specs),
     }
+
+
+def as_text(value: Any) -> str:
+    """A value of a graph's session, as people write it."""
+    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 
 def words_of(graph: Graph) -> list[str]:
@@ -179,7 +184,7 @@ def panels_of(graph: Graph, specs: dict[str, StreamSpec]) -> list[dict[str, Any]
     return [
         *own_panels(graph, specs),
         *default_panels(specs, inputs),
-        *({"kind": kind, "of": []} for kind in ("graph", "state", "log")),
+        *({"kind": kind, "of": [], "wide": wide} for kind, wide in (("state", 1), ("graph", 2), ("log", 2))),
     ]
 
 
@@ -214,5 +219,6 @@ def default_panels(specs: dict[str, StreamSpec], inputs: dict[str, list[str]]) -
     ]
     panels += [{"kind": "signal", "of": [name], "wide": 2} for name in signals]
     if of["events"]:
-        panels += [{"kind": "events", "of": of["events"], "wide": 2}, {"kind": "table", "of": of["events"]}]
+        panels += [{"kind": "events", "of": of["events"], "wide": 4, "title": "events"}]
+        panels += [{"kind": "table", "of": of["events"], "title": "table of events"}]
     return panels

@@ -5,7 +5,7 @@ import type { Newest, Stream } from "./store";
 import type { Cell, PanelInfo } from "./wire";
 
 const CELL_WIDTH = 150;
-const CELL_HEIGHT = 92;
+const [CELL_LEAST, CELL_MOST, CELL_SHAPE] = [92, 190, 0.62];
 const PAD = 6;
 const HEAD = 18;
 
@@ -40,15 +40,17 @@ export class CyclesPanel extends Panel {
     const state = this.streams.reduce((n, s) => n * 31 + s.count, columns * 7 + this.body.clientWidth + seen.reduce((a, b) => a * 3 + b, 0));
     if (state === this.drawn) return;
     this.drawn = state;
-    this.sheet.canvas.style.height = `${Math.ceil(names.length / columns) * CELL_HEIGHT}px`;
+    const tall = Math.round(Math.max(CELL_LEAST, Math.min(CELL_MOST, HEAD + (CELL_SHAPE * this.body.clientWidth) / columns)));
+    this.sheet.canvas.style.height = `${Math.ceil(names.length / columns) * tall}px`;
+    this.element.dataset["cell"] = String(tall);
     const pen = this.sheet.clear();
     const cell = this.sheet.width / columns;
     const scales: Range[] = [];
     const ranges = names.map((_, c) => this.range(c, mean?.newest ?? null, sd?.newest ?? null, last?.newest ?? null));
     (order ?? names.map((_, c) => c)).forEach((c, place) => {
       const name = names[c] as string;
-      const [x, y] = [(place % columns) * cell, Math.floor(place / columns) * CELL_HEIGHT];
-      const box = { left: x + PAD, top: y + HEAD, width: cell - 2 * PAD, height: CELL_HEIGHT - HEAD - PAD, least: 0, most: 1 };
+      const [x, y] = [(place % columns) * cell, Math.floor(place / columns) * tall];
+      const box = { left: x + PAD, top: y + HEAD, width: cell - 2 * PAD, height: tall - HEAD - PAD, least: 0, most: 1 };
       [box.least, box.most] = scales[c] = (order ? shared(ranges, order, place) : ranges[c]) as Range;
       this.drawChannel(pen, c, name, box, mean?.newest ?? null, sd?.newest ?? null, last?.newest ?? null);
       if (low?.newest && high?.newest) norms += drawNorm(pen, column(low.newest, c), column(high.newest, c), box);
@@ -168,7 +170,7 @@ function drawModes(pen: CanvasRenderingContext2D, stream: Stream, rows: Cell[][]
   pen.rect(box.left, box.top, box.width, box.height);
   pen.clip();
   pen.strokeStyle = colour("ink");
-  pen.lineWidth = 1.2;
+  pen.globalAlpha = 0.75;
   for (const row of rows) {
     const [along, up, rho] = [2 * of(row, "sd_pct"), 2 * of(row, "sd_height"), of(row, "correlation")];
     for (const turn of [-100, 0, 100]) {

@@ -18,6 +18,9 @@ import { Connection, type Hello, type Message, VERSION } from "./wire";
 
 const WINDOWS_S = [2, 5, 10, 30, 60, 300, 1800, 3600, 36000];
 const LOOK_MS = 80;
+const STARTING = "starting: compiling, and waiting for devices";
+/** A long window begins with the session, until it is full; but not shorter than this share of it. */
+const [LONG_S, SHORTEST] = [300, 1 / 8];
 const DRAW_MS = 1000 / 60;
 const SLOW_DRAW_MS = 250;
 /** A machine that draws slowly rests for as long as it drew. */
@@ -59,7 +62,9 @@ class Main implements Page {
   private onset = NaN;
 
   constructor() {
-    this.theme(localStorage.getItem("theme") ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"));
+    const dark = matchMedia("(prefers-color-scheme: dark)");
+    this.theme(localStorage.getItem("theme") ?? (dark.matches ? "dark" : "light"));
+    dark.onchange = () => { if (!localStorage.getItem("theme")) this.theme(dark.matches ? "dark" : "light"); };
     this.connection = new Connection((m, buffer, at) => this.hear(m, buffer, at), (state) => this.say(state));
     addEventListener("keydown", (event) => this.key(event));
     addEventListener("resize", () => this.look());
@@ -99,6 +104,7 @@ class Main implements Page {
       case "state":
         for (const panel of this.panels) if (panel instanceof StatePanel || panel instanceof GraphPanel) panel.take(message);
         if (message.over) this.say(message.over);
+        else if (this.status.textContent === STARTING && Object.keys(message.table).length) this.say("live");
         return;
       case "gaps":
         this.timeline?.take(message.s, message.gaps);
@@ -144,7 +150,7 @@ class Main implements Page {
     this.length = hello.length_s ?? 0;
     this.timeline = this.recording ? new Timeline(this.footer, hello, this.streams, this) : null;
     this.toolbar(hello);
-    this.say(hello.mode);
+    this.say(hello.mode === "live" ? STARTING : hello.mode);
     this.look();
   }
 
@@ -195,7 +201,10 @@ class Main implements Page {
     const button = make("button", { type: "button", title: "M, or a digit" }, "mark");
     button.onclick = () => this.annotate();
     const theme = make("button", { type: "button" }, "light or dark");
-    theme.onclick = () => this.theme(document.documentElement.dataset["theme"] === "dark" ? "light" : "dark");
+    theme.onclick = () => {
+      this.theme(document.documentElement.dataset["theme"] === "dark" ? "light" : "dark");
+      localStorage.setItem("theme", document.documentElement.dataset["theme"] ?? "");
+    };
     const values = hello.values.map((v) => this.slider(v));
     if (this.recording) {
       this.seek(Math.min(this.length, this.at || this.window_s / 2));
@@ -273,7 +282,6 @@ class Main implements Page {
 
   private theme(name: string): void {
     document.documentElement.dataset["theme"] = name;
-    localStorage.setItem("theme", name);
     for (const panel of this.panels ?? []) panel.restyle();
   }
 
@@ -321,7 +329,8 @@ class Main implements Page {
     const ahead = newest - Date.now() / 1000;
     if (Number.isFinite(ahead)) this.ahead = Math.max(ahead, this.ahead - (DRIFT * DRAW_MS) / 1000);
     const end = Number.isFinite(this.ahead) ? this.now() : this.hello ? (Date.now() - this.t0_ms) / 1000 : 0;
-    return { begin: end - this.window_s, end, at: end };
+    const long = this.window_s >= LONG_S ? Math.max(this.window_s * SHORTEST, Math.min(this.window_s, end)) : this.window_s;
+    return { begin: end - long, end, at: end };
   }
 
   private frame(now: number): void {

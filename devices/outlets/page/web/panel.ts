@@ -38,6 +38,9 @@ export const shade = (i: number): string => {
   return colours[i % colours.length] as string;
 };
 
+/** A panel of more streams is not called after all of them. */
+const NAMED = 3;
+
 export abstract class Panel {
   readonly element: HTMLElement;
   protected readonly body = make("div", { class: "body" });
@@ -45,7 +48,7 @@ export abstract class Panel {
   protected readonly tools = make("span");
 
   constructor(readonly info: PanelInfo, readonly streams: Stream[], protected readonly page: Page) {
-    const title = info.title || streams.map((s) => s.info.name).join(", ") || info.kind;
+    const title = info.title || (streams.length <= NAMED ? streams.map((s) => s.info.name).join(", ") : "") || info.kind;
     const head = make("header", {}, make("h2", {}, title), this.tools, this.note);
     this.element = make("section", { class: `panel ${info.kind} wide${info.wide ?? 1}`, "aria-label": title, tabindex: "0" }, head, this.body);
     this.element.dataset["of"] = info.of.join(" ");

@@ -11,6 +11,12 @@ const FILL = 0.46;
 /** How fast a channel's scale shrinks after a large value has left, per frame. */
 const SHRINK = 0.02;
 const SIGNIFICANT = 3;
+/** Half the scale of a channel that does not change. */
+const FLAT = 1e-12;
+/** A lane is no lower, so that its name can be read. */
+const LANE_LEAST = 16;
+/** How wide the names' column is, and what a long name adds, in pixels. */
+const [NAMES, NAMES_SHORT, LETTER] = [116, 8, 6.4];
 /** How far a key moves a cursor, as a share of the chart's width. */
 const KEY_STEP = 0.02;
 
@@ -105,6 +111,15 @@ export class SignalPanel extends Panel {
     this.element.dataset["gaps"] = String(gaps(this.stream.signal.low[0] ?? []));
   }
 
+  protected override get height(): number {
+    return Math.max(super.height, LANE_LEAST * this.scales.length + 40);
+  }
+
+  private names(width: number, names: string[]): number {
+    const longest = Math.max(...names.map((name) => name.length));
+    return Math.round(Math.min(Math.max(NAMES, width * 0.35), NAMES + LETTER * Math.max(0, longest - NAMES_SHORT)));
+  }
+
   private get channels(): string[] {
     const { channels } = this.stream.info;
     return this.scales.map((_, c) => channels[c] ?? String(c + 1));
@@ -129,7 +144,7 @@ export class SignalPanel extends Panel {
       axes: [
         { ...axis, size: 26, space: 90, values: (_: uPlot, at: number[]) => at.map((t) => this.page.clock(t, this.span.end - this.span.begin < 8)) },
         {
-          ...axis, size: 116, splits: () => names.map((_, c) => count - c - 0.5), filter: (_: uPlot, splits: number[]) => splits,
+          ...axis, size: this.names(width, names), splits: () => names.map((_, c) => count - c - 0.5), filter: (_: uPlot, splits: number[]) => splits,
           values: () => names.map((name, c) => this.label(name, c)),
         },
       ],
@@ -141,7 +156,7 @@ export class SignalPanel extends Panel {
 
   private label(name: string, c: number): string {
     const scale = this.scales[c] as Scale;
-    return scale.half ? `${name} ±${short(scale.half)} ${this.unit(c)}` : name;
+    return scale.half > FLAT ? `${name} ±${short(scale.half)} ${this.unit(c)}` : name;
   }
 
   /** Each channel in its lane, the least and the greatest value of a bucket one after the other. */
@@ -182,7 +197,7 @@ export class SignalPanel extends Panel {
       const scale = this.scales[c] as Scale;
       if (least != null && most != null) [a, b] = [least, most];
       if (a > b) return;
-      const half = Math.max(this.common ? widest : (b - a) / 2, 1e-12);
+      const half = Math.max(this.common ? widest : (b - a) / 2, FLAT);
       scale.half = half >= scale.half ? half : Math.max(half, scale.half * (1 - SHRINK));
       scale.middle = (a + b) / 2;
     });

@@ -64,7 +64,7 @@ export class LogPanel extends Panel {
   take(message: LogMessage): void {
     for (const { at, level, text } of message.lines) {
       const bad = level === "error" ? "bad" : level === "warning" ? "warn" : "";
-      this.lines.prepend(make("span", { class: bad }, `${new Date(at * 1000).toLocaleTimeString()} ${text}\n`));
+      this.lines.prepend(make("span", { class: bad }, `${new Date(at * 1000).toLocaleTimeString([], { hour12: false })} ${text}\n`));
     }
     while (this.lines.childElementCount > MOST_LINES) this.lines.lastElementChild?.remove();
   }
@@ -72,11 +72,14 @@ export class LogPanel extends Panel {
   draw(): void {}
 }
 
+/** How far apart the rates of a node's outputs stand. */
+const FLOW = 11;
 const BOX = { width: 150, height: 40, across: 210, down: 58 };
 
 export class GraphPanel extends Panel {
   private readonly rates = new Map<string, SVGTextElement>();
-  private readonly flows = new Map<string, SVGTextElement[]>();
+  private readonly flows = new Map<string, SVGTextElement>();
+  private readonly outputs = new Map<string, number>();
   private readonly boxes = new Map<string, SVGRectElement>();
   private state: StateMessage | null = null;
 
@@ -87,6 +90,7 @@ export class GraphPanel extends Panel {
     const height = Math.max(...[...place.values()].map(([, y]) => y)) + BOX.height + 10;
     const svg = draw("svg", { viewBox: `0 0 ${width} ${height}`, width: String(width), height: String(height), role: "img", "aria-label": "the graph" });
     for (const [edge, to, port] of graph.edges) this.edge(svg, edge, to, port, place);
+    svg.append(...this.flows.values());
     for (const node of graph.nodes) this.node(svg, node.name, node.use, node.kind, place.get(node.name) as [number, number]);
     this.body.append(make("div", { class: "scroll", tabindex: "0" }, svg as unknown as Node));
   }
@@ -104,7 +108,8 @@ export class GraphPanel extends Panel {
       this.boxes.get(node)?.classList.toggle("failed", Boolean(row["error"]) || row["state"] === "stale");
     }
     for (const [edge, rate] of Object.entries(this.state.edges ?? {})) {
-      for (const text of this.flows.get(edge) ?? this.flows.get(edge.replace(/\.out$/, "")) ?? []) text.textContent = `${rate < 10 ? rate.toFixed(1) : rate.toFixed(0)}/s`;
+      const text = this.flows.get(edge) ?? this.flows.get(edge.replace(/\.out$/, ""));
+      if (text) text.textContent = `${rate < 10 ? rate.toFixed(1) : rate.toFixed(0)}/s`;
     }
     this.state = null;
   }
@@ -131,9 +136,13 @@ export class GraphPanel extends Panel {
     const [x1, y1, x2, y2] = [a[0] + BOX.width, a[1] + BOX.height / 2, b[0], b[1] + BOX.height / 2];
     const path = draw("path", { d: `M${x1},${y1} C${x1 + 30},${y1} ${x2 - 30},${y2} ${x2},${y2}` });
     path.append(draw("title", {}, `${edge} to ${port}`));
-    const flow = draw("text", { x: String((x1 + x2) / 2), y: String((y1 + y2) / 2 - 4), class: "dim flow", "text-anchor": "middle" }) as SVGTextElement;
-    this.flows.set(edge, [...(this.flows.get(edge) ?? []), flow]);
-    svg.append(path, flow);
+    svg.append(path);
+    if (this.flows.has(edge)) return;
+    const node = edge.split(".")[0] as string;
+    const before = this.outputs.get(node) ?? 0;
+    this.outputs.set(node, before + 1);
+    const flow = draw("text", { x: String(x1 + 4), y: String(a[1] + FLOW * (before + 1)), class: "dim flow" }) as SVGTextElement;
+    this.flows.set(edge, flow);
   }
 
   private node(svg: SVGElement, name: string, use: string, kind: string, [x, y]: [number, number]): void {
