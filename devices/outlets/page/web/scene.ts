@@ -14,6 +14,8 @@ import type { PanelInfo } from "./wire";
 const MOST_NAMES = 40;
 const TO_METRES: Record<string, number> = { m: 1, cm: 0.01, mm: 0.001 };
 const SKIN = 0x8fa8c8;
+/** How far from the picture's middle what is shown may come, as a share of half the picture, before the view goes with it. */
+const EDGE = 0.6;
 /** What a key does to the view: to the side, upwards (radians), and how much nearer. */
 const KEYS: Record<string, [number, number, number]> = {
   ArrowLeft: [-0.1, 0, 1], ArrowRight: [0.1, 0, 1], ArrowUp: [0, 0.1, 1], ArrowDown: [0, -0.1, 1], "+": [0, 0, 0.9], "-": [0, 0, 1 / 0.9],
@@ -101,6 +103,8 @@ export class ScenePanel extends Panel {
   private grid: GridHelper | null = null;
   /** Whether something else than the view has changed since it was drawn. */
   private changed = true;
+  /** Whether somebody has chosen what to look at. */
+  private chosen = false;
 
   constructor(info: PanelInfo, streams: Stream[], page: Page) {
     super(info, streams, page);
@@ -137,6 +141,7 @@ export class ScenePanel extends Panel {
     sun.position.set(0.4, 1, 0.7);
     this.scene.add(new AmbientLight(0xffffff, 0.9), sun);
     this.controls = new OrbitControls(this.camera, renderer.domElement);
+    this.controls.addEventListener("start", () => { this.chosen = true; });
     for (const figure of this.figures) {
       this.scene.add(...figure.parts);
       for (const label of figure.labels) this.body.append(label);
@@ -166,6 +171,7 @@ export class ScenePanel extends Panel {
     const turn = KEYS[key];
     if (!turn || !this.controls || (key.startsWith("Arrow") && !shiftKey)) return false;
     const [side, up, nearer] = turn;
+    this.chosen = true;
     const from = this.camera.position.clone().sub(this.controls.target);
     from.applyAxisAngle(this.camera.up, side).applyAxisAngle(this.camera.up.clone().cross(from).normalize(), -up).multiplyScalar(nearer);
     if (Math.abs(from.clone().normalize().dot(this.camera.up)) < 0.99) this.camera.position.copy(this.controls.target).add(from);
@@ -179,6 +185,7 @@ export class ScenePanel extends Panel {
     if (news) {
       this.changed = true;
       if (!this.grid) this.look();
+      else if (!this.chosen) this.follow();
       const points = this.figures.reduce((n, f) => n + f.positions.length / 3, 0);
       this.element.dataset["points"] = String(points);
     }
@@ -202,6 +209,7 @@ export class ScenePanel extends Panel {
     const extent = extentOf(this.figures);
     if (!extent || !this.controls) return;
     const { centre, radius } = extent;
+    this.chosen = false;
     const zUp = this.up.getAttribute("aria-pressed") === "true";
     this.camera.up.set(0, zUp ? 0 : 1, zUp ? 1 : 0);
     const from = zUp ? new Vector3(0.5, -0.8, 0.35) : this.from;
@@ -219,6 +227,19 @@ export class ScenePanel extends Panel {
     } else this.grid.position.y -= radius;
     this.scene.add(this.grid);
     this.changed = true;
+  }
+
+  /** Where what is shown leaves the picture, the view goes with it, from the same direction and as far away. */
+  private follow(): void {
+    const { camera, controls, grid } = this;
+    const extent = extentOf(this.figures);
+    if (!extent || !controls || !grid) return;
+    const seen = extent.centre.clone().project(camera);
+    if (seen.z < 1 && Math.max(Math.abs(seen.x), Math.abs(seen.y)) < EDGE) return;
+    const way = extent.centre.clone().sub(controls.target);
+    camera.position.add(way);
+    controls.target.add(way);
+    grid.position.add(way.addScaledVector(camera.up, -way.dot(camera.up)));
   }
 
   private label({ labels, positions }: Figure, width: number, height: number): void {
