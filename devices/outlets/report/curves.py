@@ -119,8 +119,9 @@ def _ellipse(
 def draw_footfalls(footfalls: list[tuple[str, float, float]]) -> str:
     """The footfall diagram: when in the stride each limb stands, on the mean."""
     with rc_context(_STYLE):
-        figure = Figure(figsize=(4.6, 0.35 + 0.2 * len(footfalls)))
-        axes = figure.add_axes((0.16, 0.3, 0.82, 0.66))
+        height = 0.45 + 0.2 * len(footfalls)
+        figure = Figure(figsize=(4.6, height))
+        axes = figure.add_axes((0.16, 0.38 / height, 0.82, 0.98 - 0.38 / height))
         for k, (_, phase, duty) in enumerate(reversed(footfalls)):
             if np.isfinite(phase) and np.isfinite(duty):
                 for begin in (phase - 100, phase):
