@@ -188,7 +188,8 @@ for name, path in shipped().items():
     try:
         assert plan(load(path), enforce=False).memory_bytes > 0
     except GraphError as error:
-        assert "kinegraph fetch pose-model" in str(error), error  # which is no part of kinegraph
+        # the network is no part of kinegraph, nor, where somebody has fetched it, what runs it
+        assert "kinegraph fetch pose-model" in str(error) or "pip install 'kinegraph[pose]'" in str(error), error
     print(name)
 """
 

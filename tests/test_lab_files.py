@@ -171,7 +171,7 @@ def test_inertial_sensors(name: str) -> None:
         assert found["accelerometer"].time[0] == pytest.approx(1550879504438281000, abs=1e6)
         assert any("nobody measured them" in doubt for doubt in findings.doubts)
         return
-    with pytest.raises(RecordingError, match="no update rate stands in it"):
+    with pytest.raises(RecordingError, match="it holds neither an update rate nor times"):
         read(name)
     found, _ = read(name, rate={"": str(MT_HZ)})
     columns = {channel: one.data[:, k] for one in found.values() for k, channel in enumerate(one.spec.channels)}

@@ -47,7 +47,7 @@ def test_emgworks_has_a_clock_for_each_channel(tmp_path: Path) -> None:
         4000 / 27
     )
     assert found["emg_1259hz"].data[-1, 0] == pytest.approx(39 * 2e-5)
-    assert "by its size taken for V" in doubts(findings)
+    assert "judged by its size to be V" in doubts(findings)
     assert read(tmp_path / "walk.data", unit={"": "mV"})[0]["emg_1926hz"].spec.units == ("mV",)
 
 
