@@ -126,7 +126,7 @@ def test_a_client_that_reads_slowly_gets_the_newest_and_hears_that_it_is_slow() 
 def test_the_page_of_a_slow_browser_says_so(tmp_path: Path) -> None:
     with served() as page, live_browser(tmp_path) as browser:
         browser.open(f"http://127.0.0.1:{page.port}/")
-        browser.wait("document.body.dataset.state === 'live'")
+        browser.wait("/^(live|starting)/.test(document.body.dataset.state)")
         page.state()
         browser.wait("document.querySelector('.state output').textContent.includes('1 looking')")
         assert "slow" not in browser.value("document.querySelector('.state output').textContent")
