@@ -22,7 +22,7 @@ from bench.report import table
 from devices.outlets.page.wire import decode
 from operators.motion_map import MotionMap
 from operators.pose_map.commands.build import build_index
-from operators.pose_map.commands.gather import Gathered
+from operators.pose_map.commands.gather import GatheredPoses
 from operators.pose_map.commands.marker_table import MarkerTable
 from operators.pose_map.retrieve import QUERY, PoseSearch
 from operators.pose_map.som import PoseGrid
@@ -33,7 +33,7 @@ MARKERS, RATE_HZ, SEQUENCE = 19, 60.0, 20_000
 DRAGS, QUERIES = 150, 40
 
 
-def sequences(poses: int) -> list[Gathered]:
+def sequences(poses: int) -> list[GatheredPoses]:
     """Made-up gaits: each marker swings with its own harmonics, the pace wanders."""
     rng = np.random.default_rng(8)
     names = [f"m{k}" for k in range(MARKERS)]
@@ -45,7 +45,7 @@ def sequences(poses: int) -> list[Gathered]:
         shift = rng.uniform(0, 0.4, (2, 3 * MARKERS))
         x = size[0] * np.sin(phase[:, None] + shift[0]) + 0.3 * size[1] * np.cos(2 * phase[:, None] + shift[1])
         x += 0.01 * rng.normal(size=x.shape)
-        made.append(Gathered(f"s{number}", x.astype(np.float32), 0.0, RATE_HZ, {}, ()))
+        made.append(GatheredPoses(f"s{number}", x.astype(np.float32), 0.0, RATE_HZ, {}, ()))
     assert len(names) == MARKERS
     return made
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from operators.pose_map.commands.build import build_index
-from operators.pose_map.commands.gather import Gathering
+from operators.pose_map.commands.gather import PoseReading
 from operators.pose_map.commands.marker_table import MarkerTable
 from stream.chunk import NS, Array, Samples, StreamSpec, grid
 from stream.motion_index import MotionIndex
@@ -76,7 +76,7 @@ def record(
 
 def index_of(horses: dict[str, Samples], rows: int = 6, columns: int = 6, rate_hz: float = 60.0) -> MotionIndex:
     """The index of horses at 60 Hz."""
-    reading = Gathering(rate_hz, TABLE)
+    reading = PoseReading(rate_hz, TABLE)
     found = []
     for name, data in horses.items():
         spec = StreamSpec(data.shape[1:], rate_hz=60.0, channels=NAMES, units=("m",))

@@ -15,7 +15,7 @@ WORDS = {
     "PSF-2.0": r"Python Software Foundation License|License agreement for matplotlib",
     "MPL-2.0": r"Mozilla Public License,? (Version|v\.) 2\.0",
 }
-"""What a licence's own text is told by; the first that is found."""
+"""Words by which a licence's own text is known; the first that is found counts."""
 
 
 def licence(package: Distribution) -> str:

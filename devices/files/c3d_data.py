@@ -18,7 +18,7 @@ MOST_FRAMES = 0xFFFF
 
 
 @dataclass(frozen=True, slots=True)
-class Frames:
+class C3dFrames:
     """How samples lie in a file.
 
     begin      the byte at which they begin
@@ -50,7 +50,7 @@ class Frames:
         return 4 if self.scale < 0.0 else 2
 
 
-def frames_of(path: Path, head: bytes, parameters: Parameters) -> Frames:
+def frames_of(path: Path, head: bytes, parameters: Parameters) -> C3dFrames:
     """What header and parameters say, where they differ the parameters, held against the file's size. Raises RecordingError."""
     order = ">" if parameters.processor == MIPS else "<"
     markers, samples, first, last, _, _, _, block, per_frame = struct.unpack(f"{order}9H", head[2:20])
@@ -64,7 +64,7 @@ def frames_of(path: Path, head: bytes, parameters: Parameters) -> Frames:
     scale = parameters.number("POINT", "SCALE")
     scale = float(reals(head[12:16], parameters.processor)[0]) if np.isnan(scale) else scale
     used, channels = parameters.count("POINT", "USED"), parameters.count("ANALOG", "USED")
-    made = Frames(
+    made = C3dFrames(
         begin=_begin(path, parameters, block),
         count=0,
         markers=markers if used is None else used,
@@ -79,7 +79,7 @@ def frames_of(path: Path, head: bytes, parameters: Parameters) -> Frames:
     return _counted(path, made, max(0, last - first + 1) if last < MOST_FRAMES else None, parameters)
 
 
-def read_frames(path: Path, frames: Frames, parameters: Parameters) -> tuple[Array, Array]:
+def read_frames(path: Path, frames: C3dFrames, parameters: Parameters) -> tuple[Array, Array]:
     """Markers (count, markers, 3), NaN where they were not seen, and analogue samples (count * per_frame, channels)."""
     if not frames.count:
         return np.zeros((0, 0, 3)), np.zeros((0, 0))
@@ -98,7 +98,7 @@ def read_frames(path: Path, frames: Frames, parameters: Parameters) -> tuple[Arr
         return markers, _scaled(signals, frames, parameters)
 
 
-def _scaled(signals: Array, frames: Frames, parameters: Parameters) -> Array:
+def _scaled(signals: Array, frames: C3dFrames, parameters: Parameters) -> Array:
     """Analogue samples in their units: what is read less an offset, times a factor of the channel and one of all."""
     offset = _one_each(parameters.numbers("ANALOG", "OFFSET"), frames.channels, 0.0)
     if "UNSIGNED" in (text.upper() for text in parameters.texts("ANALOG", "FORMAT")):
@@ -127,7 +127,7 @@ def _begin(path: Path, parameters: Parameters, block: int) -> int:
     raise RecordingError(f"{path}: its samples begin in block {block}, beyond its end; it is damaged, or was cut off")
 
 
-def _counted(path: Path, frames: Frames, header: int | None, parameters: Parameters) -> Frames:
+def _counted(path: Path, frames: C3dFrames, header: int | None, parameters: Parameters) -> C3dFrames:
     """`frames` with as many as there are; `header` announces a number, None: more than it can say.
 
     Raises RecordingError where there are fewer than are announced.

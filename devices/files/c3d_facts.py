@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import isfinite
 from pathlib import Path
 
-from devices.files.c3d_data import Frames
+from devices.files.c3d_data import C3dFrames
 from devices.files.c3d_parameters import Parameters
 from devices.files.findings import Findings
 
@@ -24,7 +24,7 @@ MEASURES = {
 """Parameters of the group PROCESSING, in small letters, and what we call them."""
 
 
-def note(path: Path, parameters: Parameters, frames: Frames, findings: Findings) -> None:
+def note(path: Path, parameters: Parameters, frames: C3dFrames, findings: Findings) -> None:
     """Add the file's kind, facts and doubts."""
 
     def doubt(words: str) -> None:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from operators.pose_map.commands.gather import Gathered, known
+from operators.pose_map.commands.gather import GatheredPoses, known
 from operators.pose_map.commands.marker_table import MarkerTable
 from operators.pose_map.som_kernel import place_all_poses, train_cells
 from stream.chunk import Array, Samples, Times
@@ -25,7 +25,7 @@ STILL_M = 1e-6
 
 
 def build_index(
-    table: MarkerTable, gathered: list[Gathered], rate_hz: float, rows: int, columns: int, seed: int
+    table: MarkerTable, gathered: list[GatheredPoses], rate_hz: float, rows: int, columns: int, seed: int
 ) -> MotionIndex:
     """The map of all sequences. Raises KinegraphError where there is nothing to be mapped."""
     markers = tuple(table.markers)
@@ -64,7 +64,7 @@ def build_index(
     )  # fmt: skip
 
 
-def used_markers(markers: tuple[str, ...], gathered: list[Gathered]) -> Times:
+def used_markers(markers: tuple[str, ...], gathered: list[GatheredPoses]) -> Times:
     """The numbers of the markers that every sequence knows in at least half of its poses."""
     least = np.min([known(g.poses) for g in gathered], axis=0)
     used = np.flatnonzero(least >= ENOUGH)
@@ -74,7 +74,7 @@ def used_markers(markers: tuple[str, ...], gathered: list[Gathered]) -> Times:
     return used
 
 
-def quantised(gathered: list[Gathered]) -> tuple[Array, float]:
+def quantised(gathered: list[GatheredPoses]) -> tuple[Array, float]:
     """All poses (n, 3 m) as whole steps, and the step (m)."""
     largest = max(float(np.nanmax(np.abs(g.poses), initial=0.0)) for g in gathered)
     step = max(largest, 1e-3) / LARGEST

@@ -22,7 +22,7 @@ LONGEST_GAP_S = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class Gathered:
+class GatheredPoses:
     """Poses (n, 3 m) float32 in m, one after the other at the map's rate; the rest as in stream.motion_index.PoseSequence."""
 
     name: str
@@ -34,7 +34,7 @@ class Gathered:
 
 
 @dataclass(slots=True)
-class Gathering:
+class PoseReading:
     """Reads recordings one after the other.
 
     table    which markers there are; None: those of the first recording
@@ -45,9 +45,9 @@ class Gathering:
     origin: str = ""
     ahead: str = ""
 
-    def read(self, path: Path) -> list[Gathered]:
+    def read(self, path: Path) -> list[GatheredPoses]:
         """All sequences of a recording. Raises KinegraphError for one that holds none."""
-        made: list[Gathered] = []
+        made: list[GatheredPoses] = []
         with Recording.open(path) as opened:
             facts = {str(k)[:60]: str(v)[:200] for k, v in (opened.header.get("session") or {}).items()}
             found = [name for name, s in opened.streams.items() if is_motion(s.spec)]
@@ -61,7 +61,7 @@ class Gathering:
 
     def _sequences(
         self, where: str, label: str, spec: StreamSpec, time: Times, rows: Array, facts: dict[str, str]
-    ) -> list[Gathered]:
+    ) -> list[GatheredPoses]:
         points, data, parents = as_points(where, spec, rows)
         try:
             table = self.table = self.table or own_table(points.channels, parents, self.origin, self.ahead)
@@ -73,7 +73,7 @@ class Gathering:
         many = len(runs) > 1
         rate = spec.rate_hz or (len(time) - 1) * NS / max(1, int(time[-1] - time[0])) if len(time) > 1 else 0.0
         return [
-            Gathered(
+            GatheredPoses(
                 f"{label} ({k + 1})" if many else label, run, (begin - int(time[0])) / NS, float(rate), facts, missing
             )
             for k, (begin, run) in enumerate(runs)

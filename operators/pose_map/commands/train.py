@@ -11,7 +11,7 @@ from stream.errors import KinegraphError
 from stream.plain import one_line, say
 
 if TYPE_CHECKING:
-    from operators.pose_map.commands.gather import Gathered
+    from operators.pose_map.commands.gather import GatheredPoses
     from stream.motion_index import MotionIndex
 
 
@@ -42,13 +42,13 @@ def map_(
     Without it the first recording's own markers are the set. `kinegraph map` shows the map.
     """
     from operators.pose_map.commands.build import build_index
-    from operators.pose_map.commands.gather import Gathering
+    from operators.pose_map.commands.gather import PoseReading
     from operators.pose_map.commands.marker_table import read_table
 
     if output.exists() and not overwrite:
         raise KinegraphError(f"{output}: exists; choose another --out, or replace it with --overwrite")
-    reading = Gathering(rate_hz, read_table(markers) if markers else None, origin, ahead)
-    found: list[Gathered] = []
+    reading = PoseReading(rate_hz, read_table(markers) if markers else None, origin, ahead)
+    found: list[GatheredPoses] = []
     for path in recordings:
         made = reading.read(path)
         found += made
