@@ -22,7 +22,7 @@ demo: .venv/installed
 
 check: .venv/installed-for-tests
 	$(BIN)/ruff check .
-	$(BIN)/mypy & types=$$!; $(BIN)/pytest -q tests/test_laws.py -k "$(OPERATORS)"; laws=$$?; wait $$types && exit $$laws
+	$(BIN)/mypy & types=$$!; $(BIN)/pytest -q tests/laws/test_laws.py -k "$(OPERATORS)"; laws=$$?; wait $$types && exit $$laws
 
 mutants: .venv/installed-for-tests
 	$(BIN)/python -m tests.mutation --seed $(SEED)
@@ -36,13 +36,13 @@ test-peers: .venv/installed-for-tests
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,oak,peers]'
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps bitalino
 	$(BIN)/python -m tests.compile_kernels
-	$(BIN)/pytest -n 2 --dist loadgroup tests/peers tests/test_oak.py tests/test_depthai_replay.py tests/test_simulators.py \
-		tests/test_export.py tests/test_lab_exports.py tests/test_night_report.py
+	$(BIN)/pytest -n 2 --dist loadgroup tests/peers tests/devices/test_oak.py tests/files/test_depthai_replay.py tests/devices/test_simulators.py \
+		tests/files/test_export.py tests/files/test_lab_exports.py tests/sleep/test_night_report.py
 
 # damaged copies of valid files of every format and of every kind of model, FUZZ_S seconds each, others every day
 FUZZ_S ?= 60
 fuzz: .venv/installed-for-tests
-	KINEGRAPH_FUZZ_S=$(FUZZ_S) $(BIN)/pytest tests/test_fuzz_files.py tests/test_fuzz_models.py -n 2
+	KINEGRAPH_FUZZ_S=$(FUZZ_S) $(BIN)/pytest tests/files/test_fuzz_files.py tests/files/test_fuzz_models.py -n 2
 
 # all three uses at once in real time under random faults, every sample accounted for; then ten hours of each as fast as they go.
 # A week: make soak SOAK_MIN=10080
@@ -55,7 +55,7 @@ soak: .venv/installed-for-tests
 NIGHTS ?= 40
 nights: .venv/installed-for-tests
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check mfusepy
-	KINEGRAPH_NIGHTS=$(NIGHTS) $(BIN)/pytest tests/test_hard_nights.py tests/test_power_loss.py tests/test_service_in_systemd.py -n 2
+	KINEGRAPH_NIGHTS=$(NIGHTS) $(BIN)/pytest tests/sleep/test_hard_nights.py tests/sleep/test_power_loss.py tests/sleep/test_service_in_systemd.py -n 2
 
 # known holes in what kinegraph depends on; the tool is installed for the purpose, and fails where a package cannot be looked up
 audit: .venv/installed

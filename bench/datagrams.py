@@ -24,7 +24,7 @@ from devices.protocols.natnet_build import build_frame, build_models
 from devices.protocols.polar_pmd import PmdDecoder
 from devices.simulators.natnet import MODELS, TICK_HZ, NatNetScene
 from devices.simulators.polar import PolarBelt
-from tests.device_feed import Kept
+from tests.support.device_feed import Kept
 
 N = 4000
 ROUNDS = 5

@@ -28,8 +28,8 @@ from stream.chunk import Array, Samples, Times
 from stream.errors import KinegraphError
 from stream.joint_tree import JointTree, joints_of
 from stream.motion_graph import MotionGraph
-from tests import motion_made
-from tests.motion_made import RATE, cmu_takes
+from tests.support import motion_made
+from tests.support.motion_made import RATE, cmu_takes
 
 NAME, WITHIN_M, BLEND = "13_29", 0.12, 5
 BUILDING_S = 600.0

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from bench.page import GRAPH, session
 from bench.report import Goal, Section, short
-from tests.browser import CHROMIUM
-from tests.live_browser import LiveBrowser, live_browser
+from tests.support.browser import CHROMIUM
+from tests.support.live_browser import LiveBrowser, live_browser
 
 STRIPS = GRAPH.replace(
     "nodes:", "page: {panels: [{kind: signal, of: board, wide: 4, tall: 3, window_s: 2}]}\nnodes:", 1

@@ -25,7 +25,7 @@ from stream.chunk import NS, Array, Chunk
 from stream.graph.load import load_text
 from stream.sleep_night import SLEEP, UNKNOWN, WAKE, States
 from stream.source import Feed
-from tests.rendered_room import BED, CAMERA_M, RenderedRoom, Renderer, Scene, during
+from tests.support.rendered_room import BED, CAMERA_M, RenderedRoom, Renderer, Scene, during
 
 GRAPH = """
 nodes:

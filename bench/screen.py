@@ -18,7 +18,7 @@ from stream.graph.load import load
 from stream.graph.plan import plan
 from stream.plain import say
 from stream.recording import Recording
-from tests.command_line import KINEGRAPH
+from tests.support.command_line import KINEGRAPH
 
 CONFIG = Path(__file__).parent.parent / "configs" / "treadmill_emg.yaml"
 

@@ -8,7 +8,7 @@ import signal
 import structlog
 from hypothesis import HealthCheck, settings
 
-from tests.command_line import kinegraph, made
+from tests.support.command_line import kinegraph, made
 
 __all__ = ["kinegraph", "made"]
 """Fixtures that tests may ask for by name."""

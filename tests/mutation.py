@@ -28,7 +28,7 @@ from threading import Timer
 from xml.etree import ElementTree
 
 from stream.graph.parts import catalogue
-from tests.module_tests import own_tests
+from tests.laws.module_tests import own_tests
 
 HOUSE = Path(__file__).resolve().parent.parent
 COPIED = (
@@ -181,7 +181,7 @@ def _runs(path: str) -> list[list[str]]:
     module = path.removesuffix(".py").replace("/", ".").removesuffix(".__init__")
     own = own_tests(module)
     uses = [use for use, part in catalogue(("operators",))[0].items() if part.__module__ == module]
-    laws = [["tests/test_laws.py", "-k", " or ".join(f"{use}-" for use in uses)]] if uses else []
+    laws = [["tests/laws/test_laws.py", "-k", " or ".join(f"{use}-" for use in uses)]] if uses else []
     return [*([own] if own else []), *laws]
 
 

@@ -17,7 +17,7 @@ from devices.bitalino import Bitalino, BitalinoChannel
 from devices.simulators.bitalino import BitalinoModel
 from devices.simulators.lines import line_at
 from devices.simulators.serve import Server
-from tests.device_feed import reading, wait_for
+from tests.support.device_feed import reading, wait_for
 
 pytest.importorskip("bitalino", reason="the bitalino package is not installed (pip install --no-deps bitalino)")
 

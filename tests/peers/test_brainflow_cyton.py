@@ -18,7 +18,7 @@ from devices.protocols.cyton import uv_per_count
 from devices.simulators.cyton import CytonModel
 from devices.simulators.lines import line_at
 from devices.simulators.serve import Server
-from tests.device_feed import reading, wait_for
+from tests.support.device_feed import reading, wait_for
 
 pytest.importorskip("brainflow", reason="BrainFlow is not installed (pip install 'kinegraph[peers]')")
 

@@ -11,7 +11,7 @@ import pytest
 from devices.protocols import natnet as protocol
 from devices.protocols.natnet_build import build_frame
 from devices.simulators.natnet import NatNetScene, NatNetServer
-from tests.test_natnet import CAPTURE
+from tests.devices.test_natnet import CAPTURE
 
 natnet = pytest.importorskip("natnet")
 

@@ -21,7 +21,7 @@ from devices.shimmer import Shimmer
 from devices.simulators.lines import line_at
 from devices.simulators.serve import Server
 from devices.simulators.shimmer import ShimmerModel
-from tests.device_feed import reading, wait_for
+from tests.support.device_feed import reading, wait_for
 
 PYTHON = os.environ.get("KINEGRAPH_PYSHIMMER", sys.executable)
 if sys.executable == PYTHON and find_spec("pyshimmer") is None:

@@ -21,9 +21,9 @@ from devices.simulators.indexed import Indexed
 from devices.simulators.lines import line_at
 from devices.simulators.misbehaviour import Misbehaviour
 from devices.simulators.serve import Server
-from tests.mosquitto import Mosquitto
 from tests.soak.faults import Kind
 from tests.soak.uses import RATE_HZ, Use
+from tests.support.mosquitto import Mosquitto
 
 ENDING_S = 90.0
 CALM_S = 6.0

@@ -1,0 +1,1 @@
+"""Bodies in images, whole poses, steering of meshes and avatars."""

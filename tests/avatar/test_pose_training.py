@@ -1,0 +1,123 @@
+"""`kinegraph train pose` on what its importers make of AMC and C3D files."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from operators.whole_pose.landmarks import NAMES, USUAL
+from stream import cli
+from stream.errors import KinegraphError
+from stream.humanoid import find_bones, to_humanoid
+from stream.joint_tree import JointTree, joints_of
+from stream.model import read_model
+from stream.recording import Recording
+from tests.avatar.test_whole_pose import RATE, N, marks, played
+
+DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
+SIDES = {"l": 1.0, "r": -1.0}
+BONES = {
+    "lowerback": ("root", (0, 1, 0), 4), "thorax": ("lowerback", (0, 1, 0), 5), "lowerneck": ("thorax", (0, 1, 0), 3),
+    "upperneck": ("lowerneck", (0, 1, 0), 2), "head": ("upperneck", (0, 1, 0), 3),
+    **{f"{s}clavicle": ("thorax", (x, 0.2, 0), 3) for s, x in SIDES.items()},
+    **{f"{s}humerus": (f"{s}clavicle", (x, 0, 0), 5) for s, x in SIDES.items()},
+    **{f"{s}radius": (f"{s}humerus", (x, 0, 0), 5) for s, x in SIDES.items()},
+    **{f"{s}hand": (f"{s}radius", (x, 0, 0), 2) for s, x in SIDES.items()},
+    **{f"{s}hipjoint": ("root", (x, -0.5, 0), 2) for s, x in SIDES.items()},
+    **{f"{s}femur": (f"{s}hipjoint", (0, -1, 0), 8) for s in SIDES},
+    **{f"{s}tibia": (f"{s}femur", (0, -1, 0), 8) for s in SIDES},
+    **{f"{s}foot": (f"{s}tibia", (0, -0.2, 1), 2) for s in SIDES},
+    **{f"{s}toes": (f"{s}foot", (0, 0, 1), 1) for s in SIDES},
+}  # fmt: skip
+"""A body as Acclaim files of CMU have it: by bone its parent, direction and length (in 0.45 of an inch)."""
+STIFF = ("lhipjoint", "rhipjoint")
+
+
+def acclaim(folder: Path, frames: int = 90) -> list[Path]:
+    """Somebody who bends every joint a little, at 30 Hz."""
+    bones = "".join(
+        f"begin\nname {name}\ndirection {' '.join(map(str, way))}\nlength {long}\naxis 0 0 0 XYZ\n"
+        f"{'' if name in STIFF else 'dof rx ry rz'}\nend\n"
+        for name, (_, way, long) in BONES.items()
+    )
+    links = "".join(f"{parent} {name}\n" for name, (parent, _, _) in BONES.items())
+    (folder / "9.asf").write_text(
+        ":units\nlength 0.45\nangle deg\n:root\norder TX TY TZ RX RY RZ\naxis XYZ\nposition 0 0 0\norientation 0 0 0\n"
+        f":bonedata\n{bones}:hierarchy\nbegin\n{links}end\n"
+    )
+    lines = [":FULLY-SPECIFIED", ":DEGREES"]
+    for k in range(frames):
+        lines += [str(k + 1), f"root 0 17 {0.2 * k} 0 {k} 0"]
+        turns = 20 * np.sin(0.1 * k + np.arange(3 * len(BONES))).reshape(-1, 3)
+        lines += [
+            f"{name} {' '.join(f'{x:.4f}' for x in turn)}"
+            for name, turn in zip(BONES, turns, strict=True)
+            if name not in STIFF
+        ]
+    (folder / "9_01.amc").write_text("\n".join(lines))
+    return [folder / "9.asf", folder / "9_01.amc"]
+
+
+def kinegraph(*arguments: object) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.call(str(arguments[0]), [str(a) for a in arguments[1:]])
+    assert not ended.value.code
+
+
+def test_acclaim_files_give_poses_to_learn_from(tmp_path: Path) -> None:
+    kinegraph("import", *acclaim(tmp_path), "--rate", "9_01=30", "-o", tmp_path / "a.mcap")
+    with Recording.open(tmp_path / "a.mcap") as recording:
+        tree = JointTree.of(recording.streams["9_01.pose"].spec)
+        poses, ends = recording.read("9_01.pose")[1], recording.read("9_01")[1]
+    body, made = to_humanoid(tree, poses)
+    joints = joints_of(body, made)[1]
+    for bone in ("LeftHand", "RightFoot", "LeftLowerLeg"):
+        begins = BONES[find_bones(tree.joints)[bone]][0]
+        at = ends[:, ["root", *BONES].index(begins)] / 100.0
+        assert np.abs(joints[:, list(body.joints).index(bone)] - at).max() < 1e-6
+    kinegraph("train", "pose", tmp_path / "a.mcap", "-o", tmp_path / "pose.npz", "--centres", "50")
+    model = read_model(tmp_path / "pose.npz", "pose")
+    assert model.header["trained_on"] == ["a: 9_01.pose"] and model.header["landmarks"] == list(USUAL)
+
+
+def c3d(path: Path, names: tuple[str, ...], *, up: str = "z") -> Path:
+    ezc3d = pytest.importorskip("ezc3d")
+    points = marks(names) if up == "y" else marks(names)[..., [0, 2, 1]] * [1.0, -1.0, 1.0]
+    made = ezc3d.c3d()
+    made["parameters"]["POINT"]["RATE"]["value"] = [RATE]
+    made["parameters"]["POINT"]["LABELS"]["value"] = names
+    made["parameters"]["POINT"]["UNITS"]["value"] = ("mm",)
+    rows = np.ones((4, len(names), N))
+    rows[:3] = 1000.0 * points.transpose(2, 1, 0)
+    rows[:3, 0, 100:105] = np.nan
+    made["data"]["points"] = rows
+    made.write(str(path))
+    return path
+
+
+@pytest.mark.parametrize("up", ["z", "y"])
+def test_c3d_files_that_show_more_than_the_model_will_see_give_poses_to_learn_from(up: str, tmp_path: Path) -> None:
+    file = c3d(tmp_path / "walk.c3d", (*NAMES[:13], "toe_l", "toe_r", "hand_l", "hand_r", "neck", "root"), up=up)
+    kinegraph("import", file, "-o", tmp_path / "walk.mcap")
+    kinegraph("train", "pose", tmp_path / "walk.mcap", "-o", tmp_path / "pose.npz", "--centres", "50")
+    assert len(read_model(tmp_path / "pose.npz", "pose").header["trained_on"]) == 1
+    truth = played(marks((*USUAL, "toe_l", "toe_r")), (*USUAL, "toe_l", "toe_r"), calibrate_s=0.0)[1]
+    made = played(marks(), model=tmp_path / "pose.npz", calibrate_s=0.0)[1]
+    assert np.linalg.norm(made[60:] - truth[60:], axis=-1).mean() < 0.02
+
+
+def test_a_c3d_file_that_shows_no_more_than_the_model_will_see_teaches_nothing(tmp_path: Path) -> None:
+    kinegraph("import", c3d(tmp_path / "walk.c3d", USUAL), "-o", tmp_path / "walk.mcap")
+    with pytest.raises(KinegraphError, match="no markers that show more"):
+        cli.call("train", ["pose", str(tmp_path / "walk.mcap"), "-o", str(tmp_path / "pose.npz")])
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="KINEGRAPH_DATA names no folder of recordings")
+def test_a_real_c3d_file_of_a_person_gives_a_model(tmp_path: Path) -> None:
+    pytest.importorskip("ezc3d")
+    kinegraph("import", DATA / "steering" / "HDM_dg_06-03_03_120.c3d", "-o", tmp_path / "walk.mcap")
+    kinegraph("train", "pose", tmp_path / "walk.mcap", "-o", tmp_path / "pose.npz", "--centres", "50")
+    assert len(read_model(tmp_path / "pose.npz", "pose").header["trained_on"]) == 1

@@ -1,0 +1,1 @@
+"""The bench's scripts run, and measure what they say."""

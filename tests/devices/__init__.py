@@ -1,0 +1,1 @@
+"""Devices and their clocks, through the real transport to simulators."""

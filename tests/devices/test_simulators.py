@@ -1,0 +1,301 @@
+"""Simulated devices: the cable that is pulled out, misbehaviour in the stated shares, the command, a whole graph with --simulate."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import subprocess
+import sys
+import threading
+import tracemalloc
+from importlib.util import find_spec
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.cyton import Cyton
+from devices.simulators.cyton import CytonModel
+from devices.simulators.lines import PseudoTerminal, TcpLine, line_at
+from devices.simulators.misbehaviour import Misbehaviour, Mishaps
+from devices.simulators.named import find, named
+from devices.simulators.serve import Server
+from devices.transport.transport import connect
+from stream.errors import DeviceError, KinegraphError
+from tests.support.device_feed import reading, wait_for
+from tests.support.pose_model import pose_network_or_skip
+
+HOUSE = Path(__file__).resolve().parents[2]
+CONFIGS = HOUSE / "configs"
+
+
+class Ticking:
+    """A device that says a packet of its own number every 2 ms."""
+
+    def __init__(self) -> None:
+        self.said = 0
+
+    def hear(self, data: bytes) -> bytes:
+        return data.upper()
+
+    def say(self, seconds: float) -> list[bytes]:
+        first, self.said = self.said, int(seconds * 500)
+        return [f"<{i:06d}>".encode() for i in range(first, self.said)]
+
+    def restart(self) -> None:
+        self.said = 0
+
+
+@pytest.mark.parametrize("address", ["", "tcp://127.0.0.1:0"])
+def test_both_ends_of_the_cable(address: str) -> None:
+    class Quiet(Ticking):
+        def say(self, seconds: float) -> list[bytes]:
+            return []
+
+    every_byte = bytes(b for b in range(256) if not 97 <= b <= 122)
+    with Server(Quiet(), line_at(address)) as server, connect(server.address) as link:
+        link.write(every_byte + b"abc")
+        came = b""
+        while len(came) < len(every_byte) + 3:
+            came += link.read(2.0)
+    assert came == every_byte + b"ABC"
+
+
+@pytest.mark.parametrize("address", ["", "tcp://127.0.0.1:0"])
+def test_a_cable_can_be_pulled_out_and_put_in_again(address: str) -> None:
+    with Server(Ticking(), line_at(address)) as server:
+        for _ in range(3):
+            with connect(server.address) as link:
+                assert link.read(2.0)
+                server.unplug()
+                with pytest.raises(DeviceError):
+                    while True:
+                        link.read(2.0)
+            with pytest.raises(DeviceError):
+                connect(server.address)
+            server.plug()
+
+
+class Steady(CytonModel):
+    """Its packets are all alike, so that no signal is made, of which the most recent parts would be kept."""
+
+    def counts(self, number: int) -> np.ndarray:
+        return np.zeros(8)
+
+
+def test_pulled_out_a_hundred_times_in_mid_packet_nothing_leaks() -> None:
+    """In a process of its own: threads, handles and memory of other tests come and go as they like."""
+    process = get_context("spawn").Process(target=pull_out_a_hundred_times)
+    process.start()
+    process.join(280)
+    assert process.exitcode == 0
+
+
+def pull_out_a_hundred_times() -> None:
+    """The source raises, lets go of everything and can be opened again; threads, handles and memory stay as they were."""
+
+    def usage() -> tuple[int, int, int]:
+        gc.collect()
+        return threading.active_count(), len(list(Path("/proc/self/fd").iterdir())), tracemalloc.get_traced_memory()[0]
+
+    before = (0, 0, 0)
+    tracemalloc.start()
+    with Server(Steady(), line_at()) as server:
+        for turn in range(100):
+            pull_out(server)
+            if turn == 20:
+                before = usage()
+        after = usage()
+    assert after[:2] == before[:2], f"{before} then {after}"
+    assert after[2] - before[2] < 100_000, f"{after[2] - before[2]} bytes kept after 79 more times"
+
+
+def pull_out(server: Server) -> None:
+    """Open the source, pull the cable out in mid-packet, put it in again. What was read (more, where the machine is slow) is forgotten."""
+    with reading(Cyton(server.address)) as feed:
+        wait_for(lambda: feed.error is not None or feed.count("emg") >= 3, 60.0)
+        assert feed.error is None, feed.error
+        server.unplug()
+        wait_for(lambda: feed.error is not None, 60.0)
+    assert isinstance(feed.error, DeviceError) and "gone" in str(feed.error)
+    server.plug()
+
+
+def test_misbehaviour_has_the_stated_shares_and_is_the_same_for_a_seed() -> None:
+    packets = [i.to_bytes(4, "big") for i in range(20_000)]
+    of = Misbehaviour(lose=0.1, duplicate=0.05, corrupt=0.02, seed=3)
+    mishaps = Mishaps(of)
+    sent = mishaps.spoil(packets, 1.0)
+    assert sent == Mishaps(of).spoil(packets, 1.0)
+    assert sent != Mishaps(Misbehaviour(lose=0.1, duplicate=0.05, corrupt=0.02, seed=4)).spoil(packets, 1.0)
+    assert mishaps.lost == pytest.approx(2000, abs=200)
+    assert mishaps.duplicated == pytest.approx(900, abs=120)
+    assert mishaps.corrupted == pytest.approx(360, abs=70)
+    assert len(sent) == len(packets) - mishaps.lost + mishaps.duplicated
+    assert Mishaps(Misbehaviour()).spoil(packets, 1.0) == packets
+    assert Mishaps(Misbehaviour(lose=1.0, from_s=2.0)).spoil(packets, 1.9) == packets
+
+
+def test_stalls_and_pulled_cables_come_when_they_are_due() -> None:
+    mishaps = Mishaps(
+        Misbehaviour(stall_every_s=2.0, stall_s=0.5, unplug_every_s=3.0, unplug_s=1.0, reset_every_s=4.0, from_s=1.0)
+    )
+    seconds = np.arange(0, 9, 0.25)
+    assert [s for s in seconds if mishaps.stalled(s)] == [3.0, 3.25, 5.0, 5.25, 7.0, 7.25]
+    assert [s for s in seconds if mishaps.unplugged(s)] == [4.0, 4.25, 4.5, 4.75, 7.0, 7.25, 7.5, 7.75]
+    assert [mishaps.resets(s) for s in (0.0, 4.9, 5.0, 9.0)] == [0, 0, 1, 2]
+
+
+def test_a_cable_that_is_pulled_out_by_itself_comes_back() -> None:
+    wrong = Misbehaviour(unplug_every_s=0.5, unplug_s=0.2)
+    with Server(CytonModel(), line_at(), wrong) as server:
+        for _ in range(2):
+            with reading(_when_there(server)) as feed:
+                wait_for(lambda feed=feed: feed.error is not None)
+
+
+def _when_there(server: Server) -> Cyton:
+    wait_for(lambda: Path(server.address).exists())
+    return Cyton(server.address)
+
+
+def test_nobody_reading_does_not_hold_a_device_up() -> None:
+    brain = Ticking()
+    with Server(brain, PseudoTerminal()):
+        wait_for(lambda: brain.said > 300)
+    line = TcpLine()
+    line.write(b"to nobody")
+    line.close()
+
+
+def test_an_address_that_cannot_be_served() -> None:
+    with pytest.raises(DeviceError, match="write tcp://host:port"):
+        line_at("127.0.0.1")
+    with Server(Ticking(), TcpLine()) as server, pytest.raises(DeviceError, match="cannot be served"):
+        line_at(server.address)
+
+
+def test_simulators_are_found_by_name() -> None:
+    assert find("cyton") is named()["cyton"] is find("devices.simulators.cyton.SimulatedCyton")
+    with pytest.raises(KinegraphError, match="did you mean 'cyton'"):
+        find("cyten")
+    with pytest.raises(KinegraphError, match="cannot be imported"):
+        find("no_such_lab.Board")
+    for name, kind in named().items():
+        assert kind.__doc__, name
+
+
+def kinegraph(*arguments: str, timeout_s: float = 120.0) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "stream", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=timeout_s,
+        stdin=subprocess.DEVNULL,
+        env={**os.environ, "COLUMNS": "160"},
+    )
+
+
+def test_the_command_prints_an_address_that_can_be_opened() -> None:
+    command = [sys.executable, "-m", "stream", "simulate", "cyton", "daisy=true", "lose=0.1", "seed=2"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout
+        address = process.stdout.readline().strip()
+        try:
+            with reading(Cyton(address, daisy=True)) as feed:
+                wait_for(lambda: feed.count("emg") >= 50)
+        finally:
+            process.send_signal(signal.SIGINT)
+        assert process.wait(10) == 0
+    assert feed.lost("emg") and not Path(address).exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["cyten"], "did you mean 'cyton'"),
+        (["cyton", "loose=1"], "did you mean 'lose'"),
+        (["cyton", "lose=2"], "lose is 2; it must be at least 0 and at most 1"),
+        (["cyton", "daisy"], "PARAMETER=VALUE"),
+        (["cyton", "--at", "here"], "write tcp://host:port"),
+        (["trigno", "reset_every_s=5"], "reset_every_s is 5; it must be 0, as its samples have no counter"),
+        (["lsl", "corrupt=0.1"], "TCP, which lets no changed byte pass"),
+        (["ascii_lines", "columns=[emg]", "reset_every_s=5"], "neither a time nor a counter"),
+    ],
+)
+def test_the_command_tells_what_is_wrong(arguments: list[str], told: str) -> None:
+    done = kinegraph("simulate", *arguments)
+    assert done.returncode in (2, 3) and told in done.stderr
+
+
+def test_the_command_lists_what_there_is() -> None:
+    assert "cyton" in kinegraph("simulate").stdout
+
+
+def test_a_whole_session_outlives_a_pulled_cable(tmp_path: Path) -> None:
+    """The graph goes on, the source is opened again, and what is missing is marked in the recording and counted."""
+    out, brain = tmp_path / "session", CytonModel()
+    with Server(brain, line_at(name="ttyCYTON")) as server:
+        command = [
+            sys.executable,
+            "-m",
+            "stream",
+            "run",
+            str(CONFIGS / "cyton_emg.yaml"),
+            "--set",
+            f"board.port={server.address}",
+        ]
+        command += ["--for", "9", "-o", str(out), "--view", "none"]
+        with subprocess.Popen(command, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True) as process:
+            wait_for(lambda: brain._number > 500, 120.0)
+            server.unplug()
+            wait_for(lambda: not Path(server.address).exists())
+            server.plug()
+            _, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    assert "source failed" in errors and "is gone" in errors and "source reopened" in errors
+    rows = {
+        line.split()[0]: line.split() for line in kinegraph("info", str(out)).stdout.splitlines() if " input " in line
+    }
+    assert int(rows["board.emg"][2]) > 700 and int(rows["board.emg"][6]) == 1, "one gap"
+
+
+SIMULATED = [p for p in sorted(CONFIGS.glob("*.yaml")) if "--simulate" in p.read_text(encoding="utf-8")]
+
+
+IDENTIFIED = {
+    "cyton_emg": "device board: OpenBCI Cyton, port ",
+    "bitalino_emg": "firmware BITalino_v5.2, battery_v 3.9",
+    "imu_steps": "serial 03700001, firmware 1.8.2",
+    "shimmer_emg": "device shimmer: Shimmer3, port ",
+    "trigno_emg": "device trigno: Delsys Trigno, port ",
+    "lsl_emg": "LSL stream, name ",
+    "depth_view": "device camera: OAK",
+    "body_markers": "device camera: OAK",
+    "avatar": "device camera: OAK",
+    "dualsense": "device controller: USB device, usb 054c:0ce6",
+}
+"""What `kinegraph info` says of the device, by the configuration that it was recorded with."""
+
+
+@pytest.mark.parametrize("config", SIMULATED, ids=lambda p: p.stem)
+def test_a_config_runs_without_hardware(config: Path, tmp_path: Path) -> None:
+    """Through the real transport; every source's first output has brought samples, and nothing was lost."""
+    if "devices.oak" in config.read_text(encoding="utf-8") and find_spec("depthai") is None:
+        pytest.skip("depthai is not installed (pip install 'kinegraph[oak]')")
+    if "pose_network" in config.read_text(encoding="utf-8") and "needed: false" not in config.read_text(
+        encoding="utf-8"
+    ):
+        pose_network_or_skip()
+    out = tmp_path / "session"
+    keep = ("--set", "recording.rolling=false")
+    done = kinegraph("run", str(config), "--simulate", "--for", "3", "-o", str(out), "--view", "none", *keep)
+    assert done.returncode == 0, done.stderr
+    info = kinegraph("info", str(out)).stdout
+    assert "simulated_sources" in info
+    rows = {line.split()[0]: line.split() for line in info.splitlines() if " input " in line}
+    assert any(int(row[2]) > 0 for name, row in rows.items() if name != "annotations"), info
+    if config.stem in IDENTIFIED:
+        assert IDENTIFIED[config.stem] in info

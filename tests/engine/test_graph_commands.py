@@ -1,0 +1,226 @@
+"""check, draw, parts and schema; the schema is held against what `load` accepts."""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from stream.commands.check import _narrow, check
+from stream.commands.draw import DrawingFormat, draw
+from stream.commands.parts import parts, reflowed
+from stream.commands.schema import schema
+from stream.errors import GraphError, KinegraphError
+from stream.graph.load import load_text
+from stream.graph.parts import catalogue
+from stream.graph.plan import plan
+from stream.graph.schema import graph_schema, unit_of
+from stream.graph.yaml_lines import parse
+from tests.engine.test_load import GOOD, NODE_ERRORS, TOP_ERRORS, nodes
+from tests.support.pose_model import pose_network_or_skip
+
+CONFIGS = sorted((Path(__file__).resolve().parents[2] / "configs").glob("*.yaml"))
+
+
+@pytest.fixture
+def good(tmp_path: Path) -> Path:
+    path = tmp_path / "walking.yaml"
+    path.write_text(GOOD)
+    return path
+
+
+def test_check_shows_nodes_and_paths(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    check(good)
+    shown = capsys.readouterr().out
+    rows = [" ".join(line.split()) for line in shown.splitlines()]
+    assert "low graph_parts.Low board.emg 2 channels float64 at 1000 Hz in uV" in rows
+    assert "touchdown: board.touchdown" in shown and "rejected: events (onset), irregular" in shown
+    assert "board -> low -> cycles -> screen" in shown and "low 4 ms + cycles 50 ms = 54 ms" in shown
+    assert "OK: delay at most 54 ms (budget 200 ms)" in shown
+    assert "annotations" not in shown
+
+
+def test_check_fits_a_narrow_terminal(good: Path) -> None:
+    graph = load_text(good.read_text(), path=str(good))
+    told = _narrow(graph, plan(graph), 50)
+    assert max(map(len, told.splitlines())) <= 50
+    assert all(f"\n{name}  {node.use}" in told for name, node in graph.nodes.items() if name != "annotations")
+    assert "\n  delay " in told and "; memory " in " ".join(told.split())
+
+
+def test_check_points_at_what_nobody_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "g.yaml"
+    path.write_text(nodes("cycles: {use: graph_parts.Cycles, from: {signal: board, touchdown: board.touchdown}}"))
+    check(path)
+    shown = capsys.readouterr().out
+    assert "nothing reads or records 'cycles.cycle'" in shown and "'board" not in shown.partition("note:")[2]
+
+
+def test_check_shows_the_paths_of_a_late_graph_too(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(GraphError, match="latency_budget_ms is 20") as caught:
+        check(good, ["latency_budget_ms=20"])
+    assert caught.value.exit_code == 2
+    assert "54 ms" in (shown := capsys.readouterr().out) and "OK" not in shown
+
+
+def test_draw_a_tree(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    draw(good, settings=["low.order=3"])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "walking"
+    assert lines[1] == "└── board graph_parts.Board()"
+    text = "\n".join(lines)
+    assert "low graph_parts.Low(cutoff_hz=10, order=3) worker slow" in text
+    assert "recorded" in text and "cycles (into touchdown) see above" in text
+    assert "annotations" not in text
+
+
+def test_draw_mermaid_and_dot(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    draw(good, DrawingFormat.mermaid)
+    text = capsys.readouterr().out
+    assert text.startswith("flowchart LR\n") and 'n0(["board<br/>graph_parts.Board"])' in text
+    assert 'n0 -- "emg: 2 channels float64 at 1000 Hz in uV" --> n1' in text
+    draw(good, DrawingFormat.dot)
+    text = capsys.readouterr().out
+    assert text.startswith('digraph "walking" {') and text.endswith("}\n")
+    assert 'n0 -> n1 [label="emg: 2 channels float64 at 1000 Hz in uV"];' in text
+    draw(good, DrawingFormat.dot, ['name=the "big" walk'])
+    assert capsys.readouterr().out.startswith(r'digraph "the \"big\" walk" {')
+
+
+SCHEMA = graph_schema(catalogue(("graph_parts", "stream.manual", "operators", "devices"))[0])
+VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
+
+
+def faults(text: str) -> list[Any]:
+    return list(VALIDATOR.iter_errors(parse(text, "graph").plain()))
+
+
+def test_the_schema_is_one() -> None:
+    jsonschema.Draft202012Validator.check_schema(SCHEMA)
+
+
+@pytest.mark.parametrize(
+    "text", [GOOD, *(path.read_text() for path in CONFIGS)], ids=["good", *(p.stem for p in CONFIGS)]
+)
+def test_the_schema_takes_what_load_takes(text: str) -> None:
+    assert faults(text) == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "list: {use: graph_parts.Join, from: [board, board.touchdown]}",
+        "one: {use: graph_parts.Low, from: [board.emg]}",
+        "named: {use: graph_parts.Low, from: {in: board.emg}}",
+        "mine: {use: my_package.my_module.Mine, from: board, anything: [1, 2]}",
+    ],
+)
+def test_the_schema_takes_every_way_to_write_a_node(text: str) -> None:
+    assert faults(nodes(text)) == []
+
+
+BY_LOAD_ALONE = (
+    "there is no", "no output", "no module", "cycle:", "connected twice", "an outlet", "below 500", "(onset)", "/dev", "given twice",
+    "graph_parts has no", "must be a source", "is not a dataclass", "hold", "other", "ZeroDivision", "must be renamed", "record names",
+    "no source", "finite",
+)  # fmt: skip
+"""What takes the whole graph, or the classes themselves, to see."""
+
+
+def for_the_schema() -> list[Any]:
+    """The bad graphs of test_load that are YAML, and wrong in a way that a schema can see."""
+    found = []
+    for text, words in [(nodes(text), words) for text, _, words in NODE_ERRORS] + [(t, w) for t, _, w in TOP_ERRORS]:
+        with suppress(GraphError):
+            parse(text, "graph")
+            if not any(alone in word for alone in BY_LOAD_ALONE for word in words):
+                found.append(pytest.param(text, id=words[-1]))
+    return found
+
+
+@pytest.mark.parametrize("text", for_the_schema())
+def test_the_schema_refuses_what_load_refuses(text: str) -> None:
+    assert faults(text)
+
+
+def test_most_bad_graphs_are_for_the_schema() -> None:
+    assert len(for_the_schema()) > 35
+
+
+def test_the_schema_tells_an_editor_what_a_parameter_is() -> None:
+    low = SCHEMA["$defs"]["graph_parts.Low"]
+    assert low["properties"]["cutoff_hz"] == {
+        "default": 20.0, "exclusiveMinimum": 0.0, "type": "number", "description": "where it cuts (Hz)",
+    }  # fmt: skip
+    assert low["properties"]["kind"]["enum"] == ["low", "high"]
+    assert low["required"] == ["use", "from"] and low["description"] == "A filter in name only: it checks like one."
+    board = SCHEMA["$defs"]["graph_parts.Board"]["properties"]
+    assert board["rate_hz"]["description"] == "samples per second (Hz)", "a line of the docstring will do"
+    assert board["queue"]["minimum"] == 1 and "from" not in board and "worker" not in board
+    offered = SCHEMA["$defs"]["node"]["properties"]["use"]["anyOf"][0]["enum"]
+    assert "graph_parts.Low" in offered and "stream.manual.Value" in offered
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("cutoff_hz", "Hz"), ("speed_m_s", "m/s"), ("window_s", "s"), ("share_percent", "%"), ("order", ""), ("s", "")],
+)
+def test_units_stand_in_names(name: str, unit: str) -> None:
+    assert unit_of(name) == unit
+
+
+def test_schema_writes_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    schema(Path("kinegraph.schema.json"), ["graph_parts"])
+    written = json.loads(Path("kinegraph.schema.json").read_text())
+    assert "graph_parts.Low" in written["$defs"] and "stream.manual.Value" in written["$defs"]
+    assert "kinegraph.schema.json:" in capsys.readouterr().out
+    with pytest.raises(KinegraphError, match="cannot be written"):
+        schema(Path("missing/kinegraph.schema.json"))
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+def test_every_config_loads(path: Path) -> None:
+    if "pose_network" in path.read_text(encoding="utf-8"):
+        pose_network_or_skip()
+    assert load_text(path.read_text(), path=str(path)).sources
+
+
+def test_parts_lists_what_there_is_and_shows_one(capsys: pytest.CaptureFixture[str]) -> None:
+    parts()
+    listed = capsys.readouterr().out
+    assert all(path in listed for path in catalogue()[0])
+    parts("operators.iir.Lowpass")
+    shown = " ".join(capsys.readouterr().out.split())
+    assert (
+        "inputs in outputs out" in shown and "cutoff_hz (must be given) number > 0" in shown and "zero | first" in shown
+    )
+    assert "order 4 integer >= 1 <= 20" in shown and "reset_gap_s 0.1 number >= 0" in shown
+    parts("operators.channels.Select")
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "channels array names" in shown and "rename object new names" in shown  # an empty default is not shown
+    parts("graph_parts.Cycles")
+    assert "graph_parts.Cycles (operator)" in " ".join(capsys.readouterr().out.split())
+    with pytest.raises(KinegraphError, match="no component matches 'Lowpas5'; did you mean 'Lowpass'"):
+        parts("Lowpas5")
+    with pytest.raises(KinegraphError, match=r"no component matches 'Xyz'; `kinegraph parts` lists all components$"):
+        parts("Xyz")
+
+
+def test_a_description_is_laid_out_anew_for_a_narrow_terminal() -> None:
+    ports = "in     what comes in, in a line that goes on\n       here\nout    what goes out\n- an item\n  of two lines"
+    text = f"One sentence that\ngoes on.\n\n{ports}"
+    assert reflowed(text, 30).split("\n") == [
+        "One sentence that goes on.",
+        "",
+        "in     what comes in, in a",
+        "       line that goes on here",
+        "out    what goes out",
+        "- an item of two lines",
+    ]

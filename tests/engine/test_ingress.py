@@ -1,0 +1,184 @@
+"""The two ways of a source's chunks into the graph, inline and queued: whatever comes, they give the same."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import parts
+import pytest
+from parts import START
+
+from stream.chunk import Array, Chunk, Specs, StreamSpec
+from stream.engine.ingress import Ingress, IngressPort
+from stream.engine.session import Session
+from stream.engine.status import Outcome
+from stream.engine.supervisor import Inline, not_inline
+from stream.graph.load import load_text
+from stream.params import param
+from stream.recording import Recording
+from stream.recording.checkpoint import Checkpoint
+from stream.source import Feed, Source
+
+SPEC = StreamSpec((2,), rate_hz=1000.0, channels=("number", "wave"))
+SHAPES = ("as it should be", "a view", "float32", "read-only", "a list")
+
+
+@dataclass(frozen=True, slots=True)
+class Untidy(Source):
+    """Chunks that are late, run backwards, say nothing, or come in other arrays than they should."""
+
+    seed: int = param(0)
+
+    @property
+    def live(self) -> bool:
+        return False
+
+    def specs(self) -> Specs:
+        return {"out": SPEC}
+
+    def read(self, feed: Feed) -> None:
+        feed.emit(Chunk(np.array([START]), np.zeros((1, 2)), START))
+        feed.wait(0.4)  # by then the session has begun, and chunks go in inline
+        for chunk in chunks(self.seed):
+            feed.emit(chunk)
+            feed.wait(0.002)
+
+
+def chunks(seed: int) -> list[Chunk]:
+    random = np.random.default_rng(seed)
+    made, now = [], START + 1
+    for i in range(120):
+        n = int(random.integers(0, 4)) if random.random() < 0.8 else 100
+        times = now + np.sort(random.integers(0, 5 * n + 1, n))
+        kind = random.choice(("in order", "in order", "in order", "late", "backwards", "gap"))
+        if kind == "late":
+            times -= 40
+        elif kind == "backwards" and n > 2:
+            times[n // 2] -= 30
+        until = int(times.max(initial=now)) + int(random.integers(-3, 3))
+        numbers = np.stack([np.full(n, i), np.arange(n)], axis=1).astype(float)
+        made.append(Chunk(times, shaped(numbers, random.choice(SHAPES)), until, 5 if kind == "gap" else 0))
+        now = max(now, until + 1, *times.tolist())
+    return made
+
+
+def shaped(data: Array, shape: str) -> Any:
+    if shape == "a view":
+        return np.repeat(data, 2, axis=1)[:, ::2]
+    if shape == "read-only":
+        data.flags.writeable = False
+    return (
+        {"float32": data.astype(np.float32), "a list": data.reshape(-1, 2).tolist()}.get(shape, data)
+        if len(data)
+        else data
+    )
+
+
+save = Checkpoint.save
+
+NODES = """
+nodes:
+  board: {use: tests.engine.test_ingress.Untidy, seed: %d}
+  same: {use: parts.Identity, from: board}
+  out: {use: parts.Collect, from: same, policy: block}
+"""
+
+
+def run(seed: int, folder: Path) -> tuple[Outcome, list[tuple[Any, ...]]]:
+    """The outcome, and what entered the graph: every chunk with its place in the input log."""
+    parts.seen.clear()
+    outcome = Session(load_text(NODES % seed, path=str(Path(__file__))), folder).run()
+    with Recording.open(folder) as recording:
+        entered = [
+            (e.chunk.time.tolist(), e.chunk.data.tolist(), e.chunk.until, e.chunk.lost)
+            for e in recording.entries("board")
+        ]
+    return outcome, entered
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_both_ways_give_the_same(seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    taken: list[bool] = []
+    build = Ingress.inline
+
+    def watched(self: Ingress, port: IngressPort) -> Inline:
+        way = build(self, port)
+
+        def take(chunk: Chunk, arrival: int) -> bool:
+            taken.append(way(chunk, arrival))
+            return taken[-1]
+
+        return take
+
+    monkeypatch.setattr(Ingress, "inline", watched)
+    short, by_inline = run(seed, tmp_path / "short")
+    seen = [(c.time.tolist(), c.data.tolist(), c.lost) for c in parts.seen["out"] if len(c)]
+    monkeypatch.setattr(Ingress, "inline", lambda *_: not_inline)
+    long, by_queues = run(seed, tmp_path / "long")
+    assert short.exit_code == long.exit_code == 0, (short.error, long.error)
+    assert 20 < sum(taken) < len(taken)
+    assert by_inline == by_queues
+    assert seen == [(c.time.tolist(), c.data.tolist(), c.lost) for c in parts.seen["out"] if len(c)]
+    for name in ("late", "lost", "gaps", "samples", "problems"):
+        assert short.table["board"][name] == long.table["board"][name]
+
+
+def test_where_nobody_waits_only_samples_enter(tmp_path: Path) -> None:
+    """The annotations of a session that nobody reads: no chunk of the input log says that nothing was typed."""
+    outcome, _ = run(0, tmp_path / "s")
+    assert outcome.exit_code == 0
+    with Recording.open(tmp_path / "s") as recording:
+        assert [e.chunk for e in recording.entries("annotations") if e.chunk.until < 2**62] == []
+
+
+@dataclass(frozen=True, slots=True)
+class Wrong(parts.Counting):
+    """Says once, when chunks go in inline, up to when it is complete in a way that is no time."""
+
+    def read(self, feed: Feed) -> None:
+        first = not parts.openings
+        parts.openings["wrong"] = 1
+        feed.emit(Chunk(np.array([feed.now()]), np.zeros((1, 2)), feed.now()))
+        feed.wait(0.5)
+        now = feed.now()
+        feed.emit(Chunk(np.array([now]), np.zeros((1, 2)), "now" if first else now))  # type: ignore[arg-type]
+
+
+def test_a_chunk_that_is_no_chunk_fails_its_source_not_the_session(tmp_path: Path) -> None:
+    parts.openings.clear()
+    graph = load_text(
+        NODES.replace("tests.engine.test_ingress.Untidy, seed: %d", "tests.engine.test_ingress.Wrong, realtime: true"),
+        path=__file__,
+    )
+    outcome = Session(graph, tmp_path / "s").run()
+    assert outcome.exit_code == 0, outcome.error
+    with Recording.open(tmp_path / "s") as recording:
+        kinds = [
+            line["kind"] for line in recording.log if line["kind"] not in ("silent source advanced", "stream is stale")
+        ]  # which come on a slow machine
+        assert kinds == ["source failed", "source reopened", "source ended"]
+        assert recording.streams["board"].samples == 3
+
+
+@dataclass(frozen=True, slots=True)
+class NumpyTimes(parts.Counting):
+    """Says up to when it is complete in numpy's integers."""
+
+    def read(self, feed: Feed) -> None:
+        for _ in range(100):
+            now = np.array([feed.now()])
+            feed.emit(Chunk(now, np.zeros((1, 2)), now[-1]))
+            feed.wait(0.01)
+
+
+def test_times_in_numpys_integers_can_be_checkpointed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept: list[Checkpoint] = []
+    monkeypatch.setattr(Checkpoint, "save", lambda self, folder: (save(self, folder), kept.append(self)))
+    text = "checkpoint_s: 0.2" + NODES.replace(
+        "tests.engine.test_ingress.Untidy, seed: %d", "tests.engine.test_ingress.NumpyTimes, realtime: true"
+    )
+    assert Session(load_text(text, path=__file__), tmp_path / "s").run().exit_code == 0
+    assert any(checkpoint.promised["board"] > 0 for checkpoint in kept)

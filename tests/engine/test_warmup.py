@@ -1,0 +1,111 @@
+"""Before a graph runs every operator has met all that its cases hold."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from parts import Counting
+
+from stream.chunk import Chunk, Specs, StreamSpec
+from stream.engine.warmup import warm_up
+from stream.graph.load import load_text
+from stream.operator import Case, Operator, grid
+from stream.params import param
+
+MET: dict[str, int] = {}
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@dataclass(slots=True)
+class Nothing:
+    """No state."""
+
+
+@dataclass(frozen=True, slots=True)
+class TwoInputs(Operator[Nothing]):
+    """Notes how many samples of each input it has met."""
+
+    inputs: ClassVar[tuple[str, ...]] = ("in", "mark")
+    optional: ClassVar[tuple[str, ...]] = ("mark",)
+    factor: float = param(1.0)
+
+    def open(self, specs: Specs) -> Specs:
+        self.hold(Nothing())
+        return {"out": specs["in"]}
+
+    def process(self, port: str, chunk: Chunk) -> Chunk | None:
+        if self.factor > 1.0:
+            MET[port] = MET.get(port, 0) + len(chunk)
+        return chunk if port == "in" else None
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        mark = StreamSpec((), np.dtype([("onset", np.int64)]))
+        events = np.array([(0,), (1,)], mark.dtype)
+        signal = (StreamSpec((1,), rate_hz=100.0), grid(100.0, 200), np.ones((200, 1)))
+        return [Case(cls(factor=2.0), {"in": signal, "mark": (mark, grid(100.0, 2), events)}, least=200)]
+
+
+def test_samples_after_the_last_event_are_met_too() -> None:
+    MET.clear()
+    graph = load_text(
+        f"nodes:\n  a: {{use: parts.{Counting.__name__}}}\n  b: {{use: tests.engine.test_warmup.TwoInputs, from: a}}"
+    )
+    warm_up(graph)
+    assert MET == {"in": 200, "mark": 2}
+
+
+@dataclass(slots=True)
+class Newest:
+    """The newest stamp."""
+
+    stamp: int
+
+
+@dataclass(frozen=True, slots=True)
+class InOrder(Operator[Newest]):
+    """Two signals, whose samples must come in the order of time: an operator may rely on it, and index its memory by it."""
+
+    inputs: ClassVar[tuple[str, ...]] = ("in", "other")
+
+    def open(self, specs: Specs) -> Specs:
+        self.hold(Newest(0))
+        return {"out": specs["in"]}
+
+    def process(self, port: str, chunk: Chunk) -> Chunk | None:
+        if len(chunk):
+            assert int(chunk.time[0]) >= self.state.stamp, f"{port} goes back in time"
+            self.state.stamp = int(chunk.time[-1])
+        return chunk if port == "in" else None
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        return []
+
+
+def test_made_up_samples_of_several_inputs_come_in_the_order_of_time() -> None:
+    counting = f"parts.{Counting.__name__}"
+    order = "tests.engine.test_warmup.InOrder, from: {in: a, other: b}"
+    warm_up(load_text(f"nodes:\n  a: {{use: {counting}}}\n  b: {{use: {counting}}}\n  c: {{use: {order}}}"))
+
+
+@pytest.mark.parametrize("use", ["operators.emg.mixtures.PeakMixtures", "operators.emg.mixture_drift.MixtureDrift"])
+def test_shorter_cases_for_the_warm_up_compile_all_that_the_cases_do(use: str) -> None:
+    command = [sys.executable, "-m", "tests.warm_up_kernels", use]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout == ""
+
+
+def test_every_operator_with_shorter_cases_for_the_warm_up_is_tried() -> None:
+    sources = {path: path.read_text(encoding="utf-8") for path in (ROOT / "operators").rglob("*.py")}
+    assert {path.name for path, source in sources.items() if "def warm_up_cases" in source} == {
+        "mixtures.py",
+        "mixture_drift.py",
+    }

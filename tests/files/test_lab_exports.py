@@ -1,0 +1,272 @@
+"""Exports, each opened by the library that its people use, against what the recording holds."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import ezc3d
+import numpy as np
+import openpyxl
+import pandas
+import pyarrow.parquet
+import pyedflib
+import pytest
+import scipy.io
+
+from devices.files.column_table import Wishes
+from devices.files.importer import read_files
+from stream.chunk import NS, StreamSpec
+from stream.errors import RecordingError
+from stream.operator import grid
+from stream.recording.series import Series, write_recording
+from tests.support.convert_run import kinegraph
+
+START = 1_700_000_000 * NS + NS // 4
+MARK = np.dtype([("onset", "<i8")])
+NOTE = np.dtype([("onset", "<i8"), ("text", "<U16")])
+
+
+@pytest.fixture
+def walk(tmp_path: Path) -> dict[str, Series]:
+    """A recording, walk.mcap: EMG with a gap, markers of which one is not seen for a while, contacts, words, a coarser signal."""
+    random = np.random.default_rng(5)
+    emg = random.normal(0, 60, (1990, 2))
+    time = grid(1000.0, 2000, START)
+    keep = np.r_[0:700, 710:2000]
+    lost = np.zeros(1990, np.int64)
+    lost[700] = 10
+    markers = random.normal(800, 50, (200, 3, 3))
+    markers[20:25, 1] = np.nan
+    strikes = np.array([(START + k * NS // 2,) for k in range(4)], MARK)
+    words = np.array([(START + NS // 3, "=1+1"), (START + NS, "halt")], NOTE)
+    angle = np.sin(np.arange(100) / 9)[:, None] * 40
+    spec = StreamSpec((2,), rate_hz=1000.0, channels=("TA", "GM"), units=("uV",))
+    points = StreamSpec((3, 3), rate_hz=100.0, channels=("LTOE", "RTOE", "LHIP"), units=("mm",))
+    contact = StreamSpec((), MARK, units=("ns",), meta={"label": "Foot Strike", "side": "right"})
+    made = [
+        Series("lab.emg", spec, time[keep], emg, lost),
+        Series("lab.markers", points, grid(100.0, 200, START), markers),
+        Series("lab.right_foot_strike", contact, strikes["onset"].copy(), strikes),
+        Series("lab.words", StreamSpec((), NOTE, units=("ns", "")), words["onset"].copy(), words),
+        Series(
+            "lab.knee",
+            StreamSpec((1,), rate_hz=50.0, channels=("knee_angle_r",), units=("deg",)),
+            grid(50.0, 100, START),
+            angle,
+        ),
+    ]
+    header = {"graph": "", "session": {"subject": "S01", "age": 31, "task": "walk"}}
+    write_recording(tmp_path / "walk.mcap", made, header)
+    return {one.name.removeprefix("lab."): one for one in made}
+
+
+def export(tmp_path: Path, name: str, *arguments: object) -> Path:
+    kinegraph("export", tmp_path / "walk.mcap", "-o", tmp_path / name, *arguments)
+    return tmp_path / name
+
+
+def again(path: Path) -> dict[str, Series]:
+    """An export as it is imported again."""
+    return {one.name.removeprefix(path.stem).removeprefix("."): one for one in read_files([path], Wishes())}
+
+
+def test_excel(tmp_path: Path, walk: dict[str, Series]) -> None:
+    book = openpyxl.load_workbook(export(tmp_path, "walk.xlsx"), read_only=True)
+    assert book.sheetnames == ["lab.emg", "lab.markers", "lab.right_foot_strike", "lab.words", "lab.knee", "about"]
+    rows = list(book["lab.emg"].iter_rows(values_only=True))
+    assert rows[0] == ("time [s]", "TA [uV]", "GM [uV]") and len(rows) == 1991
+    np.testing.assert_allclose(np.array(rows[1:], float)[:, 1:], walk["emg"].data, rtol=1e-12)
+    markers = list(book["lab.markers"].iter_rows(values_only=True))
+    assert markers[21][4] is None and markers[0][4] == "RTOE.x [mm]"
+    assert "=1+1" not in [row[2] for row in book["lab.words"].iter_rows(values_only=True)], (
+        "a text never becomes a formula"
+    )
+    assert ("subject", "S01") in list(book["about"].iter_rows(values_only=True))
+
+
+def test_matlab(tmp_path: Path, walk: dict[str, Series]) -> None:
+    found = scipy.io.loadmat(export(tmp_path, "walk.mat"), simplify_cells=True)
+    emg = found["lab_emg"]
+    assert (
+        np.array_equal(emg["data"], walk["emg"].data)
+        and emg["rate_hz"] == 1000
+        and list(emg["channels"]) == ["TA", "GM"]
+    )
+    assert emg["time_s"][700] == pytest.approx(0.71) and list(emg["units"]) == ["uV", "uV"]
+    assert found["lab_markers"]["data"].shape == (200, 3, 3) and found["lab_words"]["text"][1] == "halt"
+    assert np.array_equal(found["lab_right_foot_strike"]["onset"], walk["right_foot_strike"].data["onset"])
+    assert found["about"]["subject"] == "S01"
+
+
+def test_parquet(tmp_path: Path, walk: dict[str, Series]) -> None:
+    folder = export(tmp_path, "tables", "--format", "parquet")
+    frame = pandas.read_parquet(folder / "lab.emg.parquet")
+    assert list(frame.columns) == ["time", "TA", "GM"] and np.array_equal(
+        frame[["TA", "GM"]].to_numpy(), walk["emg"].data
+    )
+    assert np.array_equal(frame["time"].astype("int64"), walk["emg"].time)
+    about = json.loads(pyarrow.parquet.read_schema(folder / "lab.emg.parquet").metadata[b"kinegraph"])
+    assert about["units"] == {"TA": "uV", "GM": "uV"} and about["session"]["subject"] == "S01"
+    assert pandas.read_parquet(folder / "lab.words.parquet")["text"].tolist() == ["=1+1", "halt"]
+
+
+def test_c3d(tmp_path: Path, walk: dict[str, Series]) -> None:
+    chosen = [a for name in ("emg", "markers", "right_foot_strike") for a in ("--stream", f"lab.{name}")]
+    path = export(tmp_path, "walk.c3d", *chosen)
+    found = ezc3d.c3d(str(path))
+    points = found["data"]["points"][:3].transpose(2, 1, 0)
+    np.testing.assert_allclose(points, walk["markers"].data, rtol=1e-6)
+    assert np.isnan(points[20:25, 1]).all() and found["parameters"]["POINT"]["RATE"]["value"][0] == 100
+    analog = found["data"]["analogs"][0].T
+    assert found["parameters"]["ANALOG"]["RATE"]["value"][0] == 1000 and not analog[700:710].any()
+    np.testing.assert_allclose(np.delete(analog, np.s_[700:710], 0), walk["emg"].data, rtol=1e-6)
+    assert list(found["parameters"]["ANALOG"]["UNITS"]["value"]) == ["uV", "uV"]
+    assert list(found["parameters"]["EVENT"]["CONTEXTS"]["value"]) == ["Right"] * 4
+    np.testing.assert_allclose(found["parameters"]["EVENT"]["TIMES"]["value"][1], [0.0, 0.5, 1.0, 1.5], atol=1e-6)
+    back = again(path)
+    assert (back["right_foot_strike"].data["onset"] / NS).tolist() == pytest.approx([0.0, 0.5, 1.0, 1.5])
+    with pytest.raises(
+        RecordingError, match=r"one rate for signals, a multiple of the frames' 100 Hz; choose with --stream"
+    ):
+        export(tmp_path, "all.c3d")
+
+
+def test_opensim(tmp_path: Path, walk: dict[str, Series]) -> None:
+    back = again(export(tmp_path, "walk.trc"))["markers"]
+    np.testing.assert_allclose(back.data, walk["markers"].data, rtol=1e-9)
+    assert back.spec.rate_hz == 100 and back.spec.channels == ("LTOE", "RTOE", "LHIP") and back.spec.units == ("mm",)
+    lines = (tmp_path / "walk.trc").read_text().splitlines()
+    assert {len(line.split("\t")) for line in (lines[3], lines[4], lines[6])} == {11} and lines[2].split("\t")[2:4] == [
+        "200",
+        "3",
+    ]
+    back = again(export(tmp_path, "knee.mot", "--stream", "lab.knee"))["coordinates"]
+    np.testing.assert_allclose(back.data, walk["knee"].data, rtol=1e-9)
+    assert back.spec.units == ("deg",) and back.spec.rate_hz == 50
+    frame = pandas.read_csv(tmp_path / "knee.mot", sep="\t", skiprows=7)
+    assert list(frame.columns) == ["time", "knee_angle_r"] and len(frame) == 100
+    with pytest.raises(RecordingError, match=r"holds one stream of numbers; name it with --stream .lab.emg, lab.knee."):
+        export(tmp_path, "walk.sto")
+
+
+@pytest.mark.parametrize("suffix", ["edf", "bdf"])
+def test_edf(tmp_path: Path, walk: dict[str, Series], suffix: str) -> None:
+    path = export(tmp_path, f"walk.{suffix}")
+    found = pyedflib.EdfReader(str(path))
+    try:
+        assert found.getSignalLabels() == ["TA", "GM", "knee_angle_r"] and list(found.getSampleFrequencies()) == [
+            1000,
+            1000,
+            50,
+        ]
+        step = found.getPhysicalMaximum(0) / (2**23 if suffix == "bdf" else 2**15)
+        data = found.readSignal(0)
+        np.testing.assert_allclose(np.delete(data, np.s_[700:710]), walk["emg"].data[:, 0], atol=2 * step)
+        assert found.getPhysicalDimension(0) == "uV" and found.getPatientCode() == "S01"
+        onsets, lengths, texts = found.readAnnotations()
+        missing = texts.tolist().index("missing TA")
+        assert onsets[missing] == pytest.approx(0.7) and float(lengths[missing]) == pytest.approx(0.01)
+        assert [t for t in texts if "Foot" in t] == ["right Foot Strike"] * 4 and "halt" in texts
+    finally:
+        found.close()
+    back = again(path)
+    assert back["signals_1000hz"].time[0] == START and back["signals_50hz"].spec.units == ("deg",)
+
+
+def test_bids(tmp_path: Path, walk: dict[str, Series]) -> None:
+    folder = export(tmp_path, "study", "--format", "bids")
+    motion = folder / "sub-S01" / "motion" / "sub-S01_task-walk_tracksys-kinegraph_motion.tsv"
+    table = pandas.read_csv(motion, sep="\t", header=None, na_values="n/a")
+    channels = pandas.read_csv(motion.with_name("sub-S01_task-walk_tracksys-kinegraph_channels.tsv"), sep="\t")
+    assert table.shape == (200, 9) and list(channels["component"]) == ["x", "y", "z"] * 3
+    about = json.loads(motion.with_suffix(".json").read_text())
+    assert about["SamplingFrequency"] == 100 and about["MotionChannelCount"] == len(channels) == 9
+    assert json.loads((folder / "dataset_description.json").read_text())["BIDSVersion"]
+    people = pandas.read_csv(folder / "participants.tsv", sep="\t")
+    assert people["participant_id"].tolist() == ["sub-S01"] and people["age"].tolist() == [31]
+    emg = folder / "sub-S01" / "emg" / "sub-S01_task-walk_emg.edf"
+    with pyedflib.EdfReader(str(emg)) as found:
+        assert found.getSignalLabels() == ["TA", "GM"]
+    names = pandas.read_csv(emg.with_name("sub-S01_task-walk_channels.tsv"), sep="\t")
+    assert names["type"].tolist() == ["EMG", "EMG"] and names["units"].tolist() == ["uV", "uV"]
+    events = pandas.read_csv(emg.with_name("sub-S01_task-walk_events.tsv"), sep="\t")
+    assert events["onset"].tolist()[0] == 0 and "right Foot Strike" in events["trial_type"].tolist()
+    wishes = Wishes()
+    back = {one.name.rpartition(".")[2]: one for one in read_files([motion], wishes)}
+    np.testing.assert_allclose(back["markers"].data, walk["markers"].data, rtol=1e-9)
+    assert wishes.findings.facts["subject"] == "S01"
+
+
+VALIDATOR = Path(sys.executable).parent / "bids-validator-deno"
+
+
+def complaints(study: Path) -> list[tuple[str, str]]:
+    """Errors of the standard's own validator: code and file."""
+    done = subprocess.run([VALIDATOR, "--format", "json", study], capture_output=True, text=True, timeout=200)
+    found = json.loads(done.stdout)["issues"]["issues"]
+    return [(one["code"], one.get("location", "")) for one in found if one["severity"] == "error"]
+
+
+@pytest.mark.skipif(not VALIDATOR.exists(), reason="bids-validator-deno is not installed (extra `test`)")
+def test_a_study_is_valid_to_the_bids_validator(tmp_path: Path, walk: dict[str, Series]) -> None:
+    """A study of two people, one of whom did two tasks; a file of it that is changed by hand is no longer valid."""
+    for subject, task in (("S01", "walk"), ("S02", "walk"), ("S02", "turn run")):
+        session = {"subject": subject, "age": 31, "sex": "F", "handedness": "R", "task": task}
+        write_recording(tmp_path / "walk.mcap", [*walk.values()], {"graph": "", "session": session}, overwrite=True)
+        folder = export(tmp_path, "study", "--format", "bids")
+    assert complaints(folder) == []
+    assert {path.name for path in (folder / "sub-S02" / "emg").glob("*.edf")} == {
+        "sub-S02_task-walk_emg.edf",
+        "sub-S02_task-turnrun_emg.edf",
+    }
+    channels = folder / "sub-S01" / "emg" / "sub-S01_task-walk_channels.tsv"
+    channels.write_text(channels.read_text().replace("EMG", "muscle"))
+    assert [(code, Path(place).name) for code, place in complaints(folder)] == [
+        ("TSV_VALUE_INCORRECT_TYPE", channels.name)
+    ]
+
+
+@pytest.mark.parametrize("suffix", ["edf", "bdf"])
+def test_mne_reads_what_is_exported(tmp_path: Path, walk: dict[str, Series], suffix: str) -> None:
+    mne = pytest.importorskip("mne", reason="mne is not installed (extra `test`)")
+    path = export(
+        tmp_path, f"walk.{suffix}", "--stream", "lab.emg", "--stream", "lab.words", "--stream", "lab.right_foot_strike"
+    )
+    raw = (mne.io.read_raw_bdf if suffix == "bdf" else mne.io.read_raw_edf)(path, verbose="error")
+    assert raw.ch_names == ["TA", "GM"] and raw.info["sfreq"] == 1000 and raw.info["subject_info"]["his_id"] == "S01"
+    values = np.delete(raw.get_data(units="uV").T, np.s_[700:710], 0)
+    np.testing.assert_allclose(values, walk["emg"].data, atol=2e-5 if suffix == "bdf" else 0.01)
+    texts = raw.annotations.description.tolist()
+    assert texts.count("right Foot Strike") == 4 and "halt" in texts
+    (gap,) = (one for one in raw.annotations if one["description"] == "missing TA")
+    assert gap["onset"] == pytest.approx(0.7) and gap["duration"] == pytest.approx(0.01)
+
+
+def test_opensim_itself_reads_what_is_exported(tmp_path: Path, walk: dict[str, Series]) -> None:
+    opensim = pytest.importorskip("opensim", reason="OpenSim is not installed (extra `peers`)")
+    markers = opensim.TimeSeriesTableVec3(str(export(tmp_path, "walk.trc")))
+    assert list(markers.getColumnLabels()) == ["LTOE", "RTOE", "LHIP"]
+    assert markers.getTableMetaDataString("DataRate") == "100" and markers.getTableMetaDataString("Units") == "mm"
+    read = np.array(
+        [
+            [cell.to_numpy() for cell in map(row.getElt, [0] * 3, range(3))]
+            for row in map(markers.getRowAtIndex, range(200))
+        ]
+    )
+    np.testing.assert_allclose(read, walk["markers"].data, rtol=1e-9)
+    for suffix in ("mot", "sto"):
+        angle = opensim.TimeSeriesTable(str(export(tmp_path, f"knee.{suffix}", "--stream", "lab.knee")))
+        assert list(angle.getColumnLabels()) == ["knee_angle_r"] and angle.getTableMetaDataString("inDegrees") == "yes"
+        np.testing.assert_allclose(angle.getMatrix().to_numpy(), walk["knee"].data, rtol=1e-9)
+        np.testing.assert_allclose(np.diff(angle.getIndependentColumn()), 0.02, atol=1e-9)
+
+
+def test_nothing_is_replaced_unasked(tmp_path: Path, walk: dict[str, Series]) -> None:
+    for name in ("walk.xlsx", "walk.mat", "walk.trc", "walk.edf"):
+        (tmp_path / name).write_text("mine")
+        with pytest.raises(RecordingError, match="is there already"):
+            export(tmp_path, name)
+        assert (tmp_path / name).read_text() == "mine"

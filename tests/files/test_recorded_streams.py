@@ -1,0 +1,130 @@
+"""An imported file in a graph: its streams by their names, a first graph from what it holds, and cycles of a real C3D file."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.files import RecordedStreams
+from stream.chunk import NS, StreamSpec
+from stream.errors import ParameterError
+from stream.recording import Recording
+from stream.recording.series import Series, write_recording
+from tests.gait import naive_emg
+from tests.support.command_line import Command, kinegraph  # noqa: F401 - a fixture
+
+FILES = Path(os.environ.get("KINEGRAPH_DATA", "/nonexistent")) / "files"
+MARK = np.dtype([("onset", "<i8")])
+
+
+def walk(path: Path, **names: str) -> dict[str, Series]:
+    """Two seconds of EMG beside a plate's force, and the contacts of one foot, at 1970."""
+    rate, n = 1000.0, 2000
+    time = np.arange(n) * (NS // 1000) + NS
+    random = np.random.default_rng(3)
+    data = np.column_stack([random.normal(0, 50, n), random.normal(0, 80, n), np.full(n, 700.0)])
+    analog = StreamSpec((3,), rate_hz=rate, channels=("TA", "GM", "Fz"), units=("uV", "uV", "N"))
+    strikes = np.array([(NS + k * NS // 2,) for k in range(1, 4)], MARK)
+    contact = StreamSpec((), MARK, units=("ns",), meta={"label": "Foot Strike", "side": "right"})
+    series = {
+        "lab.analog": Series(names.get("analog", "lab.analog"), analog, time, data),
+        "lab.right_foot_strike": Series(
+            names.get("strike", "lab.right_foot_strike"), contact, strikes["onset"].copy(), strikes
+        ),
+    }
+    write_recording(path, list(series.values()), {"graph": "", "session": {"subject": "S01"}})
+    return series
+
+
+def test_outputs_are_called_as_the_streams_are(tmp_path: Path) -> None:
+    walk(tmp_path / "w.mcap")
+    source = RecordedStreams(path=str(tmp_path / "w.mcap"))
+    assert source.outputs == ("analog", "right_foot_strike") and source.specs()["analog"].units == ("uV", "uV", "N")
+    assert RecordedStreams(path=str(tmp_path / "w.mcap"), streams={"emg": "lab.analog"}).outputs == ("emg",)
+    with pytest.raises(ParameterError, match=r"what names in .* begin with: lab"):
+        RecordedStreams(path=str(tmp_path / "w.mcap"), of="lap")
+    with pytest.raises(ParameterError, match=r"did you mean 'lab.analog'"):
+        RecordedStreams(path=str(tmp_path / "w.mcap"), streams={"emg": "lab.analogs"})
+    with pytest.raises(ParameterError, match=r"there is no such recording"):
+        RecordedStreams(path=str(tmp_path / "x.mcap"))
+    (tmp_path / "w.c3d").write_bytes(b"x")
+    with pytest.raises(ParameterError, match=r"make one of it: kinegraph import .*w.c3d -o w.mcap"):
+        RecordedStreams(path=str(tmp_path / "w.c3d"))
+
+
+def test_every_sample_comes_moved_as_a_whole(kinegraph: Command, tmp_path: Path) -> None:  # noqa: F811
+    series = walk(Path("w.mcap"))
+    Path("g.yaml").write_text("nodes:\n  lab: {use: devices.files.RecordedStreams, path: w.mcap, speed: 0}\n")
+    assert kinegraph("run", "g.yaml", "-o", "out", "--view", "none")[0] == 0
+    with Recording.open("out") as opened:
+        time, data = opened.read("lab.analog")
+        assert data.tobytes() == series["lab.analog"].data.tobytes()
+        moved = time - series["lab.analog"].time
+        assert len(set(moved.tolist())) == 1 and moved[0] > 10**18, "it is of today"
+        time, data = opened.read("lab.right_foot_strike")
+        assert np.array_equal(data["onset"], series["lab.right_foot_strike"].data["onset"] + moved[0])
+        assert np.array_equal(time, data["onset"])
+
+
+def test_beside_a_live_device_it_is_of_the_same_time(kinegraph: Command, tmp_path: Path) -> None:  # noqa: F811
+    walk(Path("w.mcap"))
+    live = "  board: {use: devices.simulators.treadmill.Treadmill, duration_s: 2}\n"
+    Path("g.yaml").write_text("nodes:\n  lab: {use: devices.files.RecordedStreams, path: w.mcap}\n" + live)
+    assert kinegraph("run", "g.yaml", "-o", "out", "--view", "none")[0] == 0
+    with Recording.open("out") as opened:
+        assert len(opened.read("lab.analog")[0]) == 2000
+        ours, theirs = opened.streams["lab.analog"], opened.streams["board.emg"]
+        assert ours.first is not None and theirs.first is not None and ours.last is not None
+        assert ours.first < (theirs.last or 0) and theirs.first < ours.last, "they overlap"
+
+
+def test_a_first_graph_runs_and_replays(kinegraph: Command, tmp_path: Path) -> None:  # noqa: F811
+    walk(Path("w.mcap"))
+    assert kinegraph("new", "graph", "w.mcap", "-o", "w.yaml")[0] == 0
+    text = Path("w.yaml").read_text()
+    assert "channels: [TA, GM]" in text and "touchdown: lab.right_foot_strike" in text and "left" not in text
+    assert kinegraph("replay", "w.yaml", "w.mcap", "-o", "out", "-q")[0] == 0
+    with Recording.open("out") as opened:
+        assert opened.header["session"] == {"subject": "S01"}, "the person's facts come from the recording"
+        assert set(opened.read("right_statistics")[1]["name"]) == {"TA", "GM"}
+    assert kinegraph("run", "w.yaml", "-o", "live", "--view", "none")[0] == 0
+    with Recording.open("live") as opened:
+        assert len(opened.read("lab.analog")[0]) == 2000
+    assert kinegraph("new", "graph", "w.yaml")[0] == 2
+
+
+def test_a_first_graph_of_names_that_are_no_identifiers(kinegraph: Command, tmp_path: Path) -> None:  # noqa: F811
+    walk(Path("w.mcap"), analog="MT 01.raw EMG", strike="1st trial")
+    assert kinegraph("new", "graph", "w.mcap", "-o", "w.yaml")[0] == 0
+    text = Path("w.yaml").read_text()
+    assert "raw_EMG: MT 01.raw EMG" in text and "file_1st_trial" in text
+    assert kinegraph("run", "w.yaml", "-o", "live", "--view", "none")[0] == 0
+
+
+@pytest.mark.skipif(not FILES.is_dir(), reason="KINEGRAPH_DATA (the folder of real files) is not set")
+def test_a_real_c3d_from_import_to_the_statistics_of_its_cycles(kinegraph: Command, tmp_path: Path) -> None:  # noqa: F811
+    Path("lab.c3d").write_bytes((FILES / "c3d" / "events_8plates.c3d").read_bytes())
+    assert kinegraph("import", "lab.c3d", "-o", "lab.mcap")[0] == 0
+    assert kinegraph("new", "graph", "lab.mcap", "-o", "lab.yaml")[0] == 0
+    assert kinegraph("replay", "lab.yaml", "lab.mcap", "-o", "out", "-q")[0] == 0
+    with Recording.open("out") as opened:
+        analog = opened.streams["lab.analog"].spec
+        volts = [k for k, unit in enumerate(analog.units) if unit == "V"]
+        time, data = opened.read("lab.analog")
+        for side, strikes in (("right", (3.68, 4.14)), ("left", (3.908, 4.364))):
+            closed = opened.read(f"{side}_cycles.closed")[1]
+            assert closed["rejected"].tolist() == [""] and closed["onset"][0] / NS == pytest.approx(strikes[0])
+            assert closed["end"][0] / NS == pytest.approx(strikes[1])
+            rows = opened.read(f"{side}_statistics")[1][:12]
+            assert rows["name"].tolist() == [analog.channels[k] for k in volts]
+            envelope = naive_emg.zero_phase_envelope(data[:, volts], 1500.0, up=2, down=25)
+            grid = (time[0] + np.round(np.arange(len(envelope)) * 25e6 / 3)) / NS
+            (plain,) = naive_emg.cycles(grid, envelope, np.array(strikes))
+            peaks = plain.max(axis=0)
+            used = np.isfinite(rows["peak"])  # of a bad electrode nothing is used
+            assert used.sum() >= 11
+            np.testing.assert_allclose(rows["peak"][used], peaks[used], rtol=1e-6)
+            np.testing.assert_allclose(rows["mean"][used], plain.mean(axis=0)[used], rtol=1e-6)

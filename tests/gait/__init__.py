@@ -1,0 +1,1 @@
+"""EMG, contacts, gait cycles and steps, to whole treadmill sessions."""

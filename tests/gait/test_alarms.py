@@ -1,0 +1,123 @@
+"""What a session notices while somebody can still do something about it: electrodes and contacts with faults put in."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from devices.simulators.treadmill import Treadmill
+from devices.simulators.treadmill.faults import Fault, Faults
+from operators.emg.electrode_watch import ADVICE, ElectrodeWatch
+from operators.emg.quality import SignalQuality
+from operators.gait.cycle_watch import CycleWatch
+from operators.gait.cycles import Cycles
+from stream.chunk import NS, StreamSpec
+from tests.support.emg_run import contacts, drive, stamps
+
+CONFIG = Path(__file__).resolve().parents[2] / "configs" / "treadmill_emg.yaml"
+SECONDS, FROM_S, FOR_S = 30, 10.35, 10.0
+
+
+def walked(fault: Fault) -> tuple[StreamSpec, Any, Any]:
+    muscles = ("TA", "SO", "RF")
+    signal = Treadmill(muscles=muscles).signal()
+    signal.spoil = Faults((fault,), signal).spoil
+    emg, _ = signal.read(0, SECONDS * 1000)
+    return StreamSpec((3,), rate_hz=1000.0, channels=muscles, units=("uV",)), stamps(len(emg)), emg
+
+
+@pytest.mark.parametrize(
+    ("kind", "size_uv", "reasons"),
+    [
+        ("flat", 200.0, {"flat line"}),
+        ("hum", 100.0, {"mains hum"}),
+        ("hum", 50.0, {"mains hum", "baseline noise"}),
+        ("noise", 60.0, {"baseline noise"}),
+    ],
+)
+@pytest.mark.parametrize("muscle", ["TA", "SO"])
+def test_an_electrode_that_fails_is_an_alarm_within_two_seconds(
+    kind: Any, size_uv: float, reasons: set[str], muscle: str
+) -> None:
+    fault = Fault(kind, muscle, from_s=FROM_S, for_s=FOR_S, size_uv=size_uv)
+    quality = drive(SignalQuality(), {"in": walked(fault)}, 100)["out"]
+    _, time, rows = drive(ElectrodeWatch(), {"in": quality}, 7)["out"]
+    assert set(rows["subject"]) == {muscle}
+    on, over = rows[0], rows[-1]
+    assert 0 < time[0] / NS - FROM_S <= 2.0
+    assert on["state"] == "on" and on["what"] in reasons and on["advice"] == ADVICE[str(on["what"])]
+    assert over["state"] == "over" and 0 < time[-1] / NS - FROM_S - FOR_S <= 3.0
+
+
+def test_a_sound_walk_gives_no_alarm() -> None:
+    quality = drive(SignalQuality(), {"in": walked(Fault("flat", "TA", from_s=1e6))}, 100)["out"]
+    assert not len(drive(ElectrodeWatch(), {"in": quality})["out"][1])
+
+
+def watched(touch: Any, seconds: float = 80.0) -> list[tuple[float, str, str]]:
+    spec = StreamSpec((1,), rate_hz=60.0, channels=("TA",), units=("uV",))
+    time = stamps(int(seconds * 60), 60.0)
+    signal = (spec, time, np.ones((len(time), 1)))
+    closed = drive(Cycles(), {"signal": signal, "touchdown": contacts(touch)}, 40)["closed"]
+    _, at, rows = drive(CycleWatch(), {"signal": signal, "closed": closed}, 40)["out"]
+    return [(t / NS, str(row["state"]), str(row["what"])) for t, row in zip(at.tolist(), rows, strict=True)]
+
+
+def test_contacts_that_fall_silent_are_an_alarm_after_two_cycles_and_come_back() -> None:
+    touch = np.arange(1.0, 79.0, 1.05)
+    told = watched(touch[(touch < 40.0) | (touch > 47.0)])
+    last = touch[touch < 40.0][-1]
+    assert [state for _, state, _ in told] == ["on", "over"]
+    assert told[0][0] == pytest.approx(last + 2 * 1.05, abs=0.05) and told[0][2] == "no contact for 2.1 s"
+    assert 47.0 < told[1][0] < 50.0
+
+
+def test_contacts_that_never_come_are_an_alarm() -> None:
+    assert watched(np.array([70.0]))[0] == (10.0, "on", "no contact for 10.0 s")
+
+
+def test_every_second_step_missed_is_told_at_the_second_long_cycle() -> None:
+    touch = np.arange(1.0, 79.0, 1.05)
+    told = watched(np.concatenate([touch[:30], touch[30::2]]))
+    cadence = [(at, what) for at, state, what in told if "cadence" in what and state == "on"]
+    assert cadence[0][1] == "cadence went from 57 to 29 strides/min"
+    assert cadence[0][0] - touch[30] < 5 * 1.05
+    assert ("on", "cadence") not in [(state, what) for _, state, what in told]
+
+
+def test_contacts_found_early_and_late_are_told_and_another_speed_is_not() -> None:
+    late = np.cumsum(np.full(60, 1.0)) + np.where(np.arange(60) > 30, np.random.default_rng(3).normal(0, 0.1, 60), 0)
+    told = [(at, state) for at, state, what in watched(late, 62.0) if what.startswith("cycles differ by")]
+    assert [state for _, state in told] == ["on"] and 31 < told[0][0] < 45
+    speeds = np.cumsum(np.where(np.arange(60) < 20, 1.3, np.where(np.arange(60) < 40, 1.05, 0.9)))
+    tremble = np.random.default_rng(4).normal(0, 0.02, 60)
+    assert watched(speeds + tremble, float(speeds[-1]) + 1) == []
+
+
+def test_cycles_that_cover_little_of_the_session_are_told() -> None:
+    rng = np.random.default_rng(0)
+    touch = np.arange(1.0, 79.0, 1.05)
+    told = watched(touch[rng.random(len(touch)) < 0.5])
+    assert any(state == "on" and what.startswith("cycles cover") for _, state, what in told)
+    assert not watched(touch)
+
+
+def test_the_session_says_it_on_the_screen_in_the_log_and_in_the_report(tmp_path: Path) -> None:
+    faults = "[{kind: flat, muscle: SO, from_s: 6, for_s: 8}]"
+    sets = ["treadmill.realtime=false", "treadmill.duration_s=18", f"report.path={tmp_path / 'live.html'}"]
+    sets += [f"treadmill.faults={faults}"]
+    command = [Path(sys.executable).parent / "kinegraph", "run", CONFIG, "-o", tmp_path / "walk", "--view", "lines"]
+    for setting in sets:
+        command += ["--set", setting]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=280)
+    assert done.returncode == 0, done.stderr
+    assert f"ALARM SO: flat line. {ADVICE['flat line']}" in done.stdout
+    assert "over: SO: flat line" in done.stdout
+    assert "alarm" in done.stderr + done.stdout and "flat line" in done.stderr + done.stdout
+    page = (tmp_path / "live.html").read_text()
+    assert "Noticed during the session" in page and "<td>SO</td><td>flat line</td>" in page

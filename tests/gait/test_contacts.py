@@ -1,0 +1,564 @@
+"""Ground contacts from force, switches, markers and inertial sensors: known contacts, faults, and real recordings."""
+
+from __future__ import annotations
+
+import os
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import structlog
+
+from bench import contacts as bench
+from devices.simulators.treadmill import Treadmill
+from operators.gait.acceleration import AccelerationContacts
+from operators.gait.contacts import Contacts
+from operators.gait.cycles import Cycles
+from operators.gait.force import ForceContacts, SwitchContacts
+from operators.gait.inertial import InertialContacts
+from operators.gait.marker import MarkerContacts, walker
+from stream.chunk import FOREVER, NS, Array, Chunk, Specs, StreamSpec
+from stream.engine.merge import Merge
+from stream.errors import InputError, ParameterError
+from stream.graph.parts import catalogue
+from stream.operator import grid
+from stream.params import build
+
+START = 5 * NS
+MARKERS = StreamSpec((2, 3), rate_hz=100.0, channels=("HIP", "ANK"), units=("m",))
+
+
+def feed(
+    operator: Contacts[Any],
+    spec: StreamSpec,
+    data: Array,
+    *,
+    seconds: Array | None = None,
+    lost: dict[int, int] | None = None,
+) -> dict[str, list[Chunk]]:
+    """All chunks that come out; a new chunk begins wherever `lost` (index: number) says that something is missing."""
+    operator.open({"in": spec})
+    time = (
+        grid(spec.rate_hz or 0.0, len(data), START)
+        if seconds is None
+        else START + np.round(seconds * NS).astype(np.int64)
+    )
+    cuts = [0, *sorted(lost or {}), len(data)]
+    told: dict[str, list[Chunk]] = {"touchdown": [], "liftoff": []}
+    for begin, end in pairwise(cuts):
+        chunk = Chunk(
+            time[begin:end], np.ascontiguousarray(data[begin:end]), int(time[end - 1]), (lost or {}).get(begin, 0)
+        )
+        for name, out in operator.process("in", chunk):
+            assert out.until == chunk.until
+            assert (out.data["onset"] <= out.time).all()
+            told[name].append(out)
+    return told
+
+
+def onsets(told: dict[str, list[Chunk]], name: str) -> Array:
+    """Onsets in s after the first sample."""
+    return np.concatenate([(chunk.data["onset"] - START) / NS for chunk in told[name]])
+
+
+def ramps(rate_hz: float = 1000.0) -> tuple[Array, Array, Array]:
+    """Force of five contacts of 0.6 s, each rising to 800 N and falling in 0.1 s; and where it crosses 20 N: seconds up and down."""
+    n = round(6 * rate_hz)
+    phase = (np.arange(n) / rate_hz - 0.5) % 1.1
+    force = 800.0 * np.clip(np.minimum(phase, 0.6 - phase) / 0.1, 0.0, 1.0)
+    begin = 0.5 + 1.1 * np.arange(5)
+    return force[:, None], begin + 0.0025, begin + 0.5975
+
+
+NEWTON = StreamSpec((1,), rate_hz=1000.0, channels=("Fz",), units=("N",))
+
+
+def test_force_crosses_twenty_newton_between_samples() -> None:
+    force, up, down = ramps()
+    operator = ForceContacts(side="right")
+    told = feed(operator, NEWTON, force)
+    np.testing.assert_allclose(onsets(told, "touchdown"), up, atol=1e-6)
+    np.testing.assert_allclose(onsets(told, "liftoff"), down, atol=1e-6)
+    specs = operator.fresh().open({"in": NEWTON})
+    assert specs["touchdown"].meta["side"] == "right"
+    assert specs["liftoff"].dtype.names == ("onset",)
+    delays = [(c.time - c.data["onset"]) / NS for chunks in told.values() for c in chunks]
+    assert np.concatenate(delays).max() <= operator.delay_s
+
+
+@pytest.mark.parametrize(("unit", "factor", "inverted"), [("kN", 0.001, False), ("N", -1.0, True)])
+def test_force_in_other_units_and_signs(unit: str, factor: float, inverted: bool) -> None:
+    force, up, down = ramps()
+    told = feed(ForceContacts(inverted=inverted), NEWTON.derive(units=(unit,)), force * factor)
+    np.testing.assert_allclose(onsets(told, "touchdown"), up, atol=1e-6)
+    np.testing.assert_allclose(onsets(told, "liftoff"), down, atol=1e-6)
+
+
+def test_force_cells_are_added_up() -> None:
+    force, up, _ = ramps()
+    spec = StreamSpec((3,), rate_hz=1000.0, channels=("heel", "toe", "other"), units=("N",))
+    cells = np.column_stack([force * 0.25, force * 0.75, np.full_like(force, 500.0)])
+    told = feed(ForceContacts(channels=("heel", "toe")), spec, cells)
+    np.testing.assert_allclose(onsets(told, "touchdown"), up, atol=1e-6)
+
+
+def test_force_noise_makes_no_contacts() -> None:
+    force, up, _ = ramps()
+    noisy = force + np.random.default_rng(3).normal(0.0, 6.0, force.shape)
+    noisy[200:210] = 300.0
+    noisy[900:905] = 0.0
+    told = feed(ForceContacts(), NEWTON, noisy)
+    assert np.abs(onsets(told, "touchdown") - up).max() < 0.005
+    assert len(onsets(told, "liftoff")) == 5
+
+
+def test_what_is_there_at_the_start_or_after_a_gap_is_no_contact() -> None:
+    force, up, down = ramps()
+    seconds = np.arange(len(force)) / 1000.0
+    begin, end = 800, 2050
+    kept = np.r_[0:begin, end : len(force)]
+    told = feed(
+        ForceContacts(), NEWTON, force[kept][700:], seconds=seconds[kept][700:], lost={begin - 700: end - begin}
+    )
+    np.testing.assert_allclose(onsets(told, "touchdown"), up[2:], atol=1e-6)
+    np.testing.assert_allclose(onsets(told, "liftoff"), down[1:], atol=1e-6)
+    assert [chunk.lost for chunk in told["touchdown"]] == [0, -1]
+
+
+def test_short_gaps_and_bad_samples_are_bridged() -> None:
+    force, up, down = ramps()
+    force[np.random.default_rng(4).random(len(force)) < 0.3] = np.nan
+    told = feed(ForceContacts(), NEWTON, force)
+    np.testing.assert_allclose(onsets(told, "touchdown"), up, atol=0.004)
+    np.testing.assert_allclose(onsets(told, "liftoff"), down, atol=0.004)
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+def test_switches_of_one_foot(inverted: bool) -> None:
+    spec = StreamSpec((2,), rate_hz=1000.0, channels=("heel", "toe"), units=("V",))
+    level = np.zeros((4000, 2))
+    for stride in range(3):
+        at = 500 + 1100 * stride
+        level[at : at + 350, 0] = level[at + 150 : at + 650, 1] = 3.3
+        level[at + 3 : at + 8 : 2, 0] = 0.0
+    told = feed(SwitchContacts(threshold=1.65, inverted=inverted), spec, 3.3 - level if inverted else level)
+    np.testing.assert_allclose(onsets(told, "touchdown"), 0.508 + 1.1 * np.arange(3), atol=0.001)
+    np.testing.assert_allclose(onsets(told, "liftoff"), 1.15 + 1.1 * np.arange(3), atol=0.001)
+
+
+@pytest.mark.parametrize(
+    ("operator", "spec", "says"),
+    [
+        (ForceContacts(), NEWTON.derive(units=("V",)), "in N or kN"),
+        (ForceContacts(channels=("Fx",)), NEWTON, "valid are 'Fz'"),
+        (ForceContacts(hysteresis_n=20.0), NEWTON, "below threshold_n, which is 20"),
+        (InertialContacts(), NEWTON, "three channels of angular velocity"),
+        (InertialContacts(), bench.FOOT.derive(rate_hz=20.0), "at 40 Hz or faster"),
+        (MarkerContacts(marker="LANK"), MARKERS, "did you mean 'ANK'"),
+        (MarkerContacts(marker="ANK", reference="2"), MARKERS, "valid are 'ANK', 'HIP'"),
+        (MarkerContacts(marker="ANK"), MARKERS.derive(units=("V",)), "in m, cm, mm"),
+        (MarkerContacts(marker="ANK"), MARKERS.derive(rate_hz=None), "regular"),
+        (MarkerContacts(marker="ANK", cutoff_hz=50.0), MARKERS, "below 50"),
+    ],
+)
+def test_what_cannot_be_is_refused(operator: Contacts[Any], spec: StreamSpec, says: str) -> None:
+    with pytest.raises((InputError, ParameterError), match=says):
+        operator.open({"in": spec})
+
+
+def foot(rate_hz: float, seed: int = 0) -> tuple[Array, Array, Array]:
+    """A foot's pitch over ten strides of 1.1 s about a slanting axis: samples (n, 6), and where it turns forwards and back, in s."""
+    rng = np.random.default_rng(seed)
+    seconds = np.arange(round(14 * rate_hz)) / rate_hz - 1.0
+    phase = np.where((seconds > 0) & (seconds < 11.0), seconds % 1.1, 0.0)
+    rate = np.zeros(len(seconds))
+    for begin, end, angle in ((0.2, 0.5, 1.2), (0.5, 0.9, -1.5), (0.9, 1.0, 0.3)):
+        swing = (phase > begin) & (phase < end)
+        rate[swing] += angle * np.pi / 2 / (end - begin) * np.sin(np.pi * (phase[swing] - begin) / (end - begin))
+    axis = rng.normal(size=3)
+    turning = rate[:, None] * axis / np.linalg.norm(axis) + rng.normal(0.0, 0.03, (len(seconds), 3))
+    strides = 1.0 + 1.1 * np.arange(10)
+    return np.hstack([rng.normal(0.0, 1.0, (len(seconds), 3)), turning]), strides + 0.5, strides + 0.9
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 100.0, 128.0, 500.0])
+def test_a_foot_is_followed_at_any_rate_and_mounting(rate_hz: float) -> None:
+    for seed in range(4):
+        samples, forwards, back = foot(rate_hz, seed)
+        told = feed(InertialContacts(), bench.FOOT.derive(rate_hz=rate_hz), samples)
+        np.testing.assert_allclose(onsets(told, "touchdown"), back + 0.026, atol=0.015)
+        np.testing.assert_allclose(onsets(told, "liftoff"), forwards - 0.031, atol=0.015)
+
+
+def test_degrees_and_unnamed_units() -> None:
+    samples, _, back = foot(100.0)
+    gyro = np.degrees(samples[:, 3:])
+    degrees = StreamSpec((3,), rate_hz=100.0, channels=("gx", "gy", "gz"), units=("deg/s",))
+    bare = degrees.derive(units=("",))
+    named = InertialContacts(angular_velocity=("gx", "gy", "gz"), unit="deg/s")
+    for operator, spec in ((InertialContacts(), degrees), (named, bare)):
+        np.testing.assert_allclose(onsets(feed(operator, spec, gyro), "touchdown"), back + 0.026, atol=0.015)
+
+
+def test_a_foot_loses_packets() -> None:
+    samples, _, back = foot(100.0)
+    kept = np.random.default_rng(5).random(len(samples)) > 0.25
+    seconds = (np.arange(len(samples)) / 100.0)[kept]
+    told = feed(InertialContacts(), bench.FOOT, samples[kept], seconds=seconds)
+    np.testing.assert_allclose(onsets(told, "touchdown"), back + 0.026, atol=0.03)
+    samples[~kept, 4] = np.nan
+    spoilt = feed(InertialContacts(), bench.FOOT, samples)
+    np.testing.assert_array_equal(onsets(spoilt, "touchdown"), onsets(told, "touchdown"))
+
+
+def test_after_a_long_gap_the_next_step_is_known_at_once() -> None:
+    samples, _, back = foot(100.0)
+    kept = np.r_[0:460, 760 : len(samples)]
+    told = feed(InertialContacts(), bench.FOOT, samples[kept], seconds=kept / 100.0, lost={460: 300})
+    expected = np.r_[back[:3], back[6:]] + 0.026
+    np.testing.assert_allclose(onsets(told, "touchdown"), expected, atol=0.015)
+    assert [chunk.lost for chunk in told["touchdown"]] == [0, -1]
+    assert [chunk.lost for chunk in told["liftoff"]] == [0, -1]
+
+
+@pytest.mark.parametrize("belt", [False, True])
+@pytest.mark.parametrize("reference", ["", "HIP"])
+@pytest.mark.parametrize("heading", [0.0, 0.5, 2.5, 4.0])
+def test_a_walker_on_any_heading(belt: bool, reference: str, heading: float) -> None:
+    path = walker(1500, 100.0, speed_m_s=1.3, cadence_hz=1.0, belt=belt)
+    c, s = np.cos(heading), np.sin(heading)
+    path = path @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    told = feed(MarkerContacts(marker="ANK", reference=reference), MARKERS, path)
+    truth = turning_back(1.3)
+    found = onsets(told, "touchdown")
+    settled = 0.0 if reference else 2.5
+    np.testing.assert_allclose(found[found > settled], truth[(truth > settled) & (truth < 14.8)], atol=0.03)
+    assert len(onsets(told, "liftoff")) >= 12
+
+
+def turning_back(speed_m_s: float) -> Array:
+    """Where `walker`'s ankle, swinging for 0.4 s of each second, stops gaining on the hip: its speed falls to the hip's."""
+    swing = np.linspace(0.5, 1.0, 10001)
+    forwards = speed_m_s / 0.4 * (1.0 - np.cos(2 * np.pi * swing))
+    turn = swing[np.argmin(np.abs(forwards - speed_m_s))]
+    return np.arange(15) + 0.6 + 0.4 * float(turn)
+
+
+def test_markers_as_columns_in_millimetres() -> None:
+    path = walker(1200, 100.0, speed_m_s=1.2, cadence_hz=0.9)
+    expected = feed(MarkerContacts(marker="ANK", reference="HIP"), MARKERS, path)
+    names = tuple(f"{marker}_{axis}" for marker in ("HIP", "ANK") for axis in "xyz")
+    flat = StreamSpec((6,), rate_hz=100.0, channels=names, units=("mm",))
+    told = feed(MarkerContacts(marker="ANK", reference="HIP"), flat, 1000.0 * path.reshape(-1, 6))
+    np.testing.assert_allclose(onsets(told, "touchdown"), onsets(expected, "touchdown"), atol=1e-6)
+    turned = path[:, :, [1, 2, 0]]
+    told = feed(MarkerContacts(marker="1", reference="0", up="y"), MARKERS.derive(channels=()), turned)
+    np.testing.assert_allclose(onsets(told, "touchdown"), onsets(expected, "touchdown"), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "reference", "warned"),
+    [
+        *(("m", 1.0, "HIP", False), ("m", 1.0, "", False), ("m", 1000.0, "HIP", True), ("m", 1000.0, "", True)),
+        *(("m", 100.0, "HIP", True), ("mm", 1.0, "HIP", True), ("cm", 1.0, "HIP", True), ("cm", 1000.0, "HIP", True)),
+    ],
+)
+def test_positions_in_another_unit_than_they_say_are_warned_of_once(
+    unit: str, factor: float, reference: str, warned: bool
+) -> None:
+    path = factor * walker(1200, 100.0, speed_m_s=1.2, cadence_hz=0.9)
+    operator = MarkerContacts(marker="ANK", reference=reference)
+    with structlog.testing.capture_logs() as said:
+        told = feed(operator, MARKERS.derive(units=(unit,)), path, lost=dict.fromkeys(range(100, 1200, 100), 0))
+    assert [entry["taken_for"] for entry in said] == [unit] * warned
+    assert warned or len(onsets(told, "touchdown")) > 8
+
+
+def test_lost_markers_are_filled_up_to_the_limit() -> None:
+    path = walker(1200, 100.0, speed_m_s=1.2, cadence_hz=0.9)
+    expected = onsets(feed(MarkerContacts(marker="ANK", reference="HIP"), MARKERS, path), "touchdown")
+    for lost in (np.nan, 0.0):
+        holes = path.copy()
+        for begin in range(30, 1150, 90):
+            holes[begin : begin + 8, 1] = lost
+        told = feed(MarkerContacts(marker="ANK", reference="HIP"), MARKERS, holes)
+        assert np.abs(onsets(told, "touchdown") - expected).max() < 0.04
+    holes[300:700] = np.nan
+    strict = onsets(feed(MarkerContacts(marker="ANK", reference="HIP"), MARKERS, holes), "touchdown")
+    assert not ((strict > 3.0) & (strict < 7.0)).any()
+    assert len(strict) >= len(expected) - 5
+
+
+def test_a_marker_that_jumps_starts_anew() -> None:
+    path = walker(1200, 100.0, speed_m_s=1.2, cadence_hz=0.9)
+    expected = onsets(feed(MarkerContacts(marker="ANK", reference="HIP"), MARKERS, path), "touchdown")
+    path[500:, 1, 0] += 4.0
+    jumped = onsets(feed(MarkerContacts(marker="ANK", reference="HIP"), MARKERS, path), "touchdown")
+    assert len(bench.pair(jumped, expected, 0.02)) >= len(expected) - 1
+    assert len(jumped) <= len(expected)
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 100.0, 400.0])
+def test_an_accelerometer_alone(rate_hz: float) -> None:
+    seconds = np.arange(round(12 * rate_hz)) / rate_hz
+    phase = seconds % 1.2
+    size = np.full(len(seconds), 9.81)
+    size += np.where((phase >= 0.5) & (phase < 1.0), 3.0, 0.0)
+    size += 20.0 * np.exp(-(((phase - 0.6) / 0.03) ** 2)) + 20.0 * ((phase >= 0.9) & (phase < 1.0))
+    direction = np.array([0.36, 0.48, -0.8])
+    samples = size[:, None] * direction + np.random.default_rng(2).normal(0.0, 0.1, (len(seconds), 3))
+    spec = StreamSpec((3,), rate_hz=rate_hz, channels=("x", "y", "z"), units=("g",))
+    told = feed(AccelerationContacts(), spec, samples / 9.80665)
+    strides = 1.2 * np.arange(10)
+    tolerance = 0.003 + 1.5 / rate_hz
+    np.testing.assert_allclose(onsets(told, "touchdown"), (strides + 0.91)[: len(strides)], atol=tolerance)
+    np.testing.assert_allclose(onsets(told, "liftoff"), strides + 0.58, atol=tolerance)
+
+
+def cycles_of(told: dict[str, list[Chunk]], contacts: Specs, seconds: float) -> Array:
+    """The gait cycles of a ramp at 1000 Hz whose value is the time in s, by `Cycles`; its `closed` events."""
+    n = round(seconds * 1000)
+    spec = StreamSpec((1,), rate_hz=1000.0, channels=("t",), units=("s",))
+    inputs = {"signal": spec, **contacts}
+    operator, merge = Cycles(longest_s=4.0), Merge(inputs)
+    operator.open(inputs)
+    signal = Chunk(grid(1000.0, n, START), np.arange(n)[:, None] / 1000.0, FOREVER)
+    pieces = [*merge.push("signal", signal)]
+    for port, chunks in told.items():
+        for k, chunk in enumerate(chunks):
+            until = FOREVER if k + 1 == len(chunks) else chunk.until
+            pieces += merge.push(port, Chunk(chunk.time, chunk.data, until, chunk.lost))
+    emitted = [out for port, piece in pieces for out in operator.process(port, piece) or ()]
+    return np.concatenate([chunk.data for name, chunk in emitted if name == "closed"])
+
+
+def test_cycles_begin_at_the_touchdowns() -> None:
+    samples, _, _ = foot(100.0)
+    operator = InertialContacts(side="left")
+    told = feed(operator, bench.FOOT, samples)
+    closed = cycles_of(told, operator.fresh().open({"in": bench.FOOT}), len(samples) / 100.0)
+    assert len(closed) == 9
+    begins = (closed["onset"] - START) / NS
+    np.testing.assert_allclose(begins, onsets(told, "touchdown")[:-1], atol=1e-9)
+
+
+def test_the_nodes_in_the_docs_can_be_built() -> None:
+    from ruamel.yaml import YAML
+
+    page = (Path(__file__).resolve().parents[2] / "docs" / "contacts.md").read_text(encoding="utf-8")
+    parts, _ = catalogue(("operators",))
+    nodes = YAML(typ="safe").load(page.split("```yaml\n")[1].split("```")[0])
+    assert len(nodes) == 7
+    for node in nodes.values():
+        build(parts[node.pop("use")], {key: value for key, value in node.items() if key != "from"})
+
+
+def test_the_table_says_what_it_needs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.delenv("KINEGRAPH_DATA", raising=False)
+    assert bench.main() == 2
+    assert "KINEGRAPH_DATA" in capsys.readouterr().out
+
+
+def test_the_table_is_printed(
+    recordings: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(bench, "VARIANTS", {"as recorded": bench.as_recorded})
+    monkeypatch.setattr(bench, "people", lambda folder: sorted((folder / "steps").glob("imu_voisard_s*.npz"))[:1])
+    assert bench.main() == 0
+    assert "ankle and hip" in capsys.readouterr().out
+
+
+@pytest.fixture(scope="module")
+def recordings() -> Path:
+    folder = os.environ.get("KINEGRAPH_DATA")
+    if not folder:
+        pytest.skip("KINEGRAPH_DATA does not name the folder of real recordings")
+    return Path(folder)
+
+
+@pytest.fixture(scope="module")
+def walks(recordings: Path) -> dict[str, list[bench.Walk]]:
+    return {file.stem: list(bench.walks(file)) for file in bench.people(recordings)}
+
+
+def test_every_cycle_of_a_foot_worn_sensor_knows_its_stance(walks: dict[str, list[bench.Walk]]) -> None:
+    """The lift-off is reported with the touch-down that ends its swing: no cycle may lose it."""
+    accepted = unknown = 0
+    for person in walks.values():
+        for walk in person[:2]:
+            told = feed(InertialContacts(), bench.FOOT, walk.samples, seconds=walk.seconds)
+            closed = cycles_of(told, InertialContacts().open({"in": bench.FOOT}), float(walk.seconds[-1]))
+            stance = closed["stance_pct"][closed["rejected"] == ""]
+            accepted, unknown = accepted + len(stance), unknown + int(np.isnan(stance).sum())
+    assert accepted > 400
+    assert unknown == 0
+
+
+def test_steps_of_foot_worn_sensors(walks: dict[str, list[bench.Walk]]) -> None:
+    everyone = bench.Score(), bench.Score()
+    for name, person in walks.items():
+        for k, score in enumerate(zip(*(bench.score(walk, bench.as_recorded) for walk in person), strict=True)):
+            total = bench.Score()
+            for one in score:
+                total.merge(one)
+            everyone[k].merge(total)
+            assert total.f1 >= 0.95, (name, k)
+            assert total.median_ms <= 30.0, (name, k)
+            assert min(total.delays_s) >= 0.0
+    for total in everyone:
+        assert total.f1 >= 0.97
+        assert total.median_ms <= 15.0
+
+
+@pytest.mark.parametrize(
+    "variant", ["mounted at random", "all signs reversed", "scale x 0.8", "scale x 1.25", "at 50 Hz"]
+)
+def test_steps_of_sensors_worn_otherwise(walks: dict[str, list[bench.Walk]], variant: str) -> None:
+    total = bench.Score()
+    for person in walks.values():
+        for walk in person[:4]:
+            total.merge(bench.score(walk, bench.VARIANTS[variant])[0])
+    assert total.f1 >= 0.965
+    assert total.median_ms <= 15.0
+
+
+def test_steps_of_an_accelerometer_alone(walks: dict[str, list[bench.Walk]]) -> None:
+    total = bench.Score()
+    for person in walks.values():
+        for walk in person:
+            total.merge(bench.score(walk, bench.as_recorded, AccelerationContacts)[0])
+    assert total.f1 >= 0.95
+    assert total.median_ms <= 25.0
+
+
+def test_cuts_and_snapshots_on_a_real_walk(walks: dict[str, list[bench.Walk]]) -> None:
+    walk = next(iter(walks.values()))[0]
+    time = START + np.round(walk.seconds * NS).astype(np.int64)
+    runs = []
+    for size in (1, 7, 100, len(time)):
+        operator = InertialContacts()
+        told: list[tuple[str, Chunk]] = []
+        operator.open({"in": bench.FOOT})
+        for begin in range(0, len(time), size):
+            part = slice(begin, begin + size)
+            told += operator.process("in", Chunk(time[part], walk.samples[part], int(time[part][-1])))
+            if size == 7:
+                snapshot, operator = operator.snapshot(), InertialContacts()
+                operator.open({"in": bench.FOOT})
+                operator.restore(snapshot)
+        runs.append(
+            {
+                name: b"".join(c.time.tobytes() for port, c in told if port == name)
+                + b"".join(c.data.tobytes() for port, c in told if port == name)
+                for name in operator.outputs
+            }
+        )
+    assert len(runs[0]["touchdown"]) > 16 * 10
+    assert all(run == runs[0] for run in runs)
+
+
+def test_overground_markers_agree_with_an_offline_method(recordings: Path) -> None:
+    trials = list(bench.marker_trials(recordings))
+    assert trials
+    down, up = bench.Score(), bench.Score()
+    for name, path, names in trials:
+        spec = StreamSpec((8, 3), rate_hz=100.0, channels=names, units=("mm",))
+        sides = {}
+        for side in "LR":
+            operator = MarkerContacts(marker=f"{side}TOE", reference=f"{side}HIP")
+            with structlog.testing.capture_logs() as said:
+                told = bench.run(operator, spec, np.arange(len(path)) / 100.0, path)
+            assert not said
+            truth = bench.zeni(path, names.index(f"{side}TOE"), names.index(f"{side}HIP"))
+            down.add(*told["touchdown"], truth[0], 0.15)
+            up.add(*told["liftoff"], truth[1], 0.15)
+            sides[side] = told["touchdown"][0]
+            speed = np.abs(np.gradient(path[:, names.index(f"{side}TOE"), 1])) / 10.0
+            for index in np.round(sides[side] * 100).astype(int):
+                assert speed[index : index + 60].min() < 0.15, "a foot that has landed stands still soon after, in m/s"
+            cycles = np.diff(sides[side])
+            assert ((cycles > 0.9) & (cycles < 3.2)).all(), (name, side)
+        for left, right in pairwise(sides["L"]):
+            assert ((sides["R"] > left) & (sides["R"] < right)).sum() == 1, name
+    for score in (down, up):
+        assert score.f1 >= 0.96
+        assert score.median_ms <= 10.0
+
+
+def test_overground_markers_give_cycles(recordings: Path) -> None:
+    for name, path, names in bench.marker_trials(recordings):
+        spec = StreamSpec((8, 3), rate_hz=100.0, channels=names, units=("mm",))
+        operator = MarkerContacts(marker="RTOE", reference="RHIP", side="right")
+        told = feed(operator, spec, path)
+        closed = cycles_of(told, operator.fresh().open({"in": spec}), len(path) / 100.0)
+        assert len(closed) == len(onsets(told, "touchdown")) - 1 >= 2, name
+        stance = closed["stance_pct"][closed["rejected"] == ""]
+        assert ((stance > 50.0) & (stance < 85.0)).all(), (name, stance)
+
+
+def _plates(seconds: int = 120) -> tuple[Array, Array, Array]:
+    """Force under the right foot of the simulated walk, under the left half a stride later (n,), and the right touch-downs in s."""
+    signal, n = Treadmill().signal(), seconds * 1000
+    right = signal.read(0, n)[1][:, 0]
+    truth = signal.gait.cycles(0, n)[:, 0] / 1000.0
+    return right, np.roll(right, round(0.5 * 60 / 57 * 1000)), truth[truth > 0.2]
+
+
+def _noise(sd: float) -> Array:
+    return np.random.default_rng(0).normal(0.0, sd, 120_000)
+
+
+def _ramp(to: float) -> Array:
+    return np.linspace(0.0, to, 120_000)
+
+
+PLATE_FAULTS: dict[str, tuple[Any, dict[str, Any], float]] = {
+    "as it is": (lambda right, left: [right], {}, 5.0),
+    "offset +30 N": (lambda right, left: [right + 30], {}, 5.0),
+    "offset -30 N": (lambda right, left: [right - 30], {}, 5.0),
+    "drift to 60 N": (lambda right, left: [right + _ramp(60)], {}, 5.0),
+    "drift to -60 N": (lambda right, left: [right - _ramp(60)], {}, 5.0),
+    "5 % of the other belt": (lambda right, left: [right + 0.05 * left], {}, 5.0),
+    "5 % of the other belt, which is there": (lambda right, left: [right + 0.05 * left, left], {"other": ("L",)}, 5.0),
+    "10 % of the other belt, which is there": (lambda right, left: [right + 0.1 * left, left], {"other": ("L",)}, 5.0),
+    "15 N rms of noise": (lambda right, left: [right + _noise(15)], {}, 12.0),
+    "25 N rms of noise": (lambda right, left: [right + _noise(25)], {}, 20.0),
+    "offset, drift, cross-talk and noise": (
+        lambda right, left: [right + 30 + _ramp(60) + 0.05 * left + _noise(10), left],
+        {"other": ("L",)},
+        10.0,
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", PLATE_FAULTS)
+def test_every_touchdown_on_a_plate_that_drifts_hums_or_hears_the_other(fault: str) -> None:
+    right, left, truth = _plates()
+    spoil, given, late_ms = PLATE_FAULTS[fault]
+    data = np.stack(spoil(right, left), axis=1)
+    spec = StreamSpec((data.shape[1],), rate_hz=1000.0, channels=("R", "L")[: data.shape[1]], units=("N",))
+    told = feed(ForceContacts(**given), spec, data)
+    score = bench.Score()
+    score.add(onsets(told, "touchdown"), onsets(told, "touchdown"), truth, 0.05)
+    assert (score.missed, score.extra <= 1) == (0, True), score
+    assert np.percentile(np.abs(score.errors_s), 95) * 1000 <= late_ms
+    lifted = onsets(told, "liftoff")
+    assert abs(len(lifted) - len(truth)) <= 2
+
+
+def test_a_plate_that_jumps_in_mid_session_is_found_again_within_three_strides() -> None:
+    right, _, truth = _plates()
+    jumped = right + np.where(np.arange(len(right)) < 60_000, 0.0, 40.0)
+    told = feed(ForceContacts(), StreamSpec((1,), rate_hz=1000.0, units=("N",)), jumped[:, None])
+    score = bench.Score()
+    score.add(onsets(told, "touchdown"), onsets(told, "touchdown"), truth, 0.05)
+    assert score.missed <= 3
+
+
+def test_channels_of_the_other_belt_are_not_this_ones() -> None:
+    spec = StreamSpec((2,), rate_hz=1000.0, channels=("R", "L"), units=("N",))
+    for given in ({"other": ("R", "L")}, {"other": ("L",), "channels": ("L",)}):
+        with pytest.raises(ParameterError, match="channels of the other belt"):
+            ForceContacts(**given).open({"in": spec})  # type: ignore[arg-type]

@@ -1,0 +1,1 @@
+"""The house: architecture, words, docs, the wheel, what a stranger finds."""

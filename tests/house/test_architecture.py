@@ -1,0 +1,263 @@
+"""The house: which way imports point, modules named after an idea, nothing that knows this machine, a list of what is public."""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from dataclasses import fields
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from stream.graph.parts import catalogue
+from stream.source import Source
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("stream", "devices", "operators")
+MAY_IMPORT = {"stream": {"stream"}, "devices": {"devices", "stream"}, "operators": {"operators", "stream"}}
+VAGUE = {"utils", "util", "common", "base", "helpers", "helper", "manager", "misc", "core", "tools"}
+MACHINE = re.compile(r"\.\./shared|/work/|/root/|/home/[a-z]|/Users/|C:\\\\Users")
+TEXTS = {".py", ".md", ".yaml", ".yml", ".toml", ".j2", ".html", ".js", ".css", ".json", ".cfg", ""}
+UNITS = re.compile(r"_(hz|s|ms|ns|min|per_min|uV|mV|V|N|m|mm|cm|g|kg|deg|rad|percent|pct|dB|samples|bytes|mb|kib)$")
+
+
+def modules(package: str) -> list[Path]:
+    return sorted((ROOT / package).rglob("*.py"))
+
+
+ALL = [pytest.param(p, id=str(p.relative_to(ROOT))) for package in PACKAGES for p in modules(package)]
+
+
+def imported(path: Path) -> set[str]:
+    """The top-level packages that a file imports, wherever in it, also by name at run time."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: line {node.lineno}: relative imports hide which way they point"
+            found.add((node.module or "").partition(".")[0])
+        elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
+            called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            if called in ("import_module", "__import__"):
+                found.add(str(node.args[0].value).partition(".")[0])
+    return found
+
+
+@pytest.mark.parametrize("path", ALL)
+def test_imports_point_one_way(path: Path) -> None:
+    package = path.relative_to(ROOT).parts[0]
+    assert imported(path) & set(PACKAGES) <= MAY_IMPORT[package]
+
+
+@pytest.mark.parametrize("path", ALL)
+def test_a_module_is_named_after_its_idea_and_says_it(path: Path) -> None:
+    assert path.stem not in VAGUE
+    if path.stem not in ("__init__", "__main__") or path.read_text(encoding="utf-8").strip():
+        assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))), (
+            "a module says in its first line what it is about"
+        )
+
+
+@pytest.mark.parametrize("path", [p for p in ALL if "outlets" in str(p.id)])
+def test_an_outlet_keeps_what_it_needs_by_hold(path: Path) -> None:
+    assert "__setattr__" not in path.read_text(encoding="utf-8"), "`hold(state, runtime)` keeps what is no parameter"
+
+
+DRIVERS = [
+    p
+    for p in ALL
+    if str(p.id).startswith("devices/") and not str(p.id).startswith(("devices/simulators", "devices/commands"))
+]
+
+
+@pytest.mark.parametrize("path", DRIVERS)
+def test_no_driver_knows_its_simulator(path: Path) -> None:
+    """Nor does it import one within a function: simulators know drivers, and are found by their entry points."""
+    imports = re.findall(
+        r"^ *(?:from|import) (devices\.simulators[.\w]*)", path.read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert path.name == "__init__.py" or not imports
+
+
+def test_the_installed_entry_points_are_those_of_the_project() -> None:
+    """They are read from what was installed: after a change, install it again (`pip install --no-deps -e .`)."""
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
+    for group, entries in declared.items():
+        assert {e.name: e.value for e in entry_points(group=group) if e.dist and e.dist.name == "kinegraph"} == entries
+
+
+@pytest.mark.parametrize("path", ALL)
+def test_only_kernel_compiles(path: Path) -> None:
+    """No numba but through `@kernel` (and what watches it), no fastmath, no pickle."""
+    text = path.read_text(encoding="utf-8")
+    if path != ROOT / "stream" / "kernel.py":
+        assert not re.search(r"\b(njit|jit|vectorize|guvectorize)\(|@(numba\.)?n?jit\b", text)
+    assert not re.search(r"fastmath\s*=", text)
+    assert not imported(path) & {"pickle", "cPickle", "dill", "joblib", "shelve", "marshal"}
+    assert not re.search(r"allow_pickle\s*=\s*True", text)
+
+
+def texts() -> list[Path]:
+    """Every file of the project that people read, and that is not made by a tool."""
+    places = ["stream", "devices", "operators", "configs", "docs", "tests", "bench", ".ci"]
+    found = [p for place in places for p in (ROOT / place).rglob("*") if p.is_file() and p.suffix in TEXTS]
+    found += [p for p in ROOT.iterdir() if (p.is_file() and p.suffix in {".md", ".toml"}) or p.name == "Makefile"]
+    return [p for p in found if "__pycache__" not in p.parts and p != Path(__file__).resolve()]
+
+
+def test_no_file_knows_this_machine() -> None:
+    told = []
+    for path in texts():
+        for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
+            if MACHINE.search(line):
+                told.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()[:100]}")
+    assert not told, "\n".join(told)
+
+
+PARTS, FAILED = catalogue(PACKAGES)
+each_part = pytest.mark.parametrize("part", [pytest.param(part, id=use) for use, part in PARTS.items()])
+
+
+def test_every_module_can_be_imported() -> None:
+    assert not FAILED
+    assert any(issubclass(part, Source) for part in PARTS.values())
+
+
+@each_part
+def test_a_part_says_what_it_does(part: Any) -> None:
+    said = part.__dict__.get("__doc__") or ""
+    assert said and not said.startswith(f"{part.__name__}("), (
+        "a part needs a docstring: what goes in, what comes out, delay, source"
+    )
+
+
+@each_part
+def test_a_parameter_has_a_help_or_a_unit(part: Any) -> None:
+    for f in fields(part):
+        told = f.metadata.get("kinegraph", {}).get("description") or UNITS.search(f.name)
+        assert told, f"{part.__name__}.{f.name} needs `help` in its param, or a unit in its name"
+
+
+def module_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {module_of(path): path for package in PACKAGES for path in modules(package)}
+
+
+def imports_of(path: Path, *, later: bool = False) -> set[str]:
+    """Our modules that a file imports when it is imported itself, and `later`, within functions; not for type checkers only."""
+    found: set[str] = set()
+    todo: list[ast.AST] = list(ast.parse(path.read_text(encoding="utf-8")).body)
+    while todo:
+        node = todo.pop()
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
+            todo += node.orelse
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+            found |= {name if name in MODULES else node.module for name in names}
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif later or not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+            todo += ast.iter_child_nodes(node)
+    return (found & MODULES.keys()) - {module_of(path)}
+
+
+def circles() -> list[list[str]]:
+    """Modules that import one another, directly or by way of others, at once or within functions."""
+    graph = {name: imports_of(path, later=True) for name, path in MODULES.items()}
+    reach: dict[str, set[str]] = {}
+    for name in graph:
+        seen, todo = set[str](), list(graph[name])
+        while todo:
+            if (at := todo.pop()) not in seen:
+                seen.add(at)
+                todo += graph.get(at, ())
+        reach[name] = seen
+    knots = {tuple(sorted(m for m in reach[name] if name in reach.get(m, ()))) for name in graph if name in reach[name]}
+    return [list(knot) for knot in sorted(knots)]
+
+
+LAYERS = (
+    ("stream.engine.session", "stream.engine.replay"),
+    ("stream.engine.resume", "stream.engine.status"),
+    ("stream.engine.ingress", "stream.engine.substitutes", "stream.engine.warmup"),
+    ("stream.engine.session_log", "stream.engine.supervisor", "stream.engine.workers"),
+    ("stream.engine.pipeline",),
+    ("stream.engine.segment", "stream.engine.queues"),
+    ("stream.engine.edge", "stream.engine.admission", "stream.engine.merge", "stream.engine.row"),
+)
+"""The engine's floors, from the top: each imports only from those below it."""
+
+
+def test_the_engines_floors() -> None:
+    floor = {name: depth for depth, names in enumerate(LAYERS) for name in names}
+    engine = {name for name in MODULES if name.startswith("stream.engine.")}
+    assert engine == floor.keys()
+    for name in engine:
+        above = [other for other in imports_of(MODULES[name]) & engine if floor[other] <= floor[name]]
+        assert not above, f"{name} imports {above}"
+
+
+def test_no_module_imports_itself_by_way_of_others() -> None:
+    assert circles() == []
+
+
+def test_the_engine_stays_small() -> None:
+    files = modules("stream/engine")
+    assert len(files) <= 18
+    for path in files:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                assert (node.end_lineno or 0) - node.lineno < 200, f"{path.name}: {node.name}"
+
+
+COMMANDS = {"commands", "evaluation", "setup"}
+"""Rooms within operators/ whose modules read and write files: commands, and what only commands use."""
+FILES = {"open", "read_text", "read_bytes", "write_text", "write_bytes", "savez", "savefig", "fromfile"}
+READERS = (
+    "stream.recording",
+    "stream.tables",
+    "stream.sheet",
+    "stream.complete",
+    "json",
+    "csv",
+    "os",
+    "io",
+    "tempfile",
+)
+
+
+def opens_files(path: Path) -> list[str]:
+    """What a module does with files: readers that it imports, and calls of what opens one."""
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom | ast.Import):
+            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else [alias.name for alias in node.names]
+            found += [name for name in names if name in READERS or name.startswith("stream.recording.")]
+        elif isinstance(node, ast.Call):
+            of_path = isinstance(node.func, ast.Attribute) and node.func.attr in FILES - {"open"}
+            if of_path or ast.unparse(node.func) in ("open", "np.load"):
+                found.append(ast.unparse(node.func))
+    return found
+
+
+def test_operators_open_no_files() -> None:
+    """Commands do, and the readers in stream/; an operator gets what was read."""
+    live = [p for p in modules("operators") if not COMMANDS & set(p.parts)]
+    assert {str(p.relative_to(ROOT)): found for p in live if (found := opens_files(p))} == {}
+
+
+def test_tests_lie_in_rooms() -> None:
+    """By subject: tests/gait/test_contacts.py, with what several rooms use in tests/support."""
+    flat = [p.name for p in (ROOT / "tests").glob("test_*.py")]
+    assert not flat, (
+        f"{flat} belong into one of {sorted(p.parent.name for p in (ROOT / 'tests').glob('*/__init__.py'))}"
+    )
+    stems = [p.stem for p in (ROOT / "tests").rglob("test_*.py")]
+    assert len(stems) == len(set(stems)), "a name stands once"

@@ -1,0 +1,160 @@
+"""Every command in README and docs is run, page by page, in order, as a reader would; every link leads somewhere.
+
+```python name.py, ```yaml name.yaml    the block is saved under that name, as the page says
+```sh, ```console                       each command is run; `# expect: 2` says that it must end with that exit code
+```text                                 every line is part of what the commands since the last such block have printed
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from stream.graph import NodeOptions, RecordingOptions
+from stream.graph.load import SECTIONS, Settings, load_text
+
+HOUSE = Path(__file__).resolve().parents[2]
+PAGES = sorted([*HOUSE.glob("*.md"), *(HOUSE / "docs").rglob("*.md")])
+BLOCK = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+EXPECT = re.compile(r"#\s*expect:\s*(\d+)")
+MAKE = re.compile(r"^make (demo|check|test|mutants|test-peers|bench|site|dist)\b")
+
+
+def blocks(page: Path) -> list[tuple[str, str, str]]:
+    """(language, name of the file, text) of every block of a page that a reader does something with."""
+    found = [(kind, name.strip(), text) for kind, name, text in BLOCK.findall(page.read_text(encoding="utf-8"))]
+    return [(kind, name, text) for kind, name, text in found if name or kind in ("sh", "console", "text")]
+
+
+def commands(block: str) -> list[tuple[str, int]]:
+    """The (command, expected exit code) pairs of a shell block."""
+    found = []
+    for line in block.replace("\\\n", " ").splitlines():
+        command = line.removeprefix("$ ").strip()
+        if command and not command.startswith("#"):
+            code = EXPECT.search(command)
+            found.append((EXPECT.sub("", command).strip(), int(code.group(1)) if code else 0))
+    return found
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Path:
+    """A folder as a reader has it: the checkout's configs and docs, and nothing of what commands leave behind."""
+    for name in ("configs", "docs", "Makefile", "pyproject.toml", "README.md"):
+        if (HOUSE / name).is_dir():
+            shutil.copytree(HOUSE / name, tmp_path / name)
+        elif (HOUSE / name).exists():
+            shutil.copy(HOUSE / name, tmp_path / name)
+    return tmp_path
+
+
+def run(command: str, code: int, desk: Path) -> str:
+    """What a command prints; it must end with `code`."""
+    if MAKE.match(command):
+        targets = subprocess.run(["make", "-n", command.split()[1]], cwd=HOUSE, capture_output=True, text=True)
+        assert targets.returncode == 0, targets.stderr  # `make demo` and `make test` themselves are run by .ci/run
+        return ""
+    done = subprocess.run(
+        command,
+        shell=True,
+        cwd=desk,
+        env={**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "COLUMNS": "120"},
+        capture_output=True,
+        text=True,
+        stdin=subprocess.DEVNULL,
+        timeout=300,
+    )
+    assert done.returncode == code, f"{command}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
+    return f"{done.stdout} {done.stderr} "
+
+
+def words(text: str) -> str:
+    return " ".join(text.split())
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("page", [p for p in PAGES if blocks(p)], ids=lambda p: p.stem)
+def test_a_page_does_what_it_says(page: Path, desk: Path) -> None:
+    shown = ""
+    for kind, name, text in blocks(page):
+        if name:
+            (desk / name).write_text(text, encoding="utf-8")
+        elif kind == "text":
+            for line in filter(None, map(words, text.splitlines())):
+                assert line in words(shown), f"{page.name}: {line!r} is not in:\n{shown}"
+            shown = ""
+        else:
+            for command, code in commands(text):
+                shown += run(command, code, desk)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
+def test_the_links_of_a_page(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text()):
+        if "://" not in target:
+            assert (page.parent / target).exists(), f"{page.name} links to {target}, which does not exist"
+
+
+def test_the_page_on_graphs_explains_every_key() -> None:
+    text = (HOUSE / "docs" / "graphs.md").read_text(encoding="utf-8")
+    for cls in (NodeOptions, RecordingOptions, Settings):
+        for key in fields(cls):
+            assert f"| `{key.name}` |" in text, f"docs/graphs.md does not explain {key.name!r}"
+    assert all(f"| `{section}` |" in text for section in SECTIONS if section != "nodes")
+
+
+def test_the_page_on_graphs_knows_what_is_taken_where_nothing_is_given() -> None:
+    text = (HOUSE / "docs" / "graphs.md").read_text(encoding="utf-8")
+    graph = load_text("nodes: {a: {use: stream.manual.Value, initial: 1}}")
+    for key, given in re.findall(r"^\| `(\w+)` \| ([\d.]+) \|", text, re.MULTILINE):
+        holders = [h for h in (graph.nodes["a"].options, graph.recording, graph) if hasattr(h, key)]
+        assert [getattr(h, key) for h in holders] == [float(given)], key
+
+
+# the table of attacks ------------------------------------------------------------------------------------------------
+
+ATTACK = re.compile(r"^\| [^|]+ \| ([^|]+) \| `(?:(\w+=\w+) )?(pytest|python -m) ([^`]+)` \|$", re.MULTILINE)
+CASES = re.compile(r"^(\d+) cases?$")
+
+
+def attacks() -> list[tuple[str, str, str, list[str]]]:
+    """(count, setting, program, its arguments) of every row of the table of what was tried."""
+    text = (HOUSE / "docs" / "trust.md").read_text(encoding="utf-8").split("## What was tried")[1].split("\n## ")[0]
+    rows = [line for line in text.splitlines() if line.startswith("| ") and not line.startswith("| attack")]
+    found = [(*match[:3], shlex.split(match[3])) for match in ATTACK.findall(text)]
+    assert len(found) == len(rows), "a row of the table has no command that can be run"
+    return found
+
+
+def test_every_attack_of_the_table_is_there_to_be_run_and_counted() -> None:
+    """Each command names tests that are there, as many as the row says; nothing of it is run here."""
+    found = attacks()
+    files = sorted({file for _, _, program, given in found if program == "pytest" for file in given if ".py" in file})
+    collected = subprocess.run(
+        [sys.executable, "-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider", *files],
+        cwd=HOUSE,
+        capture_output=True,
+        text=True,
+        timeout=250,
+    )
+    assert collected.returncode == 0, collected.stdout[-2000:]
+    names = [line for line in collected.stdout.splitlines() if "::" in line]
+    for count, setting, program, given in found:
+        if program == "python -m":
+            assert given[0] == "tests.soak" and "--only" in given, given
+            continue
+        wanted = given[given.index("-k") + 1].split(" or ") if "-k" in given else [""]
+        asked = [n for n in names if n.split("::")[0] in given and any(word in n for word in wanted)]
+        assert asked, given
+        cases = CASES.match(count)
+        assert not cases or len(asked) == int(cases[1]), f"{given}: {len(asked)} cases"
+        if setting:
+            assert setting.split("=")[0] in (HOUSE / given[0]).read_text(encoding="utf-8")

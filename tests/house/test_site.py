@@ -1,0 +1,78 @@
+"""The documentation's site: built in strict mode without a network, with every page, every component, and a search over all of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from stream.cli import COMMANDS
+from stream.graph.parts import catalogue
+from stream.params import schema
+
+HOUSE = Path(__file__).resolve().parents[2]
+NO_NETWORK = "import socket, sys\ndef refused(*_, **__):\n    raise OSError('no network here')\nsocket.socket.connect = refused\n"
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("material", reason="mkdocs-material is not installed (extra docs)")
+    out = tmp_path_factory.mktemp("site")
+    build = ["build", "--strict", "--quiet", "-f", "docs/site/mkdocs.yml", "-d", str(out)]
+    code = f"{NO_NETWORK}from mkdocs.__main__ import cli\ncli({build!r})"
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=HOUSE, env=environment, capture_output=True, text=True, timeout=250
+    )
+    assert done.returncode == 0 and "WARNING" not in done.stderr, done.stdout + done.stderr
+    return out
+
+
+def text_of(page: Path) -> str:
+    return re.sub(r"<[^>]+>", "", page.read_text(encoding="utf-8"))
+
+
+@pytest.mark.timeout(280)
+def test_every_component_is_in_the_reference_with_its_parameters(site: Path) -> None:
+    pages = {
+        kind: text_of(site / f"reference/{kind}.html") for kind in ("operators", "devices", "simulators", "outlets")
+    }
+    parts, _ = catalogue()
+    for use, part in parts.items():
+        if use.startswith("stream."):
+            continue
+        (kind,) = [kind for kind, text in pages.items() if f"\n{use}" in text or f">{use}" in text or f"{use}¶" in text]
+        for name in schema(part).get("properties", {}):
+            assert name in pages[kind], f"{use}: {name}"
+
+
+def test_every_page_is_there_and_can_be_searched(site: Path) -> None:
+    wanted = [p.relative_to(HOUSE / "docs").with_suffix(".html") for p in (HOUSE / "docs").rglob("*.md")]
+    wanted += [Path("notebooks") / f"{p.stem}.html" for p in (HOUSE / "docs" / "notebooks").glob("*.ipynb")]
+    assert [str(path) for path in wanted if not (site / path).is_file()] == []
+    index = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))
+    found = {entry["location"].partition("#")[0] for entry in index["docs"]}
+    assert {"index.html", "batch.html", "reference/operators.html", "CHANGELOG.html", "CODE_OF_CONDUCT.html"} <= found
+    assert any("Lowpass" in entry["title"] for entry in index["docs"])
+
+
+def test_commands_and_graphs_are_there(site: Path) -> None:
+    commands, graphs = text_of(site / "reference" / "commands.html"), text_of(site / "reference" / "configs.html")
+    assert all(f"kinegraph {name}" in commands for name in (*COMMANDS, "compare", "train steps", "evaluate sleep"))
+    assert all(path.stem in graphs for path in (HOUSE / "configs").glob("*.yaml"))
+    assert "BatchResults.to_pandas" in text_of(site / "reference" / "python.html")
+
+
+def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
+    """Links may lead elsewhere; scripts, styles, fonts and pictures lie beside the pages."""
+    source = r"<(?:script|img|iframe|source)[^>]*\ssrc=[\"']?https?:"
+    style = r"<link[^>]*rel=[\"']?(?:stylesheet|preconnect)[^>]*https?:"
+    loaded = re.compile(f"{source}|{style}")
+    assert [
+        str(page.relative_to(site)) for page in site.rglob("*.html") if loaded.search(page.read_text(encoding="utf-8"))
+    ] == []

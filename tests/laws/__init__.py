@@ -1,0 +1,1 @@
+"""The seven laws on every operator, and the tests of what tests."""

@@ -1,0 +1,79 @@
+"""Which test files are a module's own: those that reach it by the fewest imports."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+HOUSE = Path(__file__).resolve().parents[2]
+OURS = ("stream", "devices", "operators", "tests")
+MOST = 6
+"""At most so many test files for one module: the nearest first, among these the ones with the fewest imports of their own."""
+FARTHEST = 6
+"""Imports between a test and what it tests."""
+EVERYTHING = ("test_laws", "test_architecture", "test_face", "test_docs", "test_installed")
+"""Tests of all modules at once are none's own."""
+
+
+def own_tests(module: str) -> list[str]:
+    """The test files of a module, as paths from the tree's root; none if no test comes near it."""
+    reached, near = {module}, list[Path]()
+    for _ in range(FARTHEST):
+        found = [p for p in _tests() if p not in near and reached & _imports(p)]
+        near += sorted(found, key=lambda p: (len(_imports(p)), p))
+        if len(near) >= MOST:
+            break
+        reached |= {other for other, path in _modules().items() if reached & _imports(path)}
+    return [str(p.relative_to(HOUSE)) for p in near[:MOST]]
+
+
+@cache
+def _tests() -> list[Path]:
+    return [p for p in sorted((HOUSE / "tests").rglob("test_*.py")) if p.stem not in EVERYTHING]
+
+
+@cache
+def _modules() -> dict[str, Path]:
+    files = [p for package in OURS[:3] for p in sorted((HOUSE / package).rglob("*.py"))]
+    return {_name(p): p for p in files if p.stem != "__init__"}
+
+
+def _name(path: Path) -> str:
+    return ".".join(path.relative_to(HOUSE).with_suffix("").parts).removesuffix(".__init__")
+
+
+@cache
+def _imports(path: Path) -> frozenset[str]:
+    """The modules in which the names stand that a file imports, and the commands that it runs by name."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {_home(node.module, alias.name) for alias in node.names}
+        elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "kinegraph":
+            found |= set(_commands(node))
+    return frozenset(found)
+
+
+def _commands(call: ast.Call) -> Iterator[str]:
+    if call.args and isinstance(call.args[0], ast.Constant):
+        name = str(call.args[0].value)
+        yield from (f"stream.commands.{name}", f"stream.commands.{name}_", "stream.cli")
+
+
+@cache
+def _home(module: str, name: str) -> str:
+    """The module in which a name stands that is imported from `module`: a module of a package, or what its __init__ takes it from."""
+    if module.partition(".")[0] not in OURS:
+        return module
+    folder = HOUSE.joinpath(*module.split("."))
+    if (folder / f"{name}.py").exists() or (folder / name).is_dir():
+        return f"{module}.{name}"
+    if (folder / "__init__.py").exists():
+        for node in ast.walk(ast.parse((folder / "__init__.py").read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module and name in {a.asname or a.name for a in node.names}:
+                return _home(node.module, name)
+    return module

@@ -1,0 +1,71 @@
+"""The script that changes the code to try the tests: what it changes, whose tests it runs, and how it judges what came of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests import mutation
+from tests.laws.module_tests import own_tests
+from tests.mutation import HOUSE, Mutant, drawn, mutants, told
+
+SOURCE = '''"""Not 1 + 1."""
+from typing import TYPE_CHECKING
+if TYPE_CHECKING:
+    LIMIT = 3
+def f(n: int = 4, *, loud: bool = False) -> int:
+    é = f"{n + 1}"
+    return n - 1 if n < 2 and not loud else len(é)
+def cases():
+    return 5
+'''
+
+
+def test_what_is_changed_is_behaviour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mutation, "HOUSE", tmp_path)
+    path = tmp_path / "module.py"
+    path.write_text(SOURCE, encoding="utf-8")
+    found = [(m.line, m.before, m.after) for m in mutants(path)]
+    assert set(found) == {
+        (5, "4", "(5)"),
+        (5, "False", "(True)"),
+        (7, "n - 1", "(n + 1)"),
+        (7, "1", "(2)"),
+        (7, "n < 2", "(n <= 2)"),
+        (7, "2", "(3)"),
+        (7, "n < 2 and (not loud)", "(n < 2 or not loud)"),
+        (7, "not loud", "(loud)"),
+    }
+    for mutant in mutants(path):
+        source = path.read_bytes()
+        changed = source[: mutant.start] + mutant.after.encode() + source[mutant.stop :]
+        assert compile(changed, "module.py", "exec")
+        assert changed.decode().splitlines()[mutant.line - 1] != SOURCE.splitlines()[mutant.line - 1]
+
+
+def test_the_same_seed_draws_the_same_mutants() -> None:
+    assert drawn(1, 20) == drawn(1, 20) != drawn(2, 20)
+
+
+@pytest.mark.parametrize(
+    ("module", "first"),
+    [
+        ("operators.gait.force", "tests/gait/test_contacts.py"),
+        ("stream.params", "tests/engine/test_params.py"),
+    ],
+)
+def test_a_module_is_tried_by_its_own_tests(module: str, first: str) -> None:
+    assert first in own_tests(module)
+    assert all((HOUSE / path).exists() for path in own_tests(module))
+
+
+def test_nine_in_ten_must_be_noticed_of_those_that_change_anything(capsys: pytest.CaptureFixture[str]) -> None:
+    made = [Mutant("a.py", k, 0, 1, str(k), f"({k + 1})") for k in range(12)]
+    results = {m: "survived" if m.line in (3, 4) else "noticed" for m in made}
+    assert told(results, set()) == 1
+    assert told(results, {made[3].key}) == 0
+    printed = capsys.readouterr().out
+    assert "10 of 12 mutants that change behaviour were noticed" in printed
+    assert "10 of 11 mutants that change behaviour were noticed; 1 are equivalent" in printed
+    assert "survived: a.py:4: 4  ->  (5)" in printed

@@ -1,0 +1,1 @@
+"""Segmentation, neighbours, features, motion maps and motion graphs."""

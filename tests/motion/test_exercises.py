@@ -1,0 +1,404 @@
+"""What somebody who trains sees: the panel, the names of exercises that were shown, the report at the end."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from devices.outlets.exercise_panel import FIELDS, ExercisePanel, panel
+from devices.outlets.terminal import LineView
+from devices.outlets.training import TrainingReport
+from operators.segmentation.naming import BELIEVED_NAME, REPETITION, TURNS, NameRepetitions, letters
+from operators.segmentation.operator import OUTPUTS, PRIMITIVE
+from operators.segmentation.taught import UNKNOWN, Taught, taught
+from stream import cli
+from stream.chunk import NS, Chunk, StreamSpec
+from stream.errors import InputError, KinegraphError
+from stream.graph import Graph
+from stream.manual import ANNOTATION
+from stream.model import ModelError
+from stream.operator import grid
+from stream.state import pack, unpack
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+EVENTS = {name: StreamSpec((), dtype) for name, (dtype, _) in OUTPUTS.items()}
+EVENTS |= {"believed": StreamSpec((), BELIEVED_NAME), "repetition": StreamSpec((), REPETITION)}
+
+
+def event(port: str, stamp_s: float, **fields: Any) -> Chunk:
+    """An event of this port at this time; times are given in seconds."""
+    made = np.zeros(1, EVENTS[port].dtype)
+    for name, value in fields.items():
+        made[name] = round(value * NS) if name in ("onset", "end") else value
+    time = np.array([round(stamp_s * NS)])
+    return Chunk(time, made, int(time[0]))
+
+
+def training() -> list[tuple[str, Chunk]]:
+    """Three squats, named, one of them taken back and told again; rest; arms under way."""
+    parts = [("provisional", event("provisional", 3, onset=1, end=3, activity=1, repetition=0))]
+    for k in (1, 2, 3):
+        end = 1 + 2 * k
+        parts += [
+            ("provisional", event("provisional", end, onset=end - 2, end=end, activity=1, repetition=k)),
+            ("believed", event("believed", end, activity=1, repetition=k, name="squat", sure=0.8)),
+            ("count", event("count", end, activity=1, count=k, certainty=0.5)),
+        ]
+    parts += [
+        ("count", event("count", 8, activity=1, count=2)),
+        ("count", event("count", 8.5, activity=1, count=3)),
+        (
+            "repetition",
+            event("repetition", 9, onset=1, end=3, activity=1, repetition=1, name="squat", sure=0.9, duration_s=1.9),
+        ),
+        (
+            "activity",
+            event("activity", 10, onset=1, end=7, activity=1, repeats=True, repetitions=3, cluster=0, certainty=0.5),
+        ),
+        ("resting", event("resting", 10.5, onset=7.5)),
+        ("rest", event("rest", 12, onset=7.5, end=12)),
+        ("provisional", event("provisional", 16, onset=12, end=16, activity=2, repetition=0)),
+        ("count", event("count", 16.5, activity=2, count=1)),
+    ]
+    return parts
+
+
+def opened(bell: bool = False) -> ExercisePanel:
+    made = ExercisePanel(bell=bell)
+    made.open({port: EVENTS[port] for port in FIELDS})
+    return made
+
+
+def shown(outlet: ExercisePanel) -> str:
+    console = Console(width=120, file=io.StringIO(), record=True)
+    console.print(panel(outlet.state))
+    return console.export_text()
+
+
+def test_the_panel_says_what_is_done_since_when_how_often_and_what_came_before() -> None:
+    outlet, seen = opened(), []
+    for port, chunk in training():
+        outlet.process(port, chunk)
+        seen.append(shown(outlet))
+    assert "squat x 3, last 2.0 s, since 0:00, 80% sure" in "".join(seen) and "1 final, 2 may still" in "".join(seen)
+    after = next(k for k, (port, _) in enumerate(training()) if port == "activity")
+    assert seen[after].startswith("nothing that repeats") and "before: squat x 3, 6.0 s" in seen[after]
+    assert seen[after + 1].startswith("rest\n")
+    final = next(k for k, (port, _) in enumerate(training()) if port == "repetition")
+    assert seen[final].startswith("squat x 3, last 1.9 s, since 0:00, 90% sure")
+    assert seen[-1].startswith("exercise x 1, since") and "before: rest, 4.5 s · squat x 3, 6.0 s" in seen[-1]
+
+
+def test_an_exercise_that_is_final_when_the_next_one_goes_on_keeps_its_name() -> None:
+    outlet, parts = opened(), training()
+    ended = next(k for k, (port, _) in enumerate(parts) if port == "activity")
+    for port, chunk in [*parts[:ended], *parts[-2:], parts[ended]]:
+        outlet.process(port, chunk)
+    assert shown(outlet).startswith("exercise x 1") and "before: squat x 3" in shown(outlet)
+
+
+def test_where_there_is_no_terminal_every_repetition_is_a_line() -> None:
+    out = io.StringIO()
+    with LineView(Graph("train", {}, ""), out):
+        outlet = opened()
+        for port, chunk in training():
+            outlet.process(port, chunk)
+    lines = out.getvalue().splitlines()[1:]
+    assert [line.split(",")[0] for line in lines if line.startswith("squat")] == [
+        f"squat x {n}" for n in (1, 2, 3, 2, 3)
+    ]
+    assert "ended: squat x 3, 6.0 s" in lines and "ended: rest, 4.5 s" in lines and "" not in lines
+
+
+def test_the_panel_goes_on_from_a_snapshot_and_takes_any_stream_with_its_fields() -> None:
+    outlet, other = opened(), opened()
+    parts = training()
+    for port, chunk in parts[:9]:
+        outlet.process(port, chunk)
+    unpack(other.state, pack(outlet.state))
+    for port, chunk in parts[9:]:
+        outlet.process(port, chunk)
+        other.process(port, chunk)
+    assert shown(outlet) == shown(other)
+    with pytest.raises(InputError, match="events with the fields onset, end, activity"):
+        ExercisePanel().open(dict.fromkeys(FIELDS, EVENTS["rest"]))
+
+
+def test_the_bell_rings_once_for_every_new_repetition(monkeypatch: pytest.MonkeyPatch) -> None:
+    rung: list[int] = []
+    monkeypatch.setattr("devices.outlets.exercise_panel.ring", lambda: rung.append(1))
+    outlet = opened(bell=True)
+    for port, chunk in training():
+        outlet.process(port, chunk)
+    assert len(rung) == 5  # 1, 2, 3, 3 again after a correction, and 1 of the next exercise
+
+
+def turns(kind: int, cycles: int = 4, length: int = 40, seed: int = 0, start: float = 0.0) -> Any:
+    """A cycle of one kind: (n, 4)."""
+    rng, turn = np.random.default_rng(seed), np.arange(cycles * length) * 2 * np.pi / length + start
+    mix = np.random.default_rng(100 + kind).normal(size=(4, 4))
+    return np.stack([np.sin(turn), np.cos(turn), np.sin(2 * turn), np.cos(2 * turn)], 1) @ mix + 0.05 * rng.normal(
+        size=(len(turn), 4)
+    )
+
+
+SPEC = StreamSpec((4,), rate_hz=30.0, units=("cm",), channels=("a", "b", "c", "d"))
+
+
+def model() -> Taught:
+    pieces = [[turns(k, 1, n, seed=n) for n in (38, 40, 44)] for k in range(2)]
+    return taught([("squat", pieces[0]), ("arms", pieces[1])], 0.3)
+
+
+def named(x: Any, spans: list[tuple[int, int]], path: Path | None) -> Any:
+    """What NameRepetitions says of these repetitions, each told 20 frames after its end."""
+    time = grid(30.0, len(x))
+    operator = NameRepetitions(model=str(path or ""))
+    operator.open({"in": SPEC, "primitive": StreamSpec((), PRIMITIVE)})
+    made = []
+    for k, (first, last) in enumerate(spans):
+        since = spans[k - 1][1] + 20 if k else 0
+        operator.process("in", Chunk(time[since : last + 20], x[since : last + 20], int(time[last + 19])))
+        told = np.zeros(1, PRIMITIVE)
+        told["onset"], told["end"], told["repetition"], told["cluster"] = time[first], time[last], k + 1, k
+        ((_, chunk),) = operator.process("primitive", Chunk(time[last + 19 : last + 20], told, int(time[last + 19])))
+        made.append(chunk.data)
+    return np.concatenate(made)
+
+
+@pytest.mark.parametrize("phase", [0.0, 2.0, 4.0])
+def test_repetitions_are_called_what_was_shown_whatever_phase_they_are_cut_at(tmp_path: Path, phase: float) -> None:
+    model().write(tmp_path / "m.npz", SPEC, "made up")
+    x = np.concatenate([turns(k, 4, 42, seed=9 + k, start=phase) for k in (0, 1, 2)])
+    spans = [(168 * k + 42 * j, 168 * k + 42 * j + 41) for k in range(3) for j in range(3)]
+    found = named(x, spans, tmp_path / "m.npz")
+    assert found["name"].tolist() == ["squat"] * 3 + ["arms"] * 3 + [UNKNOWN] * 3
+    assert (found["sure"][:6] > 0.3).all() and not found["sure"][6:].any()
+    assert np.allclose(found["duration_s"], 1.4) and (found["range"] > 1.0).all() and set(found["moves"]) <= set("abcd")
+    assert found["distance"][:6].max() < found["distance"][6:].min()
+
+
+def live(
+    x: Any, told: list[tuple[int, int, int]], said: list[tuple[int, str]], image: Any = None
+) -> tuple[list[Any], list[Any]]:
+    """What NameRepetitions believes and says of repetitions (activity, first, last), with a name said at some frames."""
+    time = grid(30.0, len(x))
+    specs = {"in": SPEC, "radius": EVENTS["radius"], "annotations": StreamSpec((), ANNOTATION)}
+    specs |= {"provisional": EVENTS["provisional"], "primitive": EVENTS["primitive"]}
+    specs |= {"mirrored": SPEC.derive(meta={"mirrored": True})} if image is not None else {}
+    operator = NameRepetitions()
+    operator.open(specs)
+    operator.process("radius", Chunk(time[:1], np.full(1, 0.3, specs["radius"].dtype), int(time[0])))
+    events = [(last + 5, "provisional", (k, a, first, last)) for k, (a, first, last) in enumerate(told)]
+    events += [
+        (min(last + 50, len(x) - 1), "primitive", (k, a, first, last)) for k, (a, first, last) in enumerate(told)
+    ]
+    events += [(at, "annotations", text) for at, text in said]
+    made: dict[str, list[Any]] = {"believed": [], "repetition": []}
+    since = 0
+    for at, port, what in sorted(events, key=lambda e: e[0]):
+        for name, data in (("mirrored", image), ("in", x)):
+            if data is not None and at >= since:
+                operator.process(name, Chunk(time[since : at + 1], data[since : at + 1], int(time[at])))
+        since = at + 1
+        row = np.zeros(1, specs[port].dtype)
+        row["onset"] = time[at]
+        if port == "annotations":
+            row["text"] = what
+        else:
+            k, activity, first, last = what
+            row["onset"], row["end"], row["activity"] = time[first], time[last], activity
+            row["repetition"] = 1 + sum(a == activity for a, _, _ in told[:k])
+        for name, chunk in operator.process(port, Chunk(time[at : at + 1], row, int(time[at]))):
+            made[name] += list(chunk.data)
+    return made["believed"], made["repetition"]
+
+
+def test_what_a_person_says_while_it_is_done_names_it_from_then_on() -> None:
+    x = np.concatenate([turns(k, 6, 40, seed=k) for k in (0, 1, 0, 2)])
+    told = [(k, 240 * k + 40 * j, 240 * k + 40 * j + 39) for k in range(4) for j in range(5)]
+    believed, final = live(
+        x, told, [(130, "this is: squat"), (180, "well done"), (420, "This is arms"), (430, "this is: " + 30 * "x")]
+    )
+    names = [str(row["name"]) for row in final]
+    assert names[:2] == ["", ""] or names[:2] == ["A", "A"]
+    assert names[2:10] == ["squat"] * 3 + [UNKNOWN] * 3 + ["arms"] * 2
+    assert names[10:15] == ["squat"] * 5 and names[15:] == [UNKNOWN] * 5
+    assert [str(row["name"]) for row in believed if row["activity"] == 0][-1] == "squat"
+    assert all(np.isfinite(row["distance"]) for row in final[2:5])
+
+
+def test_a_name_that_is_said_before_anything_repeats_is_that_of_what_comes_next() -> None:
+    x = turns(0, 8, 40)
+    _, final = live(x, [(3, 40 * j, 40 * j + 39) for j in range(6)], [(20, "this is: squat")])
+    assert [str(row["name"]) for row in final] == ["squat"] * 6
+
+
+@pytest.mark.parametrize(("shift", "alike"), [(0, True), (20, True), (None, False)])
+def test_how_alike_both_sides_move_is_told_of_every_repetition(shift: int | None, alike: bool) -> None:
+    """The mirror image is the same at once, the same in turn, or something else."""
+    x = turns(0, 5, 40, seed=1)
+    image = turns(1, 5, 40, seed=2) if shift is None else np.roll(turns(0, 5, 40, seed=2), shift, 0)
+    _, final = live(x, [(0, 40 * j, 40 * j + 39) for j in range(3)], [], image)
+    found = np.array([row["symmetry"] for row in final])
+    assert (found > 0.85).all() if alike else (found < 0.5).all()
+
+
+def test_without_a_model_clusters_have_letters_and_what_has_left_the_window_has_no_numbers() -> None:
+    x = turns(0, 60)
+    found = named(x, [(0, 41), (50, 90)], None)
+    assert found["name"].tolist() == ["A", "B"] and np.isnan(found["distance"]).all()
+    assert [letters(k) for k in (0, 25, 26, 701, 702)] == ["A", "Z", "AA", "ZZ", "AAA"]
+    assert np.isnan(named(x, [(0, 1900)], None)["range"][0])
+
+
+def test_the_shipped_turns_are_those_of_the_cases() -> None:
+    """What a session does before it starts must not need room on a disk."""
+    case = NameRepetitions.cases()[0]
+    spec, _, x = case.inputs["in"]
+    kept, fresh = Taught.read(TURNS, "in", spec), taught([("turn", [x[:31], x[31:62]])], 0.5)
+    assert kept.names == fresh.names and (kept.lengths == fresh.lengths).all()
+    np.testing.assert_allclose(kept.frames, fresh.frames, atol=1e-12)
+    np.testing.assert_allclose(kept.reach, fresh.reach, rtol=1e-9)
+
+
+def test_a_model_of_other_features_or_a_broken_one_is_refused(tmp_path: Path) -> None:
+    model().write(tmp_path / "m.npz", SPEC, "made up")
+    read = Taught.read(tmp_path / "m.npz", "in", SPEC)
+    assert read.names == ["squat", "arms"] and np.array_equal(read.frames, model().frames)
+    with pytest.raises(InputError, match="trained on"):
+        Taught.read(tmp_path / "m.npz", "in", SPEC.derive(channels=("a", "b", "c", "e")))
+    broken = model()
+    broken.lengths[0] = 900
+    broken.write(tmp_path / "b.npz", SPEC, "made up")
+    with pytest.raises(ModelError, match="lengths"):
+        Taught.read(tmp_path / "b.npz", "in", SPEC)
+
+
+def test_one_repetition_alone_says_nothing_of_how_far_others_may_be() -> None:
+    with pytest.raises(KinegraphError, match="show two or more"):
+        taught([("squat", [turns(0, 1)])], 0.0)
+
+
+def report_of(folder: Path, parts: list[tuple[str, Chunk]]) -> tuple[str, list[dict[str, str]]]:
+    outlet = TrainingReport(path=str(folder / "training.html"), title="Tuesday")
+    outlet.open({port: EVENTS[port] for port in outlet.inputs})
+    outlet.meet(Graph("train", {}, "", session={"subject": "P07 <b>"}))
+    outlet.begin()
+    for port, chunk in parts:
+        outlet.process(port, chunk)
+    outlet.close()
+    with Path(outlet.file).with_suffix(".csv").open(newline="") as file:
+        return Path(outlet.file).read_text(), list(csv.DictReader(file))
+
+
+def sets() -> list[tuple[str, Chunk]]:
+    parts = []
+    for k in range(2):
+        for n in range(5):
+            onset = 20.0 * k + 2.0 * n
+            numbers = {
+                "duration_s": 2.0 + 0.1 * n,
+                "range": 30.0 + n,
+                "moves": "ankle_l.y",
+                "distance": 1.5,
+                "sure": 0.7,
+                "symmetry": 0.9,
+            }
+            told = {
+                "onset": onset,
+                "end": onset + 2,
+                "activity": k,
+                "repetition": n + 1,
+                "name": "squat" if k else "arms",
+            }
+            parts.append(("repetition", event("repetition", onset + 3, **told, **numbers)))
+        ends = {
+            "onset": 20.0 * k,
+            "end": 20.0 * k + 10,
+            "activity": k,
+            "repetitions": 5,
+            "symmetry": 1,
+            "certainty": 0.4 * k,
+        }
+        parts.append(("activity", event("activity", 20 * k + 13, repeats=True, **ends)))
+        parts.append(
+            ("activity", event("activity", 20 * k + 14, repeats=False, activity=9, onset=20 * k + 10, end=20 * k + 12))
+        )
+    parts.insert(-7, ("rest", event("rest", 19, onset=11, end=19)))
+    return parts
+
+
+def test_the_report_has_sets_repetitions_tempo_and_rest_and_a_row_for_each(tmp_path: Path) -> None:
+    page, rows = report_of(tmp_path, sets())
+    assert len(rows) == 10 and [row["exercise"] for row in rows] == ["arms"] * 5 + ["squat"] * 5
+    assert float(rows[6]["duration (s)"]) == pytest.approx(2.1) and float(rows[6]["range"]) == 31.0
+    text = re.sub(r"<svg.*?</svg>", "", page, flags=re.S)
+    cells = [
+        [re.sub("<.*?>", "", c) for c in re.findall("<td.*?>(.*?)</td>", row)]
+        for row in re.findall("<tr>(.*?)</tr>", text)
+    ]
+    assert ["arms", "1", "5"] in cells and ["squat", "1", "5"] in cells
+    one = next(row for row in cells if row[:2] == ["1", "arms (not sure)"])
+    assert ["2", "squat"] in [row[:2] for row in cells]
+    assert one[3:11] == ["5", "27.3", "6", "32.0 ankle_l.y", "1.50", "8.0", "both sides at once", "90"]
+    assert rows[0]["sides alike"] == "0.9" and page.count("<circle") == 2 * 3 * 5
+    assert "P07 &lt;b&gt;" in page and page.count("<rect") == 10 and "http" not in page
+
+
+def test_a_second_report_takes_another_name_and_one_of_nothing_says_so(tmp_path: Path) -> None:
+    first, _ = report_of(tmp_path, sets())
+    second, rows = report_of(tmp_path, [])
+    assert "Nothing repeated" in second and not rows and "Nothing repeated" not in first
+    assert {path.name for path in tmp_path.iterdir()} == {
+        f"training{n}.{s}" for n in ("", "-2") for s in ("html", "csv")
+    }
+
+
+def kinegraph(*arguments: object) -> int | str | None:
+    with pytest.raises(SystemExit) as ended:
+        cli.call(str(arguments[0]), [str(a) for a in arguments[1:]])
+    return ended.value.code
+
+
+def test_exercises_are_taught_from_one_person_and_named_live_on_another(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Three exercises are shown by one simulated person, and done by another; the fourth was never shown."""
+    from devices.simulators.exerciser import EXERCISES, Exerciser, Routine
+    from stream.recording import Recording
+
+    def session(name: str, seed: int, *more: object) -> Path:
+        fast = ("--set", "mocap.realtime=false", "--set", "mocap.duration_s=50", "--set", f"mocap.seed={seed}")
+        report = ("--set", f"report.path={tmp_path / name}.html")
+        assert not kinegraph(
+            "run", CONFIGS / "segment_mocap.yaml", *fast, *report, *more, "--view", "none", "-o", tmp_path / name
+        )
+        return tmp_path / name
+
+    def spans(seed: int) -> dict[str, Any]:
+        return {exercise: Routine(Exerciser(seed=seed)).starts(k) for k, exercise in enumerate(EXERCISES)}
+
+    made = tmp_path / "exercises.npz"
+    told = [f"{name}={at[0]:.1f}-{at[-1]:.1f}" for name, at in spans(2).items() if name != "wave"]
+    assert not kinegraph("teach", session("shown", 2), *told, "-o", made)
+    assert "squat: 6 examples" in capsys.readouterr().out
+    for wrong, message in ((told, "exercises.npz exists"), (["rest=0-0.2"], "between 0 and 0.2 s; there are some at")):
+        with pytest.raises(KinegraphError, match=message):
+            output = made if wrong is told else tmp_path / "other.npz"
+            cli.call("teach", [str(tmp_path / "shown"), *wrong, "-o", str(output)])
+    with Recording.open(session("done", 5, "--set", f"named.model={made}")) as recording:
+        found = np.concatenate([entry[0].data for entry in recording.entries("named.repetition")])
+        zero = min(s.first for s in recording.streams.values() if s.role == "input" and s.first is not None)
+    middle = ((found["onset"] + found["end"]) / 2 - zero) / NS
+    for name, at in spans(5).items():
+        mine = found["name"][(middle > at[0]) & (middle < at[-1])]
+        assert len(mine) and set(mine) == {name if name != "wave" else UNKNOWN}
+    assert "squat" in (tmp_path / "done.html").read_text()

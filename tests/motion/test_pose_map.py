@@ -1,0 +1,250 @@
+"""Maps of recorded motion: the grid learns and is frozen, what is nearest is found, marker sets meet, what is bad is refused."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.outlets.page.wire import decode
+from devices.pose_map import picture
+from operators.pose_map.commands.gather import pieces
+from operators.pose_map.commands.marker_table import read_table
+from operators.pose_map.retrieve import ANSWER, EXAMPLE, QUERY, PoseSearch, Retrieve
+from operators.pose_map.som import PoseGrid
+from stream.chunk import NS, Array, Chunk, StreamSpec, grid
+from stream.errors import KinegraphError
+from stream.model import ModelError, read_model, write_model
+from stream.motion_index import KIND, MotionIndex
+from tests.support.command_line import Command, kinegraph, refused
+from tests.support.horses_made import NAMES, YAML, horse, index_of, record
+
+__all__ = ["kinegraph"]
+
+SPEC = StreamSpec((3,), rate_hz=50.0, channels=("a", "b", "c"), units=("cm",))
+
+
+@pytest.fixture(scope="module")
+def index() -> MotionIndex:
+    horses = {"walk": horse("walk", 12), "trot": horse("trot", 12, seed=1), "lame": horse("trot", 12, seed=2, lame=0.5)}
+    return index_of(horses)
+
+
+@pytest.fixture(scope="module")
+def search(index: MotionIndex) -> PoseSearch:
+    return PoseSearch(index)
+
+
+def ring(n: int) -> Array:
+    phase = np.arange(n) * 0.11
+    rng = np.random.default_rng(3)
+    return np.stack([5 * np.sin(phase), 5 * np.cos(phase), np.sin(2 * phase)], 1) + 0.05 * rng.normal(size=(n, 3))
+
+
+def through(operator: PoseGrid, data: Array, spec: StreamSpec = SPEC) -> dict[str, Array]:
+    operator.open({"in": spec})
+    return {p: c.data for p, c in operator.process("in", Chunk(grid(50.0, len(data)), data, 10**18))}  # type: ignore[misc, union-attr]
+
+
+def test_the_grid_learns_live_and_is_frozen_while_it_is_shown() -> None:
+    operator = PoseGrid(rows=6, columns=6, learn_s=4.0)
+    found = through(operator, ring(1000))
+    assert np.isnan(found["place"][:200]).all() and np.isfinite(found["place"][200:]).all()
+    assert found["cells"]["map"].tolist() == [1, 2, 3, 4, 5]
+    assert found["cells"]["quantisation"][-1] < 1.5, "of a ring of radius 5"
+    assert found["cells"]["topographic"][-1] < 0.2
+    assert (found["cells"]["count"].sum(axis=1) == found["cells"]["tried"]).all()
+    shown = found["cells"]["pose"]
+    again = np.linalg.norm(found["place"][200:399] - found["place"][257:456], axis=1)
+    assert np.median(again) < 1.0, "one round later a pose has about the same place, a new map in between"
+    best = np.linalg.norm(shown[1][None] - ring(1000)[400:600, None], axis=2)
+    np.testing.assert_allclose(found["error"][400:600, 0], best.min(axis=1))
+
+
+def test_after_so_many_maps_nothing_changes_and_outliers_rank_high() -> None:
+    data = ring(900)
+    data[800] *= 3.0
+    data[810, 1] = np.nan
+    found = through(PoseGrid(rows=6, columns=6, learn_s=4.0, maps=2), data)
+    assert found["cells"]["map"].tolist() == [1, 2]
+    assert found["error"][800, 1] == 1.0
+    assert np.mean(np.delete(found["error"][400:, 1], [400, 410]) > 0.95) < 0.2
+    assert np.isnan(found["place"][810]).all() and np.isnan(found["error"][810]).all()
+
+
+def test_a_trained_map_places_a_live_pose_as_it_did_its_own(index: MotionIndex, tmp_path: Path) -> None:
+    index.write(tmp_path / "m.npz", {})
+    spec = StreamSpec((21,), rate_hz=60.0, channels=tuple(f"{n}.{a}" for n in NAMES for a in "xyz"), units=("m",))
+    frames = index.frames(slice(100, 300)).reshape(200, 21).astype(float)
+    found = through(PoseGrid(model=tmp_path / "m.npz"), frames, spec)
+    np.testing.assert_allclose(found["place"], index.som[100:300], atol=1e-4)
+    assert len(found["cells"]) == 0
+    np.testing.assert_array_equal(found["poses"], index.codes[None])
+    with pytest.raises(KinegraphError, match=r"withers\.x"):
+        PoseGrid(model=tmp_path / "m.npz").open({"in": SPEC})
+    with pytest.raises(KinegraphError, match="trained on"):
+        PoseGrid(model=tmp_path / "m.npz").open({"in": spec.derive(units=("mm",))})
+
+
+def test_the_index_is_read_as_it_was_written(index: MotionIndex, tmp_path: Path) -> None:
+    index.write(tmp_path / "m.npz", {})
+    back = MotionIndex.read(tmp_path / "m.npz")
+    assert back.sequences == index.sequences and back.markers == index.markers
+    for name in ("poses", "pca", "codes", "cell", "rank"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(index, name))
+
+
+@pytest.mark.parametrize("wrong", ["sequences", "cell", "rate_hz", "markers"])
+def test_an_index_that_does_not_hang_together_is_refused(index: MotionIndex, tmp_path: Path, wrong: str) -> None:
+    index.write(tmp_path / "m.npz", {})
+    model = read_model(tmp_path / "m.npz", KIND)
+    header, arrays = dict(model.header), dict(model.arrays)
+    if wrong == "cell":
+        arrays["cell"] = arrays["cell"] + 99
+    else:
+        header[wrong] = {"sequences": [], "rate_hz": -1.0, "markers": ["a"] * 7}[wrong]
+    for key in ("kinegraph", "version", "kind", "made"):
+        header.pop(key)
+    write_model(tmp_path / "bad.npz", KIND, header, arrays)
+    with pytest.raises(ModelError, match=r"bad\.npz: .*; train it again"):
+        MotionIndex.read(tmp_path / "bad.npz")
+
+
+def test_the_grid_separates_gaits_and_the_lame_trot(index: MotionIndex) -> None:
+    def apart(a: Array, b: Array) -> float:
+        return float(np.abs(np.bincount(a, minlength=36) / len(a) - np.bincount(b, minlength=36) / len(b)).sum() / 2)
+
+    walk, trot, lame = (index.cell[s.first : s.last] for s in index.sequences)
+    same = apart(trot[:360], trot[360:])
+    assert apart(trot, lame) > 2 * same and apart(walk, trot) > 2 * same, "they lie in other cells"
+    assert index.topographic < 0.3 and 0.0 < index.quantisation < 0.2
+    assert index.explained.sum() > 0.8
+
+
+def ask(search: PoseSearch, first: int, last: int, count: int, band_s: float = 0.5, markers: int = 0) -> Array:
+    query = np.array([(7, first, last, count, band_s, markers)], QUERY)[0]
+    found = search.answer(query)
+    assert (found["query"] == 7).all() and found["place"][-1] == -1
+    return np.asarray(found[:-1])
+
+
+@pytest.mark.parametrize("markers", [0, 0b11000])
+def test_the_nearest_poses_are_those_of_a_plain_search(index: MotionIndex, search: PoseSearch, markers: int) -> None:
+    frames = index.frames(slice(None)).astype(float)
+    chosen = [m for m in range(7) if not markers or markers >> m & 1]
+    for frame in (5, 800, 1500):
+        found = ask(search, frame, frame, 12, markers=markers)
+        apart = np.sqrt(((frames[:, chosen] - frames[frame, chosen]) ** 2).sum(axis=2).mean(axis=1))
+        near = np.abs(np.arange(len(frames)) - frame) <= 30
+        apart[near & (np.arange(len(frames)) // 720 == frame // 720)] = np.inf
+        np.testing.assert_allclose(found["distance"], np.sort(apart)[:12], rtol=1e-4)
+        assert set(found["first"]) == set(np.argsort(apart)[:12].tolist())
+        assert (found["sequence"] == found["first"] // 720).all()
+
+
+def test_stretches_are_found_at_another_pace_and_not_in_the_band(index: MotionIndex, search: PoseSearch) -> None:
+    found = ask(search, 750, 793, 8)
+    assert len(found) == 8 and (np.diff(found["distance"]) >= 0).all()
+    assert (found["sequence"] == 1).sum() >= 6, "a trot looks like itself"
+    mine = found[found["sequence"] == 1]
+    assert ((mine["last"] < 720 + 1) | (mine["first"] > 793 + 29) | (mine["last"] <= 750)).all()
+    period = 60.0 / 1.4
+    off = (mine["first"] - 750) / period
+    assert np.abs(off - np.round(off)).max() < 0.15, "whole strides away"
+    lengths = found["last"] - found["first"] + 1
+    assert (lengths >= 22).all() and (lengths <= 88).all()
+    spans = sorted(zip(found["first"].tolist(), found["last"].tolist(), strict=True))
+    assert all(a[1] < b[0] for a, b in pairwise(spans))
+
+
+@pytest.mark.parametrize("first, last, count", [(-1, 3, 2), (5, 4, 2), (700, 730, 2), (0, 10**9, 2), (3, 3, 0)])
+def test_a_query_of_nothing_has_no_answer(search: PoseSearch, first: int, last: int, count: int) -> None:
+    assert len(ask(search, first, last, count)) == 0
+
+
+def test_retrieval_is_an_operator() -> None:
+    operator = Retrieve(EXAMPLE)
+    out = operator.open({"in": StreamSpec((), QUERY)})["out"]
+    assert out.dtype == ANSWER and out.units[-1] == "m"
+    with pytest.raises(KinegraphError, match="queries"):
+        operator.open({"in": SPEC})
+
+
+def test_runs_are_even_and_do_not_reach_across_gaps() -> None:
+    time = np.r_[np.arange(0, 1000, 33), np.arange(2000, 3000, 33)] * 1_000_000
+    data = (time / NS)[:, None].astype(np.float32)
+    found = list(pieces(time, data, 60.0))
+    assert len(found) == 2
+    for begin, run in found:
+        np.testing.assert_allclose(run[:, 0], begin / NS + np.arange(len(run)) / 60.0, atol=1e-5)
+
+
+def test_marker_sets_meet_and_what_is_missing_is_said(kinegraph: Command, tmp_path: Path) -> None:
+    data = horse("walk", 4)
+    record(tmp_path / "a.mcap", data, gait="walk")
+    other = np.concatenate([data * 1000, data[:, 1:2] * 1000 + [5, 0, 0], data[:, 1:2] * 1000 - [5, 0, 0]], 1)[
+        :, [0, 7, 8, 3, 4, 5, 6]
+    ]
+    record(
+        tmp_path / "b.mcap", other[::2], 30.0, ("T6", "S1", "S2", *NAMES[3:]), "mm", gait="<script>alert(1)</script>"
+    )
+    (tmp_path / "m.yaml").write_text(YAML)
+    code, said, _ = kinegraph("train", "map", "a.mcap", "b.mcap", "--markers", "m.yaml", "-o", "x.npz", "--rows", "4")
+    assert code == 0
+    assert "b: lacks poll" in said and "not all sequences have them: poll" in said and "4 x 12 cells" in said
+    made = MotionIndex.read(tmp_path / "x.npz")
+    a, b = made.sequences
+    assert b.missing == ("poll",) and b.rate_hz == 30.0 and b.facts == {"gait": "<script>alert(1)</script>"}
+    first, second = made.frames(slice(a.first, a.last)), made.frames(slice(b.first, b.last))
+    assert np.isnan(second[:, 2]).all()
+    apart = np.delete(first[: len(second)] - second, 2, axis=1)
+    assert np.abs(apart).max() < 0.03, "half the rate, another unit, other names: the same poses"
+    refused(kinegraph("train", "map", "a.mcap", "--markers", "m.yaml", "-o", "x.npz"), "exists")
+
+
+BAD = {
+    "origin: poll\nahead: sacrum\nmarkers: {withers: , sacrum: }": "origin is 'poll'",
+    "origin: withers\nahead: withers\nmarkers: {withers: }": "another marker",
+    "origin: withers\nahead: sacrum\nup: north\nmarkers: {withers: , sacrum: }": "up is 'north'",
+    "origin: withers\nahead: sacrum\nmarkers: {withers: , sacrum: []}": "markers.sacrum",
+    "origin: withers\nahead: sacrum\nmarkers: {withers: , sacrum: }\nbones: [[withers, nose]]": "no pair",
+    "origin: withers\nahaed: sacrum\nmarkers: {withers: }": "'ahaed' is not known",
+    "markers: 5": "must hold `markers:`",
+}
+
+
+@pytest.mark.parametrize("text", list(BAD))
+def test_a_bad_table_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "m.yaml").write_text(text)
+    with pytest.raises(KinegraphError, match=r"m\.yaml: .*") as told:
+        read_table(tmp_path / "m.yaml")
+    assert BAD[text] in str(told.value)
+
+
+def test_recordings_that_cannot_be_mapped_are_refused(kinegraph: Command, tmp_path: Path) -> None:
+    (tmp_path / "m.yaml").write_text(YAML)
+    record(tmp_path / "still.mcap", np.repeat(horse("walk", 1)[:1], 100, axis=0))
+    record(tmp_path / "one.mcap", horse("walk", 1)[:1])
+    record(tmp_path / "other.mcap", horse("walk", 1)[:, :3], names=("a", "b", "c"))
+    record(tmp_path / "volts.mcap", horse("walk", 1), unit="V")
+    for name, why in {
+        "still": "are the same", "one": "two poses or more", "other": "no 'withers'", "volts": "its unit is 'V'",
+    }.items():  # fmt: skip
+        refused(kinegraph("train", "map", f"{name}.mcap", "--markers", "m.yaml", "-o", "x.npz"), why)
+        assert not (tmp_path / "x.npz").exists()
+    refused(kinegraph("train", "map", "other.mcap", "-o", "x.npz"), "--origin is needed")
+
+
+def test_of_many_poses_some_are_drawn_and_the_rest_is_density(
+    index: MotionIndex, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(picture, "MOST_DRAWN", 500)
+    header, numbers = decode(picture.points(index))
+    n, bins = header["n"], header["bins"]
+    assert 400 <= n <= 500 < len(index.poses)
+    frames = np.frombuffer(numbers, "<i4", n)
+    assert (np.diff(frames) == np.diff(frames)[0]).all()
+    density = np.frombuffer(numbers, "<f4", bins * bins, offset=n * 20)
+    assert density.sum() == (index.cell >= 0).sum(), "all poses count"

@@ -1,0 +1,107 @@
+"""The configurations that segment muscles and a Kinect's skeleton, run as they stand; and the simulated person they run on."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+from devices.simulators.exerciser import EXERCISES, JOINTS, Exerciser, Routine, skeleton
+from operators.segmentation.evaluation.found import read_found
+from operators.segmentation.evaluation.scores import score
+from operators.segmentation.evaluation.truth import Truth, read_truth
+from stream import cli
+from stream.recording import Recording
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
+needs_data = pytest.mark.skipif(not DATA.exists(), reason="KINEGRAPH_DATA names no folder of recordings")
+
+
+def kinegraph(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        cli.call(str(arguments[0]), [str(a) for a in arguments[1:]])
+    assert not ended.value.code
+
+
+@pytest.mark.parametrize(
+    "name", ["count_repetitions", "segment_emg", "segment_emg_acc", "segment_imu", "segment_kinect", "segment_mocap"]
+)
+def test_the_configurations_record_what_is_believed_as_well_as_what_is_final(name):
+    graph = YAML(typ="safe").load((CONFIGS / f"{name}.yaml").read_text())
+    (node,) = [n for n, what in graph["nodes"].items() if what["use"] == "operators.segmentation.Segment"]
+    outputs = ("activity", "primitive", "count", "provisional", "rest")
+    assert {f"{node}.{output}" for output in outputs} <= set(graph["record"])
+
+
+def test_the_simulated_person_is_the_same_whoever_asks_and_moves_smoothly():
+    one, other = Routine(Exerciser(noise_mm=0.0)), Routine(Exerciser(noise_mm=0.0))
+    later = other.joints(900)
+    frames = np.array([one.joints(i) for i in range(901)])
+    assert np.array_equal(frames[900], later) and frames.shape == (901, 20, 3)
+    assert np.abs(np.diff(frames, axis=0)).max() < 0.15
+    for exercise in EXERCISES:
+        assert (
+            np.allclose(skeleton(exercise, 0.0), skeleton("arms", 0.0)) and np.isfinite(skeleton(exercise, 0.4)).all()
+        )
+    at = {joint: frames[0, i] for i, joint in enumerate(JOINTS)}
+    assert at["head"][1] > at["hip_center"][1] > at["ankle_l"][1] and at["wrist_l"][0] < at["wrist_r"][0]
+
+
+def test_muscles_of_a_simulated_walk_repeat_once_a_stride(tmp_path):
+    fast = ("--set", "board.realtime=false", "--set", "board.duration_s=25")
+    kinegraph("run", CONFIGS / "segment_emg.yaml", *fast, "--view", "none", "-o", tmp_path / "walk")
+    found = read_found(tmp_path / "walk")
+    strides = np.diff(found.primitives[found.repetition > 0], axis=1)
+    assert len(strides) >= 8 and 0.9 < np.median(strides) < 1.3
+
+
+def test_exercises_of_a_simulated_person_are_told_apart_by_their_symmetry(tmp_path):
+    fast = ("--set", "mocap.realtime=false", "--set", "mocap.duration_s=65", "--set", f"report.path={tmp_path}/r.html")
+    kinegraph("run", CONFIGS / "segment_mocap.yaml", *fast, "--view", "none", "-o", tmp_path / "move")
+    with Recording.open(next(tmp_path.glob("move*"))) as recording:
+        told = {
+            name: np.concatenate([entry[0].data for entry in recording.entries(f"segment.{name}")])
+            for name in ("activity", "primitive")
+        }
+        zero = min(s.first for s in recording.streams.values() if s.role == "input" and s.first is not None)
+    routine, expected = Routine(Exerciser()), {"arms": 1, "squat": 1, "knees": 2, "wave": 3}
+    for number, exercise in enumerate(EXERCISES):
+        starts = routine.starts(number) * 1e9 + zero
+        actions, parts = (
+            e[(e["onset"] < starts[-1]) & (e["end"] > starts[0]) & (e["cluster"] >= 0)] for e in told.values()
+        )
+        done = [a["symmetry"] for a in actions if starts[0] < (a["onset"] + a["end"]) / 2 < starts[-1]]
+        assert done == [expected[exercise]]
+        steps = parts[parts["side"] > 0]
+        assert (len(steps) >= 8) == (exercise == "knees")
+        wrong = 0
+        for step in steps[steps["onset"] >= starts[0]]:
+            times = np.linspace(step["onset"], min(step["end"], starts[-1]), 20)
+            share = np.interp(times, starts, np.arange(len(starts))) % 1.0
+            wrong += (np.sin(2 * np.pi * share).sum() > 0) != (step["side"] == 1)  # the left knee is raised first
+        assert not wrong
+
+
+@needs_data
+def test_muscles_of_a_real_treadmill_walk_repeat_with_every_touchdown(tmp_path):
+    file = DATA / "emg" / "emg_santuz_tw12.npz"
+    source = ("--stream", "board.emg=emg_uV", "--time", "t_s", "--names", "names", "--unit", "uV")
+    kinegraph("import", file, "-o", tmp_path / "walk.mcap", *source)
+    kinegraph("replay", CONFIGS / "segment_emg.yaml", tmp_path / "walk.mcap", "-q", "-o", tmp_path / "out.mcap")
+    with np.load(file) as archive:
+        keys = archive["touchdown_s"] - archive["t_s"][0]
+    none = np.empty(0)
+    scores = score(read_found(tmp_path / "out.mcap"), Truth(none, none, [], none, keys))
+    assert scores.repetitions <= 1 and scores.key_sd <= 0.05
+
+
+@needs_data
+def test_a_real_kinect_recording_is_counted(tmp_path):
+    file = DATA / "segmentation" / "msrc12" / "P3_2_10_p17.npz"
+    source = ("--stream", "kinect.joints=joints_m", "--time", "t_us", "--names", "joint_names", "--unit", "m")
+    kinegraph("import", file, "-o", tmp_path / "hop.mcap", *source)
+    kinegraph("replay", CONFIGS / "segment_kinect.yaml", tmp_path / "hop.mcap", "-q", "-o", tmp_path / "out.mcap")
+    scores = score(read_found(tmp_path / "out.mcap"), read_truth(file))
+    assert scores.repetitions <= 2

@@ -1,0 +1,1 @@
+"""Operators for any signal: filters, alignment, gaps, thresholds."""

@@ -1,0 +1,1 @@
+"""Outlets: tables, reports, LSL, MQTT, the terminal, triggers."""

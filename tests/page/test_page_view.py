@@ -1,0 +1,195 @@
+"""A recording on the page: pyramids against the samples themselves, reading from any moment, and a person who scrubs and finds a gap."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.outlets.page.pyramid import Pyramid
+from devices.outlets.page.viewing import RecordingHub
+from devices.outlets.page.wire import Look, decode
+from stream.chunk import NS, Chunk, StreamSpec, grid
+from stream.graph import RecordingOptions
+from stream.manual import ANNOTATION
+from stream.recording import Recorder, Recording
+from stream.recording.series import Series, write_recording
+from tests.support.browser import needs_browser
+from tests.support.live_browser import live_browser
+from tests.support.page_session import PageProcess, needs_page, page_process
+
+RATE_HZ, SECONDS, GAP_S = 500.0, 40, 25
+SIGNAL = StreamSpec((3,), rate_hz=RATE_HZ, channels=("a", "b", "c"), units=("uV",))
+FRAMES = StreamSpec((12, 16), np.dtype("<u2"), 5.0, units=("mm",))
+START = 1_700_000_000 * NS
+
+
+def second(k: int) -> Chunk:
+    """The signal's `k`-th second."""
+    time = grid(RATE_HZ, int(RATE_HZ), start_ns=START + k * NS)
+    data = np.random.default_rng(k).normal(size=(len(time), 3)) + k
+    return Chunk(time, data, int(time[-1]), 500 if k == GAP_S + 1 else 0)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """40 s of a signal that lacks the 25th, frames whose pixels are their number, and a mark."""
+    folder = tmp_path_factory.mktemp("view") / "s"
+    recorder = Recorder(folder, {"graph": "", "session": {"subject": "<i>S1</i>"}}, RecordingOptions(), wait=True)
+    signal = recorder.add_stream("emg", SIGNAL, "input")
+    frames = recorder.add_stream("camera", FRAMES, "input")
+    marks = recorder.add_stream("annotations", StreamSpec((), ANNOTATION, units=("ns", "")), "input")
+    sequence = 0
+    for k in range(SECONDS):
+        if k != GAP_S:
+            recorder.write(signal, second(k), START + (k + 1) * NS, sequence)
+        stamps = START + k * NS + np.arange(5) * (NS // 5)
+        pixels = np.full((5, 12, 16), k + 1, "<u2")
+        pixels[:, 0, :] = 0
+        recorder.write(frames, Chunk(stamps, pixels, int(stamps[-1])), START + (k + 1) * NS, sequence + 1)
+        sequence += 2
+        if k == 30:
+            mark = np.array([(START + 30 * NS, "here")], ANNOTATION)
+            recorder.write(marks, Chunk(np.array([START + 30 * NS]), mark, START + 30 * NS), START + 31 * NS, sequence)
+            sequence += 1
+    recorder.close()
+    recorder.check()
+    return folder
+
+
+def look(begin: float, end: float, at: float, points: int = 1000) -> Look:
+    return Look([0], begin, end, at, points)
+
+
+@pytest.mark.parametrize("begin", [0.0, 7.3, 24.99, 25.5, 39.9])
+def test_a_stream_is_read_from_any_moment_on(recording: Path, begin: float) -> None:
+    at = START + round(begin * NS)
+    with Recording.open(recording) as opened:
+        time, data = opened.read("emg")
+        chunks = list(opened.chunks_from("emg", at))
+    found = np.concatenate([c.time for c in chunks])
+    assert found[0] <= time[np.searchsorted(time, at)]
+    assert found[-1] == time[-1]
+    assert np.array_equal(np.concatenate([c.data for c in chunks]), data[len(time) - len(found) :])
+
+
+def test_a_pyramid_holds_the_least_and_the_greatest_value_of_every_piece_and_the_gap() -> None:
+    chunks = [second(k) for k in range(SECONDS) if k != GAP_S]
+    time, data = np.concatenate([c.time for c in chunks]), np.concatenate([c.data for c in chunks])
+    shares: list[float] = []
+    pyramid = Pyramid(SIGNAL, int(time[0]), int(time[-1]), pieces=900)
+    pyramid.build(chunks, shares.append)
+    piece = (time - time[0]) // pyramid.width
+    for number in range(len(pyramid.low)):
+        rows = data[piece == number].astype(np.float32)
+        if len(rows):
+            assert np.array_equal(pyramid.low[number], rows.min(axis=0))
+            assert np.array_equal(pyramid.high[number], rows.max(axis=0))
+        else:
+            assert np.isnan(pyramid.low[number]).all()
+    assert [(round((a - START) / NS, 2), round((b - START) / NS, 2)) for a, b in pyramid.gaps] == [(25.0, 26.0)]
+    assert shares == sorted(shares)
+
+
+def test_what_is_seen_from_afar_spans_what_is_seen_close_by(recording: Path) -> None:
+    with Recording.open(recording) as opened:
+        hub = RecordingHub(opened)
+        hub.build(lambda message: None)
+        number = hub.names.index("emg")
+        far = hub.seen(number, look(0, 40, 20, points=200))
+        near = hub.seen(number, look(10, 11, 10.5))
+        assert far and near
+        (a, low), (b, exact) = decode(far), decode(near)
+    assert a["thin"] and not b["thin"]
+    assert b["n"] == 500
+    values = np.frombuffer(low[8 * a["n"] :], np.float32).reshape(2, 3, a["n"])
+    whole = np.concatenate([second(k).data for k in range(SECONDS) if k != GAP_S])
+    assert np.nanmin(values) == np.float32(whole.min())
+    assert np.nanmax(values) == np.float32(whole.max())
+    assert np.isnan(values[0, 0]).any()
+    assert np.array_equal(
+        np.frombuffer(exact[8 * 500 :], np.float32).reshape(3, 500), second(10).data.T.astype(np.float32)
+    )
+
+
+def test_without_an_overview_there_is_a_picture_at_once_and_the_rest_comes_with_progress(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Recording, "overviews", lambda self, name: [])
+    with Recording.open(recording) as opened:
+        hub = RecordingHub(opened)
+        number = hub.names.index("emg")
+        near = hub.seen(number, look(10, 20, 15))
+        assert near and decode(near)[0]["n"] > 900 and not hub.pyramids
+        told: list[bytes] = []
+        hub.build(told.append)
+        shares = [header["share"] for header, _ in map(decode, told) if header["t"] == "progress"]
+        assert len(shares) > 10 and shares == sorted(shares) and shares[-1] == 1
+        gaps = [header["gaps"] for header, _ in map(decode, told) if header["t"] == "gaps" and header["s"] == number]
+        assert [round(begin) for begin, _ in gaps[-1]] == [GAP_S]
+        assert hub.seen(number, look(0, 40, 20, points=200))
+
+
+def test_panels_stand_as_arranged_although_a_file_that_the_graph_names_is_elsewhere(tmp_path: Path) -> None:
+    graph = """
+page:
+  panels: [{kind: signal, of: board.emg, title: legs, wide: 2}, {kind: cycles, of: bands.low}, {kind: theirs, of: board.emg}]
+nodes:
+  board: {use: devices.simulators.treadmill.Treadmill}
+  bands: {use: operators.gait.norms.NormativeBands, from: {closed: board.touchdown, cycles: board.emg}, file: elsewhere.csv}
+"""
+    write_recording(
+        tmp_path / "s.mcap",
+        [Series("board.emg", SIGNAL, second(0).time, second(0).data)],
+        {"graph": graph, "session": {}},
+    )
+    with Recording.open(tmp_path / "s.mcap") as opened:
+        panel, marks = decode(RecordingHub(opened).greeting())[0]["panels"]
+    assert marks["title"] == "marks"
+    assert (panel["kind"], panel["of"], panel["title"], panel["wide"]) == ("signal", ["board.emg"], "legs", 2)
+
+
+@pytest.mark.parametrize(("at", "value"), [(0.0, 1), (12.35, 13), (39.9, 40)])
+def test_the_frame_of_a_moment_is_the_last_one_before_it(recording: Path, at: float, value: int) -> None:
+    with Recording.open(recording) as opened:
+        hub = RecordingHub(opened)
+        made = hub.seen(hub.names.index("camera"), look(at - 1, at + 1, at))
+        assert made
+        header, pixels = decode(made)
+    assert header["at"] <= at < header["at"] + 0.2 + 1e-6
+    assert set(np.frombuffer(pixels, "<u2")) == {0, value}
+
+
+@pytest.fixture
+def view(recording: Path, tmp_path: Path) -> Iterator[PageProcess]:
+    with page_process(tmp_path, "view", recording) as process:
+        yield process
+
+
+@needs_page
+@needs_browser
+@pytest.mark.timeout(200)
+def test_a_person_finds_the_gap_and_the_mark_and_scrubs_all_panels(view: PageProcess, tmp_path: Path) -> None:
+    with live_browser(tmp_path) as browser:
+        browser.open(view.url, height=1600)
+        browser.wait("document.getElementById('line').dataset.gaps === '1'")
+        assert "<i>S1</i>" in browser.value("document.getElementById('name').textContent")
+        browser.wait("document.getElementById('line').dataset.events === '1'")
+        browser.type("g")
+        browser.wait("Math.abs(document.querySelector('#line canvas').getAttribute('aria-valuenow') - 25) < .01")
+        browser.wait("document.querySelector('.signal').dataset.gaps === '1'")
+        browser.wait(
+            "document.querySelector('.frame').dataset.least === '25' || document.querySelector('.frame').dataset.least === '26'"
+        )
+        assert browser.value("document.querySelector('.frame').dataset.invalid") == "16"
+        browser.drag("#line canvas", 0.3, 0.9)
+        browser.wait("document.querySelector('#line canvas').getAttribute('aria-valuenow') > 33")
+        browser.wait("document.querySelector('.frame').dataset.least > 33")
+        browser.wait("document.querySelector('.table table').textContent.includes('here')")
+        assert browser.colours("#line canvas") > 4
+        browser.type(" ")
+        before = float(browser.value("document.querySelector('#line canvas').getAttribute('aria-valuenow')"))
+        browser.wait(f"document.querySelector('#line canvas').getAttribute('aria-valuenow') > {before}")
+        assert browser.complaints == []

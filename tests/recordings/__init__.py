@@ -1,0 +1,1 @@
+"""Recordings: written, damaged, recovered, joined, kept small."""

@@ -1,0 +1,112 @@
+"""Disks that are full, folders that may not be written, files that are deleted meanwhile."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stream.chunk import NS, Chunk, StreamSpec
+from stream.graph import RecordingOptions
+from stream.recording import Recorder, Recording
+from stream.recording import file_segment as part_module
+from tests.support.command_line import QUIET, Command, refused
+
+
+@pytest.fixture
+def full_disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The recorder's disk takes 20 KB."""
+    room, write = 20_000, os.write
+
+    def take(file: int, data: Any) -> int:
+        nonlocal room
+        if room <= 0:
+            raise OSError(28, "No space left on device")
+        n = write(file, data[:room])
+        room -= n
+        return n
+
+    monkeypatch.setattr(part_module.os, "write", take)
+    for module in ("recorder", "record_writer"):
+        monkeypatch.setattr(f"stream.recording.{module}.GRACE_S", 0.2)
+    yield
+
+
+@pytest.mark.usefixtures("full_disk")
+@pytest.mark.parametrize("command", ["import", "replay"])
+def test_a_disk_that_fills_up_while_files_are_made(
+    command: str, kinegraph: Command, made: Path, tmp_path: Path
+) -> None:
+    if command == "import":
+        np.savez(tmp_path / "t.npz", a=np.random.default_rng(1).normal(size=(50_000, 2)))
+        told = kinegraph("import", "t.npz", "-o", "t.mcap", "--stream", "x=a", "--rate", "1000")
+        assert not (tmp_path / "t.mcap").exists()
+    else:
+        told = kinegraph("replay", made / "graph.yaml", made / "s", "-o", "again", "-q")
+    refused(told, "not everything could be written (No space left on device)", "free some space")
+    assert "the session goes on" not in told[2]
+
+
+@pytest.mark.usefixtures("full_disk")
+def test_a_disk_that_fills_up_during_a_session(kinegraph: Command, made: Path) -> None:
+    told = kinegraph("run", made / "graph.yaml", *QUIET, "-o", "s")
+    refused(told, "the recording cannot be written; the session goes on", "No space left on device", code=5)
+    assert re.search(r"recording: the last \d\.\d s could not be written and are lost", told[2]), (
+        "and not all since 1970"
+    )
+
+
+def test_a_recording_that_is_deleted_while_it_is_written_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("stream.recording.record_writer.SYNC_S", 0.0)
+    spec = StreamSpec((1,), rate_hz=100.0)
+    with Recorder(tmp_path / "s", {}, RecordingOptions(gather_s=0.01, flush_s=0.01)) as recorder:
+        number = recorder.add_stream("board", spec, "input")
+
+        def write(k: int) -> None:
+            recorder.write(number, Chunk(np.array([k * NS]), np.array([[float(k)]]), k * NS), k * NS, k)
+            assert recorder.flush(60.0)
+
+        write(0)
+        (tmp_path / "s").rename(tmp_path / "gone")  # at once: nothing new may appear in it meanwhile
+        shutil.rmtree(tmp_path / "gone")
+        for k in range(1, 50):  # the next writing notices; what comes after that is in a new part
+            write(k)
+    with Recording.open(tmp_path / "s") as recording:
+        kept = recording.read("board")[1].ravel().tolist()
+        assert recording.finished and kept[-1] == 49.0 and kept == sorted(kept)
+        assert any(e["kind"] == "disk refused" and "the file was deleted" in e["error"] for e in recording.log)
+
+
+@pytest.fixture
+def read_only(tmp_path: Path) -> Iterator[Path]:
+    """A folder in which nobody may write, where we may mount one; it holds a file of ours."""
+    place = tmp_path / "ro"
+    place.mkdir()
+    (place / "cal.json").write_text("{}")
+    try:
+        subprocess.run(["mount", "--bind", place, place], check=True, capture_output=True)
+        subprocess.run(["mount", "-o", "remount,bind,ro", place, place], check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("mounting a read-only folder needs root")
+    yield place
+    subprocess.run(["umount", "-l", place], check=True)
+
+
+def test_folders_that_may_not_be_written(kinegraph: Command, made: Path, read_only: Path, tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("time,a\n0,1\n1,2\n2,3\n")
+    graph, whole = made / "graph.yaml", made / "s"
+    refused(kinegraph("run", graph, *QUIET, "-o", "ro/s"), "ro/s: cannot be created (Read-only file system)")
+    refused(kinegraph("import", "t.csv", "-o", "ro/t.mcap"), "ro/t.mcap: cannot write there")
+    refused(kinegraph("export", whole, "-o", "ro/out"), "ro/out: cannot be written (Read-only file system)")
+    refused(kinegraph("recover", whole, "-o", "ro/t.mcap"), "cannot be written (Read-only file system)")
+    refused(kinegraph("schema", "-o", "ro/s.json"), "ro/s.json cannot be written: Read-only file system")
+    assert [p.name for p in read_only.iterdir()] == ["cal.json"]

@@ -1,0 +1,1 @@
+"""Depth frames, sleep scoring and nights, to the whole bedside monitor."""

@@ -1,0 +1,44 @@
+"""`kinegraph bedside check` on the simulated bedroom: a region that holds, one that does not, and a camera that is blind at night."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.support.command_line import Command, kinegraph, refused
+
+__all__ = ["kinegraph"]
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+ROOM = (
+    CONFIGS / "bedside_simulated.yaml",
+    "--between",
+    80,
+    "--set",
+    "camera.evening_min=2",
+    "--set",
+    "camera.bed_h=0.2",
+)
+
+
+def test_a_bed_that_was_found_holds_who_lies_in_it(kinegraph: Command) -> None:
+    code, out, _ = kinegraph("bedside", "check", *ROOM)
+    assert code == 0 and "NOT WELL" not in out and "the region holds 100%" in out and "the light is the same" in out
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        (("--set", "bed.regions=[[0, 0, 24, 24]]"), "too small, or elsewhere; try regions: [[8, 56, 96, 40]]"),
+        (("--set", "bed.regions=[[0, 0, 120, 160]]"), "it is too large; try regions"),
+        (("--between", 0, "--in", 50), "nobody was seen lying there"),
+    ],
+)
+def test_what_is_not_well_is_named_and_ends_with_2(kinegraph: Command, more: tuple[object, ...], told: str) -> None:
+    code, out, _ = kinegraph("bedside", "check", *ROOM, *more)
+    assert code == 2 and told in out
+
+
+def test_a_stereo_camera_without_a_light_is_refused_before_it_is_opened(kinegraph: Command) -> None:
+    told = kinegraph("bedside", "check", CONFIGS / "bedside_sleep.yaml", "--set", "camera.projector=0")
+    refused(told, "sees nothing in the dark", "lit_room: true")

@@ -1,0 +1,182 @@
+"""Nights that the product's own simulator does not render: a nudged camera, a lamp, a partner, a heap, a wrong region, the dark.
+
+What cannot be judged is unknown, and says why; what can be judged is scored as it was.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bench.bedside import START, Run
+from operators.depth.view import VIEW, View
+from stream.chunk import NS, Array
+from stream.graph.load import load_text
+from stream.operator import grid
+from tests.sleep.depth_frames import blocks_spec, play
+from tests.support.rendered_room import RenderedRoom, Scene
+
+GRAPH = """
+nodes:
+  camera: {use: devices.simulators.bedside.Bedside, CAMERA}
+  simplify: {use: operators.depth.simplify.Simplify, from: camera.depth}
+  view: {use: operators.depth.view.View, from: simplify.blocks}
+  bed: {use: operators.depth.bed.BedRegion, from: {view: view, in: simplify.blocks}, regions: REGIONS}
+  presence: {use: operators.depth.presence.Presence, from: {view: view, regions: bed, blocks: simplify.blocks}}
+  motion: {use: operators.depth.motion.Motion, from: {regions: bed, frames: simplify}}
+  activity: {use: operators.depth.activity.Activity, from: {view: view, bed: presence, far: motion.far, motion: motion}}
+  scorer: {use: operators.sleep.scorer.SleepScorer, from: activity}
+"""
+IN, MOVES = ((120.0, 2700.0),), (400.0, 1000.0, 1900.0, 2300.0)
+
+
+class Told:
+    """What the graph says of a scene; epochs by their number."""
+
+    def __init__(self, scene: Scene, regions: str = "[]", camera: str = "width: 256, height: 192, fps: 2") -> None:
+        graph = load_text(GRAPH.replace("REGIONS", regions).replace("CAMERA", camera))
+        graph.nodes["camera"].part = RenderedRoom.of(graph.nodes["camera"].part, scene)  # type: ignore[arg-type]
+        run = Run(graph, ("view", "bed", "presence", "activity.epochs", "scorer")).run()
+        finals = run["scorer"][run["scorer"]["final"]]
+        self.state: Array = finals["state"]
+        self.why: Array = run["activity.epochs"]["why"]
+        self.view, self.regions, self.presence = run["view"], run["bed"], run["presence"]
+
+    def of(self, begin_s: float, end_s: float) -> tuple[set[str], set[str]]:
+        """The states of the epochs within these times, and the reasons."""
+        part = slice(-(-int(begin_s) // 30), int(end_s) // 30)
+        return {str(s) for s in self.state[part]}, {str(w) for w in self.why[part]}
+
+    def seconds(self, events: Array) -> list[int]:
+        return [(int(t) - START) // NS for t in events["onset"]]
+
+
+def test_a_plain_night_has_no_reasons() -> None:
+    told = Told(Scene(3000, IN, moves=MOVES))
+    assert [str(e["what"]) for e in told.view] == ["steady"]
+    assert told.of(270, 2640) == ({"sleep"}, {""}) and [str(s) for s in told.presence["state"]][:3] == [
+        "out",
+        "in",
+        "out",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("shift_m", "degrees", "regions"),
+    [(0.08, 0.0, "[]"), (-0.06, 0.0, "[[16, 80, 160, 96]]"), (0.08, 2.0, "[[16, 80, 160, 96]]"), (0.0, 1.5, "[]")],
+)
+def test_a_nudged_camera_is_noticed_and_the_bed_is_learned_again(shift_m: float, degrees: float, regions: str) -> None:
+    told = Told(Scene(2700, IN, moves=MOVES, nudges=((1500, shift_m, degrees),)), regions)
+    assert [str(e["what"]) for e in told.view] == ["steady", "moved", "steady"]
+    assert abs(told.seconds(told.view)[1] - 1500) <= 5
+    assert abs(float(told.view["right"][1]) - shift_m * 256 * 0.78 / 2.4) <= 2.5, "pixels"
+    assert told.of(270, 1490) == ({"sleep"}, {""})
+    assert told.of(1500, 1620) == ({"unknown"}, {"camera"})
+    assert told.of(1710, 2640) == ({"sleep"}, {""}), "still sleep is sleep again, by the region and the noise of now"
+    assert int(told.regions["rows"][-1]) > 100
+    assert ("unknown", "camera") in [(str(e["state"]), str(e["why"])) for e in told.presence]
+
+
+def test_a_jump_too_far_to_follow_is_noticed_and_a_region_that_was_set_holds_no_more() -> None:
+    told = Told(Scene(2400, IN, moves=MOVES, nudges=((1500, 0.7, 5.0),)), "[[16, 80, 160, 96]]")
+    assert [str(e["what"]) for e in told.view][:2] == ["steady", "moved"] and np.isnan(told.view["right"][1])
+    assert int(told.regions["rows"][-1]) == 0
+    assert told.of(1530, 2370) == ({"unknown"}, {"camera"})
+
+
+def test_noise_in_bed_of_more_than_three_times_the_empty_beds_is_learned() -> None:
+    told = Told(Scene(3000, ((120.0, 3000.0),), moves=(400.0, 1000.0), coarse=((120.0, 3000.0),)))
+    assert told.of(1500, 2940) == ({"sleep"}, {""})
+
+
+def test_people_beds_and_lamps_are_no_jump_of_the_view() -> None:
+    scene = Scene(
+        1500, ((100, 1300),), partner=((300, 600),), standing=((50, 90), (700, 720), (800, 1000)), heap=((1300, 1500),),
+        moves=(200, 300, 400), lamp=((750, 900),),
+    )  # fmt: skip
+    assert [str(e["what"]) for e in Told(scene).view] == ["steady"]
+
+
+@pytest.mark.parametrize("noise", [0.2, 0.5, 5.0, 30.0])
+def test_a_lamp_on_the_bed_is_a_light_and_no_wake_however_strong(noise: float) -> None:
+    camera = "width: 192, height: 144, fps: 1" if noise != 5.0 else "width: 256, height: 192, fps: 2"
+    told = Told(Scene(2100, IN, moves=MOVES, lamp=((1500, 1860),), lamp_noise=noise), camera=camera)
+    states, why = told.of(1530, 1860)
+    assert states <= {"unknown", "sleep"} and why == {"light"}
+    assert "wake" not in told.of(270, 1850)[0]
+
+
+def test_a_second_body_is_noticed_and_movement_with_it_is_nobodys() -> None:
+    told = Told(Scene(3000, IN, moves=MOVES, partner=((1200, 2100),), partner_moves=tuple(range(1210, 2100, 45))))
+    states, why = told.of(1260, 2070)
+    assert "wake" not in states and "body" in why and why <= {"", "body"}
+    assert told.of(2190, 2640) == ({"sleep"}, {""})
+
+
+CAME, LEFT = (1410.0, 2100.0), (900.0, 1410.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "partner", "nudges", "off"),
+    [
+        ("came in a cut, and is there after another", CAME, (), ((1380, 1500), (1800, 1860))),
+        ("came in a cut after a nudge", CAME, ((900, 0.08, 0.0),), ((1380, 1500),)),
+        ("came in the cut in which the camera was nudged", CAME, ((1400, 0.08, 0.0),), ((1380, 1500),)),
+        ("left in the cut in which the camera was nudged", LEFT, ((1400, -0.08, 0.0),), ((1380, 1500),)),
+        ("was there when the camera was nudged", (900.0, 2100.0), ((1400, 0.08, 0.0),), ()),
+    ],
+)
+def test_a_second_body_is_noticed_across_power_cuts_and_nudges(
+    name: str, partner: tuple[float, float], nudges: tuple[tuple[float, float, float], ...], off: tuple[tuple[float, float], ...]
+) -> None:  # fmt: skip
+    bout = tuple(float(t) for t in range(2400, 2580, 12))
+    stirs = tuple(float(t) for t in np.arange(partner[0] + 10, partner[1], 40))
+    scene = Scene(
+        2850, ((120.0, 2850.0),), partner=(partner,), partner_moves=stirs, moves=(400.0, *bout), nudges=nudges, off=off
+    )
+    told = Told(scene, camera="width: 192, height: 144, fps: 1")
+    states = told.of(270, 2370)[0]
+    assert states == {"sleep", "unknown"}, f"{name}: the other's movement is nobody's"
+    why = told.of(max(partner[0], off[0][1] if off else 0) + 90, partner[1])[1]
+    assert "body" in why if partner[1] > 1500 else True
+    assert told.of(2430, 2550)[0] == {"wake"}, f"{name}: alone again"
+    assert told.of(2700, 2760)[0] == {"sleep"}
+
+
+def test_a_heap_left_behind_is_unknown_after_ten_minutes_and_empty_after_45() -> None:
+    told = Told(Scene(4200, ((120.0, 900.0),), heap=((900.0, 4200.0),), moves=(400.0, 880.0)))
+    begun, end = 900 + 10 * 60 + 90, 900 + 45 * 60 - 60
+    assert told.of(begun, end) == ({"unknown"}, {"still"})
+    assert told.of(900 + 45 * 60 + 180, 4100) == ({"wake"}, {""})
+    assert [(str(e["state"]), str(e["why"])) for e in told.presence][:4] == [
+        ("out", ""), ("in", ""), ("unknown", "still"), ("out", ""),
+    ]  # fmt: skip
+
+
+def test_a_region_that_is_too_large_says_so_instead_of_an_empty_bed_all_night() -> None:
+    told = Told(Scene(2400, ((120.0, 2400.0),), moves=MOVES), "[[0, 0, 192, 256]]")
+    assert told.of(900, 2370) == ({"unknown"}, {"region"})
+
+
+def test_a_night_that_darkens_is_unknown_because_it_is_dark() -> None:
+    told = Told(Scene(2700, IN, moves=MOVES, dark=((1500, 2400),)))
+    assert told.of(1530, 2370) == ({"unknown"}, {"dark"})
+    assert told.of(270, 1490) == ({"sleep"}, {""})
+    assert [str(e["what"]) for e in told.view] == ["steady", "dark", "steady"]
+
+
+@pytest.mark.parametrize("right", [0.25, 0.5, 1.0, 2.25, -3.0])
+def test_the_shift_is_measured_to_a_quarter_of_a_block(right: float) -> None:
+    """A room of boxes, 8 pixels a block, seen exactly."""
+
+    def room(shift: int) -> Array:
+        fine = np.full((15 * 8, 20 * 8), 2600.0)
+        fine[13:90, 40 + shift : 103 + shift] = 2100.0
+        fine[20:50, max(0, 5 + shift) : max(0, 21 + shift)] = 2300.0
+        return fine.reshape(15, 8, 20, 8).mean(axis=(1, 3))
+
+    depth = np.stack([room(0)] * 240 + [room(round(8 * right))] * 120)
+    depth += np.random.default_rng(1).normal(0, 0.5, depth.shape)
+    made = play(View(), **{"in": (blocks_spec(15, 20, 4.0), grid(4.0, 360, 900 * NS), depth)})["out"]
+    assert made.dtype == VIEW and [str(e["what"]) for e in made] == ["steady", "moved"]
+    assert abs(float(made["right"][1]) - 8 * right) <= 2 and abs(float(made["down"][1])) <= 2

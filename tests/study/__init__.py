@@ -1,0 +1,1 @@
+"""Many recordings at once, and the Python face: batch, notebooks."""
