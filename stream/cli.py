@@ -173,7 +173,8 @@ def _interruptible(function: Any) -> Any:
 def overview() -> str:
     """What `kinegraph --help` prints."""
     rows = {name: text for name, (_, text) in COMMANDS.items()} | {e.name: _first_line(e.load()) for e in added()}
-    listing = "\n".join(f"  {name:<10} {text}" for name, text in rows.items())
+    width = max(map(len, rows))
+    listing = "\n".join(f"  {name:<{width}} {text}" for name, text in rows.items())
     return f"{USAGE}\ncommands:\n{listing}\n\nkinegraph COMMAND --help says more."
 
 

@@ -20,7 +20,7 @@ def devices(
         list[str] | None,
         typer.Argument(
             help="look only for these: serial, usb, ble, lsl, natnet, oak, orbbec, realsense; left out: all",
-            metavar="[KIND]...",
+            metavar="KIND",
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print JSON")] = False,

@@ -41,7 +41,10 @@ def export(
     ] = ExportClock.seconds,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace files that are there already")] = False,
 ) -> None:
-    """Write streams in the format of other programs. What a format cannot hold is left out: frames in tables."""
+    """Export a recording's streams to the formats of other programs.
+
+    What a format cannot hold is left out and said so: a table holds no images.
+    """
     from stream.progress import bar
     from stream.recording import Recording
 

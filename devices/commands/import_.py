@@ -26,7 +26,7 @@ def import_(
     files: Annotated[
         list[File],
         typer.Argument(
-            help=f"files, recognised by their content or the ends of their names. {listed()}", metavar="FILE..."
+            help=f"files, recognised by their content or the ends of their names. {listed()}", metavar="FILE"
         ),
     ],
     output: Annotated[
@@ -85,7 +85,9 @@ def import_(
     clock_sync: Annotated[bool, typer.Option(help="XDF: apply the clock offsets that were measured")] = True,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a recording that is there already")] = False,
 ) -> None:
-    """Turn files of other programs into one recording, or with --preview say what would be read.
+    """Turn files of other programs into one recording.
+
+    With --preview it only shows what would be read.
 
     kinegraph import emg.csv -o emg.mcap --stream board.emg=TA,GM --time time --unit uV
     """

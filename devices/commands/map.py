@@ -22,9 +22,7 @@ if TYPE_CHECKING:
 def map_(
     recordings: Annotated[
         list[Path],
-        typer.Argument(
-            help="recordings of markers or poses, or one map of `kinegraph train map`", metavar="RECORDING..."
-        ),
+        typer.Argument(help="recordings of markers or poses, or one map of `kinegraph train map`", metavar="RECORDING"),
     ],
     markers: Annotated[
         Path | None, typer.Option(metavar="FILE", help="YAML: which markers, as for `train map`")
@@ -44,7 +42,9 @@ def map_(
         float, typer.Option("--for", metavar="SECONDS", min=0.0, help="end after this many seconds; 0: at Ctrl-C")
     ] = 0.0,
 ) -> None:
-    """Explore recorded motion on a map: which poses there are, how sequences run through them, what is like what (thesis, chapter 5).
+    """Explore recorded motion on a map, in a browser.
+
+    It shows which poses there are, how sequences run through them, and what resembles what (thesis, chapter 5).
 
     kinegraph map horses/*.mcap --markers horse.yaml
 

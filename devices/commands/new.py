@@ -60,7 +60,8 @@ def new(
     what: Annotated[
         New,
         typer.Argument(
-            help="operator: a skeleton; device: a skeleton, or a declaration for what a port sends; graph: for a recording"
+            metavar="WHAT",
+            help="operator: a skeleton; device: a skeleton, or a declaration for what a port sends; graph: for a recording",
         ),
     ],
     port: Annotated[
@@ -85,7 +86,9 @@ def new(
     start: Annotated[str, typer.Option(metavar="HEX", help="bytes to send first, if it begins on command")] = "",
     stop: Annotated[str, typer.Option(metavar="HEX", help="bytes to send at the end")] = "",
 ) -> None:
-    """Write a graph: for a device, from what its port sends; for a recording, from what it holds. Or a skeleton with tests.
+    """Write a first graph for a device or a recording, or a skeleton with tests.
+
+    A device's graph is written from what its port sends, a recording's from what it holds.
 
     kinegraph new operator baseline
 

@@ -34,10 +34,11 @@ def nights(
     action: Annotated[
         Action,
         typer.Argument(
-            help="list all, with trends; draw a night's report again; report on weeks; export one table; delete a night"
+            metavar="ACTION",
+            help="list all, with trends; draw a night's report again; report on weeks; export one table; delete a night",
         ),
     ] = Action.list,
-    names: Annotated[list[str] | None, typer.Argument(metavar="NIGHT...", help="such as 2026-11-20, or last")] = None,
+    names: Annotated[list[str] | None, typer.Argument(metavar="NIGHT", help="such as 2026-11-20, or last")] = None,
     path: Annotated[Path, typer.Option(help="the folder of all nights")] = Path("nights"),
     yes: Annotated[bool, typer.Option("--yes", "-y", help="delete without asking")] = False,
     sleeper: Annotated[str, typer.Option(help="whose nights, where there are several sleepers")] = "",
@@ -51,8 +52,10 @@ def nights(
     free: Annotated[str, typer.Option(help="mornings without work")] = "sat,sun",
     output: Annotated[Path | None, typer.Option("-o", "--out", help="weeks: the folder; export: the file")] = None,
 ) -> None:
-    """The nights on this computer, and their trends. `report NIGHT` draws one again; `weeks` reports on many and compares periods;
-    `export` writes one table; `delete NIGHT` removes a night with all its files.
+    """List the nights on this computer, with their trends.
+
+    `report NIGHT` draws one again; `weeks` reports on many and compares periods; `export` writes one table; `delete NIGHT` removes a night
+    with all its files.
 
     kinegraph nights weeks --compare 2026-10-19..2026-11-01 --compare 2026-11-02..2026-11-15
     """

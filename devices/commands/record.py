@@ -25,7 +25,7 @@ def record(
         list[str],
         typer.Argument(
             help="each source's dotted path, followed by its parameters and engine options; NAME:PATH names it",
-            metavar="SOURCE [PARAMETER=VALUE]...",
+            metavar="SOURCE [PARAMETER=VALUE]",
         ),
     ],
     out: Annotated[
@@ -42,7 +42,9 @@ def record(
     json_log: Annotated[bool, typer.Option("--log-json", help="log lines as JSON")] = False,
     verbose: Annotated[bool, typer.Option("-v", "--verbose", help="log more")] = False,
 ) -> None:
-    """Record devices with no graph: kinegraph record devices.cyton.Cyton port=/dev/serial/by-id/NAME -o folder
+    """Record devices without a graph.
+
+    kinegraph record devices.cyton.Cyton port=/dev/serial/by-id/NAME -o folder
 
     What a camera sees is private, and is kept only with --store-frames. Values are read as YAML. The recording holds a graph of these
     sources alone, so it can be replayed; exit codes are those of `run`.

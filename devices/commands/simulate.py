@@ -22,7 +22,7 @@ def simulate(
     name: Annotated[str, typer.Argument(help="which device; left out: all there are", metavar="[NAME]")] = "",
     settings: Annotated[
         list[str] | None,
-        typer.Argument(help="the device's parameters, and what goes wrong", metavar="[PARAMETER=VALUE]..."),
+        typer.Argument(help="the device's parameters, and what goes wrong", metavar="PARAMETER=VALUE"),
     ] = None,
     at: Annotated[str, typer.Option(help="serve here, tcp://host:port, instead of on a pseudo-terminal")] = "",
     duration_s: Annotated[

@@ -30,7 +30,7 @@ fetch = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptio
 
 @fetch.callback()
 def group() -> None:
-    """Get what kinegraph uses and does not contain."""
+    """Download what kinegraph uses but does not contain."""
 
 
 @fetch.command("pose-model", context_settings={"help_option_names": ["-h", "--help"]})

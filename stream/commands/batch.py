@@ -24,7 +24,7 @@ SHOWN = 10
 def batch(
     config: Annotated[Path, typer.Argument(help="the graph, a YAML file", metavar="CONFIG")],
     recordings: Annotated[
-        list[Path], typer.Argument(help="recordings: .mcap files, or sessions' folders", metavar="FILE...")
+        list[Path], typer.Argument(help="recordings: .mcap files, or sessions' folders", metavar="FILE")
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="the folder of the results; a second run goes on in it")],
     settings: Annotated[

@@ -13,7 +13,7 @@ from stream.graph.shipped import shipped, summary
 
 
 def configs(
-    names: Annotated[list[str] | None, typer.Argument(metavar="[NAME]...", help="the graphs to copy")] = None,
+    names: Annotated[list[str] | None, typer.Argument(metavar="NAME", help="the graphs to copy")] = None,
     out: Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="where the copies go")] = Path(),
 ) -> None:
     """List the graphs that come with kinegraph; with names, copy these into a folder, to be changed there.

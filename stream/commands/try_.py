@@ -17,7 +17,7 @@ from stream.screen import Screen
 
 
 def try_(
-    operator: Annotated[str, typer.Argument(help="dotted path to the class: my_ops.Gain")],
+    operator: Annotated[str, typer.Argument(metavar="OPERATOR", help="dotted path to the class: my_ops.Gain")],
     examples: Annotated[
         int, typer.Option(min=1, help="how many random cuttings, gaps and bad samples to try per case")
     ] = 50,

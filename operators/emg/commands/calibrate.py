@@ -29,7 +29,10 @@ class Kind(StrEnum):
 
 def calibrate(
     kind: Annotated[
-        Kind, typer.Argument(help="what the recording shows: strongest contractions, rest, or the task itself")
+        Kind,
+        typer.Argument(
+            metavar="KIND", help="what the recording shows: mvc (strongest contractions), rest, or the task itself"
+        ),
     ],
     recording: Annotated[File, typer.Argument(help="the recording: a file or a session's folder", metavar="FILE")],
     output: Annotated[
@@ -48,7 +51,7 @@ def calibrate(
     ] = 0.5,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a reference that exists")] = False,
 ) -> None:
-    """Make the reference for amplitude normalisation (operators.emg.normalise.Normalise): mvc, rest or task.
+    """Make a reference for amplitude normalisation (operators.emg.normalise.Normalise) from a recording.
 
     mvc: per muscle the highest mean of the envelope over `--window-s`. rest: the envelope's mean, and the raw signal's baseline noise.
     task: peak and mean of the mean cycle. The envelope is computed as the graph does, and the reference is valid for no other.

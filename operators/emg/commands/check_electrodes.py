@@ -35,8 +35,9 @@ def check_electrodes(
     emg: Annotated[str, typer.Option(metavar="STREAM", help="the raw EMG [default: the only one in volts]")] = "",
     simulate: Annotated[bool, typer.Option("--simulate", help="simulated devices in the place of real ones")] = False,
 ) -> None:
-    """Check the electrodes: rest, then a contraction of every muscle; noise, contraction, crosstalk and hum per channel, with what to do.
+    """Check the electrodes before a session.
 
+    Rest, then contract every muscle. It shows noise, contraction, crosstalk and hum per channel, and what to do about each fault.
     Exit code 0 if every channel is good, 1 if one is doubtful or bad.
     """
     from stream.recording.place import SUFFIX, parts_of

@@ -16,7 +16,7 @@ def compare(
         list[File],
         typer.Argument(
             help="recorded sessions, or results of `kinegraph batch`, with closed, cycles and maxima",
-            metavar="SESSION...",
+            metavar="SESSION",
         ),
     ],
     output: Annotated[File, typer.Option("-o", "--out", help="folder for comparison.html and comparison.csv")] = File(
@@ -30,7 +30,9 @@ def compare(
     ] = "",
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace files that exist")] = False,
 ) -> None:
-    """Scatter of cycles, divergence of mixtures, resemblance, and where mean curves differ: before and after, left and right, a group.
+    """Compare EMG sessions: before and after, left and right, or a group.
+
+    The report shows the scatter of cycles, the divergence of mixtures, which sessions resemble each other, and where mean curves differ.
 
     A recording with cycles of two legs counts as two sessions, each job of a batch as one. Sessions whose curves were normalised or
     filtered otherwise are refused.

@@ -18,7 +18,7 @@ def sessions(
     output: Annotated[File | None, typer.Option("-o", "--out", help="a CSV file instead of a table")] = None,
     subject: Annotated[str, typer.Option(help="only sessions of this subject")] = "",
 ) -> None:
-    """Each recording's subject, date, length, facts, gait cycles (accepted and rejected) and the channels that were not good.
+    """List recordings: subject, date, length, facts, gait cycles (accepted and rejected), channels that were not good.
 
     Cycles and quality are there where the session recorded them (`closed` of cycles or of a review, `quality`). A file that cannot be read
     is listed with the reason. Exit code 0, or 1 where there is no recording at all.

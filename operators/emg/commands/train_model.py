@@ -15,7 +15,7 @@ def emg_model(
         list[File],
         typer.Argument(
             help="recorded sessions, or results of `kinegraph batch`, with closed, cycles and maxima",
-            metavar="SESSION...",
+            metavar="SESSION",
         ),
     ],
     output: Annotated[File, typer.Option("-o", "--out", help="the model to be made")] = File("emg-model.npz"),

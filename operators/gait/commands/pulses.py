@@ -25,9 +25,10 @@ def pulses(
     ] = None,
     within_ms: Annotated[float, typer.Option(help="pulses that match lie this near to each other")] = 20.0,
 ) -> None:
-    """Offset, drift and residual of two recordings' clocks, by the same trigger (TTL line, LSL markers, switch) recorded in both.
+    """Compare two recordings' clocks by a trigger that both recorded (TTL line, LSL markers, switch).
 
-    Prints what to add to the second's times. Refused where fewer than three pulses match, or evenly spaced pulses fit in several ways.
+    Prints offset, drift and residual, and what to add to the second's times. Refused where fewer than three pulses match, or evenly
+    spaced pulses fit in several ways.
     """
     from operators.gait.pulse_match import match_pulses
 

@@ -31,7 +31,7 @@ class Shown:
 
 
 def graph(
-    recordings: Annotated[list[File], typer.Argument(help="recordings that hold poses", metavar="RECORDING...")],
+    recordings: Annotated[list[File], typer.Argument(help="recordings that hold poses", metavar="RECORDING")],
     output: Annotated[File, typer.Option("-o", "--out", help="the model to be made")] = File("graph.npz"),
     within_cm: Annotated[
         float,

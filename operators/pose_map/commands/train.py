@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def map_(
-    recordings: Annotated[list[File], typer.Argument(help="recordings of markers or poses", metavar="RECORDING...")],
+    recordings: Annotated[list[File], typer.Argument(help="recordings of markers or poses", metavar="RECORDING")],
     output: Annotated[File, typer.Option("-o", "--out", help="the model to be made")] = File("map.npz"),
     markers: Annotated[File | None, typer.Option(metavar="FILE", help="YAML: which markers; see below")] = None,
     origin: Annotated[str, typer.Option(help="without --markers: the marker that positions are relative to")] = "",

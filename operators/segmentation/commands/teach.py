@@ -30,12 +30,13 @@ class Exemplar:
 
 def teach(
     recording: Annotated[
-        File, typer.Argument(help="what `kinegraph run` or `replay` made of configs/segment_mocap.yaml")
+        File,
+        typer.Argument(metavar="RECORDING", help="what `kinegraph run` or `replay` made of configs/segment_mocap.yaml"),
     ],
     shown: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="NAME=FROM-TO...",
+            metavar="NAME=FROM-TO",
             help='an exercise, and from which second to which it is shown; left out: as annotations such as "this is: squat" say',
         ),
     ] = None,
@@ -44,7 +45,9 @@ def teach(
     node: Annotated[str, typer.Option(help="the node whose segments these are, if there are several")] = "",
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a model that exists")] = False,
 ) -> None:
-    """Learn what exercises are called: the repetitions found in the given seconds are kept as examples.
+    """Teach the names of exercises.
+
+    The repetitions found in the given seconds are kept as examples.
 
     kinegraph teach session "squat=12.0-30.5" "arms=1-12" -o exercises.npz
     kinegraph teach session                       (by what was said while it ran: "this is: squat")

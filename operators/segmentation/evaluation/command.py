@@ -38,9 +38,12 @@ SHOWN = {
 
 def segmentation(
     result: Annotated[
-        File | None, typer.Argument(help="a recording with segments, a CSV of them, or results of `kinegraph batch`")
+        File | None,
+        typer.Argument(
+            metavar="RESULT", help="a recording with segments, a CSV of them, or results of `kinegraph batch`"
+        ),
     ] = None,
-    truth: Annotated[File | None, typer.Argument(help="annotations: CSV or NPZ")] = None,
+    truth: Annotated[File | None, typer.Argument(metavar="TRUTH", help="annotations: CSV or NPZ")] = None,
     table: Annotated[
         File | None,
         typer.Option(

@@ -19,9 +19,12 @@ if TYPE_CHECKING:
 def sleep(
     estimate: Annotated[
         File | None,
-        typer.Argument(help="a night's hypnogram.edf, its epochs.csv, a recording, or results of `kinegraph batch`"),
+        typer.Argument(
+            metavar="ESTIMATE",
+            help="a night's hypnogram.edf, its epochs.csv, a recording, or results of `kinegraph batch`",
+        ),
     ] = None,
-    reference: Annotated[File | None, typer.Argument(help="the hypnogram: EDF+ or CSV")] = None,
+    reference: Annotated[File | None, typer.Argument(metavar="REFERENCE", help="the hypnogram: EDF+ or CSV")] = None,
     nights: Annotated[
         File | None,
         typer.Option(

@@ -20,7 +20,7 @@ MOST_FRAMES = 400
 def mesh(
     recordings: Annotated[
         list[File],
-        typer.Argument(help="recordings of one mesh, or results of `kinegraph batch`", metavar="RECORDING..."),
+        typer.Argument(help="recordings of one mesh, or results of `kinegraph batch`", metavar="RECORDING"),
     ],
     markers: Annotated[File, typer.Option(help="YAML: which vertex each marker stands for; see below")],
     output: Annotated[File, typer.Option("-o", "--out", help="the model to be made")] = File("mesh.npz"),

@@ -58,9 +58,7 @@ def steps(
     ],
     recordings: Annotated[
         list[File],
-        typer.Argument(
-            help="recordings of an inertial sensor, or results of `kinegraph batch`", metavar="RECORDING..."
-        ),
+        typer.Argument(help="recordings of an inertial sensor, or results of `kinegraph batch`", metavar="RECORDING"),
     ],
     target: Annotated[StepTarget, typer.Option(help="the column that is learned; person: re-identification")],
     output: Annotated[File, typer.Option("-o", "--out", help="the model to be made")] = File("steps.npz"),

@@ -21,7 +21,7 @@ RATE_HZ = 30.0
 def pose(
     recordings: Annotated[
         list[File],
-        typer.Argument(help="recordings that hold poses, or results of `kinegraph batch`", metavar="RECORDING..."),
+        typer.Argument(help="recordings that hold poses, or results of `kinegraph batch`", metavar="RECORDING"),
     ],
     output: Annotated[File, typer.Option("-o", "--out", help="the model to be made")] = File("pose.npz"),
     markers: Annotated[
