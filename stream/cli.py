@@ -9,11 +9,13 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from functools import wraps
+from functools import partial, wraps
 from importlib.metadata import entry_points, version
 from io import TextIOWrapper
+from types import FrameType
 from typing import Any, NoReturn
 
+from stream.compiler_at_work import later, within_llvm
 from stream.complete import be_private
 from stream.errors import Interrupted, KinegraphError, Terminated, nearest
 from stream.plain import say
@@ -110,7 +112,10 @@ def _terminable() -> Iterator[list[int]]:
     """
     came: list[int] = []
 
-    def end(number: int, _frame: object) -> None:
+    def end(number: int, frame: FrameType | None) -> None:
+        if within_llvm(frame):
+            later(partial(signal.raise_signal, number))
+            return
         came.append(number)
         raise Terminated
 
@@ -127,7 +132,10 @@ def _terminable() -> Iterator[list[int]]:
             signal.signal(number, handler)
 
 
-def _interrupt(_number: int, _frame: object) -> None:
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    if within_llvm(frame):
+        later(partial(signal.raise_signal, number))
+        return
     raise Interrupted  # which no operator can be taken for that raises KeyboardInterrupt by itself
 
 

@@ -11,11 +11,13 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
+from types import FrameType
 from typing import TYPE_CHECKING, Any, Self
 
 import structlog
 
 from stream.chunk import NS, utc
+from stream.compiler_at_work import later, within_llvm
 from stream.errors import Interrupted, RunError, Terminated
 
 if TYPE_CHECKING:
@@ -84,10 +86,14 @@ class Ending:
         ):  # the warm-up has seen by itself that it is to stop
             raise Terminated from error
 
-    def _in_main(self, _number: int, _frame: object) -> None:
-        if self._interrupts:
-            self._interrupts = False
-            raise self._raises
+    def _in_main(self, _number: int, frame: FrameType | None) -> None:
+        if not self._interrupts:
+            return
+        self._interrupts = False
+        if within_llvm(frame):
+            later(self._interrupt)
+            return
+        raise self._raises
 
     # the thread that hears signals -----------------------------------------------------------------------------------
 
