@@ -4,7 +4,7 @@ cores      the same jobs by one worker and by two, in turns: how much faster two
 overhead   a job's wall time in a batch beside a bare loop of replays that write the same tables, in one process
 scheduler  sleeping jobs on 1 to 16 workers of one thread: what Dask adds to a job beyond its sleep, through the loop of a batch
 
-`--sleeping 100000 --workers 1 4 16` is the whole; it takes 40 minutes, most of them asleep.
+`--sleeping 100000` is the whole; it takes 40 minutes, most of them asleep.
 """
 
 from __future__ import annotations
