@@ -85,6 +85,7 @@ class PacketClock:
                 lost[at] = -1
             self._number, self._counter, self._arrival = int(number[-1]), int(counters[-1]), arrival_ns
             self._clock.see(round(self._made(self._number)), arrival_ns)
+            lost[0] = lost[0] or -int(self._clock.take_gap())
         device = np.round(self._from_ns + (number - self._from_number) * self._period).astype(np.int64)
         return Packets(kept, number, lost, device, self._clock.stamps(device))
 
@@ -102,6 +103,7 @@ class PacketClock:
         self._number, self._counter, self._arrival = number, counter, arrival_ns
         device = round(self._made(number))
         self._clock.see(device, arrival_ns)
+        lost = lost or -int(self._clock.take_gap())
         row = np.array([number, lost, device, self._clock.stamp(device)])
         return Packets(np.ones(1, bool), row[0:1], row[1:2], row[2:3], row[3:4])
 

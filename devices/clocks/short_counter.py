@@ -54,6 +54,7 @@ class ShortCounter:
         device = np.round(self._from_ns + (number - self._from_number) * self._period).astype(np.int64)
         self._watch(int(device[-1]), arrival_ns)
         self._clock.see(int(device[-1]), arrival_ns)
+        lost[0] = lost[0] or -int(self._clock.take_gap())
         return Packets(np.ones(len(counters), bool), number, lost, device, self._clock.stamps(device))
 
     def _watch(self, device_ns: int, arrival_ns: int) -> None:

@@ -101,7 +101,8 @@ class Stamps:
         None, with nothing changed, where they do not follow it without a gap; `take` is for those.
         """
         if (
-            not self._losses.go_on_by(last_ns - self._time.value, n)
+            self._clock.is_waking(arrival_ns)
+            or not self._losses.go_on_by(last_ns - self._time.value, n)
             or (step := self._time.go_on(last_ns, n, arrival_ns)) is None
         ):
             return None
@@ -127,7 +128,9 @@ class Stamps:
             kept[i], number[i] = lost[i] > REPEATED, self._losses.number
             device[i] = value + self._losses.within_ns
         self._clock.map(device[mapped:], kept[mapped:], arrival_ns, stamp[mapped:])
-        return Packets(kept, number[kept], lost[kept], device[kept], stamp[kept])
+        missing = lost[kept]
+        self._mark(missing)
+        return Packets(kept, number[kept], missing, device[kept], stamp[kept])
 
     def _one(self, raw_ns: Times, counter: Array | None, arrival_ns: int, again: bool) -> Packets:
         """The same as `_by_time` for one record, as most reads bring it, without arrays on the way."""
@@ -142,6 +145,7 @@ class Stamps:
             return NOTHING
         value += self._losses.within_ns
         self._clock.see(value, arrival_ns)
+        lost = lost or -int(self._clock.take_gap())
         row = np.array([self._losses.number, lost, value, self._clock.stamp(value)])
         return Packets(np.ones(1, bool), row[0:1], row[1:2], row[2:3], row[3:4])
 
@@ -152,8 +156,14 @@ class Stamps:
             return None
         lost = self._losses.before_even(device, arrival_ns)
         self._clock.see(int(device[-1]), arrival_ns)
+        self._mark(lost)
         stamp = self._clock.stamps(device)
         return Packets(np.ones(len(device), bool), np.full(len(device), -1, np.int64), lost, device, stamp)
+
+    def _mark(self, lost: Times) -> None:
+        """Mark a gap before the first of the records (n,) that were seen last, if one is due."""
+        if len(lost) and self._clock.take_gap():
+            lost[0] = lost[0] or -1
 
     def _by_arrival(self, n: int, arrival_ns: int) -> Packets:
         """Evenly back from the arrival, at the nominal rate, but not before what came last."""

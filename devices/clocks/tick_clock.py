@@ -103,6 +103,8 @@ class TickClock:
             lost, number, device_ns = lost[kept], number[kept], device_ns[kept]
         if len(device_ns):
             self._clock.see(int(device_ns[-1]), arrival_ns)
+            if self._clock.take_gap():
+                lost[0], clean = lost[0] or -1, False
         return Packets(kept, number, lost, device_ns, self._clock.stamps(device_ns), clean)
 
     def _in_order(self, counters: Times, ticks: Times, arrival_ns: int, number: Times, device_ns: Times) -> bool:

@@ -59,6 +59,19 @@ def test_delays_that_grow_for_a_while_are_no_drift() -> None:
     assert abs(clock.state.drift_ppm) < 100
 
 
+@pytest.mark.parametrize("ppm", [-200_000.0, -20_000.0, -5_000.0, -1_000.0, 0.0, 20_000.0])
+def test_until_the_drift_is_known_the_uncertainty_covers_what_stamps_fall_behind(ppm: float) -> None:
+    """A device slower than it says by far: for its first seconds nothing else than their own lateness shows it."""
+    true, device, arrival = link(10, 50, ppm, seed=9)
+    clock = DeviceClock(0.003)
+    for i in range(len(device)):
+        clock.see(int(device[i]), int(arrival[i]))
+        error = abs(int(clock.stamps(device[i : i + 1])[0]) - int(true[i])) / NS
+        if clock.state.seconds >= 2 and clock.state.settling:
+            assert error <= clock.state.uncertainty_s + 0.020, "beside the jitter of what has come so far"
+            assert clock.state.uncertainty_s < 0.15 + 3 * abs(ppm) * 1e-6 * true[i] / NS
+
+
 def test_arrival_times_alone_would_be_far_worse() -> None:
     true, device, arrival = link(120, 50, 50.0, seed=2)
     stamps, _ = mapped(device, arrival)
