@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter as Tally
 from collections import deque
 from collections.abc import Iterable, Sequence
 from typing import Protocol
 
 import numpy as np
 
-from devices.clocks.counter_check import CounterCheck
+from devices.clocks.counter_check import ENOUGH, MOSTLY, CounterCheck
 from devices.clocks.device_clock import ClockState, DeviceClock
 from devices.clocks.device_time import DeviceTime
 from devices.clocks.packet_clock import Packets
@@ -103,12 +104,30 @@ class FrameReading:
         """Once there has been a frame, silence is for the engine to judge."""
         if self._seen or not came or silent_s <= FIRST_FRAME_S:
             return ""
+        if text := self._counters():
+            return f"no frame from {self._port} within {FIRST_FRAME_S:g} s, as none is believed: {text}"
         syncs = " or ".join(layout.sync.hex(" ") or f"{layout.size} bytes" for layout in self._layouts)
+        check = " and a right checksum" if all(layout.checksum.size for layout in self._layouts) else ""
         return (
-            f"no frame from {self._port} within {FIRST_FRAME_S:g} s: expected {syncs} and a right checksum; came {shown(came)}"
+            f"no frame from {self._port} within {FIRST_FRAME_S:g} s: expected {syncs}{check}; came {shown(came)}"
             + _fits(self._spoilt, self._layouts)
             + self._hint
         )
+
+    def _counters(self) -> str:
+        """What speaks against frames that have their places but no checksum, if it is their counter; "": nothing."""
+        steps = Tally(
+            (after - before, before if after == before else -1)
+            for before, after in self._decoder.contradicted.elements()
+        )
+        if steps.total() < ENOUGH:
+            return ""
+        (step, at), times = steps.most_common(1)[0]
+        what = "is it the field of the counter? Else leave the counter out"
+        if times < MOSTLY * steps.total():
+            return f"the counter of one frame does not lead to that of the next: {what}"
+        way = f"goes up by {step} a frame" if step > 0 else "counts down" if step else f"stands still at {at}"
+        return f"their counter {way}: {what}"
 
     def take(self, data: bytes, feed: Feed) -> int:
         found = self._decoder.feed(data)
@@ -190,6 +209,10 @@ class FrameReading:
             within = 0 if own is None else self._losses[kind].within_ns
             device[i], number[i], kept[i] = self._now + within, self._losses[kind].number, lost[i] > REPEATED
         self._clock.map(device[mapped:], kept[mapped:], arrival, stamp[mapped:])
+        if self._clock.take_gap():
+            for kind in tables:
+                first = np.flatnonzero((kinds == kind) & kept)[:1]
+                lost[first] = np.where(lost[first] == 0, -1, lost[first])
         packets = {}
         for kind in tables:
             here = kinds == kind

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.clocks.device_time import STILL_NS, STILL_STEPS
 from stream.chunk import NS, Samples, Times
 from stream.errors import RunError
 from stream.source import Feed
@@ -58,6 +59,8 @@ class RateCheck:
         self._wraps = wraps_ns if wraps_ns < 2**62 else 0
         self._told = rate_hz or 0.0
         self._first = True
+        self._stood = False
+        """Whether it has been said that the device's time stands still."""
         self._from = 0
         self._begin()
 
@@ -98,6 +101,13 @@ class RateCheck:
 
     def _look(self, arrival_ns: int, feed: Feed) -> float | None:
         passed = arrival_ns - self._arrivals[0]
+        stood_ns, longest_ns = self._stands(arrival_ns)
+        if stood_ns:
+            if stood_ns > longest_ns:
+                self._tell_of_standing((passed - stood_ns) / NS, feed)
+                self._begin()
+            return None
+        self._stood = False
         over, first = passed >= TO_S * NS, self._first
         least = WRONG if over else max(WRONG, SURE_S * NS / passed)
         found, text = None, ""
@@ -113,6 +123,26 @@ class RateCheck:
         if found is None:
             return None
         return self._tell(found, text, grave, feed)
+
+    def _stands(self, arrival_ns: int) -> tuple[int, int]:
+        """For how long (ns) records have come with one time, after others (0: they do not); and for how long a time may stand."""
+        moved = next((i for i in range(len(self._steps) - 1, -1, -1) if self._steps[i].any()), None)
+        if moved is None or self._made[-1] - self._made[moved] < STILL:
+            return (arrival_ns - self._arrivals[0], 0) if self._stood and moved is None and self._steps else (0, 0)
+        last, stood = self._steps[moved], arrival_ns - self._arrivals[moved]
+        usual = int(last[last != 0][-1])
+        return (stood, max(STILL_NS, STILL_STEPS * usual)) if stood > 2 * usual else (0, 0)
+
+    def _tell_of_standing(self, after_s: float, feed: Feed) -> None:
+        """Its stamps are the arrivals' from here on; at the start that is no way to begin. Raises RunError."""
+        text = f"its time stands still at {self._last} ns from {after_s:.1f} s on: has the device's clock stopped?"
+        if self._first and self._policy == "fail" and not feed.again:
+            raise RunError(f"{self._device} is not as declared: {text}; `rate_mismatch: warn` goes on by the arrivals")
+        self._first = False
+        if not self._stood:
+            self._stood = True
+            feed.problem("time stands still")
+            feed.tell("rate mismatch", text=text)
 
     def _may_be_loss(self, hz: float) -> bool:
         """Whether a rate is one that the declared one becomes where samples are lost on the way, unseen."""

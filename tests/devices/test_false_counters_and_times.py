@@ -15,7 +15,7 @@ from devices.binary import Binary
 from devices.protocols.declared import Field, Frame
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from stream.chunk import NS
-from stream.errors import RunError
+from stream.errors import DeviceError, RunError
 from tests.devices.scripted import BEGAN, Arriving, played
 from tests.support.device_feed import check
 
@@ -85,6 +85,23 @@ def test_the_same_of_frames(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
+    ("number", "named"),
+    [
+        (lambda i: 7, "their counter stands still at 7"),
+        (lambda i: -i % 256, "their counter counts down"),
+        (lambda i: 30 * i % 256, "their counter goes up by 30 a frame"),
+    ],
+)
+def test_a_counter_for_which_frames_without_a_checksum_are_not_believed_is_named(
+    number: Callable[[int], int], named: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frame = Frame("A5 5A", (Field("u8", role="counter"), Field("i16", name="a")), name="x", rate_hz=RATE)
+    brain = Liar(lambda i: b"\xa5\x5a" + bytes([number(i), i % 256, i // 256 % 128]))
+    with pytest.raises(DeviceError, match=f"none is believed: .*{named}.*leave the counter out"):
+        played(Binary("a", (frame,)), brain, 12.0, monkeypatch)
+
+
+@pytest.mark.parametrize(
     "wrong", [GOOD, Misbehaviour(lose=0.4, seed=3), Misbehaviour(duplicate=0.4), Misbehaviour(corrupt=0.2)]
 )
 @pytest.mark.parametrize("time", ["", "t"])
@@ -109,6 +126,27 @@ def test_a_time_that_stands_still_from_the_start_ends_the_session(monkeypatch: p
     source = AsciiLines("the port", COLUMNS, time="t", rate_hz=RATE, rate_mismatch="warn")
     with pytest.raises(RunError, match="the port is not as declared: its time stands still"):
         played(source, lines(lambda s: "12345"), 12.0, monkeypatch)
+
+
+@pytest.mark.parametrize("counter", ["", "n"])
+@pytest.mark.parametrize("stops_s", [0.5, 1.9, 5.0, 9.8])
+def test_a_time_that_stops_in_the_first_seconds_is_named_as_what_it_is(
+    stops_s: float, counter: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same was told as a rate of 300 for 250 Hz, or ended in a division by zero."""
+    source = AsciiLines("the port", COLUMNS, time="t", counter=counter, rate_hz=RATE)
+    brain = lines(lambda s: f"{min(s, stops_s) * 1e6:.0f}")
+    with pytest.raises(
+        RunError, match=f"the port is not as declared: its time stands still at .* from {stops_s:.1f} s on"
+    ):
+        played(source, brain, 20.0, monkeypatch)
+    source = AsciiLines("the port", COLUMNS, time="t", counter=counter, rate_hz=RATE, rate_mismatch="warn")
+    feed = played(source, lines(lambda s: f"{min(s, stops_s) * 1e6:.0f}"), 20.0, monkeypatch)
+    index, error = feed.data("out")[:, 0], errors_s(feed)
+    assert sorted(kind for kind, _ in feed.told) == ["device clock jumped", "rate mismatch"]
+    (gap,) = feed.lost("out")
+    assert np.abs(error[(index < stops_s * RATE) | (np.arange(len(index)) >= gap)]).max() < 0.015
+    assert feed.problems["time stands still"] == 1 and not feed.problems["lost line"]
 
 
 @pytest.mark.parametrize("counter", ["", "n"])
