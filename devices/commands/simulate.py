@@ -32,8 +32,9 @@ def simulate(
     """Run a simulated device on its own; print the address at which it is found.
 
     It speaks the real device's protocol, so kinegraph or any other software can be pointed at it. Faults are written the same way for
-    all: lose=0.01, duplicate=, corrupt= (shares of packets), stall_every_s=, stall_s=, reset_every_s=, unplug_every_s=, unplug_s=, from_s=.
-    What means nothing to a device (a counter started again where there is none) is refused.
+    all: lose=0.01, duplicate=, corrupt= (shares of packets), stall_every_s=, stall_s=, reset_every_s=, unplug_every_s=, unplug_s=; its
+    clock is set, jump_every_s=, by jump_s= (below 0: back); from_s= (nothing goes wrong before), seed=. What means nothing to a
+    device (a counter started again where there is none) is refused.
     """
     from devices.simulators.misbehaviour import Misbehaviour
     from devices.simulators.named import find, named

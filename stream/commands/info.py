@@ -87,12 +87,18 @@ def devices(recording: Recording) -> dict[str, dict[str, Any]]:
 
 
 def clocks(recording: Recording) -> dict[str, dict[str, Any]]:
-    """By source: what was known last of its device's clock, {"offset_s", "drift_ppm", "uncertainty_s", "settling", ...}."""
+    """By source: what was known last of its device's clock, {"offset_s", "drift_ppm", "uncertainty_s", "settling", ...}.
+
+    settled_within_s: as far off stamps may be from before its drift was known, at the start and after each jump.
+    """
     known: dict[str, dict[str, Any]] = {}
     for entry in recording.metrics():
         for stream, row in entry["table"].items():
-            if row.get("clock"):
-                known[stream.partition(".")[0]] = row["clock"]
+            if clock := row.get("clock"):
+                node = stream.partition(".")[0]
+                before = known.get(node, {}).get("settled_within_s", 0.0)
+                now = clock["uncertainty_s"] if clock["settling"] else 0.0
+                known[node] = {**clock, "settled_within_s": max(before, now)}
     return known
 
 
@@ -158,11 +164,18 @@ def _show(console: Screen, recording: Recording, most: int | None) -> None:
 def _clock_lines(known: dict[str, dict[str, Any]]) -> list[str]:
     lines = []
     for node, clock in known.items():
-        settling = ", still settling" if clock["settling"] else ""
+        before = clock["settled_within_s"]
+        settling = (
+            ", still settling"
+            if clock["settling"]
+            else f" (until it had settled: {1e3 * before:.1f} ms)"
+            if before
+            else ""
+        )
         jumps = f", set or restarted {clock['jumps']} times" if clock["jumps"] else ""
         lines.append(
-            f"clock {node}: within {1e3 * clock['uncertainty_s']:.1f} ms, drift {clock['drift_ppm']:.1f} ppm, "
-            f"offset {clock['offset_s']:.6f} s{settling}{jumps}"
+            f"clock {node}: within {1e3 * clock['uncertainty_s']:.1f} ms{settling}, drift {clock['drift_ppm']:.1f} ppm, "
+            f"offset {clock['offset_s']:.6f} s{jumps}"
         )
     return lines + agreement(known)
 

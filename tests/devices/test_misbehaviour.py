@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from devices.commands.simulate import simulate
 from devices.simulators import ascii_lines, bitalino, cyton, mti, oak, shimmer, trigno, usb_reports
 from devices.simulators.binary import BinaryModel
 from devices.simulators.lines import line_at
@@ -210,3 +211,8 @@ def test_all_devices_misbehave_at_once_and_the_rest_goes_on(tmp_path: Path) -> N
             assert log["source failed", name] > 0 and log["source reopened", name] > 0
             assert log["device", name] > 1 or name in ("ascii", "binary")
     assert healthy.gaps == envelope.gaps == 0 and healthy.samples > 3000 and envelope.samples > 300
+
+
+def test_the_command_names_every_fault() -> None:
+    told = simulate.__doc__ or ""
+    assert [name for name in Misbehaviour.__dataclass_fields__ if f"{name}=" not in told] == []
