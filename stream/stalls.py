@@ -14,16 +14,20 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from stream.spare_memory import give_back, map_large_pieces
+
 SWITCH_INTERVAL_S = 0.0002
 FIRST_GENERATION = 5_000
 
 
 @contextmanager
 def calm() -> Iterator[None]:
-    """Within: garbage collection frozen and rare, threads switched fast. Restores what was set before."""
+    """Within: garbage collection frozen and rare, threads switched fast, large memory mapped by itself. Restores what was set before."""
     thresholds, interval = gc.get_threshold(), sys.getswitchinterval()
     gc.collect()
     gc.freeze()
+    map_large_pieces()
+    give_back()
     gc.set_threshold(FIRST_GENERATION, *thresholds[1:])
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     try:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, TypeAlias
 from stream.ceiling import ceiling, taken
 from stream.errors import MemoryExceeded
 from stream.metrics import rounded
+from stream.spare_memory import give_back
 
 if TYPE_CHECKING:
     from stream.engine.ingress import IngressPort
@@ -149,16 +150,27 @@ class Outcome:
     files: dict[str, str] = field(default_factory=dict)
 
 
+SPARE_BYTES, GIVEN_BACK_S = 1 << 20, 60.0
+"""Once memory has grown by more, what is free of it is given back, at most once in this time."""
+
+
 class MemoryWatch:
-    """Whether a session takes more memory than it may, and whose state has grown since it began."""
+    """Whether a session takes more memory than it may, and whose state has grown since it began. What is merely free is given back."""
 
     def __init__(self, memory_mb: float, pipeline: Pipeline) -> None:
         self._most, self._stages = ceiling(memory_mb), pipeline.stages
         self._first = {name: stage.operator.memory_bytes for name, stage in self._stages.items()}
+        self._held, self._due = 0, 0.0
+        """What the session held after free memory had been given back last, and when that may be done again."""
 
     def exceeded(self) -> MemoryExceeded | None:
         """The error that ends the session; None while all is well. Call it between two chunks."""
-        return self._error(held) if 0 < self._most < (held := taken()) else None
+        held, now = taken(), time.monotonic()
+        if 0 < self._most < held or (now >= self._due and held - self._held > SPARE_BYTES):
+            give_back()
+            held = self._held = taken()
+            self._due = now + GIVEN_BACK_S
+        return self._error(held) if 0 < self._most < held else None
 
     def of(self, error: Exception) -> Exception:
         """What ended the session: a want of memory is reported as such, with whose state has grown; any other error stays as it is."""

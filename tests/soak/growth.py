@@ -22,8 +22,6 @@ WARM = 0.2
 MOST_KB = 1024.0
 BUDGET = re.compile(r"^latency_budget_ms:.*$", re.MULTILINE)
 """Hours that pass in minutes come in large chunks, whatever the graph says of latency."""
-GIVEN_BACK = {"MALLOC_ARENA_MAX": "1", "MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_TRIM_THRESHOLD_": "65536"}
-"""So the C library returns free memory to the system at once, and what a process has is what it holds."""
 
 
 @dataclass(slots=True)
@@ -81,7 +79,7 @@ def grown(use: Use, folder: Path, hours: float = 10.0) -> Growth:
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=log,
-            env={**os.environ, "PYTHONPATH": str(ROOT), **GIVEN_BACK},
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
         )
         while process.poll() is None:
             recorded = any(path.stat().st_size for path in folder.glob("session/*.mcap"))

@@ -26,7 +26,8 @@ def soak(sessions: Sequence[Watched], faults: Sequence[Fault], seconds: float) -
     due: list[tuple[float, int, bool, Fault]] = [(fault.at_s, i, True, fault) for i, fault in enumerate(faults)]
     heapify(due)
     done: Counter[str] = Counter()
-    _wait_until_going(sessions)
+    if not _wait_until_going(sessions):
+        return done
     began = time.monotonic()
     looked = -LOOK_S
     while (now := time.monotonic() - began) < seconds:
@@ -52,11 +53,12 @@ def soak(sessions: Sequence[Watched], faults: Sequence[Fault], seconds: float) -
     return done
 
 
-def _wait_until_going(sessions: Sequence[Watched]) -> None:
-    """Until each records; a session that ends before is found by who judges."""
+def _wait_until_going(sessions: Sequence[Watched]) -> bool:
+    """Until each records. Nothing more happens where one has ended before, which is found by who judges: returns whether all go on."""
     deadline = time.monotonic() + START_S
     while not all(watched.going or not watched.alive for watched in sessions) and time.monotonic() < deadline:
         time.sleep(0.1)
+    return all(watched.going or watched.alive for watched in sessions)
 
 
 def _begin(watched: Watched, fault: Fault) -> bool:
