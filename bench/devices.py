@@ -69,6 +69,56 @@ time.sleep(float(sys.argv[2]))
 print(__import__("json").dumps([time.process_time() - cpu, feed.samples - first, feed.problems]))
 """
 
+RECORDED = """
+import json, pathlib, sys, tempfile, threading, time
+from stream.engine.session import Session
+from stream.graph.load import load_text
+graph = load_text(f"nodes: {{board: {{use: devices.cyton.Cyton, port: {sys.argv[1]!r}}}}}")
+with tempfile.TemporaryDirectory() as folder:
+    session = Session(graph, pathlib.Path(folder, "s"))
+    threading.Thread(target=session.run, daemon=True).start()
+    def came(): return session.table.get("board.emg", {}).get("samples", 0)
+    while not came(): time.sleep(0.01)
+    first, cpu = came(), time.process_time()
+    time.sleep(float(sys.argv[2]))
+    spent, more = time.process_time() - cpu, came() - first
+    lost = session.table["board.emg"].get("lost", 0)
+    session.stop()
+print(json.dumps([spent, more, lost]))
+"""
+
+BARE = """
+import json, sys, tempfile, threading, time
+import numpy as np, serial
+scale = 4.5 / 24 / (2**23 - 1) * 1e6
+def read(port, file):
+    global samples
+    buffer = b""
+    while True:
+        buffer += port.read(max(1, port.in_waiting))
+        while (at := buffer.find(0xA0)) >= 0 and len(buffer) - at >= 33:
+            packet = buffer[at : at + 33]
+            if packet[32] & 0xF0 != 0xC0:
+                buffer = buffer[at + 1 :]
+                continue
+            row = [int.from_bytes(packet[i : i + 3], "big", signed=True) * scale for i in range(2, 26, 3)]
+            file.write(np.array([time.time(), *row]).tobytes())
+            samples, buffer = samples + 1, buffer[at + 33 :]
+samples = 0
+with serial.Serial(sys.argv[1], 115200, timeout=1) as port, tempfile.TemporaryFile() as file:
+    port.write(b"v")
+    time.sleep(1)
+    port.reset_input_buffer()
+    port.write(b"b")
+    threading.Thread(target=read, args=(port, file), daemon=True).start()
+    while not samples: time.sleep(0.01)
+    first, cpu = samples, time.process_time()
+    time.sleep(float(sys.argv[2]))
+    print(json.dumps([time.process_time() - cpu, samples - first, 0]), flush=True)
+    import os; os._exit(0)
+"""
+"""What somebody writes who needs only numbers: pyserial, each packet's microvolts and its arrival into a file. No stamps, no losses."""
+
 THEIRS = """
 import json, sys, time
 from brainflow.board_shim import BoardShim, BrainFlowInputParams
@@ -254,7 +304,8 @@ def _our_reader(address: str) -> Iterator[Callable[[], bytes]]:
 
 def acquisition(rounds: int, seconds: float) -> Section:
     """The whole of a Cyton's acquisition at its own rate, in a process of its own: ours, and BrainFlow's compiled driver."""
-    readers = {"**kinegraph's source**": OURS}
+    bare, recorded = "bare pyserial loop into a file", "**kinegraph, a session that records**"
+    readers = {bare: BARE, "kinegraph's source": OURS, recorded: RECORDED}
     if importlib.util.find_spec("brainflow"):
         readers["BrainFlow's driver (compiled)"] = THEIRS
     cpu: dict[str, list[float]] = {name: [] for name in readers}
@@ -274,12 +325,17 @@ def acquisition(rounds: int, seconds: float) -> Section:
             samples[name] += came
     section = Section(
         f"A Cyton's whole acquisition, {rounds} x {seconds:g} s at 250 Hz",
-        ["", "CPU % of a core", "samples per second"],
+        ["", "CPU % of a core", "times bare", "samples per second"],
     )
+    share = {name: float(np.median(cpu[name])) for name in readers}
     section.rows = [
-        [name, short(float(np.median(cpu[name]))), short(samples[name] / rounds / seconds)] for name in readers
+        [name, short(share[name]), short(share[name] / share[bare]), short(samples[name] / rounds / seconds)]
+        for name in readers
     ]
-    if len(readers) == 1:
+    section.goals = [
+        Goal("a Cyton, recorded, against a bare pyserial loop", share[recorded] / share[bare], 1.6, "times")
+    ]
+    if len(readers) == 3:
         section.notes = ["BrainFlow is not installed."]
     return section
 
