@@ -82,6 +82,7 @@ class Server:
         packets = self.mishaps.spoil(self.brain.say(seconds), seconds)
         if self._out:
             self._kept = []
+            self._cut.clear()  # pulled out once more: it is out
         elif self._cut.is_set() and (packets or time.monotonic() > self._cut_by):
             self._pull_out(packets)
             self._out = True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -15,6 +16,7 @@ import pytest
 from devices.commands.simulate import simulate
 from devices.simulators import ascii_lines, bitalino, cyton, mti, oak, shimmer, trigno, usb_reports
 from devices.simulators.binary import BinaryModel
+from devices.simulators.indexed import Indexed
 from devices.simulators.lines import line_at
 from devices.simulators.lsl import Lsl
 from devices.simulators.misbehaviour import Misbehaviour
@@ -216,3 +218,13 @@ def test_all_devices_misbehave_at_once_and_the_rest_goes_on(tmp_path: Path) -> N
 def test_the_command_names_every_fault() -> None:
     told = simulate.__doc__ or ""
     assert [name for name in Misbehaviour.__dataclass_fields__ if f"{name}=" not in told] == []
+
+
+def test_a_cable_that_is_out_can_be_pulled_once_more() -> None:
+    """A busy soak pulled it again before it was put in, and waited for ever."""
+    with Server(Indexed(rate_hz=200).brain(), line_at("", Indexed.port_name)) as server:
+        server.unplug()
+        again = threading.Thread(target=server.unplug, daemon=True)
+        again.start()
+        again.join(20.0)
+        assert not again.is_alive()

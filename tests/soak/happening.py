@@ -64,6 +64,8 @@ def _wait_until_going(sessions: Sequence[Watched]) -> bool:
 def _begin(watched: Watched, fault: Fault) -> bool:
     """Whether it could happen: a process that is not there cannot be stopped, nor its page be looked at."""
     kind = fault.kind
+    if kind in watched.wrong:  # the one before began late, on a busy machine
+        return False
     if kind in ("kill", "suspend", "machine asleep") and not watched.alive:
         return False
     if kind == "kill" and (watched.wrong & STOPPED or not watched.going):
