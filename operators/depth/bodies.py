@@ -16,6 +16,8 @@ TWO = 1.7
 """Where only what has changed since is known: this many times, so that one of two has gone once half of what one raises has."""
 CROWD_S, ALONE_S = 30, 300
 """For this long; and so long after lying down the share of one body is known."""
+SUSPECT_S = 3
+"""After so long there may be two."""
 
 
 @dataclass(slots=True)
@@ -98,6 +100,10 @@ class Bodies:
             return False
         self.two[k], self.crowd[k] = 1 - self.two[k], 0
         return True
+
+    def suspected(self, k: int) -> bool:
+        """Whether there are two, or may be."""
+        return bool(self.two[k] or self.crowd[k] >= SUSPECT_S)
 
     def _come(self, k: int, mean: Samples, regions: Times, rise: float) -> float:
         """The share of the region that is higher than `taken`, less what is lower: who turns over only moves it."""

@@ -8,10 +8,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from operators.depth.bodies import CROWD, CROWD_S, Bodies
+from operators.depth.bodies import CROWD, CROWD_S, SUSPECT_S, Bodies
 from operators.depth.regions import REGION, block_of, region_spec, sleepers_of, take
 from operators.depth.seconds import Seconds, add, look, restless
 from operators.depth.view import VIEW, check_view
+from operators.depth.visitor import Visitor
 from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times, add_lost
 from stream.operator import Case, Operator, grid
 from stream.params import param
@@ -22,7 +23,7 @@ BED = np.dtype(
 """A sleeper is in bed, out of it, or nobody knows, since `onset`; with the bed's mean height above the empty one, and the share raised.
 
 why   of `unknown`: unseen, dark, camera (it was moved), still (no breath for long), region (something lives where nobody lies); of `in`:
-      body (there is a second one), or ""
+      body (there is, or seems to be, a second one), or ""
 """
 UNKNOWN, IN, OUT = 0, 1, 2
 NAMES = np.array(["unknown", "in", "out"])
@@ -50,7 +51,8 @@ class PresenceState:
     seen_now   (k, 3)           of the newest second: share raised, mean height (mm), share measured
     doubt      (k,)             why the depth is not believed (of DOUBTS); alive: for how many stretches something has moved; was_in: in
                                 bed when the camera was moved
-    bodies                      one in a region, or two
+    bodies, visitor             one in a region, or two; and whether something small walks about
+    told     (k,)               whether the newest event says `body`
     lost       what the next chunks of `out` and `height` say is missing before them
     """
 
@@ -69,6 +71,8 @@ class PresenceState:
     alive: Times
     was_in: Times
     bodies: Bodies
+    visitor: Visitor
+    told: Times
     lost: Times
 
 
@@ -91,8 +95,10 @@ class Presence(Operator[PresenceState]):
     What cannot be judged is `unknown`, and `why` says so: no breath and no movement for `unsure_min`, though the bed is high (a heap that
     was left behind, or breath that is not seen): then movement, or a flat bed, decides; movement for `odd_min` without a break where
     nobody lies (a region that is too large or elsewhere); the camera was moved or sees nothing (`view`). After a move the empty bed is
-    learned again. `in` with `body`: 1.4 times as much is raised, for 30 s, as in the sleeper's first five minutes: there are two. While
-    the empty bed is not known again, what is raised since the sleeper was seen again counts; who came before that is not noticed.
+    learned again. `in` with `body`: 1.4 times as much is raised, for 30 s, as in the sleeper's first five minutes: there are two. So it
+    is said after 3 s already, and taken back where it does not last. While the empty bed is not known again, what is raised since the
+    sleeper was seen again counts; who came before that is not noticed. `body` also while something small walks about: it is raised apart
+    from the sleeper, on blocks that were flat a moment ago, and as many are flat behind it (a cat; not one that walks on the sleeper).
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("view", "regions", "blocks")
@@ -125,7 +131,7 @@ class Presence(Operator[PresenceState]):
                 list(sleepers), block, np.zeros((k, 4), np.int64), np.full(spec.shape, np.nan), Seconds.of(spec.shape),
                 np.zeros(k, np.int64), np.zeros(k, np.int64), np.full(k, NEVER), np.full(k, NEVER), np.zeros(k, np.int64),
                 np.full((k, 3), np.nan), np.zeros(k, np.int64), np.zeros(k, np.int64), np.zeros(k, np.int64),
-                Bodies.of(k, spec.shape), np.zeros(2, np.int64),
+                Bodies.of(k, spec.shape), Visitor.of(k, spec.shape), np.zeros(k, np.int64), np.zeros(2, np.int64),
             ),
             delay_s=1.0,
             decision_s={"out": max(60 * max(quiet_min), BLIND_S, CROWD_S, self.hold_s, self.unseen_s) + self.learn_s + 1},
@@ -198,6 +204,7 @@ class Presence(Operator[PresenceState]):
             heights.append((end - NS, s.seen_now[:, 1].copy()))
             for k in range(len(s.sleepers)):
                 self._judge(k, end, events)
+            s.visitor.second += 1
             if end - s.seconds.since >= self.learn_s * NS:
                 for k in range(len(s.sleepers)):
                     self._judge_stretch(k, end, events)
@@ -209,6 +216,7 @@ class Presence(Operator[PresenceState]):
         s = self.state
         if what == "moved":
             s.bodies.moved(s.empty, s.regions)
+            s.visitor.forget()
             s.empty[:] = np.nan
             s.seconds.since = NEVER
         for k in range(len(s.sleepers)):
@@ -257,15 +265,22 @@ class Presence(Operator[PresenceState]):
             self._become(k, says, int(s.since[k]), end - 1, events)
 
     def _count_bodies(self, k: int, raised: float, end: int, events: Rows) -> None:
-        """Learn what one body raises, and notice a second one."""
+        """Learn what one body raises, and notice a second one, or something that walks about."""
         s = self.state
         if s.state[k] != IN:
             s.bodies.crowd[k] = 0
-        elif s.bodies.known(k):
-            if s.bodies.count(k, self._times(k)):
-                events.append((end - 1, self._event(k, end - CROWD_S * NS, "body" if s.bodies.two[k] else "")))
-        elif raised == raised:
+            return
+        changed = s.bodies.known(k) and s.bodies.count(k, self._times(k))
+        if not s.bodies.known(k) and raised == raised:
             s.bodies.learn(k, raised)
+        part = self._part(k)
+        s.visitor.look(k, part, s.empty[part] - s.seconds.mean[part], self.rise_mm)
+        suspected = s.bodies.suspected(k)
+        body = suspected or s.visitor.here(k)
+        if body != bool(s.told[k]):
+            for_s = SUSPECT_S if suspected else CROWD_S if changed else 1
+            events.append((end - 1, self._event(k, end - for_s * NS, "body" if body else "")))
+            s.told[k] = int(body)
 
     def _times(self, k: int) -> float:
         """How many times the share of one body is raised now; NaN: not known."""
@@ -332,6 +347,7 @@ class Presence(Operator[PresenceState]):
         ):  # a second one is still there, or came while nobody looked: known at once
             s.bodies.two[k] = s.bodies.two[k] or self._times(k) >= CROWD
             why = "body" if s.bodies.two[k] else ""
+        s.told[k] = int(why == "body")
         s.state[k] = s.wanted[k] = state
         s.still[k] = s.still[k] if keep else 0
         s.alive[k] = 0
@@ -340,6 +356,7 @@ class Presence(Operator[PresenceState]):
         if state == OUT:
             s.was_in[k] = 0
             s.bodies.left(k)
+            s.visitor.left(k)
         events.append((stamp, self._event(k, since, why)))
 
     def _event(self, k: int, since: int, why: str) -> tuple[Any, ...]:

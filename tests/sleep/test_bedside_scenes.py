@@ -113,6 +113,14 @@ def test_a_second_body_is_noticed_and_movement_with_it_is_nobodys() -> None:
     assert told.of(2190, 2640) == ({"sleep"}, {""})
 
 
+def test_in_the_epoch_in_which_a_second_body_arrives_movement_is_nobodys() -> None:
+    moves = tuple(range(1456, 1480, 4))
+    scene = Scene(1700, IN, moves=MOVES[:2], partner=((1452, 1650),), partner_moves=moves)
+    told = Told(scene, camera="width: 192, height: 144, fps: 1")
+    assert told.of(1440, 1470) == ({"unknown"}, {"body"}), "the epoch in which it comes"
+    assert "wake" not in told.of(270, 1650)[0]
+
+
 CAME, LEFT = (1410.0, 2100.0), (900.0, 1410.0)
 
 

@@ -207,6 +207,47 @@ def test_a_second_body_is_noticed_also_before_the_empty_bed_is_known_again_after
     ]  # fmt: skip
 
 
+def cat(depth: Array, second: Array, begin: float, end: float, speed: float) -> None:
+    """Two by two blocks and 200 mm high, along the foot of the bed and back; `speed` in blocks a second, 0: it stands."""
+    for i in np.flatnonzero((second >= begin) & (second < end)):
+        column = 6 + round(3 + 3 * np.sin(speed / 3 * (second[i] - begin)))
+        depth[i, 13:14, column : column + 2] = 2050.0 - 200.0
+        depth[i, 12:13, column : column + 2] = 2050.0 - 200.0
+
+
+@pytest.mark.parametrize(("speed", "walks"), [(1.0, True), (0.3, True), (0.0, False)])
+def test_what_walks_about_apart_from_the_sleeper_is_a_body(speed: float, walks: bool) -> None:
+    time, depth = bedroom(1000, (200, 950))
+    second = (time - time[0]) / NS
+    depth[:, 3:12, 8:12][:, 7:] += np.where((second >= 200) & (second < 950), 200.0, 0.0)[:, None, None]  # short legs
+    cat(depth, second, 600, 700, speed)
+    made = presence(time, depth)["out"]
+    why = [(str(e["why"]), (int(e["onset"]) - int(time[0])) / NS) for e in made if e["state"] == "in"]
+    assert [w for w, _ in why] == ["", "body", ""][: 1 + 2 * walks]
+    if walks:
+        assert 600 <= why[1][1] < 640 and 700 <= why[2][1] <= 720
+
+
+def test_a_foot_that_lifts_the_blanket_and_a_turn_are_no_visitors() -> None:
+    time, depth = bedroom(1000, (200, 950))
+    second = (time - time[0]) / NS
+    lifted = (second >= 600) & (second < 700) & (np.sin(second) > 0)
+    depth[np.ix_(lifted, [12, 13], [7, 8])] -= 150.0  # apart from the body, and always in one place
+    depth[np.ix_((second >= 750) & (second < 900), range(3, 12), [8])] += 200.0
+    depth[np.ix_((second >= 750) & (second < 900), range(3, 12), [12])] -= 200.0
+    assert {str(e["why"]) for e in presence(time, depth)["out"] if e["state"] == "in"} == {""}
+
+
+def test_a_second_body_is_suspected_at_once_and_that_is_taken_back_where_it_goes() -> None:
+    time, depth = bedroom(1000, (200, 950))
+    second = (time - time[0]) / NS
+    for begin, end in ((600, 610), (700, 800)):
+        depth[np.ix_((second >= begin) & (second < end), range(3, 12), [6, 7])] -= 200.0
+    made = presence(time, depth)["out"]
+    why = [(str(e["why"]), (int(e["onset"]) - int(time[0])) // NS) for e in made if e["state"] == "in"]
+    assert why == [("", 200), ("body", 600), ("", 610), ("body", 700), ("", 800)]
+
+
 def test_a_partners_movement_is_flagged() -> None:
     x = np.concatenate([motion(30), motion(30, seed=1)], axis=1)
     x[3000:3100, 0] += 2.0
