@@ -36,7 +36,7 @@ nodes:
   presence: {use: operators.depth.presence.Presence, from: {view: view, regions: bed, blocks: simplify.blocks}}
   motion: {use: operators.depth.motion.Motion, from: {regions: bed, frames: simplify}}
   activity: {use: operators.depth.activity.Activity, from: {view: view, bed: presence, far: motion.far, motion: motion}}
-  scorer: {use: operators.sleep.scorer.SleepScorer, from: activity}
+  scorer: {use: operators.sleep.scorer.SleepScorer, from: {in: activity, seen: activity.epochs}}
 """
 STIR_S = 4.0
 """How long a movement of the renderer lasts."""

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from devices.outlets.trigger import TriggerOutlet
     from devices.outlets.vmc import VmcOutlet
     from devices.outlets.vrchat import VrchatTrackers
+    from devices.past_nights import PastNights
     from devices.pose_map.answers import PoseAnswers
     from devices.pose_map.queries import PoseQueries
     from devices.qualisys import Qualisys
@@ -107,6 +108,7 @@ __all__ = [
     "OscInlet",
     "OscOutlet",
     "OscPoints",
+    "PastNights",
     "Performer",
     "Polar",
     "PoseAnswers",
@@ -171,6 +173,7 @@ __getattr__, __dir__ = offered(
         "NiDaq": "devices.analog.nidaq",
         "NightLog": "devices.outlets.night",
         "Oak": "devices.oak",
+        "PastNights": "devices.past_nights",
         "Orbbec": "devices.cameras.orbbec",
         "OscInlet": "devices.osc",
         "OscOutlet": "devices.outlets.osc",

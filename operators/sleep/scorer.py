@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -47,6 +47,7 @@ class ScorerState:
     scored   how many of the newest have no final score yet; waiting: how many of those scored wait for Webster's rules
     silent   how many epochs went by without a sample
     calibrated, gain, offset  whether and how motion becomes counts
+    sleeper  whose activity it is; crowded: whether the newest epoch that was told of had a second body
     """
 
     rule: ScoringRule
@@ -64,6 +65,8 @@ class ScorerState:
     calibrated: bool
     gain: float
     offset: float
+    sleeper: str
+    crowded: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +94,13 @@ class SleepScorer(Operator[ScorerState]):
     Where a neighbour was not seen, its weight is left out of the sum and of the threshold, down to `least_seen` of all weight. What stands
     before the first epoch: zero counts for ActiLife's methods; what was seen otherwise; under Oakley the epoch is unknown (Actiware). After
     the last one no movement is assumed. A silence gives unknown epochs up to `reset_gap_s`; beyond, scoring starts again.
+
+    With `seen` connected (the output epochs of operators.depth.activity.Activity), movement in the epoch before the first one with a second
+    body (`body`) counts as not seen, unless that epoch is final: the other may have come then.
     """
+
+    inputs: ClassVar[tuple[str, ...]] = ("in", "seen")
+    optional: ClassVar[tuple[str, ...]] = ("seen",)
 
     method: MethodName = param("thesis", help="the scorer; all but thesis take counts of their own device")
     threshold: float | None = param(None, help="in place of the method's own (Oakley: 20, 40, 80; thesis: 0.3)")
@@ -111,6 +120,8 @@ class SleepScorer(Operator[ScorerState]):
             raise InputError("in", spec.describe(), "a signal of activity per epoch")
         epoch_s = self._epoch_s(epoch_s)
         channel = the_channel(spec, self.channel)
+        if "seen" in specs and not {"onset", "sleeper", "why"} <= set(specs["seen"].dtype.names or ()):
+            raise InputError("seen", specs["seen"].describe(), "the output epochs of operators.depth.activity.Activity")
         used = self._calibrated(
             spec, spec.unit_of(names_of(spec)[channel]) if spec.channels else spec.units[0], epoch_s
         )
@@ -131,6 +142,7 @@ class SleepScorer(Operator[ScorerState]):
                 made, channel, spec.period_ns, int(self.reset_gap_s * NS) // spec.period_ns, np.full(n, NEVER),
                 np.full(n, np.nan), np.zeros(n, np.int8), np.full(n, np.nan), 0, 0, 0, 0,
                 used is not None, used.gain if used else 1.0, used.offset if used else 0.0,
+                spec.channels[channel] if spec.channels else "", False,
             ),
             decision_s={"out": max(made.future + reach - 0.25, 0.0) * epoch_s},
         )  # fmt: skip
@@ -151,6 +163,13 @@ class SleepScorer(Operator[ScorerState]):
         made: Rows = []
         stamps: list[int] = []
         emitted: list[tuple[str, Chunk]] = []
+        if port == "seen":
+            for event, t in zip(chunk.data, chunk.time.tolist(), strict=True):
+                self._missing(t - 1, made, stamps)
+                self._crowd(str(event["sleeper"]), int(event["onset"]), str(event["why"]) == "body")
+            if chunk.until != FOREVER:
+                self._missing(chunk.until, made, stamps)
+            return [("out", self._chunk(made, stamps, chunk.until))]
         x = np.asarray(chunk.data[:, s.channel], np.float64) if len(chunk.time) else np.empty(0)
         for k, t in enumerate(chunk.time.tolist()):
             self._missing(t - 1, made, stamps)
@@ -183,8 +202,13 @@ class SleepScorer(Operator[ScorerState]):
             )
             inputs[device] = {"in": (spec, grid(1 / epoch_s, 180), night)}
         gap = 3600.0
+        crowd = np.zeros(180, np.dtype([("onset", "<i8"), ("sleeper", "U16"), ("why", "U8")]))
+        crowd["onset"], crowd["sleeper"] = grid(1 / 30.0, 180), "a"
+        crowd["why"][rng.random(180) < 0.3] = "body"
+        seen = (StreamSpec((), crowd.dtype), crowd["onset"] + 30 * NS - 1, crowd)
         return [
             Case(cls(reset_gap_s=gap), inputs[""], least=360),
+            Case(cls(reset_gap_s=gap), {**inputs[""], "seen": seen}, least=360),
             Case(cls("cole_kripke_actilife", rescore=True, reset_gap_s=gap), inputs["actigraph"], least=360),
             Case(cls("oakley", rescore=True, reset_gap_s=gap), inputs["actiwatch"], least=360),
             Case(cls("sadeh", reset_gap_s=gap), inputs["ami"], least=360),
@@ -260,6 +284,17 @@ class SleepScorer(Operator[ScorerState]):
         while s.waiting and self._emit(made, ended=False):
             pass
         stamps += [stamp] * (len(made) - len(stamps))
+
+    def _crowd(self, sleeper: str, onset: int, crowded: bool) -> None:
+        """An epoch of a sleeper has a second body, or none: where it is the first, movement just before may be the other's."""
+        s = self.state
+        if sleeper != s.sleeper:
+            return
+        if crowded and not s.crowded:
+            for place in range(len(s.onset) - s.open, len(s.onset)):
+                if s.onset[place] == onset - s.epoch_ns and s.activity[place] > 0:
+                    s.activity[place] = np.nan
+        s.crowded = crowded
 
     def _emit(self, made: Rows, *, ended: bool) -> bool:
         """The final score of the oldest epoch that waits for it; False if that must wait on."""

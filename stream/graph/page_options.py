@@ -9,7 +9,7 @@ from typing import Any
 from stream.params import param
 
 PANEL_KINDS = (
-    "signal", "events", "table", "cycles", "frame", "scene", "avatar", "hypnogram", "map", "similarity", "state", "graph", "log",
+    "signal", "events", "table", "cycles", "frame", "scene", "avatar", "hypnogram", "weeks", "map", "similarity", "state", "graph", "log",
 )  # fmt: skip
 """Those that the page has itself; operators and outlets bring others."""
 

@@ -446,8 +446,8 @@ def test_every_message_stands_in_the_docs() -> None:
 SHIPPED = {
     "avatar_markers": {"avatar", "scene", "signal", "state", "graph", "log"},
     "treadmill_emg": {"cycles", "signal", "events", "table", "state", "graph", "log"},
-    "bedside_simulated": {"hypnogram", "signal", "events", "table", "state", "graph", "log"},
-    "bedside_sleep": {"hypnogram", "signal", "events", "table", "state", "graph", "log"},
+    "bedside_simulated": {"hypnogram", "weeks", "signal", "events", "table", "state", "graph", "log"},
+    "bedside_sleep": {"hypnogram", "weeks", "signal", "events", "table", "state", "graph", "log"},
     "segment_mocap": {"similarity", "scene", "signal", "events", "table", "state", "graph", "log"},
 }
 

@@ -46,7 +46,7 @@ nodes:
   motion: {use: operators.depth.motion.Motion, from: {regions: bed, frames: simplify, scene: simplify.scene}}
   activity: {use: operators.depth.activity.Activity, from: {view: view, bed: presence, far: motion.far, motion: motion}}
   breathing: {use: operators.depth.breathing.Breathing, from: {regions: bed, bed: presence, blocks: simplify.blocks}}
-  scorer: {use: operators.sleep.scorer.SleepScorer, from: activity}
+  scorer: {use: operators.sleep.scorer.SleepScorer, from: {in: activity, seen: activity.epochs}}
   nights: {use: operators.sleep.nights.Nights, from: {bed: presence}, shortest_h: 0.3}
   statistics: {use: operators.sleep.statistics.SleepStatistics, from: {epochs: scorer, periods: nights}}
   log:

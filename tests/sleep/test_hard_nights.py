@@ -130,10 +130,12 @@ def check_scores(lived: Lived, rows: Rows) -> None:
         a, b = float(row["onset"]), float(row["end"])
         if any(begin <= a and b <= end for begin, end in blind):
             assert row["state"] == "unknown", f"{a - begun:.0f} s: {row}"
-    lit = [(begun + a, begun + b) for a, b in (*scene.lamp, *scene.partner)]
+    lit = [(begun + a, begun + b) for a, b in scene.lamp]
+    two = [(begun + a, begun + b) for a, b in scene.partner]
     for row in rows:
         a, b = float(row["onset"]), float(row["end"])
         disturbed = any(begin <= a and b <= end for begin, end in lit)
+        disturbed = disturbed or any(begin < b and a < end for begin, end in two)  # also where the other comes, or goes
         own = any(a - 330 <= begun + move <= b + 120 for move in scene.moves)
         if disturbed and not own:
             assert row["state"] != "wake", f"{a - begun:.0f} s: {row}"

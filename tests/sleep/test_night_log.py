@@ -380,3 +380,18 @@ def test_one_damaged_night_hides_no_other(kinegraph: Command, tmp_path: Path) ->
     code, out, _ = kinegraph("nights")
     assert code == 0 and "2024-05-01" in out and "2024-05-02" in out and "damaged" in out
     assert "2024-05-03: cannot be read" in out
+
+
+def test_an_epoch_whose_movement_was_withdrawn_says_that_there_was_a_second_body(tmp_path: Path) -> None:
+    night, log = Night(), opened(tmp_path, report=False)
+    log.begin()
+    scored = 100
+    feed(log, night.told(0, scored + LATE))
+    night.state[scored], night.moved[scored] = "unknown", float("nan")
+    feed(log, chain(night.told(scored + LATE), night.end()))
+    log.close()
+    ((folder, _),) = archive.nights(tmp_path)
+    epochs = archive.read_epochs(folder)
+    at = epochs.onset.tolist().index(night.onset(scored))
+    why = epochs.texts["why"]
+    assert (epochs.texts["state"][at], why[at]) == ("unknown", "body") and (why == "body").sum() == 1

@@ -13,6 +13,7 @@ from operators.sleep.scorer import SleepScorer
 from stream.chunk import NS, Chunk, StreamSpec
 from stream.errors import InputError, KinegraphError, ParameterError
 from stream.sleep_night import SLEEP, UNKNOWN, WAKE
+from tests.sleep.depth_frames import play
 from tests.sleep.sleep_data import epochs_of, final, needs_data, run, sleep_file
 
 
@@ -185,3 +186,23 @@ def test_an_epoch_length_that_a_method_is_not_made_for(method: str, epoch_s: flo
     spec = StreamSpec((1,), rate_hz=1 / epoch_s, units=("counts",), meta={"device": "actiwatch", "site": "wrist"})
     with pytest.raises(InputError, match="in epochs of"):
         SleepScorer(method).open({"in": spec})  # type: ignore[arg-type]
+
+
+def test_movement_just_before_a_second_body_is_withdrawn_before_it_is_final() -> None:
+    seen_of = np.dtype([("onset", "<i8"), ("sleeper", "U16"), ("why", "U8")])
+    onset = np.arange(60, dtype=np.int64) * 30 * NS
+    activity = np.zeros((60, 1))
+    activity[[20, 30, 40]] = 0.5
+    told = np.zeros(60, seen_of)
+    told["onset"], told["sleeper"] = onset, "me"
+    told["why"][[21, 22, 23, 35]] = "body"
+    activity[[21, 22, 23, 35]] = np.nan
+    spec = StreamSpec((1,), rate_hz=1 / 30, channels=("me",), units=("",))
+    inputs = {"in": (spec, onset, activity), "seen": (StreamSpec((), seen_of), onset + 30 * NS - 1, told)}
+    last = final(play(SleepScorer(), **inputs)["out"])
+    assert np.flatnonzero(np.isnan(last["activity"])).tolist() == [20, 21, 22, 23, 35], "34 had no movement"
+    assert (last["state"][[20, 21, 22, 23, 35]] == "unknown").all()
+    assert (np.delete(last["state"], [20, 21, 22, 23, 35]) == "sleep").all()
+    others = {**inputs, "seen": (inputs["seen"][0], inputs["seen"][1], told.copy())}
+    others["seen"][2]["sleeper"] = "partner"
+    assert np.isnan(final(play(SleepScorer(), **others)["out"])["activity"]).sum() == 4, "of somebody else"

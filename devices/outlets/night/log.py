@@ -194,6 +194,8 @@ class NightLog(Outlet[LogState, LogRuntime]):
         if onset <= self.runtime.last:
             return
         facts = {**known, **rows.final(row)}
+        if rows.withdrawn(facts):
+            facts["why"] = "body"
         self._settle()
         self._forget_deleted(onset)
         if self._begins_or_goes_on(onset, str(known.get("bed", "")), str(row["state"])):

@@ -45,6 +45,11 @@ def final(row: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def withdrawn(facts: dict[str, Any]) -> bool:
+    """Whether an epoch was seen and judged, and its movement then withdrawn: a second body was noticed in the epoch after it."""
+    return facts.get("why") == "" and facts.get("moved_s", "") != "" and facts["activity"] == ""
+
+
 def seen(row: Any) -> dict[str, Any]:
     crosstalk = row["crosstalk"] if "crosstalk" in row.dtype.names else np.nan
     told = {"moved_s": row["moved_s"], "seen": row["seen"], "crosstalk": crosstalk}

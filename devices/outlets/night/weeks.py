@@ -95,12 +95,18 @@ def rows(root: Path, sleeper: str = "") -> list[NightRow]:
                 found.append(row(folder, facts))
             except archive.NightError:
                 continue
+    return apart(found)
+
+
+def apart(found: Sequence[NightRow]) -> list[NightRow]:
+    """The same, with `part` for the shorter ones of several in one night."""
     longest: dict[date, NightRow] = {}
     for one in found:
         if one.kind == "night" and one.in_bed > (longest[one.evening].in_bed if one.evening in longest else 0.0):
             longest[one.evening] = one
     return [
-        replace(one, kind="part") if one.kind == "night" and longest[one.evening] is not one else one for one in found
+        replace(one, kind="part") if one.kind == "night" and longest.get(one.evening, one) is not one else one
+        for one in found
     ]
 
 

@@ -14,6 +14,7 @@ import { SimilarityPanel } from "./similarity";
 import { GraphPanel, LogPanel, StatePanel } from "./state";
 import { Stream } from "./store";
 import { MARKS, Player, Replayer, Timeline } from "./timeline";
+import { WeeksPanel } from "./weeks";
 import { Connection, type Hello, type Message, VERSION } from "./wire";
 
 const WINDOWS_S = [2, 5, 10, 30, 60, 300, 1800, 3600, 36000];
@@ -174,6 +175,7 @@ class Main implements Page {
       case "cycles": return new CyclesPanel(info, streams, this);
       case "frame": return new FramePanel(info, streams, this);
       case "hypnogram": return streams.length ? new HypnogramPanel(info, streams, this) : null;
+      case "weeks": return streams.length ? new WeeksPanel(info, streams, this) : null;
       case "map": return streams.length ? new LiveMapPanel(info, streams, this) : null;
       case "similarity": return streams.length ? new SimilarityPanel(info, streams, this) : null;
       case "avatar": return new AvatarPanel(info, streams, this);
