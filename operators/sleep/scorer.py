@@ -167,8 +167,9 @@ class SleepScorer(Operator[ScorerState]):
             for event, t in zip(chunk.data, chunk.time.tolist(), strict=True):
                 self._missing(t - 1, made, stamps)
                 self._crowd(str(event["sleeper"]), int(event["onset"]), str(event["why"]) == "body")
-            if chunk.until != FOREVER:
-                self._missing(chunk.until, made, stamps)
+            if chunk.until == FOREVER:  # activity itself may go on
+                return [("out", self._chunk(made, stamps, int(chunk.time[-1])))] if len(chunk.time) else []
+            self._missing(chunk.until, made, stamps)
             return [("out", self._chunk(made, stamps, chunk.until))]
         x = np.asarray(chunk.data[:, s.channel], np.float64) if len(chunk.time) else np.empty(0)
         for k, t in enumerate(chunk.time.tolist()):
