@@ -100,6 +100,7 @@ class SleepScorer(Operator[ScorerState]):
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("in", "seen")
+    acts: ClassVar[tuple[str, ...]] = ("in",)
     optional: ClassVar[tuple[str, ...]] = ("seen",)
 
     method: MethodName = param("thesis", help="the scorer; all but thesis take counts of their own device")

@@ -126,5 +126,5 @@ def drawn(browser: LiveBrowser, evenings: int) -> None:
     near = pytest.approx((11.5, 19.0), abs=0.1)
     assert hours(sleep, 0) == near and hours(wake, 0) == pytest.approx((11.0, 11.5), abs=0.1)
     assert hours(sleep, 4) == pytest.approx((13.5, 21.0), abs=0.1), "the night before a free morning is later"
-    assert hours(sleep, 3)[0] == pytest.approx(2.5, abs=0.1), "the nap of the afternoon stands in the same line"
+    assert hours(sleep, 3)[0] == pytest.approx(2.0, abs=0.1), "the nap of the afternoon stands in the same line"
     assert math.isnan(hours(sleep, 9)[0]) and math.isnan(hours(wake, 9)[0]), "there was no night"
