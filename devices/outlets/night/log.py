@@ -276,9 +276,9 @@ class NightLog(Outlet[LogState, LogRuntime]):
             runtime.night, runtime.deleted = None, onset
 
     def _bed(self, row: Any) -> None:
-        self.state.bed = str(row["state"])
+        before, self.state.bed = self.state.bed, str(row["state"])
         night = self.runtime.night
-        if night is not None:
+        if night is not None and self.state.bed != before:  # "in" comes again with a second body, and without it
             night.note(night.facts.exits, [int(row["onset"]), self.state.bed])
 
     def _switched(self, row: Any, stamp: int) -> None:
