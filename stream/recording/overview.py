@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stream.chunk import StreamSpec, Times
-from stream.recording.format import Kept, table
+from stream.recording.format import COLUMNS, Kept, table
 
 NAME, MEDIA_TYPE = "kinegraph.overview/", "application/x-kinegraph-overview"
 LEAST_WIDTH_NS = 1 << 26
@@ -53,15 +53,21 @@ class Overview:
 
 
 class OverviewWriter:
-    """Takes a signal's messages as they are written. `width_ns` must not be 0."""
+    """Takes a signal's messages as they are written. `width_ns` must not be 0. Making one compiles (or loads) both kernels."""
 
     def __init__(self, spec: StreamSpec, width_ns: int) -> None:
+        from stream.recording.extremes import extremes, torn
+
+        self._find_extremes, self._find_torn = extremes, torn
         self._spec, self._width = spec, width_ns
         self._channels = prod(spec.shape)
         self._pieces, self._low, self._high = bytearray(), bytearray(), bytearray()
         self._open: tuple[int, Rows, Rows] | None = None
         self._before: int | None = None
         self._gaps: list[tuple[int, int]] = []
+        nothing = np.empty(0, np.int64)
+        self._extremes(np.empty((0, self._channels), np.float32), nothing, 0)
+        torn(np.empty((0, COLUMNS), np.int64), nothing, 0, 0, np.empty((0, 2), np.int64))
 
     def add(self, body: bytes | memoryview) -> None:
         """Take the samples of a message."""
@@ -72,11 +78,15 @@ class OverviewWriter:
         data = np.frombuffer(body, self._spec.dtype, count, start).reshape(len(times), self._channels)
         self._note_gaps(rows, times)
         piece = times // self._width
-        starts = np.flatnonzero(np.diff(piece, prepend=piece[0] - 1))
-        values = data.astype(np.float32)
-        values[~np.isfinite(values)] = np.nan
-        low, high = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
-        self._append(piece[starts], low, high)
+        with np.errstate(over="ignore"):  # what float32 cannot hold is no finite value
+            values = data.astype(np.float32)
+        self._append(*self._extremes(values, piece, 1 + int(np.count_nonzero(piece[1:] != piece[:-1]))))
+
+    def _extremes(self, values: Rows, piece: Times, m: int) -> tuple[Times, Rows, Rows]:
+        """The `m` pieces of rows `values` (n, channels), and the least and the greatest values of each."""
+        pieces, low, high = np.empty(m, np.int64), *np.empty((2, m, values.shape[1]), np.float32)
+        self._find_extremes(values, piece, pieces, low, high)
+        return pieces, low, high
 
     def _append(self, pieces: Times, low: Rows, high: Rows) -> None:
         """All but the last piece are complete."""
@@ -93,13 +103,10 @@ class OverviewWriter:
         self._high += high.astype("<f4").tobytes()
 
     def _note_gaps(self, rows: Times, times: Times) -> None:
-        first = int(times[0]) if self._before is None else self._before
-        steps = np.diff(times, prepend=first)
-        torn = steps > 2 * self._spec.period_ns
-        begins = np.cumsum(rows[:, 0]) - rows[:, 0]
-        torn[begins[(rows[:, 2] != 0) & (rows[:, 0] > 0)]] = True
-        for i in np.flatnonzero(torn)[: MOST_GAPS - len(self._gaps)]:
-            self._gaps.append((int(times[i] - steps[i]), int(times[i])))
+        before = int(times[0]) if self._before is None else self._before
+        gaps = np.empty((MOST_GAPS - len(self._gaps), 2), np.int64)
+        found = self._find_torn(rows.astype(np.int64), times.astype(np.int64), before, 2 * self._spec.period_ns, gaps)
+        self._gaps += [(begin, end) for begin, end in gaps[:found].tolist()]
         self._before = int(times[-1])
 
     def pack(self) -> bytes:

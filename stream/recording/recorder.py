@@ -30,6 +30,7 @@ PATIENCE_S = 0.02
 """How long the recorder waits for a moment at which the session has nothing to do."""
 PIECE_BYTES = LEAST // 2
 """A chunk with more is recorded in pieces. Readers unpack more than this of any piece of a file, whatever it packs to."""
+MOST_AT_ONCE = PIECE_BYTES + OVERHEAD
 Line: TypeAlias = tuple[int, Any, int]
 """A line of the log (0) or of the metrics (1), and its time (ns)."""
 
@@ -113,21 +114,18 @@ class Recorder:
     def write(self, stream: int, chunk: Chunk, arrival: int, sequence: int) -> None:
         """Hand over a chunk: its arrival (ns of session time) and its place in the input log. An input is copied;
         other arrays are never written again."""
-        slot = self._slots[stream]
-        size = 0 if slot.kept == "outline" else chunk.data.nbytes
-        if size + 8 * len(chunk.time) > PIECE_BYTES:
+        slot, n = self._slots[stream], len(chunk.time)
+        size = (0 if slot.kept == "outline" else chunk.data.nbytes) + OVERHEAD
+        if size + 8 * n > MOST_AT_ONCE and n > 1:
             for piece in _pieces(chunk):
-                self._put(slot, piece.data.nbytes + OVERHEAD, piece, arrival, sequence)
-        else:
-            self._put(slot, size + OVERHEAD, chunk, arrival, sequence)
-
-    def _put(self, slot: RecorderSlot, size: int, chunk: Chunk, arrival: int, sequence: int) -> None:
+                self.write(stream, piece, arrival, sequence)
+            return
         if slot.put - slot.got > self._much and not self._has_room(slot):
             slot.dropped += 1
-            slot.missed += len(chunk.time)
+            slot.missed += n
             return
         try:
-            self._rounds.add(slot, size, chunk, arrival, sequence)
+            self._rounds.add(slot, n, size, chunk, arrival, sequence)
         except (ValueError, TypeError) as error:
             slot.refused += 1
             log.error("a chunk could not be recorded", stream=slot.name, error=str(error))

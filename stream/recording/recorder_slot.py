@@ -36,7 +36,7 @@ class RecorderSlot:
     """A stream (or the log, or the metrics) on its way to the recorder's thread. Each counter has one thread that writes it.
 
     put, dropped, missed, index   of the stream's thread: bytes handed over; chunks dropped; samples dropped since the last chunk accepted;
-                                  index of the next sample
+                                  index of the next message's first sample
     refused                       also of the stream's thread: chunks that were not of the stream's spec
     got                           of the recorder's thread: bytes written
     gathering                     the message that is being gathered; None where nothing has come since the last

@@ -40,8 +40,9 @@ class Rounds:
         self._opened = self.size = 0
         self.newest = self.oldest = 0
 
-    def add(self, slot: RecorderSlot, size: int, chunk: Chunk, arrival: int, sequence: int) -> None:
-        """Join a chunk, which takes `size` bytes, to its stream's message; raises ValueError or TypeError where it is not of its spec."""
+    def add(self, slot: RecorderSlot, n: int, size: int, chunk: Chunk, arrival: int, sequence: int) -> None:
+        """Join a chunk of `n` samples, which takes `size` bytes, to its stream's message; raises ValueError or TypeError where it is not of
+        its spec."""
         with self._lock:
             if arrival > self.newest:
                 self.oldest = self.oldest or arrival
@@ -52,18 +53,27 @@ class Rounds:
                 self._end()
                 self._opened = self.newest
             gathering = slot.gathering
-            if slot.missed and gathering is not None:
-                self._ended.append((slot, gathering))
-                gathering = None
-            if gathering is None:
-                assert slot.spec is not None
-                slot.index += slot.missed
-                slot.missed = 0
-                gathering = slot.gathering = Gathering(slot.spec, slot.kept, slot.index, copied=slot.copied)
-            gathering.add(chunk, size, arrival, sequence)
+            if gathering is None or slot.missed:
+                gathering = self._begun(slot)
+            gathering.add(chunk, n, size, arrival, sequence)
             slot.put += size
-            slot.index += len(chunk.time)
             self.size += size
+
+    def _begun(self, slot: RecorderSlot) -> Gathering:
+        """A new message of a stream, behind what the recorder has missed."""
+        self._ended_with(slot)
+        assert slot.spec is not None
+        slot.index += slot.missed
+        slot.missed = 0
+        slot.gathering = Gathering(slot.spec, slot.kept, slot.index, copied=slot.copied)
+        return slot.gathering
+
+    def _ended_with(self, slot: RecorderSlot) -> None:
+        """A stream's message, if there is one, is whole."""
+        if slot.gathering is not None:
+            slot.index += slot.gathering.count
+            self._ended.append((slot, slot.gathering))
+            slot.gathering = None
 
     def end(self, mark: Event | None = None) -> None:
         """Hand over what has been gathered, then `mark`, and begin a new round; of what is added later, nothing comes before the mark."""
@@ -75,9 +85,7 @@ class Rounds:
 
     def _end(self) -> None:
         for slot in self._slots:
-            if slot.gathering is not None:
-                self._ended.append((slot, slot.gathering))
-                slot.gathering = None
+            self._ended_with(slot)
         self._hand_over(Round(self.newest, [(slot, message) for slot, message in self._ended if message.chunks]))
         self._ended = []
         self.size = 0

@@ -13,6 +13,7 @@ from devices.outlets.page.viewing import RecordingHub
 from stream.chunk import NS, Chunk, StreamSpec, grid
 from stream.graph import RecordingOptions
 from stream.recording import Recorder, Recording
+from stream.recording.format import HEAD
 from stream.recording.overview import MOST_GAPS, OverviewWriter, unpack, width_of
 from stream.recording.records import DAMAGE
 from stream.recording.recover import rewrite
@@ -144,3 +145,32 @@ def test_gaps_have_a_bound() -> None:
     times = np.arange(3000, dtype=np.int64) * NS
     writer._note_gaps(np.array([[3000, 0, 0, 0, 0]]), times)
     assert len(writer._gaps) == MOST_GAPS
+
+
+def test_the_kernels_find_what_a_pass_by_numpy_finds() -> None:
+    """Values: also NaN, infinite, beyond float32. Stamps: also before 1970, equal, with gaps told and untold."""
+    rng = np.random.default_rng(5)
+    period, width = SPEC.period_ns, 1 << 26
+    data = rng.normal(size=(4000, 3)) * 10.0 ** rng.integers(-5, 45, (4000, 1))
+    data[rng.random(data.shape) < 0.2] = np.nan
+    data[700:800], data[900, 0] = np.nan, -np.inf
+    steps = rng.choice([0, period, 2 * period, 2 * period + 1, 90 * period], 4000, p=[0.1, 0.86, 0.02, 0.01, 0.01])
+    times = np.cumsum(steps) - 3 * NS
+    rows = np.zeros((41, 5), np.int64)
+    rows[:, 0] = [*rng.multinomial(4000, [1 / 40] * 40).tolist(), 0]
+    rows[::7, 2], rows[40, 2] = [-1, 3, 0, 1, 2, 5], 9
+    writer = OverviewWriter(SPEC, width)
+    writer.add(HEAD.pack(len(rows), 4000, 0) + rows.tobytes() + times.tobytes() + data.tobytes())
+    found = unpack(writer.pack(), SPEC)
+
+    with np.errstate(over="ignore"):
+        values = data.astype(np.float32)
+    values[~np.isfinite(values)] = np.nan
+    pieces, starts = np.unique(times // width, return_index=True)
+    assert np.array_equal(found.pieces, pieces)
+    assert np.array_equal(found.low, np.fmin.reduceat(values, starts), equal_nan=True)
+    assert np.array_equal(found.high, np.fmax.reduceat(values, starts), equal_nan=True)
+    begins = np.cumsum(rows[:, 0]) - rows[:, 0]
+    told = set(begins[(rows[:, 2] != 0) & (rows[:, 0] > 0)].tolist())
+    torn = [i for i in range(4000) if i in told or (i and times[i] - times[i - 1] > 2 * period)]
+    assert found.gaps == [(int(times[max(i - 1, 0)]), int(times[i])) for i in torn] and len(torn) > 40

@@ -1,0 +1,60 @@
+"""What the overview of a recorded signal is made of, in machine code: the recorder's thread shares the interpreter with the session."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stream.chunk import Times
+from stream.kernel import kernel
+
+Rows: TypeAlias = NDArray[np.float32]
+NAN = np.float32(np.nan)
+
+
+@kernel
+def extremes(values: Rows, piece: Times, pieces: Times, low: Rows, high: Rows) -> None:
+    """The least and the greatest finite value of each run of equal numbers in `piece`; NaN where there is none.
+
+    values  (n, c)  float32
+    piece   (n,)    the number of the piece in which each row lies
+    pieces  (m,)    out: each run's number
+    low     (m, c)  out; so is `high`
+    """
+    k = -1
+    for i in range(values.shape[0]):
+        if k < 0 or piece[i] != pieces[k]:
+            k += 1
+            pieces[k] = piece[i]
+            for c in range(values.shape[1]):
+                low[k, c] = high[k, c] = NAN
+        for c in range(values.shape[1]):
+            v = values[i, c]
+            if np.isfinite(v):
+                if not low[k, c] <= v:
+                    low[k, c] = v
+                if not high[k, c] >= v:
+                    high[k, c] = v
+
+
+@kernel
+def torn(rows: Times, time: Times, before: int, longest: int, gaps: Times) -> int:
+    """Where samples are missing: behind a step longer than `longest`, and before a chunk that says so.
+
+    rows    (chunks, 5)  a message's table
+    time    (n,)         its stamps; `before` is the one before them
+    gaps    (most, 2)    out: until when there were samples, and from when again
+
+    Returns how many rows of `gaps` were written.
+    """
+    found = at = 0
+    for k in range(rows.shape[0]):
+        for i in range(at, at + rows[k, 0]):
+            if (time[i] - before > longest or (i == at and rows[k, 2] != 0)) and found < gaps.shape[0]:
+                gaps[found, 0], gaps[found, 1] = before, time[i]
+                found += 1
+            before = time[i]
+        at += rows[k, 0]
+    return found
