@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.features.eigen import symmetric_eigen
+from operators.features.eigen import eigen_part, symmetric_eigen
 from operators.inputs.channels import names_of
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError
@@ -21,6 +21,8 @@ from stream.require import regular, samples_in, width_of
 
 WIDEST = 150
 """The eigenvectors of a wider covariance take longer than a frame."""
+SPREAD = 2
+"""A plane is found over this part of the time until the next, so that no frame takes much longer than others."""
 NOWHERE = 1e-9
 """A cosine below this says no direction."""
 
@@ -64,13 +66,9 @@ def learn(x: Samples, least: float, frames: Times, mean: Samples, covariance: Sa
 
 
 @kernel
-def principal(
-    covariance: Samples, room: Samples, values: Samples, rest: Samples, vectors: Samples, out: Samples
-) -> None:
-    """The k principal axes into rows of `out` (k, c), the greatest first; the greatest number of each is positive."""
-    width = covariance.shape[0]
-    room[:] = covariance
-    symmetric_eigen(room, width, values, rest, vectors)
+def principal(values: Samples, vectors: Samples, out: Samples) -> None:
+    """The k principal axes into rows of `out` (k, c), the greatest first; the greatest number of each is positive. Uses up `values`."""
+    width = values.shape[0]
     for k in range(out.shape[0]):
         best = 0
         for c in range(width):
@@ -83,6 +81,26 @@ def principal(
                 top = c
         for c in range(width):
             out[k, c] = math.copysign(1.0, vectors[best, top]) * vectors[best, c]
+
+
+@kernel
+def look_for_plane(
+    every: int, frames: Times, covariance: Samples, part: Times, room: Samples, lines: Samples, vectors: Samples, target: Samples
+) -> None:  # fmt: skip
+    """One frame's share of finding the plane that the covariance had at the last multiple of `every`; the first plane is found at once."""
+    width = covariance.shape[0]
+    begins = frames[0] % every == 0
+    if begins:
+        room[:] = covariance
+        part[0] = 0
+    if part[0] == 3 * width:
+        return
+    share = 3 * width if frames[0] == every else -(-3 * width // max(1, every // SPREAD))
+    for k in range(part[0], min(3 * width, part[0] + share)):
+        eigen_part(k, room, width, lines[0], lines[1], vectors)
+    part[0] = min(3 * width, part[0] + share)
+    if part[0] == 3 * width:
+        principal(lines[0], vectors, target)
 
 
 @kernel
@@ -177,6 +195,7 @@ def place(
     mean: Samples,
     centre: Samples,
     covariance: Samples,
+    part: Times,
     room: Samples,
     lines: Samples,
     vectors: Samples,
@@ -195,8 +214,8 @@ def place(
             whole = whole and frame[c] == frame[c]
         if whole:
             learn(frame, least, frames, mean, covariance)
-            if frames[0] % every == 0:
-                principal(covariance, room, lines[0], lines[1], vectors, target)
+            if frames[0] >= every:
+                look_for_plane(every, frames, covariance, part, room, lines, vectors, target)
             if frames[0] == every:
                 axes[:] = target
                 centre[:] = mean
@@ -232,7 +251,8 @@ class MotionMapState:
     mean, centre  (c,)     of all frames; of the picture
     covariance    (c, c)
     axes, target  (k, c)   the picture's axes; the principal axes, which they turn to
-    frame, room, lines, vectors, pairs, small   room, which remembers nothing
+    part          (1,)     how far the next target is found, of 3 c parts; room (c, c), lines (2, c), vectors (c, c): what is found of it
+    frame, pairs, small    room, which remembers nothing
     """
 
     used: Times
@@ -245,10 +265,11 @@ class MotionMapState:
     covariance: Samples
     axes: Samples
     target: Samples
-    frame: Samples
+    part: Times
     room: Samples
     lines: Samples
     vectors: Samples
+    frame: Samples
     pairs: Samples
     small: Samples
 
@@ -260,10 +281,11 @@ class MotionMap(Operator[MotionMapState]):
     map        (axes,)  the place, in the input's unit. NaN during the first `learn_s`, and where a feature is
     explained  (axes,)  which share of the variance so far lies along each axis that is shown; together: along the picture
 
-    Every `learn_s` the principal plane (with `axes: 3` the space) of the covariance is recomputed. The picture's axes turn to it along the
-    shortest way, and stay as near to what they were as that plane allows (the orthogonal Procrustes problem): no sign flips, no axes
-    change places. No axis turns faster than `rotation_deg_per_s`, and the picture's centre follows the mean no faster than a pose at the
-    poses' rms distance from it would move by that. So the axes span the principal plane, but need not be the principal axes.
+    Every `learn_s` the principal plane (with `axes: 3` the space) of the covariance is recomputed, over the half of that time that
+    follows, so that no frame takes much longer than others. The picture's axes turn to it along the shortest way, and stay as near to
+    what they were as that plane allows (the orthogonal Procrustes problem): no sign flips, no axes change places. No axis turns faster
+    than `rotation_deg_per_s`, and the picture's centre follows the mean no faster than a pose at the poses' rms distance from it would
+    move by that. So the axes span the principal plane, but need not be the principal axes.
 
     Time is counted in frames: nothing turns in a gap, or while frames are bad. Channels in the input's `meta["missing"]`
     (operators.features.normalised_pose.NormalisedPose) are left out. The memory is a covariance, however long the session is. No delay.
@@ -302,6 +324,7 @@ class MotionMap(Operator[MotionMapState]):
             covariance=np.zeros((c, c)),
             axes=np.zeros((k, c)),
             target=np.zeros((k, c)),
+            part=np.array([3 * c], np.int64),
             frame=np.zeros(c),
             room=np.zeros((c, c)),
             lines=np.zeros((2, c)),
@@ -325,8 +348,8 @@ class MotionMap(Operator[MotionMapState]):
         if n:
             x = np.ascontiguousarray(chunk.data, np.float64)
             place(
-                x, s.used, s.least, s.every, s.most_rad, s.frames, s.frame, s.mean, s.centre, s.covariance, s.room, s.lines,
-                s.vectors, s.axes, s.target, s.pairs, s.small, out, explained,
+                x, s.used, s.least, s.every, s.most_rad, s.frames, s.frame, s.mean, s.centre, s.covariance, s.part, s.room,
+                s.lines, s.vectors, s.axes, s.target, s.pairs, s.small, out, explained,
             )  # fmt: skip
         return [
             ("map", Chunk(chunk.time, out, chunk.until, chunk.lost)),

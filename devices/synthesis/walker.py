@@ -19,6 +19,10 @@ from stream.motion_graph import MotionGraph, edges_from
 LEGS = np.array(
     [[BONES.index(f"{side}{bone}") for bone in ("UpperLeg", "LowerLeg", "Foot", "Toes")] for side in ("Left", "Right")]
 )
+NEARNESS = 3.0
+"""By chance, a seam as far as the farthest is taken e^-3 times as often as a recording's own way on."""
+EVENNESS = 1.0
+"""By chance, a node is entered 2^-1 times as often for each time more that it was entered before."""
 ARRIVED_M = 0.5
 """So near to a target, or to the end of a path, is there."""
 
@@ -36,7 +40,8 @@ class GraphWalk:
     """New motion from a motion graph, one pose a call of `step`: the same for the same graph, aims and seed.
 
     Begins at the place (0, 0), facing z. `feet`: whether feet that stand are held; `smooth`: whether seams are blended (both for comparison
-    only). A walk that has done all its aims goes on by chance; `over` says that they are done.
+    only). A walk that has done all its aims goes on by chance, which prefers near seams and nodes that were entered less often, so that
+    in the long run all that was recorded comes; `over` says that the aims are done.
     """
 
     def __init__(
@@ -48,8 +53,9 @@ class GraphWalk:
         self.random = np.random.default_rng(seed)
         self._begin, self._natural = edges_from(graph), np.ascontiguousarray(graph.natural)
         self._togo = seconds_to(graph)
+        self._far = graph.distance / max(float(graph.distance.max(initial=0.0)), 1e-9)
         nodes = len(graph.first)
-        self._none, self._all_zero = np.zeros(nodes, np.bool_), np.zeros(nodes)
+        self._none, self._all_zero, self._entered = np.zeros(nodes, np.bool_), np.zeros(nodes), np.zeros(nodes)
         self._rooms = np.zeros((2, beam.BEAM + 1, beam.COLUMNS))
         self._progress = np.zeros(5)
         joints = len(graph.tree.joints)
@@ -130,7 +136,7 @@ class GraphWalk:
         start[beam.NODE], start[beam.FRAME], start[beam.ALONG] = self.node, self.frame, self.along
         start[beam.TURN : beam.Z + 1] = self.place
         by_chance = not self.goal.any() and not len(self.path)
-        self._noise = self.random.random(len(g.source)) * (1.0 if by_chance else 1e-3)
+        self._noise = self._lots() if by_chance else 1e-3 * self.random.random(len(g.source))
         wanted = np.ascontiguousarray(self._togo[:, self.aims[0].cluster]) if self.goal.any() else self._all_zero
         self._sought = self.path, self.length, self.areas, wanted, self.goal
         self._progress[:] = 0.0, 1.0, np.inf, -1.0, -1.0
@@ -145,6 +151,22 @@ class GraphWalk:
         if self._otherwise >= 0:
             self._due = min(self._due, int(g.leave[self._otherwise]) - self._half)
         self._edge, self._searching = -1, True
+
+    def _lots(self) -> Samples:
+        """(m,) the lots, 0 to 1, of this node's ways on: chance takes the smallest. Near seams and seldom entered nodes win more often.
+
+        A race of exponential waiting times, of which only the order counts.
+        """
+        g, ways = self.graph, slice(self._begin[self.node], self._begin[self.node + 1])
+        often = self._entered[g.target[ways]]
+        waits = (
+            np.log(self.random.exponential(size=len(often)))
+            + EVENNESS * np.log(2.0) * often
+            + NEARNESS * self._far[ways]
+        )
+        lots = np.zeros(len(g.source))
+        lots[ways.start + np.argsort(waits, kind="stable")] = np.arange(len(waits)) / max(1, len(waits))
+        return lots
 
     def _look_ahead(self) -> None:
         """A part of the search, so that no frame takes much longer than others; what is left of it where the edge must be known now."""
@@ -211,6 +233,7 @@ class GraphWalk:
             self.place = self._beyond(edge)
             self.frame = int(g.enter[edge]) + self.frame - int(g.leave[edge])
         self.node, self._edge = int(g.target[edge]), -1
+        self._entered[self.node] += 1.0
         self._count()
         self._search()
 

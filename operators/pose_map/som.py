@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import ClassVar
 
@@ -197,7 +198,7 @@ class PoseGrid(Operator[PoseGridState]):
         return {
             "place": place,
             "error": place.derive(channels=("error", "rank"), units=(spec.units[0], "")),
-            "cells": StreamSpec((), _event_of(s), units=units, meta=facts),
+            "cells": StreamSpec((), _event_of(*s.codes.shape), units=units, meta=facts),
             "poses": poses,
         }
 
@@ -243,7 +244,7 @@ class PoseGrid(Operator[PoseGridState]):
                 s.random, s.found, s.distances, s.errors, s.trial, s.hits, place, error, done,
             )  # fmt: skip
             if s.counts[SHOWN] > shown:
-                one = np.zeros(1, _event_of(s))
+                one = np.zeros(1, _event_of(*s.codes.shape))
                 one["map"], one["tried"] = shown + 1, s.tried
                 one["quantisation"], one["topographic"] = s.errors.mean(), s.counts[TORN] / s.tried
                 one["count"], one["pose"] = s.hits, s.codes
@@ -253,7 +254,7 @@ class PoseGrid(Operator[PoseGridState]):
                 drawn_at.append(done - 1)
                 s.drawn = shown + 1
         poses = np.array(drawn).reshape(-1, *s.codes.shape)
-        cells = np.concatenate(told) if told else np.empty(0, _event_of(s))
+        cells = np.concatenate(told) if told else np.empty(0, _event_of(*s.codes.shape))
         return [
             ("place", Chunk(chunk.time, place, chunk.until, chunk.lost)),
             ("error", Chunk(chunk.time, error, chunk.until, chunk.lost)),
@@ -274,9 +275,9 @@ class PoseGrid(Operator[PoseGridState]):
         ]
 
 
-def _event_of(s: PoseGridState) -> np.dtype[np.void]:
-    """The dtype of the event that describes a map."""
-    cells, width = s.codes.shape
+@cache
+def _event_of(cells: int, width: int) -> np.dtype[np.void]:
+    """The dtype of the event that describes a map; to make it takes longer than a pose."""
     return np.dtype([
         ("map", "<i8"), ("quantisation", "<f8"), ("topographic", "<f8"), ("tried", "<i8"), ("count", "<i8", (cells,)),
         ("pose", "<f8", (cells, width)),

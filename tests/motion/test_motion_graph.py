@@ -407,18 +407,41 @@ def test_the_runs_of_figure_10_1() -> None:
 
 
 @needs_data
-def test_real_motion_goes_on_without_a_seam() -> None:
-    """CMU 13_29: jumps of velocity hardly larger than recorded (0.71, 0.65 m/s), unlike plain concatenation; standing feet do not slide."""
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_real_motion_goes_on_without_a_seam(seed: int) -> None:
+    """CMU 13_29, three minutes: jumps of velocity no larger than recorded, in all and at the seams alone, unlike plain concatenation.
+
+    Standing feet do not slide.
+    """
     made = recorded("13_29")
-    poses, stood = walked(GraphWalk(made), 1800)
-    plain, _ = walked(GraphWalk(made, feet=False, smooth=False), 1800)
-    joints, bare = joints_of(made.tree, poses)[1], joints_of(made.tree, plain)[1]
-    own = jumps(joints_of(made.tree, made.poses[made.take == 0])[1])
-    assert np.median(skates(joints, stood)) < 0.01
-    assert np.quantile(jumps(joints), 0.99) <= 1.1 * np.quantile(own, 0.99) < np.quantile(jumps(bare), 0.99)
+    walker, poses, stood, seam = GraphWalk(made, seed=seed), [], [], []
+    for _ in range(5400):
+        seam.append(walker._blending)
+        walker.step()
+        poses.append(walker.pose.copy())
+        stood.append(walker.stands.copy())
+    plain, _ = walked(GraphWalk(made, seed=seed, feet=False, smooth=False), 5400)
+    joints, bare = joints_of(made.tree, np.array(poses))[1], joints_of(made.tree, plain)[1]
+    alone = joints_of(made.tree, made.poses[made.take == 0])[1]
+    most = np.quantile(jumps(alone), 0.99)
+    assert np.median(skates(joints, np.array(stood))) < 0.01
+    assert np.quantile(jumps(joints), 0.99) <= most < np.quantile(jumps(bare), 0.99)
+    assert np.quantile(jumps(joints)[np.array(seam)[1:-1]], 0.99) <= most
     steps, was = (np.linalg.norm(np.diff(x, axis=0), axis=2).max() for x in (joints, bare))
-    assert (
-        steps
-        < 1.2 * np.linalg.norm(np.diff(joints_of(made.tree, made.poses[made.take == 0])[1], axis=0), axis=2).max()
-        < was
-    )
+    assert steps < 1.2 * np.linalg.norm(np.diff(alone, axis=0), axis=2).max() < was
+
+
+def test_chance_comes_to_all_that_was_recorded(graph: MotionGraph) -> None:
+    """A walk by chance prefers near seams and nodes that were entered less often: it enters every node of the core, none over and over."""
+    walker = GraphWalk(graph, seed=5)
+    entered = np.zeros(len(graph.first))
+    far = list[float]()
+    while entered.sum() < 12 * graph.core.sum():
+        edge = walker._edge
+        if walker.step():
+            entered[walker.node] += 1
+            far.append(float(graph.distance[edge]))
+    often = entered[graph.core]
+    assert often.min() >= 3 and often.max() <= 36
+    inner = graph.core[graph.source] & graph.core[graph.target]
+    assert np.mean(far) < 0.8 * graph.distance[inner].mean()

@@ -47,12 +47,18 @@ def principal(x: Samples, k: int) -> Samples:
 
 
 def slowly(x: Samples, k: int, every: int, most_rad: float) -> tuple[Samples, Samples]:
-    """The same by numpy's and scipy's SVDs over all frames so far: axes and centre after each frame."""
+    """The same by numpy's and scipy's SVDs over all frames so far: axes and centre after each frame.
+
+    A plane is found in 3 c parts, spread over the first half of the time until the next; the first at once.
+    """
     axes = target = np.zeros((k, x.shape[1]))
+    parts = 3 * x.shape[1]
+    takes = -(-parts // -(-parts // (every // 2)))
     centre, found, centres = np.zeros(x.shape[1]), [], []
     for n in range(1, len(x) + 1):
-        if n % every == 0:
-            target = principal(x[:n], k)
+        since = n % every
+        if n == every or (n > every and since == takes - 1):
+            target = principal(x[: n - since], k)
         if n == every:
             axes = target * np.sign(target[np.arange(k), np.abs(target).argmax(axis=1)])[:, None]
             centre = x[:n].mean(axis=0)
@@ -99,6 +105,19 @@ def test_no_axis_turns_faster_than_the_bound(bound: float) -> None:
     assert steps_deg(axes).max() * RATE <= bound * (1 + 1e-9)
     planes = [np.degrees(subspace_angles(a.T, b.T).max()) * RATE for a, b in pairwise(axes)]
     assert max(planes) == pytest.approx(bound, rel=1e-6), "else the bound was not needed"
+
+
+@pytest.mark.parametrize("learn_s", [0.05, 0.2, 1.0])
+def test_a_plane_is_found_before_the_next_one_is_begun(learn_s: float) -> None:
+    """However seldom or often: at the last frame before the next is begun, the target is the plane of the last whole period."""
+    operator, x = MotionMap(learn_s=learn_s), changing(120)
+    operator.open({"in": StreamSpec((x.shape[1],), rate_hz=RATE, units=("cm",))})
+    every, time = operator.state.every, grid(RATE, len(x))
+    for n in range(1, len(x) + 1):
+        operator.process("in", Chunk(time[n - 1 : n], x[n - 1 : n], int(time[n - 1])))
+        if n >= 20 and n % every == every - 1 and n > every:
+            batch = principal(x[: n - every + 1], 2)
+            assert np.degrees(subspace_angles(operator.state.target.T, batch.T).max()) < 1e-4
 
 
 def test_a_pose_that_is_held_stays_where_it_is_as_far_as_the_bound_says() -> None:
