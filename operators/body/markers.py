@@ -21,14 +21,16 @@ from stream.params import param
 class MarkersState:
     """
     camera    (4,)     fx, fy, cx, cy in pixels
-    heading   (3,)     x and z of where the person faces, and whether that is known
-    lengths   (6,)     of bones (m), and counts (6,): of how much was measured they are
+    heading   (4,)     x and z of where the person faces, whether that is known, and the log odds that left is left
+    pixels    (34, 2)  where the landmarks were in the image of the newest frame
+    lengths   (7,)     of bones (m), and counts (7,): of how much was measured they are
     before    (34, 3)  where the landmarks were in the newest frame (m; NaN: unknown)
     last      stamp of the newest frame
     """
 
     camera: Samples
     heading: Samples
+    pixels: Samples
     lengths: Samples
     counts: Samples
     before: Samples
@@ -66,7 +68,17 @@ class Markers(Operator[MarkersState]):
         camera = camera_of(spec)
         if camera is None:
             raise InputError("in", "a stream of unknown geometry", "one whose spec says `camera`: fx, fy, cx, cy")
-        self.hold(MarkersState(np.array(camera), np.zeros(3), LENGTHS.copy(), np.zeros(6), np.full((34, 3), np.nan), 0))
+        self.hold(
+            MarkersState(
+                np.array(camera),
+                np.zeros(4),
+                np.full((34, 2), np.nan),
+                LENGTHS.copy(),
+                np.zeros(6),
+                np.full((34, 3), np.nan),
+                0,
+            )
+        )
         return markers_specs(spec)
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
@@ -90,7 +102,7 @@ class Markers(Operator[MarkersState]):
             s.heading[:], s.before[:] = 0.0, np.nan
         points, places, doubt = np.empty((34, 8)), np.empty((34, 3)), np.empty((34, 2))
         given, facing = (np.ascontiguousarray(seen[name]) for name in ("points", "facing"))
-        unturned(given, facing, OTHER_SIDE, s.heading, points)
+        unturned(given, facing, OTHER_SIDE, s.heading, s.pixels, points)
         trunk = placed(points, s.camera, s.lengths, s.counts, places, doubt)
         if np.isnan(trunk):
             return

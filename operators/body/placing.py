@@ -24,54 +24,118 @@ CHAINS = np.array(
 """A limb's joint, the one before it, and the bone between them, from the trunk outwards."""
 PAIRS = np.array([(11, 12, 4), (23, 24, 5)])
 """Shoulders and hips, and the width between them."""
-LENGTHS = np.array([0.296, 0.270, 0.413, 0.421, 0.361, 0.198])
-"""Upper arm, forearm, thigh, shank, width of the shoulders and of the hips (m) before anything is known of the person."""
+SIDES = np.array([(23, 11, 6), (24, 12, 6)])
+"""Hip, shoulder, and the trunk between them: it bends, but a hip that is a hand's depth from its shoulder is a hand."""
+LENGTHS = np.array([0.296, 0.270, 0.413, 0.421, 0.361, 0.198, 0.47])
+"""Upper arm, forearm, thigh, shank, width of shoulders and hips, side of the trunk (m) before anything is known of the person."""
 AGREES_M, POSSIBLE_M = 0.22, 0.45
 """A measured depth is believed if it differs by less from the guess; one that makes the bone as long as it is, by less than the second."""
 BONE_SHARE = 0.25
 """A bone may differ this much from its length before its outer end is moved."""
-KEEPS, LEARNS, AS_GIVEN, REVERSED = 0.8, 0.2, 0.3, -0.3
-"""The heading: how much of it stays from frame to frame, how much the shape counts, what speaks for the network's word as it is given."""
+LIMBS = np.array([11, 12, 13, 14, 15, 16, 23, 24, 25, 26, 27, 28])
+WORD = np.array([0.3, 0.0, -0.3])
+"""What speaks for the three readings of a frame, before anything is compared: as given, a back taken for a front, exchanged."""
+ALIKE, SLACK_PX, SHARP, LEAST_BROKEN = 1.0, 2.0, 3.0, 0.003
+"""How much going on in the image counts beside going on in heading; how sharply the better one of two readings is the right one."""
+SHAPE, GIVEN, CHANGES, MOST_ODDS = 0.8, 0.05, -0.5, 4.0
+"""Log odds a frame of the shape and of the network's word; below which left and right change places; the most there are."""
+TURNS, FACES = 0.15, 0.15
+"""How quickly the heading follows what was read, and the shape."""
+DEPTHS, MOST_DEPTHS = 10.0, 0.6
+"""What it counts when shoulders and hips were measured on the side, before or behind the other, where a reading has them."""
 
 
 @kernel
-def unturned(points: Samples, facing: Samples, other_side: NDArray[np.int64], heading: Samples, out: Samples) -> int:
+def unturned(
+    points: Samples, facing: Samples, other_side: NDArray[np.int64], memory: Samples, before: Samples, out: Samples
+) -> int:
     """`points` (34, 8) with left and right as they should be, into `out`; 0: as given, 1: a back taken for a front, 2: exchanged.
 
-    `heading` (3,) is the memory: x and z of where the person faces, and whether that is known. `facing` (2,) is where the shape faces.
-    A body seen from behind looks like one from the front whose left is its right and whose depths are mirrored: the heading of the newest
-    frames and the shape in the depth image choose.
+    `facing` (2,) is where the shape faces. `memory` (4,): x and z of where the person faced, whether that is known, and the log odds that
+    left is left; `before` (34, 2): where the landmarks were in the image.
+
+    A body seen from behind looks like one from the front whose left is its right and whose depths are mirrored. From frame to frame that
+    reading is taken which goes on from the one before: nobody turns round, or changes hands, in a thirtieth of a second. Whether left has
+    been left all along is a question of its own: the shape and the network's word count for or against it, and each frame in which
+    another reading would go on as well makes it less certain. Where it has become unlikely, left and right change places.
     """
     x = (points[11, 7] - points[12, 7]) + (points[23, 7] - points[24, 7])
     z = -((points[11, 5] - points[12, 5]) + (points[23, 5] - points[24, 5]))
     length = math.sqrt(x * x + z * z)
+    deeper = DEPTHS * _deeper(points) * x
     if length > 0.0:
         x, z = x / length, z / length
-    if heading[2] == 0.0:
-        heading[0], heading[1], heading[2] = facing[0], facing[1], 1.0
-    else:
-        for i in range(2):
-            heading[i] = KEEPS * heading[i] + LEARNS * facing[i]
-    scores = (
-        x * heading[0] + z * heading[1] + AS_GIVEN,
-        x * heading[0] - z * heading[1],
-        -x * heading[0] - z * heading[1] + REVERSED,
-    )
-    best = 0
-    if scores[1] > scores[best]:
-        best = 1
-    if scores[2] > scores[best]:
-        best = 2
-    heading[0] += LEARNS * AS_GIVEN * (-x if best == 2 else x)
-    heading[1] += LEARNS * AS_GIVEN * (z if best == 0 else -z)
-    length = math.sqrt(heading[0] ** 2 + heading[1] ** 2)
-    if length > 1.0:
-        heading[0], heading[1] = heading[0] / length, heading[1] / length
+    seen = min(max(deeper, -MOST_DEPTHS), MOST_DEPTHS) * z * z
+    readings = np.array([[x, z], [x, -z], [-x, -z]])
+    if memory[2] == 0.0:
+        memory[0], memory[1], memory[2], memory[3] = facing[0], facing[1], 1.0, 0.0
+        before[:] = math.nan
+    going_on = _going_on(points, other_side, before)
+    best, scores = 0, np.empty(3)
+    for c in range(3):
+        scores[c] = readings[c, 0] * memory[0] + readings[c, 1] * memory[1] + WORD[c]
+        scores[c] += (ALIKE * going_on if c == 0 else -ALIKE * going_on) + (-seen if c == 1 else seen)
+        if scores[c] > scores[best]:
+            best = c
+    other = (1 if scores[1] >= scores[2] else 2) if best == 0 else 0
+    broken = min(max(1.0 / (1.0 + math.exp(min(SHARP * (scores[best] - scores[other]), 50.0))), LEAST_BROKEN), 0.5)
+    right = 1.0 / (1.0 + math.exp(-memory[3]))
+    right = right * (1.0 - broken) + (1.0 - right) * broken
+    shown = 0.0
+    for k in LIMBS:
+        shown += min(points[k, 3], points[k, 4]) / len(LIMBS)
+    clear = shown * shown * _upright(points)
+    speaks = facing[0] * readings[best, 0] + facing[1] * readings[best, 1]
+    odds = math.log(right / (1.0 - right)) + SHAPE * clear * speaks + (GIVEN if best == 0 else -GIVEN)
+    odds += -seen if best == 1 else seen
+    if odds < CHANGES:
+        best, odds = other, -odds
+        memory[0], memory[1] = readings[best]
+    memory[3] = min(max(odds, -MOST_ODDS), MOST_ODDS)
+    for i in range(2):
+        memory[i] += TURNS * (readings[best, i] - memory[i]) + FACES * clear * (facing[i] - memory[i])
     for k in range(points.shape[0]):
         out[k] = points[other_side[k] if best else k]
         if best == 1:
             out[k, 7] = -out[k, 7]
+        before[k] = out[k, :2]
     return best
+
+
+@kernel
+def _upright(points: Samples) -> float:
+    """The cosine of how far the trunk leans, by the network's own guess; at least 0: where a trunk that lies faces, nobody can say."""
+    total, up = 1e-12, 0.0
+    for i in (5, 6, 7):
+        along = points[11, i] + points[12, i] - points[23, i] - points[24, i]
+        total += along * along
+        up = -along if i == 6 else up
+    return max(up, 0.0) / math.sqrt(total)
+
+
+@kernel
+def _deeper(points: Samples) -> float:
+    """By how much the left shoulder and hip were measured farther away than the right ones (m, both added); 0 where they were not."""
+    more = 0.0
+    for a, b in ((11, 12), (23, 24)):
+        apart = points[a, 2] - points[b, 2]
+        if not math.isnan(apart):
+            more += min(max(apart, -0.4), 0.4)
+    return more
+
+
+@kernel
+def _going_on(points: Samples, other_side: NDArray[np.int64], before: Samples) -> float:
+    """From -1 to 1: how much better `points` as given go on in the image from `before` (34, 2) than with left and right exchanged."""
+    better, apart = 0.0, 1e-9
+    for k in LIMBS:
+        o = other_side[k]
+        if math.isnan(before[k, 0]) or math.isnan(before[o, 0]):
+            continue
+        better += math.hypot(points[o, 0] - before[k, 0], points[o, 1] - before[k, 1])
+        better -= math.hypot(points[k, 0] - before[k, 0], points[k, 1] - before[k, 1])
+        apart += math.hypot(before[k, 0] - before[o, 0], before[k, 1] - before[o, 1]) + SLACK_PX
+    return better / apart
 
 
 @kernel
@@ -80,7 +144,7 @@ def placed(
 ) -> float:
     """`points` (34, 8) in space: `places` (34, 3) in m, and `doubt` (34, 2): 1 where guessed; by what share of its length a bone is off.
 
-    `camera` (4,) fx, fy, cx, cy; `lengths` (6,) of bones, learned from what was measured, with `counts` (6,). Returns how far away the
+    `camera` (4,) fx, fy, cx, cy; `lengths` (7,) of bones, learned from what was measured, with `counts` (7,). Returns how far away the
     trunk is (m); NaN, with nothing placed, where no depth was measured.
     """
     trunk = _trunk(points)
@@ -98,6 +162,9 @@ def placed(
             depth[k], doubt[k, 0] = measured, 0.0
     for i in range(PAIRS.shape[0]):
         _hold_pair(points, camera, trunk, PAIRS[i], lengths, counts, depth, doubt)
+    for i in range(SIDES.shape[0]):
+        if doubt[SIDES[i, 0], 0] + doubt[SIDES[i, 1], 0] == 0.0:
+            _hold_bone(points, camera, trunk, SIDES[i], lengths, counts, depth, doubt)
     for i in range(CHAINS.shape[0]):
         _hold_bone(points, camera, trunk, CHAINS[i], lengths, counts, depth, doubt)
     for k in range(34):

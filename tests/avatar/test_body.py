@@ -146,31 +146,65 @@ CLIP = StreamSpec(
 
 
 def test_a_back_that_is_taken_for_a_front_is_turned_round() -> None:
-    back, heading, out = standing(1.0), np.zeros(3), np.empty((34, 8))
+    back, memory, pixels, out = standing(1.0), np.zeros(4), np.full((34, 2), np.nan), np.empty((34, 8))
     truth = back["points"][0]
     wrong = truth[OTHER_SIDE].copy()
     wrong[:, 7] = -wrong[:, 7]
     for _ in range(5):
-        assert unturned(wrong, back["facing"][0].copy(), OTHER_SIDE, heading, out) == 1
+        assert unturned(wrong, back["facing"][0].copy(), OTHER_SIDE, memory, pixels, out) == 1
     assert out == pytest.approx(truth)
 
 
 def test_a_single_flip_against_the_heading_so_far_is_undone() -> None:
-    front, heading, out = standing(), np.zeros(3), np.empty((34, 8))
+    front, memory, pixels, out = standing(), np.zeros(4), np.full((34, 2), np.nan), np.empty((34, 8))
     for k in range(30):
         points = front["points"][0] if k != 20 else front["points"][0][OTHER_SIDE]
-        unturned(np.ascontiguousarray(points), front["facing"][0].copy(), OTHER_SIDE, heading, out)
+        unturned(np.ascontiguousarray(points), front["facing"][0].copy(), OTHER_SIDE, memory, pixels, out)
         assert out[11, 0] > out[12, 0], f"frame {k}: the left shoulder is on the camera's right"
+
+
+def test_a_shape_that_misleads_for_a_while_exchanges_nobody() -> None:
+    """A chair before the legs, or bending down, looks like somebody who has turned round; hands would change sides at once."""
+    front, memory, pixels, out = standing(), np.zeros(4), np.full((34, 2), np.nan), np.empty((34, 8))
+    misled = -front["facing"][0]
+    for k in range(45):
+        unturned(front["points"][0], front["facing"][0] if k < 30 else misled, OTHER_SIDE, memory, pixels, out)
+        assert out[11, 0] > out[12, 0], f"frame {k}: the left shoulder is on the camera's right"
+        misled = misled if k < 34 else front["facing"][0]
+
+
+def test_who_was_exchanged_from_the_start_is_put_right_by_the_shape() -> None:
+    front, memory, pixels, out = standing(), np.zeros(4), np.full((34, 2), np.nan), np.empty((34, 8))
+    exchanged = np.ascontiguousarray(front["points"][0][OTHER_SIDE])
+    nowhere = np.zeros(2)
+    for k in range(30):
+        unturned(exchanged, nowhere if k < 5 else front["facing"][0].copy(), OTHER_SIDE, memory, pixels, out)
+    assert out[11, 0] > out[12, 0]
 
 
 def test_a_hidden_wrist_is_put_where_the_forearm_is_as_long_as_it_is() -> None:
     seen = standing()["points"][0]
     seen[15, 2] = np.nan
     places, doubt = np.empty((34, 3)), np.empty((34, 2))
-    placed(seen, np.array([285.6, 285.6, 159.5, 119.5]), LENGTHS.copy(), np.zeros(6), places, doubt)
+    placed(seen, np.array([285.6, 285.6, 159.5, 119.5]), LENGTHS.copy(), np.zeros(len(LENGTHS)), places, doubt)
     assert np.linalg.norm(places[15] - places[13]) == pytest.approx(LENGTHS[1], rel=1e-6)
     assert doubt[15, 0] == 1.0
     assert doubt[16, 0] == 0.0
+
+
+def test_hips_behind_something_are_not_where_that_is() -> None:
+    """Somebody bends towards the camera: at the hips the depth is the chest's, 20 cm before them, which is too near the shoulders."""
+    seen, camera = standing()["points"][0], np.array([285.6, 285.6, 159.5, 119.5])
+    for k in (11, 12):
+        seen[k, 7], seen[k, 2] = -0.42, 2.08 - INSIDE[k]
+        seen[k, :2] = camera[2:] + camera[:2] * np.array([seen[k, 5], -0.15]) / 2.08
+    seen[[23, 24], 0] = 159.5 + 285.6 * np.array([0.1, -0.1]) / 2.5
+    seen[[23, 24], 2] -= 0.2
+    places, doubt = np.empty((34, 3)), np.empty((34, 2))
+    placed(seen, camera, LENGTHS.copy(), np.zeros(len(LENGTHS)), places, doubt)
+    assert places[[23, 24], 2] == pytest.approx([2.5, 2.5], abs=0.06)
+    assert doubt[[23, 24], 0].tolist() == [1.0, 1.0]
+    assert doubt[[11, 12], 0].tolist() == [0.0, 0.0]
 
 
 def test_markers_that_leap_are_missing_and_come_back() -> None:
