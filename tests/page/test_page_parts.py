@@ -15,7 +15,7 @@ from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
 from devices.outlets.page import messages
 from devices.outlets.page.access import Access
-from devices.outlets.page.channel import PageChannel
+from devices.outlets.page.channel import PageChannel, Portion
 from devices.outlets.page.history import History
 from devices.outlets.page.hub import Hub, Looking
 from devices.outlets.page.lane import parsed
@@ -136,6 +136,11 @@ def test_a_history_is_bounded_and_keeps_the_newest() -> None:
     assert (len(history.time), history.end) == (1000, 40 * 333 + 5000)
 
 
+def lengths(channel: PageChannel) -> list[tuple[int, int]]:
+    """Samples of each part that is taken, and what was lost before it."""
+    return [(sum(len(c.time) for c in part.chunks), part.lost) for part in channel.take() if isinstance(part, Portion)]
+
+
 def test_the_channel_drops_views_where_nobody_takes_them_and_the_stream_says_so() -> None:
     channel = PageChannel([False, True], most_bytes=10 * 160)
     channel.wanted[:] = [True, True]
@@ -143,13 +148,13 @@ def test_the_channel_drops_views_where_nobody_takes_them_and_the_stream_says_so(
     for k in range(25):
         signal(Chunk(grid(RATE_HZ, 10), np.full((10, 2), float(k)), k))
         picture(Chunk(np.array([k]), np.full((1, 4, 4), k), k))
-    (_, chunk), (_, newest) = channel.take()
+    (part,), (newest,) = channel.take(), channel.pictures()
+    assert isinstance(part, Portion)
     assert channel.dropped == 15
-    assert chunk.lost == -1
-    assert chunk.data[0, 0] == 15
-    assert len(chunk.time) == 100
-    assert newest.data[0, 0, 0] == 24
-    assert channel.take() == []
+    assert part.lost == -1
+    assert [chunk.data[0, 0] for chunk in part.chunks] == [*range(15, 25)]
+    assert newest.chunks[0].data[0, 0, 0] == 24
+    assert channel.take() == channel.pictures() == []
 
 
 def test_the_channel_keeps_a_gap_between_two_chunks_and_takes_nothing_that_nobody_looks_at() -> None:
@@ -160,7 +165,7 @@ def test_the_channel_keeps_a_gap_between_two_chunks_and_takes_nothing_that_nobod
     channel.wanted[0] = True
     for lost in (0, 0, 5, 0):
         put(Chunk(grid(RATE_HZ, 3), np.ones((3, 2)), 0, lost))
-    assert [(len(c.time), c.lost) for _, c in channel.take()] == [(6, 0), (6, 5)]
+    assert lengths(channel) == [(6, 0), (6, 5)]
 
 
 @pytest.mark.parametrize(

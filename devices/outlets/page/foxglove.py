@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from devices.files.foxglove_write import JsonMessages
-from devices.outlets.page.server import say, yield_to_sessions
+from devices.outlets.page.server import say
 from devices.outlets.page.shown import kind_of
 from devices.outlets.page.wire import LENGTH, MOST_BYTES, decode
 from stream.chunk import NS, Chunk, StreamSpec
@@ -121,5 +121,4 @@ def main(options: dict[str, Any]) -> None:
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the session, which then ends us
-    yield_to_sessions()
     main(msgspec.json.decode(sys.argv[1]))

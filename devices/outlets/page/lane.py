@@ -1,13 +1,15 @@
 """A live session's way to its page: streams that somebody looks at go to the server's process, and what people ask for comes back.
 
-The graph's own thread only puts chunks into a bounded channel. A thread of the lane's own takes them some 30 times a second and writes them
-to the server; where that one is slow, or gone, views are dropped, and samples never wait. A server that ends is started again.
+The graph's own thread puts chunks into a bounded channel, and some 30 times a second writes those that have come together to the server, in
+one system call that never waits: no other thread is woken. Pictures, the engine's state and the log are written by a thread of the lane's
+own. Where the server is slow, or gone, views are dropped, and samples never wait. A server that ends is started again.
 """
 
 from __future__ import annotations
 
 import importlib.util
 import json
+import os
 import subprocess
 import sys
 import threading
@@ -21,12 +23,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import structlog
 
 from devices.outlets.page.access import is_loopback, new_token
-from devices.outlets.page.channel import PageChannel
+from devices.outlets.page.channel import TICK_S, UNSEEN_TICK_S, PageChannel, Portion, message
 from devices.outlets.page.marks import MARKS, SPEC, Marks, shown_with
+from devices.outlets.page.pipe import PipeMessage, ServerPipe
 from devices.outlets.page.serving import FILES, built, tls_context
 from devices.outlets.page.shown import described, hello, is_newest_only, offered, own_modules, with_avatar
-from devices.outlets.page.wire import LENGTH, encode
-from stream.chunk import NS, Chunk
+from devices.outlets.page.wire import encode
+from stream.chunk import NS
 from stream.engine.status import Table
 from stream.errors import KinegraphError
 from stream.graph import Graph
@@ -37,10 +40,13 @@ if TYPE_CHECKING:
     from stream.engine.replay import Replay
     from stream.engine.session import Session
 
-TICK_S = 1 / 30
-UNSEEN_TICK_S = 0.25
-"""While nobody looks."""
+SEEN_TICK_S = 0.1
+"""How soon what is left is handed over, where no further chunk comes; what comes regularly is handed over by those that bring it."""
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
+LAST_S = 1.0
+"""How long a server that has no room is waited for when a session ends."""
+NICE = 10
+"""How far the server's priority is below the session's, from its first instant: to load it costs a second of a processor."""
 START_S = 20.0
 """How long a server is waited for when a session begins."""
 DEFAULT_PORT = 7790
@@ -114,9 +120,8 @@ class LivePage:
         self._marks: Marks | None = None
         self._writing = threading.Lock()
         self._over, self._listening = threading.Event(), threading.Event()
-        self._server: subprocess.Popen[bytes] | None = None
         self._port, self._t0 = self._address.port, time.time_ns()
-        self._said = self._seen = False
+        self._said = False
         self._pipeline: Pipeline | None = None
         self._samples: dict[str, int] = {}
         self._counted_s = 0.0
@@ -147,9 +152,8 @@ class LivePage:
             self._specs = {**self._specs, MARKS: SPEC}
             self._channel = PageChannel([is_newest_only(spec) for spec in self._specs.values()])
         else:
-            self._channel.take()
-            self._announce({"t": "again"})
-            self._announce_marks()
+            self._channel.forget()
+            self._channel.announce(encode({"t": "again"}), *self._marked())
         self.observe(replay.pipeline)
         self._length_s = max(replay.length_s, 1e-9)
         if pace:
@@ -159,14 +163,13 @@ class LivePage:
     def _set_pace(self, at: float, speed: float) -> None:
         self._pace = encode({"t": "pace", "at": at, "speed": speed, "length": self._length_s})
 
-    def _announce_marks(self) -> None:
-        if self._marks and len((chunk := self._marks.chunk()).time):
-            with self._writing:
-                self._pending.append(_message(len(self._specs) - 1, chunk))
-
-    def _announce(self, told: dict[str, Any]) -> None:
-        with self._writing:
-            self._pending.append(encode(told))
+    def _marked(self) -> list[bytes]:
+        """The marks of the recording, as a message."""
+        chunk = self._marks.chunk() if self._marks else None
+        if chunk is None or not len(chunk.time):
+            return []
+        header, *numbers = message(Portion(len(self._specs) - 1, [chunk], 0))
+        return [b"".join((bytes(header), *(bytes(part) for part in numbers)))]
 
     def observe(self, pipeline: Pipeline) -> None:
         """Observe a pipeline's edges; those that a replay does not compute have no observers."""
@@ -224,7 +227,6 @@ class LivePage:
                 log.debug("the page's server has ended", error=str(error))
             if self._over.is_set():
                 break
-            self._channel.wanted[:], self._seen = [False] * len(self._specs), False
             pause = FIRST_PAUSE_S if time.monotonic() - began > LONGEST_PAUSE_S else min(2 * pause, LONGEST_PAUSE_S)
             log.warning(f"the {self.called}'s server has ended; it is started again", in_s=pause)
             self._over.wait(pause)
@@ -234,45 +236,61 @@ class LivePage:
         options = json.dumps(asdict(self._address) | {"port": self._port, "avatar": str(self._avatar)})
         command = [sys.executable, "-m", self.server, options]
         with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0) as server:
-            self._server = server
-            hearing = threading.Thread(target=self._hear, args=(server,), name="page answers", daemon=True)
-            hearing.start()
+            assert server.stdin
+            _yielding(server.pid)
+            pipe = ServerPipe(server.stdin.fileno())
             try:
-                outside = not is_loopback(self._address.host)
-                greeting = hello(self._graph, outside=outside, mode=self._mode, t0_ns=self._t0)
-                if self._avatar_asked:
-                    greeting["panels"] = with_avatar(greeting["panels"], self._specs)
-                if self._marks:
-                    greeting["streams"].append(described(MARKS, SPEC))
-                    greeting["panels"] = shown_with(greeting["panels"])
-                specs = [spec.to_json() for spec in self._specs.values()]
-                self._write(encode({**greeting, "t0_ns": self._t0, "specs": specs, "modules": self._modules}))
-                self._announce_marks()
-                while not self._over.wait(TICK_S if self._seen else UNSEEN_TICK_S) and server.poll() is None:
-                    self._hand_over()
+                pipe.write([[self._greeting()], *([told] for told in self._marked())])
+                self._channel.lead_to(pipe)
+                self._hand_over(pipe)
+                threading.Thread(target=self._hear, args=(server,), name="page answers", daemon=True).start()
+                while not self._over.wait(self._tick_s) and server.poll() is None:
+                    self._hand_over(pipe)
                 if self._over.is_set():
-                    self._hand_over()
-                    self._write(encode({"t": "over", "why": "the session has ended"}))
+                    self._hand_over_last(pipe)
             finally:
+                self._channel.lead_to(None)
                 with suppress(OSError):
-                    server.stdin and server.stdin.close()
+                    server.stdin.close()
                 _end(server)
 
-    def _hand_over(self) -> None:
-        with self._writing:
-            messages, self._pending = self._pending, []
-        messages += [_message(number, chunk) for number, chunk in self._channel.take()]
-        (state, self._state), (pace, self._pace) = (self._state, b""), (self._pace, b"")
-        messages += [message for message in (state, pace) if message]
-        if messages:
-            self._write(*messages, TICK)
+    @property
+    def _tick_s(self) -> float:
+        """How soon this thread has something to hand over: a picture, where a replay stands, or what others have left."""
+        channel = self._channel
+        if not channel.seen:
+            return UNSEEN_TICK_S
+        return TICK_S if channel.pictures_wanted or self._mode != "live" else SEEN_TICK_S
 
-    def _write(self, *messages: bytes) -> None:
-        """To the server, at once: every call costs a system call."""
-        assert self._server and self._server.stdin
-        view = memoryview(b"".join(part for message in messages for part in (LENGTH.pack(len(message)), message)))
-        while view:
-            view = view[self._server.stdin.write(view) :]
+    def _greeting(self) -> bytes:
+        greeting = hello(self._graph, outside=not is_loopback(self._address.host), mode=self._mode, t0_ns=self._t0)
+        if self._avatar_asked:
+            greeting["panels"] = with_avatar(greeting["panels"], self._specs)
+        if self._marks:
+            greeting["streams"].append(described(MARKS, SPEC))
+            greeting["panels"] = shown_with(greeting["panels"])
+        specs = [spec.to_json() for spec in self._specs.values()]
+        return encode({**greeting, "t0_ns": self._t0, "specs": specs, "modules": self._modules})
+
+    def _hand_over(self, pipe: ServerPipe) -> None:
+        """All that waits; as soon as there is room, where there is none."""
+        with self._writing:
+            pending, self._pending = self._pending, []
+        (state, self._state), (pace, self._pace) = (self._state, b""), (self._pace, b"")
+        told: list[PipeMessage] = [[part] for part in (*pending, state, pace) if part]
+        told += map(message, self._channel.pictures())
+        while not self._channel.hand_over(*told) and self._channel.is_led and not self._over.is_set():
+            pipe.wait(SEEN_TICK_S)
+
+    def _hand_over_last(self, pipe: ServerPipe) -> None:
+        """What is left at the end, and that this is the end."""
+        end = time.monotonic() + LAST_S
+        self._hand_over(pipe)
+        last = [encode({"t": "over", "why": "the session has ended"})]
+        while not self._channel.hand_over(last) and self._channel.is_led and time.monotonic() < end:
+            pipe.wait(SEEN_TICK_S)
+        while not self._channel.hand_over() and self._channel.is_led and time.monotonic() < end:
+            pipe.wait(SEEN_TICK_S)
 
     def _hear(self, server: subprocess.Popen[bytes]) -> None:
         """What the server asks for, line by line."""
@@ -295,7 +313,7 @@ class LivePage:
                     self._said = True
                     say(f"{self.called}: {self.url(self._port)}", err=True)
             case "want":
-                wanted, self._seen = set(asked["streams"]), asked["seen"]
+                wanted, self._channel.seen = set(asked["streams"]), asked["seen"]
                 self._channel.wanted[:] = [number in wanted for number in range(len(self._specs))]
             case what if what in self._steered:
                 self._steered[what](**asked)
@@ -324,7 +342,6 @@ class FoxgloveLane(LivePage):
         return f"ws://{self._address.host}:{port}"
 
 
-TICK = encode({"t": "tick"})
 SAID = {
     "tell": "set on the page",
     "mark": "annotated on the page",
@@ -350,12 +367,6 @@ SHOWN = (
     ),
     *("lost", "error", "openings", "bytes", "behind_s", "dropped_chunks", "worker", "cpu_pct"),
 )
-
-
-def _message(number: int, chunk: Chunk) -> bytes:
-    """A chunk, for the server's process."""
-    header = {"t": "chunk", "s": number, "n": len(chunk.time), "lost": int(chunk.lost), "until": int(chunk.until)}
-    return encode(header, chunk.time.tobytes(), chunk.data.tobytes())
 
 
 def refuse_unbuilt() -> None:
@@ -390,6 +401,13 @@ def parsed(address: str, certificate: str = "", key: str = "") -> Address:
         raise KinegraphError(f"--page-at {address}: HOST, HOST:PORT or :PORT, with a port from 0 to 65535")
     token = "" if is_loopback(host) else new_token()
     return Address(host, int(port) if colon else DEFAULT_PORT, certificate, key, token)
+
+
+def _yielding(pid: int) -> None:
+    """Views wait where the machine is busy; samples do not."""
+    if hasattr(os, "setpriority"):
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, pid, NICE)
 
 
 def _end(server: subprocess.Popen[bytes]) -> None:

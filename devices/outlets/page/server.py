@@ -18,20 +18,11 @@ from devices.outlets.page.serving import PageServer, tls_context
 from devices.outlets.page.wire import LENGTH, MOST_BYTES, decode
 from stream.commands import logs
 
-NICE = 10
-"""How far the server's priority is below the session's."""
-
 
 def say(asked: dict[str, Any]) -> None:
     """Ask the session for something, one line of JSON each; where it is gone, so is what `read_session` reads, and this process ends."""
     with suppress(OSError):
         os.write(1, msgspec.json.encode(asked) + b"\n")
-
-
-def yield_to_sessions() -> None:
-    """Views wait where the machine is busy; samples do not."""
-    if hasattr(os, "nice"):
-        os.nice(NICE)
 
 
 async def read_session(hub: Hub, first: asyncio.Event) -> None:
@@ -71,6 +62,5 @@ async def main(options: dict[str, Any]) -> None:
 
 if __name__ == "__main__":
     logs.set_up()
-    yield_to_sessions()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the session, which then ends us
     asyncio.run(main(msgspec.json.decode(sys.argv[1])))
