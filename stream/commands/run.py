@@ -83,7 +83,9 @@ def run(
     from stream.graph.overrides import read
     from stream.graph.plan import plan
     from stream.recording.place import SUFFIX, refuse_taken_folder
+    from stream.spare_memory import map_large_pieces
 
+    map_large_pieces()
     logs.set_up(json=json_log, verbose=verbose)
     if not isfinite(duration_s):
         raise KinegraphError(f"--for {duration_s}: it must be a number of seconds")
