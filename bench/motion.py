@@ -30,11 +30,11 @@ class Series:
     def through(self, *operators: Operator[Any]) -> Series:
         made = self
         for operator in operators:
-            made = made._through(operator)
+            made = made.fed(operator, operator.inputs[0] if operator.inputs else "pose")
         return made
 
-    def _through(self, operator: Operator[Any]) -> Series:
-        port = operator.inputs[0] if operator.inputs else "pose"
+    def fed(self, operator: Operator[Any], port: str) -> Series:
+        """What an operator of one output makes of it."""
         (spec,) = operator.open({port: self.spec}).values()
         take = taking(operator, {port: self.spec})
         made = [

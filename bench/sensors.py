@@ -9,14 +9,15 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from structlog.testing import capture_logs
 
 from bench.motion import RATE, Series, events
 from bench.report import Section, marks, publish, whole
-from operators.emg.envelope import Envelope
 from operators.features.rest import SkipRest
 from operators.features.stack import Stack
 from operators.features.standardise import Standardise
@@ -24,14 +25,51 @@ from operators.iir import Lowpass
 from operators.resample import Resample
 from operators.segmentation import Segment
 from stream.chunk import NS, Array, StreamSpec
+from stream.graph import Graph
+from stream.graph.load import load
 from stream.operator import Operator
 
+SHIPPED = "gyroscope (segment_imu, the graph's own nodes)"
+HOUSE = Path(__file__).resolve().parent.parent
+IMU = StreamSpec(
+    (6,), rate_hz=100.0, channels=("ax", "ay", "az", "gx", "gy", "gz"), units=("m/s2",) * 3 + ("rad/s",) * 3
+)
 SENSORS: dict[str, tuple[slice, tuple[Operator[Any], ...]]] = {
     "accelerometer, rest left out (count_repetitions)": (slice(0, 3), (Stack(), SkipRest(moves=0.3))),
-    "gyroscope (segment_imu)": (slice(3, 6), (Stack(),)),
+    SHIPPED: (slice(0, 6), ()),
     "accelerometer and gyroscope, standardised": (slice(0, 6), (Standardise(freeze_s=10.0), Stack())),
 }
+"""Which axes, and what is done to them between resampling and segmentation; SHIPPED: as the graph has it."""
 PLACES = {"rf": "right foot", "lf": "left foot", "lb": "lower back"}
+
+
+@cache
+def read(config: str) -> Graph:
+    """A shipped graph."""
+    return load(HOUSE / "configs" / f"{config}.yaml")
+
+
+def shipped(config: str, source: str) -> list[tuple[str, Operator[Any]]]:
+    """The operators of a shipped graph from this source to its segmentation, each with the port it is fed by: one after another."""
+    graph = read(config)
+    name = "segment"
+    chain: list[tuple[str, Operator[Any]]] = []
+    while name != source:
+        node = graph.nodes[name]
+        assert isinstance(node.part, Operator)
+        port = "in" if "in" in node.inputs else next(iter(node.inputs))
+        chain.append((port, node.part.fresh()))
+        name = node.inputs[port].node
+    return chain[::-1]
+
+
+def told_by(config: str, source: str, raw: Series) -> dict[str, Array]:
+    """What a shipped graph's own operators, in their order, tell of a recording that takes the place of its source's output."""
+    *before, (_, segmentation) = shipped(config, source)
+    for port, operator in before:
+        raw = raw.fed(operator, port)
+    assert isinstance(segmentation, Segment)
+    return events(raw, segmentation)
 
 
 def counted(path: Path) -> list[tuple[str, str, int, int, int]]:
@@ -40,19 +78,27 @@ def counted(path: Path) -> list[tuple[str, str, int, int, int]]:
     with np.load(path) as archive:
         for walk in sorted({name.partition("_")[0] for name in archive.files if name.endswith("_counter")}):
             for short, place in PLACES.items():
-                packet, x = archive[f"{walk}_{short}_counter"], archive[f"{walk}_{short}"].astype(np.float64)
+                packet, x = (
+                    archive[f"{walk}_{short}_counter"].astype(np.int64),
+                    archive[f"{walk}_{short}"].astype(np.float64),
+                )
                 side = "left" if short == "lf" else "right"
                 strides = len(archive[f"{walk}_{side}_events"]) - 1
                 for sensor, (axes, steps) in SENSORS.items():
-                    spec = StreamSpec((axes.stop - axes.start,), rate_hz=100.0)
-                    raw = Series(spec, np.round((packet - packet[0]) * NS / 100), x[:, axes])
-                    slow = raw.through(Lowpass(cutoff_hz=3.0), Resample(rate_hz=RATE), *steps)
-                    told = events(slow, Segment())
+                    raw = Series(IMU, np.round((packet - packet[0]) * NS / 100), x)
+                    own = sensor == SHIPPED
+                    told = told_by("segment_imu", "sensor", raw) if own else chosen(raw, axes, steps)
                     sure = told["activity"]["activity"][told["activity"]["certainty"] > 0.0]
                     repeats = told["primitive"][told["primitive"]["repetition"] > 0]
                     certain = int(np.isin(repeats["activity"], sure).sum())
                     made.append((place, sensor, strides, len(repeats), certain))
     return made
+
+
+def chosen(raw: Series, axes: slice, steps: tuple[Operator[Any], ...]) -> dict[str, Array]:
+    """What is told of these axes, slow, at 30 Hz, after what else is done to them."""
+    some = Series(StreamSpec((axes.stop - axes.start,), rate_hz=100.0), raw.stamps, raw.data[:, axes])
+    return events(some.through(Lowpass(cutoff_hz=3.0), Resample(rate_hz=RATE), *steps), Segment())
 
 
 def inertial(folder: Path, most: int = 0) -> Section:
@@ -98,14 +144,14 @@ def muscles(folder: Path) -> Section:
                             -1,
                         )
                     )
-    head = ["", "s", "gait cycles", "counted", "certain", "activities a minute", "of them certain"]
-    return Section("Leg muscles", head, rows)
+    head = ["", "s", "gait cycles", "counted", "certain", "activities a minute", "of them certain", "the log warns"]
+    return Section("Leg muscles, by the nodes of segment_emg", head, rows)
 
 
 def emg(name: str, x: Array, cycles: int) -> list[str]:
     raw = Series(StreamSpec((x.shape[1],), rate_hz=1000.0, units=("uV",)), np.arange(len(x)) * NS // 1000, x)
-    slow = raw.through(Envelope(cutoff_hz=10.0, rate_hz=RATE), Standardise(freeze_s=10.0), Stack())
-    told = events(slow, Segment())
+    with capture_logs() as said:
+        told = told_by("segment_emg", "board", raw)
     activity = told["activity"]
     repeats = told["primitive"][told["primitive"]["repetition"] > 0]
     sure = activity["certainty"] > 0.0
@@ -113,7 +159,7 @@ def emg(name: str, x: Array, cycles: int) -> list[str]:
     minutes = len(x) / 60000
     return [
         name, f"{len(x) / 1000:.0f}", str(cycles) if cycles >= 0 else "not annotated", str(len(repeats)), str(certain),
-        f"{len(activity) / minutes:.0f}", f"{sure.sum() / minutes:.0f}",
+        f"{len(activity) / minutes:.0f}", f"{sure.sum() / minutes:.0f}", "yes" if said else "no",
     ]  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
+from stream.errors import ParameterError
 from stream.params import param
 from stream.source import Feed, Source
 
@@ -20,22 +21,26 @@ JOINTS = (
 EXERCISES = ("arms", "squat", "knees", "wave")
 """Both arms raised sideways; down and up; one knee after the other; the right hand waved."""
 RATE_HZ = 30.0
-TAKES_S = (1.8, 2.2, 1.6, 1.2)
-REST_S = 1.5
+TAKES_S = {"arms": 1.8, "squat": 2.2, "knees": 1.6, "wave": 1.2}
 
 
 @dataclass(frozen=True, slots=True)
 class Exerciser(Source):
-    """Someone faces a camera and does four exercises in turn, each some times, and stands for a moment between them.
+    """Someone faces a camera and does exercises in turn, each some times, and stands for a moment before each.
 
     joints  (20, 3) float64, m, in the camera's view: x to its right, y up, z away from it; irregular, some 30 Hz, as a Kinect's
 
+    A joint can be out of sight for a while: its coordinates are NaN then.
     Frame i is the same whenever it is made. `Routine` knows what is done when.
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("joints",)
 
+    exercises: tuple[str, ...] = param(EXERCISES, help=f"of {', '.join(EXERCISES)}, in this order, again and again")
     repetitions: int = param(6, least=1, most=50, help="of each exercise")
+    pause_s: float = param(1.5, least=0.0, most=600.0, help="standing before each exercise")
+    lost_joint: str = param("", help="a joint that is out of sight for a while")
+    lost_s: tuple[float, float] = param((0.0, 0.0), least=0.0, help="from when to when, from the start")
     noise_mm: float = param(6.0, least=0.0, most=100.0, help="standard deviation of every coordinate")
     jitter_ms: float = param(3.0, least=0.0, most=15.0, help="of the frames' times, either way")
     seed: int = param(0, least=0, help="another seed, other tempos and noise")
@@ -51,6 +56,13 @@ class Exerciser(Source):
         return 1 / RATE_HZ
 
     def specs(self) -> Specs:
+        unknown = [name for name in self.exercises if name not in EXERCISES]
+        if unknown or not self.exercises:
+            raise ParameterError("exercises", list(self.exercises), f"one or more of {', '.join(EXERCISES)}")
+        if self.lost_joint and self.lost_joint not in JOINTS:
+            raise ParameterError("lost_joint", self.lost_joint, f"one of {', '.join(JOINTS)}")
+        if self.lost_s[0] > self.lost_s[1]:
+            raise ParameterError("lost_s", list(self.lost_s), "two times in seconds, not falling")
         return {"joints": StreamSpec((20, 3), channels=JOINTS, units=("m",), meta={"simulated": True})}
 
     def read(self, feed: Feed) -> None:
@@ -79,8 +91,13 @@ class Routine:
             k = len(self._begins)
             before = self._begins[-1][-1] if k else 0.0
             tempo = np.random.default_rng((self._of.seed, k, 1)).uniform(0.9, 1.1, self._of.repetitions)
-            self._begins.append(before + REST_S + np.append(0.0, np.cumsum(TAKES_S[k % 4] * tempo)))
+            takes_s = TAKES_S[self.exercise(k)]
+            self._begins.append(before + self._of.pause_s + np.append(0.0, np.cumsum(takes_s * tempo)))
         return self._begins[number]
+
+    def exercise(self, number: int) -> str:
+        """Which one number `number` (0, 1, ... without end) is."""
+        return self._of.exercises[number % len(self._of.exercises)]
 
     def joints(self, frame: int) -> Samples:
         """The skeleton (20, 3) in frame number `frame`."""
@@ -90,10 +107,13 @@ class Routine:
         starts = self.starts(number)
         k = int(np.searchsorted(starts, t, side="right")) - 1
         share = (t - starts[k]) / (starts[k + 1] - starts[k]) if k >= 0 else 0.0
-        made = skeleton(EXERCISES[number % 4], share)
-        return made + np.random.default_rng((self._of.seed, frame, 2)).normal(
+        made = skeleton(self.exercise(number), share)
+        made = made + np.random.default_rng((self._of.seed, frame, 2)).normal(
             0.0, self._of.noise_mm / 1000.0, made.shape
         )
+        if self._of.lost_joint and self._of.lost_s[0] <= t < self._of.lost_s[1]:
+            made[JOINTS.index(self._of.lost_joint)] = np.nan
+        return made
 
 
 def skeleton(exercise: str, share: float) -> Samples:

@@ -22,6 +22,7 @@ from operators.segmentation.layout import (
     COUNT_EVENT,
     EVENT_WIDTH,
     EVENTS,
+    FIRM,
     LEARN,
     MERGE_EVENT,
     NEXT,
@@ -35,7 +36,7 @@ from operators.segmentation.layout import (
     Remembered,
     allocate,
 )
-from stream.chunk import FOREVER, NEVER, Array, Chunk, Samples, Specs, StreamSpec, Times
+from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.filter import reset_gap
 from stream.operator import Case, Operator, grid
@@ -67,6 +68,8 @@ RESTING = np.dtype([("onset", "<i8")])
 RADIUS = np.dtype([("radius", "<f8")])
 DOUBTFUL = 3
 """This many activities of which it is not sure that they repeat, and more than half of those that do, are worth a warning."""
+FEW = 5
+"""Fewer repetitions that are certain, in little motion, are too few to rely on."""
 REACH = 1.43
 """This many of the longest cycles back neighbours are looked for: it may be a sixth longer in turn, and must be the lowest lag around."""
 OUTPUTS = {
@@ -88,8 +91,9 @@ OUTPUTS = {
 class SegmentState(Continuity):
     """memory: see layout.py; longest: ns, of a transition; mirrored: the newest mirror image (features,), if any; its stamp.
 
-    absent: features (features,) of which it has been said that nothing comes; names: theirs. judged, doubtful: activities that repeated,
-    and those of them that chance might have made; warned: whether that has been said.
+    absent: features (features,) of which it has been said that nothing comes; names: theirs. cut: activities; sure: repetitions of
+    those that are certain; judged, doubtful: activities that repeated, and those of them that chance might have made; warned:
+    whether that has been said.
     """
 
     memory: Remembered
@@ -98,6 +102,8 @@ class SegmentState(Continuity):
     mirrored_at: int
     absent: Array
     names: list[str]
+    cut: int = 0
+    sure: int = 0
     judged: int = 0
     doubtful: int = 0
     warned: bool = False
@@ -274,6 +280,17 @@ class Segment(Operator[SegmentState]):
                 doubtful=s.doubtful, of=s.judged, t_ns=int(s.memory.books[NOW]),
             )  # fmt: skip
 
+    def _say_short(self) -> None:
+        """If the whole stream held less motion than FIRM, few repetitions that are certain, and was cut or counted all the same."""
+        s, books = self.state, self.state.memory.books
+        if books[NEXT] < books[FIRM] and s.sure < FEW and (s.cut > 1 or s.judged):
+            log.warning(
+                "too little motion to tell what repeats: what was cut and counted is not to be relied on;"
+                " docs/segmentation.md says which sensors tell repetitions",
+                motion_s=round(int(books[NEXT]) * s.period_ns / NS, 1), least_s=round(int(books[FIRM]) * s.period_ns / NS, 1),
+                t_ns=int(s.last[0]),
+            )  # fmt: skip
+
     def close(self) -> list[tuple[str, Chunk]]:
         s = self.state
         self._say_missing(0)
@@ -281,7 +298,9 @@ class Segment(Operator[SegmentState]):
         s.memory.books[NOW] = s.last[0]
         memory = s.memory.with_room(ROOM)
         end(memory)
-        return self._emitted([s.memory.told(memory)], FOREVER, 0)
+        emitted = self._emitted([s.memory.told(memory)], FOREVER, 0)
+        self._say_short()
+        return emitted
 
     def _emitted(self, tables: list[tuple[Times, Samples]], until: int, lost: int) -> list[tuple[str, Chunk]]:
         table = np.concatenate([t for t, _ in tables]) if tables else np.empty((0, EVENT_WIDTH), np.int64)
@@ -305,9 +324,12 @@ class Segment(Operator[SegmentState]):
                 events[field] = column
         if dtype == ACTIVITY:
             events["repeats"] = events["repetitions"] > 1
-            events["transition"] = (table[:, 5] & 2 > 0) & (events["end"] - events["onset"] <= self.state.longest)
+            s = self.state
+            events["transition"] = (table[:, 5] & 2 > 0) & (events["end"] - events["onset"] <= s.longest)
             events["symmetry"] = table[:, 5] // SYMMETRIC
             events["certainty"] = np.where(events["repeats"], ratings, 0.0)
+            s.cut += len(events)
+            s.sure += int(events["repetitions"][events["certainty"] > 0.0].sum())
             self._say_doubtful(events["certainty"][events["repeats"]])
         if dtype == COUNT:
             events["certainty"] = ratings

@@ -6,12 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ruamel.yaml import YAML
+from structlog.testing import capture_logs
 
+from bench.motion import Series
+from bench.sensors import told_by
 from devices.simulators.exerciser import EXERCISES, JOINTS, Exerciser, Routine, skeleton
 from operators.segmentation.evaluation.found import read_found
 from operators.segmentation.evaluation.scores import score
 from operators.segmentation.evaluation.truth import Truth, read_truth
 from stream import cli
+from stream.chunk import NS, StreamSpec
 from stream.recording import Recording
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -105,3 +109,14 @@ def test_a_real_kinect_recording_is_counted(tmp_path):
     kinegraph("replay", CONFIGS / "segment_kinect.yaml", tmp_path / "hop.mcap", "-q", "-o", tmp_path / "out.mcap")
     scores = score(read_found(tmp_path / "out.mcap"), read_truth(file))
     assert scores.repetitions <= 2
+
+
+@needs_data
+@pytest.mark.parametrize(("walk", "said"), [("S4_NO_FLOAT", True), ("S4_FLOAT", True), ("treadmill", False)])
+def test_a_short_walk_seen_by_four_muscles_ends_with_a_warning(walk: str, said: bool) -> None:
+    with np.load(DATA / "emg" / ("emg_santuz_tw12.npz" if walk == "treadmill" else f"emg_epfl_{walk}.npz")) as archive:
+        x = archive["emg_uV" if walk == "treadmill" else "T_02_emg"].astype(np.float64)
+    raw = Series(StreamSpec((x.shape[1],), rate_hz=1000.0, units=("uV",)), np.arange(len(x)) * NS // 1000, x)
+    with capture_logs() as logs:
+        told_by("segment_emg", "board", raw)
+    assert [entry["event"].startswith("too little motion to tell what repeats") for entry in logs] == [True] * said
