@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import count
 from typing import ClassVar
 
 import numpy as np
 
+from devices.simulators.paced import paced
 from devices.simulators.rendered_performer import POINTS, RenderedPerformer, camera_of
-from stream.chunk import NS, Chunk, Specs, StreamSpec
+from stream.chunk import Chunk, Specs, StreamSpec
 from stream.params import param
 from stream.source import Feed, Source
 
@@ -56,14 +56,9 @@ class BeforeCamera(Source):
         RenderedPerformer(64, 48).frame(0, 5.0)  # what it is drawn with is compiled before the session begins
 
     def read(self, feed: Feed) -> None:
-        performer, begun = RenderedPerformer(self.width, self.height, seed=self.seed), feed.now()
-        last = round(self.duration_s * self.fps)
-        for frame in range(last) if last else count():
-            stamp, seconds = begun + round(frame * NS / self.fps), frame / self.fps
-            if self.realtime and feed.wait(max(0, stamp - feed.now()) / NS):
-                return
-            if feed.stopped:
-                return
+        performer = RenderedPerformer(self.width, self.height, seed=self.seed)
+        for frame, stamp in paced(feed, self.fps, self.duration_s, self.realtime):
+            seconds = frame / self.fps
             at = np.array([stamp])
             feed.emit(Chunk(at, performer.frame(frame, seconds)[None], stamp), "depth")
             feed.emit(Chunk(at, performer.image(frame, seconds)[None], stamp), "mono")

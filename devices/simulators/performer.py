@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import count
 from typing import ClassVar
 
 import numpy as np
 
-from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
+from devices.simulators.paced import paced
+from stream.chunk import Chunk, Samples, Specs, StreamSpec
 from stream.humanoid import BONES, usual_body
 from stream.joint_tree import joints_of
 from stream.params import param
@@ -65,14 +65,7 @@ class Performer(Source):
         return {"markers": markers, "pose": usual_body().spec(self.rate_hz, meta=made)}
 
     def read(self, feed: Feed) -> None:
-        begun = feed.now()
-        last = round(self.duration_s * self.rate_hz)
-        for frame in range(last) if last else count():
-            stamp = begun + round(frame * NS / self.rate_hz)
-            if self.realtime and feed.wait(max(0, stamp - feed.now()) / NS):
-                return
-            if feed.stopped:
-                return
+        for frame, stamp in paced(feed, self.rate_hz, self.duration_s, self.realtime):
             pose = true_pose(frame / self.rate_hz)
             at = np.array([stamp])
             feed.emit(Chunk(at, self.markers(frame, pose)[None], stamp), "markers")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import count
 from typing import ClassVar
 
 import numpy as np
 
-from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
+from devices.simulators.paced import paced
+from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec
 from stream.mesh import Topology
 from stream.params import param
 from stream.source import Feed, Source
@@ -154,15 +153,3 @@ class TwoActors(Source):
         if self.leaves_s and self.leaves_s <= time < self.leaves_s + 3.0:
             made[3:] = np.nan
         return made
-
-
-def paced(feed: Feed, rate_hz: float, duration_s: float, realtime: bool) -> Iterator[tuple[int, int]]:
-    """(frame, stamp) in time, until the feed stops."""
-    begun, last = feed.now(), round(duration_s * rate_hz)
-    for frame in range(last) if last else count():
-        stamp = begun + round(frame * NS / rate_hz)
-        if realtime and feed.wait(max(0, stamp - feed.now()) / NS):
-            return
-        if feed.stopped:
-            return
-        yield frame, stamp
