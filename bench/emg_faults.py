@@ -134,6 +134,26 @@ def _pause(w: Walk, at: Any) -> None:
     w.emg[at] = 2.0 * np.random.default_rng(2).standard_normal(w.emg[at].shape)
 
 
+def _from_plate(w: Walk, at: Any) -> None:
+    """The left belt's cable in the right belt's socket."""
+    w.force[at] = w.force[at][:, ::-1].copy()
+
+
+def _late(seconds: float) -> Callable[[Walk, Any], None]:
+    """The plate's signal comes later."""
+
+    def put(w: Walk, at: Any) -> None:
+        w.force[at] = w.force[at.start - round(seconds * RATE) : at.stop - round(seconds * RATE)].copy()
+
+    return put
+
+
+def _other_leg(w: Walk, at: Any) -> None:
+    """The electrodes are on the other leg."""
+    both = Treadmill(muscles=MUSCLES, legs="both").both()
+    w.emg[at] = both.read(0, SECONDS * RATE)[0][at, : len(MUSCLES)]
+
+
 FAULTS: dict[str, Callable[[Walk], None]] = {
     "electrode off (flat)": simulated("flat"),
     "electrode off for 2 s": simulated("flat", for_s=2.0),
@@ -172,12 +192,18 @@ FAULTS: dict[str, Callable[[Walk], None]] = {
     "every other contact not seen": changed(_plate(_every_other)),
     "a false contact in every swing": changed(_plate(_kicks)),
     "plate in kN, taken for N": changed(_plate(lambda load, _, t: load / 1000), 0),
+    "the other belt taken for this leg's": changed(_from_plate, 0),
+    "the other belt from 15 s on": changed(_from_plate),
+    "electrodes on the other leg": changed(_other_leg, 0),
+    "TA and SO swapped from the start": changed(_swap, 0),
+    "contacts 20 ms late": changed(_late(0.02)),
     "person stands for 8 s": changed(_pause, FROM_S, FROM_S + 8),
 }
 
 FROM_THE_START = (
     "plate +30 N", "plate -30 N", "plate drifts 60 N", "5 % of the other belt", "plate noise of 15 N rms", "plate noise of 60 N rms",
     "plate in kN, taken for N",
+    "the other belt taken for this leg's", "electrodes on the other leg", "TA and SO swapped from the start",
 )  # fmt: skip
 
 

@@ -145,6 +145,16 @@ def _shifted(seconds: float) -> Callable[[Treading], None]:
     return put
 
 
+def _other_leg(w: Treading) -> None:
+    """The contacts are the other leg's: half a cycle later, from the start."""
+    half = np.diff(w.down).mean() / 2
+    w.down, w.up = w.down + half, w.up + half
+
+
+def _swapped_first(w: Treading) -> None:
+    w.emg[:, [TA, SO]] = w.emg[:, [SO, TA]]
+
+
 FAULTS: dict[str, Callable[[Treading], None]] = {
     "electrode off (flat)": simulated("flat"),
     "electrode off for 2 s": simulated("flat", for_s=2.0),
@@ -179,7 +189,16 @@ FAULTS: dict[str, Callable[[Treading], None]] = {
     "touch-downs off by 20 ms": _jitter(0.02),
     "touch-downs off by 100 ms": _jitter(0.1),
     "contacts 100 ms late": _shifted(0.1),
+    "contacts 20 ms late": _shifted(0.02),
+    "contacts 20 ms early": _shifted(-0.02),
+    "the other leg's contacts from the start": _other_leg,
+    "TA and SO swapped from the start": _swapped_first,
 }
+
+
+FROM_THE_START = (
+    "the other leg's contacts from the start", "TA and SO swapped from the start",
+)  # fmt: skip
 
 
 @dataclass
@@ -273,7 +292,9 @@ def table(names: list[str]) -> list[tuple[str, ...]]:
         for name in mine:
             w = sound()
             faults[name](w)  # type: ignore[operator]
-            rows.append(table_row(name, 0.0 if "before" in name else begin_s, session(w), whole))  # type: ignore[operator]
+            rows.append(
+                table_row(name, 0.0 if "before" in name or name in FROM_THE_START else begin_s, session(w), whole)
+            )  # type: ignore[operator]
             print(rows[-1], file=sys.stderr, flush=True)
     return rows
 

@@ -18,6 +18,7 @@ from operators.gait.cycles import Cycles
 from operators.gait.pattern_watch import PatternWatch
 from operators.gait.review import CycleReview
 from operators.gait.statistics import CycleStatistics
+from operators.gait.timing_watch import TimingWatch
 from stream.chunk import FOREVER, NS, Chunk
 from stream.engine.merge import Merge
 
@@ -80,6 +81,7 @@ def analysed(emg: Stream, feet: dict[str, Stream], here: Any = None, most_noise:
         drive(ChannelWatch(), {"in": emg}, here)["out"],
         drive(CycleWatch(), {"signal": envelope, "closed": cycles["closed"]})["out"],
         drive(PatternWatch(), left)["out"],
+        drive(TimingWatch(), left)["out"],
     ]
     alarms = [
         (stamp / NS, str(row["subject"]), str(row["what"]))

@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from operators.gait.statistics import CycleStatistics
     from operators.gait.stride_shape import StrideShape
     from operators.gait.symmetry import LimbSymmetry
+    from operators.gait.timing_watch import TimingWatch
     from operators.gaps import FillGaps
     from operators.gate import Gate
     from operators.iir import Bandpass, Highpass, Lowpass, Notch
@@ -196,6 +197,7 @@ __all__ = [
     "Surer",
     "SwitchContacts",
     "Threshold",
+    "TimingWatch",
     "View",
     "Weigh",
     "WholePose",
@@ -300,6 +302,7 @@ __getattr__, __dir__ = offered(
         "Surer": "operators.body.surer",
         "SwitchContacts": "operators.gait.force",
         "Threshold": "operators.threshold",
+        "TimingWatch": "operators.gait.timing_watch",
         "View": "operators.depth.view",
         "Weigh": "operators.features.weigh",
         "WholePose": "operators.whole_pose.operator",

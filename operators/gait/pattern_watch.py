@@ -11,6 +11,7 @@ from operators.alarm import ALARM, ALARM_UNITS, ON, OVER
 from operators.gait.cycle import POINTS, Expected, check_cycles, longest_cycle_s, some_cycles
 from operators.gait.limbs import Belonging
 from operators.gait.stage_change import StageUnderWay
+from operators.gait.textbook import likeness
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.finite import only_finite
 from stream.operator import Case, Operator
@@ -137,7 +138,7 @@ class PatternWatch(Operator[PatternWatchState]):
             self._size(found, when, i, REST, (_rest(level), _rest(now), self.times_rest))
         if len(ready) < 2:
             return
-        like = _correlations(s.recent[:, :, ready].mean(axis=0), s.first[:, ready])
+        like = likeness(s.recent[:, :, ready].mean(axis=0), s.first[:, ready])
         for k, i in enumerate(ready.tolist()):
             best = int(like[k].argmax())
             other = like[k, best] > max(0.7, like[k, k] + self.clearly)
@@ -186,12 +187,3 @@ class PatternWatch(Operator[PatternWatchState]):
 
 def _rest(curve: Samples) -> float:
     return float(np.sort(curve)[: len(curve) * QUIET_PCT // 100].mean())
-
-
-def _correlations(now: Samples, patterns: Samples) -> Array:
-    """Of each curve (100, m) with each pattern (100, m): (m, m); 0 where one does not vary."""
-    a, b = now - now.mean(axis=0), patterns - patterns.mean(axis=0)
-    size = np.sqrt((a**2).sum(axis=0))[:, None] * np.sqrt((b**2).sum(axis=0))
-    products = np.array([[(a[:, i] * b[:, k]).sum() for k in range(b.shape[1])] for i in range(a.shape[1])])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.where(size > 0, products / size, 0.0))

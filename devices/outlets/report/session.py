@@ -30,7 +30,7 @@ from devices.outlets.report.cycle_rows import (
 from devices.outlets.report.data import Curves, Report, save
 from devices.outlets.report.peaks import MODE, MOVED
 from devices.outlets.report.place import free_stem, page_of, recording_of
-from devices.outlets.report.tally import GAIT, Tally, hear, nothing_yet, numbers
+from devices.outlets.report.tally import ALARM_PORTS, GAIT, Tally, hear, nothing_yet, numbers
 from devices.outlets.report.words import relative_to
 from devices.outlets.report.workbook import missing, write_tables
 from stream.chunk import Array, Chunk, Specs
@@ -80,7 +80,10 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
     quality          of `operators.emg.quality.SignalQuality`: the verdict on each electrode
     electrodes       of `operators.emg.electrode_watch.ElectrodeWatch`, and
     contacts         of `operators.gait.cycle_watch.CycleWatch`, and
-    changes          of `operators.emg.mixture_drift.MixtureDrift` (`change`): the alarms of the session, and how long each lasted
+    changes          of `operators.emg.mixture_drift.MixtureDrift` (`change`), and
+    channels         of `operators.emg.channel_watch.ChannelWatch`, and
+    patterns, timing of `operators.gait.pattern_watch.PatternWatch` and `operators.gait.timing_watch.TimingWatch`: the session's alarms, and
+                     how long each lasted
     symmetry         of `operators.gait.symmetry.LimbSymmetry`
     footfalls, gait  of `operators.gait.footfalls.Footfalls` (`limbs`, `gait`)
     bursts, active   of `operators.gait.bursts.CycleBursts` (`session`, `active`): when muscles are active, a table and bars
@@ -104,7 +107,7 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
 
     inputs: ClassVar[tuple[str, ...]] = (
         "emg", "closed", "cycles", "statistics", "muscles", "pairs", "quality", "electrodes", "contacts", "changes",
-        "symmetry", "footfalls", "gait", "bursts", "active", "modes", "distance", "low", "high",
+        "channels", "patterns", "timing", "symmetry", "footfalls", "gait", "bursts", "active", "modes", "distance", "low", "high",
     )  # fmt: skip
     optional: ClassVar[tuple[str, ...]] = (
         "emg",
@@ -115,6 +118,9 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
         "electrodes",
         "contacts",
         "changes",
+        "channels",
+        "patterns",
+        "timing",
         "symmetry",
         "footfalls",
         "gait",
@@ -160,7 +166,7 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
         _check_fields(specs, "modes", ("name", "number", *MODE))
         _check_fields(specs, "distance", ("name", *MOVED))
         _check_fields(specs, "quality", ("name", "flag", "reason", "session_flag", "session_reason"))
-        for port in ("electrodes", "contacts", "changes"):
+        for port in ALARM_PORTS:
             _check_fields(specs, port, ("onset", "subject", "state", "what"))
         self.hold(ReportState(nothing_yet(specs), nothing_held(specs)), ReportRuntime(specs))
         return {}

@@ -23,6 +23,10 @@ GAIT = ("cadence", "duration_s", "stance_pct")
 UNSEEN = -1
 
 
+ALARM_PORTS = ("electrodes", "contacts", "changes", "channels", "patterns", "timing")
+"""The inputs that bring alarms."""
+
+
 @dataclass(slots=True)
 class Tally:
     """
@@ -155,7 +159,7 @@ def hear(tally: Tally, specs: Specs, port: str, chunk: Chunk) -> None:
     elif port == "pairs":
         for row in chunk.data:
             _pair(tally, row)
-    elif port in ("electrodes", "contacts", "changes"):
+    elif port in ALARM_PORTS:
         for stamp, row in zip(chunk.time.tolist(), chunk.data, strict=True):
             _alarm(tally, stamp, row)
     elif port in ("footfalls", "gait", "symmetry", "bursts", "active"):

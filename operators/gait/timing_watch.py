@@ -1,0 +1,239 @@
+"""Alarms about contacts and leads that the muscles' own timing speaks against: later than at first, the other leg's, another muscle's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, TypeAlias
+
+import numpy as np
+
+from operators.alarm import ALARM, ALARM_UNITS, ON, OVER
+from operators.gait.cycle import POINTS, Expected, check_cycles, longest_cycle_s, some_cycles
+from operators.gait.limbs import Belonging
+from operators.gait.stage_change import StageUnderWay
+from operators.gait.textbook import likeness, muscle_called, side_called, textbook_pattern
+from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
+from stream.finite import only_finite
+from stream.operator import Case, Operator
+from stream.params import param
+
+Found: TypeAlias = list[tuple[int, tuple[int, str, str, str, str]]]
+"""Alarms with their stamps."""
+SHIFT, HALF = 0, 1
+OVERS = ("contacts later or earlier than at first", "muscles work half a cycle off")
+SHIFTED = "see the contact sensor, its threshold and delay; or the person walks in another way"
+OTHER_LEG = "are these the other leg's contacts, or leads of muscles that work in turn swapped? patients may walk so"
+OTHER_MUSCLE = (
+    "look whether the electrodes are on that muscle, or leads were swapped; patients may differ from the textbook"
+)
+FARTHEST_PCT = 10
+"""A curve is looked for so far from where it was at first; what is further off is another pattern."""
+LEAST_PAIRS = 5
+ALIKE = 0.6
+"""The correlation that a curve has at least with the textbook's pattern of a muscle that it is taken for."""
+
+
+@dataclass(slots=True)
+class TimingWatchState:
+    """
+    first (100, m), taken (m,)   sum of each muscle's first cycles in the stage under way, and how many
+    lags (l, k), measured (l,)   how much later than at first the latest cycles were, in % of the cycle, rings by limb
+    scatter (l, 3)               sum of squared differences of neighbouring lags, how many, the latest lag
+    recent (k, 100, m), seen (m,) the latest cycles, rings
+    limb (l, 2, 2), muscle (m, 2) of each limb's alarms and each muscle's: 1 (a muscle: another's place + 1) while it is on; cycles in a
+                                 row that say otherwise
+    stage                        of each limb;  known: the textbook's muscle of each channel;  patterns (100, m): its pattern
+    """
+
+    expected: Expected
+    first: Samples
+    taken: Times
+    lags: Samples
+    measured: Times
+    scatter: Samples
+    recent: Samples
+    seen: Times
+    limb: Times
+    muscle: Times
+    stage: StageUnderWay
+    limbs: Belonging
+    names: list[str]
+    known: list[str]
+    patterns: Samples
+
+
+@dataclass(frozen=True, slots=True)
+class TimingWatch(Operator[TimingWatchState]):
+    """Cycles and their events in, alarms out where the muscles' own timing says that contacts or leads are wrong:
+
+    contacts later    a limb's curves have moved against those of its first `first` cycles (of the stage, where `closed` has stages): the
+                      lag with the highest circular correlation, to a part of a point, the median of the limb's muscles; its mean over
+                      the latest `latest` cycles is `off_pct` of the cycle or more, and `sds` times its own standard error. Over below
+                      half of that. One muscle of several that works later is none; of one muscle alone it is not known which moved.
+    half a cycle off  a limb's muscles (two or more that the textbook knows, by their names) fit it better by `clearly` half a cycle later,
+                      in the mean of their correlations: the contacts may be the other leg's
+    another muscle's  a muscle fits the textbook's pattern of another better than its own, by `clearly` + 0.2, and by 0.6 at least
+
+    Both latter use the mean of the latest `latest` cycles, from the third on, so they hold from the start; there are none with more than
+    two limbs, nor for a channel whose name states the other side than the contacts' (RTA in the left leg's cycles). Each alarm comes when
+    `cycles` cycles in a row agree, and once more when it is over. Patterns and their source: `operators.gait.textbook`.
+    """
+
+    inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")
+    acts: ClassVar[tuple[str, ...]] = ("cycles",)
+
+    first: int = param(10, least=3, most=200, help="cycles that show where each muscle works")
+    latest: int = param(6, least=3, most=50, help="cycles over which the timing of now is averaged")
+    cycles: int = param(2, least=1, most=50, help="cycles in a row that must agree")
+    off_pct: float = param(
+        1.2, above=0.0, most=10.0, help="curves this much of the cycle later or earlier are an alarm"
+    )
+    sds: float = param(4.0, above=0.0, help="and this many standard errors of their mean")
+    textbook: bool = param(True, help="hold muscles that are known by name against when they work in a walking person")
+    clearly: float = param(
+        0.8,
+        above=0.0,
+        most=2.0,
+        help="by how much half a cycle later must fit better (correlation, mean of the muscles)",
+    )
+    subject: str = param("contacts", help="what the alarms about contacts are about, where limbs have no names")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = check_cycles(specs)
+        m, limbs, longest_s = spec.shape[1], Belonging.of(spec), longest_cycle_s(specs["closed"])
+        ways, known = max(1, len(limbs.names)), self._known(spec, len(limbs.names))
+        self.hold(
+            TimingWatchState(
+                Expected.none(specs["closed"].dtype), np.zeros((POINTS, m)), np.zeros(m, np.int64), np.zeros((ways, self.latest)),
+                np.zeros(ways, np.int64), np.zeros((ways, 3)), np.zeros((self.latest, POINTS, m)), np.zeros(m, np.int64),
+                np.zeros((ways, 2, 2), np.int64), np.zeros((m, 2), np.int64), StageUnderWay.none(ways), limbs, list(spec.channels),
+                known, np.stack([textbook_pattern(name) for name in known], axis=1),
+            ),
+            decision_s={"out": longest_s} if longest_s else None,
+        )  # fmt: skip
+        return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=spec.meta)}
+
+    def process(self, port: str, chunk: Chunk) -> Chunk:
+        s = self.state
+        found: Found = []
+        if port == "closed":
+            s.expected.note(chunk)
+        else:
+            for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
+                if (closed := s.expected.match(stamp)) is not None:
+                    self._cycle(found, stamp, closed[0], only_finite(curve))
+        stamps = np.array([stamp for stamp, _ in found], np.int64)
+        return Chunk(stamps, np.array([row for _, row in found], ALARM), chunk.until, -1 if chunk.lost else 0)
+
+    @classmethod
+    def cases(cls) -> list[Case]:
+        inputs = some_cycles(60, 3, 9)
+        spec, time, curves = inputs["cycles"]
+        late = curves.copy()
+        late[24:36] = np.roll(curves[24:36], 5, axis=1)
+        given = {**inputs, "cycles": (spec, time, late)}
+        return [Case(cls(first=5, latest=3), given, least=2), Case(cls(first=8, latest=4, cycles=1), given, least=2)]
+
+    def _known(self, spec: StreamSpec, limbs: int) -> list[str]:
+        """The textbook's muscle of each channel, "" where it is not to be held against one."""
+        muscles, side = dict(spec.meta.get("muscles") or {}), str(spec.meta.get("side", ""))
+        if not self.textbook or limbs > 2:
+            return [""] * len(spec.channels)
+        if limbs:
+            return [muscle_called(str(muscles.get(name, name))) for name in spec.channels]
+        sides = {side_called(name) for name in spec.channels} - {""}
+        own = {"", side} if side else {"", *sides} if len(sides) < 2 else {""}
+        return [muscle_called(name) if side_called(name) in own else "" for name in spec.channels]
+
+    def _cycle(self, found: Found, stamp: int, closed: np.void, curve: Samples) -> None:
+        s, when = self.state, (stamp, int(closed["onset"]))
+        limb = s.limbs.names.index(str(closed["limb"])) if s.limbs.names else 0
+        belongs = s.limbs.mine(closed)
+        if s.stage.begins(limb, closed):
+            self._begin_again(found, when, limb, belongs)
+        if not s.stage.holds(limb, int(closed["number"])):
+            return
+        mine = np.flatnonzero(belongs & ~np.isnan(curve).any(axis=0))
+        self._lag(found, when, limb, mine, curve)
+        for i in mine.tolist():
+            s.recent[s.seen[i] % self.latest, :, i] = curve[:, i]
+            s.seen[i] += 1
+        self._textbook(found, when, limb, mine)
+
+    def _begin_again(self, found: Found, when: tuple[int, int], limb: int, mine: Array) -> None:
+        """Another stage has begun: at another speed muscles work at another time."""
+        s = self.state
+        if s.limb[limb, SHIFT, 0]:
+            found.append((when[0], (when[1], self._who(limb), OVER, OVERS[SHIFT], "")))
+        s.first[:, mine], s.taken[mine] = 0.0, 0
+        s.measured[limb], s.scatter[limb], s.limb[limb, SHIFT] = 0, 0.0, 0
+
+    def _lag(self, found: Found, when: tuple[int, int], limb: int, mine: Array, curve: Samples) -> None:
+        """Take a cycle into what was at first, or measure how much later it is."""
+        s = self.state
+        for i in mine[s.taken[mine] < self.first].tolist():
+            s.first[:, i] += curve[:, i]
+            s.taken[i] += 1
+        ready = mine[s.taken[mine] >= self.first]
+        if not len(ready):
+            return
+        lag = float(np.median(lags_pct(curve[:, ready], s.first[:, ready])))
+        if s.measured[limb]:
+            s.scatter[limb, :2] += (lag - s.scatter[limb, 2]) ** 2, 1
+        s.scatter[limb, 2] = lag
+        s.lags[limb, s.measured[limb] % self.latest] = lag
+        s.measured[limb] += 1
+        if s.measured[limb] < self.latest or s.scatter[limb, 1] < LEAST_PAIRS:
+            return
+        mean = float(s.lags[limb].mean())
+        error = np.sqrt(s.scatter[limb, 0] / s.scatter[limb, 1] / 2 * (1 / self.latest + 1 / self.first))
+        least = self.off_pct / 2 if s.limb[limb, SHIFT, 0] else self.off_pct
+        other = int(abs(mean) >= max(least, self.sds * error))
+        told = f"contacts {abs(mean):.1f} % of the cycle {'earlier' if mean > 0 else 'later'} than at first"
+        self._tell(found, when, s.limb[limb, SHIFT], other, (self._who(limb), told, OVERS[SHIFT], SHIFTED))
+
+    def _textbook(self, found: Found, when: tuple[int, int], limb: int, mine: Array) -> None:
+        """Hold the mean of a limb's latest cycles against the textbook."""
+        s = self.state
+        known = [i for i in mine.tolist() if s.known[i] and s.seen[i] >= 3]
+        if len(known) < 2:
+            return
+        curves = np.stack([s.recent[: min(self.latest, s.seen[i]), :, i].mean(axis=0) for i in known], axis=1)
+        like, later = (
+            likeness(curves, s.patterns[:, known]),
+            likeness(curves, np.roll(s.patterns[:, known], POINTS // 2, axis=0)),
+        )
+        own = like.diagonal()
+        half = float(later.diagonal().mean() - own.mean()) >= self.clearly
+        self._tell(found, when, s.limb[limb, HALF], int(half), (self._who(limb), OVERS[HALF], OVERS[HALF], OTHER_LEG))
+        for k, i in enumerate(known):
+            best = int(like[k].argmax())
+            other = not s.limb[limb, HALF, 0] and not half and like[k, best] >= max(ALIKE, own[k] + self.clearly + 0.2)
+            name = s.known[known[best]] if other else ""
+            told = f"its curve is rather that of {name}", "its curve is another muscle's", OTHER_MUSCLE
+            self._tell(found, when, s.muscle[i], int(known[best]) + 1 if other else 0, (s.names[i], *told))
+
+    def _tell(
+        self, found: Found, when: tuple[int, int], alarm: Times, now: int, said: tuple[str, str, str, str]
+    ) -> None:
+        """`alarm` (2,): what is on, and cycles in a row that say otherwise. `said`: about whom, what, what when it is over, what to do."""
+        alarm[1] = 0 if now == alarm[0] else alarm[1] + 1
+        if alarm[1] >= self.cycles:
+            alarm[:] = now, 0
+            who, what, over, advice = said
+            found.append((when[0], (when[1], who, ON if now else OVER, what if now else over, advice if now else "")))
+
+    def _who(self, limb: int) -> str:
+        return self.state.limbs.names[limb] if self.state.limbs.names else self.subject
+
+
+def lags_pct(curves: Samples, patterns: Samples) -> Samples:
+    """How much later (% of the cycle) each curve (100, m) is than its pattern (100, m): (m,), by circular correlation within 10 %."""
+    a, b = curves - curves.mean(axis=0), patterns - patterns.mean(axis=0)
+    shifts = np.arange(-FARTHEST_PCT - 1, FARTHEST_PCT + 2)
+    like = np.stack([(np.roll(a, -k, axis=0) * b).sum(axis=0) for k in shifts.tolist()])
+    at, muscles = like[1:-1].argmax(axis=0) + 1, np.arange(a.shape[1])
+    before, top, after = like[at - 1, muscles], like[at, muscles], like[at + 1, muscles]
+    bend = before - 2 * top + after
+    part = np.where(bend < 0, (before - after) / np.where(bend < 0, 2 * bend, 1.0), 0.0)
+    return np.asarray(shifts[at] + np.clip(part, -1.0, 1.0))
