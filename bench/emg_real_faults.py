@@ -280,21 +280,21 @@ def analysed_striding(w: Striding) -> Outcome:
 def table(names: list[str]) -> list[tuple[str, ...]]:
     """The rows of these faults, each walk's after that of the walk as it was recorded."""
     rows = []
-    for title, faults, begin_s, sound, session in (
+    walks: tuple[tuple[str, Any, int, Any, Any], ...] = (
         ("none", FAULTS, FROM_S, treading, analysed_treading),
         ("overground: none", OVERGROUND, MIDDLE_S, striding, analysed_striding),
-    ):
+    )
+    for title, faults, begin_s, sound, session in walks:
         mine = [name for name in names if name in faults]
         if not mine:
             continue
-        whole = session(sound())  # type: ignore[operator]
+        whole = session(sound())
         rows.append(table_row(title, 0.0, whole, whole))
         for name in mine:
             w = sound()
-            faults[name](w)  # type: ignore[operator]
-            rows.append(
-                table_row(name, 0.0 if "before" in name or name in FROM_THE_START else begin_s, session(w), whole)
-            )  # type: ignore[operator]
+            faults[name](w)
+            since_s = 0.0 if "before" in name or name in FROM_THE_START else begin_s
+            rows.append(table_row(name, since_s, session(w), whole))
             print(rows[-1], file=sys.stderr, flush=True)
     return rows
 
