@@ -21,8 +21,9 @@ log = structlog.get_logger(__name__)
 
 @dataclass(slots=True)
 class AlarmsState:
-    """The alarms that there are now: with whom, what, and what to do; and how many there have been."""
+    """The alarms that there are now: from which input, with whom, what, and what to do; and how many there have been."""
 
+    ports: list[str]
     subjects: list[str]
     what: list[str]
     advice: list[str]
@@ -33,7 +34,8 @@ class AlarmsState:
 class Alarms(Outlet[AlarmsState]):
     """Any number of alarm streams (`operators.gait.cycle_watch`, `operators.emg.electrode_watch`) in.
 
-    Each alarm is a warning in the log; those that last are a red table in the live view, and where there is none, a line each.
+    Each alarm is a warning in the log; those that last are a red table in the live view, and where there is none, a line each. An
+    input has one alarm about a subject at a time; two inputs may have one each.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ()
@@ -44,7 +46,7 @@ class Alarms(Outlet[AlarmsState]):
         for port, spec in specs.items():
             if not set(FIELDS) <= set(spec.dtype.names or ()):
                 raise InputError(port, spec.describe(), f"alarms: events with the fields {', '.join(FIELDS)}")
-        self.hold(AlarmsState([], [], [], 0))
+        self.hold(AlarmsState([], [], [], [], 0))
         return {}
 
     def process(self, port: str, chunk: Chunk) -> None:
@@ -53,16 +55,19 @@ class Alarms(Outlet[AlarmsState]):
             since_s = (stamp - int(row["onset"])) / NS
             if row["state"] == "on":
                 log.warning("alarm", who=subject, what=what, do=advice, at=utc(stamp))
-                self._tell(subject, what, advice, f"ALARM {subject}: {what}. {advice}")
+                self._tell(port, subject, what, advice, f"ALARM {subject}: {what}. {advice}")
             else:
                 log.info("alarm is over", who=subject, what=what, at=utc(stamp))
-                self._tell(subject, "", "", f"over: {subject}: {what} ({since_s:.0f} s)")
+                self._tell(port, subject, "", "", f"over: {subject}: {what} ({since_s:.0f} s)")
 
-    def _tell(self, subject: str, what: str, advice: str, line: str) -> None:
+    def _tell(self, port: str, subject: str, what: str, advice: str, line: str) -> None:
         s = self.state
-        kept = [k for k, name in enumerate(s.subjects) if name != subject]
-        s.subjects, s.what, s.advice = ([text[k] for k in kept] for text in (s.subjects, s.what, s.advice))
+        kept = [k for k, told in enumerate(zip(s.ports, s.subjects, strict=True)) if told != (port, subject)]
+        s.ports, s.subjects, s.what, s.advice = (
+            [text[k] for k in kept] for text in (s.ports, s.subjects, s.what, s.advice)
+        )
         if what:
+            s.ports.append(port)
             s.subjects.append(subject)
             s.what.append(what)
             s.advice.append(advice)

@@ -10,13 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from devices.alarms import Alarms
+from devices.outlets.report.tally import hear, nothing_yet
 from devices.simulators.treadmill import Treadmill
 from devices.simulators.treadmill.faults import Fault, Faults
+from operators.alarm import ALARM, ALARM_UNITS, ON, OVER
 from operators.emg.electrode_watch import ADVICE, ElectrodeWatch
 from operators.emg.quality import SignalQuality
 from operators.gait.cycle_watch import CycleWatch
 from operators.gait.cycles import Cycles
-from stream.chunk import NS, StreamSpec
+from stream.chunk import NS, Chunk, StreamSpec
 from tests.support.emg_run import contacts, drive, stamps
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "treadmill_emg.yaml"
@@ -121,3 +124,30 @@ def test_the_session_says_it_on_the_screen_in_the_log_and_in_the_report(tmp_path
     assert "alarm" in done.stderr + done.stdout and "flat line" in done.stderr + done.stdout
     page = (tmp_path / "live.html").read_text()
     assert "Noticed during the session" in page and "<td>SO</td><td>flat line</td>" in page
+
+
+def test_two_inputs_may_have_an_alarm_about_the_same_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+    """The end of the one is not the end of the other, on the screen and in the report."""
+    rows = [
+        ("contacts", ON, "no contact for 2.1 s"),
+        ("timing", ON, "contacts 2.0 % of the cycle later than at first"),
+        ("contacts", OVER, "no contact"),
+    ]
+    events = [
+        (port, Chunk(np.array([k * NS]), np.array([(k * NS, "contacts", state, what, "look")], ALARM), k * NS))
+        for k, (port, state, what) in enumerate(rows, 1)
+    ]
+    spec = StreamSpec((), ALARM, units=ALARM_UNITS)
+    screen = Alarms()
+    screen.open({"contacts": spec, "timing": spec})
+    specs = {"cycles": StreamSpec((100, 1)), "contacts": spec, "timing": spec}
+    tally = nothing_yet(specs)
+    for port, chunk in events:
+        screen.process(port, chunk)
+        hear(tally, specs, port, chunk)
+    assert "over: contacts: no contact" in capsys.readouterr().out
+    assert screen.state.what == ["contacts 2.0 % of the cycle later than at first"]
+    assert [(str(row["what"])[:10], int(row["over"])) for row in tally.alarms[:2]] == [
+        ("no contact", 3 * NS),
+        ("contacts 2", 0),
+    ]

@@ -15,7 +15,7 @@ from devices.outlets.report.running import Choice, Running
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times, add_lost
 
 REJECTION = np.dtype([("onset", "<i8"), ("duration_s", "<f8"), ("reason", "<U32")])
-NOTICED = np.dtype([("onset", "<i8"), ("over", "<i8"), ("subject", "<U16"), ("what", "<U64")])
+NOTICED = np.dtype([("onset", "<i8"), ("over", "<i8"), ("port", "<U16"), ("subject", "<U16"), ("what", "<U64")])
 """An alarm: since when, until when (0: it lasts), with whom, and what."""
 LISTED = 200
 """At most this many rejected cycles are listed, and single curves kept."""
@@ -161,7 +161,7 @@ def hear(tally: Tally, specs: Specs, port: str, chunk: Chunk) -> None:
             _pair(tally, row)
     elif port in ALARM_PORTS:
         for stamp, row in zip(chunk.time.tolist(), chunk.data, strict=True):
-            _alarm(tally, stamp, row)
+            _alarm(tally, port, stamp, row)
     elif port in ("footfalls", "gait", "symmetry", "bursts", "active"):
         tally.groups.hear(port, chunk.data)
     elif port in ("modes", "distance"):
@@ -229,13 +229,14 @@ def _statistics(tally: Tally, names: list[str], rows: Array) -> None:
             tally.groups.numbers(k, tally.recent.fields[k])
 
 
-def _alarm(tally: Tally, stamp: int, row: Any) -> None:
-    """An alarm, or the end of the one about the same."""
+def _alarm(tally: Tally, port: str, stamp: int, row: Any) -> None:
+    """An alarm, or the end of the one about the same by the same operator."""
     kept = tally.alarms[: min(tally.alarmed, LISTED)]
-    kept["over"][(kept["subject"] == row["subject"]) & (kept["over"] == 0) & (row["state"] != "on")] = stamp
+    same = (kept["port"] == port) & (kept["subject"] == row["subject"])
+    kept["over"][same & (kept["over"] == 0) & (row["state"] != "on")] = stamp
     if row["state"] == "on":
         if tally.alarmed < LISTED:
-            tally.alarms[tally.alarmed] = (row["onset"], 0, row["subject"], row["what"])
+            tally.alarms[tally.alarmed] = (row["onset"], 0, port, row["subject"], row["what"])
         tally.alarmed += 1
 
 
