@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from devices.outlets.page.channel import PageChannel
+from devices.outlets.page.channel import TICK, PageChannel
 from devices.outlets.page.pipe import MOST_BUFFERS, ServerPipe
 from devices.outlets.page.wire import LENGTH, decode, encode
 from stream.chunk import Chunk, grid
@@ -152,3 +152,19 @@ def test_a_server_that_ends_costs_its_views_and_nothing_else(ends: PipeEnds) -> 
     put(chunk(1))
     channel.lead_to(None)
     assert channel.wanted == [False]
+
+
+def test_without_writev_only_the_thread_that_may_wait_writes(ends: PipeEnds, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on Windows."""
+    monkeypatch.delattr(os, "writev")
+    pipe = ServerPipe(os.dup(ends.reader))  # never written to
+    os.close(pipe._handle)
+    channel, written = PageChannel([False]), bytearray()
+    monkeypatch.setattr(os, "write", lambda _, view: written.extend(view[:1000]) or min(len(view), 1000))
+    channel.lead_to(pipe)
+    channel.wanted[:], channel.seen = [True], True
+    time = grid(1000.0, 2000)
+    channel.observer(0)(Chunk(time, np.ones((2000, 2)), int(time[-1])))
+    assert not channel.hand_over(wait=False) and not written and channel.is_left
+    assert channel.hand_over()
+    assert written.endswith(np.ones(1).tobytes() + LENGTH.pack(len(TICK)) + TICK) and len(written) > 2000 * 24

@@ -136,13 +136,18 @@ class PageChannel:
                 self.wanted[:], self.seen = [False] * len(self.wanted), False
 
     @property
+    def is_left(self) -> bool:
+        """Whether all is left to the lane's thread, as the pipe may wait."""
+        return self._pipe is not None and self._pipe.waits
+
+    @property
     def is_led(self) -> bool:
         """Whether there is a server that reads."""
         return self._pipe is not None
 
     def hand_over(self, *more: PipeMessage, wait: bool = True) -> bool:
         """What waits, and then further messages, in one go; False without room, or where another thread is at it and is not waited for."""
-        if not self._handing.acquire(blocking=wait):
+        if (not wait and self.is_left) or not self._handing.acquire(blocking=wait):
             return False
         try:
             self._due_s = time.monotonic() + (TICK_S if self.seen else UNSEEN_TICK_S)

@@ -260,7 +260,7 @@ class LivePage:
         channel = self._channel
         if not channel.seen:
             return UNSEEN_TICK_S
-        return TICK_S if channel.pictures_wanted or self._mode != "live" else SEEN_TICK_S
+        return TICK_S if channel.pictures_wanted or channel.is_left or self._mode != "live" else SEEN_TICK_S
 
     def _greeting(self) -> bytes:
         greeting = hello(self._graph, outside=not is_loopback(self._address.host), mode=self._mode, t0_ns=self._t0)

@@ -26,12 +26,16 @@ class ServerPipe:
     """Whole messages into a file descriptor, each behind its length, in as few system calls as can be; arrays are not copied on the way.
 
     One thread at a time writes.
+
+    waits   whether a write waits for a reader after all, as on systems without `writev` (Windows): not for a thread that must not
     """
 
     def __init__(self, handle: int) -> None:
         self._handle = handle
         self._rest: list[memoryview] = []
-        os.set_blocking(handle, False)
+        self.waits = not hasattr(os, "writev")
+        if not self.waits:
+            os.set_blocking(handle, False)
         with suppress(ImportError, AttributeError, OSError):  # Linux alone; an unprivileged user's share may be used up
             import fcntl
 
@@ -46,6 +50,9 @@ class ServerPipe:
 
     def flush(self) -> bool:
         """Write what waits; whether all of it has found room."""
+        while self._rest and self.waits:
+            self._rest[0] = memoryview(np.frombuffer(self._rest[0], np.uint8))[os.write(self._handle, self._rest[0]) :]
+            del self._rest[: not self._rest[0].nbytes]
         while self._rest:
             try:
                 written = os.writev(self._handle, [*islice(self._rest, MOST_BUFFERS)])
