@@ -2,7 +2,7 @@
 
 Needs the folder of recordings that KINEGRAPH_DATA names: twelve exercises, done by two people (one of them twice). The repetitions that are
 found in one recording teach, each by the exercise that was annotated for most of it; those found in another are named. Open set: each
-exercise in turn is not taught, and should be `unknown`. `--write` puts the table into docs/segmentation.md.
+exercise in turn is not taught, and should be `unknown`. `--write` puts the table into docs/segmentation-figures.md.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def naming(folder: Path) -> Section:
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.naming", description=__doc__)
-    parser.add_argument("--write", action="store_true", help="write the table into docs/segmentation.md")
+    parser.add_argument("--write", action="store_true", help="write the table into docs/segmentation-figures.md")
     given = parser.parse_args()
     folder = Path(os.environ.get("KINEGRAPH_DATA", "")) / "segmentation"
     if not os.environ.get("KINEGRAPH_DATA") or not folder.is_dir():
@@ -101,7 +101,7 @@ def main() -> None:
     sections = [naming(folder)]
     print(whole(sections, "By `python -m bench.naming`."))
     if given.write:
-        publish(sections, "By `python -m bench.naming`.", "segmentation.md", *marks("bench.naming"))
+        publish(sections, "By `python -m bench.naming`.", "segmentation-figures.md", *marks("bench.naming"))
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ OTHER_NAMES = re.compile(
     re.IGNORECASE,
 )
 """Names that engine things had before they had those of the glossary."""
-TOLD = {"CHANGELOG.md": {"lane", "bell"}, "segmentation.md": {"bell"}}
+TOLD = {"CHANGELOG.md": {"lane", "bell"}, "segmentation.md": {"bell"}, "segmentation-figures.md": {"bell"}}
 """Where an old name is what the page is about (how to rename it), or where it means what it says: a bell that rings."""
 TRANSLATED = re.compile(
     r"\b(hangs? (on|out)|anew|(is|are) told|tells? of|so many|so much|so often|stands? in for|the house|amount of the)\b",
