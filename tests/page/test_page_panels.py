@@ -297,8 +297,10 @@ def test_cycles_have_their_mean_band_and_last_cycle(page: LiveBrowser, shown: Sh
     is_at(page, "cycles", stamp)
     names = shown.specs["ensemble.mean"].channels
     width = page.value(f"document.querySelector({canvas('cycles')!r}).width")
-    columns = min(len(names), width // 150)
-    cell, tall = width / columns, int(page.value("document.querySelector('[aria-label=\"cycles\"]').dataset.cell"))
+    shape = "document.querySelector('[aria-label=\"cycles\"]').dataset"
+    columns, tall = (int(page.value(f"{shape}.{name}")) for name in ("columns", "cell"))
+    assert columns <= min(len(names), width // 150)
+    cell = width / columns
     middle = (tall + 18 - 6) / 2
     band = np.array(page.like(canvas("cycles"), "rule", within=10))
     for c, _ in enumerate(names):
@@ -334,8 +336,8 @@ def test_modes_are_ellipses_where_they_are_and_targets_are_boxes(
         "of TA and SO there are bands"
     )
     width = page.value(f"document.querySelector({canvas('modes')!r}).width")
-    columns = min(len(names), width // 150)
-    cell, tall = width / columns, int(page.value(f"{box}.cell"))
+    columns, tall = (int(page.value(f"{box}.{name}")) for name in ("columns", "cell"))
+    cell = width / columns
     ink = np.array(page.like(canvas("modes"), "ink", within=90))
     for name, rows in last.items():
         c = names.index(name)

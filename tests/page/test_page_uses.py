@@ -215,7 +215,7 @@ def beside(browser: LiveBrowser) -> None:
         browser.size(width, 4000)
         browser.wait(f"document.querySelector('.cycles canvas').width < {width} && innerWidth === {width}")
         wide = browser.value("document.querySelector('.cycles canvas').width")
-        columns = min(8, wide // 150) // 2 * 2
+        columns = 4 if width > 600 else 2  # as large as leaves all of them in sight, a left one beside its right one
         cell, rows = wide / columns, -(-8 // columns)
         browser.wait(
             "(c => Number(c.dataset.cell) > 90 && c.querySelector('canvas').height === "

@@ -6,6 +6,7 @@ import type { Cell, PanelInfo } from "./wire";
 
 const CELL_WIDTH = 150;
 const [CELL_LEAST, CELL_MOST, CELL_SHAPE] = [92, 190, 0.62];
+const ROOM = 420;
 const PAD = 6;
 const HEAD = 18;
 
@@ -33,16 +34,15 @@ export class CyclesPanel extends Panel {
     let [ellipses, bands, norms] = [0, 0, 0];
     const names = mean?.info.channels ?? [];
     const order = sideBySide(names);
-    const fit = Math.max(1, Math.min(names.length, Math.floor(this.body.clientWidth / CELL_WIDTH)));
-    const columns = order && fit > 1 ? fit - (fit % 2) : fit;
+    const [columns, tall] = this.grid(names.length, order !== null);
     const until = this.page.recording ? span.at : Infinity;
     const seen = [modes, targets].map((s) => (s ? newestOf(s, until).reduce((n, row) => Math.max(n, row[0] as number), 0) : 0));
     const state = this.streams.reduce((n, s) => n * 31 + s.count, columns * 7 + this.body.clientWidth + seen.reduce((a, b) => a * 3 + b, 0));
     if (state === this.drawn) return;
     this.drawn = state;
-    const tall = Math.round(Math.max(CELL_LEAST, Math.min(CELL_MOST, HEAD + (CELL_SHAPE * this.body.clientWidth) / columns)));
     this.sheet.canvas.style.height = `${Math.ceil(names.length / columns) * tall}px`;
     this.element.dataset["cell"] = String(tall);
+    this.element.dataset["columns"] = String(columns);
     const pen = this.sheet.clear();
     const cell = this.sheet.width / columns;
     const scales: Range[] = [];
@@ -65,6 +65,18 @@ export class CyclesPanel extends Panel {
     this.stamp();
     this.element.dataset["cycles"] = String((last ?? mean)?.newest?.count ?? 0);
     this.sheet.canvas.setAttribute("aria-label", `${names.length} channels, ${this.note.textContent}`);
+  }
+
+  /** How many cells in a row, and how tall they are: as large as leaves all of them within the panel's room; in pairs, an even number. */
+  private grid(cells: number, pairs: boolean): [number, number] {
+    const wide = this.body.clientWidth;
+    const fit = Math.max(1, Math.min(cells, Math.floor(wide / CELL_WIDTH)));
+    const most = pairs && fit > 1 ? fit - (fit % 2) : fit;
+    const tall = (columns: number) => Math.round(Math.max(CELL_LEAST, Math.min(CELL_MOST, HEAD + (CELL_SHAPE * wide) / columns)));
+    let columns = most;
+    for (let fewer = most - (pairs ? 2 : 1); fewer > 0; fewer -= pairs ? 2 : 1)
+      if (Math.ceil(cells / fewer) * tall(fewer) <= ROOM * (this.info.tall ?? 1)) columns = fewer;
+    return [columns, tall(columns)];
   }
 
   /** From where to where a channel's curves reach; from 0, unless they go below it as an angle or a moment does. */
