@@ -13,261 +13,16 @@ all into docs/page.md.
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import re
-import signal
-import subprocess
-import sys
-import tempfile
-import threading
-import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field
-from itertools import count
-from pathlib import Path
-from typing import Any, ClassVar
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import ClientConnection, connect
 
+from bench import page_peers, page_recording, page_screen
+from bench.page_session import GRAPH, MESH, MESHES_HZ, VERTICES
+from bench.page_turns import Turn, both, take_turn
 from bench.report import Goal, Section, marks, publish, short, whole
-from devices.outlets.page.wire import decode
-from stream.chunk import NS, Chunk, Specs, StreamSpec, grid
-from stream.mesh import Topology
-from stream.operator import Operator
-from stream.params import param
-from stream.source import Feed, Source
-
-HOUSE = Path(__file__).resolve().parent.parent
-RATE_HZ, CHANNELS, CHUNK = 2000, 16, 10
-VERTICES, MESHES_HZ = 8431, 30.0
-WARM_S = 2.0
-"""What comes in the first seconds is left out."""
-PATIENCE_S = 60.0
-PROCESS_CLOCK = 2
-"""CPUCLOCK_SCHED: of the clocks that Linux keeps of a process, the exact one."""
-BOARD = StreamSpec((CHANNELS,), rate_hz=float(RATE_HZ), channels=tuple(f"c{k}" for k in range(CHANNELS)), units=("uV",))
-GRAPH = """
-nodes:
-  board: {use: bench.page.Board}
-  envelope: {use: operators.emg.Envelope, from: board}
-  rectified: {use: operators.rectify.Rectify, from: board}
-  aged: {use: bench.page.Aged, from: rectified, path: AGES}
-"""
-MESH = "nodes:\n  mesh: {use: bench.page.Meshes}\n"
-
-
-@dataclass(frozen=True, slots=True)
-class Board(Source):
-    """Noise, as a board would send it."""
-
-    live: ClassVar[bool] = True
-
-    def specs(self) -> Specs:
-        return {"out": BOARD}
-
-    def read(self, feed: Feed) -> None:
-        data = np.random.default_rng(1).normal(scale=50, size=(CHUNK, CHANNELS))
-        begun = feed.now()
-        feed.ready()
-        for k in count():
-            time_ns = grid(RATE_HZ, CHUNK, start_ns=begun + k * CHUNK * NS // RATE_HZ)
-            if feed.wait(max(0, int(time_ns[-1]) - feed.now()) / NS) or feed.stopped:
-                return
-            feed.emit(Chunk(time_ns, data.copy(), int(time_ns[-1])))
-
-
-@dataclass(frozen=True, slots=True)
-class Meshes(Source):
-    """A sheet that waves."""
-
-    live: ClassVar[bool] = True
-
-    def specs(self) -> Specs:
-        faces = np.arange(3 * (VERTICES // 3), dtype=np.int32).reshape(-1, 3)
-        return {"out": Topology(VERTICES, faces).spec(MESHES_HZ)}
-
-    def read(self, feed: Feed) -> None:
-        sheet = np.random.default_rng(1).normal(size=(VERTICES, 3))
-        begun = feed.now()
-        feed.ready()
-        for k in count():
-            stamp = begun + round(k * NS / MESHES_HZ)
-            if feed.wait(max(0, stamp - feed.now()) / NS) or feed.stopped:
-                return
-            feed.emit(Chunk(np.array([stamp]), (sheet + np.sin(k / 10))[None], stamp))
-
-
-@dataclass(slots=True)
-class Ages:
-    """What was noted."""
-
-    seen: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Aged(Operator[Ages]):
-    """Notes how old the last sample of each chunk is (wall clock: a bench's operator, no part of any graph that is replayed)."""
-
-    path: str = param("", help="where the ages go")
-    ages: ClassVar[list[int]] = []
-
-    def open(self, specs: Specs) -> Specs:
-        self.hold(Ages())
-        return {"out": specs["in"]}
-
-    def process(self, port: str, chunk: Chunk) -> None:
-        if len(chunk.time):
-            if len(self.ages) == RATE_HZ // CHUNK:  # a second of them: what came before was the warm-up's
-                Path(self.path).with_suffix(".begun").touch()
-            self.ages.append(time.time_ns() - int(chunk.time[-1]))
-
-    def close(self) -> None:
-        Path(self.path).write_text(json.dumps(self.ages))
-
-
-@dataclass(slots=True)
-class Turn:
-    """What one turn of a session came to.
-
-    ages        ms, of every message of the first client: of its last sample, when it was there
-    graph       ms, of every chunk at the graph's last operator
-    begun       set when the first message is there
-    session, server   share of a processor
-    updates     messages per second
-    """
-
-    ages: list[float] = field(default_factory=list)
-    graph: list[float] = field(default_factory=list)
-    begun: threading.Event = field(default_factory=threading.Event)
-    session: float = 0.0
-    server: float = 0.0
-    updates: float = 0.0
-
-
-def cpu_s(pid: int) -> float:
-    """Processor time of a process so far, children apart, to the nanosecond (Linux's clock of another process); 0 for one that is gone."""
-    try:
-        return time.clock_gettime(~pid << 3 | PROCESS_CLOCK)
-    except OSError:
-        return 0.0
-
-
-@contextmanager
-def session(folder: Path, graph: str, *, page: bool) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
-    """A session, ended by Ctrl-C; its page's address."""
-    (folder / "g.yaml").write_text(graph.replace("AGES", str(folder / "ages.json")))
-    log = folder / "said.txt"
-    command = [sys.executable, "-m", "stream", "run", str(folder / "g.yaml"), "--no-record", "--view", "none"]
-    environment = {**os.environ, "PYTHONPATH": str(HOUSE)}
-    with log.open("wb") as said, subprocess.Popen(
-        [*command, *(["--page-at", ":0"] if page else [])], cwd=folder, stdout=said, stderr=said, stdin=subprocess.DEVNULL, env=environment
-    ) as process:  # fmt: skip
-        try:
-            found, begun = None, folder / "ages.begun"
-            while (page and not (found := re.search(r"page: http(\S+)", log.read_text()))) or not (
-                "AGES" not in graph or begun.exists()
-            ):
-                if process.poll() is not None:
-                    raise RuntimeError(log.read_text())
-                time.sleep(0.1)
-            yield process, f"ws{found[1]}socket" if found else ""
-        finally:
-            process.send_signal(signal.SIGINT)
-            process.wait(30)
-
-
-def looks(client: ClientConnection, width_ns: int) -> None:
-    """See all streams."""
-    hello, _ = decode(client.recv(decode=False))
-    client.send(json.dumps({"do": "see", "streams": {str(i): width_ns for i in range(len(hello["streams"]))}}))
-
-
-def watch(url: str, turn: Turn, kind: str, stop: threading.Event) -> None:
-    """Take messages, and note how old the newest sample of each is."""
-    with connect(url, max_size=None, compression=None, ping_interval=None) as client:
-        hello, _ = decode(client.recv(decode=False))
-        client.send(json.dumps({"do": "see", "streams": {"0": 0}}))
-        began = float("inf")
-        while not stop.is_set():
-            try:
-                header, numbers = decode(client.recv(timeout=PATIENCE_S, decode=False))
-            except (TimeoutError, ConnectionClosed):
-                return
-            if header["t"] != kind:
-                continue
-            if not turn.begun.is_set():
-                began = time.monotonic()
-                turn.begun.set()
-            if time.monotonic() - began < WARM_S:
-                continue
-            at = header["at"] if kind == "mesh" else float(np.frombuffer(numbers, np.float64, header["n"])[-1])
-            turn.ages.append(1000 * (time.time() - hello["t0_ms"] / 1000 - at))
-
-
-def stall(url: str, stop: threading.Event) -> None:
-    """See everything, and read none of it."""
-    with connect(url, max_size=None, max_queue=1, compression=None, ping_interval=None) as client:
-        looks(client, 0)
-        stop.wait()
-
-
-def servers(process: subprocess.Popen[bytes]) -> list[int]:
-    """The processes that a session has started."""
-    told = subprocess.run(["ps", "-o", "pid=", "--ppid", str(process.pid)], capture_output=True, text=True, check=False)
-    return [*map(int, told.stdout.split())]
-
-
-def kill(process: subprocess.Popen[bytes], stop: threading.Event) -> None:
-    """End the page's server every second."""
-    while not stop.wait(1.0):
-        for pid in servers(process):
-            with suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
-
-
-def take_turn(graph: str, kind: str, clients: int, seconds: float, *, page: bool = True, harm: str = "") -> Turn:
-    """One session with so many clients; `harm`: one more "stalls", or the server is "killed" again and again."""
-    from bench.page_clients import company
-
-    turn, stop = Turn(), threading.Event()
-    with ExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        with session(folder, graph, page=page) as (process, url):
-            stack.enter_context(company(url, clients - 1 if clients else 0))
-            jobs: list[tuple[Callable[..., None], tuple[Any, ...]]]
-            jobs = [(watch, (url, turn, kind, stop))] if clients else []
-            jobs += (
-                [(stall, (url, stop))] if harm == "stalls" else [(kill, (process, stop))] if harm == "killed" else []
-            )
-            threads = [threading.Thread(target=job, args=given) for job, given in jobs]
-            for thread in threads:
-                thread.start()
-            if clients:
-                turn.begun.wait(PATIENCE_S)
-            time.sleep(WARM_S)
-            turn.session, turn.server, lasted = shares(process, seconds)
-            stop.set()
-            for thread in threads:
-                thread.join()
-        turn.updates = len(turn.ages) / lasted
-        ages = folder / "ages.json"
-        turn.graph = [age / 1e6 for age in json.loads(ages.read_text())[RATE_HZ // CHUNK :]] if ages.exists() else []
-    return turn
-
-
-def shares(process: subprocess.Popen[bytes], seconds: float) -> tuple[float, float, float]:
-    """Processor time of a session and of its servers over so many seconds, as shares of a core, and how long that was."""
-    pids = [process.pid, *servers(process)]
-    before, began = [cpu_s(pid) for pid in pids], time.monotonic()
-    time.sleep(seconds)
-    lasted = time.monotonic() - began
-    own, *others = [max(0.0, cpu_s(pid) - then) / lasted for pid, then in zip(pids, before, strict=True)]
-    return own, sum(others), lasted
-
 
 KINDS: dict[str, dict[str, Any]] = {
     "no page": {"page": False, "clients": 0},
@@ -322,11 +77,6 @@ def row(name: str, taken: list[Turn], against: float) -> list[str]:
     return [name, both(graph), short(against), *seen, *map(short, middle)]
 
 
-def both(values: Any) -> str:
-    """The median and the 99th percentile."""
-    return f"{short(float(np.percentile(values, 50)))}, {short(float(np.percentile(values, 99)))}"
-
-
 def promises(turns: dict[str, list[Turn]], against: dict[str, float], noise: float) -> list[Goal]:
     """What was promised of all that."""
     none, one, five = (turns[name] for name in ("no page", "one client", "five clients"))
@@ -364,8 +114,6 @@ def meshes(seconds: float) -> Section:
 
 
 def main() -> None:
-    from bench import page_peers, page_recording, page_screen
-
     parser = argparse.ArgumentParser(prog="python -m bench.page", description=__doc__)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=10.0, help="of each turn")

@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from websockets.exceptions import ConnectionClosed, InvalidMessage
 from websockets.sync.client import connect
 
-from bench.page import HOUSE, looks
+from bench.page_session import HOUSE, looks
 
 NICE = 19
 

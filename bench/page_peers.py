@@ -17,7 +17,8 @@ from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 from bench.engines import EngineError, environment
-from bench.page import GRAPH, HOUSE, PATIENCE_S, WARM_S, Turn, both, cpu_s, take_turn
+from bench.page_session import GRAPH, HOUSE, PATIENCE_S, WARM_S
+from bench.page_turns import Turn, both, cpu_s, take_turn
 from bench.report import Section, short
 
 MESSAGE = struct.Struct("<BIQ")

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from websockets.sync.client import connect
 
-from bench.page import BOARD, CHANNELS, HOUSE, PATIENCE_S, RATE_HZ
+from bench.page_session import BOARD, CHANNELS, HOUSE, PATIENCE_S, RATE_HZ
 from bench.report import Goal, Section, short
 from devices.outlets.page.pyramid import Pyramid
 from devices.outlets.page.viewing import RecordingHub

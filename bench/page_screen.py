@@ -7,7 +7,7 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
-from bench.page import GRAPH, session
+from bench.page_session import GRAPH, session
 from bench.report import Goal, Section, short
 from tests.support.browser import CHROMIUM
 from tests.support.live_browser import LiveBrowser, live_browser

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bench import page, page_recording
+from bench import page, page_recording, page_turns
 from bench.__main__ import MEASURES
 from bench.report import BEGIN, END, HEADLINES, Goal, Section, goals, into_page, short
 from tests.support.page_session import needs_page
@@ -49,7 +49,7 @@ def test_the_page_and_its_recordings_can_be_measured(monkeypatch: pytest.MonkeyP
         name: page.KINDS[name] for name in ("no page", "one client", "five clients", "the server killed every second")
     }
     monkeypatch.setattr(page, "KINDS", kinds)
-    monkeypatch.setattr(page, "WARM_S", 0.2)
+    monkeypatch.setattr(page_turns, "WARM_S", 0.2)
     text = page.live(1, 1.0).markdown()
     assert all(name in text for name in kinds)
     assert len(page_recording.looked(0.2, 2).goals) == 2
