@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Literal
 
@@ -21,6 +22,7 @@ class PacketDecoder(FrameDecoder):
 
     def __init__(self, layouts: Sequence[FrameLayout]) -> None:
         self.layouts = layouts
+        self.contradicted = Counter()  # a packet's ends are known: its counter need not speak for it
         self._order = sorted(range(len(layouts)), key=lambda i: (-len(layouts[i].sync), -layouts[i].size))
 
     def feed(self, data: bytes) -> FoundFrames:
