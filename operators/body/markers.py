@@ -74,7 +74,7 @@ class Markers(Operator[MarkersState]):
                 np.zeros(4),
                 np.full((34, 2), np.nan),
                 LENGTHS.copy(),
-                np.zeros(6),
+                np.zeros_like(LENGTHS),
                 np.full((34, 3), np.nan),
                 0,
             )
