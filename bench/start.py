@@ -69,7 +69,9 @@ def _start(folder: Path, i: int) -> float:
 
 
 def _env() -> dict[str, str]:
-    return os.environ | {"PYTHONPATH": str(ROOT)}
+    """With Python's own cache of compiled modules, as any installation has it."""
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return kept | {"PYTHONPATH": str(ROOT)}
 
 
 def _imports() -> str:
