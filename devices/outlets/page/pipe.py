@@ -51,7 +51,7 @@ class ServerPipe:
     def flush(self) -> bool:
         """Write what waits; whether all of it has found room."""
         while self._rest and self.waits:
-            self._rest[0] = memoryview(np.frombuffer(self._rest[0], np.uint8))[os.write(self._handle, self._rest[0]) :]
+            self._rest[0] = np.frombuffer(self._rest[0], np.uint8).data[os.write(self._handle, self._rest[0]) :]
             del self._rest[: not self._rest[0].nbytes]
         while self._rest:
             try:
