@@ -72,7 +72,7 @@ def trained(x: Any, y: Any, random: np.random.Generator) -> dict[str, Any]:
 
 
 def turned_round(weights: dict[str, Any], x: Any, y: Any) -> float:
-    """The share of shapes whose heading is told more than 90 degrees off."""
+    """The share of shapes whose heading is more than 90 degrees off."""
     kept = [weights[name].astype(float) for name in ("hidden", "hidden_bias", "out", "out_bias")]
     told = np.empty(2)
     wrong = 0

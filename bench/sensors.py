@@ -96,7 +96,7 @@ def counted(path: Path) -> list[tuple[str, str, int, int, int]]:
 
 
 def chosen(raw: Series, axes: slice, steps: tuple[Operator[Any], ...]) -> dict[str, Array]:
-    """What is told of these axes, slow, at 30 Hz, after what else is done to them."""
+    """The events found in these axes, at 30 Hz and below 3 Hz, after `steps`."""
     some = Series(StreamSpec((axes.stop - axes.start,), rate_hz=100.0), raw.stamps, raw.data[:, axes])
     return events(some.through(Lowpass(cutoff_hz=3.0), Resample(rate_hz=RATE), *steps), Segment())
 

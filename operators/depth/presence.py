@@ -12,7 +12,7 @@ from operators.depth.bodies import CROWD, CROWD_S, SUSPECT_S, Bodies
 from operators.depth.regions import REGION, block_of, region_spec, sleepers_of, take
 from operators.depth.seconds import Seconds, add, look, restless
 from operators.depth.view import VIEW, check_view
-from operators.depth.visitor import Visitor
+from operators.depth.visitor import RoamingBody
 from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times, add_lost
 from stream.operator import Case, Operator, grid
 from stream.params import param
@@ -71,7 +71,7 @@ class PresenceState:
     alive: Times
     was_in: Times
     bodies: Bodies
-    visitor: Visitor
+    visitor: RoamingBody
     told: Times
     lost: Times
 
@@ -131,7 +131,7 @@ class Presence(Operator[PresenceState]):
                 list(sleepers), block, np.zeros((k, 4), np.int64), np.full(spec.shape, np.nan), Seconds.of(spec.shape),
                 np.zeros(k, np.int64), np.zeros(k, np.int64), np.full(k, NEVER), np.full(k, NEVER), np.zeros(k, np.int64),
                 np.full((k, 3), np.nan), np.zeros(k, np.int64), np.zeros(k, np.int64), np.zeros(k, np.int64),
-                Bodies.of(k, spec.shape), Visitor.of(k, spec.shape), np.zeros(k, np.int64), np.zeros(2, np.int64),
+                Bodies.of(k, spec.shape), RoamingBody.of(k, spec.shape), np.zeros(k, np.int64), np.zeros(2, np.int64),
             ),
             delay_s=1.0,
             decision_s={"out": max(60 * max(quiet_min), BLIND_S, CROWD_S, self.hold_s, self.unseen_s) + self.learn_s + 1},

@@ -50,7 +50,7 @@ def apart(raised: Times, label: Times, stack: Times) -> int:
 
 
 @dataclass(slots=True)
-class Visitor:
+class RoamingBody:
     """
     second            how many seconds have been looked at
     raised, flat      (rows, columns)  the second in which a block was last raised apart from the sleeper, and last flat; -1: never
@@ -63,8 +63,8 @@ class Visitor:
     walked: Times
 
     @staticmethod
-    def of(k: int, shape: tuple[int, ...]) -> Visitor:
-        return Visitor(0, np.full(shape, -1), np.full(shape, -1), np.full(k, -1))
+    def of(k: int, shape: tuple[int, ...]) -> RoamingBody:
+        return RoamingBody(0, np.full(shape, -1), np.full(shape, -1), np.full(k, -1))
 
     def forget(self) -> None:
         """The picture is another one."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.alarm import ALARM, ALARM_UNITS, ON, OVER
+from operators.alarm import ALARM, ALARM_UNITS, ON, OVER, FoundAlarms, alarm_chunk
 from stream.chunk import NEVER, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError
 from stream.kernel import kernel
@@ -115,7 +115,7 @@ class ChannelWatch(Operator[ChannelWatchState]):
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
         s = self.state
-        found: list[tuple[int, tuple[int, str, str, str, str]]] = []
+        found: FoundAlarms = []
         data, at = np.ascontiguousarray(chunk.data, np.float64), 0
         while at < len(chunk.time):
             n = min(s.size - s.filled, len(chunk.time) - at)
@@ -125,8 +125,7 @@ class ChannelWatch(Operator[ChannelWatchState]):
             at += n
             if s.filled == s.size:
                 self._judge(found, int(chunk.time[at - 1]))
-        stamps = np.array([stamp for stamp, _ in found], np.int64)
-        return Chunk(stamps, np.array([row for _, row in found], ALARM), chunk.until, -1 if chunk.lost else 0)
+        return alarm_chunk(found, chunk)
 
     @classmethod
     def cases(cls) -> list[Case]:
@@ -138,7 +137,7 @@ class ChannelWatch(Operator[ChannelWatchState]):
         spec = StreamSpec((4,), rate_hz=200.0, channels=("TA", "SO", "GM", "BF"), units=("uV",))
         return [Case(cls(), {"in": (spec, grid(200.0, n), x)}, least=4)]
 
-    def _judge(self, found: list[tuple[int, tuple[int, str, str, str, str]]], stamp: int) -> None:
+    def _judge(self, found: FoundAlarms, stamp: int) -> None:
         s = self.state
         n = max(s.counted, 1)
         cov = s.products / n - (s.sums / n)[:, None] * (s.sums / n)
@@ -158,9 +157,7 @@ class ChannelWatch(Operator[ChannelWatchState]):
         s.filled = s.counted = 0
         s.sums, s.products, s.same, s.moved = (np.zeros_like(v) for v in (s.sums, s.products, s.same, s.moved))
 
-    def _pair(
-        self, found: list[tuple[int, tuple[int, str, str, str, str]]], stamp: int, a: int, b: int, kind: int
-    ) -> None:
+    def _pair(self, found: FoundAlarms, stamp: int, a: int, b: int, kind: int) -> None:
         """`calm` counts windows in a row that say otherwise than the alarm that there is."""
         s = self.state
         s.calm[a, b] = 0 if (kind > 0) == (s.on[a, b] > 0) else s.calm[a, b] + 1

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, TypeAlias
+from typing import ClassVar
 
 import numpy as np
 
-from operators.alarm import ALARM, ALARM_UNITS, ON, OVER
+from operators.alarm import ALARM, ALARM_UNITS, ON, OVER, FoundAlarms, alarm_chunk
 from operators.gait.cycle import CLOSED, is_closed, longest_cycle_s
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Specs, StreamSpec, Times
 from stream.errors import InputError
 from stream.operator import Case, Operator, grid
 from stream.params import param
 
-Found: TypeAlias = list[tuple[int, tuple[int, str, str, str, str]]]
-"""Alarms with their stamps."""
 RECENT, LATEST = 11, 3
 SILENT, SLOW, SPARSE, UNEVEN = range(4)
 ADVICE = (
@@ -100,7 +98,7 @@ class CycleWatch(Operator[CycleWatchState]):
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
         s = self.state
-        found: Found = []
+        found: FoundAlarms = []
         if port == "signal":
             if len(chunk.time):
                 s.began = int(chunk.time[0]) if s.began == NEVER else s.began
@@ -110,8 +108,7 @@ class CycleWatch(Operator[CycleWatchState]):
                 self._silence(found, stamp - 1)
                 self._cycle(found, stamp, row)
         self._silence(found, s.newest if chunk.until == FOREVER else chunk.until)
-        stamps = np.array([stamp for stamp, _ in found], np.int64)
-        return Chunk(stamps, np.array([row for _, row in found], ALARM), chunk.until, -1 if chunk.lost else 0)
+        return alarm_chunk(found, chunk)
 
     @classmethod
     def cases(cls) -> list[Case]:
@@ -138,7 +135,7 @@ class CycleWatch(Operator[CycleWatchState]):
         s = self.state
         return float(np.median(s.durations[: s.measured])) if s.measured else 0.0
 
-    def _silence(self, found: Found, until: int) -> None:
+    def _silence(self, found: FoundAlarms, until: int) -> None:
         s = self.state
         if s.on[SILENT] or s.began == NEVER:
             return
@@ -149,7 +146,7 @@ class CycleWatch(Operator[CycleWatchState]):
             s.on[SILENT] = 1
             found.append((since + allowed, self._alarm(since, ON, f"no contact for {allowed / NS:.1f} s", SILENT)))
 
-    def _cycle(self, found: Found, stamp: int, row: Array) -> None:
+    def _cycle(self, found: FoundAlarms, stamp: int, row: Array) -> None:
         s = self.state
         duration, reason = int(row["end"]) - int(row["onset"]), str(row["rejected"])
         if s.on[SILENT]:
@@ -164,7 +161,7 @@ class CycleWatch(Operator[CycleWatchState]):
             self._evenness(found, stamp, duration)
         self._coverage(found, stamp)
 
-    def _pace(self, found: Found, stamp: int, duration: int) -> None:
+    def _pace(self, found: FoundAlarms, stamp: int, duration: int) -> None:
         s, usual = self.state, self._median()
         now = float(np.median(s.latest)) if s.seen >= LATEST else usual
         times = max(now / usual, usual / now) if usual else 1.0
@@ -180,7 +177,7 @@ class CycleWatch(Operator[CycleWatchState]):
             s.durations[s.measured % RECENT] = duration
             s.measured += 1
 
-    def _evenness(self, found: Found, stamp: int, duration: int) -> None:
+    def _evenness(self, found: FoundAlarms, stamp: int, duration: int) -> None:
         """Of neighbours: a belt that changes its speed makes one of them differ, a contact that is found late makes three."""
         s = self.state
         s.spans[s.walked % RECENT] = duration
@@ -197,7 +194,7 @@ class CycleWatch(Operator[CycleWatchState]):
             s.on[UNEVEN] = 0
             found.append((stamp, self._alarm(stamp, OVER, "cycles differ", UNEVEN)))
 
-    def _coverage(self, found: Found, stamp: int) -> None:
+    def _coverage(self, found: FoundAlarms, stamp: int) -> None:
         s = self.state
         elapsed = stamp - s.began if s.began != NEVER else 0
         if elapsed < 30 * NS:

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.alarm import ALARM, ALARM_UNITS, ON, OVER
+from operators.alarm import ALARM, ALARM_UNITS, ON, OVER, FoundAlarms, alarm_chunk
 from operators.gait.cycle import POINTS, Expected, check_cycles, longest_cycle_s, some_cycles
 from operators.gait.limbs import Belonging
 from operators.gait.stage_change import StageUnderWay
@@ -92,15 +92,14 @@ class PatternWatch(Operator[PatternWatchState]):
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
         s = self.state
-        found: list[tuple[int, tuple[int, str, str, str, str]]] = []
+        found: FoundAlarms = []
         if port == "closed":
             s.expected.note(chunk)
         else:
             for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
                 if (closed := s.expected.match(stamp)) is not None:
                     self._cycle(found, stamp, closed[0], only_finite(curve))
-        stamps = np.array([stamp for stamp, _ in found], np.int64)
-        return Chunk(stamps, np.array([row for _, row in found], ALARM), chunk.until, -1 if chunk.lost else 0)
+        return alarm_chunk(found, chunk)
 
     @classmethod
     def cases(cls) -> list[Case]:
@@ -111,9 +110,7 @@ class PatternWatch(Operator[PatternWatchState]):
         given = {**inputs, "cycles": (spec, time, swapped)}
         return [Case(cls(first=5, latest=2), given, least=2), Case(cls(first=8, latest=1, cycles=1), given, least=2)]
 
-    def _cycle(
-        self, found: list[tuple[int, tuple[int, str, str, str, str]]], stamp: int, closed: np.void, curve: Samples
-    ) -> None:
+    def _cycle(self, found: FoundAlarms, stamp: int, closed: np.void, curve: Samples) -> None:
         s = self.state
         limb = s.limbs.names.index(str(closed["limb"])) if s.limbs.names else 0
         if s.stage.begins(limb, closed):
@@ -144,9 +141,7 @@ class PatternWatch(Operator[PatternWatchState]):
             other = like[k, best] > max(0.7, like[k, k] + self.clearly)
             self._tell(found, (stamp, int(closed["onset"])), i, int(ready[best]) if other else -1)
 
-    def _begin_again(
-        self, found: list[tuple[int, tuple[int, str, str, str, str]]], when: tuple[int, int], mine: Array
-    ) -> None:
+    def _begin_again(self, found: FoundAlarms, when: tuple[int, int], mine: Array) -> None:
         """Another stage has begun: what a limb's muscles had before is no measure for their size."""
         s = self.state
         for kind, (_, over, _) in enumerate(MEASURES):
@@ -155,7 +150,7 @@ class PatternWatch(Operator[PatternWatchState]):
         s.level[:, mine], s.within[mine], s.sized[:, :, mine] = 0.0, 0, 0
 
     def _size(
-        self, found: list[tuple[int, tuple[int, str, str, str, str]]], when: tuple[int, int], i: int, kind: int,
+        self, found: FoundAlarms, when: tuple[int, int], i: int, kind: int,
         measured: tuple[float, float, float],
     ) -> None:  # fmt: skip
         """Compare a measure of muscle `i` before and now with how many times as high it may be."""
@@ -172,9 +167,7 @@ class PatternWatch(Operator[PatternWatchState]):
                 (when[0], (when[1], self.state.names[i], ON if other else OVER, told, advice if other else ""))
             )
 
-    def _tell(
-        self, found: list[tuple[int, tuple[int, str, str, str, str]]], when: tuple[int, int], i: int, like: int
-    ) -> None:
+    def _tell(self, found: FoundAlarms, when: tuple[int, int], i: int, like: int) -> None:
         s = self.state
         s.agreed[i] = 0 if like == s.on[i] else s.agreed[i] + 1
         if s.agreed[i] < self.cycles:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, TypeAlias
+from typing import ClassVar
 
 import numpy as np
 
-from operators.alarm import ALARM, ALARM_UNITS, ON, OVER
+from operators.alarm import ALARM, ALARM_UNITS, ON, OVER, FoundAlarms, alarm_chunk
 from operators.gait.cycle import POINTS, Expected, check_cycles, longest_cycle_s, some_cycles
 from operators.gait.limbs import Belonging
 from operators.gait.stage_change import StageUnderWay
@@ -17,8 +17,6 @@ from stream.finite import only_finite
 from stream.operator import Case, Operator
 from stream.params import param
 
-Found: TypeAlias = list[tuple[int, tuple[int, str, str, str, str]]]
-"""Alarms with their stamps."""
 SHIFT, HALF = 0, 1
 OVERS = ("contacts later or earlier than at first", "muscles work half a cycle off")
 SHIFTED = "see the contact sensor, its threshold and delay; or the person walks in another way"
@@ -115,15 +113,14 @@ class TimingWatch(Operator[TimingWatchState]):
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
         s = self.state
-        found: Found = []
+        found: FoundAlarms = []
         if port == "closed":
             s.expected.note(chunk)
         else:
             for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
                 if (closed := s.expected.match(stamp)) is not None:
                     self._cycle(found, stamp, closed[0], only_finite(curve))
-        stamps = np.array([stamp for stamp, _ in found], np.int64)
-        return Chunk(stamps, np.array([row for _, row in found], ALARM), chunk.until, -1 if chunk.lost else 0)
+        return alarm_chunk(found, chunk)
 
     @classmethod
     def cases(cls) -> list[Case]:
@@ -145,7 +142,7 @@ class TimingWatch(Operator[TimingWatchState]):
         own = {"", side} if side else {"", *sides} if len(sides) < 2 else {""}
         return [muscle_called(name) if side_called(name) in own else "" for name in spec.channels]
 
-    def _cycle(self, found: Found, stamp: int, closed: np.void, curve: Samples) -> None:
+    def _cycle(self, found: FoundAlarms, stamp: int, closed: np.void, curve: Samples) -> None:
         s, when = self.state, (stamp, int(closed["onset"]))
         limb = s.limbs.names.index(str(closed["limb"])) if s.limbs.names else 0
         belongs = s.limbs.mine(closed)
@@ -160,7 +157,7 @@ class TimingWatch(Operator[TimingWatchState]):
             s.seen[i] += 1
         self._textbook(found, when, limb, mine)
 
-    def _begin_again(self, found: Found, when: tuple[int, int], limb: int, mine: Array) -> None:
+    def _begin_again(self, found: FoundAlarms, when: tuple[int, int], limb: int, mine: Array) -> None:
         """Another stage has begun: at another speed muscles work at another time."""
         s = self.state
         if s.limb[limb, SHIFT, 0]:
@@ -168,7 +165,7 @@ class TimingWatch(Operator[TimingWatchState]):
         s.first[:, mine], s.taken[mine] = 0.0, 0
         s.measured[limb], s.scatter[limb], s.limb[limb, SHIFT] = 0, 0.0, 0
 
-    def _lag(self, found: Found, when: tuple[int, int], limb: int, mine: Array, curve: Samples) -> None:
+    def _lag(self, found: FoundAlarms, when: tuple[int, int], limb: int, mine: Array, curve: Samples) -> None:
         """Take a cycle into what was at first, or measure how much later it is."""
         s = self.state
         for i in mine[s.taken[mine] < self.first].tolist():
@@ -192,7 +189,7 @@ class TimingWatch(Operator[TimingWatchState]):
         told = f"contacts {abs(mean):.1f} % of the cycle {'earlier' if mean > 0 else 'later'} than at first"
         self._tell(found, when, s.limb[limb, SHIFT], other, (self._who(limb), told, OVERS[SHIFT], SHIFTED))
 
-    def _textbook(self, found: Found, when: tuple[int, int], limb: int, mine: Array) -> None:
+    def _textbook(self, found: FoundAlarms, when: tuple[int, int], limb: int, mine: Array) -> None:
         """Hold the mean of a limb's latest cycles against the textbook."""
         s = self.state
         known = [i for i in mine.tolist() if s.known[i] and s.seen[i] >= 3]
@@ -214,7 +211,7 @@ class TimingWatch(Operator[TimingWatchState]):
             self._tell(found, when, s.muscle[i], int(known[best]) + 1 if other else 0, (s.names[i], *told))
 
     def _tell(
-        self, found: Found, when: tuple[int, int], alarm: Times, now: int, said: tuple[str, str, str, str]
+        self, found: FoundAlarms, when: tuple[int, int], alarm: Times, now: int, said: tuple[str, str, str, str]
     ) -> None:
         """`alarm` (2,): what is on, and cycles in a row that say otherwise. `said`: about whom, what, what when it is over, what to do."""
         alarm[1] = 0 if now == alarm[0] else alarm[1] + 1
