@@ -79,21 +79,32 @@ class Exerciser(Source):
 
 
 class Routine:
-    """The exercises in their order: who asks for a frame, or for what is done, gets the same answer every time."""
+    """The exercises in their order: who asks for a frame, or for what is done, gets the same answer every time.
+
+    One exercise is remembered, so that it costs nothing to go on from there; to go back is to begin again.
+    """
 
     def __init__(self, exerciser: Exerciser) -> None:
         self._of = exerciser
-        self._begins: list[Samples] = []
+        self._first()
 
     def starts(self, number: int) -> Samples:
         """When each repetition of exercise `number` (0, 1, ... without end) starts, and when the last one ends, in seconds: (n + 1,)."""
-        while len(self._begins) <= number:
-            k = len(self._begins)
-            before = self._begins[-1][-1] if k else 0.0
-            tempo = np.random.default_rng((self._of.seed, k, 1)).uniform(0.9, 1.1, self._of.repetitions)
-            takes_s = TAKES_S[self.exercise(k)]
-            self._begins.append(before + self._of.pause_s + np.append(0.0, np.cumsum(takes_s * tempo)))
-        return self._begins[number]
+        if number < self._number:
+            self._first()
+        while self._number < number:
+            self._next()
+        return self._starts
+
+    def _first(self) -> None:
+        self._number, self._starts = -1, np.zeros(1)
+        self._next()
+
+    def _next(self) -> None:
+        self._number, self._since = self._number + 1, float(self._starts[-1])
+        tempo = np.random.default_rng((self._of.seed, self._number, 1)).uniform(0.9, 1.1, self._of.repetitions)
+        takes_s = TAKES_S[self.exercise(self._number)]
+        self._starts = self._since + self._of.pause_s + np.append(0.0, np.cumsum(takes_s * tempo))
 
     def exercise(self, number: int) -> str:
         """Which one number `number` (0, 1, ... without end) is."""
@@ -101,10 +112,12 @@ class Routine:
 
     def joints(self, frame: int) -> Samples:
         """The skeleton (20, 3) in frame number `frame`."""
-        t, number = frame / RATE_HZ, 0
-        while t >= self.starts(number)[-1]:
-            number += 1
-        starts = self.starts(number)
+        t = frame / RATE_HZ
+        if t < self._since:
+            self._first()
+        while t >= self._starts[-1]:
+            self._next()
+        number, starts = self._number, self._starts
         k = int(np.searchsorted(starts, t, side="right")) - 1
         share = (t - starts[k]) / (starts[k + 1] - starts[k]) if k >= 0 else 0.0
         made = skeleton(self.exercise(number), share)

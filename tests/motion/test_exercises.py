@@ -25,7 +25,7 @@ from stream.graph import Graph
 from stream.manual import ANNOTATION
 from stream.model import ModelError
 from stream.operator import grid
-from stream.state import pack, unpack
+from stream.state import pack, size_of, unpack
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 EVENTS = {name: StreamSpec((), dtype) for name, (dtype, _) in OUTPUTS.items()}
@@ -360,6 +360,32 @@ def test_a_second_report_takes_another_name_and_one_of_nothing_says_so(tmp_path:
     assert {path.name for path in tmp_path.iterdir()} == {
         f"training{n}.{s}" for n in ("", "-2") for s in ("html", "csv")
     }
+
+
+def test_hours_of_training_take_no_more_memory_than_one(tmp_path: Path) -> None:
+    """The 500 sets that the page shows are kept with their repetitions, in less than a mebibyte; all are in the table."""
+    outlet = TrainingReport(path=str(tmp_path / "training.html"))
+    outlet.open({port: EVENTS[port] for port in outlet.inputs})
+    outlet.begin()
+    assert size_of(outlet.state.training) < 1 << 20
+    for k in range(520):
+        for n in range(2):
+            told = {
+                "onset": 9.0 * k + n,
+                "activity": k,
+                "repetition": n + 1,
+                "name": f"exercise {k}",
+                "duration_s": 1.5,
+            }
+            outlet.process("repetition", event("repetition", 9.0 * k + 2, moves=f"ankle_{n}", **told))
+        outlet.process("activity", event("activity", 9.0 * k + 3, repeats=True, activity=k, repetitions=2))
+    kept = outlet.state.training
+    assert (kept.n_sets, kept.n_repetitions, kept.left_out) == (500, 1000, 20 + 40)
+    assert kept.n_words == len(kept.words) and not kept.repetitions["activity"][1000:].any()
+    outlet.close()
+    page = (tmp_path / "training.html").read_text()
+    assert "exercise 497" in page and "ankle_0" in page and "exercise 501" not in page
+    assert len((tmp_path / "training.csv").read_text().splitlines()) == 1 + 2 * 520
 
 
 def kinegraph(*arguments: object) -> int | str | None:

@@ -44,6 +44,9 @@ def test_the_simulated_person_is_the_same_whoever_asks_and_moves_smoothly():
     later = other.joints(900)
     frames = np.array([one.joints(i) for i in range(901)])
     assert np.array_equal(frames[900], later) and frames.shape == (901, 20, 3)
+    one.starts(3000)
+    assert max(np.size(value) for value in vars(one).values()) < 10, "what is over is not remembered"
+    assert np.array_equal(one.joints(3), frames[3])
     assert np.abs(np.diff(frames, axis=0)).max() < 0.15
     for exercise in EXERCISES:
         assert (

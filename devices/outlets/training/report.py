@@ -24,7 +24,11 @@ from stream.params import param
 from stream.sheet import Sheet
 from stream.state import pack
 
-KINDS = {"activity": ("sets", SET), "repetition": ("repetitions", REPETITION), "rest": ("rests", REST)}
+KINDS = {
+    "activity": ("sets", SET.names or ()),
+    "repetition": ("repetitions", (*(REPETITION.names or ()), "side")),
+    "rest": ("rests", REST.names or ()),
+}
 """By port: where its events are kept, and the fields that they must have."""
 HEADER = (
     "activity", "repetition", "exercise", "start (s)", "duration (s)", "range", "of", "distance", "sure", "side",
@@ -64,7 +68,7 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
     Any streams of events with the same fields will do. The page holds what each set was: exercise, repetitions, tempo and how even it
     was, range, how near to what was shown, how alike left and right were, the rest after it; and how
     duration and range went over the session. The CSV file grows as repetitions become final, so that a crash leaves it.
-    Memory is bounded: the page shows the first 500 sets and 20 000 repetitions, and says so. Existing files are never overwritten.
+    Memory is bounded, by 1 MB: the page shows the first 500 sets and 20 000 repetitions, and says so. Existing files are never overwritten.
     """
 
     inputs: ClassVar[tuple[str, ...]] = tuple(KINDS)
@@ -79,7 +83,7 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
         if wrong or Path(self.path).suffix != ".html":
             raise ParameterError("path", self.path, wrong or "a file that ends with .html")
         for port, spec in specs.items():
-            needed = KINDS[port][1].names or ()
+            needed = KINDS[port][1]
             if not set(needed) <= set(spec.dtype.names or ()):
                 raise InputError(port, spec.describe(), f"events with the fields {', '.join(needed)}")
         self.hold(TrainingState(nothing_done()), TrainingRuntime(specs["repetition"].unit_of("range")))

@@ -9,14 +9,18 @@ import numpy as np
 
 from stream.chunk import NEVER, NS, Array
 
-MOST_SETS, MOST_REPETITIONS, MOST_RESTS = 500, 20_000, 2000
-"""Of a longer session this many rows are kept, the first ones; the rest are counted, and the CSV file has them all."""
+MOST_SETS, MOST_REPETITIONS, MOST_RESTS, MOST_WORDS = 500, 20_000, 2000, 500
+"""Of a longer session this many rows are kept, the first ones; the rest are counted, and the CSV file has them all. Names and
+features beyond the first MOST_WORDS are left blank."""
+MOST_LETTERS = 24
 REPETITION = np.dtype(
     [
-        ("activity", "<i8"), ("repetition", "<i4"), ("name", "<U24"), ("onset", "<i8"), ("duration_s", "<f8"),
-        ("range", "<f8"), ("moves", "<U24"), ("distance", "<f8"), ("sure", "<f8"), ("side", "<i4"), ("symmetry", "<f8"),
+        ("activity", "<i8"), ("repetition", "<i4"), ("onset", "<i8"), ("duration_s", "<f4"), ("range", "<f4"),
+        ("distance", "<f4"), ("sure", "<f4"), ("symmetry", "<f4"), ("name", "<i2"), ("moves", "<i2"),
     ]
 )  # fmt: skip
+"""As it is kept, in few bytes: names by their place among the words."""
+TEXTS = ("name", "moves")
 SET = np.dtype(
     [
         ("activity", "<i8"),
@@ -33,33 +37,54 @@ REST = np.dtype([("onset", "<i8"), ("end", "<i8")])
 
 @dataclass(slots=True)
 class Training:
-    """sets, repetitions, rests: what has come, in order, (n,) each of how many `n_...` are filled. began, ended: ns; left_out: of all."""
+    """sets, repetitions, rests, words: what has come, in order, the first `n_...` of each. began, ended: ns; left_out: how many more."""
 
     sets: Array
     repetitions: Array
     rests: Array
+    words: Array
     n_sets: int = 0
     n_repetitions: int = 0
     n_rests: int = 0
+    n_words: int = 0
     began: int = NEVER
     ended: int = NEVER
     left_out: int = 0
 
 
 def nothing_done() -> Training:
-    return Training(np.zeros(MOST_SETS, SET), np.zeros(MOST_REPETITIONS, REPETITION), np.zeros(MOST_RESTS, REST))
+    rows = (np.zeros(MOST_SETS, SET), np.zeros(MOST_REPETITIONS, REPETITION), np.zeros(MOST_RESTS, REST))
+    return Training(*rows, np.zeros(MOST_WORDS, f"<U{MOST_LETTERS}"))
 
 
 def take(training: Training, kind: str, event: Any) -> None:
-    """Keep an event of `kind` (sets, repetitions, rests), if there is room."""
+    """Keep an event of `kind` (sets, repetitions, rests), if there is room, and room for the set that it belongs to."""
     table = getattr(training, kind)
     n = getattr(training, f"n_{kind}")
-    if n == len(table):
+    if n == len(table) or (kind == "repetitions" and _beyond(training, event)):
         training.left_out += 1
         return
     for field in table.dtype.names or ():
-        table[n][field] = event[field]
+        value = event[field]
+        table[n][field] = _place(training, str(value)[:MOST_LETTERS]) if field in TEXTS else value
     setattr(training, f"n_{kind}", n + 1)
+
+
+def _beyond(training: Training, event: Any) -> bool:
+    """Whether no more sets are kept, and this repetition is of none that is."""
+    return training.n_sets == len(training.sets) and bool(event["activity"] > training.sets["activity"][-1])
+
+
+def _place(training: Training, word: str) -> int:
+    """Where it stands among the words, from now on; -1: blank, or there are too many."""
+    known = training.words[: training.n_words]
+    if len(found := np.flatnonzero(known == word)):
+        return int(found[0])
+    if not word or training.n_words == len(training.words):
+        return -1
+    training.words[training.n_words] = word
+    training.n_words += 1
+    return training.n_words - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,11 +128,11 @@ def exercises(training: Training) -> list[Exercise]:
         after = sets["onset"][k + 1] if k + 1 < len(sets) else np.iinfo(np.int64).max
         here = rests[: training.n_rests]
         here = here[(here["end"] > one["end"]) & (here["onset"] < after)]
-        mean = float(durations.mean()) if len(durations) else np.nan
+        mean = float(durations.mean(dtype=np.float64)) if len(durations) else np.nan
         made.append(
             Exercise(
                 k + 1,
-                most_often(mine["name"]) or f"exercise {one['cluster'] + 1}",
+                _most_often(training, mine["name"]) or f"exercise {one['cluster'] + 1}",
                 (one["onset"] - training.began) / NS,
                 (one["end"] - one["onset"]) / NS,
                 int(one["repetitions"]),
@@ -115,7 +140,7 @@ def exercises(training: Training) -> list[Exercise]:
                 100.0 * float(durations.std()) / mean if len(durations) > 2 and mean > 0.0 else np.nan,
                 float((here["end"] - here["onset"]).sum()) / NS if len(here) else np.nan,
                 SYMMETRY.get(int(one["symmetry"]), ""),
-                most_often(mine["moves"]),
+                _most_often(training, mine["moves"]),
                 tuple(map(float, durations)),
                 tuple(map(float, spans["range"])),
                 tuple(map(float, spans["distance"])),
@@ -141,7 +166,7 @@ def whole_repetitions(told: Array) -> Array:
     return made
 
 
-def most_often(names: Array) -> str:
-    """The name that most rows have; of equals the first."""
-    known = [str(name) for name in names if name]
-    return max(dict.fromkeys(known), key=known.count) if known else ""
+def _most_often(training: Training, places: Array) -> str:
+    """The word at most of these places; of equals the first."""
+    known = [int(place) for place in places if place >= 0]
+    return str(training.words[max(dict.fromkeys(known), key=known.count)]) if known else ""
