@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+import structlog
 
 from devices.outlets.night import archive
 from devices.outlets.night.weeks import FREE, SLOTS, NightRow, apart, by_weeks, row, trend
@@ -28,6 +29,7 @@ PAST_WEEK = np.dtype(
 EVERY_S, QUIET_S = 2.0, 0.25
 """How often the folder is looked at, and how often it is said that nothing is new."""
 DELETED = "deleted"
+log = structlog.get_logger(__name__)
 
 Stamps = tuple[int, int]
 
@@ -43,7 +45,7 @@ class PastNights(Source):
     weeks  an event per week, from Monday: how many nights, evenings without one, and naps; means of asleep (min), efficiency (%), bed and
            rise (hours after noon); social jet lag (h) and sleep regularity index, NaN where too few nights tell
 
-    It reads; it writes and deletes nothing. A night that cannot be read is passed over.
+    It reads; it writes and deletes nothing. A night that cannot be read is passed over, and the log says so once.
     """
 
     background: ClassVar[bool] = True
@@ -80,6 +82,8 @@ class Shelf:
 
     read    per folder: what its files' stamps were, and the row
     told    per output and night or week: the event that was given last
+    missed  why nights could not be read; a night that has just begun may not be whole yet, so it is said when it is so again
+    said    of these, what the log has
     """
 
     root: Path
@@ -87,6 +91,8 @@ class Shelf:
     most: int
     read: dict[str, tuple[Stamps, NightRow]] = field(default_factory=dict)
     told: dict[str, dict[str, tuple[Any, ...]]] = field(default_factory=lambda: {"out": {}, "weeks": {}})
+    missed: set[str] = field(default_factory=set)
+    said: set[str] = field(default_factory=set)
 
     def look(self) -> dict[str, list[tuple[Any, ...]]]:
         """The events that are new, by output."""
@@ -108,16 +114,21 @@ class Shelf:
     def _rows(self) -> list[NightRow]:
         """The newest nights, the oldest first; what has not changed is not read again."""
         kept: dict[str, tuple[Stamps, NightRow]] = {}
-        nights = [(folder, facts) for folder, facts in archive.nights(self.root) if facts.sleeper == self.sleeper]
+        missed: set[str] = set()
+        found = archive.nights(self.root, lambda error: missed.add(str(error)))
+        nights = [(folder, facts) for folder, facts in found if facts.sleeper == self.sleeper]
         for folder, facts in nights[-self.most :]:
             try:
                 stamps = (folder / archive.FACTS).stat().st_mtime_ns, _stamp(folder / archive.EPOCHS, facts.closed)
                 before = self.read.get(folder.name)
                 same = before is not None and before[0] == stamps
                 kept[folder.name] = before if same and before else (stamps, row(folder, facts))
-            except (archive.NightError, OSError):
-                continue
-        self.read = kept
+            except (archive.NightError, OSError) as error:
+                missed.add(str(error))
+        for why in sorted(missed & self.missed - self.said):
+            log.warning("a night is left out", error=why)
+            self.said.add(why)
+        self.missed, self.read = missed, kept
         return [one for _, one in kept.values()]
 
 

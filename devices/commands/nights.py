@@ -8,6 +8,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import structlog
 import typer
 
 from stream.errors import KinegraphError
@@ -27,6 +28,7 @@ class Action(StrEnum):
     delete = "delete"
 
 
+log = structlog.get_logger(__name__)
 DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 
 
@@ -148,7 +150,7 @@ def _over_weeks(
 def _rows(path: Path, sleeper: str) -> list[NightRow]:
     from devices.outlets.night import archive, weeks
 
-    found = weeks.rows(path, sleeper)
+    found = weeks.rows(path, sleeper, lambda error: log.warning("a night is left out", error=str(error)))
     if not found and not sleeper:
         others = sorted({facts.sleeper for _, facts in archive.nights(path)} - {""})
         if others:

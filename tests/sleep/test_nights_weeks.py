@@ -154,6 +154,14 @@ def test_what_cannot_be_asked_is_told(kinegraph: Command, fortnight: Path, more:
     refused(kinegraph("nights", "weeks", "--path", fortnight, *more), told)
 
 
+def test_a_night_that_is_left_out_of_the_weeks_is_named(kinegraph: Command, tmp_path: Path, fortnight: Path) -> None:
+    (fortnight / "2026-11-03" / "epochs.csv").write_text("onset\nnonsense\n")
+    (fortnight / "2026-11-04" / "night.json").write_text("{")
+    code, out, err = kinegraph("nights", "weeks", "--path", fortnight, "-o", tmp_path / "out")
+    told = [line for line in (out + err).splitlines() if "left out" in line]
+    assert code == 0 and len(told) == 2 and all(f"2026-11-{day}" in "".join(told) for day in ("03", "04"))
+
+
 def test_two_sleepers_nights_are_not_mixed(kinegraph: Command, tmp_path: Path) -> None:
     for who in ("left", "right"):
         logged(tmp_path, "2026-11-02T23:00", "s" * 16, sleeper=who)

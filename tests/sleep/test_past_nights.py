@@ -59,6 +59,21 @@ def test_every_night_and_every_week_once_and_again_what_changes(fortnight: Path)
     assert shelf.look() == {"out": [], "weeks": []}
 
 
+def test_a_night_that_cannot_be_read_is_told_of_once(fortnight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def told() -> list[str]:
+        return [line for line in capsys.readouterr().out.splitlines() if "left out" in line]
+
+    shelf = Shelf(fortnight, "", 100)
+    (fortnight / "2026-11-03" / "epochs.csv").write_text("onset\nnonsense\n")
+    (fortnight / "2026-11-04" / "night.json").write_text("{")
+    (fortnight / "2026-11-05" / "night.json").unlink()
+    assert len(shelf.look()["out"]) == 11 and not told(), "a night that has just begun may not be whole yet"
+    shelf.look()
+    assert [day for line in told() for day in ("03", "04", "05") if f"2026-11-{day}" in line] == ["03", "04", "05"]
+    shelf.look()
+    assert not told()
+
+
 def test_other_sleepers_older_nights_and_damaged_ones_are_left_out(tmp_path: Path) -> None:
     for day in (2, 3, 4):
         logged(tmp_path, f"2026-11-0{day}T23:00", "ss", sleeper="left" if day != 3 else "right")

@@ -12,6 +12,7 @@ import csv
 import io
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, date, datetime, timedelta, timezone, tzinfo
 from pathlib import Path
@@ -40,6 +41,9 @@ NOON_H = 12
 
 class NightError(KinegraphError):
     """A night that is not there, or cannot be read."""
+
+
+Missed = Callable[[NightError], object]
 
 
 @dataclass(slots=True)
@@ -162,15 +166,15 @@ def read_map(folder: Path) -> Samples | None:
         return None
 
 
-def nights(root: Path) -> list[tuple[Path, Facts]]:
-    """Every night under a folder, the oldest first; one that cannot be read is passed over."""
+def nights(root: Path, missed: Missed = lambda _: None) -> list[tuple[Path, Facts]]:
+    """Every night under a folder, the oldest first. One that cannot be read is passed over, and `missed` called with the reason."""
     found = []
     for folder in root.iterdir() if root.is_dir() else ():
-        if (folder / FACTS).is_file():
+        if _holds_night(folder):
             try:
                 found.append((folder, Facts.load(folder)))
-            except NightError:
-                continue
+            except NightError as error:
+                missed(error)
     return sorted(found, key=lambda night: (night[1].begun, night[0].name))
 
 

@@ -83,18 +83,18 @@ def row(folder: Path, facts: Facts) -> NightRow:
     )  # fmt: skip
 
 
-def rows(root: Path, sleeper: str = "") -> list[NightRow]:
+def rows(root: Path, sleeper: str = "", missed: archive.Missed = lambda _: None) -> list[NightRow]:
     """Every time in bed of a sleeper, in order; of several in one night the longest is the night, shorter ones are its parts.
 
-    Nights that cannot be read are passed over.
+    Nights that cannot be read are passed over, and `missed` called with the reason.
     """
     found: list[NightRow] = []
-    for folder, facts in archive.nights(root):
+    for folder, facts in archive.nights(root, missed):
         if facts.sleeper == sleeper:
             try:
                 found.append(row(folder, facts))
-            except archive.NightError:
-                continue
+            except archive.NightError as error:
+                missed(error)
     return apart(found)
 
 
