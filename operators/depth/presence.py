@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from operators.depth.bodies import CROWD, CROWD_S, SUSPECT_S, Bodies
+from operators.depth.bodies import CROWD, CROWD_S, SUSPECT_S, Bodies, share_high
 from operators.depth.regions import REGION, block_of, region_spec, sleepers_of, take
 from operators.depth.seconds import Seconds, add, look, restless
 from operators.depth.view import VIEW, check_view
@@ -96,9 +96,11 @@ class Presence(Operator[PresenceState]):
     was left behind, or breath that is not seen): then movement, or a flat bed, decides; movement for `odd_min` without a break where
     nobody lies (a region that is too large or elsewhere); the camera was moved or sees nothing (`view`). After a move the empty bed is
     learned again. `in` with `body`: 1.4 times as much is raised, for 30 s, as in the sleeper's first five minutes: there are two. So it
-    is said after 3 s already, and taken back where it does not last. While the empty bed is not known again, what is raised since the
-    sleeper was seen again counts; who came before that is not noticed. `body` also while something small walks about: it is raised apart
-    from the sleeper, on blocks that were flat a moment ago, and as many are flat behind it (a cat; not one that walks on the sleeper).
+    is said after 3 s already, and taken back where it does not last. Within these five minutes the seconds so far count, and how high
+    the region is as well: who sits and then lies down, or pulls a blanket up, stays one; a second body within the first minute is not
+    noticed. While the empty bed is not known again, what is raised since the sleeper was seen again counts; who came before that is not
+    noticed. `body` also while something small walks about: it is raised apart from the sleeper, on blocks that were flat a moment ago, and
+    as many are flat behind it (a cat; not one that walks on the sleeper).
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("view", "regions", "blocks")
@@ -270,11 +272,11 @@ class Presence(Operator[PresenceState]):
         if s.state[k] != IN:
             s.bodies.crowd[k] = 0
             return
-        changed = s.bodies.known(k) and s.bodies.count(k, self._times(k))
-        if not s.bodies.known(k) and raised == raised:
-            s.bodies.learn(k, raised)
-        part = self._part(k)
-        s.visitor.look(k, part, s.empty[part] - s.seconds.mean[part], self.rise_mm)
+        changed = s.bodies.count(k, self._times(k))
+        above = self._above(k)
+        if not s.bodies.known(k):
+            s.bodies.learn(k, raised, share_high(above, self.rise_mm), float(s.seen_now[k, 1]))
+        s.visitor.look(k, self._part(k), above, self.rise_mm)
         suspected = s.bodies.suspected(k)
         body = suspected or s.visitor.here(k)
         if body != bool(s.told[k]):
@@ -285,7 +287,15 @@ class Presence(Operator[PresenceState]):
     def _times(self, k: int) -> float:
         """How many times the share of one body is raised now; NaN: not known."""
         s = self.state
+        if not s.bodies.known(k):
+            return s.bodies.early(k, share_high(self._above(k), self.rise_mm), float(s.seen_now[k, 1]))
         return s.bodies.times(k, float(s.seen_now[k, 0]), s.seconds.mean, s.regions, self.rise_mm)
+
+    def _above(self, k: int) -> Samples:
+        """How far each block of a sleeper's region is above the empty bed; NaN: not known."""
+        part = self._part(k)
+        above: Samples = self.state.empty[part] - self.state.seconds.mean[part]
+        return above
 
     def _part(self, k: int) -> tuple[slice, slice]:
         """The blocks of a sleeper's region."""

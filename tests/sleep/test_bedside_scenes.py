@@ -113,6 +113,14 @@ def test_a_second_body_is_noticed_and_movement_with_it_is_nobodys() -> None:
     assert told.of(2190, 2640) == ({"sleep"}, {""})
 
 
+def test_a_second_body_that_comes_two_minutes_after_the_sleeper_is_noticed() -> None:
+    scene = Scene(2100, IN, moves=MOVES, partner=((240, 1500),), partner_moves=tuple(range(255, 1500, 45)))
+    told = Told(scene, camera="width: 192, height: 144, fps: 1")
+    states, why = told.of(270, 1470)
+    assert states <= {"sleep", "unknown"} and "body" in why and why <= {"", "body", "learning"}
+    assert told.of(1590, 2040) == ({"sleep"}, {""})
+
+
 def test_in_the_epoch_in_which_a_second_body_arrives_movement_is_nobodys() -> None:
     moves = tuple(range(1456, 1480, 4))
     scene = Scene(1700, IN, moves=MOVES[:2], partner=((1452, 1650),), partner_moves=moves)

@@ -248,6 +248,36 @@ def test_a_second_body_is_suspected_at_once_and_that_is_taken_back_where_it_goes
     assert why == [("", 200), ("body", 600), ("", 610), ("body", 700), ("", 800)]
 
 
+def test_a_second_body_in_the_first_minutes_is_noticed_and_so_is_that_it_leaves() -> None:
+    time, depth = bedroom(1400, (200, 1300))
+    second = (time - time[0]) / NS
+    depth[np.ix_((second >= 280) & (second < 700), range(3, 12), [6, 7])] -= 200.0
+    depth[np.ix_((second >= 900) & (second < 1100), range(3, 12), [6, 7])] -= 200.0
+    made = presence(time, depth)["out"]
+    why = [(str(e["why"]), (int(e["onset"]) - int(time[0])) // NS) for e in made if e["state"] == "in"]
+    assert why == [("", 200), ("body", 280), ("", 700), ("body", 900), ("", 1100)]
+
+
+@pytest.mark.parametrize(
+    ("what", "rows", "columns", "mm"),
+    [
+        ("sits for a minute and a half", range(6, 9), range(8, 11), 550.0),
+        ("lies without a blanket at first", range(3, 12), range(8, 12), 130.0),
+        ("lies on one side at first", range(3, 12), range(8, 11), 270.0),
+    ],
+)
+def test_who_settles_down_in_the_first_minutes_stays_one(what: str, rows: range, columns: range, mm: float) -> None:
+    time, depth = bedroom(900, (200, 850))
+    second = (time - time[0]) / NS
+    before = (second >= 200) & (second < 290)
+    depth[np.ix_(before, range(3, 12), range(8, 12))] += 200.0
+    depth[np.ix_(before, rows, columns)] -= mm
+    if "blanket" in what:
+        depth[np.ix_((second >= 290) & (second < 850), range(1, 14), range(6, 14))] -= 70.0
+    made = presence(time, depth)["out"]
+    assert {str(e["why"]) for e in made if e["state"] == "in"} == {""}, what
+
+
 def test_a_partners_movement_is_flagged() -> None:
     x = np.concatenate([motion(30), motion(30, seed=1)], axis=1)
     x[3000:3100, 0] += 2.0
