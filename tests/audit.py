@@ -5,6 +5,7 @@ Ends with 0 only if an answer came for every package and none has a known hole.
 
 from __future__ import annotations
 
+import argparse
 import json
 import subprocess
 import sys
@@ -25,7 +26,11 @@ def judged(packages: list[dict[str, Any]]) -> tuple[list[str], bool]:
     ]
     unasked = [package["name"] for package in packages if "skip_reason" in package]
     lines = [*holes, f"{len(packages) - len(unasked)} of {len(packages)} packages audited; known holes: {len(holes)}"]
-    if unasked:
+    if unasked and len(unasked) == len(packages):
+        lines.append(
+            "the index answers about none of them: it may be a mirror without this service, and no hole is known or ruled out"
+        )
+    elif unasked:
         lines.append(f"the index knows nothing of {len(unasked)}: {', '.join(unasked)}")
     if not packages:
         lines.append("no package was found")
@@ -33,18 +38,22 @@ def judged(packages: list[dict[str, Any]]) -> tuple[list[str], bool]:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m tests.audit", description=__doc__)
+    parser.add_argument("wanted", nargs="?", type=Path, help="a file of requirements; left out: what is installed")
+    parser.add_argument("--service", default="pypi", choices=("pypi", "osv"), help="who is asked")
+    given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        if not (wanted := Path(*sys.argv[1:2])).is_file():
-            wanted = Path(folder, "wanted.txt")
-            wanted.write_bytes(
-                subprocess.run([sys.executable, "-m", *LISTED], stdout=subprocess.PIPE, check=True).stdout
-            )
-        call = [sys.executable, "-m", "pip_audit", *OPTIONS, "--requirement", str(wanted)]
-        done = subprocess.run(call, capture_output=True, text=True)
+        wanted = given.wanted or Path(folder, "wanted.txt")
+        if not given.wanted:
+            listed = subprocess.run([sys.executable, "-m", *LISTED], stdout=subprocess.PIPE, check=True).stdout
+            wanted.write_bytes(listed)
+        call = [sys.executable, "-m", "pip_audit", *OPTIONS, "--vulnerability-service", given.service]
+        done = subprocess.run([*call, "--requirement", str(wanted)], capture_output=True, text=True)
     try:
         packages = json.loads(done.stdout)["dependencies"]
     except ValueError:
-        sys.exit(f"{done.stderr}the audit could not be made: pip-audit ended with {done.returncode}")
+        said = done.stderr.strip().splitlines() or [""]
+        sys.exit(f"the audit could not be made: pip-audit ended with {done.returncode}: {said[-1]}")
     lines, well = judged(packages)
     print("\n".join(lines))
     sys.exit(0 if well else 1)
