@@ -24,6 +24,7 @@ from devices.simulators.treadmill import Treadmill
 from devices.simulators.treadmill.faults import Fault, Faults
 from operators.gait.contacts import CONTACT
 from operators.gait.marker import MarkerContacts
+from operators.gait.marker_watch import MarkerWatch
 from stream.chunk import NS, Samples, StreamSpec
 
 RATE, FROM_S, TIMES, FADE = 1000, 15, 9, 20
@@ -31,7 +32,7 @@ MUSCLES = ("VM", "BF", "TA", "GM", "SO")
 TA, SO = 2, 4
 LATE = 30_000_000
 WALK, TRIAL, MIDDLE_S = "emg_epfl_S3_FLOAT", "T_02", 6
-LTOE, LHIP = 3, 0
+LTOE, LHIP, RTOE = 3, 0, 7
 
 
 @dataclass
@@ -197,7 +198,7 @@ FAULTS: dict[str, Callable[[Treading], None]] = {
 
 
 FROM_THE_START = (
-    "the other leg's contacts from the start", "TA and SO swapped from the start",
+    "the other leg's contacts from the start", "TA and SO swapped from the start", "overground: toes' markers swapped from the start",
 )  # fmt: skip
 
 
@@ -227,6 +228,10 @@ def _marker(
     return put
 
 
+def _toes_swapped(w: Striding) -> None:
+    w.markers[:, [LTOE, RTOE]] = w.markers[:, [RTOE, LTOE]]
+
+
 def _muscle(change: Callable[[Samples], Samples | float], for_s: float = 99.0) -> Callable[[Striding], None]:
     def put(w: Striding) -> None:
         at = slice(MIDDLE_S * RATE, round((MIDDLE_S + for_s) * RATE))
@@ -254,6 +259,8 @@ OVERGROUND: dict[str, Callable[[Striding], None]] = {
     "overground: hip's marker unseen from then on": _marker(lambda x: np.nan, of=LHIP),
     "overground: toe's marker trembles by 5 mm": _marker(lambda x: x[:, LTOE] + np.random.default_rng(4).normal(0, 5, x[:, LTOE].shape)),
     "overground: no frame for 3 s": _cameras_off,
+    "overground: right toe's marker taken for the left": _marker(lambda x: x[:, RTOE]),
+    "overground: toes' markers swapped from the start": _toes_swapped,
 }  # fmt: skip
 
 
@@ -273,8 +280,10 @@ def analysed_striding(w: Striding) -> Outcome:
     names = ("LHIP", "LKNE", "LANK", "LTOE", "RHIP", "RKNE", "RANK", "RTOE")
     spec = StreamSpec((8, 3), rate_hz=100.0, channels=names, units=("mm",))
     finder = MarkerContacts(marker="LTOE", reference="LHIP", side="left")
-    feet = drive(finder, {"in": (spec, when[w.seen], w.markers[w.seen])}, None if w.seen.all() else w.seen)
-    return analysed((emg, time, w.emg[:, :2]), feet, most_noise=0.02)
+    seen, lost = {"in": (spec, when[w.seen], w.markers[w.seen])}, None if w.seen.all() else w.seen
+    watch = MarkerWatch(segments=(("LANK", "LTOE"), ("RANK", "RTOE")))
+    alarms = drive(watch, seen, lost)["out"]
+    return analysed((emg, time, w.emg[:, :2]), drive(finder, seen, lost), most_noise=0.02, beside=[alarms])
 
 
 def table(names: list[str]) -> list[tuple[str, ...]]:

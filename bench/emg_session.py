@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, TypeAlias
@@ -68,8 +68,11 @@ class Outcome:
     said: list[str]
 
 
-def analysed(emg: Stream, feet: dict[str, Stream], here: Any = None, most_noise: float = 0.0) -> Outcome:
-    """A walk through the session's operators. `emg`: of one leg; `feet`: its touch-downs and lift-offs; `here`: which samples arrived."""
+def analysed(
+    emg: Stream, feet: dict[str, Stream], here: Any = None, most_noise: float = 0.0, beside: Sequence[Stream] = ()
+) -> Outcome:
+    """A walk through the session's operators. `emg`: of one leg; `feet`: its touch-downs and lift-offs; `here`: which samples arrived;
+    `beside`: alarms about what the feet were found by."""
     quality = drive(SignalQuality(most_noise=most_noise), {"in": emg}, here)["out"]
     envelope = drive(Envelope(), {"in": emg}, here)["out"]
     cycles = drive(Cycles(), {"signal": envelope, **feet})
@@ -82,6 +85,7 @@ def analysed(emg: Stream, feet: dict[str, Stream], here: Any = None, most_noise:
         drive(CycleWatch(), {"signal": envelope, "closed": cycles["closed"]})["out"],
         drive(PatternWatch(), left)["out"],
         drive(TimingWatch(), left)["out"],
+        *beside,
     ]
     alarms = [
         (stamp / NS, str(row["subject"]), str(row["what"]))

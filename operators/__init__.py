@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from operators.gait.limb_cycles import LimbCycles
     from operators.gait.limb_watch import LimbWatch
     from operators.gait.marker import MarkerContacts
+    from operators.gait.marker_watch import MarkerWatch
     from operators.gait.norms import NormativeBands
     from operators.gait.pattern_watch import PatternWatch
     from operators.gait.review import CycleReview
@@ -142,6 +143,7 @@ __all__ = [
     "LimbWatch",
     "Lowpass",
     "MarkerContacts",
+    "MarkerWatch",
     "Markers",
     "MedianFrequency",
     "Mirror",
@@ -247,6 +249,7 @@ __getattr__, __dir__ = offered(
         "LimbWatch": "operators.gait.limb_watch",
         "Lowpass": "operators.iir",
         "MarkerContacts": "operators.gait.marker",
+        "MarkerWatch": "operators.gait.marker_watch",
         "Markers": "operators.body.markers",
         "MedianFrequency": "operators.emg.median_frequency",
         "Mirror": "operators.features.mirror",

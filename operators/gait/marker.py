@@ -13,13 +13,12 @@ from operators.gait.contacts import Contacts, Followed
 from operators.gait.legs import LEGS, LONGEST_NS
 from operators.gait.path import MEMORY_S, WALK, follow
 from operators.iir import butterworth, group_delay, settling, steady_memory
-from operators.inputs.marker_columns import marker_columns
+from operators.inputs.marker_columns import METRES, marker_columns, marker_metres
 from stream.chunk import NEVER, NS, Array, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, grid
 from stream.params import param
 
-METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 UNITS = {factor: unit for unit, factor in METRES.items()}
 ORDER = 2
 SWING_M, STANCE_M, REVERSE_M = 0.15, 0.08, 0.03
@@ -78,17 +77,6 @@ class MarkerContacts(Contacts[MarkerState]):
         spec = specs["in"]
         foot = marker_columns(spec, self.marker, "marker")
         body = marker_columns(spec, self.reference, "reference") if self.reference else foot
-        units = (
-            {self.unit}
-            if self.unit
-            else {spec.units[0]}
-            if len(spec.units) == 1
-            else {spec.unit_of(spec.channels[i]) for i in (*foot, *body)}
-        )
-        if len(units) != 1 or not units <= set(METRES):
-            raise InputError(
-                "in", f"in {', '.join(sorted(units)) or 'no unit'}", f"in {', '.join(METRES)}, or unit must say it"
-            )
         if spec.rate_hz is None:
             raise InputError("in", spec.describe(), "regular: its rate must be known")
         if self.cutoff_hz >= spec.rate_hz / 2:
@@ -103,7 +91,7 @@ class MarkerContacts(Contacts[MarkerState]):
             gap_ns=fill_ns + spec.period_ns,
             last=NEVER,
             columns=np.array([foot[i] for i in order] + [body[i] for i in order]),
-            metres=METRES[units.pop()],
+            metres=marker_metres(spec, (*foot, *body), self.unit),
             period_ns=spec.period_ns,
             fill_ns=fill_ns,
             delay_ns=round(delay_s * NS),

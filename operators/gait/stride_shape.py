@@ -9,9 +9,9 @@ import numpy as np
 
 from operators.gait.limb_contacts import LIMB_CONTACT
 from operators.gait.limbs import LIMB, check_named
-from operators.gait.marker import METRES, walker
+from operators.gait.marker import walker
 from operators.gait.recent_samples import RecentSamples
-from operators.inputs.marker_columns import marker_columns
+from operators.inputs.marker_columns import marker_columns, marker_metres
 from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
@@ -108,7 +108,7 @@ class StrideShape(Operator[StrideState]):
         state = StrideState(
             recent=RecentSamples.of(int((self.longest_s + self.late_s + self.gap_s) * spec.rate_hz * 1.1) + 8, 3 * n),
             columns=np.array(columns),
-            metres=self._metres(spec, columns),
+            metres=marker_metres(spec, columns, self.unit),
             period=spec.period_ns,
             touches=np.zeros((n, KEPT, 3), np.int64),
             waiting=np.zeros(n, np.int64),
@@ -120,15 +120,6 @@ class StrideShape(Operator[StrideState]):
         self.hold(state, delay_s=self.late_s, decision_s={"out": self.late_s})
         meta = {**touch.meta, "limb_names": list(self.limbs)}
         return {"out": StreamSpec((), STRIDE, units=("ns", "ns", "", "", "m", "m", "%"), meta=meta)}
-
-    def _metres(self, spec: StreamSpec, columns: list[int]) -> float:
-        units = {self.unit} if self.unit else {*spec.units}
-        if not self.unit and len(spec.units) > 1 and len(spec.shape) == 1:
-            units = {spec.unit_of(spec.channels[i]) for i in columns}
-        if len(units) != 1 or not units <= set(METRES):
-            given = f"in {', '.join(sorted(units)) or 'no unit'}"
-            raise InputError("in", given, f"in {', '.join(METRES)}, or unit must say it")
-        return METRES[units.pop()]
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
         if not chunk.lost:

@@ -1,12 +1,14 @@
-"""Where one marker's x, y and z stand in a stream of markers, or of their coordinates side by side."""
+"""Where one marker's x, y and z stand in a stream of markers, or of their coordinates side by side, and in what unit they are."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 
 from stream.chunk import StreamSpec
 from stream.errors import InputError, ParameterError, nearest
 
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 COORDINATE = re.compile(r"(.+?)[ _.:/-]?([xyz])", re.IGNORECASE)
 
 
@@ -27,6 +29,22 @@ def marker_columns(spec: StreamSpec, marker: str, parameter: str) -> tuple[int, 
         return first, first + 1, first + 2
     accepts = f"a marker of the input; {nearest(marker, named)}" if named else f"a number from 0 to {points - 1}"
     raise ParameterError(parameter, marker, accepts)
+
+
+def marker_names(spec: StreamSpec) -> list[str]:
+    """The markers that are named, in the input's order."""
+    return list(_names(spec)) if _is_markers(spec) else []
+
+
+def marker_metres(spec: StreamSpec, columns: Iterable[int], unit: str) -> float:
+    """How many metres one is in these columns; `unit` says it where the input does not, or is wrong. Raises InputError."""
+    units = {unit} if unit else {*spec.units}
+    if not unit and len(spec.units) > 1 and len(spec.shape) == 1:
+        units = {spec.unit_of(spec.channels[i]) for i in columns}
+    if len(units) != 1 or not units <= set(METRES):
+        given = f"in {', '.join(sorted(units)) or 'no unit'}"
+        raise InputError("in", given, f"in {', '.join(METRES)}, or unit must say it")
+    return METRES[units.pop()]
 
 
 def _is_markers(spec: StreamSpec) -> bool:

@@ -36,7 +36,8 @@ class Walk(NamedTuple):
     markers: np.ndarray
 
     def onsets_s(self, side: str) -> np.ndarray:
-        return np.asarray(self.recording.read(f"{side}.touchdown")[1]["onset"] / NS)
+        rows = self.recording.read("feet.touchdown")[1]
+        return np.asarray(rows["onset"][rows["limb"] == side] / NS)
 
     @property
     def flags(self) -> dict[str, str]:
@@ -86,17 +87,24 @@ def test_every_walk_gives_cycles_of_both_legs(walks: list[Walk]) -> None:
         for side in ("left", "right"):
             onsets = walk.onsets_s(side)
             assert len(onsets) >= 3, (walk.name, side)
-            closed = walk.recording.read(f"{side}_cycles.closed")[1]
+            closed = walk.recording.read("cycles.closed")[1]
+            closed = closed[closed["limb"] == side]
             accepted = closed[closed["rejected"] == ""]
             assert len(accepted) >= 2, (walk.name, side)
-            curves = walk.recording.read(f"{side}_cycles.cycles")[1]
-            assert curves.shape == (len(accepted), 100, 4) and np.isfinite(curves).all()
-            told = walk.recording.read(f"{side}_statistics")[1]  # a cycle comes again where a bad second ended after it
-            assert len(np.unique(told[["number", "muscle"]])) == 4 * len(accepted)
+            told = walk.recording.read("statistics")[1]  # a cycle comes again where a bad second ended after it
+            mine = told[np.char.startswith(told["name"], side[0].upper())]
+            assert len(np.unique(mine[["number", "muscle"]])) == 2 * len(accepted)
             # a cycle is from one touch-down to the next; the last may end after the envelope does
             pairs = list(pairwise(onsets))
             found = [(row["onset"] / NS, row["end"] / NS) for row in closed]
             assert found == pairs[: len(found)] and len(pairs) - len(found) <= 1, (walk.name, side)
+        curves, rows = walk.recording.read("cycles.cycles")[1], walk.recording.read("cycles.closed")[1]
+        limbs = rows["limb"][rows["rejected"] == ""]
+        assert curves.shape == (len(limbs), 100, 4)
+        own = np.array(
+            [[name[0] == limb[0].upper() for name in ("LTA", "LMG", "RTA", "RMG")] for limb in limbs.tolist()]
+        )
+        assert (np.isfinite(curves).all(axis=1) == own).all()
 
 
 def test_strides_are_those_of_a_person_who_walks(walks: list[Walk]) -> None:

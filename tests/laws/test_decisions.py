@@ -38,7 +38,7 @@ def tolerance_s(graph: Graph, edge: Edge) -> float:
         ("treadmill_emg", 0.0, ["treadmill.realtime=false", "treadmill.duration_s=30"], {"cycles", "review", "statistics"}),
         ("treadmill_both_legs", 0.0, ["treadmill.realtime=false", "treadmill.duration_s=25", "treadmill.muscles=[TA, SO]"],
          {"feet", "cycles", "review", "stages", "statistics"}),
-        ("overground_emg", 0.0, [], {"left", "right", "left_cycles", "right_statistics"}),
+        ("overground_emg", 0.0, [], {"feet", "cycles", "review", "statistics"}),
         ("bedside_simulated", 0.0, ["camera.bed_h=1.2", "camera.morning_min=100"],
          {"view", "bed", "presence", "activity", "breathing", "scorer", "nights"}),
         ("imu_steps", 15.0, [], {"steps"}),

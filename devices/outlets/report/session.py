@@ -82,8 +82,8 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
     contacts         of `operators.gait.cycle_watch.CycleWatch`, and
     changes          of `operators.emg.mixture_drift.MixtureDrift` (`change`), and
     channels         of `operators.emg.channel_watch.ChannelWatch`, and
-    patterns, timing of `operators.gait.pattern_watch.PatternWatch` and `operators.gait.timing_watch.TimingWatch`: the session's alarms, and
-                     how long each lasted
+    patterns, timing of `operators.gait.pattern_watch.PatternWatch` and `operators.gait.timing_watch.TimingWatch`, and
+    markers          of `operators.gait.marker_watch.MarkerWatch`: the session's alarms, and how long each lasted
     symmetry         of `operators.gait.symmetry.LimbSymmetry`
     footfalls, gait  of `operators.gait.footfalls.Footfalls` (`limbs`, `gait`)
     bursts, active   of `operators.gait.bursts.CycleBursts` (`session`, `active`): when muscles are active, a table and bars
@@ -107,7 +107,8 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
 
     inputs: ClassVar[tuple[str, ...]] = (
         "emg", "closed", "cycles", "statistics", "muscles", "pairs", "quality", "electrodes", "contacts", "changes",
-        "channels", "patterns", "timing", "symmetry", "footfalls", "gait", "bursts", "active", "modes", "distance", "low", "high",
+        "channels", "patterns", "timing", "markers", "symmetry", "footfalls", "gait", "bursts", "active", "modes", "distance", "low",
+        "high",
     )  # fmt: skip
     optional: ClassVar[tuple[str, ...]] = (
         "emg",
@@ -121,6 +122,7 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
         "channels",
         "patterns",
         "timing",
+        "markers",
         "symmetry",
         "footfalls",
         "gait",

@@ -23,7 +23,7 @@ GAIT = ("cadence", "duration_s", "stance_pct")
 UNSEEN = -1
 
 
-ALARM_PORTS = ("electrodes", "contacts", "changes", "channels", "patterns", "timing")
+ALARM_PORTS = ("electrodes", "contacts", "changes", "channels", "patterns", "timing", "markers")
 """The inputs that bring alarms."""
 
 
