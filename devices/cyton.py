@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -13,16 +15,16 @@ from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.stamps import chunks, tell_losses, tell_problems
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import cyton as protocol
-from devices.protocols.cyton import ChannelSetting, CytonDecoder, CytonFrames
+from devices.protocols.cyton import PACKETS_HZ, ChannelSetting, CytonDecoder, CytonFrames
 from devices.transport.handshake import answer, quiet, silence
 from devices.transport.serial_source import SerialSource
 from devices.transport.transport import Transport
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import DeviceError, ParameterError
+from stream.impedance import Impedance
 from stream.params import param
 from stream.source import Feed
 
-PACKETS_HZ = 250.0
 ACCEL_HZ = 25.0
 SILENCE_S = 2.0
 """A board that was streaming and says nothing for so long is asked again."""
@@ -31,6 +33,10 @@ ASIDE_S = 1.0
 """How long an answer may take that not every board gives."""
 SENDING_S = 0.05
 """A board that sends has sent something within this."""
+OPEN = 0.98
+"""The part of a channel's range beyond which an electrode is not connected."""
+DRIVEN_S, SETTLED_S = 1.0, 0.4
+"""How long an electrode's impedance is measured, and how long it is waited for before."""
 BOARD_RATE = "set the board's firmware back (command '~6')"
 
 
@@ -45,6 +51,9 @@ class Cyton(SerialSource):
     The board is reset, asked who it is, set to its defaults and to `settings`, and told to begin. Lost packets are known from the counter.
     With a Daisy, even packets bring channels 9-16 and odd ones 1-8; a sample is an even one and the odd one after it (as BrainFlow pairs
     them), has the second one's stamp, and is lost if either is.
+
+    The board measures its electrodes' impedances before a session (`kinegraph check-electrodes`): both poles of a channel, one after the
+    other; of one whose positive side is SRB2, or whose negative side is SRB1, the other pole alone.
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("emg", "accel", "timing")
@@ -86,6 +95,62 @@ class Cyton(SerialSource):
         }
 
     def greet(self, link: Transport, feed: Feed) -> CytonReading:
+        self._set_up(link, feed)
+        link.write(protocol.START)
+        return CytonReading(self)
+
+    def rest(self, link: Transport, feed: Feed) -> None:
+        link.write(protocol.STOP)
+
+    def impedances(self, feed: Feed) -> Iterator[Impedance]:
+        names, given = self.specs()["emg"].channels, {setting.channel: setting for setting in self.settings}
+        with self.connect() as link:
+            self._set_up(link, feed)
+            for number, name in enumerate(names, 1):
+                setting = given.get(number, ChannelSetting(number))
+                if not setting.power or setting.input != "normal":
+                    continue
+                for pole, free in (("+", not setting.srb2), ("-", not setting.srb1)):
+                    if free:
+                        yield Impedance(name, pole, self._impedance(link, feed, setting, pole), protocol.DRIVE_HZ)
+
+    def _impedance(self, link: Transport, feed: Feed, setting: ChannelSetting, pole: str) -> float:
+        """Ohm of one electrode; infinite where the channel stands at the end of its range."""
+        self._ask(link, feed, protocol.lead_off(setting.channel, pole == "+", pole == "-"))
+        link.write(protocol.START)
+        try:
+            number, counts = self._driven(link, feed, setting.channel)
+        finally:
+            link.write(protocol.STOP)
+            quiet(link, feed, SENDING_S, 1.0)
+        self._ask(link, feed, protocol.lead_off(setting.channel, False, False))
+        if np.abs(counts).max() > OPEN * protocol.FULL_SCALE:
+            return float("inf")
+        return protocol.impedance_ohm(number, counts * protocol.uv_per_count(setting.gain), self.daisy)
+
+    def _driven(self, link: Transport, feed: Feed, channel: int) -> tuple[Times, Samples]:
+        """Running numbers and counts of one channel's samples, while the current is driven."""
+        decoder, counters, counts = CytonDecoder(), list[Times](), list[Samples]()
+        wanted, deadline = (
+            round((SETTLED_S + DRIVEN_S) * PACKETS_HZ),
+            time.monotonic() + SETTLED_S + DRIVEN_S + SILENCE_S,
+        )
+        while sum(map(len, counters)) < wanted:
+            if feed.stopped or time.monotonic() > deadline:
+                raise DeviceError(
+                    f"{sum(map(len, counters))} of {wanted} packets while impedance was measured, on {self.port}"
+                )
+            frames = decoder.feed(link.read(ASIDE_S / 10))
+            counters.append(frames.counter.astype(np.int64))
+            counts.append(frames.counts[:, (channel - 1) % protocol.CHANNELS])
+        counter = np.concatenate(counters)
+        number = np.cumsum(np.diff(counter, prepend=counter[0]) % 256)
+        first = number >= number[-1] - DRIVEN_S * PACKETS_HZ
+        if self.daisy:
+            first &= (counter % 2 == 0) == (channel > protocol.CHANNELS)
+        return number[first], np.concatenate(counts)[first]
+
+    def _set_up(self, link: Transport, feed: Feed) -> None:
         if link.read(SENDING_S):  # it was left running
             link.write(protocol.STOP)
             quiet(link, feed, SENDING_S, 1.0)
@@ -110,11 +175,6 @@ class Cyton(SerialSource):
         self._restore_defaults(link, feed)
         for setting in self.settings:
             self._ask(link, feed, setting.command)
-        link.write(protocol.START)
-        return CytonReading(self)
-
-    def rest(self, link: Transport, feed: Feed) -> None:
-        link.write(protocol.STOP)
 
     def _restore_defaults(self, link: Transport, feed: Feed) -> None:
         """The reset has set them already: an emulator that knows no such command is read as it is."""

@@ -6,12 +6,16 @@ of the graph goes on; so `read` opens the device, reads until told to stop, and 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from dataclasses import replace
-from typing import ClassVar, Protocol, Self
+from typing import TYPE_CHECKING, ClassVar, Protocol, Self
 
 from stream.chunk import Chunk, Specs
 from stream.params import check
+
+if TYPE_CHECKING:
+    from stream.impedance import Impedance
 
 
 class Feed(Protocol):
@@ -94,6 +98,10 @@ class Source:
     def read(self, feed: Feed) -> None:
         """Open, read and emit until `feed.stopped`, close. Runs in its own thread."""
         raise NotImplementedError
+
+    def impedances(self, feed: Feed) -> Iterator[Impedance] | None:
+        """Open the device, have it measure its electrodes one after the other, close it; None: it cannot. Before a session only."""
+        return None
 
     def simulated(self) -> AbstractContextManager[Source] | None:
         """This source as it reads a simulated device, which is there for as long as the context lasts; None: it needs or has none.

@@ -4,7 +4,8 @@ A packet is A0, a counter (8 bits), eight 24-bit counts (big-endian, two's compl
 those are (C0: accelerometer). There is no checksum: what stands at the right places is believed if it follows a packet directly, if
 another begins directly behind it, or if its counter is the next one.
 
-Source: docs.openbci.com, "Cyton Data Format" and "Cyton Board SDK"; BrainFlow's drivers agree (tests/peers).
+Source: docs.openbci.com, "Cyton Data Format" and "Cyton Board SDK"; BrainFlow's drivers agree (tests/peers). Impedance: the board drives
+6 nA at 31.25 Hz through an electrode and 2200 ohm of its own (OpenBCI's GUI, and the ADS1299's data sheet for the frequency).
 """
 
 from __future__ import annotations
@@ -21,12 +22,15 @@ from stream.params import param
 
 SIZE = 33
 CHANNELS = 8
+PACKETS_HZ = 250.0
 ACCELEROMETER = 0xC0
 REFERENCE_V = 4.5
 FULL_SCALE = 2**23 - 1
 G_PER_COUNT = 0.002 / 16
 GAINS = (1, 2, 4, 6, 8, 12, 24)
 INPUTS = ("normal", "shorted", "bias_measured", "supply", "temperature", "test", "bias_positive", "bias_negative")
+
+DRIVE_A, DRIVE_HZ, SERIES_OHM = 6e-9, 31.25, 2200.0
 
 SOFT_RESET, START, STOP, DEFAULTS = b"v", b"b", b"s", b"d"
 ONLY_BOARD, WITH_DAISY = b"c", b"C"
@@ -74,6 +78,24 @@ class ChannelSetting:
 def switch(channel: int, on: bool) -> bytes:
     """The command that switches a channel (from 1) on or off and leaves its settings."""
     return (_ON if on else _OFF)[channel - 1].encode()
+
+
+def lead_off(channel: int, positive: bool, negative: bool) -> bytes:
+    """The command that drives the current for measuring impedance through a channel's (from 1) poles: z, channel, P, N, Z."""
+    return f"z{_NAMES[channel - 1]}{int(positive)}{int(negative)}Z".encode()
+
+
+def impedance_ohm(number: Array, uv: Samples, averaged: bool) -> float:
+    """An electrode's impedance from samples (n,) in uV while the current is driven, and their running numbers (n,) at 250 Hz.
+
+    sqrt(2) times the rms at 31.25 Hz over 6 nA, less 2200 ohm: of that frequency alone, by least squares, so that hum, drift and what
+    little a muscle at rest does are left out. Samples that are the mean of two neighbours (`averaged`: a Daisy's) hold cos(pi / 8) of it.
+    """
+    turn = 2 * np.pi * DRIVE_HZ / PACKETS_HZ * number
+    basis = np.stack([np.cos(turn), np.sin(turn), np.ones(len(number)), number - number.mean()], axis=1)
+    a, b, *_ = np.linalg.lstsq(basis, uv, rcond=None)[0]
+    rms_v = 1e-6 * float(np.hypot(a, b)) / np.sqrt(2) / (np.cos(np.pi * DRIVE_HZ / PACKETS_HZ) if averaged else 1.0)
+    return max(0.0, float(np.sqrt(2) * rms_v / DRIVE_A - SERIES_OHM))
 
 
 def uv_per_count(gain: float) -> float:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from devices.protocols import cyton as protocol
-from devices.protocols.cyton import CHANNELS, GAINS, packet, uv_per_count
+from devices.protocols.cyton import CHANNELS, DRIVE_A, DRIVE_HZ, GAINS, PACKETS_HZ, SERIES_OHM, packet, uv_per_count
 from devices.simulators.serve import Simulator, in_place
 from devices.simulators.treadmill.signal import BURSTS, Signal, Walker
 from stream.chunk import Samples
@@ -18,8 +18,9 @@ from stream.params import param
 if TYPE_CHECKING:
     from devices.cyton import Cyton
 
-PACKETS_HZ = 250.0
 ACCEL_EVERY = 10
+OPEN_OHM = 1e12
+"""An electrode that is not there."""
 MOST_BEHIND = 2500
 """Packets that are made at once at most; what is older by then is left out and lost."""
 
@@ -34,8 +35,12 @@ class SimulatedCyton(Simulator):
     firmware: str = param("v3.1.2", help="what the greeting says")
     seed: int = param(0, least=0, help="another seed, another walk")
 
+    impedances_kohm: tuple[float, ...] = param(
+        (), least=0.0, help="of the electrodes: channel 1's +, its -, channel 2's + ...; those not given have 5 to 14"
+    )
+
     def brain(self) -> CytonModel:
-        return CytonModel(self.daisy, self.firmware, self.seed)
+        return CytonModel(self.daisy, self.firmware, self.seed, self.impedances_kohm)
 
 
 class CytonModel:
@@ -44,7 +49,12 @@ class CytonModel:
     The signal is a function of a packet's running number alone; `counts` tells it, so that what a reader makes of it can be checked.
     """
 
-    def __init__(self, daisy: bool = False, firmware: str = "v3.1.2", seed: int = 0) -> None:
+    def __init__(
+        self, daisy: bool = False, firmware: str = "v3.1.2", seed: int = 0, impedances_kohm: tuple[float, ...] = ()
+    ) -> None:
+        poles = 5.0 + 7 * np.arange(4 * CHANNELS) % 10
+        poles[: len(impedances_kohm)] = impedances_kohm[: len(poles)]
+        self.ohm = 1000 * poles.reshape(2 * CHANNELS, 2)
         self._has_daisy, self._firmware = daisy, firmware
         muscles = tuple(list(BURSTS) + list(BURSTS)[: 2 * CHANNELS - len(BURSTS)])
         self._signal = Signal(Walker(muscles, rate_hz=PACKETS_HZ, seed=seed))
@@ -60,13 +70,13 @@ class CytonModel:
         answers = b""
         data, self._pending = self._pending + data, b""
         while data:
-            if data[:1] == b"x":
-                end = data.find(b"X")
-                if end < 0 and len(data) < 9:
+            if data[:1] in (b"x", b"z"):
+                end = data.find(data[:1].upper())
+                if end < 0 and len(data) < (9 if data[:1] == b"x" else 5):
                     self._pending = data
                     break
-                answers += self._set_channel(data[: end + 1])
-                data = data[end + 1 or len(data) :]
+                command, data = data[: end + 1], data[end + 1 or len(data) :]
+                answers += self._set_channel(command) if command[:1] == b"x" else self._set_lead_off(command)
             else:
                 answers += self._obey(data[:1].decode("latin-1"))
                 data = data[1:]
@@ -98,10 +108,19 @@ class CytonModel:
             if self._sixteen
             else self._signal.read(number, number + 1)[0][0]
         )
+        emg = emg + (0.5 * (self._drive(start) + self._drive(number)) if self._sixteen else self._drive(number))
         first = CHANNELS if self._sixteen and self._counter(number) % 2 == 0 else 0
         channels = slice(first, first + CHANNELS)
         counts = np.round(emg[channels] / self._uv[channels]) * self._power[channels]
         return np.asarray(np.clip(counts, -(2**23), 2**23 - 1))
+
+    def _drive(self, number: int) -> Samples:
+        """What the current for measuring impedance does to each channel (16,), uV."""
+        if not self._driven.any():
+            return np.zeros(2 * CHANNELS)
+        wave = DRIVE_A * np.sin(2 * np.pi * DRIVE_HZ / PACKETS_HZ * number + 0.3)
+        volts = np.where(self._driven, (np.minimum(self.ohm, OPEN_OHM) + SERIES_OHM) * wave, 0.0)
+        return np.asarray(1e6 * (volts[:, 0] - volts[:, 1]))
 
     def acceleration(self, number: int) -> Samples:
         """What the accelerometer says with this packet (3,), g: gravity and a leg that swings."""
@@ -121,6 +140,7 @@ class CytonModel:
         self._sixteen = self._has_daisy
         self._uv = np.full(2 * CHANNELS, uv_per_count(24))
         self._power = np.ones(2 * CHANNELS)
+        self._driven = np.zeros((2 * CHANNELS, 2), bool)
 
     def _obey(self, command: str) -> bytes:
         """One letter; returns the answer."""
@@ -163,6 +183,15 @@ class CytonModel:
         self._power[channel] = float(command[2] == ord("0"))
         self._uv[channel] = uv_per_count(GAINS[command[3] - 48])
         return f"Success: Channel set for {channel + 1}$$$".encode()
+
+    def _set_lead_off(self, command: bytes) -> bytes:
+        names = b"12345678QWERTYUI"
+        if len(command) != 5 or command[1] not in names or not set(command[2:4]) <= set(b"01"):
+            answer = b"Failure: too few chars$$$" if len(command) < 5 else b"Failure: Err: too many chars$$$"
+            return b"" if self._streaming else answer
+        channel = names.index(command[1])
+        self._driven[channel] = command[2] == ord("1"), command[3] == ord("1")
+        return b"" if self._streaming else f"Success: Lead off set for {channel + 1}$$$".encode()
 
     def _greeting(self) -> bytes:
         lines = ["OpenBCI V3 8-16 channel", "On Board ADS1299 Device ID: 0x3E"]

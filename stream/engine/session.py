@@ -52,7 +52,7 @@ class Session:
     resume       go on with the session that was broken off in `folder`
     duration_s   end after this long; 0: when stopped, or when every source has ended
     view         shown the metrics once a second
-    now()        session time (ns): the clock's, or where no source is live, how far the data have come
+    now(), turn  session time (ns): the clock's, or without live sources how far data have come;  whether all are ready: `turn.open`
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Session:
         self.pipeline = Pipeline(graph, speaking=graph.outlets, bridge=self._workers.bridge, stop=self.stop)
         self._runners = [Runner(node, self._ready, self.clock, self.log.report, self._fail) for node in graph.sources]
         self._ingress = Ingress(self._ready, self._runners, self.pipeline, self.log, self.clock, self._fail)
-        self.now = self._ingress.time.now
+        self.now, self.turn = self._ingress.time.now, self._ingress.turn
         self._watchdog = Watchdog(self.pipeline.slots.values())
         self._memory = MemoryWatch(graph.memory_mb, self.pipeline)
 

@@ -15,7 +15,12 @@ from stream.errors import KinegraphError
 from stream.plain import say
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from operators.emg.commands.electrode_check import Electrode
+    from stream.engine.session import Session
+    from stream.graph import Graph
+    from stream.impedance import Impedance
 
 Span = tuple[float, float]
 REST_S, CONTRACTION_S = 5.0, 10.0
@@ -33,11 +38,19 @@ def check_electrodes(
         typer.Option(metavar="A-B", help="seconds in which every muscle is contracted [default: the 10 s after rest]"),
     ] = "",
     emg: Annotated[str, typer.Option(metavar="STREAM", help="the raw EMG [default: the only one in volts]")] = "",
+    impedance: Annotated[
+        bool, typer.Option("--impedance/--no-impedance", help="measure impedances first, where the device can")
+    ] = True,
+    most_kohm: Annotated[
+        float,
+        typer.Option(metavar="KOHM", min=0.1, help="an impedance above this is doubtful, ten times as much is bad"),
+    ] = 50.0,
     simulate: Annotated[bool, typer.Option("--simulate", help="simulated devices in the place of real ones")] = False,
 ) -> None:
     """Check the electrodes before a session.
 
-    Rest, then contract every muscle. It shows noise, contraction, crosstalk and hum per channel, and what to do about each fault.
+    Rest, then contract every muscle. It shows noise, contraction, crosstalk and hum per channel, the electrodes' impedances where the
+    device measures them (OpenBCI Cyton: 1.5 s an electrode), and what to do about each fault.
     Exit code 0 if every channel is good, 1 if one is doubtful or bad.
     """
     from stream.recording.place import SUFFIX, parts_of
@@ -48,8 +61,8 @@ def check_electrodes(
         found, unit = _judge(source, emg, quiet, strong)
     else:
         with TemporaryDirectory(prefix="kinegraph-") as folder:
-            _measure(source, File(folder) / "check", quiet, strong, simulate=simulate)
-            found, unit = _judge(File(folder) / "check", emg, quiet, strong)
+            ohm = _measure(source, File(folder) / "check", quiet, strong, simulate=simulate, impedance=impedance)
+            found, unit = _judge(File(folder) / "check", emg, quiet, strong, ohm, 1000 * most_kohm)
     _show(found, unit)
     if poor := [f"{e.name} {e.reason}" for e in found if e.flag != "good"]:
         say(f"{len(poor)} of {len(found)} electrodes need a look: {', '.join(poor)}", err=True)
@@ -69,8 +82,10 @@ def _span(text: str, option: str, default: Span) -> Span:
     return begin, end
 
 
-def _measure(config: File, folder: File, quiet: Span, strong: Span, *, simulate: bool) -> None:
-    """Run the graph as long as the stages last, with its outlets, and say what is to be done meanwhile."""
+def _measure(
+    config: File, folder: File, quiet: Span, strong: Span, *, simulate: bool, impedance: bool
+) -> list[Impedance]:
+    """Run the graph as long as the stages last, without its outlets, and say what is to be done meanwhile; before, measure impedances."""
     from contextlib import nullcontext
 
     from stream.commands import logs
@@ -83,9 +98,9 @@ def _measure(config: File, folder: File, quiet: Span, strong: Span, *, simulate:
     for name in graph.outlets:
         del graph.nodes[name]
     with simulated(graph) if simulate else nullcontext():
-        session = Session(graph, folder, duration_s=max(quiet[1], strong[1]) + 0.5)
-        over = Event()
-        prompter = Thread(target=_prompt, args=(quiet, strong, over), name="prompts", daemon=True)
+        ohm = _impedances(graph) if impedance else []
+        session, over = Session(graph, folder), Event()
+        prompter = Thread(target=_prompt, args=(session, quiet, strong, over), name="prompts", daemon=True)
         prompter.start()
         try:
             outcome = session.run()
@@ -95,9 +110,30 @@ def _measure(config: File, folder: File, quiet: Span, strong: Span, *, simulate:
         raise KinegraphError(
             f"the electrodes could not be measured: the session ended with exit code {outcome.exit_code}"
         )
+    return ohm
 
 
-def _prompt(quiet: Span, strong: Span, over: Event) -> None:
+def _impedances(graph: Graph) -> list[Impedance]:
+    """Of every source that measures them, one electrode after the other."""
+    from stream.impedance import LoneFeed
+    from stream.source import Source
+
+    found: list[Impedance] = []
+    for node in graph.sources:
+        assert isinstance(node.part, Source)
+        told = node.part.impedances(LoneFeed())
+        if told is None:
+            continue
+        say(f"first, keep still: {node.name} measures the electrodes' impedances one after the other", err=True)
+        found += told
+    return found
+
+
+def _prompt(session: Session, quiet: Span, strong: Span, over: Event) -> None:
+    """Say what is to be done from the first sample on, and end the session after it."""
+    while not session.turn.open:
+        if over.wait(0.02):
+            return
     begun = time.monotonic()
     for (begin, end), what in sorted(
         [(quiet, "rest: no muscle works"), (strong, "contract every muscle in turn, strongly")]
@@ -105,9 +141,13 @@ def _prompt(quiet: Span, strong: Span, over: Event) -> None:
         if over.wait(max(0.0, begin - (time.monotonic() - begun))):
             return
         say(f"now, for {end - begin:g} s: {what}", err=True)
+    if not over.wait(max(quiet[1], strong[1]) + 0.5 - (time.monotonic() - begun)):
+        session.stop()
 
 
-def _judge(path: File, emg: str, quiet: Span, strong: Span) -> tuple[list[Electrode], str]:
+def _judge(
+    path: File, emg: str, quiet: Span, strong: Span, ohm: Sequence[Impedance] = (), most_ohm: float = 0.0
+) -> tuple[list[Electrode], str]:
     from operators.emg.commands.calibrate import raw_emg
     from operators.emg.commands.electrode_check import check_electrodes as judge
     from stream.recording import Recording
@@ -116,7 +156,7 @@ def _judge(path: File, emg: str, quiet: Span, strong: Span) -> tuple[list[Electr
         name = emg or raw_emg(recording)
         spec = recording.stream(name).spec
         times, data = recording.read(name)
-    return judge(spec, times, data, quiet, strong), spec.units[0]
+    return judge(spec, times, data, quiet, strong, ohm, most_ohm), spec.units[0]
 
 
 def _show(found: list[Electrode], unit: str) -> None:
@@ -125,12 +165,17 @@ def _show(found: list[Electrode], unit: str) -> None:
     from stream.screen import Screen
 
     table = Table(box=None)
-    for heading in ("muscle", f"rest ({unit})", f"contraction ({unit})", "hum", "shared", "verdict", "what to do"):
+    measured = any(e.ohm for e in found)
+    ohm = ["impedance (kOhm)"] if measured else []
+    for heading in (
+        "muscle", f"rest ({unit})", f"contraction ({unit})", "hum", "shared", *ohm, "verdict", "what to do",
+    ):  # fmt: skip
         table.add_column(
             heading, justify="left" if heading in ("muscle", "verdict", "what to do") else "right", overflow="fold"
         )
     for e in found:
         shared = f"{e.shared:.2f} {e.with_}" if e.with_ else ""
         verdict = f"{e.flag}: {e.reason}" if e.reason else e.flag
-        table.add_row(e.name, f"{e.rest:.1f}", f"{e.contraction:.1f}", f"{e.hum:.0%}", shared, verdict, e.advice)
+        kohm = ["/".join(f"{z / 1000:.0f}" if z < float("inf") else "open" for z in e.ohm)] if measured else []
+        table.add_row(e.name, f"{e.rest:.1f}", f"{e.contraction:.1f}", f"{e.hum:.0%}", shared, *kohm, verdict, e.advice)
     Screen().print(table)

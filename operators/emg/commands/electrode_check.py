@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -12,16 +13,21 @@ from operators.emg.electrode_watch import ADVICE
 from operators.emg.quality import MICROVOLTS, MOST_NOISE_UV, SignalQuality
 from stream.chunk import FOREVER, Chunk, Samples, StreamSpec, Times
 from stream.errors import InputError
+from stream.impedance import Impedance
 
 LEAST_RISE = 3.0
 """A contraction comes to at least this many times the level at rest (rms)."""
 SHARED, SAME = 0.5, 0.9
 """Correlation of two channels from which one hears the other's muscle, and from which both are the same signal."""
+MOST_OHM = 50e3
+"""Impedance above which an electrode is doubtful; from ten times that on it is bad."""
 BLOCK_S = 0.1
 HELP = {
     **ADVICE,
     "no contraction": "contract this muscle; if you did, look whether the electrode lies over its belly and its cable is plugged in",
     "crosstalk": "move the electrode nearer to the middle of its muscle, or take a smaller distance between its poles",
+    "impedance": "shave, abrade and clean the skin, take a fresh electrode or more gel; let it settle for some minutes",
+    "not connected": "look whether the electrode sticks and its cable is plugged in; and the reference, if all are",
     "same signal": "two channels show one signal: look for swapped or doubled leads, or a bridge of gel or sweat",
 }
 """What to do, by what is wrong."""
@@ -34,6 +40,7 @@ class Electrode:
     rest, contraction   the quietest and the strongest tenth of the 100 ms of these stages begin or end here
     hum                 share of the power from 20 to 450 Hz in the mains' lines
     shared, with_       the highest correlation with another channel during the contraction, and that channel
+    ohm                 what the device measured of each pole, + first; empty: it does not measure that
     """
 
     name: str
@@ -44,6 +51,7 @@ class Electrode:
     with_: str
     flag: str
     reason: str
+    ohm: tuple[float, ...] = ()
 
     @property
     def advice(self) -> str:
@@ -51,11 +59,13 @@ class Electrode:
 
 
 def check_electrodes(
-    spec: StreamSpec, time: Times, data: Samples, rest: tuple[float, float], contraction: tuple[float, float]
-) -> list[Electrode]:
-    """Judge every channel of raw EMG (n, channels) by its stages, each (begin, end) in seconds from the first sample.
+    spec: StreamSpec, time: Times, data: Samples, rest: tuple[float, float], contraction: tuple[float, float],
+    impedances: Sequence[Impedance] = (), most_ohm: float = MOST_OHM,
+) -> list[Electrode]:  # fmt: skip
+    """Judge every channel of raw EMG (n, channels) by its impedances and its stages, (begin, end) in seconds from the first sample.
 
-    The limits are those of `SignalQuality`, and ours: LEAST_RISE, SHARED, SAME. Raises InputError where a stage holds less than a second.
+    The limits are those of `SignalQuality`, and ours: LEAST_RISE, SHARED, SAME, MOST_OHM (`most_ohm`; ten times that is bad). Raises
+    InputError where a stage holds less than a second.
     """
     seconds = (time - time[0]) / 1e9 if len(time) else np.empty(0)
     quiet, strong = (data[(seconds >= a) & (seconds < b)] for a, b in (rest, contraction))
@@ -75,11 +85,21 @@ def check_electrodes(
         flag, reason = flags[k], reasons[k]
         if reason in ("", "baseline noise"):
             flag, reason = _stages(below[k], above[k], shared[k], limit)
+        ohm = tuple(each.ohm for each in impedances if each.channel == name)
+        if ohm and (flag == "good" or not max(ohm) < 10 * most_ohm):
+            flag, reason = _by_ohm(max(ohm), most_ohm)
         with_ = names[other[k]] if other[k] >= 0 else ""
         found.append(
-            Electrode(name, float(below[k]), float(above[k]), float(hum[k]), float(shared[k]), with_, flag, reason)
+            Electrode(name, float(below[k]), float(above[k]), float(hum[k]), float(shared[k]), with_, flag, reason, ohm)
         )
     return found
+
+
+def _by_ohm(worst: float, most: float) -> tuple[str, str]:
+    """Flag and reason by the impedance of a channel's worse pole."""
+    if not np.isfinite(worst):
+        return "bad", "not connected"
+    return ("bad" if worst >= 10 * most else "doubtful", "impedance") if worst > most else ("good", "")
 
 
 def _stages(rest: float, contraction: float, shared: float, limit: float) -> tuple[str, str]:
