@@ -143,7 +143,7 @@ def _late(seconds: float) -> Callable[[Walk, Any], None]:
     """The plate's signal comes later."""
 
     def put(w: Walk, at: Any) -> None:
-        w.force[at] = w.force[at.start - round(seconds * RATE) : at.stop - round(seconds * RATE)].copy()
+        w.force[at] = np.roll(w.force, round(seconds * RATE), axis=0)[at]
 
     return put
 
@@ -197,12 +197,14 @@ FAULTS: dict[str, Callable[[Walk], None]] = {
     "electrodes on the other leg": changed(_other_leg, 0),
     "TA and SO swapped from the start": changed(_swap, 0),
     "contacts 20 ms late": changed(_late(0.02)),
+    "contacts 20 ms late from the start": changed(_late(0.02), 0),
     "person stands for 8 s": changed(_pause, FROM_S, FROM_S + 8),
 }
 
 FROM_THE_START = (
     "plate +30 N", "plate -30 N", "plate drifts 60 N", "5 % of the other belt", "plate noise of 15 N rms", "plate noise of 60 N rms",
     "plate in kN, taken for N",
+    "contacts 20 ms late from the start",
     "the other belt taken for this leg's", "electrodes on the other leg", "TA and SO swapped from the start",
 )  # fmt: skip
 

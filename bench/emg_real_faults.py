@@ -146,6 +146,10 @@ def _shifted(seconds: float) -> Callable[[Treading], None]:
     return put
 
 
+def _always_late(w: Treading) -> None:
+    w.down, w.up = w.down + 0.02, w.up + 0.02
+
+
 def _other_leg(w: Treading) -> None:
     """The contacts are the other leg's: half a cycle later, from the start."""
     half = np.diff(w.down).mean() / 2
@@ -192,12 +196,15 @@ FAULTS: dict[str, Callable[[Treading], None]] = {
     "contacts 100 ms late": _shifted(0.1),
     "contacts 20 ms late": _shifted(0.02),
     "contacts 20 ms early": _shifted(-0.02),
+    "contacts 10 ms late": _shifted(0.01),
+    "contacts 20 ms late from the start": _always_late,
     "the other leg's contacts from the start": _other_leg,
     "TA and SO swapped from the start": _swapped_first,
 }
 
 
 FROM_THE_START = (
+    "contacts 20 ms late from the start",
     "the other leg's contacts from the start", "TA and SO swapped from the start", "overground: toes' markers swapped from the start",
 )  # fmt: skip
 

@@ -27,6 +27,8 @@ Stream: TypeAlias = tuple[Any, Any, Any]
 Numbers: TypeAlias = dict[tuple[str, str], float]
 """Whose, what: its mean over the cycles."""
 OF_A_MUSCLE = {"peak": "peak", "mean": "mean", "mean_stance": "mean in stance", "mean_swing": "mean in swing"}
+HANGING, MUCH_PCT = ("mean in stance", "mean in swing"), 10.0
+"""What contacts that are off change, and from what change on the report marks it."""
 OF_A_CYCLE = {"stance_pct": "stance (%)", "cadence": "cadence (1/min)"}
 
 
@@ -59,13 +61,15 @@ def drive(operator: Any, inputs: dict[str, Stream], lost: Any = None) -> dict[st
 
 @dataclass
 class Outcome:
-    """Numbers of all cycles, and of those left in; alarms (s, whose, what); good cycles; what the report says at the end."""
+    """Numbers of all cycles, and of those left in; alarms (s, whose, what); good cycles; what the report says at the end; by how much (%)
+    each muscle's means in stance and swing hang on contacts."""
 
     every: Numbers
     left_in: Numbers
     alarms: list[tuple[float, str, str]]
     cycles: int
     said: list[str]
+    hang: dict[str, float]
 
 
 def analysed(
@@ -101,7 +105,9 @@ def analysed(
     closed = {int(row["number"]): str(row["rejected"]) for row in left["closed"][2]}
     rejected = [reason for reason in closed.values() if reason]
     said += [f"{len(rejected)} cycles rejected: {', '.join(sorted(set(rejected)))}"] if rejected else []
-    return Outcome(_numbers(both), _numbers(left), sorted(alarms), len(closed) - len(rejected), said)
+    rows = drive(CycleStatistics(), left)["out"][2]
+    hang = {name: _mean(rows["contact_pct"][rows["name"] == name]) for name in left["cycles"][0].channels}
+    return Outcome(_numbers(both), _numbers(left), sorted(alarms), len(closed) - len(rejected), said, hang)
 
 
 def _numbers(streams: dict[str, Stream]) -> Numbers:
@@ -138,6 +144,8 @@ def table_row(name: str, begin_s: float, now: Outcome, whole: Outcome) -> tuple[
         for key, before in whole.every.items()
     }
     key = max(changes, key=lambda k: changes[k])
+    if noticed == "not" and key[1] in HANGING and now.hang[key[0]] > MUCH_PCT and changes[key] > MUCH_PCT / 100:
+        noticed, after = f"{key[0]}: marked, {now.hang[key[0]]:.0f} % for 20 ms", "at the end"
     cells = (_told(made[key], whole.every[key]) for made in (now.every, now.left_in))
     return name, noticed, after, " ".join(key).strip(), f"{whole.every[key]:.3g}", *cells, str(now.cycles)
 

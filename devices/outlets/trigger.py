@@ -1,4 +1,4 @@
-"""Trigger pulses for other devices: on a serial port's control line, as an LSL marker, as an OSC message."""
+"""Trigger pulses for other devices: by a serial port's control line or bytes, as an LSL marker, as an OSC message."""
 
 from __future__ import annotations
 
@@ -50,7 +50,9 @@ class TriggerRuntime:
 class TriggerOutlet(Outlet[TriggerState, TriggerRuntime]):
     """Starts and stops other devices: a pulse when the first sample comes and one when the session ends, or one per event.
 
-    serial_port   the RTS or DTR line of a serial port is up for `pulse_ms`: many systems take it as TTL through an adapter
+    serial_port   the RTS or DTR line of a serial port is up for `pulse_ms`: many systems take it as TTL through an adapter. With
+                  `line: byte` a byte is written in its place, and 0 after `pulse_ms`: trigger boxes set their TTL lines by it. `codes` are
+                  the bytes at the start (and of each event) and at the end
     lsl           a marker stream of this name: "start", "stop", or "pulse" for an event, at the stamp of the sample
     osc           a UDP receiver HOST:PORT that is sent the message `osc_address` with 1 (start), 0 (stop), or 1 for an event
 
@@ -61,7 +63,13 @@ class TriggerOutlet(Outlet[TriggerState, TriggerRuntime]):
 
     when: Literal["session", "events"] = param("session", help="a pulse at start and end, or one per event")
     serial_port: str = param("", help="/dev/ttyUSB0, COM3 or a URL of pyserial; left out: none")
-    line: Literal["rts", "dtr"] = param("rts", help="the port's line that gives the pulse")
+    line: Literal["rts", "dtr", "byte"] = param(
+        "rts", help="the line that gives the pulse, or a byte for a trigger box"
+    )
+    codes: tuple[int, int] = param(
+        (1, 2), least=1, most=255, help="with `byte`: at the start or per event, and at the end"
+    )
+    baud: int = param(115200, least=50, help="with `byte`: bits per second of the serial port")
     pulse_ms: float = param(
         10.0, least=1.0, most=1000.0, help="how long the line is up, and at least down before the next"
     )
@@ -89,7 +97,7 @@ class TriggerOutlet(Outlet[TriggerState, TriggerRuntime]):
     def begin(self) -> None:
         runtime = self.runtime
         if self.serial_port:
-            runtime.serial = SerialLine(self.serial_port, self.line, self.pulse_ms / 1000)
+            runtime.serial = SerialLine(self.serial_port, self.line, self.pulse_ms / 1000, self.baud)
         if self.osc:
             host, _, port = self.osc.rpartition(":")
             runtime.osc = OscSender("trigger pulses", host, int(port))
@@ -133,7 +141,7 @@ class TriggerOutlet(Outlet[TriggerState, TriggerRuntime]):
         runtime = self.runtime
         self.state.pulses += 1
         if runtime.serial is not None:
-            runtime.serial.pulse()
+            runtime.serial.pulse(self.codes[what == "stop"])
         if runtime.osc is not None:
             runtime.osc.send(bundles([floats(self.osc_address, [value])]))
         if runtime.lsl is not None:

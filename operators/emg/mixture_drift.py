@@ -154,7 +154,9 @@ class MixtureDrift(Operator[MixtureDriftState]):
         )  # fmt: skip
         return {
             "distance": StreamSpec((), DISTANCE, units=DISTANCE_UNITS, meta={**mixture.meta, "first": self.first}),
-            "change": StreamSpec((), ALARM, units=ALARM_UNITS, meta=mixture.meta),
+            "change": StreamSpec(
+                (), ALARM, units=ALARM_UNITS, meta={**mixture.meta, "needs_cycles": self.first + 3 * self.cycles}
+            ),
         }
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:

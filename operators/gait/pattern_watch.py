@@ -88,7 +88,8 @@ class PatternWatch(Operator[PatternWatchState]):
             ),
             decision_s={"out": longest_s} if longest_s else None,
         )  # fmt: skip
-        return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=spec.meta)}
+        meta = {**spec.meta, "needs_cycles": self.first + self.latest}
+        return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=meta)}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
         s = self.state

@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from operators.gait.cycle import REASONS, Expected, check_cycles, some_cycles
+from operators.gait.cycle import POINTS, REASONS, Expected, check_cycles, some_cycles
 from operators.gait.history import ACCEPTED, CycleHistory
 from operators.gait.limbs import Belonging
 from operators.gait.running_curve import RunningCurve
@@ -32,6 +32,7 @@ STATISTICS = np.dtype(
         ("mean_swing", "<f8"),
         ("integrated_stance", "<f8"),
         ("integrated_swing", "<f8"),
+        ("contact_pct", "<f8"),
         ("deviation", "<f8"),
         ("flag", "<U8"),
     ]
@@ -70,6 +71,9 @@ class CycleStatistics(Operator[CycleStatisticsState]):
     integrated           mean x duration: the integrated EMG (input's unit x s; uV s)
     mean_stance, _swing  of the points before and from lift-off on; integrated_stance + integrated_swing = integrated. NaN where lift-off
                          is not known
+    contact_pct          change (%) of mean_stance or mean_swing, whichever is more, where both contacts come `contact_s` earlier or later:
+                         nothing in a muscle's signal says when the foot met the ground, so what contacts that are always late do to
+                         these two is shown beside them. The cycle is taken to repeat itself
     deviation            Euclidean distance over the 100 points between this cycle and the mean of the accepted cycles before it, both
                          divided by the scale; dimensionless unless `scale: none`. NaN for the first cycle
 
@@ -93,6 +97,7 @@ class CycleStatistics(Operator[CycleStatisticsState]):
     optional: ClassVar[tuple[str, ...]] = ("judged",)
 
     scale: Literal["session", "cycle", "none"] = param("session", help="what deviations are relative to")
+    contact_s: float = param(0.02, least=0.0, most=0.2, help="how far off contacts may be, for `contact_pct`")
 
     def open(self, specs: Specs) -> Specs:
         spec = check_cycles(specs)
@@ -109,8 +114,9 @@ class CycleStatistics(Operator[CycleStatisticsState]):
         )  # fmt: skip
         unit = spec.units[0] if len(spec.units) == 1 else ""
         area, ratio = f"{unit} s".strip(), unit if self.scale == "none" else ""
-        units = ("ns", "ns", "", "", "", unit, "%", unit, area, unit, unit, area, area, ratio, "")
-        return {"out": StreamSpec((), STATISTICS, units=units, meta={**spec.meta, "deviation_scale": self.scale})}
+        units = ("ns", "ns", "", "", "", unit, "%", unit, area, unit, unit, area, area, "%", ratio, "")
+        meta = {**spec.meta, "deviation_scale": self.scale, "contact_s": self.contact_s}
+        return {"out": StreamSpec((), STATISTICS, units=units, meta=meta)}
 
     def process(self, port: str, chunk: Chunk) -> Chunk | None:
         s = self.state
@@ -164,6 +170,7 @@ class CycleStatistics(Operator[CycleStatisticsState]):
             count = int(chosen.sum())
             rows[f"mean_{part}"] = total / count if count else np.nan
             rows[f"integrated_{part}"] = total * (duration / points)
+        rows["contact_pct"] = shifted_pct(curve, stance, 100.0 * self.contact_s / duration) if known else np.nan
         told = self.state.flag_of == int(closed["number"])
         rows["flag"] = np.where(told, np.array(FLAGS)[self.state.flags], "")
         rows["deviation"] = self._deviation(int(closed["number"]), curve, absent)
@@ -196,3 +203,23 @@ class CycleStatistics(Operator[CycleStatisticsState]):
         s.curve.add(np.where(there, curve, np.nan))
         s.history.put(number, np.where(there, curve, np.nan))
         return distance
+
+
+def shifted_pct(curve: Samples, stance_pct: float, by_pct: float) -> Samples:
+    """By how much (%) the mean of each curve (100, m) in stance or in swing changes at most, where both contacts move by `by_pct`."""
+    most = np.zeros(curve.shape[1])
+    for begin, end in ((0.0, stance_pct), (stance_pct, 100.0)):
+        if end > begin:
+            before = share_of(begin, end) @ curve
+            with np.errstate(invalid="ignore", divide="ignore"):
+                for by in (-by_pct, by_pct):
+                    now = share_of(begin + by, end + by) @ curve
+                    most = np.maximum(most, 100.0 * np.abs(now / np.where(before == 0.0, np.nan, before) - 1.0))
+    return most
+
+
+def share_of(begin_pct: float, end_pct: float) -> Samples:
+    """(100,) which part of each point, one percent wide, lies between two places of a cycle that repeats itself."""
+    at = np.arange(-POINTS, 2 * POINTS)
+    parts = np.clip(np.minimum(at + 1, end_pct) - np.maximum(at, begin_pct), 0.0, 1.0)
+    return np.asarray(parts.reshape(3, POINTS).sum(axis=0))

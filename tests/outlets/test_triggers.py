@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import pty
+import select
 import socket
+import threading
+import tty
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -181,6 +186,64 @@ def test_what_cannot_give_a_pulse_is_refused_when_the_graph_is_opened() -> None:
         missing.begin()
 
 
+def box_reads(master: int, until: threading.Event) -> bytes:
+    """What a trigger box at the other end of a pseudo-terminal was sent, with the moments left out."""
+    heard = b""
+    while not until.is_set() or select.select([master], [], [], 0.2)[0]:
+        if select.select([master], [], [], 0.05)[0]:
+            heard += os.read(master, 100)
+    return heard
+
+
+def test_a_session_is_started_and_ended_by_a_trigger_box_and_starts_and_ends_another_by_pseudo_terminals(
+    tmp_path: Path,
+) -> None:
+    """Both boxes are at the far ends of terminals that the system makes: one prints its TTL line, one takes bytes."""
+    ours, theirs = zip(pty.openpty(), pty.openpty(), strict=True)
+    for end in theirs:
+        tty.setraw(end)
+    over = threading.Event()
+
+    def box_prints() -> None:
+        """The line is up for 40 ms at 2 s and at 5 s after the session has opened the port, and printed 50 times a second."""
+        select.select([ours[0]], [], [], 60.0)  # "b": the session is there
+        for k in range(100_000):
+            if over.wait(0.02):
+                return
+            os.write(ours[0], b"1\n" if k % 1000 in (100, 101, 250, 251) else b"0\n")
+
+    graph = BOXES.format(*(os.ttyname(end) for end in theirs))
+    with ThreadPoolExecutor(2) as boxes:
+        boxes.submit(box_prints)
+        taken = boxes.submit(box_reads, ours[1], over)
+        try:
+            outcome = Session(load_text(graph), tmp_path / "w", duration_s=60.0).run()
+        finally:
+            over.set()
+        sent = taken.result()
+    for end in (*ours, *theirs):
+        os.close(end)
+    assert outcome.error is None and outcome.exit_code == 0
+    assert sent == bytes([5, 0, 6, 0]), "the start's byte, rest, the end's byte, rest"
+    with Recording.open(tmp_path / "w") as recording:
+        at, pulses = recording.read("pulses.onset")
+        time, _ = recording.read("measured")
+        ended = int(recording.read("treadmill.emg")[0][-1])
+    assert len(pulses) == 2 and 2.5 * NS < at[1] - at[0] < 4 * NS
+    assert at[0] <= time[0] <= at[0] + NS // 100 and at[1] + 0.49 * NS <= time[-1] < at[1] + 0.5 * NS
+    assert ended < at[1] + 3 * NS, "the second pulse ended the session, not its 60 s"
+
+
+BOXES = """
+nodes:
+  treadmill: {{use: devices.simulators.treadmill.Treadmill, muscles: [TA]}}
+  box: {{use: devices.ascii_lines.AsciiLines, port: {0}, columns: [ttl], start: b}}
+  pulses: {{use: operators.threshold.Threshold, from: box.out, level: 0.5}}
+  measured: {{use: operators.gate.Gate, from: {{pulses: pulses.onset, in: treadmill.emg}}, tail_s: 0.5}}
+  recorder: {{use: devices.outlets.trigger.TriggerOutlet, from: measured, serial_port: {1}, line: byte, codes: [5, 6]}}
+  end: {{use: devices.outlets.session_end.SessionEnd, from: pulses.onset, after_s: 0.6}}
+record: [pulses.onset, measured]
+"""
 GRAPH = """
 nodes:
   treadmill: {use: devices.simulators.treadmill.Treadmill, muscles: [TA]}

@@ -10,13 +10,15 @@ import numpy as np
 from devices.outlets.report import words
 from devices.outlets.report.data import Curves, Muscle, Noticed, Rejected, Report, ReportValue, Stream
 from devices.outlets.report.grids import accepted_of, fill_groups
-from devices.outlets.report.tally import Tally, most_common, numbers
+from devices.outlets.report.tally import ALARM_PORTS, Tally, most_common, numbers
 from stream.chunk import NS, Samples, Specs
 from stream.graph import Graph
 
 OVERALL = ("cv_pct", "variance_ratio")
 """What the table takes of the numbers over all cycles; the others say the same as those per cycle."""
 
+MUCH_PCT = 10.0
+"""A mean that contacts change by more is marked."""
 A_DATE = 366 * 86_400 * NS
 """A recording that says no date (an import without `--start`) counts its time from 1970."""
 
@@ -54,6 +56,8 @@ def compose(tally: Tally, specs: Specs, graph: Graph | None, names: Mapping[str,
         stance_percent=float(centre[2]),
         envelopes="envelope" in cycles.meta or str(cycles.units[0]) in ("V", "mV", "uV"),
     )
+    report.hanging, report.contact_ms = _hanging(tally, specs)
+    report.unjudged = _unjudged(tally, specs)
     _fill_table(report, tally, specs, words.sites(session, cycles.meta))
     fill_groups(report, tally, specs)
     groups = tally.groups
@@ -98,6 +102,23 @@ def _alarms(tally: Tally) -> list[Noticed]:
         )
         for row in tally.alarms[: tally.alarmed]
     ]
+
+
+def _hanging(tally: Tally, specs: Specs) -> tuple[list[tuple[str, float]], float]:
+    """Muscles whose means in stance and swing contacts that are off would change by much, and by how much (%); how far off (ms)."""
+    statistics = specs.get("statistics")
+    if "contact_pct" not in numbers(statistics) or statistics is None:
+        return [], 0.0
+    percent = tally.fields[numbers(statistics).index("contact_pct")].centre()
+    much = [(name, float(p)) for name, p in zip(specs["cycles"].channels, percent, strict=True) if p > MUCH_PCT]
+    return much, 1000 * float(statistics.meta.get("contact_s", 0.0))
+
+
+def _unjudged(tally: Tally, specs: Specs) -> list[tuple[str, int]]:
+    """Watches that compare with first cycles, of which there were too few: the input, and how many cycles it needs of a limb."""
+    limbs = [int(gait.n.max(initial=0)) for gait in tally.groups.limb_gait] or [tally.accepted]
+    needs = {port: int(specs[port].meta.get("needs_cycles", 0)) for port in ALARM_PORTS if port in specs}
+    return [(port, n) for port, n in needs.items() if min(limbs) < n]
 
 
 def _reason(reason: str) -> str:

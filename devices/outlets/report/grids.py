@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from devices.outlets.report import words
@@ -63,16 +65,23 @@ def fill_groups(report: Report, tally: Tally, specs: Specs) -> None:
     if groups.indices:
         report.grids.append(_symmetry(groups, [str(name) for name in specs["symmetry"].meta.get("pair", ("", ""))]))
     if groups.burst_names:
-        report.grids.append(_bursts(groups))
+        report.grids.append(_bursts(groups, spec.channels))
     if tally.peaks.names:
         unit = spec.units[0] if len(spec.units) == 1 else ""
-        report.grids.append(tally.peaks.grid(unit))
+        grid = tally.peaks.grid(unit)
+        grid.rows.sort(key=lambda row: place_of(row[0], spec.channels))
+        report.grids.append(grid)
         report.modes = [tally.peaks.of(name).tolist() for name in spec.channels]
     if "low" in specs and "high" in specs:
         report.grids.append(_norms(tally, specs))
     if groups.stages:
         report.stages = list(groups.stages)
         report.grids += _stages(tally, specs)
+
+
+def place_of(name: str, channels: Sequence[str]) -> int:
+    """Where a muscle stands among the channels; what joins several comes last."""
+    return list(channels).index(name) if name in channels else len(channels)
 
 
 def _text(running: Running, i: int, decimals: int) -> str:
@@ -109,15 +118,16 @@ def _symmetry(groups: Groups, pair: list[str]) -> Grid:
     rows = []
     for name, (mean, low, high, pairs) in zip(groups.index_names, groups.indices, strict=True):
         muscle, _, measure = name.partition("|")
-        wide = f"{low:.1f} to {high:.1f}" if np.isfinite(low) else "–"
-        rows.append([f"{muscle} {MEASURES.get(measure, measure)}".strip(), f"{mean:.1f}", wide, str(int(pairs))])
+        wide = f"{low:z.1f} to {high:z.1f}" if np.isfinite(low) else "–"
+        rows.append([f"{muscle} {MEASURES.get(measure, measure)}".strip(), f"{mean:z.1f}", wide, str(int(pairs))])
     columns = [("Measure", ""), ("Index", "%"), ("95 % interval", "%"), ("Pairs of cycles", "")]
     return Grid("Symmetry", SYMMETRY.format(*pair), columns, sorted(rows))
 
 
-def _bursts(groups: Groups) -> Grid:
+def _bursts(groups: Groups, channels: Sequence[str]) -> Grid:
     rows = []
-    for name, (cycles, each, *ends) in zip(groups.burst_names, groups.bursts, strict=True):
+    found = zip(groups.burst_names, groups.bursts, strict=True)
+    for name, (cycles, each, *ends) in sorted(found, key=lambda each: place_of(each[0], channels)):
         cells = [
             f"{value:.0f}" + (f" ± {sd:.0f}" if np.isfinite(sd) else "") if np.isfinite(value) else "–"
             for value, sd in zip(ends[::2], ends[1::2], strict=True)

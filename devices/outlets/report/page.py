@@ -19,6 +19,12 @@ from stream.complete import write_complete
 
 AT_TIMES = 0.1
 """From this share of bad windows on, a channel that is good on the whole is named."""
+WATCHES = {
+    "patterns": "Swapped leads and changes of a muscle's size or rest were not watched for: that takes {} cycles of a limb.",
+    "timing": "Contacts that come later or earlier than at first were not watched for: that takes {} cycles of a limb.",
+    "changes": "Slow changes of a muscle's activity were not watched for: that takes {} cycles of a limb.",
+}
+"""What is not known of a session with fewer cycles, by the report's input."""
 MARKS = {"good": "✓ good", "doubtful": "! doubtful", "bad": "✗ bad"}
 
 
@@ -141,6 +147,7 @@ def limits(report: Report) -> list[str]:
             f"Only {report.accepted} cycles were accepted. Means and standard deviations of so few are uncertain; the variance ratio"
             " is given from ten cycles on."
         )
+    told += [WATCHES[port].format(n) for port, n in report.unjudged if port in WATCHES]
     if report.envelopes and report.normalisation in ("", "none"):
         told.append(
             "Amplitudes are not normalised. They depend on electrodes, skin and their exact place: compare shapes and times between people"
