@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from operators.gait.footfalls import Footfalls
     from operators.gait.force import ForceContacts, SwitchContacts
     from operators.gait.inertial import InertialContacts
+    from operators.gait.leg_contacts import LegContacts
     from operators.gait.limb_contacts import LimbContacts
     from operators.gait.limb_cycles import LimbCycles
     from operators.gait.limb_watch import LimbWatch
@@ -137,6 +138,7 @@ __all__ = [
     "GrowingGraph",
     "Highpass",
     "InertialContacts",
+    "LegContacts",
     "LimbContacts",
     "LimbCycles",
     "LimbSymmetry",
@@ -243,6 +245,7 @@ __getattr__, __dir__ = offered(
         "GrowingGraph": "operators.motion_graph.growing",
         "Highpass": "operators.iir",
         "InertialContacts": "operators.gait.inertial",
+        "LegContacts": "operators.gait.leg_contacts",
         "LimbContacts": "operators.gait.limb_contacts",
         "LimbCycles": "operators.gait.limb_cycles",
         "LimbSymmetry": "operators.gait.symmetry",

@@ -1,10 +1,11 @@
-"""A first graph for a recording, from what it holds: raw EMG to envelopes, and with foot contacts to cycles and their statistics."""
+"""A first graph for a recording, from what it holds: raw EMG to envelopes, and with foot contacts to cycles, alarms and a report."""
 
 from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,20 @@ from stream.chunk import StreamSpec
 
 VOLTAGES = ("V", "mV", "uV")
 LEAST_EMG_HZ = 200.0
+SIDES = ("left", "right")
+NAMED = [
+    (pattern.format(left), pattern.format(right))
+    for pattern in ("{}_*", "{} *", "{}-*", "{}.*", "*_{}", "* {}", "*-{}", "*.{}")
+    for left, right in (("L", "R"), ("l", "r"), ("LT", "RT"), ("Left", "Right"), ("left", "right"), ("LEFT", "RIGHT"))
+] + [("L*", "R*")]
+"""How channels may name their side; the star is the muscle."""
+WATCHED = {
+    "ensemble": "operators.gait.ensemble.CycleEnsemble",
+    "bursts": "operators.gait.bursts.CycleBursts",
+    "patterns": "operators.gait.pattern_watch.PatternWatch",
+    "timing": "operators.gait.timing_watch.TimingWatch",
+}
+"""What takes the cycles that are used, by the node's name."""
 STRIKE = re.compile(r"foot ?strike|heel ?strike|touch ?down|initial ?contact|^[rl]hs$", re.IGNORECASE)
 OFF = re.compile(r"foot ?off|toe ?off|lift ?off|^[rl]to$", re.IGNORECASE)
 
@@ -77,30 +92,49 @@ def _emg(
     spec: StreamSpec,
     suffix: str,
 ) -> None:
-    edge = edges[name]
+    edge, channels = edges[name], list(spec.channels)
     if len(spec.units) > 1:
         chosen = [channel for channel in spec.channels if spec.unit_of(channel) in VOLTAGES]
         unit = spec.unit_of(chosen[0])
-        nodes[f"emg{suffix}"] = {
-            "use": "operators.Select", "from": edge, "channels": [c for c in chosen if spec.unit_of(c) == unit],
-        }  # fmt: skip
+        channels = [c for c in chosen if spec.unit_of(c) == unit]
+        nodes[f"emg{suffix}"] = {"use": "operators.Select", "from": edge, "channels": channels}
         edge = f"emg{suffix}"
-    quality, envelope = f"quality{suffix}", f"envelope{suffix}"
-    nodes[quality] = {"use": "operators.emg.quality.SignalQuality", "from": edge}
-    nodes[envelope] = {"use": "operators.emg.Envelope", "from": edge}
-    record += [quality, envelope]
-    for side in ("left", "right"):
-        strikes = _events(specs, side, STRIKE)
-        if strikes:
-            _cycles(
-                nodes,
-                record,
-                envelope,
-                quality,
-                f"{side}{suffix}",
-                edges[strikes],
-                edges.get(_events(specs, side, OFF), ""),
-            )
+    nodes[f"quality{suffix}"] = {"use": "operators.emg.quality.SignalQuality", "from": edge}
+    nodes[f"electrodes{suffix}"] = {"use": "operators.emg.electrode_watch.ElectrodeWatch", "from": f"quality{suffix}"}
+    nodes[f"channels{suffix}"] = {"use": "operators.emg.channel_watch.ChannelWatch", "from": edge}
+    nodes[f"envelope{suffix}"] = {"use": "operators.emg.Envelope", "from": edge}
+    record += [f"{name}{suffix}" for name in ("quality", "electrodes", "envelope")]
+    found = {
+        (side, kind): edges[stream]
+        for side in SIDES
+        for kind, wanted in (("touchdown", STRIKE), ("liftoff", OFF))
+        if (stream := _events(specs, side, wanted))
+    }
+    down = [side for side in SIDES if (side, "touchdown") in found]
+    limbs = _patterns(channels) if len(down) == 2 else {}
+    if limbs:
+        nodes[f"feet{suffix}"] = {
+            "use": "operators.gait.leg_contacts.LegContacts", "from": {f"{side}_{kind}": edge for (side, kind), edge in found.items()},
+        }  # fmt: skip
+        feet = {kind: f"feet{suffix}.{kind}" for kind in ("touchdown", "liftoff")}
+        _cycles(nodes, record, edge, suffix, "", feet, limbs)
+    for side in () if limbs else down:
+        contacts = {kind: found[side, kind] for kind in ("touchdown", "liftoff") if (side, kind) in found}
+        _cycles(nodes, record, edge, suffix, f"{side}_", contacts, {})
+    if not down:
+        nodes[f"alarms{suffix}"] = {
+            "use": "devices.alarms.Alarms",
+            "from": [f"electrodes{suffix}", f"channels{suffix}"],
+        }
+
+
+def _patterns(channels: Sequence[str]) -> dict[str, str]:
+    """Which channels are the left leg's and which the right one's, by their names; {} where these do not say so."""
+    for left, right in NAMED:
+        fits = {pattern: [name for name in channels if fnmatchcase(name, pattern)] for pattern in (left, right)}
+        if all(fits.values()) and sum(map(len, fits.values())) == len(channels):
+            return {"left": left, "right": right}
+    return {}
 
 
 def _events(specs: Mapping[str, StreamSpec], side: str, wanted: re.Pattern[str]) -> str:
@@ -120,27 +154,56 @@ def _events(specs: Mapping[str, StreamSpec], side: str, wanted: re.Pattern[str])
 
 
 def _cycles(
-    nodes: dict[str, dict[str, Any]],
-    record: list[str],
-    envelope: str,
-    quality: str,
-    side: str,
-    touchdown: str,
-    liftoff: str,
-) -> None:
-    cycles, review = f"{side}_cycles", f"{side}_review"
-    contacts = {"touchdown": touchdown, **({"liftoff": liftoff} if liftoff else {})}
-    nodes[cycles] = {"use": "operators.gait.cycles.Cycles", "from": {"signal": envelope, **contacts}}
-    nodes[review] = {
+    nodes: dict[str, dict[str, Any]], record: list[str], emg: str, suffix: str, side: str, contacts: dict[str, str],
+    limbs: dict[str, str],
+) -> None:  # fmt: skip
+    """Cycles of one leg, or of both with limbs as a dimension, with all that watches them, and a report."""
+
+    def name(what: str) -> str:
+        return f"{side}{what}{suffix}"
+
+    quality, envelope, electrodes, channels = (
+        f"{what}{suffix}" for what in ("quality", "envelope", "electrodes", "channels")
+    )
+    kind = "operators.gait.limb_cycles.LimbCycles" if limbs else "operators.gait.cycles.Cycles"
+    nodes[name("cycles")] = {
+        "use": kind,
+        "from": {"signal": envelope, **contacts},
+        **({"limbs": limbs} if limbs else {}),
+    }
+    watch = "operators.gait.limb_watch.LimbWatch" if limbs else "operators.gait.cycle_watch.CycleWatch"
+    nodes[name("contacts")] = {"use": watch, "from": {"signal": envelope, "closed": f"{name('cycles')}.closed"}}
+    nodes[name("review")] = {
         "use": "operators.gait.review.CycleReview",
-        "from": {"quality": quality, "closed": f"{cycles}.closed", "cycles": f"{cycles}.cycles"},
+        "from": {"quality": quality, "closed": f"{name('cycles')}.closed", "cycles": f"{name('cycles')}.cycles"},
     }
-    nodes[f"{side}_statistics"] = {
-        "use": "operators.gait.statistics.CycleStatistics",
-        "from": {"judged": f"{review}.judged", "closed": f"{review}.closed", "cycles": f"{review}.cycles"},
-    }
-    nodes[f"{side}_ensemble"] = {
-        "use": "operators.gait.ensemble.CycleEnsemble",
-        "from": {"closed": f"{review}.closed", "cycles": f"{review}.cycles"},
-    }
-    record += [f"{cycles}.closed", f"{cycles}.cycles", f"{side}_statistics", f"{side}_ensemble.muscles"]
+    used = {port: f"{name('review')}.{port}" for port in ("closed", "cycles")}
+    for what, part in WATCHED.items():
+        nodes[name(what)] = {"use": part, "from": dict(used)}
+    nodes[name("statistics")] = {
+        "use": "operators.gait.statistics.CycleStatistics", "from": {"judged": f"{name('review')}.judged", **used},
+    }  # fmt: skip
+    report = {
+        "emg": emg, **used, "statistics": name("statistics"), "muscles": f"{name('ensemble')}.muscles", "quality": quality,
+        "electrodes": electrodes, "contacts": name("contacts"), "channels": channels, "patterns": name("patterns"),
+        "timing": name("timing"), "bursts": f"{name('bursts')}.session", "active": f"{name('bursts')}.active",
+    }  # fmt: skip
+    if limbs:
+        nodes[name("footfalls")] = {"use": "operators.gait.footfalls.Footfalls", "from": contacts, "reference": "left"}
+        nodes[name("symmetry")] = {
+            "use": "operators.gait.symmetry.LimbSymmetry", "from": {"closed": used["closed"], "statistics": name("statistics")},
+        }  # fmt: skip
+        report |= {
+            "symmetry": name("symmetry"),
+            "footfalls": f"{name('footfalls')}.limbs",
+            "gait": f"{name('footfalls')}.gait",
+        }
+    nodes[name("screen")] = {
+        "use": "devices.outlets.cycle_table.CycleTable", "from": {"closed": used["closed"], "statistics": name("statistics")},
+    }  # fmt: skip
+    alarms = [electrodes, name("contacts"), channels, name("patterns"), name("timing")]
+    nodes[name("alarms")] = {"use": "devices.alarms.Alarms", "from": alarms}
+    nodes[name("report")] = {"use": "devices.outlets.report.SessionReport", "from": report}
+    record += [
+        f"{name('cycles')}.closed", f"{name('cycles')}.cycles", name("contacts"), name("statistics"), f"{name('ensemble')}.muscles",
+    ]  # fmt: skip

@@ -18,29 +18,59 @@ The main activity in level walking at a usual speed (Perry and Burnfield, "Gait 
 is left out (peroneus, tensor fasciae latae)."""
 
 OTHER_NAMES = {
-    "SOL": "SO", "MG": "GM", "LG": "GL", "GASM": "GM", "GASL": "GL", "SM": "ST", "TIBIALIS ANTERIOR": "TA", "SOLEUS": "SO",
-    "GASTROCNEMIUS MEDIALIS": "GM", "GASTROCNEMIUS LATERALIS": "GL", "VASTUS MEDIALIS": "VM", "VASTUS LATERALIS": "VL",
-    "RECTUS FEMORIS": "RF", "BICEPS FEMORIS": "BF", "SEMITENDINOSUS": "ST", "GLUTEUS MAXIMUS": "MA", "GLUTEUS MEDIUS": "ME",
-}  # fmt: skip
-SIDE = re.compile(r"^(?:LEFT|RIGHT|LT|RT|L|R)[ _.\-]?|[ _.\-](?:LEFT|RIGHT|LT|RT|L|R)$")
+    "TA": "TIB(IALIS)?A(NT(ERIOR)?)?|ANT(ERIOR)?TIB(IALIS)?",
+    "SO": "SOL(EUS)?",
+    "GM": "MG|GASM|GAS(T(RO?C?)?(NEMIUS)?)?MED(IAL(IS)?)?|MED(IAL(IS)?)?GAS(T(RO?C?)?(NEMIUS)?)?",
+    "GL": "LG|GASL|GAS(T(RO?C?)?(NEMIUS)?)?LAT(ERAL(IS)?)?|LAT(ERAL(IS)?)?GAS(T(RO?C?)?(NEMIUS)?)?",
+    "VM": "VMO|VAS(T(US)?)?MED(IAL(IS)?)?(OBLIQ(UUS)?)?",
+    "VL": "VAS(T(US)?)?LAT(ERAL(IS)?)?",
+    "RF": "REC(T(US)?)?FEM(ORIS)?",
+    "BF": "BFLH|BIC(EPS)?FEM(ORIS)?(LONGHEAD|CAPUTLONGUM|LH)?|LAT(ERAL)?HAM(STRINGS?|S)?",
+    "ST": "SM|SEMI?T(END(INOSUS)?)?|SEMI?M(EM(BRANOSUS)?)?|MED(IAL)?HAM(STRINGS?|S)?",
+    "MA": "GMAX|GLUT(EUS)?MAX(IMUS)?",
+    "ME": "GMED|GLUT(EUS)?MED(IUS)?",
+}
+"""What else laboratories call them, as expressions that fit the name's letters without blanks and points. "GM" is the gastrocnemius."""
+SENSOR = re.compile(r"[:,(\[].*$|\bEMG\b.*$|\d+$")
+"""What follows the muscle in a recorder's names: "TIBIALIS ANTERIOR: EMG 1 [V]"."""
+_SIDES = "LEFT|RIGHT|LT|RT|L|R"
+SIDES = [re.compile(f"^({_SIDES})[ _.\\-]+"), re.compile(f"[ _.\\-]+({_SIDES})$"), re.compile(f"^({_SIDES})")]
+"""Where a name states the side: before or behind the muscle, or right before it."""
 SOFT = 10
 """The edges of a pattern are this wide, in % of the cycle."""
 
 
 def muscle_called(channel: str) -> str:
     """The textbook's muscle that a channel is named after, with or without its side; "" where it is none of them."""
-    name = channel.upper().strip()
-    for tried in (name, SIDE.sub("", name, count=1)):
-        if (known := OTHER_NAMES.get(tried, tried)) in WORKS_PCT:
-            return known
-    return ""
+    return _parts(channel)[0]
 
 
 def side_called(channel: str) -> str:
     """The side that a channel's name states, left or right; "" where it states none."""
-    name = channel.upper().strip()
-    found = None if OTHER_NAMES.get(name, name) in WORKS_PCT else SIDE.search(name)
-    return "" if found is None else "left" if "L" in found[0].strip(" _.-")[:1] else "right"
+    side = _parts(channel)[1]
+    return {"L": "left", "R": "right", "": ""}[side[:1]]
+
+
+def _parts(channel: str) -> tuple[str, str]:
+    """Muscle and side of a name, each "" where it is not known."""
+    name = _bare(channel)
+    if muscle := _known(name):
+        return muscle, ""
+    stated = [(found[1], _known(side.sub("", name))) for side in SIDES if (found := side.search(name))]
+    known = next(((muscle, side) for side, muscle in stated if muscle), None)
+    apart = next((found[1] for side in SIDES[:2] if (found := side.search(name))), "")
+    return known or ("", apart)
+
+
+def _bare(channel: str) -> str:
+    return SENSOR.sub("", channel.upper()).strip(" _.-")
+
+
+def _known(name: str) -> str:
+    letters = re.sub("[^A-Z]", "", name)
+    if letters in WORKS_PCT:
+        return letters
+    return next((muscle for muscle, names in OTHER_NAMES.items() if re.fullmatch(names, letters)), "")
 
 
 def textbook_pattern(muscle: str) -> Samples:

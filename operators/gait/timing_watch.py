@@ -11,8 +11,9 @@ from operators.alarm import ALARM, ALARM_UNITS, ON, OVER, FoundAlarms, alarm_chu
 from operators.gait.cycle import POINTS, Expected, check_cycles, longest_cycle_s, some_cycles
 from operators.gait.limbs import Belonging
 from operators.gait.stage_change import StageUnderWay
-from operators.gait.textbook import likeness, muscle_called, side_called, textbook_pattern
+from operators.gait.textbook import WORKS_PCT, likeness, muscle_called, side_called, textbook_pattern
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
+from stream.errors import ParameterError, nearest
 from stream.finite import only_finite
 from stream.operator import Case, Operator
 from stream.params import param
@@ -73,7 +74,8 @@ class TimingWatch(Operator[TimingWatchState]):
     another muscle's  a muscle fits the textbook's pattern of another better than its own, by `clearly` + 0.2, and by 0.6 at least
 
     Both latter use the mean of the latest `latest` cycles, from the third on, so they hold from the start; there are none with more than
-    two limbs, nor for a channel whose name states the other side than the contacts' (RTA in the left leg's cycles). Each alarm comes when
+    two limbs, nor for a channel whose name states the other side than the contacts' (RTA in the left leg's cycles), or no muscle that the
+    textbook has (then `muscles` says which it is; the report names those that are not watched so). Each alarm comes when
     `cycles` cycles in a row agree, and once more when it is over. Patterns and their source: `operators.gait.textbook`.
     """
 
@@ -88,6 +90,9 @@ class TimingWatch(Operator[TimingWatchState]):
     )
     sds: float = param(4.0, above=0.0, help="and this many standard errors of their mean")
     textbook: bool = param(True, help="hold muscles that are known by name against when they work in a walking person")
+    muscles: dict[str, str] | None = param(
+        None, help="which muscle a channel shows, where its name does not say so: {EMG1: TA, EMG2: SO}"
+    )
     clearly: float = param(
         0.8,
         above=0.0,
@@ -109,7 +114,8 @@ class TimingWatch(Operator[TimingWatchState]):
             ),
             decision_s={"out": longest_s} if longest_s else None,
         )  # fmt: skip
-        meta = {**spec.meta, "needs_cycles": self.first + self.latest}
+        unnamed = [name for name, muscle in zip(spec.channels, known, strict=True) if self.textbook and not muscle]
+        meta = {**spec.meta, "needs_cycles": self.first + self.latest, "unnamed": unnamed}
         return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=meta)}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
@@ -134,14 +140,21 @@ class TimingWatch(Operator[TimingWatchState]):
 
     def _known(self, spec: StreamSpec, limbs: int) -> list[str]:
         """The textbook's muscle of each channel, "" where it is not to be held against one."""
-        muscles, side = dict(spec.meta.get("muscles") or {}), str(spec.meta.get("side", ""))
+        for channel, muscle in (self.muscles or {}).items():
+            if channel not in spec.channels:
+                raise ParameterError("muscles", channel, f"a channel of `cycles`; {nearest(channel, spec.channels)}")
+            if not muscle_called(muscle):
+                raise ParameterError("muscles", muscle, f"a muscle that the textbook has: {', '.join(WORKS_PCT)}")
+        muscles = {**dict(spec.meta.get("muscles") or {}), **(self.muscles or {})}
+        side = str(spec.meta.get("side", ""))
         if not self.textbook or limbs > 2:
             return [""] * len(spec.channels)
         if limbs:
             return [muscle_called(str(muscles.get(name, name))) for name in spec.channels]
-        sides = {side_called(name) for name in spec.channels} - {""}
+        sides = {side_called(muscles.get(name, name)) for name in spec.channels} - {""}
         own = {"", side} if side else {"", *sides} if len(sides) < 2 else {""}
-        return [muscle_called(name) if side_called(name) in own else "" for name in spec.channels]
+        named = [muscles.get(name, name) for name in spec.channels]
+        return [muscle_called(name) if side_called(name) in own else "" for name in named]
 
     def _cycle(self, found: FoundAlarms, stamp: int, closed: np.void, curve: Samples) -> None:
         s, when = self.state, (stamp, int(closed["onset"]))

@@ -104,6 +104,42 @@ def test_a_first_graph_of_names_that_are_no_identifiers(kinegraph: Command, tmp_
     assert kinegraph("run", "w.yaml", "-o", "live", "--view", "none")[0] == 0
 
 
+def test_a_first_graph_of_two_legs_has_limbs_as_a_dimension_and_one_report(kinegraph: Command, tmp_path: Path) -> None:  # noqa: F811
+    """As a C3D file gives it: voltages that name their side, four streams of events."""
+    rng, n = np.random.default_rng(5), 12_000
+    time = np.arange(n) * (NS // 1000) + NS
+    names = ("L_TA", "L_SO", "R_TA", "R_SO")
+    phase = (time[:, None] / NS - np.array([0.0, 0.0, 0.5, 0.5])) % 1.0
+    working = np.abs((phase - np.array([0.8, 0.3, 0.8, 0.3]) + 0.5) % 1.0 - 0.5) < 0.15
+    spec = StreamSpec((4,), rate_hz=1000.0, channels=names, units=("uV",))
+    series = [Series("lab.analog", spec, time, rng.normal(0, 1, (n, 4)) * np.where(working, 90.0, 3.0))]
+    for side, begin in (("left", 2.0), ("right", 2.5)):
+        for label, after in (("Foot Strike", 0.0), ("Foot Off", 0.6)):
+            onset = np.array([(round((begin + after + k) * NS),) for k in range(10)], MARK)
+            contact = StreamSpec((), MARK, units=("ns",), meta={"label": label, "side": side})
+            name = f"lab.{side}_{label.lower().replace(' ', '_')}"
+            series.append(Series(name, contact, onset["onset"].copy(), onset))
+    write_recording(Path("w.mcap"), series, {"graph": "", "session": {"subject": "S01"}})
+    assert kinegraph("new", "graph", "w.mcap", "-o", "w.yaml")[0] == 0
+    text = Path("w.yaml").read_text()
+    assert (
+        "limbs: {left: L_*, right: R_*}" in text
+        and text.count("LimbCycles") == 1
+        and "operators.gait.cycles" not in text
+    )
+    assert kinegraph("run", "w.yaml", "-o", "live", "--view", "none", "--set", "lab.speed=0")[0] == 0
+    with Recording.open("live") as opened:
+        closed = opened.read("cycles.closed")[1]
+        rows = opened.read("statistics")[1]
+    for side in ("left", "right"):
+        mine = closed[closed["limb"] == side]
+        assert len(mine) == 9 and (mine["rejected"] == "").all() and np.allclose(mine["stance_pct"], 60, atol=0.5)
+        places = {m: rows["peak_pct"][rows["name"] == f"{side[0].upper()}_{m}"].mean() for m in ("TA", "SO")}
+        assert abs(places["TA"] - 80) < 10 and abs(places["SO"] - 30) < 10, places
+    page = Path("live/report.html").read_text()
+    assert "Symmetry" in page and "Footfalls" in page and "accepted cycles of left and right" in page
+
+
 @pytest.mark.skipif(not FILES.is_dir(), reason="KINEGRAPH_DATA (the folder of real files) is not set")
 def test_a_real_c3d_from_import_to_the_statistics_of_its_cycles(kinegraph: Command, tmp_path: Path) -> None:  # noqa: F811
     Path("lab.c3d").write_bytes((FILES / "c3d" / "events_8plates.c3d").read_bytes())

@@ -95,14 +95,22 @@ def held(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Held]:
     )
 
 
-def test_an_electrode_that_falls_off_is_told_on_the_screen_within_two_seconds(held: Held) -> None:
+def test_a_laboratory_is_told_loses_no_good_cycle_and_hands_out_one_report_that_can_be_checked(held: Held) -> None:
+    """The whole session at once: an electrode falls off in minute 4 while plates drift, three speeds, both legs, one report."""
+    an_electrode_that_falls_off_is_told_on_the_screen_within_two_seconds(held)
+    no_good_cycle_is_lost_on_plates_that_drift_beyond_a_hundred_newtons(held)
+    the_reports_curves_by_stage_are_those_of_an_independent_computation(held)
+    the_reports_numbers_are_those_of_an_independent_computation(held)
+
+
+def an_electrode_that_falls_off_is_told_on_the_screen_within_two_seconds(held: Held) -> None:
     told = held.alarms("electrodes")
     assert [(who, state) for _, who, state, _ in told] == [("L_TA", "on"), ("L_TA", "over")]
     assert OFF_S < told[0][0] <= OFF_S + 2 and OFF_S + OFF_FOR_S <= told[1][0] <= OFF_S + OFF_FOR_S + 4
     assert "ALARM L_TA: flat line" in held.shown and "flat line" in held.page
 
 
-def test_no_good_cycle_is_lost_on_plates_that_drift_beyond_a_hundred_newtons(held: Held) -> None:
+def no_good_cycle_is_lost_on_plates_that_drift_beyond_a_hundred_newtons(held: Held) -> None:
     true, found = held.streams["treadmill.touchdown"][1], held.streams["feet.touchdown"][1]
     assert len(true) - 2 <= len(found) <= len(true)
     assert np.abs(found["onset"] - true["onset"][-len(found) :]).max() < 0.01 * NS
@@ -143,13 +151,54 @@ def test_the_other_leg_is_compared_all_the_time(held: Held) -> None:
     assert np.isfinite(soleus["from_other"][20:]).all() and beside[-5:].min() > 2 * np.median(beside[:-60])
 
 
+def the_reports_numbers_are_those_of_an_independent_computation(held: Held) -> None:
+    """Every used cycle's peak, mean, means in stance and swing and integral in the table; peak and mean by stage on the page."""
+    time, emg = held.streams["treadmill.emg"]
+    envelope, seconds = plain_envelope(emg), (time - held.begin) / NS
+    shown = {title: grid(held.page, title) for title in ("Peak by stage", "Mean by stage")}
+    compared = 0
+    for c, name in enumerate(held.names):
+        limb = "left" if name.startswith("L_") else "right"
+        used = [row for row in held.rows if row["limb"] == limb and row[f"{name} peak (uV)"] != "nan"]
+        mine: dict[str, list[tuple[float, float]]] = {stage: [] for stage in STAGES}
+        for row in used:
+            begin, length, stance = (float(row[k]) for k in ("touch-down (s)", "duration_s", "stance_pct"))
+            curve = cycles(seconds, envelope[:, c], np.array([begin, begin + length]))[0]
+            standing = np.arange(100) < stance
+            told = [
+                float(row[f"{name} {k}"])
+                for k in ("peak (uV)", "mean (uV)", "mean_stance (uV)", "mean_swing (uV)", "integrated (uV s)")
+            ]
+            own = [curve.max(), curve.mean(), curve[standing].mean(), curve[~standing].mean(), curve.mean() * length]
+            assert np.abs(np.array(told) - own).max() < 0.02 * curve.max(), (name, row["number"])
+            if row["stage"] in mine:
+                mine[row["stage"]].append((curve.max(), curve.mean()))
+            compared += 1
+        for k, title in enumerate(shown):
+            for stage, cell in zip(STAGES, shown[title][name], strict=True):
+                mean, sd = (float(part) for part in cell.split("±"))
+                values = np.array([each[k] for each in mine[stage]])
+                assert (
+                    abs(mean - values.mean()) < 0.02 * values.mean() + 0.06
+                    and abs(sd - values.std(ddof=1)) < 0.03 * values.mean() + 0.06
+                )
+    assert compared > 1000
+
+
+def grid(page: str, title: str) -> dict[str, list[str]]:
+    """A table of the page: its rows' cells by their first one."""
+    table = page.split(f"<h2>{title}</h2>")[1].split("</table>")[0]
+    rows = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in table.split("<tr>")[1:]]
+    return {cells[0]: cells[1:] for cells in rows if cells}
+
+
 def plain_envelope(emg: Array) -> Array:
     """Raw EMG (n, c) at 1000 Hz: high-pass, rectify, low-pass, forwards and backwards over the whole recording."""
     clean = np.abs(sosfiltfilt(butter(2, 20, "highpass", fs=1000, output="sos"), emg, axis=0))
     return np.asarray(sosfiltfilt(butter(4, 20, fs=1000, output="sos"), clean, axis=0))
 
 
-def test_the_reports_curves_by_stage_are_those_of_an_independent_computation(held: Held) -> None:
+def the_reports_curves_by_stage_are_those_of_an_independent_computation(held: Held) -> None:
     """Of the cycles that the report says it used: mean and standard deviation, point by point, per stage, leg and muscle."""
     time, emg = held.streams["treadmill.emg"]
     envelope, seconds = plain_envelope(emg), (time - held.begin) / NS

@@ -11,6 +11,7 @@ from operators.gait.cycle import POINTS
 from operators.gait.textbook import muscle_called, side_called, textbook_pattern
 from operators.gait.timing_watch import TimingWatch, lags_pct
 from stream.chunk import Array, StreamSpec
+from stream.errors import ParameterError
 from tests.gait.test_bursts import cycles_of
 from tests.support.emg_run import drive
 
@@ -111,10 +112,28 @@ def test_leads_that_are_swapped_from_the_start_are_told_and_the_other_legs_chann
     [
         ("TA", "TA", ""), ("L_TA", "TA", "left"), ("RMG", "GM", "right"), ("RF", "RF", ""), ("LG", "GL", ""), ("Soleus R", "SO", "right"),
         ("left tibialis anterior", "TA", "left"), ("EMG1", "", ""), ("", "", ""),
+        ("R TIBIALIS ANTERIOR: EMG 1 (IM) [V]", "TA", "right"), ("LT TIB.ANT.,uV", "TA", "left"), ("RT MED. GASTRO", "GM", "right"),
+        ("RT GLUT. MAX.", "MA", "right"), ("LT BICEPS FEM.", "BF", "left"), ("RectFem_L", "RF", "left"), ("Semitend", "ST", ""),
+        ("GAST LAT", "GL", ""), ("L_VMO", "VM", "left"), ("VastusLateralis", "VL", ""), ("Peroneus", "", ""), ("L_Med_Ham", "ST", "left"),
+        ("LATISSIMUS", "", ""), ("L_EMG1", "", "left"), ("EMG 3: Soleus", "", ""),
     ],
 )  # fmt: skip
 def test_muscles_are_known_by_name(channel: str, muscle: str, side: str) -> None:
     assert (muscle_called(channel), side_called(channel)) == (muscle, side)
+
+
+def test_a_channel_whose_name_says_nothing_is_named_by_hand_and_the_others_are_told_to_the_report() -> None:
+    names = ("EMG1", "EMG2", "EMG3", "EMG4")
+    swapped = walked(20)[:, :, [1, 0, 2, 3]]
+    assert told(swapped, names) == []
+    by_hand = dict(zip(names, NAMES, strict=True))
+    assert [who for _, who, *_ in told(swapped, names, muscles=by_hand)] == ["EMG1", "EMG2"]
+    given = cycles_of(swapped, names)
+    specs = {port: each[0] for port, each in given.items()}
+    assert TimingWatch(muscles={"EMG1": "TA"}).open(specs)["out"].meta["unnamed"] == ["EMG2", "EMG3", "EMG4"]
+    for wrong, said in (({"EMG9": "TA"}, "did you mean"), ({"EMG1": "jaw"}, "textbook has")):
+        with pytest.raises(ParameterError, match=said):
+            TimingWatch(muscles=wrong).open(specs)
 
 
 def test_a_lag_is_found_to_a_part_of_a_point() -> None:

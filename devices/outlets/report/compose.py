@@ -58,6 +58,7 @@ def compose(tally: Tally, specs: Specs, graph: Graph | None, names: Mapping[str,
     )
     report.hanging, report.contact_ms = _hanging(tally, specs)
     report.unjudged = _unjudged(tally, specs)
+    report.unnamed = list(specs["timing"].meta.get("unnamed", ())) if "timing" in specs else []
     _fill_table(report, tally, specs, words.sites(session, cycles.meta))
     fill_groups(report, tally, specs)
     groups = tally.groups

@@ -150,6 +150,8 @@ class Report:
     contact_ms: float = 0.0
     unjudged: list[tuple[str, int]] = field(default_factory=list)
     """Watches that had too few cycles to say anything: the report's input, and how many they need of a limb."""
+    unnamed: list[str] = field(default_factory=list)
+    """Channels whose names say no muscle of which a textbook says when it works."""
 
 
 @dataclass(slots=True)

@@ -147,6 +147,11 @@ def limits(report: Report) -> list[str]:
             f"Only {report.accepted} cycles were accepted. Means and standard deviations of so few are uncertain; the variance ratio"
             " is given from ten cycles on."
         )
+    if report.unnamed:
+        told.append(
+            f"Of {', '.join(report.unnamed)} nobody looked whether the electrodes were on another muscle from the start: their names say no"
+            " muscle whose activity in walking is known (`muscles` of TimingWatch says which it is)."
+        )
     told += [WATCHES[port].format(n) for port, n in report.unjudged if port in WATCHES]
     if report.envelopes and report.normalisation in ("", "none"):
         told.append(
