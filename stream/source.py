@@ -6,10 +6,10 @@ of the graph goes on; so `read` opens the device, reads until told to stop, and 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar, Protocol, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
 
 from stream.chunk import Chunk, Specs
 from stream.params import check
@@ -84,6 +84,10 @@ class Source:
     def specs(self) -> Specs:
         """The specs of the outputs, by name, known from the parameters before anything is opened. Raises ParameterError."""
         raise NotImplementedError
+
+    def facts(self) -> Mapping[str, Any]:
+        """What this source knows of the session before it begins: a recording's subject. It goes before what the graph says."""
+        return {}
 
     def prepare(self) -> None:
         """Compile what reading takes (or have it taken from the cache). It is called before a session's devices open."""

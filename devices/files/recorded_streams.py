@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -52,6 +53,10 @@ class RecordedStreams(Source):
     def specs(self) -> Specs:
         with self._opened() as recording:
             return {output: recording.streams[name].spec for output, name in self._chosen(recording).items()}
+
+    def facts(self) -> Mapping[str, Any]:
+        with self._opened() as recording:
+            return dict(recording.header.get("session") or {})
 
     def present(self) -> bool | None:
         return Path(self.path).exists()

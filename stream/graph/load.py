@@ -29,6 +29,7 @@ from stream.manual import Annotations
 from stream.operator import Operator
 from stream.owners import is_foreign
 from stream.params import param
+from stream.source import Source
 
 IMPLICIT = {"annotations": Annotations}
 """Sources that every graph has, unless it defines a node of that name."""
@@ -150,6 +151,9 @@ class _Loading:
         page = read_page(self._section(top, "page"), wiring, self._problems, parts)
         nodes = open_nodes(drafts, self._problems, self._recorded)
         self._problems.stop()
+        for node in nodes.values():
+            if self._recorded is None and isinstance(node.part, Source):
+                session |= node.part.facts()
         if self._recorded is not None:
             record = tuple(edge for edge in record if edge.output in nodes[edge.node].specs)
         return Graph(

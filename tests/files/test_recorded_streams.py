@@ -93,6 +93,11 @@ def test_a_first_graph_runs_and_replays(kinegraph: Command, tmp_path: Path) -> N
     assert kinegraph("run", "w.yaml", "-o", "live", "--view", "none")[0] == 0
     with Recording.open("live") as opened:
         assert len(opened.read("lab.analog")[0]) == 2000
+        assert opened.header["session"] == {"subject": "S01"}, "in a session, too"
+    Path("s.yaml").write_text("session: {subject: simulated, speed_m_s: 1.2}\n" + Path("w.yaml").read_text())
+    assert kinegraph("run", "s.yaml", "-o", "mine", "--view", "none")[0] == 0
+    with Recording.open("mine") as opened:
+        assert opened.header["session"] == {"subject": "S01", "speed_m_s": 1.2}
     assert kinegraph("new", "graph", "w.yaml")[0] == 2
 
 
