@@ -62,7 +62,7 @@ def drive(operator: Any, inputs: dict[str, Stream], lost: Any = None) -> dict[st
 @dataclass
 class Outcome:
     """Numbers of all cycles, and of those left in; alarms (s, whose, what); good cycles; what the report says at the end; by how much (%)
-    each muscle's means in stance and swing hang on contacts."""
+    each muscle's means in stance and swing depend on contacts."""
 
     every: Numbers
     left_in: Numbers

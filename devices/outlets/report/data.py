@@ -146,7 +146,7 @@ class Report:
     footfalls: list[tuple[str, float, float]] = field(default_factory=list)
     modes: list[list[list[float]]] = field(default_factory=list)
     hanging: list[tuple[str, float]] = field(default_factory=list)
-    """Muscles whose means in stance and swing change by so many % where contacts are `contact_ms` off."""
+    """Muscles, and the change (%) of their means in stance and swing where contacts are `contact_ms` off."""
     contact_ms: float = 0.0
     unjudged: list[tuple[str, int]] = field(default_factory=list)
     """Watches that had too few cycles to say anything: the report's input, and how many they need of a limb."""
