@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -16,8 +20,13 @@ from devices.clocks.timing import timing_chunk, timing_spec
 from devices.protocols import ganglion as protocol
 from devices.protocols.ganglion import RATE_HZ, UV, GanglionDecoder
 from stream.chunk import Chunk, Specs, StreamSpec
+from stream.errors import DeviceError
+from stream.impedance import Impedance
 from stream.params import param
 from stream.source import Feed
+
+ROUNDS, MEASURED_S = 2, 40.0
+"""How often each impedance is measured, of which the last counts, and how long that may take."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +36,9 @@ class Ganglion(BleSource):
     out            (4,) float64 at 200 Hz: the channels in uV
     acceleration   (3,) float64, irregular, 10 Hz, with `acceleration`: x, y, z in g
     timing         an event per packet: its running sample number, arrival, stamp
+
+    The board measures its electrodes' impedances itself before a session (`kinegraph check-electrodes`): each channel's, and the
+    reference's, which stands as every channel's other pole.
 
     Firmware 2 sends differences: behind a lost packet everything up to the next whole one (half a second on average) is lost too, and is
     marked so.
@@ -61,6 +73,29 @@ class Ganglion(BleSource):
             link.write(protocol.WRITE, b"n", response=False)
         link.write(protocol.WRITE, b"b", response=False)
         return GanglionReading(self, 3 if digits and int(digits[0]) >= 3 else 2)
+
+    def impedances(self, feed: Feed) -> Iterator[Impedance]:
+        found: dict[int, float] = {}
+        with BleLink(feed, self.device, self.services, self.scan_s) as link:
+            link.subscribe(protocol.NOTIFY)
+            link.write(protocol.WRITE, protocol.IMPEDANCE_START, response=False)
+            try:
+                began, heard = time.monotonic(), Counter[int]()
+                while len(heard) < protocol.REFERENCE or min(heard.values()) < ROUNDS:
+                    if feed.stopped or time.monotonic() - began > MEASURED_S:
+                        raise DeviceError(
+                            f"{link.name} told {len(heard)} of {protocol.REFERENCE} impedances in {MEASURED_S:g} s"
+                        )
+                    for note in link.fetch(0.1):
+                        if each := protocol.impedance_ohm(note.data):
+                            found[each[0]] = each[1]
+                            heard[each[0]] += 1
+            finally:
+                with suppress(DeviceError):
+                    link.write(protocol.WRITE, protocol.IMPEDANCE_STOP, response=False)
+        for number, name in enumerate(self.specs()["out"].channels, 1):
+            yield Impedance(name, "+", found[number], float("nan"))
+            yield Impedance(name, "-", found[protocol.REFERENCE], float("nan"))
 
     def rest(self, link: BleLink, feed: Feed) -> None:
         link.write(protocol.WRITE, b"s", response=False)

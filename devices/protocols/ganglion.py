@@ -1,11 +1,13 @@
 """OpenBCI Ganglion over Bluetooth LE: packets of 20 bytes to four channels, firmware 2 (differences) and 3 (whole numbers). No port.
 
 Source: OpenBCI's and BrainFlow's public decoders. They disagree on numbers whose lowest bit is set: the firmware puts the sign there;
-OpenBCI extends by it, BrainFlow (native) takes the highest bit and subtracts one. This follows OpenBCI.
+OpenBCI extends by it, BrainFlow (native) takes the highest bit and subtracts one. This follows OpenBCI; so do
+impedances.
 """
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +18,9 @@ WRITE, FIRMWARE = "2d30c083-f39f-4ce6-923f-3484ea480596", "2a28"
 RATE_HZ = 200.0
 UV = 1.2e6 / (8388607 * 1.5 * 51)
 G = 0.016
+IMPEDANCE_START, IMPEDANCE_STOP = b"z", b"Z"
+IMPEDANCE_FIRST, REFERENCE = 201, 5
+"""The first byte of a message with channel 1's impedance; the fifth such message is the reference's."""
 AXES = {0: 2, 1: 0, 2: 1}
 """By a packet's number modulo 10: which axis its last byte is of (OpenBCI's order)."""
 
@@ -27,6 +32,17 @@ class GanglionPacket(NamedTuple):
     places: NDArray[np.int64]
     axis: int | None
     acceleration_g: float
+
+
+def impedance_ohm(data: bytes) -> tuple[int, float] | None:
+    """Which electrode (1 to 4 a channel's, 5 the reference's) a message says the impedance of, and how many ohm; None: it says none.
+
+    Behind its first byte stand digits, as text, and whatever else.
+    """
+    digits = re.match(rb"\d+", data[1:])
+    if not data or not 0 <= (which := data[0] - IMPEDANCE_FIRST) < REFERENCE or not digits:
+        return None
+    return which + 1, float(digits[0])
 
 
 class GanglionDecoder:

@@ -16,7 +16,7 @@ from stream.chunk import Array
 
 
 class GanglionBoard:
-    """`counts` gives sample i of all channels."""
+    """`counts` gives sample i of all channels; `ohm`: of the four electrodes and the reference."""
 
     advertised: tuple[str, ...] = (protocol.SERVICE,)
     services: dict[str, dict[str, list[str]]] = {
@@ -24,10 +24,11 @@ class GanglionBoard:
         "180a": {protocol.FIRMWARE: ["read"]},
     }
 
-    def __init__(self, firmware: int = 2) -> None:
+    def __init__(self, firmware: int = 2, ohm: tuple[int, ...] = (9000, 12000, 7000, 15000, 10000)) -> None:
         self.name, self._firmware = "Ganglion-1234", firmware
         self.running = self._motion = False
         self._said, self._seconds, self._began = 0, 0.0, 0.0
+        self.ohm, self.measuring = ohm, False
 
     def connected(self, yes: bool) -> None: ...
 
@@ -39,17 +40,25 @@ class GanglionBoard:
             self.running, self._began, self._said = True, self._seconds, 0
         elif data == b"s":
             self.running = False
+        elif data in (protocol.IMPEDANCE_START, protocol.IMPEDANCE_STOP):
+            self.measuring, self._began, self._said = data == protocol.IMPEDANCE_START, self._seconds, 0
         elif data == b"n":
             self._motion = True
         return []
 
     def say(self, seconds: float) -> list[tuple[str, bytes]]:
         self._seconds = seconds
+        if self.measuring:
+            first, self._said = self._said, int((seconds - self._began) / 0.1)
+            return [(protocol.NOTIFY, self._impedance(i % protocol.REFERENCE)) for i in range(first, self._said)]
         if not self.running:
             return []
         due = int((seconds - self._began) * protocol.RATE_HZ / 2)
         first, self._said = self._said, max(due, self._said)
         return [(protocol.NOTIFY, self.packet(i)) for i in range(first, self._said)]
+
+    def _impedance(self, which: int) -> bytes:
+        return bytes([protocol.IMPEDANCE_FIRST + which]) + f"{self.ohm[which]}Z\n".encode()
 
     def counts(self, index: Array) -> Array:
         """Samples (n, 4) in counts; what is sent of them differs by less than two (firmware 2) or 128 (3): the lowest bit is the sign."""

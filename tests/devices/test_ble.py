@@ -21,7 +21,7 @@ from devices.ble.source import BleSource
 from devices.ble.targets import targets_of
 from devices.ble.treadmill import FtmsTreadmill
 from devices.protocols import movella_dot, polar_pmd
-from devices.protocols.ganglion import UV
+from devices.protocols.ganglion import UV, impedance_ohm
 from devices.protocols.packet_decoder import Framing
 from devices.simulators.binary import BinaryModel, notifying
 from devices.simulators.ble_radio import radio
@@ -34,6 +34,7 @@ from devices.transport.transport import connect
 from stream.engine.session import Session
 from stream.errors import DeviceError
 from stream.graph.load import load, load_text
+from stream.impedance import LoneFeed
 from tests.support.device_feed import Kept, check, reading, wait_for
 
 pytest.importorskip("bleak")
@@ -267,6 +268,28 @@ def test_answers_do_not_hide_what_came_before_them() -> None:
 def test_what_is_no_uuid_is_refused(text: str) -> None:
     with pytest.raises(DeviceError, match="is no Bluetooth UUID"):
         uuid(text)
+
+
+def test_a_ganglions_impedances_are_asked_for_before_a_session_and_it_is_told_to_stop() -> None:
+    with radio() as air:
+        board = GanglionBoard(ohm=(9000, 120_000, 7000, 15_000, 11_000))
+        air.put(board)
+        told = [(each.channel, each.pole, each.ohm) for each in Ganglion().impedances(LoneFeed())]
+        assert told[:4] == [("ch1", "+", 9e3), ("ch1", "-", 11e3), ("ch2", "+", 120e3), ("ch2", "-", 11e3)]
+        assert len(told) == 8 and not board.measuring
+        with reading(Ganglion()) as feed:
+            until(feed, lambda: feed.count("out") > 50)
+
+
+@pytest.mark.parametrize(
+    ("data", "told"),
+    [
+        (b"\xc9" + b"9000Z\n", (1, 9000.0)), (b"\xcd" + b"0", (5, 0.0)), (b"\xce" + b"5", None), (b"\xc8" + b"5", None),
+        (b"\xc9", None), (b"", None), (b"\xc9Z5", None),
+    ],
+)  # fmt: skip
+def test_what_a_ganglion_says_of_an_impedance(data: bytes, told: tuple[int, float] | None) -> None:
+    assert impedance_ohm(data) == told
 
 
 @pytest.mark.parametrize("source", [Polar(acceleration_hz=50), HeartRate(), MovellaDot(), Ganglion(), FtmsTreadmill()])
