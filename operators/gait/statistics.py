@@ -38,6 +38,9 @@ STATISTICS = np.dtype(
     ]
 )
 
+NOTHING = 1e-9
+"""A mean below this part of the peak is none: no part of it can be told."""
+
 
 @dataclass(slots=True)
 class CycleStatisticsState:
@@ -211,10 +214,11 @@ def shifted_pct(curve: Samples, stance_pct: float, by_pct: float) -> Samples:
     for begin, end in ((0.0, stance_pct), (stance_pct, 100.0)):
         if end > begin:
             before = share_of(begin, end) @ curve
+            before = np.where(np.abs(before) <= NOTHING * np.abs(curve).max(axis=0), np.nan, before)
             with np.errstate(invalid="ignore", divide="ignore"):
                 for by in (-by_pct, by_pct):
                     now = share_of(begin + by, end + by) @ curve
-                    most = np.maximum(most, 100.0 * np.abs(now / np.where(before == 0.0, np.nan, before) - 1.0))
+                    most = np.maximum(most, 100.0 * np.abs(now / before - 1.0))
     return most
 
 
