@@ -124,6 +124,11 @@ def test_weeks_are_drawn_night_by_night_and_grow(browser: LiveBrowser, tmp_path:
         assert browser.complaints == []
         assert process.stop() == 0
 
+    with page_process(tmp_path, "view", "s") as process:
+        browser.open(process.url)
+        browser.wait(f"{panel}?.dataset.nights === '14'")
+        assert browser.complaints == []
+
 
 def drawn(browser: LiveBrowser, evenings: int) -> None:
     """Sleep and waking stand where and when they were, on the canvas; an evening without a night has neither."""
