@@ -61,7 +61,9 @@ def import_(
     names: Annotated[
         Many, typer.Option(metavar="[NAME=]NAMES", help="channel names: a,b,c, or the array that holds them")
     ] = None,
-    unit: Annotated[Many, typer.Option(metavar="[NAME=]UNIT", help="unit of the samples, e.g. uV")] = None,
+    unit: Annotated[
+        Many, typer.Option(metavar="[NAME=]UNIT", help="unit of the samples, e.g. uV; or one for each channel: a,b,c")
+    ] = None,
     scale: Annotated[Many, typer.Option(metavar="[NAME=]FACTOR", help="multiply the samples")] = None,
     meta: Annotated[Many, typer.Option(metavar="NAME:KEY=VALUE", help="a fact about a stream, e.g. side=right")] = None,
     fact: Annotated[Many, typer.Option(metavar="KEY=VALUE", help="a fact about the session, e.g. subject=S01")] = None,

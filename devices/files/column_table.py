@@ -139,17 +139,22 @@ def _signal(shelf: ColumnTable, wishes: Wishes, name: str, parts: Sequence[str])
         dtype=data.dtype,
         rate_hz=rate,
         channels=channels,
-        units=_units(wishes.of(wishes.unit, name), [column.unit for column in columns], len(channels)),
+        units=_units(name, wishes.of(wishes.unit, name), [column.unit for column in columns], len(channels)),
         meta=wishes.meta.get(name, {}),
     )
     return Series(name, spec, time + wishes.start_ns, np.ascontiguousarray(data), lost)
 
 
-def _units(given: str, found: list[str], channels: int) -> tuple[str, ...]:
+def _units(name: str, said: str, found: list[str], channels: int) -> tuple[str, ...]:
     """One unit for all channels or one for each; a micro sign, of either kind, is spelt as graphs and references do: uV."""
-    given, found = plain_unit(given), [plain_unit(unit) for unit in found]
-    if given or len(set(found)) == 1:
-        return (given or found[0],)
+    given, found = [plain_unit(unit.strip()) for unit in said.split(",")], [plain_unit(unit) for unit in found]
+    if len(given) > 1 and (len(given) != channels or not all(given)):
+        named = f"{channels} named channels" if channels else "channels without names; --names says what they are"
+        raise RecordingError(f"--unit {name}={said}: {len(given)} units for {named}")
+    if len(given) > 1:
+        return tuple(given) if len(set(given)) > 1 else (given[0],)
+    if given[0] or len(set(found)) == 1:
+        return (given[0] or found[0],)
     return tuple(found) if len(found) == channels else ("",)
 
 

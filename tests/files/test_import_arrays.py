@@ -37,6 +37,16 @@ def test_the_real_treadmill_recording(tmp_path: Path) -> None:
         assert_live_like(recording)
 
 
+def test_an_inertial_sensors_channels_have_a_unit_each(tmp_path: Path) -> None:
+    file = tmp_path / "a.npz"
+    np.savez(file, imu=np.zeros((10, 4)), t_s=np.arange(10) / 100)
+    signal = ["--stream", "s.imu=imu", "--time", "t_s", "--names", "ax,ay,gx,gy", "--unit", "m/s2, m/s2,rad/s,rad/s"]
+    with imported(tmp_path, file, *signal) as recording:
+        assert recording.streams["s.imu"].spec.units == ("m/s2", "m/s2", "rad/s", "rad/s")
+    with imported(tmp_path, file, *signal[:-1], "µV,uV,uV,uV", "--overwrite") as recording:
+        assert recording.streams["s.imu"].spec.units == ("uV",), "one unit is said once"
+
+
 @needs_data
 def test_markers_and_signals_of_the_overground_recordings(tmp_path: Path) -> None:
     assert DATA
@@ -113,6 +123,10 @@ def test_wishes_that_cannot_be(tmp_path: Path) -> None:
     refused(tmp_path, "rate s: -5 must be a positive number", file, "--stream", "s=emg", "--rate", "-5")
     refused(tmp_path, "'fast' is no number", file, "--stream", "s=emg", "--rate", "fast")
     refused(tmp_path, "3 names .* for 2 channels", file, "--stream", "s=emg", "--rate", "10", "--names", "a,b,c")
+    one = "--stream", "s=emg", "--rate", "10"
+    refused(tmp_path, "unit s=V,V,m: 3 units for 2 named channels", file, *one, "--names", "a,b", "--unit", "V,V,m")
+    refused(tmp_path, "2 units for channels without names; --names says what", file, *one, "--unit", "s=V,m")
+    refused(tmp_path, "unit s=V,: 2 units for 2 named", file, *one, "--names", "a,b", "--unit", "V,")
     refused(tmp_path, "holds no numbers", file, "--stream", "s=word", "--rate", "10")
     refused(tmp_path, "rate x=...: no such stream is made; valid are 's'", file, "--stream", "s=emg", "--rate", "x=10")
     refused(
