@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import butter
 
+from operators.steps.activity import STANDING, TURNING, WALKING, StepActivity
 from operators.steps.step_detection import (
     APART_S,
     CUTOFF_HZ,
@@ -25,6 +26,7 @@ from operators.steps.step_detection import (
 )
 from operators.steps.steps import LATE_NS, Steps
 from stream.chunk import NS, Array, Chunk, Samples, StreamSpec, Times
+from stream.engine.merge import Merge
 from stream.plain import say
 
 TOLERANCE_S = 0.25
@@ -210,6 +212,83 @@ def called() -> None:
         kinds = ", ".join(f"{kind} {n} ({n / max(row.sum(), 1):.1%})" for kind, n in zip(KINDS, row, strict=True))
         say(f"{name}: {row.sum()} steps, {kinds}")
     say(f"{beyond} contacts are annotated beyond the walks; people stand for {stood_s:.0f} s (no contact within 1 s)")
+
+
+ACTIVITIES = (STANDING, WALKING, TURNING)
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What people do by the annotations and as told, in s (3, 4: the last is unknown), once with the onsets and once when each was told.
+
+    stood   stretches of standing of 1.2 s or more: most of it told, all
+    turns   told within the annotated turn or a second before, all, others
+    after   from the annotated turn's beginning to when it was told, s
+    """
+
+    onsets: Samples
+    live: Samples
+    stood: tuple[int, int]
+    turns: tuple[int, int, int]
+    after: Samples
+
+
+def told(turn_deg: float = 45.0, still_s: float = 1.2, step_deg: float = 20.0) -> Told:
+    onsets, live, after = np.zeros((3, 4)), np.zeros((3, 4)), list[float]()
+    stood, stretches, turned, others = 0, 0, 0, 0
+    for trial in lower_back():
+        stamps, changes = activity_of(trial, turn_deg, still_s, step_deg)
+        every = np.arange(trial.stamps[0] / NS, trial.stamps[-1] / NS, 0.01)
+        true = np.array([1, 2, -1, -1, 0])[where(every, trial)]
+        said = [np.full(len(every), 3), np.full(len(every), 3)]
+        for stamp, row in zip(stamps, changes, strict=True):
+            for at, since in zip(said, (row["onset"], stamp), strict=True):
+                at[every >= since / NS] = (*ACTIVITIES, "unknown").index(str(row["activity"]))
+        for table, at in zip((onsets, live), said, strict=True):
+            np.add.at(table, (true[true >= 0], at[true >= 0]), 0.01)
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], true == 0, [0]])))
+        long = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= 120]
+        stood, stretches = stood + sum((said[0][a:b] == 0).mean() > 0.5 for a, b in long), stretches + len(long)
+        turn = changes["activity"] == TURNING
+        within = (changes["onset"] / NS > trial.bounds[2] - 1) & (changes["onset"] / NS < trial.bounds[3])
+        after += [stamps[turn & within][0] / NS - trial.bounds[2]] if (turn & within).any() else []
+        turned += bool((turn & within).any())
+        others += int(turn.sum()) - bool((turn & within).any())
+    return Told(onsets, live, (stood, stretches), (turned, len(lower_back()), others), np.array(after))
+
+
+def activity_of(trial: Trial, turn_deg: float, still_s: float, step_deg: float) -> tuple[Times, Array]:
+    """Stamps and changes of what a person does."""
+    finder, follower = Steps(site="lower_back", turn_deg=step_deg), StepActivity(turn_deg=turn_deg, still_s=still_s)
+    specs = {"steps": finder.open({"in": SPEC})["steps"], "signal": SPEC}
+    steps = finder.process("in", Chunk(trial.stamps, trial.data, int(trial.stamps[-1])))
+    follower.open(specs)
+    made = list[Chunk]()
+    merge = Merge(specs)
+    for port, chunk in (("steps", steps), ("signal", Chunk(trial.stamps, trial.data, int(trial.stamps[-1])))):
+        made += [follower.process(name, piece) for name, piece in merge.push(port, chunk)]
+    return np.concatenate([chunk.time for chunk in made]), np.concatenate([chunk.data for chunk in made])
+
+
+def activities() -> None:
+    """Standing, walking and turning beside the annotations, and the constants' neighbours."""
+    found = told()
+    for title, table in (("by onset", found.onsets), ("as it was told", found.live)):
+        for name, row in zip(ACTIVITIES, table, strict=True):
+            shares = ", ".join(f"{said} {s:.1f} s" for said, s in zip((*ACTIVITIES, "unknown"), row, strict=True))
+            say(f"{title}, {name}: {row.sum():.1f} s, told to be {shares}")
+    for name, values, chosen in (
+        ("turn_deg", (30.0, 60.0, 90.0), 45.0), ("still_s", (0.9, 1.0, 1.5, 2.0), 1.2), ("step_deg", (10.0, 15.0, 25.0, 30.0), 20.0),
+    ):  # fmt: skip
+        for value in sorted((*values, chosen)):
+            t = told(**{name: value})
+            right = (np.diag(t.onsets) / t.onsets.sum(axis=1)).tolist()
+            shares = ", ".join(f"{what} {share:.3f}" for what, share in zip(ACTIVITIES, right, strict=True))
+            say(
+                f"{name} {value:g}{' (chosen)' if value == chosen else ''}: right by time: {shares}; "
+                f"stretches of standing {t.stood[0]} of {t.stood[1]}; turns {t.turns[0]} of {t.turns[1]}, {t.turns[2]} others, "
+                f"told after {np.median(t.after):.2f} s (p95 {np.percentile(t.after, 95):.2f} s)"
+            )
 
 
 def lengths() -> None:

@@ -96,6 +96,7 @@ if TYPE_CHECKING:
     from operators.smooth import Binomial
     from operators.steering.actors import Actors
     from operators.steering.operator import SteerMesh
+    from operators.steps.activity import StepActivity
     from operators.steps.classifier import StepClassifier
     from operators.steps.steps import Steps
     from operators.threshold import Threshold
@@ -195,6 +196,7 @@ __all__ = [
     "Stages",
     "Standardise",
     "SteerMesh",
+    "StepActivity",
     "StepClassifier",
     "Steps",
     "StrideShape",
@@ -302,6 +304,7 @@ __getattr__, __dir__ = offered(
         "Stages": "operators.gait.stages",
         "Standardise": "operators.features.standardise",
         "SteerMesh": "operators.steering.operator",
+        "StepActivity": "operators.steps.activity",
         "StepClassifier": "operators.steps.classifier",
         "Steps": "operators.steps.steps",
         "StrideShape": "operators.gait.stride_shape",

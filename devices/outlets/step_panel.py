@@ -18,6 +18,7 @@ from stream.plain import one_line, say
 
 FIELDS = {
     "steps": ("number", "kind", "duration_s", "length_m"),
+    "activity": ("activity", "before", "lasted_s"),
     "judgement": ("told", "vote", "share", "low", "high", "decided", "settles", "steps"),
 }
 """By port: the fields that its events must have."""
@@ -25,7 +26,10 @@ FIELDS = {
 
 @dataclass(slots=True)
 class StepPanelState:
-    """Of the newest step: number, kind, duration, length; how many were turns or came after a pause; judged: the newest judgement (1,)."""
+    """Of the newest step: number, kind, duration, length; how many were turns or came after a pause; judged: the newest judgement (1,).
+
+    activity   what the person does, empty: nobody tells
+    """
 
     number: int
     kind: str
@@ -36,6 +40,7 @@ class StepPanelState:
     judged: Array
     decided: str
     worth: str
+    activity: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,11 +48,12 @@ class StepPanel(Outlet[StepPanelState, None]):
     """Every step as it comes, and the running vote on what the person is taken for, with its interval and what the model is worth.
 
     steps       of `operators.steps.steps.Steps`
+    activity    of `operators.steps.activity.StepActivity`
     judgement   of `operators.steps.classifier.StepClassifier`
     """
 
     inputs: ClassVar[tuple[str, ...]] = tuple(FIELDS)
-    optional: ClassVar[tuple[str, ...]] = ("judgement",)
+    optional: ClassVar[tuple[str, ...]] = ("activity", "judgement")
 
     every: int = param(
         20, least=1, help="where the output is no terminal: a line after this many steps, and when a vote is decided"
@@ -62,7 +68,7 @@ class StepPanel(Outlet[StepPanelState, None]):
         if "subject_wise" in accuracy:
             worth = f"right for {accuracy['subject_wise']:.0%} of steps of people it had never seen"
         judged = np.zeros(0, specs["judgement"].dtype if "judgement" in specs else np.float64)
-        self.hold(StepPanelState(0, "", np.nan, np.nan, 0, 0, judged, "", worth), None)
+        self.hold(StepPanelState(0, "", np.nan, np.nan, 0, 0, judged, "", worth, ""), None)
         return {}
 
     def process(self, port: str, chunk: Chunk) -> None:
@@ -73,6 +79,10 @@ class StepPanel(Outlet[StepPanelState, None]):
                 changed = str(event["decided"]) != state.decided
                 state.decided = str(event["decided"])
                 self._show(judged_line(event) if changed else "")
+                continue
+            if port == "activity":
+                state.activity = str(event["activity"])
+                self._show(activity_line(event))
                 continue
             state.number, state.kind = int(event["number"]), str(event["kind"])
             state.turns += state.kind == "turn"
@@ -92,9 +102,18 @@ class StepPanel(Outlet[StepPanelState, None]):
 def steps_line(state: StepPanelState) -> str:
     """ "40 steps, 2 turning, 1 after a pause; the last took 0.53 s, 0.71 m"."""
     line = f"{state.number} steps, {state.turns} turning, {state.pauses} after a pause"
+    if state.activity:
+        line = f"{state.activity}; {line}"
     if np.isfinite(state.duration_s):
         line += f"; the last took {state.duration_s:.2f} s, {state.length_m:.2f} m"
     return line
+
+
+def activity_line(event: Any) -> str:
+    """ "standing, after 12.4 s of walking"."""
+    if np.isfinite(event["lasted_s"]) and event["before"] != "unknown":
+        return f"{event['activity']}, after {event['lasted_s']:.1f} s of {event['before']}"
+    return str(event["activity"])
 
 
 def judged_line(event: Any) -> str:
