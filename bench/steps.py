@@ -1,4 +1,4 @@
-"""Steps of one inertial sensor: detection, accuracy of forests, and time per step, on the recordings of `KINEGRAPH_DATA`.
+"""Steps of one inertial sensor: detection, and accuracy of forests, on the recordings of `KINEGRAPH_DATA`.
 
 python -m bench.steps                 # everything; some ten minutes
 python -m bench.steps --only detection
@@ -7,18 +7,16 @@ python -m bench.steps --only detection
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Iterator
 
 import numpy as np
 
-from bench.step_walks import SPEC, detection, folder, lengths, lower_back, neighbours
+from bench.step_votes import votes
+from bench.step_walks import SPEC, activities, detection, folder, lengths, lower_back, neighbours
 from operators.steps.commands.enrolment import enrolment
 from operators.steps.commands.recordings import grouped
 from operators.steps.commands.train import show_enrolment, show_trust
-from operators.steps.commands.validation import SETS, Labelled, forest, trust
-from operators.steps.forest import Forest
-from operators.steps.step_kernel import BINS, FASTEST_HZ, WEINBERG, describe
+from operators.steps.commands.validation import SETS, Labelled, trust
 from operators.steps.steps import Steps
 from stream.chunk import NS, Array, Chunk, Samples, Times
 from stream.plain import say
@@ -105,54 +103,6 @@ def enrolled() -> None:
     show_enrolment(enrolment(given, "both", 60), len(np.unique(given.persons)))
 
 
-def plain_features(window: Samples, rate_hz: float) -> Samples:
-    """The 50 features of a step (n, 6) by axes of gravity, in numpy."""
-    up = window[:, :3].mean(0)
-    up /= np.linalg.norm(up)
-    channels = list[Samples]()
-    for three in (window[:, :3], window[:, 3:]):
-        along, norm = three @ up, np.linalg.norm(three, axis=1)
-        channels += [along, np.sqrt(np.maximum(norm**2 - along**2, 0)), norm]
-    rows, n = np.array(channels), len(window)
-    counts = [np.histogram(row, BINS)[0] for row in rows]
-    shares = [count[count > 0] / n for count in counts]
-    kept = np.fft.rfftfreq(n, 1 / rate_hz)[1:] <= FASTEST_HZ
-    lines = 2 * np.abs(np.fft.rfft(rows, axis=1))[:, 1:][:, kept] / n
-    square = (rows**2).sum(1)
-    made = [rows.mean(1), rows.std(1), rows.min(1), rows.max(1), np.sqrt(square / n)]
-    made += [np.array([-(share * np.log(share)).sum() for share in shares]), square / rate_hz, lines.max(1)]
-    return np.concatenate([[WEINBERG * np.ptp(rows[0]) ** 0.25, n / rate_hz], np.array(made).T.ravel()])
-
-
-def speed() -> None:
-    """Features beside numpy's, and the forest beside scikit-learn's."""
-    given = dataset("lower_back", "gender", "gravity")
-    trained = forest(100).fit(given.features, given.labels)
-    flat = Forest.of(trained)
-    window = lower_back()[0].data[500:555].copy()
-    scratch, out = np.empty((6, len(window))), np.empty(50)
-    rows = np.ascontiguousarray(given.features[:2000])
-    ours = np.array([flat.probabilities(row) for row in rows])
-    say(
-        f"probabilities of {len(rows)} steps: {'the same bits' if (ours == trained.predict_proba(rows)).all() else 'DIFFERENT'}"
-    )
-    describe(window, 100.0, True, scratch, out)
-    say(f"features: within {np.abs(out - plain_features(window, 100.0)).max():.0e} of numpy's")
-    for name, call, times in (
-        ("features", lambda: describe(window, 100.0, True, scratch, out), 5000),
-        ("features in numpy", lambda: plain_features(window, 100.0), 500),
-        ("forest, 100 trees", lambda: flat.probabilities(rows[0]), 5000),
-        ("scikit-learn's forest", lambda: trained.predict_proba(rows[:1]), 20),
-    ):
-        taken = list[float]()
-        for _ in range(9):
-            began = time.thread_time()
-            for _ in range(times):
-                call()
-            taken.append((time.thread_time() - began) / times * 1e6)
-        say(f"{name}: {np.median(taken):.1f} us a step")
-
-
 def sites() -> None:
     """Pocket and wrist, whose contacts nobody annotated: the cadence of the steps beside that of the signal's own period."""
     for site, short in (("pocket", "sp"), ("wrist", "sw")):
@@ -190,20 +140,24 @@ def period_s(acceleration: Samples) -> float:
 
 
 MEASURES = {
-    "detection": detection, "neighbours": neighbours, "lengths": lengths, "sites": sites, "speed": speed, "enrolment": enrolled,
+    "detection": detection, "neighbours": neighbours, "lengths": lengths, "activities": activities, "sites": sites,
+    "enrolment": enrolled,
 }  # fmt: skip
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.steps", description=__doc__)
-    parser.add_argument("--only", nargs="+", default=[*MEASURES, "accuracy"])
+    parser.add_argument("--only", nargs="+", default=[*MEASURES, "accuracy", "votes"])
     parser.add_argument("--sites", nargs="+", default=["lower_back", "foot", "pocket", "wrist"])
     parser.add_argument("--targets", nargs="+", default=["gender", "age", "height"])
     parser.add_argument("--axes", nargs="+", default=["sensor", "gravity"])
     parser.add_argument("--shuffles", type=int, default=39)
     given = parser.parse_args()
     for name in given.only:
-        if name == "accuracy":
+        if name == "votes":
+            for site, axis in ((site, axis) for site in given.sites for axis in given.axes):
+                votes(dataset(site, "gender", axis), f"{site.replace('_', ' ')} ({axis})")
+        elif name == "accuracy":
             accuracy(given.sites, given.targets, given.axes, given.shuffles)
         else:
             MEASURES[name]()
