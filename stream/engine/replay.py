@@ -60,7 +60,8 @@ class Digest:
 class Replayed:
     """What a replay came to.
 
-    digests    per recorded edge that the graph computes: (recorded, replayed) digest of the samples that the recording holds
+    digests    per recorded edge that the graph computes: (recorded, replayed) digest; of a stream that was cut off, as by a power cut, of
+               as many samples as the recording holds
     seconds    of session time that were replayed
     took_s     how long that took
     broken     per edge of a node that did not keep what its spec promises: what came first; only of a replay that looks for it
@@ -225,7 +226,7 @@ class Replay:
         for name, stream in self.recording.streams.items():
             computed = name in self.pipeline.edges and name not in self.substitutes.taken
             if stream.role == "edge" and computed:
-                digests[name] = Digest(stream.samples)
+                digests[name] = Digest(stream.samples if stream.until < FOREVER else None)
                 self.pipeline.edges[name].observers.append(digests[name].add)
         return digests
 

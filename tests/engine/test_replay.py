@@ -105,6 +105,16 @@ def test_a_replay_keeps_a_chosen_pace(tmp_path: Path) -> None:
     assert result.took_s >= 0.28
 
 
+def test_samples_beyond_those_recorded_are_a_difference(tmp_path: Path) -> None:
+    text = "record: [high.onset]\nnodes:\n  board: {use: parts.Counting}\n"
+    text += "  high: {use: operators.threshold.Threshold, from: board, level: %s, channel: 0}\n"
+    Session(graph_of(text % 1e9), tmp_path / "s").run()
+    with Recording.open(tmp_path / "s") as recording:
+        assert recording.streams["high.onset"].samples == 0
+        assert Replay(graph_of(text % 1e9, recording), recording).run().differing == []
+        assert Replay(graph_of(text % 500, recording), recording).run().differing == ["high.onset"]
+
+
 def test_a_changed_parameter_shows_as_a_difference(tmp_path: Path) -> None:
     text = "record: [low]\nnodes:\n  board: {use: parts.Counting}\n  low: {use: operators.iir.Lowpass, from: board, cutoff_hz: %d}\n"
     Session(graph_of(text % 20), tmp_path / "s").run()
