@@ -118,7 +118,7 @@ def plain_distance(a: tuple[Samples, ...], b: tuple[Samples, ...]) -> float:
         density = np.exp(-0.5 * far) / (2 * np.pi * np.sqrt(np.linalg.det(c)))
         return float(p[0] @ density @ q[0])
 
-    return 0.5 * np.log(both(a, a) * both(b, b)) - np.log(both(a, b))
+    return float(0.5 * np.log(both(a, a) * both(b, b)) - np.log(both(a, b)))
 
 
 def mixtures() -> list[tuple[str, Contender, Contender, str]]:
@@ -132,8 +132,8 @@ def mixtures() -> list[tuple[str, Contender, Contender, str]]:
         cycles = Cycles(muscle)
         task = f"refit, {muscle}: {cycles.window.tops.sum()} peaks, {len(cycles.fit(circular)[0])} modes"
         rows.append(compared(task, partial(cycles.fit, circular), cycles.learnt(plain), "scikit-learn, without turns"))
-    mine = tuple(part.copy() for part in cycles.fit(circular))
-    other = (mine[0], mine[1] + 1.0, mine[2])
+    weight, mean, covariance = (part.copy() for part in cycles.fit(circular))
+    mine, other = (weight, mean, covariance), (weight, mean + 1.0, covariance)
     task = f"divergence, {len(mine[0])} and {len(other[0])} modes"
     distance = partial(cauchy_schwarz, *mine, *other, 1)
     return [*rows, compared(task, distance, partial(plain_distance, mine, other), "numpy, without turns")]
@@ -147,7 +147,7 @@ def walkers(people: int) -> tuple[Samples, Array, Samples]:
     features, manners = list[Samples](), list[str]()
     for person in range(people):
         manner = list(MANNERS)[person % 2]
-        measured = Back(manner, person).measure(np.arange(3000))  # type: ignore[arg-type]
+        measured = Back(manner, person).measure(np.arange(3000))
         data = np.concatenate([measured["acceleration"], measured["angular_velocity"]], 1)
         finder = Steps()
         finder.open({"in": spec})
@@ -199,7 +199,7 @@ def steps() -> list[tuple[str, Contender, Contender, str]]:
 
 def section(seconds: float, rounds: int) -> Section:
     """All contenders in turn, `seconds` each a round."""
-    from threadpoolctl import threadpool_limits
+    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
     with threadpool_limits(1):
         rows = [*mixtures(), *steps()]

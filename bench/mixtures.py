@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -62,7 +63,7 @@ class DriftWatch:
             "maxima": StreamSpec((), MAXIMUM, units=("",)), "closed": StreamSpec((), CLOSED, units=("",)), "cycles": spec,
         }  # fmt: skip
         self.specs["mixture"] = meta.open(self.specs)["mixture"]
-        self.drift, self.number = MixtureDrift(**settings), 0
+        self.drift, self.number = replace(MixtureDrift(), **settings), 0  # type: ignore[arg-type]
         self.drift.open(self.specs)
 
     def walk(self, curves: Samples) -> Iterator[tuple[int, str]]:

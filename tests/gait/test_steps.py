@@ -12,7 +12,7 @@ from operators.steps.classifier import SOME, StepClassifier, settles_after, some
 from operators.steps.commands.enrolment import enrolment
 from operators.steps.commands.recordings import grouped
 from operators.steps.commands.train import steps as train_steps
-from operators.steps.commands.validation import Labelled, _thinned, forest, leave_out, trust, uncertain_below
+from operators.steps.commands.validation import Labelled, _thinned, forest, leave_out, trust, uncertain_below, weights
 from operators.steps.forest import Forest, StepModel
 from operators.steps.step_kernel import chosen, describe, feature_names
 from operators.steps.steps import Steps, some_walk
@@ -179,6 +179,20 @@ def test_what_would_flatter_or_cannot_be_learned_is_refused(change, what):
     given = people()
     with pytest.raises(KinegraphError, match=what):
         replace(given, **change(given))
+
+
+def test_every_class_counts_as_much_and_in_it_every_person():
+    persons = np.repeat(["p", "q", "r"], [10, 30, 20])
+    labels = np.where(persons == "r", "b", "a")
+    made = weights(persons, labels)
+    assert made.mean() == pytest.approx(1.0)
+    shares = [made[persons == who].sum() for who in "pqr"]
+    assert shares == pytest.approx([15.0, 15.0, 30.0])
+    given = people(12)
+    few = np.concatenate([np.flatnonzero(given.labels == "a"), np.flatnonzero(given.labels == "b")[::8]])
+    uneven = Labelled(given.features[few], given.labels[few], given.persons[few], given.walks[few])
+    rare = [leave_out(replace(uneven, alike=alike), [3], 20)[:, 1].mean() for alike in (False, True)]
+    assert rare[1] > rare[0], "the rare class is not forgotten"
 
 
 def test_the_threshold_is_the_least_that_left_out_people_bear():

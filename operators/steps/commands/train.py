@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Annotated
@@ -66,6 +67,10 @@ def steps(
     axes: Annotated[Axes, typer.Option(help="axes by gravity, or the sensor's own")] = Axes.gravity,
     features: Annotated[Features, typer.Option(help="the features that the model takes")] = Features.both,
     stream: Annotated[str, typer.Option(help="the sensor's signal [default: the only one that it can be]")] = "",
+    alike: Annotated[
+        bool,
+        typer.Option("--alike", help="every class counts as much, and in it every person, however many their steps"),
+    ] = False,
     trees: Annotated[int, typer.Option(min=5, max=1000)] = 60,
     shuffles: Annotated[int, typer.Option(min=19, max=9999, help="of the permutation test")] = 19,
     sure: Annotated[
@@ -95,7 +100,9 @@ def steps(
         raise KinegraphError(
             f"--features {features.value} needs angular velocity; the recordings have acceleration alone"
         )
-    made = learned(given, walks[0].meta, target.value, features.value, trees, shuffles, sure)
+    if alike and target is StepTarget.person:
+        raise KinegraphError("--alike weighs the people of a class; with --target person each is a class of their own")
+    made = learned(replace(given, alike=alike), walks[0].meta, target.value, features.value, trees, shuffles, sure)
     show(made, f"{target.value}, {site.value}", sure)
     made.model.write(output)
     header = made.model.header

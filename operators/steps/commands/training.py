@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from operators.steps.commands.enrolment import Enrolment, enrolment
-from operators.steps.commands.validation import SETS, Labelled, Trust, forest, trust, uncertain_below
+from operators.steps.commands.validation import SETS, Labelled, Trust, fitted, trust, uncertain_below
 from operators.steps.forest import Forest, StepModel
 from operators.steps.step_kernel import chosen
 
@@ -34,7 +34,7 @@ def learned(
     header = {
         "target": target, "site": meta["site"], "axes": meta["axes"], "features": features, "rate_hz": meta["imu_rate_hz"],
         "channels": meta["imu_channels"], "subjects": len(people), "steps": len(given.labels), "trees": trees,
-        "scikit_learn": sklearn.__version__,
+        "alike": given.alike, "scikit_learn": sklearn.__version__,
     }  # fmt: skip
     tried, enrolled = list[Trust](), None
     if target == PERSON:
@@ -45,7 +45,7 @@ def learned(
         (own,) = [t for t in tried if t.features == features]
         header |= _of_trust(own, given, classes[own.probability.argmax(axis=1)], sure)
     columns = chosen(features)
-    trained = forest(trees).fit(given.features[:, columns], given.labels)
+    trained = fitted(given, np.ones(len(given.labels), bool), columns, trees, given.labels)
     model = StepModel(Forest.of(trained), [str(c) for c in classes], np.array(columns), header)
     return StepTraining(model, tried, enrolled)
 

@@ -18,12 +18,16 @@ SETS = ("acceleration", "angular_velocity", "both")
 
 @dataclass(frozen=True, slots=True)
 class Labelled:
-    """Steps (n, 50), and of each: its class, whose it is, and in which walk (recording)."""
+    """Steps (n, 50), and of each: its class, whose it is, and in which walk (recording).
+
+    alike   in training every class counts as much, and in it every person, however many steps there are of them
+    """
 
     features: Samples
     labels: Array
     persons: Array
     walks: Array
+    alike: bool = False
 
     def __post_init__(self) -> None:
         check_labelled(self)
@@ -93,7 +97,25 @@ def forest(trees: int, seed: int = 1) -> Any:
     return RandomForestClassifier(trees, random_state=seed, n_jobs=1)
 
 
-def leave_out(given: Labelled, columns: list[int], trees: int, folds: int = 0, labels: Array | None = None) -> Samples:
+def weights(persons: Array, labels: Array) -> Samples:
+    """Of steps (n,), mean 1: every class counts as much, and in it every person."""
+    made = np.empty(len(labels))
+    for label in np.unique(labels):
+        of = labels == label
+        people, at, count = np.unique(persons[of], return_inverse=True, return_counts=True)
+        made[of] = 1.0 / (len(people) * count[at])
+    return np.asarray(made / made.mean())
+
+
+def fitted(given: Labelled, rows: Array, columns: list[int], trees: int, labels: Array, seed: int = 1) -> Any:
+    """A forest trained on these steps."""
+    own = weights(given.persons[rows], labels[rows]) if given.alike else None
+    return forest(trees, seed).fit(given.features[rows][:, columns], labels[rows], sample_weight=own)
+
+
+def leave_out(
+    given: Labelled, columns: list[int], trees: int, folds: int = 0, labels: Array | None = None, seed: int = 1
+) -> Samples:
     """Probabilities (n, k) of every step by a forest that has seen nothing of its person: each left out alone, or in `folds` groups."""
     labels = given.labels if labels is None else labels
     classes, people = np.unique(labels), np.unique(given.persons)
@@ -101,19 +123,25 @@ def leave_out(given: Labelled, columns: list[int], trees: int, folds: int = 0, l
     x, out = given.features[:, columns], np.zeros((len(labels), len(classes)))
     for group in groups:
         left = np.isin(given.persons, group)
-        trained = forest(trees).fit(x[~left], labels[~left])
+        trained = fitted(given, ~left, columns, trees, labels, seed)
         out[np.ix_(left, np.isin(classes, trained.classes_))] = trained.predict_proba(x[left])
     return out
 
 
 def trust(given: Labelled, features: str, trees: int = 60, shuffles: int = 19) -> Trust:
     """Try a set of features on steps at random, on people left out, and on labels shuffled among people."""
-    from sklearn.model_selection import StratifiedKFold, cross_val_score
+    from sklearn.model_selection import StratifiedKFold
 
     columns, classes = chosen(features), np.unique(given.labels)
     least = min(int((given.labels == c).sum()) for c in classes)
     folds = StratifiedKFold(max(min(10, least), 2), shuffle=True, random_state=1)
-    random = cross_val_score(forest(trees), given.features[:, columns], given.labels, cv=folds)
+    x = given.features[:, columns]
+    random = np.array(
+        [
+            fitted(given, seen, columns, trees, given.labels).score(x[rest], given.labels[rest])
+            for seen, rest in folds.split(x, given.labels)
+        ]
+    )
     probability = leave_out(given, columns, trees)
     said = classes[probability.argmax(axis=1)]
     people = np.unique(given.persons)
@@ -152,7 +180,7 @@ def _thinned(given: Labelled, most: int) -> Labelled:
         own = np.flatnonzero(given.persons == person)
         kept += np.unique(own[np.linspace(0, len(own) - 1, min(most, len(own))).astype(np.int64)]).tolist()
     at = np.sort(np.array(kept))
-    return Labelled(given.features[at], given.labels[at], given.persons[at], given.walks[at])
+    return Labelled(given.features[at], given.labels[at], given.persons[at], given.walks[at], given.alike)
 
 
 def uncertain_below(probability: Samples, right: Array, wanted: float) -> float:
