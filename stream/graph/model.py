@@ -1,7 +1,8 @@
-"""A graph that has been read and checked: nodes in the order in which samples pass, every spec known, nothing opened yet."""
+"""A graph that has been read and checked: nodes in the order in which samples pass, every spec known, nothing open."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
 
@@ -50,9 +51,25 @@ class NodeOptions:
     stale_s: float = param(2.0, least=0.0)
 
 
+@dataclass(frozen=True, slots=True)
+class Declared:
+    """What an operator or outlet said of itself when it was opened to be checked; nothing of a source.
+
+    delay_s, decision_s  as its `hold` was told
+    memory_bytes         what its state takes at the start
+    """
+
+    delay_s: float = 0.0
+    decision_s: Mapping[str, float] = field(default_factory=dict)
+    memory_bytes: int = 0
+
+
 @dataclass(slots=True)
 class Node:
-    """One node: a part (source, operator or outlet), where its inputs come from, and what flows out."""
+    """One node: a part (source, operator or outlet), where its inputs come from, and what flows out.
+
+    The part is what the node is and its parameters. It is never opened: what checks, warms up or runs it opens a `fresh` one.
+    """
 
     name: str
     part: Source | Operator[Any]
@@ -60,6 +77,7 @@ class Node:
     inputs: dict[str, Edge] = field(default_factory=dict)
     specs: Specs = field(default_factory=dict)
     """Output specs, by output name."""
+    declared: Declared = Declared()
     options: NodeOptions = field(default_factory=NodeOptions)
     line: int = 0
     given: dict[str, Any] = field(default_factory=dict)
@@ -76,8 +94,7 @@ class Node:
 
 @dataclass(slots=True)
 class Graph:
-    """A checked graph. `nodes` is in topological order; its operators have been opened to be checked, and
-    none of them is run: whatever runs the graph opens a `fresh` one of each."""
+    """A checked graph. `nodes` is in topological order."""
 
     name: str
     nodes: dict[str, Node]

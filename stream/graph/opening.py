@@ -8,7 +8,7 @@ from typing import Any
 
 from stream.chunk import Specs, StreamSpec
 from stream.errors import InputError, KinegraphError, ParameterError, asked_to_end, explain
-from stream.graph import Edge, Node, NodeOptions
+from stream.graph import Declared, Edge, Node, NodeOptions
 from stream.graph.draft import Draft
 from stream.graph.problems import Problems
 from stream.graph.wiring import Wires, order
@@ -64,9 +64,10 @@ class _Opening:
         if draft.part is None or draft.wires is None:
             return
         inputs = self._inputs(draft, draft.wires)
-        specs = None if inputs is None else self._specs(draft, draft.part, draft.wires, inputs)
+        trial = draft.part if isinstance(draft.part, Source) else draft.part.fresh()
+        specs = None if inputs is None else self._specs(draft, trial, draft.wires, inputs)
         if specs is not None:
-            self.nodes[draft.name] = _node(draft, draft.part, draft.wires, specs)
+            self.nodes[draft.name] = _node(draft, draft.part, draft.wires, specs, _declared(trial))
 
     def _inputs(self, draft: Draft, wires: Wires) -> Specs | None:
         inputs: Specs = {}
@@ -150,7 +151,13 @@ def _recorded(draft: Draft, recorded: Mapping[str, StreamSpec]) -> Specs:
     return specs
 
 
-def _node(draft: Draft, part: Source | Operator[Any], wires: Wires, specs: Specs) -> Node:
+def _declared(trial: Source | Operator[Any]) -> Declared:
+    if isinstance(trial, Source):
+        return Declared()
+    return Declared(trial.delay_s, trial.decision_s, trial.memory_bytes)
+
+
+def _node(draft: Draft, part: Source | Operator[Any], wires: Wires, specs: Specs, declared: Declared) -> Node:
     options = {f.name for f in fields(NodeOptions)} | {"use", "from"}
     entry = draft.entry.items()
     return Node(
@@ -159,6 +166,7 @@ def _node(draft: Draft, part: Source | Operator[Any], wires: Wires, specs: Specs
         use=str(entry["use"].value),
         inputs={port: edge for port, (edge, _) in wires.items()},
         specs=specs,
+        declared=declared,
         options=draft.options,
         line=draft.entry.line,
         given={key: at.plain() for key, at in entry.items() if key not in options},

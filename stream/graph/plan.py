@@ -9,7 +9,6 @@ from stream.ceiling import ceiling
 from stream.chunk import StreamSpec
 from stream.errors import GraphError
 from stream.graph import Edge, Graph, Node
-from stream.operator import Operator
 from stream.source import Source
 
 _CHUNK_S = 0.02
@@ -154,12 +153,10 @@ def _decisions(graph: Graph, steps: dict[str, Step]) -> Iterator[Decision]:
     for node in graph.nodes.values():
         waited = max((late[edge.node] for edge in node.inputs.values()), default=0.0)
         late[node.name] = waited + steps[node.name].delay_s
-        if not isinstance(node.part, Operator):
-            continue
         came = [found[edge] for edge in node.inputs.values() if edge in found]
         after_s = max((before.after_s for before in came), default=0.0)
         total_s = max([waited, *(before.total_s for before in came)])
-        for output, own_s in node.part.decision_s.items():
+        for output, own_s in node.declared.decision_s.items():
             origin = Edge(node.name, output)
             found[origin] = Decision(origin, after_s + own_s, total_s + own_s)
             yield found[origin]
@@ -175,12 +172,11 @@ def _step(graph: Graph, node: Node) -> Step:
     if isinstance(part, Source):
         held = sum(_chunk_bytes(spec, part.chunk_s) for spec in node.specs.values()) * node.options.queue
         return Step(node.name, part.chunk_s, held)
-    assert isinstance(part, Operator)
-    held = part.memory_bytes
+    held = node.declared.memory_bytes
     if node.options.worker or node.is_outlet:
         waiting = graph.input_specs(node).values()
         held += sum(_chunk_bytes(spec, 0.0) for spec in waiting) * node.options.queue
-    return Step(node.name, part.delay_s, held)
+    return Step(node.name, node.declared.delay_s, held)
 
 
 def _chunk_bytes(spec: StreamSpec, chunk_s: float) -> int:

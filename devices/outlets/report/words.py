@@ -15,7 +15,7 @@ from devices.outlets.report.data import Column, Setting
 from devices.outlets.report.place import recording_of
 from stream.chunk import Samples, StreamSpec
 from stream.graph import Graph
-from stream.operator import Operator, Outlet
+from stream.operator import Outlet
 
 COLUMNS = {
     "peak": ("Peak", 1, "highest point of a cycle."),
@@ -158,7 +158,7 @@ def settings(graph: Graph) -> Iterator[Setting]:
             continue
         parameters = [(f.name, getattr(node.part, f.name)) for f in fields(node.part)]  # type: ignore[arg-type]
         text = ", ".join(f"{name}: {_plain(value)}" for name, value in parameters if value not in (None, "", ()))
-        delay = node.part.delay_s * 1000 if isinstance(node.part, Operator) else float("nan")
+        delay = float("nan") if node.is_source else node.declared.delay_s * 1000
         if graph.imported and node.is_source:
             yield Setting(node.name, "recording", f"{graph.replays}, in place of {node.use}", delay)
         else:
