@@ -14,10 +14,12 @@ from devices.clocks import line_below
 from devices.clocks.clock_log import ClockLog
 from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.stamps import Stamps
-from devices.clocks.timing import timing_chunk, timing_spec
+from devices.clocks.timing import timing_of_one, timing_spec
 from devices.natnet_names import NatNetNames
 from devices.protocols import natnet as protocol
-from devices.protocols.natnet import COMMAND_PORT, NatNetError, NatNetFrame, ServerInfo
+from devices.protocols import natnet_numbers
+from devices.protocols.natnet import COMMAND_PORT, NatNetError, ServerInfo
+from devices.protocols.natnet_numbers import HEAD
 from stream.chunk import NS, Chunk, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
@@ -28,6 +30,8 @@ KEEP_ALIVE_S = 1.0
 SILENT_S = 3.0
 READ_S = 0.1
 MOST = 65536
+LATEST_NS = 1 << 62
+"""A server's time beyond is garbled; such are left out before they are counted with."""
 
 
 class _Outputs:
@@ -110,6 +114,7 @@ class NatNet(Source):
 
     def prepare(self) -> None:
         line_below.prepare()
+        natnet_numbers.prepare()
 
     def read(self, feed: Feed) -> None:
         with ExitStack() as stack:
@@ -227,6 +232,7 @@ class NatNetReading:
         self.stamps = Stamps(of.rate_hz, counter_bits=32, has_time=True, latency_s=of.latency_s)
         self._rate = RateCheck(f"NatNet {of.server}", of.rate_hz, of.rate_mismatch, counted=True)
         self._names: NatNetNames | None = None
+        self._head = np.zeros(HEAD, np.int64)
         self._asked = 0.0
         self._last = 0
 
@@ -237,35 +243,41 @@ class NatNetReading:
             elif kind == protocol.MODELS:
                 self._names = NatNetNames(self._of, protocol.models(payload, self._info.natnet))
             elif kind == protocol.FRAME:
-                self._frame(protocol.frame(payload, self._info.natnet), arrival, feed)
+                self._frame(payload, arrival, feed)
         except (NatNetError, struct.error):
             feed.problem("cut message")
 
-    def _frame(self, frame: NatNetFrame, arrival: int, feed: Feed) -> None:
-        if frame.flags & protocol.MODELS_CHANGED or self._names is None:
-            self._ask_for_models()
+    def _frame(self, payload: bytes, arrival: int, feed: Feed) -> None:
         if self._names is None:
+            self._ask_for_models()
             feed.problem("frame before the models were known")
             return
-        ns = (
-            round(frame.ticks[0] * NS / self._info.tick_hz)
-            if frame.ticks[0] and self._info.tick_hz
-            else round(frame.time_s * NS)
-        )
-        packets = self.stamps.take(1, arrival, np.array([ns]), np.array([frame.number]))
-        if not len(packets.stamp):
+        rows = self._names.rows(payload, self._info.natnet >= protocol.SIZED, self._head)
+        if rows is None:
+            feed.problem("cut message")
+            return
+        number, time_ns, ticks, flags = self._head.tolist()
+        if flags & protocol.MODELS_CHANGED:
+            self._ask_for_models()
+        ns = round(ticks * NS / self._info.tick_hz) if ticks and self._info.tick_hz else time_ns
+        if not 0 <= ns < LATEST_NS:
             feed.problem("repeated frame or wrong time")
             return
-        lost, stamp = int(packets.lost[0]), int(packets.stamp[0])
+        made = self.stamps.take_one(ns, number, arrival)
+        if made is None:
+            feed.problem("repeated frame or wrong time")
+            return
+        lost, stamp = made.lost, made.stamp
         if lost:
             feed.problem("lost frame" if lost > 0 else "device restarted", max(lost, 1))
         self._rate.see(1, max(lost, 0), arrival, feed, np.array([ns]))
-        for output, rows in self._names.rows(frame).items():
+        timing = timing_of_one(made.number, made.device, arrival, stamp)
+        for output, samples in rows:
             if output == "analog":
-                feed.emit(self._spread(packets.stamp, lost, rows), output)
+                feed.emit(self._spread(timing.time, lost, samples), output)
             else:
-                feed.emit(Chunk(packets.stamp, rows, stamp, lost), output)
-        feed.emit(timing_chunk(packets.number, packets.device, arrival, packets.stamp), "timing")
+                feed.emit(Chunk(timing.time, samples, stamp, lost), output)
+        feed.emit(timing, "timing")
         self._last = stamp
 
     def _spread(self, stamp: np.ndarray, lost: int, rows: np.ndarray) -> Chunk:

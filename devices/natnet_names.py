@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Protocol, TypeVar
 
 import numpy as np
 
-from devices.protocols.natnet import OCCLUDED, NatNetBody, NatNetFrame, NatNetModels
-from stream.chunk import Samples
+from devices.protocols.natnet import NatNetModels
+from devices.protocols.natnet_numbers import numbers
+from stream.chunk import Samples, Times
 from stream.errors import DeviceError, nearest
 
 T = TypeVar("T")
+OUTPUTS = ("bodies", "rotations", "markers", "analog")
+KINDS = ("plate", "device")
+"""What has analog channels, in the order of a frame's sections."""
 
 
 class Named(Protocol):
     """What a graph names."""
+
+    @property
+    def outputs(self) -> tuple[str, ...]: ...
 
     @property
     def bodies(self) -> tuple[str, ...]: ...
@@ -34,56 +40,23 @@ class NatNetNames:
     """Places of ids in the rows of each output. Raises DeviceError for a name that the server does not have."""
 
     def __init__(self, of: Named, models: NatNetModels) -> None:
-        self._of = of
-        known = bodies_of(models)
-        self._bodies = {_find(known, name, "rigid body or bone"): i for i, name in enumerate(of.bodies)}
-        markers = markers_of(models)
-        self._markers = {_find(markers, name, "marker"): i for i, name in enumerate(of.markers)}
-        channels = channels_of(models)
-        self._points = np.full((1, len(of.markers), 3), np.nan)
-        self._positions, self._rotations = (np.full((1, len(of.bodies), n), np.nan) for n in (3, 4))
-        """What nothing has been seen of, to be copied."""
-        self._channels = [_find(channels, name, "analog channel") for name in of.analog]
+        known, markers, channels = bodies_of(models), markers_of(models), channels_of(models)
+        wanted = [(*_find(known, name, "rigid body or bone"), 0) for name in of.bodies]
+        wanted += [(*_find(markers, name, "marker"), 0) for name in of.markers]
+        for name in of.analog:
+            kind, number, channel = _find(channels, name, "analog channel")
+            wanted.append((KINDS.index(kind), number, channel))
+        self._wanted = np.array(wanted, np.int64)
+        b, m = len(of.bodies), len(of.markers)
+        self._shapes = (1, b, 3), (1, b, 4), (1, m, 3), (of.analog_samples, len(of.analog))
+        self._outputs = [(OUTPUTS.index(name), name) for name in of.outputs if name in OUTPUTS]
 
-    def rows(self, frame: NatNetFrame) -> dict[str, Samples]:
-        """By output, its samples in a frame."""
-        made: dict[str, Samples] = {}
-        if self._of.bodies:
-            made["bodies"], made["rotations"] = self._placed(frame)
-        if self._of.markers:
-            points = self._points.copy()
-            for marker in frame.markers:
-                place = self._markers.get((marker.model, marker.marker))
-                if place is not None and not marker.flags & OCCLUDED:
-                    points[0, place] = marker.position
-            made["markers"] = points
-        if self._of.analog:
-            made["analog"] = self._analog(frame)
-        return made
-
-    def _placed(self, frame: NatNetFrame) -> tuple[Samples, Samples]:
-        positions, rotations = self._positions.copy(), self._rotations.copy()
-
-        def put(skeleton: int, bodies: Sequence[NatNetBody]) -> None:
-            for body in bodies:
-                place = self._bodies.get((skeleton, body.id & 0xFFFF if skeleton else body.id))
-                if place is not None and body.tracked:
-                    x, y, z, w = body.rotation
-                    positions[0, place], rotations[0, place] = body.position, (w, x, y, z)
-
-        put(0, frame.bodies)
-        for skeleton, bones in frame.skeletons.items():
-            put(skeleton, bones)
-        return positions, rotations
-
-    def _analog(self, frame: NatNetFrame) -> Samples:
-        rows = np.full((self._of.analog_samples, len(self._of.analog)), np.nan)
-        for place, (kind, number, channel) in enumerate(self._channels):
-            values = frame.analog.get((kind, number), [])
-            if channel < len(values):
-                n = min(len(values[channel]), len(rows))
-                rows[:n, place] = values[channel][:n]
-        return rows
+    def rows(self, payload: bytes, sized: bool, head: Times) -> list[tuple[str, Samples]] | None:
+        """By output, its samples in a frame; None where it is cut off, or its time is none. `head` as `natnet_numbers.numbers` has it."""
+        made = [np.empty(shape) for shape in self._shapes]
+        if not numbers(np.frombuffer(payload, np.uint8), sized, self._wanted, *made, head):
+            return None
+        return [(name, made[i]) for i, name in self._outputs]
 
 
 def bodies_of(models: NatNetModels) -> dict[str, tuple[int, int]]:

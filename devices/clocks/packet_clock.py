@@ -32,6 +32,19 @@ class Packets(msgspec.Struct, eq=False, gc=False):
     clean: bool = False
     """Known to be without a gap and a repetition."""
 
+    @property
+    def missing(self) -> int:
+        """How many are known to be missing, all together."""
+        lost = self.lost
+        return max(int(lost[0]), 0) if len(lost) == 1 else int(np.maximum(lost, 0).sum())
+
+
+_NONE = np.empty(0, np.int64)
+NOTHING = Packets(np.zeros(1, bool), _NONE, _NONE, _NONE, _NONE)
+"""Of one record that is left out."""
+ONE = np.ones(1, bool)
+"""Of one record that is kept."""
+
 
 class PacketClock:
     """Unwraps the counter of a device that sends `rate_hz` packets a second, and maps it onto session time.
@@ -93,8 +106,7 @@ class PacketClock:
         """The same for one packet, as most reads bring it, without arrays on the way."""
         step = self._first_step(counter, arrival_ns, 0)
         if not step:
-            none = np.empty(0, np.int64)
-            return Packets(np.zeros(1, bool), none, none, none, none)
+            return NOTHING
         number, lost = (self._number if self._counter >= 0 else counter - 1) + step, step - 1
         excess = self._excess(number, arrival_ns)
         if excess:
@@ -105,7 +117,7 @@ class PacketClock:
         self._clock.see(device, arrival_ns)
         lost = lost or -int(self._clock.take_gap())
         row = np.array([number, lost, device, self._clock.stamp(device)])
-        return Packets(np.ones(1, bool), row[0:1], row[1:2], row[2:3], row[3:4])
+        return Packets(ONE, row[0:1], row[1:2], row[2:3], row[3:4])
 
     def _first_step(self, counter: int, arrival_ns: int, following: int) -> int:
         """How far a read's first packet is from the last one before it; 0: it is that one again."""

@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from math import inf
+from typing import NamedTuple
 
 import numpy as np
 
 from devices.clocks.device_clock import ClockState, Counter, DeviceClock
 from devices.clocks.device_time import DeviceTime
-from devices.clocks.packet_clock import PacketClock, Packets
+from devices.clocks.packet_clock import NOTHING, ONE, PacketClock, Packets
 from stream.chunk import NS, Array, Chunk, Times
 from stream.source import Feed
 
@@ -22,9 +23,14 @@ GAP_PERIODS = 1.75
 TICK = 0.03
 """By this much the number of records between two ticks of a coarse time may be off, beside one."""
 
-_NONE = np.empty(0, np.int64)
-NOTHING = Packets(np.zeros(1, bool), _NONE, _NONE, _NONE, _NONE)
-"""Of one record that is left out."""
+
+class Stamped(NamedTuple):
+    """One record: as `Packets` has it of several."""
+
+    number: int
+    lost: int
+    device: int
+    stamp: int
 
 
 class Stamps:
@@ -132,22 +138,28 @@ class Stamps:
         self._mark(missing)
         return Packets(kept, number[kept], missing, device[kept], stamp[kept])
 
-    def _one(self, raw_ns: Times, counter: Array | None, arrival_ns: int, again: bool) -> Packets:
-        """The same as `_by_time` for one record, as most reads bring it, without arrays on the way."""
-        value = self._time.read(int(raw_ns[0]), arrival_ns, again=again)
+    def take_one(self, device_ns: int, counter: int | None, arrival_ns: int, *, again: bool = False) -> Stamped | None:
+        """What `take` gives for one record, as most reads bring it, without arrays on the way; None where it is left out."""
+        value = self._time.read(device_ns, arrival_ns, again=again)
         if value is None:
-            return NOTHING
+            return None
         if self._time.restarted:
             self._clock.restart(self._time.jump_ns)
-        here = None if counter is None else int(counter[0])
-        lost = self._losses.before(value, here, arrival_ns, self._time.restarted, again=again)
+        lost = self._losses.before(value, counter, arrival_ns, self._time.restarted, again=again)
         if lost <= REPEATED:
-            return NOTHING
+            return None
         value += self._losses.within_ns
         self._clock.see(value, arrival_ns)
         lost = lost or -int(self._clock.take_gap())
-        row = np.array([self._losses.number, lost, value, self._clock.stamp(value)])
-        return Packets(np.ones(1, bool), row[0:1], row[1:2], row[2:3], row[3:4])
+        return Stamped(self._losses.number, lost, value, self._clock.stamp(value))
+
+    def _one(self, raw_ns: Times, counter: Array | None, arrival_ns: int, again: bool) -> Packets:
+        here = None if counter is None else int(counter[0])
+        made = self.take_one(int(raw_ns[0]), here, arrival_ns, again=again)
+        if made is None:
+            return NOTHING
+        row = np.array(made)
+        return Packets(ONE, row[0:1], row[1:2], row[2:3], row[3:4])
 
     def _evenly(self, raw_ns: Times, arrival_ns: int) -> Packets | None:
         """The same as `_by_time` for records of one packet that follow each other without a gap; None where they do not."""

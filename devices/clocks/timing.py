@@ -20,3 +20,11 @@ def timing_chunk(counter: Times | int, device: Times | int, arrival: Times | int
     events = np.empty(len(stamp), TIMING)
     events["counter"], events["device"], events["arrival"], events["stamp"] = counter, device, arrival, stamp
     return Chunk(stamp, events, int(stamp[-1]), lost)
+
+
+def timing_of_one(counter: int, device: int, arrival: int, stamp: int, at: int | None = None) -> Chunk:
+    """The event of one packet; `at`: the event's own stamp, where that is not the packet's."""
+    row = np.array([counter, device, arrival, stamp])
+    if at is None or at == stamp:
+        return Chunk(row[3:4], row.view(TIMING), stamp)
+    return Chunk(np.array([at]), row.view(TIMING), at)

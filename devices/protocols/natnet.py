@@ -25,6 +25,8 @@ CONNECT, SERVER_INFO, REQUEST, RESPONSE, REQUEST_MODELS, MODELS, FRAME, KEEP_ALI
 ECHO_REQUEST, ECHO, DISCOVERY = 12, 13, 14
 COMMAND_PORT, DATA_PORT, GROUP = 1510, 1511, "239.255.42.99"
 OLDEST, NEWEST = (3, 0), (4, 2)
+SIZED = (4, 1)
+"""From this version on, sections say how long they are."""
 OCCLUDED, UNLABELLED = 0x01, 0x10
 RECORDING, MODELS_CHANGED = 0x01, 0x02
 
@@ -198,7 +200,7 @@ def frame(payload: bytes, version: Version) -> NatNetFrame:
     """A frame of data; raises NatNetError."""
     reader = Reader(payload)
     made = NatNetFrame(int(reader.take("i")[0]))
-    sized = version >= (4, 1)
+    sized = version >= SIZED
 
     def section() -> tuple[int, Reader]:
         n = reader.count()
@@ -248,7 +250,7 @@ def models(payload: bytes, version: Version) -> NatNetModels:
     reader, made = Reader(payload), NatNetModels()
     for _ in range(reader.count()):
         (kind,) = reader.take("i")
-        part = reader.part() if version >= (4, 1) else reader
+        part = reader.part() if version >= SIZED else reader
         if kind == 0:
             name = part.text()
             made.sets[name] = [part.text() for _ in range(part.count())]
@@ -273,7 +275,7 @@ def models(payload: bytes, version: Version) -> NatNetModels:
         elif kind == 5:
             part.text()
             part.take("3f4f")
-        elif version < (4, 1):
+        elif version < SIZED:
             raise NatNetError(f"a description of kind {kind}")
     return made
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import struct
 
-from devices.protocols.natnet import NatNetBody, NatNetFrame, NatNetModels, Version
+from devices.protocols.natnet import SIZED, NatNetBody, NatNetFrame, NatNetModels, Version
 
 
 def build_frame(frame: NatNetFrame, version: Version) -> bytes:
     """The payload of a frame."""
-    sized = version >= (4, 1)
+    sized = version >= SIZED
 
     def section(parts: list[bytes]) -> bytes:
         body = b"".join(parts)
@@ -59,7 +59,7 @@ def build_models(models: NatNetModels, version: Version) -> bytes:
         else:
             about = _text("Device") + _text("SN2") + struct.pack("<ii", 0, 0)
             parts.append((4, struct.pack("<i", number) + about + _texts(names)))
-    sized = version >= (4, 1)
+    sized = version >= SIZED
     said = [struct.pack("<i", kind) + (struct.pack("<i", len(b)) if sized else b"") + b for kind, b in parts]
     return struct.pack("<i", len(said)) + b"".join(said)
 
