@@ -15,7 +15,7 @@ from devices.clocks.device_time import DeviceTime
 from devices.clocks.packet_clock import Packets
 from devices.clocks.rate_check import Policy, RateCheck
 from devices.clocks.stamps import REPEATED, Losses, Stamps, chunks, tell_problems
-from devices.clocks.timing import TIMING
+from devices.clocks.timing import TIMING, timing_of_one
 from devices.protocols.checksum_fit import fitting
 from devices.protocols.declared import Frame
 from devices.protocols.frame_decoder import SPOILT, FoundFrames, FrameDecoder
@@ -161,22 +161,22 @@ class FrameReading:
         if self._timed:
             packets = self._by_time(np.array(found.kinds), tables, arrival, feed)
         else:
-            packets = {}
-            for kind, table in tables.items():
-                counters = self._layouts[kind].counters(table)
-                packets[kind] = self._stamps[kind].take(len(table), arrival, None, counters)
+            packets = {
+                kind: self._stamps[kind].take(len(table), arrival, None, self._layouts[kind].counters(table))
+                for kind, table in tables.items()
+            }
         for kind, table in tables.items():
-            self._check_rate(kind, table, packets[kind], arrival, feed)
-            self._emit(kind, table, packets[kind], feed)
+            missing = packets[kind].missing
+            self._check_rate(kind, table, packets[kind], missing, arrival, feed)
+            self._emit(kind, table, packets[kind], missing, feed)
         self._tell_timing(packets, arrival, feed)
 
-    def _check_rate(self, kind: int, table: Array, packets: Packets, arrival: int, feed: Feed) -> None:
+    def _check_rate(self, kind: int, table: Array, packets: Packets, missing: int, arrival: int, feed: Feed) -> None:
         layout = self._layouts[kind]
         if (counting := self._counting[kind]) and (counters := layout.counters(table)) is not None:
             counting.see(counters, arrival, feed)
-        counted = bool(layout.frame.with_role("counter"))
-        missing = int(packets.lost.clip(0).sum()) if counted else 0
-        hz = self._rates[kind].see(len(packets.stamp), missing, arrival, feed, layout.times_ns(table))
+        lost = missing if layout.counted else 0
+        hz = self._rates[kind].see(len(packets.stamp), lost, arrival, feed, layout.times_ns(table))
         if hz:
             self._stamps[kind].follow(hz)
             self._losses[kind].follow(hz)
@@ -220,15 +220,13 @@ class FrameReading:
             packets[kind] = Packets(kept[here], number[good], lost[good], device[good], stamp[good])
         return packets
 
-    def _emit(self, kind: int, table: Array, packets: Packets, feed: Feed) -> None:
-        tell_problems(
-            feed,
-            repeated_frame_or_wrong_time=len(table) - len(packets.stamp),
-            lost_frame=int(packets.lost.clip(0).sum()),
-        )
+    def _emit(self, kind: int, table: Array, packets: Packets, missing: int, feed: Feed) -> None:
+        left_out = len(table) - len(packets.stamp)
+        if left_out or missing:
+            tell_problems(feed, repeated_frame_or_wrong_time=left_out, lost_frame=missing)
         frame = self._layouts[kind].frame
-        if frame.channels and len(packets.stamp):
-            data = self._layouts[kind].values(table[packets.kept])
+        if self._layouts[kind].channels and len(packets.stamp):
+            data = self._layouts[kind].values(table[packets.kept] if left_out else table)
             stamp, lost = self._spread(kind, packets) if frame.samples > 1 else (packets.stamp, packets.lost)
             for chunk in chunks(stamp, lost, data):
                 feed.emit(chunk, frame.name)
@@ -249,6 +247,12 @@ class FrameReading:
 
     def _tell_timing(self, packets: dict[int, Packets], arrival: int, feed: Feed) -> None:
         """All kinds of frame in one stream, in the order of their stamps."""
+        if len(packets) == 1 and len((one := next(iter(packets.values()))).stamp) == 1:
+            self._last = max(int(one.stamp[0]), self._last)
+            feed.emit(
+                timing_of_one(int(one.number[0]), int(one.device[0]), arrival, int(one.stamp[0]), self._last), "timing"
+            )
+            return
         events = np.empty(sum(len(p.stamp) for p in packets.values()), TIMING)
         if not len(events):
             return

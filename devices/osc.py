@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import socket
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -12,16 +11,16 @@ import numpy as np
 from devices.clocks import line_below
 from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from devices.clocks.stamps import Stamps, chunks
-from devices.clocks.timing import timing_chunk, timing_spec
+from devices.clocks.timing import timing_of_one, timing_spec
 from devices.protocols.declared import NS_PER
 from devices.protocols.osc import Argument, OscError, read_osc
+from devices.transport.datagrams import UdpTransport
 from stream.chunk import Specs, StreamSpec
-from stream.errors import DeviceError, ParameterError
+from stream.errors import ParameterError
 from stream.params import param
 from stream.source import Feed, Source
 
 WAIT_S = 0.1
-MOST_BYTES = 65_536
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,18 +114,13 @@ class OscInlet(Source):
         for s in self.streams:
             readings.setdefault(s.address, []).append(OscReading(self, s))
         last = 0
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as port:
-            try:
-                port.bind((self.host, self.port))
-            except OSError as error:
-                raise DeviceError(f"OSC cannot be received on {self.host}:{self.port}: {error.strerror}") from None
-            port.settimeout(WAIT_S)
+        with UdpTransport(f"udp://{self.host}:{self.port}") as port:
             feed.ready()
             while not feed.stopped:
-                try:
-                    messages = read_osc(port.recv(MOST_BYTES))
-                except TimeoutError:
+                if not (data := port.read(WAIT_S)):
                     continue
+                try:
+                    messages = read_osc(data)
                 except OscError:
                     feed.problem("not OSC")
                     continue
@@ -180,7 +174,7 @@ class OscReading:
         for chunk in chunks(packets.stamp, packets.lost, row):
             feed.emit(chunk, self._stream.name)
         newest = max(last, int(packets.stamp[0]))
-        feed.emit(timing_chunk(packets.number, packets.device, arrival, np.array([newest])), "timing")
+        feed.emit(timing_of_one(int(packets.number[0]), int(packets.device[0]), arrival, newest), "timing")
         return newest
 
     def _numbers(self, arguments: list[Argument]) -> list[float] | None:

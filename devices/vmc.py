@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,15 +10,14 @@ import numpy as np
 from devices.files.vrm_read import read_vrm
 from devices.protocols.osc import OscError, read_osc
 from devices.protocols.vmc_frames import VmcFrames
+from devices.transport.datagrams import UdpTransport
 from stream.chunk import Chunk, Specs
-from stream.errors import DeviceError
 from stream.humanoid import usual_body
 from stream.joint_tree import JointTree
 from stream.params import param
 from stream.source import Feed, Source
 
 PATIENCE_S = 0.1
-MOST_BYTES = 65_536
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,17 +40,10 @@ class Vmc(Source):
 
     def read(self, feed: Feed) -> None:
         frames = VmcFrames(self._tree().offsets[0])
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as port:
-            try:
-                port.bind((self.host, self.port))
-            except OSError as error:
-                raise DeviceError(f"VMC cannot be received on {self.host}:{self.port}: {error.strerror}") from None
-            port.settimeout(PATIENCE_S)
+        with UdpTransport(f"udp://{self.host}:{self.port}") as port:
             feed.ready()
             while not feed.stopped:
-                try:
-                    data = port.recv(MOST_BYTES)
-                except TimeoutError:
+                if not (data := port.read(PATIENCE_S)):
                     now = feed.now()
                     feed.emit(Chunk(np.empty(0, np.int64), np.empty((0, frames.width)), now - 1))
                     continue

@@ -49,6 +49,8 @@ class FrameLayout:
                 "itemsize": self.size,
             }
         )
+        self._chosen = [i for i, f in enumerate(self.fields) if f.is_channel]
+        self.channels, self.counted = frame.channels, self._counter is not None
         self._scale = np.array([f.scale for f in frame.channels])
         self._offset = np.array([f.offset for f in frame.channels])
 
@@ -89,14 +91,16 @@ class FrameLayout:
 
     def values(self, table: Array) -> Samples:
         """The channels (n * samples, c) in their units."""
-        chosen = [i for i, f in enumerate(self.fields) if f.is_channel]
-        columns = [self._numbers(table, i).astype(np.float64) for i in chosen]
-        raw = np.stack(columns, axis=1) if columns else np.empty((len(table), 0))
-        k, c = self.frame.samples, len(self.frame.channels)
-        if k > 1 and columns:
+        raw = np.empty((len(table), len(self._chosen)))
+        for column, i in enumerate(self._chosen):
+            raw[:, column] = self._numbers(table, i)
+        k, c = self.frame.samples, len(self.channels)
+        if k > 1 and self._chosen:
             raw = raw.reshape(-1, c, k).transpose(0, 2, 1) if self.frame.by_channel else raw
             raw = np.ascontiguousarray(raw).reshape(-1, c)
-        return np.asarray(raw * self._scale + self._offset)
+        raw *= self._scale
+        raw += self._offset
+        return raw
 
     def counter_of(self, frame: bytes) -> int | None:
         """The counter of one frame."""
@@ -113,10 +117,7 @@ class FrameLayout:
 
     def counters(self, table: Array) -> Times | None:
         """The counter of every frame; None if there is none."""
-        for i, f in enumerate(self.fields):
-            if f.role == "counter":
-                return self._numbers(table, i).astype(np.int64)
-        return None
+        return None if self._counter is None else self._numbers(table, self._counter).astype(np.int64)
 
     def times_ns(self, table: Array) -> Times | None:
         """The device's time of every frame; None if it does not say."""
