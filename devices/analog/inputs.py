@@ -1,4 +1,4 @@
-"""What analog inputs share: channels with a scale, and samples that are counted to be stamped."""
+"""What devices with analog inputs share: channels with a scale, and samples that are counted to be stamped."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from devices.clocks import line_below
 from devices.clocks.pace import DevicePace
 from devices.clocks.timing import timing_chunk, timing_spec
 from stream.chunk import Chunk, Samples, Specs, StreamSpec
 from stream.errors import ParameterError
 from stream.params import param
-from stream.source import Feed
+from stream.source import Feed, Source
 
 BLOCK_S = 0.02
 """About this much time is read at once."""
@@ -36,22 +37,52 @@ class AnalogInput:
         return self.name or self.input
 
 
-def analog_specs(inputs: tuple[AnalogInput, ...], rate_hz: float) -> Specs:
-    """The outputs of such a device; raises ParameterError."""
-    names = tuple(one.channel for one in inputs)
-    if not names or len(set(names)) != len(names):
-        raise ParameterError("inputs", list(names), "at least one input, each with a name of its own")
-    units = tuple(one.unit for one in inputs)
-    return {"out": StreamSpec((len(names),), rate_hz=rate_hz, channels=names, units=units), "timing": timing_spec()}
+@dataclass(frozen=True, slots=True)
+class AnalogSource(Source):
+    """A device whose own clock paces the samples of its analog inputs, read in blocks of BLOCK_S."""
+
+    outputs: ClassVar[tuple[str, ...]] = ("out", "timing")
+
+    inputs: tuple[AnalogInput, ...] = param(help="the inputs, in the order of the channels")
+    rate_hz: float = param(1000.0, above=0, most=1e6, help="samples per second of each input")
+    latency_s: float = param(
+        0.0, least=0, most=1, help="the constant delay from the measurement to the driver, if you know it"
+    )
+
+    @staticmethod
+    def library() -> Any:
+        """The maker's library; raises DeviceError that says how to install it."""
+        raise NotImplementedError
+
+    @property
+    def block(self) -> int:
+        """How many samples of each input are read at once."""
+        return max(1, round(self.rate_hz * BLOCK_S))
+
+    @property
+    def chunk_s(self) -> float:
+        return self.block / self.rate_hz
+
+    def specs(self) -> Specs:
+        names = tuple(one.channel for one in self.inputs)
+        if not names or len(set(names)) != len(names):
+            raise ParameterError("inputs", list(names), "at least one input, each with a name of its own")
+        units = tuple(one.unit for one in self.inputs)
+        out = StreamSpec((len(names),), rate_hz=self.rate_hz, channels=names, units=units)
+        return {"out": out, "timing": timing_spec()}
+
+    def prepare(self) -> None:
+        line_below.prepare()
+        self.library()
 
 
 class AnalogReading:
     """Volts (n, c), block by block, to chunks: samples are counted, as the device's own clock paces them."""
 
-    def __init__(self, inputs: tuple[AnalogInput, ...], rate_hz: float, latency_s: float) -> None:
-        self.pace = DevicePace(rate_hz, latency_s)
-        self._scale = np.array([one.scale for one in inputs])
-        self._offset = np.array([one.offset for one in inputs])
+    def __init__(self, of: AnalogSource) -> None:
+        self.pace = DevicePace(of.rate_hz, of.latency_s)
+        self._scale = np.array([one.scale for one in of.inputs])
+        self._offset = np.array([one.offset for one in of.inputs])
 
     def take(self, volts: Samples, feed: Feed) -> None:
         """A block has come now; NaN: the device lost that sample."""
@@ -63,8 +94,3 @@ class AnalogReading:
         feed.emit(Chunk(stamp, volts * self._scale + self._offset, int(stamp[-1]), -1 if counted.astray else 0))
         last = slice(-1, None)
         feed.emit(timing_chunk(counted.number[last], counted.device[last], arrival, stamp[last]), "timing")
-
-
-def block_of(rate_hz: float) -> int:
-    """How many samples of each channel are read at once."""
-    return max(1, round(rate_hz * BLOCK_S))

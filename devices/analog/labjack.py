@@ -4,38 +4,24 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from devices.analog.inputs import AnalogInput, AnalogReading, analog_specs, block_of
-from devices.clocks import line_below
+from devices.analog.inputs import AnalogReading, AnalogSource
 from devices.clocks.clock_log import ClockLog
-from stream.chunk import Specs
 from stream.errors import DeviceError
 from stream.optional import optional
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed
 
 LOST = -9999.0
 """What LJM puts in the place of a scan that was lost."""
 SAME_RATE = 1e-3
 
 
-def library() -> Any:
-    """labjack.ljm; raises DeviceError that says how to install it, or LabJack's own library."""
-    ljm = optional(
-        "labjack.ljm", "a LabJack", "pip install 'kinegraph[labjack]', and LabJack's LJM library,", DeviceError
-    )
-    if ljm.ljm._staticLib is None:
-        raise DeviceError(
-            "LabJack's own LJM library is not there; install it (labjack.com): labjack-ljm alone is not enough"
-        )
-    return ljm
-
-
 @dataclass(frozen=True, slots=True)
-class LabJack(Source):
+class LabJack(AnalogSource):
     """Analog inputs of a LabJack T4, T7 or T8, streamed.
 
     out      (c,) float64 at `rate_hz`: the inputs, scaled; NaN: a scan that the device lost
@@ -45,29 +31,24 @@ class LabJack(Source):
     exactly is refused at the start, with the one that it would use.
     """
 
-    outputs: ClassVar[tuple[str, ...]] = ("out", "timing")
-
-    inputs: tuple[AnalogInput, ...] = param(help="the inputs, in the order of the channels")
     device: str = param("ANY", help="serial number, IP address or name; ANY: the first that is found")
     kind: str = param("ANY", help="T4, T7, T8 or ANY")
     rate_hz: float = param(1000.0, above=0, most=1e5, help="scans per second")
-    latency_s: float = param(
-        0.0, least=0, most=1, help="the constant delay from the measurement to the driver, if you know it"
-    )
 
-    @property
-    def chunk_s(self) -> float:
-        return block_of(self.rate_hz) / self.rate_hz
-
-    def specs(self) -> Specs:
-        return analog_specs(self.inputs, self.rate_hz)
-
-    def prepare(self) -> None:
-        line_below.prepare()
-        library()
+    @staticmethod
+    def library() -> Any:
+        """labjack.ljm; raises DeviceError that says how to install it, or LabJack's own library."""
+        ljm = optional(
+            "labjack.ljm", "a LabJack", "pip install 'kinegraph[labjack]', and LabJack's LJM library,", DeviceError
+        )
+        if ljm.ljm._staticLib is None:
+            raise DeviceError(
+                "LabJack's own LJM library is not there; install it (labjack.com): labjack-ljm alone is not enough"
+            )
+        return ljm
 
     def read(self, feed: Feed) -> None:
-        ljm = library()
+        ljm = self.library()
         try:
             handle = ljm.openS(self.kind, "ANY", self.device)
             try:
@@ -81,7 +62,7 @@ class LabJack(Source):
             raise DeviceError(f"LabJack {self.device}: {error}") from None
 
     def _stream(self, ljm: Any, handle: int, feed: Feed) -> None:
-        n, names = block_of(self.rate_hz), [one.input for one in self.inputs]
+        n, names = self.block, [one.input for one in self.inputs]
         for one in self.inputs:
             ljm.eWriteName(handle, f"{one.input}_RANGE", one.range_v)
         addresses = ljm.namesToAddresses(len(names), names)[0]
@@ -92,7 +73,7 @@ class LabJack(Source):
             )
         feed.identify("LabJack", name=self.device, inputs=", ".join(names), rate_hz=float(rate))
         feed.ready()
-        reading = AnalogReading(self.inputs, self.rate_hz, self.latency_s)
+        reading = AnalogReading(self)
         clock_log = ClockLog("LabJack", feed, lambda: reading.pace.state)
         while not feed.stopped:
             volts = np.array(ljm.eStreamRead(handle)[0]).reshape(n, len(names))

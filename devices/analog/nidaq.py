@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from devices.analog.inputs import AnalogInput, AnalogReading, analog_specs, block_of
-from devices.clocks import line_below
+from devices.analog.inputs import AnalogReading, AnalogSource
 from devices.clocks.clock_log import ClockLog
-from stream.chunk import Specs
 from stream.errors import DeviceError
 from stream.optional import optional
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed
 
 TIMEOUT_S = 2.0
 WIRING = {
@@ -28,13 +26,8 @@ WIRING = {
 BUFFER_S = 5.0
 
 
-def library() -> Any:
-    """nidaqmx; raises DeviceError that says how to install it."""
-    return optional("nidaqmx", "NI-DAQ", "pip install 'kinegraph[ni]', and NI's own driver, NI-DAQmx,", DeviceError)
-
-
 @dataclass(frozen=True, slots=True)
-class NiDaq(Source):
+class NiDaq(AnalogSource):
     """Analog inputs of an NI-DAQmx device (USB-6xxx, PCIe, CompactDAQ): force plates, EMG amplifiers, treadmills, goniometers.
 
     out      (c,) float64 at `rate_hz`: the inputs, scaled
@@ -44,31 +37,18 @@ class NiDaq(Source):
     reading, which begins again behind a gap. A plate's volts become forces in `operators.force_plate.ForcePlate`.
     """
 
-    outputs: ClassVar[tuple[str, ...]] = ("out", "timing")
-
-    inputs: tuple[AnalogInput, ...] = param(help="the inputs, in the order of the channels")
     device: str = param("Dev1", help="as NI MAX shows it")
-    rate_hz: float = param(1000.0, above=0, most=1e6, help="samples per second of each input")
     wiring: Literal["default", "differential", "single_ended", "non_referenced", "pseudo"] = param(
         "default", help="how inputs are wired"
     )
-    latency_s: float = param(
-        0.0, least=0, most=1, help="the constant delay from the measurement to the driver, if you know it"
-    )
 
-    @property
-    def chunk_s(self) -> float:
-        return block_of(self.rate_hz) / self.rate_hz
-
-    def specs(self) -> Specs:
-        return analog_specs(self.inputs, self.rate_hz)
-
-    def prepare(self) -> None:
-        line_below.prepare()
-        library()
+    @staticmethod
+    def library() -> Any:
+        """nidaqmx; raises DeviceError that says how to install it."""
+        return optional("nidaqmx", "NI-DAQ", "pip install 'kinegraph[ni]', and NI's own driver, NI-DAQmx,", DeviceError)
 
     def read(self, feed: Feed) -> None:
-        ni = library()
+        ni = self.library()
         try:
             task = ni.Task()
             try:
@@ -102,9 +82,9 @@ class NiDaq(Source):
     def _read(self, ni: Any, task: Any, feed: Feed) -> None:
         from nidaqmx.stream_readers import AnalogMultiChannelReader
 
-        reader, n = AnalogMultiChannelReader(task.in_stream), block_of(self.rate_hz)
+        reader, n = AnalogMultiChannelReader(task.in_stream), self.block
         block = np.empty((len(self.inputs), n))
-        reading = AnalogReading(self.inputs, self.rate_hz, self.latency_s)
+        reading = AnalogReading(self)
         clock_log = ClockLog(self.device, feed, lambda: reading.pace.state)
         while not feed.stopped:
             reader.read_many_sample(block, n, timeout=TIMEOUT_S + n / self.rate_hz)
