@@ -9,13 +9,13 @@ from typing import ClassVar
 
 import numpy as np
 
+from operators.inputs.slope import SlopeState
 from stream.chunk import NEVER, Samples, StreamSpec, Times
-from stream.filter import Filter, FilterState
+from stream.filter import Filter
 from stream.finite import finite
 from stream.kernel import kernel
 from stream.operator import Case, grid
 from stream.params import param
-from stream.require import width_of
 
 
 @kernel
@@ -52,15 +52,8 @@ def smoothed_by_speed(
             out[i, c] = value[c]
 
 
-@dataclass(slots=True, kw_only=True)
-class OneEuroState(FilterState):
-    value: Samples
-    slope: Samples
-    when: Times
-
-
 @dataclass(frozen=True, slots=True)
-class OneEuro(Filter[OneEuroState]):
+class OneEuro(Filter[SlopeState]):
     """A low-pass whose cut-off rises with speed, channel by channel: for positions that people see move.
 
     Stamps stay. The lag is 1 / (2 pi cutoff) at rest, 80 ms at 2 Hz, and less the faster it goes: 1 / (2 pi (cutoff_hz + beta |speed|)),
@@ -74,9 +67,8 @@ class OneEuro(Filter[OneEuroState]):
     slope_hz: float = param(1.0, above=0.0, help="cut-off of the speed")
     kernel = smoothed_by_speed
 
-    def begin(self, spec: StreamSpec) -> OneEuroState:
-        c = width_of(spec)
-        return OneEuroState(value=np.zeros(c), slope=np.zeros(c), when=np.full(c, NEVER))
+    def begin(self, spec: StreamSpec) -> SlopeState:
+        return SlopeState.of(spec)
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

@@ -9,13 +9,13 @@ from typing import ClassVar
 
 import numpy as np
 
+from operators.inputs.slope import SlopeState
 from stream.chunk import NEVER, Samples, StreamSpec, Times
-from stream.filter import Filter, FilterState
+from stream.filter import Filter
 from stream.finite import finite
 from stream.kernel import kernel
 from stream.operator import Case, grid
 from stream.params import param
-from stream.require import width_of
 
 
 @kernel
@@ -39,15 +39,8 @@ def ahead(
             out[i, c] = v + ahead_s * slope[c]
 
 
-@dataclass(slots=True, kw_only=True)
-class PredictState(FilterState):
-    value: Samples
-    slope: Samples
-    when: Times
-
-
 @dataclass(frozen=True, slots=True)
-class Predict(Filter[PredictState]):
+class Predict(Filter[SlopeState]):
     """Each value as it will be `ahead_s` later, if it goes on as it does: its smoothed speed times that time is added.
 
     Stamps stay: what comes out is meant for the time that the lag of the filters before has cost. It overshoots where motion stops or
@@ -60,9 +53,8 @@ class Predict(Filter[PredictState]):
     tau_s: float = param(0.05, above=0.0, help="over how long the speed is smoothed")
     kernel = ahead
 
-    def begin(self, spec: StreamSpec) -> PredictState:
-        c = width_of(spec)
-        return PredictState(value=np.zeros(c), slope=np.zeros(c), when=np.full(c, NEVER))
+    def begin(self, spec: StreamSpec) -> SlopeState:
+        return SlopeState.of(spec)
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from stream.chunk import Samples, Times
-from stream.errors import KinegraphError
+from stream.chunk import Samples, StreamSpec, Times
+from stream.errors import KinegraphError, ParameterError
 from stream.joint_tree import JointTree, joints_of, local_poses
 
 TRUNK = {"Hips": "", "Spine": "Hips", "Chest": "Spine", "UpperChest": "Chest", "Neck": "UpperChest", "Head": "Neck"}
@@ -98,6 +98,17 @@ def find_bones(joints: Sequence[str], given: Mapping[str, str] | None = None) ->
             f"this skeleton has no {missing[0]} that is known by its name: its joints are {', '.join(joints[:40])}"
         )
     return found
+
+
+def humanoid_of(spec: StreamSpec, bones: Mapping[str, str] | None) -> JointTree:
+    """The skeleton of a stream of poses, of which every bone that is needed is known. Raises InputError, or ParameterError for `bones`."""
+    tree = JointTree.of(spec, "pose")
+    if tree.joints != BONES or bones:
+        try:
+            find_bones(tree.joints, bones)
+        except KinegraphError as error:
+            raise ParameterError("bones", dict(bones or {}), f"a mapping of bones to joints: {error}") from None
+    return tree
 
 
 def to_humanoid(tree: JointTree, poses: Samples, bones: Mapping[str, str] | None = None) -> tuple[JointTree, Samples]:

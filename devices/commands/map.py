@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from stream.commands.page_options import PageAt, PageCertificate, PageFor, PageKey
 from stream.errors import KinegraphError
 from stream.plain import say
 
@@ -30,17 +31,10 @@ def map_(
     origin: Annotated[str, typer.Option(help="without --markers: the marker that positions are relative to")] = "",
     ahead: Annotated[str, typer.Option(help="without --markers: the marker that is turned ahead")] = "",
     rate_hz: Annotated[float, typer.Option(min=1.0, max=1000.0, help="poses per second")] = 60.0,
-    page_at: Annotated[
-        str,
-        typer.Option(
-            metavar="HOST:PORT", help="serve it there; on other addresses than this machine's own with a token"
-        ),
-    ] = "",
-    page_certificate: Annotated[str, typer.Option(metavar="FILE", help="encrypt the page with this certificate")] = "",
-    page_key: Annotated[str, typer.Option(metavar="FILE", help="the certificate's key")] = "",
-    duration_s: Annotated[
-        float, typer.Option("--for", metavar="SECONDS", min=0.0, help="end after this many seconds; 0: at Ctrl-C")
-    ] = 0.0,
+    page_at: PageAt = "",
+    page_certificate: PageCertificate = "",
+    page_key: PageKey = "",
+    duration_s: PageFor = 0.0,
 ) -> None:
     """Explore recorded motion on a map, in a browser.
 

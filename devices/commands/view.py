@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from stream.commands.page_options import PageAt, PageAvatar, PageCertificate, PageFor, PageKey
 from stream.plain import say
 
 if TYPE_CHECKING:
@@ -19,20 +20,11 @@ def view(
     recording: Annotated[
         Path, typer.Argument(help="a recording: an .mcap file, or a session's folder", metavar="FILE")
     ],
-    page_at: Annotated[
-        str,
-        typer.Option(
-            metavar="HOST:PORT", help="serve it there; on other addresses than this machine's own with a token"
-        ),
-    ] = "",
-    page_certificate: Annotated[str, typer.Option(metavar="FILE", help="encrypt the page with this certificate")] = "",
-    page_key: Annotated[str, typer.Option(metavar="FILE", help="the certificate's key")] = "",
-    avatar: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="the avatar on the page: your own VRM file")
-    ] = None,
-    duration_s: Annotated[
-        float, typer.Option("--for", metavar="SECONDS", min=0.0, help="end after this many seconds; 0: at Ctrl-C")
-    ] = 0.0,
+    page_at: PageAt = "",
+    page_certificate: PageCertificate = "",
+    page_key: PageKey = "",
+    avatar: PageAvatar = None,
+    duration_s: PageFor = 0.0,
 ) -> None:
     """Open a recording in a browser: scrub through all its streams, see gaps and annotations."""
     from devices.outlets.page.lane import checked_avatar, parsed, refuse_unbuilt

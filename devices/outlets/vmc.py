@@ -14,8 +14,8 @@ import structlog
 from devices.files.vrm_read import read_vrm
 from devices.protocols.vmc import SAFE_BYTES, VmcFrame
 from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
-from stream.errors import DeviceError, InputError, KinegraphError, ParameterError
-from stream.humanoid import BONES, find_bones, to_humanoid, usual_body
+from stream.errors import DeviceError, InputError
+from stream.humanoid import BONES, humanoid_of, to_humanoid, usual_body
 from stream.joint_tree import JointTree
 from stream.operator import Outlet
 from stream.params import param
@@ -62,14 +62,7 @@ class VmcOutlet(Outlet[VmcState, VmcRuntime]):
     most_bytes: int = param(SAFE_BYTES, least=200, most=65000, help="no datagram is longer; 65000: a frame is one")
 
     def open(self, specs: Specs) -> Specs:
-        tree = JointTree.of(specs["pose"], "pose")
-        if tree.joints != BONES or self.bones:
-            try:
-                find_bones(tree.joints, self.bones)
-            except KinegraphError as error:
-                raise ParameterError(
-                    "bones", dict(self.bones or {}), f"a mapping of bones to joints: {error}"
-                ) from None
+        tree = humanoid_of(specs["pose"], self.bones)
         names = _blend_names(specs["blends"]) if "blends" in specs else ()
         avatar = read_vrm(self.avatar) if self.avatar else usual_body()
         body = tree if tree.joints == BONES else to_humanoid(tree, np.zeros((0, tree.width)), self.bones)[0]

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from devices.outlets.osc_sender import OscSender
 from devices.protocols.osc_write import bundles, floats
 from stream.chunk import Chunk, Samples, Specs
-from stream.errors import KinegraphError, ParameterError
-from stream.humanoid import BONES, find_bones, to_humanoid
+from stream.humanoid import BONES, humanoid_of, to_humanoid
 from stream.joint_tree import JointTree, joints_of
 from stream.operator import Outlet
 from stream.params import param
@@ -58,14 +57,7 @@ class VrchatTrackers(Outlet[VrchatState, VrchatRuntime]):
     inputs: ClassVar[tuple[str, ...]] = ("pose",)
 
     def open(self, specs: Specs) -> Specs:
-        tree = JointTree.of(specs["pose"], "pose")
-        if tree.joints != BONES or self.bones:
-            try:
-                find_bones(tree.joints, self.bones)
-            except KinegraphError as error:
-                raise ParameterError(
-                    "bones", dict(self.bones or {}), f"a mapping of bones to joints: {error}"
-                ) from None
+        tree = humanoid_of(specs["pose"], self.bones)
         self.hold(VrchatState(), VrchatRuntime(tree))
         return {}
 

@@ -64,6 +64,9 @@ class Performer(Source):
         markers = StreamSpec((len(MARKERS), 3), rate_hz=self.rate_hz, channels=MARKERS, units=("m",), meta=made)
         return {"markers": markers, "pose": usual_body().spec(self.rate_hz, meta=made)}
 
+    def prepare(self) -> None:
+        true_pose(0.0)
+
     def read(self, feed: Feed) -> None:
         for frame, stamp in paced(feed, self.rate_hz, self.duration_s, self.realtime):
             pose = true_pose(frame / self.rate_hz)

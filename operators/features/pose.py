@@ -10,15 +10,14 @@ from typing import Literal
 import numpy as np
 
 from operators.features.skeleton import SETS, find_joints, pairs
+from operators.inputs.lengths import CM, length_of
 from operators.inputs.marker_columns import marker_columns
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError
 from stream.kernel import kernel
 from stream.operator import Case, Operator, grid
 from stream.params import param
-from stream.require import numeric
 
-CM = {"m": 100.0, "cm": 1.0, "mm": 0.1, "": 1.0}
 FLAT = 0.2
 """Where the hips' distance is horizontal by less than this share, they tell no heading."""
 FRAMES, TOTAL, COS, SIN = range(4)
@@ -137,10 +136,7 @@ class Pose(Operator[PoseState]):
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
-        numeric(spec)
-        unit = spec.units[0] if len(set(spec.units)) == 1 else "?"
-        if unit not in CM:
-            raise InputError("in", spec.describe(), "markers in m, cm or mm")
+        unit = length_of(spec)
         names = point_names(spec)
         body = tuple(f"{joint}_{side}" for joint in ("hip", "knee", "ankle") for side in "lr") if self.body_cm else ()
         shown = SETS.get(self.points, ())

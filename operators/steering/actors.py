@@ -9,17 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from operators.features.pose import CM
+from operators.inputs.lengths import length_of, metres
 from operators.inputs.marker_columns import marker_columns
 from operators.steering.operator import QUADRUPED
 from operators.steering.stored import KIND, from_model
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
-from stream.errors import InputError, ParameterError, nearest
+from stream.errors import ParameterError, nearest
 from stream.kernel import kernel
 from stream.model import read_model
 from stream.operator import Case, Operator, grid
 from stream.params import param
-from stream.require import numeric
 
 MOST = 2.5
 """No marker goes farther than this many standard deviations of its training."""
@@ -104,10 +103,7 @@ class Actors(_Cast):
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
-        numeric(spec)
-        unit = spec.units[0] if len(set(spec.units)) == 1 else "?"
-        if unit not in CM:
-            raise InputError("in", spec.describe(), "markers in m, cm or mm")
+        unit = length_of(spec)
         learned, _ = from_model(read_model(self.model or QUADRUPED, KIND))
         rows = []
         for name, (actor, seen_from) in self.limbs.items():
@@ -118,7 +114,7 @@ class Actors(_Cast):
         if not rows:
             raise ParameterError("limbs", dict(self.limbs), "a mapping of at least one marker of the model")
         object.__setattr__(self, "columns", np.array(rows, np.int64))
-        object.__setattr__(self, "scale", CM[unit or "m"] / 100.0)
+        object.__setattr__(self, "scale", metres(unit))
         object.__setattr__(self, "wanted", max(2.0, self.learn_s * (spec.rate_hz or 30.0)))
         object.__setattr__(self, "usual", learned.usual)
         object.__setattr__(self, "spread", learned.spread)

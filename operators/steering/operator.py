@@ -9,17 +9,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.features.pose import CM
+from operators.inputs.lengths import length_of, metres
 from operators.inputs.marker_columns import marker_columns
 from operators.steering.assemble_kernel import add_part, gather_marks, predict, put
 from operators.steering.fit import Part, Steering
 from operators.steering.stored import KIND, from_model
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
-from stream.errors import InputError
 from stream.model import read_model
 from stream.operator import Case, Operator, grid
 from stream.params import param
-from stream.require import numeric
 
 QUADRUPED = Path(__file__).with_name("quadruped.npz")
 
@@ -73,10 +71,7 @@ class SteerMesh(_Steered):
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
-        numeric(spec)
-        unit = spec.units[0] if len(set(spec.units)) == 1 else "?"
-        if unit not in CM:
-            raise InputError("in", spec.describe(), "markers in m, cm or mm")
+        unit = length_of(spec)
         learned, mesh = from_model(read_model(self.model or QUADRUPED, KIND))
         given = self.markers or {}
         columns = [marker_columns(spec, given.get(name, name), "markers") for name in learned.markers]
@@ -84,7 +79,7 @@ class SteerMesh(_Steered):
         rest = resting(learned, mesh.vertices)
         object.__setattr__(self, "learned", learned)
         object.__setattr__(self, "columns", np.array(columns, np.int64))
-        object.__setattr__(self, "scale", CM[unit or "m"] / 100.0)
+        object.__setattr__(self, "scale", metres(unit))
         object.__setattr__(
             self, "room", (np.zeros(3 * m), np.zeros((3, 3)), [np.zeros(len(p.learned.mean)) for p in learned.parts])
         )

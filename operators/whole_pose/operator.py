@@ -9,17 +9,16 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from operators.features.pose import CM
+from operators.inputs.lengths import length_of, metres
 from operators.whole_pose.landmarks import BONE_OF, FROM_BONE, NAMES, PLACES, find_landmarks
 from operators.whole_pose.solve_kernel import GROUND, SIZE, Solver, solve
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
-from stream.errors import InputError, ParameterError
+from stream.errors import ParameterError
 from stream.humanoid import BONES, PARENTS, usual_body
 from stream.joint_tree import JointTree, joints_of
 from stream.model import Model, read_model
 from stream.operator import Case, Operator, grid
 from stream.params import param
-from stream.require import numeric
 
 AXES = {"y": ((0, 1, 2), (1.0, 1.0, 1.0)), "z": ((0, 2, 1), (1.0, 1.0, -1.0)), "-y": ((0, 1, 2), (1.0, -1.0, -1.0))}
 """By the input's axis that points up: which of its axes become x, y and z, and with which sign."""
@@ -103,17 +102,14 @@ class WholePose(_Solving):
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
-        numeric(spec)
-        unit = spec.units[0] if len(set(spec.units)) == 1 else "?"
-        if unit not in CM:
-            raise InputError("in", spec.describe(), "markers in m, cm or mm")
+        unit = length_of(spec)
         found, columns = find_landmarks(spec, self.landmarks or {})
         learned = regression_of(read_model(self.model, "pose")) if self.model else no_regression()
         if missing := [NAMES[k] for k in learned.chosen if NAMES[k] not in found]:
             what = f"has no {missing[0]}, which {self.model} was trained for; it has {', '.join(found)}"
             raise ParameterError("model", str(self.model), f"a model for these markers: the input {what}")
         axes, signs = AXES[self.up]
-        size = CM[unit or "m"] / 100.0
+        size = metres(unit)
         state = start(learned.tree)
         object.__setattr__(self, "learned", learned)
         object.__setattr__(self, "needed", round(self.calibrate_s * (spec.rate_hz or 30.0)))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from stream.commands.page_options import PageAt, PageAvatar
 from stream.errors import KinegraphError, nearest
 from stream.plain import say
 
@@ -47,10 +48,8 @@ def replay(
         bool,
         typer.Option("--page", help="show the replay in a browser, at --speed 1 unless it is said; prints the address"),
     ] = False,
-    page_at: Annotated[str, typer.Option(metavar="HOST:PORT", help="serve the page there")] = "",
-    avatar: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="the avatar on the page: your own VRM file")
-    ] = None,
+    page_at: PageAt = "",
+    avatar: PageAvatar = None,
     quiet: Annotated[bool, typer.Option("-q", "--quiet", help="no progress bar")] = False,
     trusted_only: Annotated[
         bool, typer.Option("--trusted-only", help="run installed code only, no files next to the graph")

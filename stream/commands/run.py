@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from stream.commands.page_options import PageAt, PageAvatar, PageCertificate, PageKey
 from stream.errors import KinegraphError, RecordingError
 from stream.plain import say
 from stream.source import Source
@@ -49,18 +50,10 @@ def run(
     ] = False,
     view: Annotated[str, typer.Option(help="how the session is shown: auto, live, lines or none")] = "auto",
     page: Annotated[bool, typer.Option("--page", help="show the session in a browser; prints the address")] = False,
-    page_at: Annotated[
-        str,
-        typer.Option(
-            metavar="HOST:PORT", help="serve the page there; on other addresses than this machine's own with a token"
-        ),
-    ] = "",
-    page_certificate: Annotated[str, typer.Option(metavar="FILE", help="encrypt the page with this certificate")] = "",
-    page_key: Annotated[str, typer.Option(metavar="FILE", help="the certificate's key")] = "",
-    avatar: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="the avatar on the page: your own VRM file; default: one that comes with it"),
-    ] = None,
+    page_at: PageAt = "",
+    page_certificate: PageCertificate = "",
+    page_key: PageKey = "",
+    avatar: PageAvatar = None,
     foxglove: Annotated[
         bool, typer.Option("--foxglove", help="serve the session to Foxglove on this machine (extra `foxglove`)")
     ] = False,

@@ -143,7 +143,7 @@ def _performed(path: File, names: tuple[str, ...]) -> Samples:
     """Where the markers `names` were in the first stream of the recording that has them all, (n, m, 3) m, where all are seen."""
     import numpy as np
 
-    from operators.features.pose import CM
+    from operators.inputs.lengths import metres
     from operators.inputs.marker_columns import marker_columns
     from stream.batch.sessions import open_session, sessions_at
 
@@ -157,7 +157,7 @@ def _performed(path: File, names: tuple[str, ...]) -> Samples:
                     continue
                 columns = np.array([marker_columns(spec, one, "markers") for one in names])
                 rows = np.asarray(opened.read(name)[1], np.float64)
-                found: Samples = rows.reshape(len(rows), -1)[:, columns] * (CM[spec.units[0] or "m"] / 100.0)
+                found: Samples = rows.reshape(len(rows), -1)[:, columns] * metres(spec.units[0])
                 found = found[np.isfinite(found).all(axis=(1, 2))]
                 if len(found) < 2:
                     raise KinegraphError(f"{path}: {name}: all markers are seen in {len(found)} samples; 2 are needed")

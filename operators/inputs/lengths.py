@@ -1,0 +1,24 @@
+"""Positions of markers come in metres, centimetres or millimetres; operators work in one of them."""
+
+from __future__ import annotations
+
+from stream.chunk import StreamSpec
+from stream.errors import InputError
+from stream.require import numeric
+
+CM = {"m": 100.0, "cm": 1.0, "mm": 0.1, "": 1.0}
+"""How long a unit is in cm; positions without a unit are taken to be cm by what scales bodies, else as they are."""
+
+
+def length_of(spec: StreamSpec, port: str = "in") -> str:
+    """The one unit of a stream of positions; "" where it names none. Raises InputError."""
+    numeric(spec, port)
+    unit = spec.units[0] if len(set(spec.units)) == 1 else "?"
+    if unit not in CM:
+        raise InputError(port, spec.describe(), "markers in m, cm or mm")
+    return unit
+
+
+def metres(unit: str) -> float:
+    """What turns positions of this unit into metres; 1 where none is named."""
+    return CM[unit or "m"] / 100.0
