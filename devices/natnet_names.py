@@ -53,8 +53,9 @@ class NatNetNames:
 
     def rows(self, payload: bytes, sized: bool, head: Times) -> list[tuple[str, Samples]] | None:
         """By output, its samples in a frame; None where it is cut off, or its time is none. `head` as `natnet_numbers.numbers` has it."""
-        made = [np.empty(shape) for shape in self._shapes]
-        if not numbers(np.frombuffer(payload, np.uint8), sized, self._wanted, *made, head):
+        made = positions, rotations, points, analog = [np.empty(shape) for shape in self._shapes]
+        data = np.frombuffer(payload, np.uint8)
+        if not numbers(data, sized, self._wanted, positions, rotations, points, analog, head):
             return None
         return [(name, made[i]) for i, name in self._outputs]
 

@@ -91,7 +91,7 @@ class FrameLayout:
 
     def values(self, table: Array) -> Samples:
         """The channels (n * samples, c) in their units."""
-        raw = np.empty((len(table), len(self._chosen)))
+        raw: Samples = np.empty((len(table), len(self._chosen)))
         for column, i in enumerate(self._chosen):
             raw[:, column] = self._numbers(table, i)
         k, c = self.frame.samples, len(self.channels)

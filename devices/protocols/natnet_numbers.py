@@ -104,8 +104,8 @@ def _whole(data: Bytes, at: int, size: int) -> int:
     for k in range(size - 1, -1, -1):
         value = value << np.uint64(8) | np.uint64(data[at + k])
     if size == 2:
-        return np.int64(np.int16(value))
-    return np.int64(np.int32(value)) if size == 4 else np.int64(value)
+        return int(np.int16(value))
+    return int(np.int32(value)) if size == 4 else int(np.int64(value))
 
 
 @kernel
