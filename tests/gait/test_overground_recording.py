@@ -93,7 +93,15 @@ def test_every_walk_gives_cycles_of_both_legs(walks: list[Walk]) -> None:
             assert len(accepted) >= 2, (walk.name, side)
             told = walk.recording.read("statistics")[1]  # a cycle comes again where a bad second ended after it
             mine = told[np.char.startswith(told["name"], side[0].upper())]
-            assert len(np.unique(mine[["number", "muscle"]])) == 2 * len(accepted)
+            judged = walk.recording.read("review.judged")[1]
+            used = {
+                int(row["number"]) for row in judged if row["used"]
+            }  # without any muscle of the leg a cycle has no numbers
+            assert {int(row["number"]) for row in mine} >= {int(row["number"]) for row in accepted} & used, (
+                walk.name,
+                side,
+            )
+            assert len(np.unique(mine[["number", "muscle"]])) == 2 * len(np.unique(mine["number"])) >= 2
             # a cycle is from one touch-down to the next; the last may end after the envelope does
             pairs = list(pairwise(onsets))
             found = [(row["onset"] / NS, row["end"] / NS) for row in closed]
