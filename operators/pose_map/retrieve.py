@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from operators.neighbours.index import Index
-from operators.pose_map.warp_kernel import far_apart, warp
+from operators.pose_map.warp_kernel import far_apart, warp_all
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError
 from stream.motion_index import MISSING, MotionIndex
@@ -75,7 +75,7 @@ class PoseSearch:
         row = self.rows(np.array([frame]))[0]
         if not np.isfinite(row).all():
             return np.empty(0, np.int64), np.empty(0, np.float32)
-        return self.near.nearest(min(most, int(self.near.state.head["most"])), row, at=-(1 << 40))
+        return self.near.nearest(min(most, int(self.near.state.head["most"])), row, at=frame, band=-1)
 
     def poses(self, frame: int, count: int, band: int) -> list[tuple[int, int, int, float]]:
         """(sequence, frame, frame, distance) of the nearest poses outside of the band around `frame`."""
@@ -94,14 +94,19 @@ class PoseSearch:
         length = last - first + 1
         step = max(1, -(-length // LONGEST))
         query = np.ascontiguousarray(self.rows(np.arange(first, last + 1, step)))
+        places = self.regions(first, last, band)
+        begins, ends = (np.array([place[k] for place in places], np.int64) for k in (1, 2))
         room = -(-2 * length // step) + 2 * LONGEST
-        cost, start, out = np.empty((3, room)), np.empty((3, room), np.int64), np.empty(3)
-        found = []
-        for sequence, begin, end in self.regions(first, last, band):
-            there = np.ascontiguousarray(self.rows(np.arange(begin, end, step)))[:room]
-            warp(query, there, weights, cost, start, out)
-            if out[2] < np.inf:
-                found.append((float(out[2]), sequence, begin + step * int(out[0]), begin + step * int(out[1])))
+        out, cost, start = np.empty((len(places), 3)), np.empty((3, room)), np.empty((3, room), np.int64)
+        warp_all(
+            self.motion.poses, self.columns, self.motion.step, step, begins, ends, query, weights,
+            np.empty((len(weights), room)), np.empty(room), cost, start, out,
+        )  # fmt: skip
+        found = [
+            (float(apart), place[0], place[1] + step * int(a), place[1] + step * int(b))
+            for place, (a, b, apart) in zip(places, out, strict=True)
+            if apart < np.inf
+        ]
         kept = list[tuple[int, int, int, float]]()
         for apart, sequence, a, b in sorted(found):
             if len(kept) < count and all(b < c or a > d for _, c, d, _ in kept):

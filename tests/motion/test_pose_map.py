@@ -14,10 +14,11 @@ from operators.pose_map.commands.gather import pieces
 from operators.pose_map.commands.marker_table import read_table
 from operators.pose_map.retrieve import ANSWER, EXAMPLE, QUERY, PoseSearch, Retrieve
 from operators.pose_map.som import PoseGrid
-from stream.chunk import NS, Array, Chunk, StreamSpec, grid
+from operators.pose_map.warp_kernel import warp_all
+from stream.chunk import NS, Array, Chunk, Samples, StreamSpec, grid
 from stream.errors import KinegraphError
 from stream.model import ModelError, read_model, write_model
-from stream.motion_index import KIND, MotionIndex
+from stream.motion_index import KIND, MISSING, MotionIndex
 from tests.support.command_line import Command, kinegraph, refused
 from tests.support.horses_made import NAMES, YAML, horse, index_of, record
 
@@ -157,6 +158,42 @@ def test_stretches_are_found_at_another_pace_and_not_in_the_band(index: MotionIn
     assert (lengths >= 22).all() and (lengths <= 88).all()
     spans = sorted(zip(found["first"].tolist(), found["last"].tolist(), strict=True))
     assert all(a[1] < b[0] for a, b in pairwise(spans))
+
+
+def plainly_warped(query: Samples, there: Samples, weights: Samples) -> tuple[int, int, float]:
+    """First and last row of `there` where `query` is found, and the distance, cell by cell."""
+    apart = (weights * (query[:, None] - there) ** 2).sum(axis=2)
+    apart[np.isnan(apart)] = np.inf
+    cost = [[(float(a), j) for j, a in enumerate(apart[0])]]
+    for i in range(1, len(query)):
+        row = []
+        for j in range(len(there)):
+            ways = [(cost[i - 1][j - k][0], cost[i - 1][j - k][1]) for k in (1, 2) if j >= k]
+            if i >= 2 and j >= 1:
+                ways.append((cost[i - 2][j - 1][0] + float(apart[i, j]), cost[i - 2][j - 1][1]))
+            best = min(ways, default=(np.inf, -1), key=lambda way: way[0])
+            row.append((best[0] + float(apart[i, j]), best[1]))
+        cost.append(row)
+    last = int(np.argmin([c for c, _ in cost[-1]]))
+    return cost[-1][last][1], last, float(np.sqrt(cost[-1][last][0] / len(query)))
+
+
+@pytest.mark.parametrize("step", [1, 3])
+def test_stretches_are_warped_as_a_plain_search_does(step: int) -> None:
+    rng = np.random.default_rng(6)
+    poses = (300 * rng.normal(size=(260, 8)).cumsum(axis=0)).astype(np.int16)
+    poses[40, 3] = poses[120:122] = MISSING
+    columns, weights = np.array([0, 2, 3, 4, 7]), rng.uniform(size=5)
+    rows = np.where(poses[:, columns] == MISSING, np.nan, poses[:, columns] * 0.01)
+    begins, ends = np.array([0, 30, 100, 132, 200]), np.array([60, 91, 160, 200, 230])
+    query, room, out = np.ascontiguousarray(rows[150:180:step]), 80, np.empty((5, 3))
+    warp_all(
+        poses, columns, 0.01, step, begins, ends, query, weights, np.empty((5, room)), np.empty(room), np.empty((3, room)),
+        np.empty((3, room), np.int64), out,
+    )  # fmt: skip
+    for begin, end, found in zip(begins, ends, out, strict=True):
+        np.testing.assert_allclose(found, plainly_warped(query, rows[begin:end:step], weights), rtol=1e-12)
+    assert out[3, 2] == 0.0, "the query itself is in that region"
 
 
 @pytest.mark.parametrize("first, last, count", [(-1, 3, 2), (5, 4, 2), (700, 730, 2), (0, 10**9, 2), (3, 3, 0)])
