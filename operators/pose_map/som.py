@@ -43,29 +43,29 @@ def keep(x: Samples, reservoir: Samples, counts: Times, random: Times) -> None:
 @kernel
 def work_on(
     reservoir: Samples, draft: Samples, columns: int, every: int, tried: int, steps: int, counts: Times, random: Times,
-    found: Times, distances: Samples, errors: Samples, hits: Times,
+    apart: Samples, share: Samples, found: Times, distances: Samples, errors: Samples, hits: Times,
 ) -> None:  # fmt: skip
     """One frame's part of the work on the next map: some steps of learning, or one pose that it is tried on."""
     held = min(counts[SEEN], reservoir.shape[0])
     if counts[STEP] == 0 and counts[SHOWN] == 0:
-        for k in range(draft.shape[0]):
-            draft[k] = reservoir[next_random(random, held)]
+        for k in range(draft.shape[1]):
+            draft[:, k] = reservoir[next_random(random, held)]
     learning = every - tried
     first = counts[SHOWN] == 0
-    widest = 0.5 * max(columns, draft.shape[0] // columns) if first else 1.5
+    widest = 0.5 * max(columns, draft.shape[1] // columns) if first else 1.5
     fastest = 0.4 if first else 0.1
     if counts[STEP] < learning:
         done = counts[STEP] / learning
         for _ in range(steps):
             pose = reservoir[next_random(random, held)]
-            nearest_cells(draft, pose, found, distances)
+            nearest_cells(draft, pose, apart, found, distances)
             rate, radius = fastest * (0.02 / fastest) ** done, widest * (0.6 / widest) ** done
-            learn_pose(draft, columns, pose, found[0], rate, max(radius, 0.3))
+            learn_pose(draft, columns, pose, found[0], rate, max(radius, 0.3), share)
     else:
         if counts[STEP] == learning:
             counts[GOOD], counts[TORN] = 0, 0
             hits[:] = 0
-        nearest_cells(draft, reservoir[next_random(random, held)], found, distances)
+        nearest_cells(draft, reservoir[next_random(random, held)], apart, found, distances)
         errors[counts[GOOD]] = distances[0]
         hits[found[0]] += 1
         counts[GOOD] += 1
@@ -76,8 +76,8 @@ def work_on(
 @kernel
 def map_poses(
     x: Samples, used: Times, columns: int, every: int, tried: int, steps: int, most: int, frame: Samples, reservoir: Samples,
-    draft: Samples, codes: Samples, counts: Times, random: Times, found: Times, distances: Samples, errors: Samples,
-    trial: Samples, hits: Times, place: Samples, error: Samples, begin: int,
+    draft: Samples, codes: Samples, counts: Times, random: Times, apart: Samples, share: Samples, found: Times, distances: Samples,
+    errors: Samples, trial: Samples, hits: Times, place: Samples, error: Samples, begin: int,
 ) -> int:  # fmt: skip
     """Places (n, 2) and errors (n, 2) of the poses `x` (n, width) from `begin` on; stops after a frame with which a map is to be shown.
 
@@ -92,8 +92,8 @@ def map_poses(
         if not whole:
             continue
         if counts[SHOWN] > 0:
-            nearest_cells(codes, frame, found, distances)
-            place_between(codes, columns, frame, found[0], place[i])
+            nearest_cells(codes, frame, apart, found, distances)
+            place_between(apart, columns, found[0], place[i])
             error[i, 0] = distances[0]
             below = 0
             for k in range(errors.shape[0]):
@@ -101,7 +101,9 @@ def map_poses(
             error[i, 1] = below / errors.shape[0]
         if most == 0 or counts[SHOWN] < most:
             keep(frame, reservoir, counts, random)
-            work_on(reservoir, draft, columns, every, tried, steps, counts, random, found, distances, trial, hits)
+            work_on(
+                reservoir, draft, columns, every, tried, steps, counts, random, apart, share, found, distances, trial, hits
+            )  # fmt: skip
             if counts[STEP] == every:
                 codes[:] = draft
                 errors[:] = trial
@@ -119,11 +121,11 @@ class PoseGridState:
     every, tried          frames between maps; how many of them are for trying
     most                  maps after which nothing more is learned; 0: always learn
     frame (u,), reservoir (r, u)
-    draft, codes (c, u)   the map that is being learned, and the one that is shown
+    draft, codes (u, c)   the map that is being learned, and the one that is shown
     counts (5,), random   see above
     errors, trial (e,)    of the poses that the map shown, and the one being learned, was tried on
     hits (c,)             how many of these fell on each cell
-    found, distances      room, which remembers nothing
+    apart, share (c,), found, distances   room, which remembers nothing
     drawn                 how many maps `poses` has told of
     """
 
@@ -141,6 +143,8 @@ class PoseGridState:
     errors: Samples
     trial: Samples
     hits: Times
+    apart: Samples
+    share: Samples
     found: Times
     distances: Samples
     drawn: int = 0
@@ -192,13 +196,13 @@ class PoseGrid(Operator[PoseGridState]):
         if index:
             facts["bones"] = [[index.markers[a], index.markers[b]] for a, b in index.bones.tolist()]
         poses = StreamSpec(
-            s.codes.shape, channels=tuple(facts["features"]), channel_axis=1, units=spec.units[:1], meta=facts
+            s.codes.T.shape, channels=tuple(facts["features"]), channel_axis=1, units=spec.units[:1], meta=facts
         )
         units = ("", spec.units[0], "", "", "", spec.units[0])
         return {
             "place": place,
             "error": place.derive(channels=("error", "rank"), units=(spec.units[0], "")),
-            "cells": StreamSpec((), _event_of(*s.codes.shape), units=units, meta=facts),
+            "cells": StreamSpec((), _event_of(*s.codes.T.shape), units=units, meta=facts),
             "poses": poses,
         }
 
@@ -224,7 +228,7 @@ class PoseGrid(Operator[PoseGridState]):
         if spec.units[0] != index.unit:
             raise InputError("in", spec.describe(), f"{index.unit}, as {self.model} was trained on")
         used = np.array([names.index(name) for name in index.channels], np.int64)
-        s = _state(used, index.columns, index.codes.copy(), 4, len(index.errors), 1, 2, self.seed)
+        s = _state(used, index.columns, index.codes, 4, len(index.errors), 1, 2, self.seed)
         s.errors[:] = index.errors
         s.counts[SHOWN] = 1
         return s
@@ -235,31 +239,32 @@ class PoseGrid(Operator[PoseGridState]):
         told, at, done = list[Array](), list[int](), 0
         drawn, drawn_at = list[Samples](), list[int]()
         if n and s.counts[SHOWN] > s.drawn:
-            drawn, drawn_at, s.drawn = [s.codes.copy()], [0], int(s.counts[SHOWN])
+            drawn, drawn_at, s.drawn = [s.codes.T.copy()], [0], int(s.counts[SHOWN])
         x = np.ascontiguousarray(chunk.data, np.float64)
         while done < n:
             shown = int(s.counts[SHOWN])
             done = map_poses(
                 x, s.used, s.columns, s.every, s.tried, self.steps, s.most, s.frame, s.reservoir, s.draft, s.codes, s.counts,
-                s.random, s.found, s.distances, s.errors, s.trial, s.hits, place, error, done,
+                s.random, s.apart, s.share, s.found, s.distances, s.errors, s.trial, s.hits, place, error, done,
             )  # fmt: skip
             if s.counts[SHOWN] > shown:
-                one = np.zeros(1, _event_of(*s.codes.shape))
+                one = np.zeros(1, _event_of(*s.codes.T.shape))
                 one["map"], one["tried"] = shown + 1, s.tried
                 one["quantisation"], one["topographic"] = s.errors.mean(), s.counts[TORN] / s.tried
-                one["count"], one["pose"] = s.hits, s.codes
+                one["count"], one["pose"] = s.hits, s.codes.T
                 told.append(one)
                 at.append(done - 1)
-                drawn.append(s.codes.copy())
+                drawn.append(s.codes.T.copy())
                 drawn_at.append(done - 1)
                 s.drawn = shown + 1
-        poses = np.array(drawn).reshape(-1, *s.codes.shape)
-        cells = np.concatenate(told) if told else np.empty(0, _event_of(*s.codes.shape))
+        shape, none = s.codes.T.shape, chunk.time[:0]
+        poses = np.array(drawn) if drawn else np.empty((0, *shape))
+        cells = np.concatenate(told) if told else np.empty(0, _event_of(*shape))
         return [
             ("place", Chunk(chunk.time, place, chunk.until, chunk.lost)),
             ("error", Chunk(chunk.time, error, chunk.until, chunk.lost)),
-            ("cells", Chunk(chunk.time[at], cells, chunk.until, -1 if chunk.lost else 0)),
-            ("poses", Chunk(chunk.time[drawn_at], poses, chunk.until, -1 if chunk.lost else 0)),
+            ("cells", Chunk(chunk.time[at] if at else none, cells, chunk.until, -1 if chunk.lost else 0)),
+            ("poses", Chunk(chunk.time[drawn_at] if drawn_at else none, poses, chunk.until, -1 if chunk.lost else 0)),
         ]
 
     @classmethod
@@ -287,10 +292,12 @@ def _event_of(cells: int, width: int) -> np.dtype[np.void]:
 def _state(
     used: Times, columns: int, codes: Samples, every: int, tried: int, most: int, reservoir: int, seed: int
 ) -> PoseGridState:
+    """Of cells `codes` (c, u)."""
     cells, width = codes.shape
+    by_feature = np.ascontiguousarray(codes.T)
     return PoseGridState(
         used=used, columns=columns, every=every, tried=tried, most=most, frame=np.zeros(width),
-        reservoir=np.zeros((reservoir, width)), draft=codes.copy(), codes=codes, counts=np.zeros(5, np.int64),
+        reservoir=np.zeros((reservoir, width)), draft=by_feature.copy(), codes=by_feature, counts=np.zeros(5, np.int64),
         random=np.array([seed], np.int64), errors=np.zeros(tried), trial=np.zeros(tried), hits=np.zeros(cells, np.int64),
-        found=np.zeros(2, np.int64), distances=np.zeros(2),
+        apart=np.zeros(cells), share=np.zeros(cells), found=np.zeros(2, np.int64), distances=np.zeros(2),
     )  # fmt: skip

@@ -135,7 +135,9 @@ def learn(codes: Samples, columns: int, x: Samples, seed: int) -> None:
     """Train the cells on poses `x` (k, w)."""
     radius = max(1.0, max(columns, len(codes) // columns) / 3)
     random = np.array([1 + seed % 2_000_000_000], np.int64)
-    train_cells(x, codes, columns, STEPS, radius, random, np.zeros(2, np.int64), np.zeros(2))
+    by_feature = np.ascontiguousarray(codes.T)
+    train_cells(x, by_feature, columns, STEPS, radius, random, np.zeros(2, np.int64), np.zeros(2))
+    codes[:] = by_feature.T
 
 
 def placed(
@@ -144,11 +146,11 @@ def placed(
     """Of all poses: nearest cell, place between cells (0 where there is none), distance; how many have torn neighbours."""
     n = len(poses)
     cell, som, error = np.empty(n, np.int64), np.empty((n, 2), np.float32), np.empty(n)
-    torn = 0
+    torn, by_feature, found = 0, np.ascontiguousarray(codes.T), np.zeros(2, np.int64)
     for i in range(0, n, BLOCK):
         x = np.ascontiguousarray(rows_of(poses[i : i + BLOCK], features, step))
         place = np.empty((len(x), 2))
         end = i + len(x)
-        torn += place_all_poses(x, codes, columns, np.zeros(2, np.int64), np.zeros(2), cell[i:end], place, error[i:end])
+        torn += place_all_poses(x, by_feature, columns, found, np.zeros(2), cell[i:end], place, error[i:end])
         som[i:end] = np.nan_to_num(place)
     return cell, som, error, torn
