@@ -2,6 +2,8 @@
 
 `--building` measures only how long a graph of ten minutes takes: all CMU sequences, then their mirror images until the time is full.
 `--runs` says only how aligned cluster analysis cuts CMU 86_03, of which the thesis draws nine runs.
+`--frames` measures only how long a frame takes, the search for the way on included: processor time of one thread, and by the clock.
+`--minutes` says only how rough each minute of a walk is, beside the very frames of the recording that it plays.
 `--following` measures only how near a walk keeps to a path: on a graph of made-up walks, and on one of all CMU sequences.
 
 Needs the folder of recordings that the environment variable KINEGRAPH_DATA names.
@@ -21,7 +23,8 @@ import numpy as np
 
 from bench.aligned_clusters import aligned_clusters
 from bench.report import table
-from devices.synthesis.walker import LEGS, Aim, GraphWalk
+from devices.synthesis.aims import Aim
+from devices.synthesis.walker import LEGS, GraphWalk
 from operators.motion_graph.build import build_graph
 from operators.motion_graph.measures import measure
 from operators.motion_graph.primitives import segmented
@@ -37,13 +40,15 @@ NAME, WITHIN_M, BLEND = "13_29", 0.12, 5
 ACTIONS = 12
 """The annotated exercises."""
 BUILDING_S = 600.0
+FRAMES = 10_800
 FOLLOWED_S, SEEDS = 90.0, 5
 """A walk along a path ends after so long, if it has not arrived."""
+ROUND = "round, 2 m from the middle"
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 25)[:-1]
 PATHS = {
     "straight, 8 m": np.array([[0.0, 0.0], [0.0, 8.0]]),
     "a corner, 4 and 4 m": np.array([[0.0, 0.0], [0.0, 4.0], [4.0, 4.0]]),
-    "round, 2 m from the middle": np.column_stack([2.0 - 2.0 * np.cos(_ROUND), 2.0 * np.sin(_ROUND)]),
+    ROUND: np.column_stack([2.0 - 2.0 * np.cos(_ROUND), 2.0 * np.sin(_ROUND)]),
 }
 """x, z in m."""
 
@@ -57,9 +62,10 @@ def main() -> None:
     if "--runs" in sys.argv:
         print(aligned_runs())
         return
-    if "--following" in sys.argv:
-        print(following())
-        return
+    for word, made in {"--following": following, "--frames": frames, "--minutes": minutes}.items():
+        if word in sys.argv:
+            print(made())
+            return
     tree, (take,) = cmu_takes([NAME])
     began = time.perf_counter()
     ours = segmented(tree, [take], RATE)[0]
@@ -143,6 +149,84 @@ def building() -> str:
     )
 
 
+def all_sequences() -> MotionGraph:
+    """The graph of all CMU sequences."""
+    with np.load(Path(os.environ["KINEGRAPH_DATA"]) / "body" / "cmu_mocap_30hz.npz") as z:
+        names = sorted(name.removeprefix("rot_") for name in z.files if name.startswith("rot_"))
+    return motion_made.recorded(*names, within_m=WITHIN_M)
+
+
+def frames() -> str:
+    """How long a frame takes: six minutes by chance, in the first cluster, and round a circle, again and again; kernels compiled before."""
+    warm = GraphWalk(motion_made.recorded(NAME, within_m=WITHIN_M), [Aim(path=PATHS[ROUND])])
+    for _ in range(300):
+        warm.step()
+    rows = []
+    for name, graph in {
+        f"CMU {NAME}": motion_made.recorded(NAME, within_m=WITHIN_M),
+        "17 CMU sequences": all_sequences(),
+    }.items():
+        size = f"{name}: {len(graph.first)} nodes, {len(graph.source)} ways"
+        for what, aim in {
+            "by chance": None,
+            "in a cluster": Aim(0, 0),
+            "round a circle": Aim(path=PATHS[ROUND]),
+        }.items():
+            walker = GraphWalk(graph, [aim] if aim else [])
+            took = np.empty((FRAMES, 2))
+            for i in range(FRAMES):
+                if aim and walker.over:
+                    walker.go([aim])
+                wall, own = time.perf_counter(), time.thread_time()
+                walker.step()
+                took[i] = time.thread_time() - own, time.perf_counter() - wall
+            own, wall = 1e3 * took.T
+            rows.append([
+                f"{size}, {what}", f"{1e3 * np.median(own):.0f} us", *(f"{q:.2f}" for q in np.quantile(own, (0.99, 0.999))),
+                f"{own.max():.2f}", f"{wall.max():.2f}",
+            ])  # fmt: skip
+    return table(["", "median", "p99, ms", "p99.9, ms", "longest, ms", "longest by the clock, ms"], rows)
+
+
+def minutes() -> str:
+    """The 99th percentile of velocity jumps of each minute of walks by chance, as a share of that of the frames that it plays."""
+    graph = motion_made.recorded(NAME, within_m=WITHIN_M)
+    recorded = joints_of(graph.tree, graph.poses)[1]
+    own = np.zeros(recorded.shape[:2])
+    own[1:-1] = np.linalg.norm(np.diff(recorded, n=2, axis=0), axis=2) * RATE
+    shares, most = list[float](), float(np.quantile(own[1:-1][graph.take[2:] == graph.take[:-2]], 0.99))
+    whole = list[float]()
+    n = round(60 * RATE)
+    for seed in range(SEEDS):
+        walker = GraphWalk(graph, seed=seed)
+        for _ in range(3):
+            poses, plays = list[Array](), list[Array]()
+            for _ in range(n):
+                plays.append(own[played(walker)].max(axis=0))
+                walker.step()
+                poses.append(walker.pose.copy())
+            jump = np.linalg.norm(np.diff(joints_of(graph.tree, np.array(poses))[1], n=2, axis=0), axis=2) * RATE
+            whole.append(float(np.quantile(jump, 0.99)))
+            shares.append(whole[-1] / float(np.quantile(np.array(plays)[1:-1], 0.99)))
+    rows = [
+        [
+            f"{len(shares)}",
+            f"{most:.2f}",
+            f"{min(whole):.2f} to {max(whole):.2f}",
+            f"{min(shares):.2f} to {max(shares):.2f}",
+        ]
+    ]
+    return table(["minutes", "recorded p99, m/s", "walked p99, m/s", "walked by what it plays"], rows)
+
+
+def played(walker: GraphWalk) -> list[int]:
+    """The frames of the recordings that the next pose is made of, as far as is decided: one, or two in a blend."""
+    if not walker._blending:
+        return [walker.frame]
+    g, edge = walker.graph, walker._edge
+    return [walker.frame, int(g.enter[edge]) + walker.frame - int(g.leave[edge])]
+
+
 def following() -> str:
     """How far from a path its walks lie, along all of each, and how many of them arrive."""
     turns = (0.0, 15.0, -15.0, 30.0, -30.0)
@@ -150,11 +234,9 @@ def following() -> str:
         motion_made.take(f"turning {turn:g} deg", motion_made.walking(6, np.radians(turn), sway=0.1), 0)
         for turn in turns
     ]
-    with np.load(Path(os.environ["KINEGRAPH_DATA"]) / "body" / "cmu_mocap_30hz.npz") as z:
-        names = sorted(name.removeprefix("rot_") for name in z.files if name.startswith("rot_"))
     graphs = {
         "made-up walks": build_graph(motion_made.TREE, made, ["walk"], RATE, WITHIN_M, BLEND),
-        "17 CMU sequences": motion_made.recorded(*names, within_m=WITHIN_M),
+        "17 CMU sequences": all_sequences(),
     }
     rows = []
     for graph_name, graph in graphs.items():

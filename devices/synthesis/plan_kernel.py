@@ -1,4 +1,4 @@
-"""Which way to take next on a motion graph: a beam search with a bounded look-ahead, level by level."""
+"""Which way to take next on a motion graph: a beam search with a bounded look-ahead, a bounded part of it at a time."""
 
 from __future__ import annotations
 
@@ -16,20 +16,31 @@ TOUCH = 1e3
 MARGIN_M = 0.2
 HALF = 2
 """A blend has at least this many frames on either side of its middle."""
-COLUMNS = 16
-NODE, FRAME, TURN, X, Z, SECONDS, ALONG, ERROR, LOOKS, HITS, FIRST, SCORE, OFF, HEADING, ENDS, _ = range(COLUMNS)
+COLUMNS = 18
+NODE, FRAME, TURN, X, Z, SECONDS, ALONG, ERROR, LOOKS, HITS, FIRST, SCORE, OFF, HEADING, OTHER, THERE, ENDS, _ = range(
+    COLUMNS
+)
 """What is known of a walk, in one row: where it is, how it is placed, how long it takes, how far along the path it is, the sum of squared
-distances from it, of how many looks, how many in forbidden areas, its first edge, its score,
- its last distance from the path, its heading, and where it is (two numbers)."""
-DEEP, COUNT, BEST, FOUND, CHOSEN = range(5)
+distances from it, of how many looks, how many in forbidden areas, its first edge, its score, its last distance from the path, its heading,
+seconds in nodes that are not of the gait, seconds until it comes to the path's end (0: it does not), and where it is (two numbers)."""
+SEARCH = 8
+DEEP, COUNT, BEST, FOUND, CHOSEN, NEXT, KEPT, ORIGIN = range(SEARCH)
 """What is known of a search: how deep it is, how many walks it follows, the best score at the cluster that is wanted, the first edge of
-that walk, and that of the best walk of all."""
+that walk, that of the best walk of all; which walk goes on next, how many one node further are kept, and the first node's first edge."""
 PROGRESS = 3.0
 """What a metre a second along the path is worth, in metres from it."""
 AHEAD_M = 1.0
 """So far ahead on the path is what a walk should face."""
 FACING_M = 0.5
 """What a radian away from it costs, as metres farther from the path."""
+SURELY_M = 0.4
+"""So near to a path's end is there, whatever blends and feet do to the root."""
+THERE_M = 5.0
+"""What coming there is worth, as metres nearer to the path: else somebody who runs would circle around it."""
+GAIT_M = 4.0
+"""What a second that is not in the gait that is wanted costs, as metres farther from the path."""
+FREE_M = 2.0
+"""So near to the end of a path any gait will do: somebody who runs may have to turn on the spot to get there."""
 SAME_M, SAME_RAD = 0.2, 0.2
 """Of walks along a path that end so near to one another only the best is followed."""
 
@@ -73,13 +84,16 @@ def look(
     for i in range(int(walk[FRAME]), upto, EVERY):
         x = poses[i, 0] * cos + poses[i, 2] * sin + walk[X]
         z = poses[i, 2] * cos - poses[i, 0] * sin + walk[Z]
-        if path.shape[0] > 1:
+        if path.shape[0] > 1 and walk[THERE] == 0.0:
             walk[ALONG], d = nearest_ahead(path, length, walk[ALONG], 10.0 * EVERY / rate_hz, x, z)
             walk[ERROR] += d * d
             walk[OFF] = d
+            walk[LOOKS] += 1.0
+            far = math.sqrt((path[-1, 0] - x) ** 2 + (path[-1, 1] - z) ** 2)
+            if far < SURELY_M and length[-1] - walk[ALONG] < SURELY_M:
+                walk[THERE] = walk[SECONDS] + (i + 1 - walk[FRAME]) / rate_hz
         for k in range(areas.shape[0]):
             walk[HITS] += (x - areas[k, 0]) ** 2 + (z - areas[k, 1]) ** 2 < (areas[k, 2] + MARGIN_M) ** 2
-        walk[LOOKS] += 1.0
     walk[SECONDS] += (upto - walk[FRAME]) / rate_hz
 
 
@@ -100,18 +114,19 @@ def astray(walk: Samples, path: Samples, length: Samples) -> float:
 
 @kernel
 def score(
-    walk: Samples, before: float, path: Samples, length: Samples, togo: Samples, noise: Samples, timed: bool
+    walk: Samples, before: float, path: Samples, length: Samples, togo: Samples, lot: float, timed: bool
 ) -> float:
     """The lower, the better: seconds to the next cluster; or distance and facing away from the path against progress; else chance."""
-    made = TOUCH * walk[HITS] + noise[int(walk[FIRST])]
+    made = TOUCH * walk[HITS] + lot
     if timed:
         made += walk[SECONDS] + togo[int(walk[NODE])]
     elif walk[SECONDS] > 0.0 and walk[LOOKS] > 0.0:
-        made += (
-            2.0 * math.sqrt(walk[ERROR] / walk[LOOKS]) + walk[OFF] - PROGRESS * (walk[ALONG] - before) / walk[SECONDS]
-        )
-        if path.shape[0] > 1:
-            made += FACING_M * astray(walk, path, length)
+        there = walk[THERE] > 0.0
+        seconds = walk[THERE] if there else walk[SECONDS]
+        made += 2.0 * math.sqrt(walk[ERROR] / walk[LOOKS]) + walk[OFF] - PROGRESS * (walk[ALONG] - before) / seconds
+        made += -THERE_M if there else FACING_M * astray(walk, path, length)
+        if length[-1] - before > FREE_M:
+            made += GAIT_M * (walk[OTHER] + togo[int(walk[NODE])])
     return float(made)
 
 
@@ -161,44 +176,71 @@ def keep(then: Samples, kept: int, apart: bool) -> int:
 
 
 @kernel
-def deepen(
-    levels: int, search: Samples, along: float, poses: Samples, first: Times, last: Times, core: Array, begin: Times, target: Times,
+def fan_out(
+    w: int, search: Samples, along: float, poses: Samples, first: Times, last: Times, core: Array, begin: Times, target: Times,
     leave: Times, enter: Times, natural: Array, turn: Samples, shift: Samples, blend: int, rate_hz: float, path: Samples, length: Samples,
-    areas: Samples, togo: Samples, goal: Array, noise: Samples, now: Samples, then: Samples,
-) -> None:  # fmt: skip
-    """This many more levels of a search: walks go over into the nodes that lie behind theirs.
+    areas: Samples, togo: Samples, goal: Array, gait: Array, lots: Samples, timed: bool, now: Samples, then: Samples,
+) -> int:  # fmt: skip
+    """Walk `w` goes over into all nodes that lie behind its own; returns what it took, in looks."""
+    node, from_frame = int(now[w, NODE]), int(now[w, FRAME])
+    upto = last[node]
+    for e in range(begin[node], begin[node + 1]):
+        if core[target[e]] and usable(leave[e], from_frame, natural[e]):
+            upto = min(upto, leave[e])
+    look(now[w], poses, upto, rate_hz, path, length, areas)
+    kept = int(search[KEPT])
+    for e in range(begin[node], begin[node + 1]):
+        if not core[target[e]] or not usable(leave[e], from_frame, natural[e]):
+            continue
+        one = then[kept]
+        one[:] = now[w]
+        if search[DEEP] == 0:
+            one[FIRST] = e
+        one[SECONDS] += (leave[e] - upto) / rate_hz
+        if not gait[node]:
+            one[OTHER] += (leave[e] - from_frame) / rate_hz
+        go_over(one, poses, first, target[e], natural[e], enter[e], blend, turn[e], shift[e])
+        one[SCORE] = score(one, along, path, length, togo, lots[int(one[FIRST] - search[ORIGIN])], timed)
+        if goal[target[e]] and one[SCORE] < search[BEST]:
+            search[BEST], search[FOUND] = one[SCORE], one[FIRST]
+        kept = keep(then, kept, path.shape[0] > 1)
+    search[KEPT] = kept
+    return int(begin[node + 1] - begin[node] + max(0, upto - from_frame) // EVERY)
 
-    search (5,)      how deep it is, how many walks are followed, and the edge to take; -1: none. Begins with (0, 1, inf, -1, -1)
+
+@kernel
+def deepen(
+    most: int, search: Samples, along: float, poses: Samples, first: Times, last: Times, core: Array, begin: Times, target: Times,
+    leave: Times, enter: Times, natural: Array, turn: Samples, shift: Samples, blend: int, rate_hz: float, path: Samples, length: Samples,
+    areas: Samples, togo: Samples, goal: Array, gait: Array, lots: Samples, now: Samples, then: Samples,
+) -> int:  # fmt: skip
+    """Go on with a search until it is done, or has looked at `most` frames and edges: walks go over into the nodes that lie behind theirs.
+
+    Returns at how many it has looked.
+
+    search (8,)      what is known of it; begins with (0, 1, inf, -1, -1, 0, 0, edge). All ways on from the first node are looked at at once
     along            how far along the path the walk was when the search began
-    togo, goal (k,)  seconds from the start of each node to the cluster that is wanted (0: none is, or it is of it); which nodes are of it
-    noise (m,)       added to the score of what begins with an edge     now, then (BEAM + 1, 16)  room; the first row is the walk
+    togo (k,)        seconds from the start of each node to the cluster, or gait, that is wanted; 0: none is, or it is of it
+    goal (k,)        which nodes are of the cluster that is wanted
+    gait (k,)        which nodes are of the gait in which a path is to be followed; all, where none is wanted
+    lots             of each way on from the first node: added to the score of what begins with it
+    now, then (BEAM + 1, 17)  room; the first row is the walk
     """
     timed = bool(goal.any())
-    for _ in range(levels):
-        count, kept = int(search[COUNT]), 0
-        for w in range(count):
-            node = int(now[w, NODE])
-            upto = last[node]
-            for e in range(begin[node], begin[node + 1]):
-                if core[target[e]] and usable(leave[e], int(now[w, FRAME]), natural[e]):
-                    upto = min(upto, leave[e])
-            look(now[w], poses, upto, rate_hz, path, length, areas)
-            for e in range(begin[node], begin[node + 1]):
-                if not core[target[e]] or not usable(leave[e], int(now[w, FRAME]), natural[e]):
-                    continue
-                one = then[kept]
-                one[:] = now[w]
-                if search[DEEP] == 0:
-                    one[FIRST] = e
-                one[SECONDS] += (leave[e] - upto) / rate_hz
-                go_over(one, poses, first, target[e], natural[e], enter[e], blend, turn[e], shift[e])
-                one[SCORE] = score(one, along, path, length, togo, noise, timed)
-                if goal[target[e]] and one[SCORE] < search[BEST]:
-                    search[BEST], search[FOUND] = one[SCORE], one[FIRST]
-                kept = keep(then, kept, path.shape[0] > 1)
+    looked = 0
+    while search[DEEP] < DEPTH and looked < most:
+        looked += fan_out(
+            int(search[NEXT]), search, along, poses, first, last, core, begin, target, leave, enter, natural, turn, shift, blend,
+            rate_hz, path, length, areas, togo, goal, gait, lots, timed, now, then,
+        )  # fmt: skip
+        search[NEXT] += 1
+        if search[NEXT] < search[COUNT]:
+            continue
+        kept = int(search[KEPT])
         if not kept:
             search[DEEP] = DEPTH
             break
         now[:kept] = then[:kept]
-        search[DEEP], search[COUNT] = search[DEEP] + 1, kept
+        search[DEEP], search[COUNT], search[NEXT], search[KEPT] = search[DEEP] + 1, kept, 0, 0
         search[CHOSEN] = now[now[:kept, SCORE].argmin(), FIRST]
+    return looked

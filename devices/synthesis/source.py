@@ -9,8 +9,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from devices.synthesis.aims import Aim
 from devices.synthesis.blend_kernel import blended
-from devices.synthesis.walker import Aim, GraphWalk
+from devices.synthesis.walker import GraphWalk
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
 from stream.errors import ParameterError, nearest
 from stream.humanoid import BONES
@@ -34,8 +35,9 @@ class Synthesis(Source):
     node   an event whenever another stretch of the recordings begins: its number, its cluster, whether mirrored, and where (m)
 
     What is done, in turn: `order`, the clusters named, a number of nodes of each; `path`, along a line on the floor; `target`, to a place.
-    When all is done the stream ends, unless `then` is wander. With none of these it wanders by chance, the same for the same seed. A word
-    typed while it runs takes the place of all that: a cluster's name (stay in it), `x z` (go there), `wander`, `stop`.
+    A path and a target are gone to in the cluster `gait`, where that leads there. When all is done the stream ends, unless `then` is
+    wander. With none of these it wanders by chance, the same for the same seed. A word typed while it runs takes the place of all that: a
+    cluster's name (stay in it), `x z` (go there), a name and `x z` (go there in it), `wander`, `stop`.
 
     Where two stretches meet they are blended over 5 to 15 frames, rotations along great circles; a foot that stands stays where it is.
     Thesis, chapter 10; Kovar, Gleicher and Pighin 2002. Departures: docs/motion-graphs.md. What it gives is recorded, and replayed, as of
@@ -48,6 +50,7 @@ class Synthesis(Source):
     order: tuple[tuple[str, int], ...] = param((), least=1, help="[cluster, nodes of it], one after the other")
     path: tuple[tuple[float, float], ...] = param((), help="points x, z (m) on the floor, to be walked along")
     target: tuple[float, float] | None = param(None, help="a place x, z (m) to go to")
+    gait: str = param("", help="the cluster in which a path and a target are gone to; empty: any")
     forbidden: tuple[tuple[float, float, float], ...] = param((), help="x, z, radius (m): where the root must not be")
     then: str = param("stop", help="when all is done: stop or wander")
     seed: int = param(0, least=0, help="another seed, other chances")
@@ -77,6 +80,8 @@ class Synthesis(Source):
         """Raise ParameterError for what cannot be done on this graph."""
         for k, (name, _) in enumerate(self.order):
             self._cluster(graph, name, f"order[{k}]")
+        if self.gait:
+            self._cluster(graph, self.gait, "gait")
         if self.then not in ("stop", "wander"):
             raise ParameterError("then", self.then, "stop or wander")
         if len(self.path) == 1:
@@ -106,16 +111,18 @@ class Synthesis(Source):
 
     def prepare(self) -> None:
         walker = GraphWalk(self._graph(), [Aim(path=np.array([[0.0, 0.0], [1.0, 1.0]]))], np.array([[50.0, 50.0, 1.0]]))
-        walker.step()
+        while not walker.step():
+            pass
         blended(walker.pose.copy(), walker.pose.copy(), 0.5, walker.pose)
 
     def aims(self, graph: MotionGraph) -> list[Aim]:
         """What is to be done, in turn."""
         made = [Aim(self._cluster(graph, name, "order"), times) for name, times in self.order]
+        gait = self._cluster(graph, self.gait, "gait") if self.gait else -1
         if self.path:
-            made.append(Aim(path=np.array(self.path)))
+            made.append(Aim(gait, path=np.array(self.path)))
         if self.target:
-            made.append(Aim(path=np.array([self.path[-1] if self.path else (0.0, 0.0), self.target])))
+            made.append(Aim(gait, path=np.array([self.path[-1] if self.path else (0.0, 0.0), self.target])))
         return made
 
     def read(self, feed: Feed) -> None:
@@ -162,11 +169,12 @@ class Synthesis(Source):
         try:
             if word == "wander":
                 walker.go([])
-            elif len(parts := word.split()) == 2:
-                place = (float(parts[0]), float(parts[1]))
+            elif len(parts := word.split()) in (2, 3):
+                place = (float(parts[-2]), float(parts[-1]))
                 if not np.isfinite(place).all():
                     raise ParameterError("word", word, "two finite numbers")
-                walker.go([Aim(path=np.array([(walker.pose[0], walker.pose[2]), place]))])
+                gait = self._cluster(graph, parts[0], "word") if len(parts) == 3 else -1
+                walker.go([Aim(gait, path=np.array([(walker.pose[0], walker.pose[2]), place]))])
             else:
                 walker.go([Aim(self._cluster(graph, word, "word"), 0)])
         except (ValueError, ParameterError) as error:

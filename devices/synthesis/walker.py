@@ -3,37 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
 from devices.synthesis import plan_kernel as beam
+from devices.synthesis.aims import Aim, seconds_to, sought
 from devices.synthesis.blend_kernel import blended, hold_feet, placed, room_for
-from stream.chunk import Array, Samples
+from devices.synthesis.way_search import Start, WaySearch
+from stream.chunk import Samples
 from stream.errors import KinegraphError
 from stream.humanoid import BONES
-from stream.motion_graph import MotionGraph, edges_from
+from stream.motion_graph import MotionGraph
 
 LEGS = np.array(
     [[BONES.index(f"{side}{bone}") for bone in ("UpperLeg", "LowerLeg", "Foot", "Toes")] for side in ("Left", "Right")]
 )
-NEARNESS = 3.0
-"""By chance, a seam as far as the farthest is taken e^-3 times as often as a recording's own way on."""
-EVENNESS = 1.0
-"""By chance, a node is entered 2^-1 times as often for each time more that it was entered before."""
 ARRIVED_M = 0.5
 """So near to a target, or to the end of a path, is there."""
-
-
-@dataclass(frozen=True, slots=True)
-class Aim:
-    """What a walk is for: `times` nodes of a cluster (by number; -1: any), 0: to stay in it; or a polyline (p, 2) on the floor."""
-
-    cluster: int = -1
-    times: int = 1
-    path: Samples | None = None
 
 
 class GraphWalk:
@@ -50,14 +36,9 @@ class GraphWalk:
     ) -> None:  # fmt: skip
         self.graph, self.feet, self.smooth = graph, feet, smooth
         self.areas: Samples = np.zeros((0, 3)) if areas is None else np.asarray(areas, np.float64).reshape(-1, 3)
-        self.random = np.random.default_rng(seed)
-        self._begin, self._natural = edges_from(graph), np.ascontiguousarray(graph.natural)
-        self._togo = seconds_to(graph)
-        self._far = graph.distance / max(float(graph.distance.max(initial=0.0)), 1e-9)
-        nodes = len(graph.first)
-        self._none, self._all_zero, self._entered = np.zeros(nodes, np.bool_), np.zeros(nodes), np.zeros(nodes)
-        self._rooms = np.zeros((2, beam.BEAM + 1, beam.COLUMNS))
-        self._progress = np.zeros(5)
+        self._search = WaySearch(graph, self.areas, np.random.default_rng(seed))
+        self._seconds = seconds_to(graph)
+        self._entered = np.zeros(len(graph.first))
         joints = len(graph.tree.joints)
         self._turns, self._joints, self._work = room_for(joints)
         self._one, self._two, self.pose = (
@@ -81,8 +62,7 @@ class GraphWalk:
         heading = float(np.arctan2(2.0 * (w * y + x * z), 1.0 - 2.0 * (x * x + y * y)))
         cos, sin = np.cos(-heading), np.sin(-heading)
         self.place = np.array([-heading, -(root[0] * cos + root[2] * sin), -(root[2] * cos - root[0] * sin)])
-        self.along, self._half, self._edge = 0.0, 0, -1
-        self._searching = False
+        self.along, self._half, self._edge, self._otherwise, self._beyond_it = 0.0, 0, -1, -1, False
         self.go(aims)
 
     def _first_node(self, cluster: int) -> int:
@@ -96,109 +76,111 @@ class GraphWalk:
         self.aims, self.passed, self.along, self.over = list(aims), 0, 0.0, not aims
         self._count()
         self._aim()
-        if not self._blending:
-            self._search()
+        if self._blending:
+            self._seek_beyond()
+            return
+        if self._edge >= 0:
+            self._otherwise = self._edge
+        self._edge, self._beyond_it = -1, False
+        self._search.begin_at(Start(self.node, self.frame, self.place, self.along), self._sought, self._entered)
+        if self._otherwise >= 0:
+            self._search.due = min(self._search.due, int(self.graph.leave[self._otherwise]) - self._half)
+
+    @property
+    def path(self) -> Samples:
+        """(p, 2) the way on the floor that is followed; empty: none."""
+        return self._sought.path
+
+    @property
+    def length(self) -> Samples:
+        """(p,) how far along the path each of its points is, m."""
+        return self._sought.length
 
     @property
     def _blending(self) -> bool:
         return (
             self._edge >= 0
             and self.smooth
-            and not self._natural[self._edge]
+            and not self._search.natural[self._edge]
             and self.frame >= self.graph.leave[self._edge] - self._half
         )
 
     def _aim(self) -> None:
         """What the search knows of the first aim."""
+        self._sought = sought(self.graph, self._seconds, self.aims[0] if self.aims else Aim())
+
+    def _enough(self, node: int) -> bool:
+        """Whether entering `node` is the last that the first aim asks for: nodes of a cluster, a number of them."""
         aim = self.aims[0] if self.aims else Aim()
-        self.path: Samples = np.zeros((0, 2)) if aim.path is None else np.asarray(aim.path, np.float64)
-        steps = np.linalg.norm(np.diff(self.path, axis=0), axis=1)
-        self.length: Samples = np.concatenate([[0.0], np.cumsum(steps)]) if len(self.path) else np.zeros(0)
-        self.goal: Array = (self.graph.cluster == aim.cluster) & self.graph.core if aim.cluster >= 0 else self._none
+        return self._counts(node) and 0 < aim.times <= self.passed + 1
+
+    def _counts(self, node: int) -> bool:
+        return bool(self.aims) and self.aims[0].path is None and 0 <= self.aims[0].cluster == self.graph.cluster[node]
 
     def _count(self) -> None:
         """Note that a node has been entered: of the cluster that is wanted, perhaps often enough."""
-        if self.aims and 0 <= self.aims[0].cluster == self.graph.cluster[self.node]:
-            self.passed += 1
-            if self.aims[0].times and self.passed >= self.aims[0].times:
-                self._next_aim()
+        if self._enough(self.node):
+            self._next_aim()
+        else:
+            self.passed += self._counts(self.node)
 
     def _next_aim(self) -> None:
         self.aims, self.passed, self.along = self.aims[1:], 0, 0.0
         self.over = self.over or not self.aims
         self._aim()
 
-    def _search(self) -> None:
-        """Begin to look for the edge that is taken next; where none is found, the one that was to be taken stays."""
-        g = self.graph
-        start = self._rooms[0, 0]
-        start[:] = 0.0
-        start[beam.NODE], start[beam.FRAME], start[beam.ALONG] = self.node, self.frame, self.along
-        start[beam.TURN : beam.Z + 1] = self.place
-        by_chance = not self.goal.any() and not len(self.path)
-        self._noise = self._lots() if by_chance else 1e-3 * self.random.random(len(g.source))
-        wanted = np.ascontiguousarray(self._togo[:, self.aims[0].cluster]) if self.goal.any() else self._all_zero
-        self._sought = self.path, self.length, self.areas, wanted, self.goal
-        self._progress[:] = 0.0, 1.0, np.inf, -1.0, -1.0
-        self._from, self._from_along = self.frame, self.along
-        if self._edge >= 0 or not self._searching:
-            self._otherwise = self._edge
-        ways = np.arange(self._begin[self.node], self._begin[self.node + 1])
-        leave = g.leave[
-            ways[g.core[g.target[ways]] & (self._natural[ways] | (g.leave[ways] - self.frame >= beam.HALF))]
-        ]
-        self._due = int(np.maximum(leave - g.blend, self.frame).min(initial=self.frame + beam.DEPTH))
-        if self._otherwise >= 0:
-            self._due = min(self._due, int(g.leave[self._otherwise]) - self._half)
-        self._edge, self._searching = -1, True
+    def _end(self, edge: int) -> int:
+        """The frame of this node with which the node that `edge` leads to is entered."""
+        if edge < 0 or self._search.natural[edge]:
+            return int(self.graph.last[self.node])
+        return int(self.graph.leave[edge]) + (self._half + 1 if self.smooth else 1)
 
-    def _lots(self) -> Samples:
-        """(m,) the lots, 0 to 1, of this node's ways on: chance takes the smallest. Near seams and seldom entered nodes win more often.
-
-        A race of exponential waiting times, of which only the order counts.
-        """
-        g, ways = self.graph, slice(self._begin[self.node], self._begin[self.node + 1])
-        often = self._entered[g.target[ways]]
-        waits = (
-            np.log(self.random.exponential(size=len(often)))
-            + EVENNESS * np.log(2.0) * often
-            + NEARNESS * self._far[ways]
-        )
-        lots = np.zeros(len(g.source))
-        lots[ways.start + np.argsort(waits, kind="stable")] = np.arange(len(waits)) / max(1, len(waits))
-        return lots
+    def _seek_beyond(self) -> None:
+        """Begin to look for what comes after the edge that has been decided on, as if its node had been entered."""
+        g, edge, end, s = self.graph, self._edge, self._end(self._edge), self._search
+        node, here = int(g.target[edge]), Start(self.node, self.frame, self.place, self.along)
+        changes = self._enough(node)
+        wanted = sought(g, self._seconds, self.aims[1] if len(self.aims) > 1 else Aim()) if changes else self._sought
+        if s.natural[edge]:
+            start = Start(node, end, self.place, 0.0 if changes else s.along(here, end, wanted))
+        else:
+            seam = Start(node, int(g.enter[edge]), self._placed_beyond(edge), s.along(here, int(g.leave[edge]), wanted))
+            frame = seam.frame + end - int(g.leave[edge])
+            start = Start(node, frame, seam.place, 0.0 if changes else s.along(seam, frame, wanted))
+        entered = self._entered.copy()
+        entered[node] += 1.0
+        s.begin_at(start, wanted, entered)
+        self._beyond_it = True
 
     def _look_ahead(self) -> None:
-        """A part of the search, so that no frame takes much longer than others; what is left of it where the edge must be known now."""
-        g, deep = self.graph, int(self._progress[beam.DEEP])
-        levels = -(-(beam.DEPTH - deep) // max(1, self._due - self.frame + 1))
-        beam.deepen(
-            levels, self._progress, self._from_along, g.poses, g.first, g.last, g.core, self._begin, g.target, g.leave, g.enter,
-            self._natural, g.turn, g.shift, g.blend, g.rate_hz, *self._sought, self._noise, *self._rooms,
-        )  # fmt: skip
-        if self._progress[beam.DEEP] < beam.DEPTH:
-            return
-        self._searching = False
-        found = self._progress[beam.FOUND] if self._progress[beam.FOUND] >= 0 else self._progress[beam.CHOSEN]
-        self._edge = int(found) if found >= 0 else self._otherwise
-        if found >= 0:
-            free = int(g.leave[self._edge]) - self._from
-            self._half = 0 if self._natural[self._edge] else min(g.blend, free)
+        """A part of the search, so that it is done when the edge must be known."""
+        s = self._search
+        s.go_on(s.due - (s.start.frame - self._end(self._edge) if self._beyond_it else 0) - self.frame)
+        if not s.running and not self._beyond_it:
+            self._decide()
+
+    def _decide(self) -> None:
+        """Take what the search has found; where it found nothing, the edge that was to be taken before stays."""
+        self._edge = self._otherwise
+        if self._search.edge >= 0:
+            self._edge, self._half = self._search.edge, self._search.half(self._search.edge)
+        if self._edge >= 0:
+            self._seek_beyond()
 
     def step(self) -> bool:
         """Make the next pose, in `pose`; whether a node was entered with it."""
-        if self._searching:
+        if self._search.running:
             self._look_ahead()
         g, edge = self.graph, self._edge
         entered = False
         placed(g.poses[self.frame], self.place, self._one)
         stands = g.contacts[self.frame]
         seam = int(g.leave[edge]) if edge >= 0 else -1
-        if edge >= 0 and not self._natural[edge] and self.smooth and self.frame >= seam - self._half:
+        if self._blending:
             other = int(g.enter[edge]) + self.frame - seam
             share = (self.frame - seam + self._half + 1) / (2 * self._half + 2)
             share = share * share * (3.0 - 2.0 * share)
-            placed(g.poses[other], self._beyond(edge), self._two)
+            placed(g.poses[other], self._placed_beyond(edge), self._two)
             blended(self._one, self._two, share, self.pose)
             stands = g.contacts[other] if share > 0.5 else stands
         else:
@@ -210,18 +192,15 @@ class GraphWalk:
                 self._turns, self._joints, self._work,
             )  # fmt: skip
         self._follow()
-        end = (
-            int(g.last[self.node]) if edge < 0 or self._natural[edge] else seam + (self._half + 1 if self.smooth else 1)
-        )
         self.frame += 1
-        if self.frame >= end:
+        if self.frame >= self._end(edge):
             if edge < 0:
                 raise KinegraphError(f"the motion graph has no way on from node {self.node}; train it again")
             self._enter(edge)
             entered = True
         return entered
 
-    def _beyond(self, edge: int) -> Samples:
+    def _placed_beyond(self, edge: int) -> Samples:
         """How the frames beyond an edge are placed."""
         g, (turn, x, z) = self.graph, self.place
         cos, sin, (a, b) = np.cos(turn), np.sin(turn), g.shift[edge]
@@ -229,13 +208,14 @@ class GraphWalk:
 
     def _enter(self, edge: int) -> None:
         g = self.graph
-        if not self._natural[edge]:
-            self.place = self._beyond(edge)
+        if not self._search.natural[edge]:
+            self.place = self._placed_beyond(edge)
             self.frame = int(g.enter[edge]) + self.frame - int(g.leave[edge])
-        self.node, self._edge = int(g.target[edge]), -1
+        self.node, self._edge, self._otherwise, self._beyond_it = int(g.target[edge]), -1, -1, False
         self._entered[self.node] += 1.0
         self._count()
-        self._search()
+        if not self._search.running:
+            self._decide()
 
     def _follow(self) -> None:
         """How far along the path the walk is; and whether it is where it must not be."""
@@ -244,19 +224,8 @@ class GraphWalk:
             self.along, _ = beam.nearest_ahead(self.path, self.length, self.along, 1.0, x, z)
             if self.length[-1] - self.along < ARRIVED_M and np.hypot(*(self.path[-1] - (x, z))) < ARRIVED_M:
                 self._next_aim()
+                if self._beyond_it:
+                    self._seek_beyond()
         self.trespassed += bool(
             ((self.areas[:, 0] - x) ** 2 + (self.areas[:, 1] - z) ** 2 < self.areas[:, 2] ** 2).any()
         )
-
-
-def seconds_to(graph: MotionGraph) -> Samples:
-    """(k, clusters) seconds from the start of each node to that of the first node of each cluster; inf: it is not reached."""
-    k, inner = len(graph.first), graph.core[graph.source] & graph.core[graph.target]
-    source, target = np.unique(np.stack([graph.source[inner], graph.target[inner]]), axis=1)
-    back = csr_array(((graph.last - graph.first)[source] / graph.rate_hz, (target, source)), shape=(k, k))
-    made = np.full((k, max(1, len(graph.names))), np.inf)
-    for c in range(len(graph.names)):
-        goals = np.flatnonzero((graph.cluster == c) & graph.core)
-        if len(goals):
-            made[:, c] = dijkstra(back, indices=goals, min_only=True)
-    return made

@@ -5,14 +5,18 @@ from __future__ import annotations
 import os
 import socket
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from devices.synthesis.aims import Aim
 from devices.synthesis.source import NODE, Synthesis
-from devices.synthesis.walker import LEGS, Aim, GraphWalk
+from devices.synthesis.walker import LEGS, GraphWalk
+from devices.synthesis.way_search import MOST, WaySearch
 from operators.features.stack import Stack
 from operators.motion_graph.build import Nodes, build_graph, find_edges
 from operators.motion_graph.clouds import cloud_distance, placement
@@ -27,6 +31,7 @@ from stream.model import ModelError, read_model, write_model
 from stream.motion_graph import KIND, MotionGraph
 from stream.recording import Recording
 from tests.support.command_line import Command, kinegraph, refused
+from tests.support.heard import Heard
 from tests.support.motion_made import CYCLE, RATE, TREE, recorded, take, walking, waving
 
 __all__ = ["kinegraph"]
@@ -191,6 +196,32 @@ def test_a_path_is_followed_and_a_target_reached_around_what_is_forbidden(graph:
         assert one.over
 
 
+def test_a_search_is_spread_over_frames(graph: MotionGraph, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No frame does a large part of one, once under way."""
+    looks, begun = list[int](), list[int]()
+    go_on, begin_at = WaySearch.go_on, WaySearch.begin_at
+
+    def counted(search: WaySearch, frames: int) -> int:
+        looks.append(go_on(search, frames))
+        return looks[-1]
+
+    def noted(search: WaySearch, *what: Any) -> None:
+        begun.append(len(looks))
+        begin_at(search, *what)
+
+    walker = GraphWalk(graph, [Aim(path=np.array([[0.0, 0.0], [0.0, 40.0]]))], np.array([[0.0, 5.0, 0.5]]))
+    for _ in range(2 * CYCLE):
+        walker.step()
+    monkeypatch.setattr(WaySearch, "go_on", counted)
+    monkeypatch.setattr(WaySearch, "begin_at", noted)
+    for _ in range(1000):
+        walker.step()
+    whole = [sum(looks[a:b]) for a, b in pairwise(begun)]
+    assert max(whole) > 1000, "there is something to be spread"
+    assert max(looks) <= 0.25 * max(whole) and max(looks) <= MOST
+    assert np.diff(begun).max() <= 4 * CYCLE, "each ends"
+
+
 def _beside(a: Samples, b: Samples, x: float, z: float) -> float:
     share = np.clip(((x - a[0]) * (b - a)[0] + (z - a[1]) * (b - a)[1]) / ((b - a) ** 2).sum(), 0, 1)
     return float(np.hypot(*(a + share * (b - a) - (x, z))))
@@ -269,38 +300,6 @@ def test_a_model_survives_the_disk_and_a_spoilt_one_is_refused(graph: MotionGrap
     write_model(tmp_path / "bad.npz", KIND, {**header, "clusters": 3}, dict(model.arrays))
     with pytest.raises(ModelError, match="does not describe"):
         MotionGraph.read(tmp_path / "bad.npz")
-
-
-class Heard:
-    """A feed that keeps what a source gives, and says words at the poses given."""
-
-    def __init__(self, words: dict[int, str], most: int = 900) -> None:
-        self.words, self.most = words, most
-        self.poses: list[Samples] = []
-        self.nodes: list[Array] = []
-        self.told: list[str] = []
-
-    @property
-    def stopped(self) -> bool:
-        return len(self.poses) >= self.most
-
-    def now(self) -> int:
-        return 1000 * NS
-
-    def wait(self, seconds: float) -> bool:
-        return False
-
-    def hear(self, timeout_s: float) -> str | None:
-        return self.words.pop(len(self.poses), None)
-
-    def emit(self, chunk: object, output: str) -> None:
-        (self.poses if output == "pose" else self.nodes).append(chunk.data[0])  # type: ignore[attr-defined]
-
-    def problem(self, kind: str, count: int = 1) -> None:
-        self.told.append(kind)
-
-    def tell(self, kind: str, **facts: object) -> None:
-        self.told.append(f"{kind} {facts}")
 
 
 def test_a_word_changes_what_is_done(graph: MotionGraph, tmp_path: Path) -> None:

@@ -1,0 +1,37 @@
+"""A feed that keeps what a source gives, and says words to it."""
+
+from __future__ import annotations
+
+from stream.chunk import NS, Array, Chunk, Samples
+
+
+class Heard:
+    """A feed of synthesis that keeps its poses and nodes, and says `words` at the poses given; stops after `most` poses."""
+
+    def __init__(self, words: dict[int, str], most: int = 900) -> None:
+        self.words, self.most = words, most
+        self.poses: list[Samples] = []
+        self.nodes: list[Array] = []
+        self.told: list[str] = []
+
+    @property
+    def stopped(self) -> bool:
+        return len(self.poses) >= self.most
+
+    def now(self) -> int:
+        return 1000 * NS
+
+    def wait(self, seconds: float) -> bool:
+        return False
+
+    def hear(self, timeout_s: float) -> str | None:
+        return self.words.pop(len(self.poses), None)
+
+    def emit(self, chunk: Chunk, output: str) -> None:
+        (self.poses if output == "pose" else self.nodes).append(chunk.data[0])
+
+    def problem(self, kind: str, count: int = 1) -> None:
+        self.told.append(kind)
+
+    def tell(self, kind: str, **facts: object) -> None:
+        self.told.append(f"{kind} {facts}")
