@@ -336,6 +336,21 @@ def dogs(folder: Path) -> list[str]:
     ]
 
 
+def swing_of(page: LiveBrowser, name: str, marker: str) -> int:
+    """How high, in pixels, a marker's trajectory goes in the curves of a sequence, seen from the side; the axis spans both hind paws."""
+    choose(page, name)
+    wanted = "b.checked !== ['j19', 'j23'].includes(b.ariaLabel)"
+    page.value(f"document.querySelectorAll('#markers input').forEach(b => {{ if ({wanted}) b.click(); }})")
+    tint = page.value(
+        "(c => '#' + c.match(/\\d+/g).slice(0, 3).map(n => (+n).toString(16).padStart(2, '0')).join(''))"
+        f"(getComputedStyle(document.querySelector('#markers input[aria-label={marker}]').nextElementSibling).backgroundColor)"
+    )
+    page.wait("document.querySelector('#curves canvas') !== null")
+    height = [y for _, y in page.like("#curves canvas", tint, within=50)]
+    assert height
+    return max(height) - min(height)
+
+
 @pytest.mark.skipif(
     not os.environ.get("KINEGRAPH_DATA"), reason="the recordings of a dog are where KINEGRAPH_DATA says"
 )
@@ -360,6 +375,10 @@ def test_a_person_finds_the_lame_one_of_two_real_trots(browser: LiveBrowser, tmp
         )
         assert min(sides, key=lambda name: sides[name][0] / sides[name][1]) == "lame", (
             "of all ten it alone steps short on the left behind"
+        )
+        swings = {name: swing_of(page, name, "j19") / swing_of(page, name, "j23") for name in ("trot", "lame")}
+        assert min(swings, key=lambda name: swings[name]) == "lame" and swings["lame"] < 0.6 < 0.75 < swings["trot"], (
+            "the trajectory of one of the two trots' left hind paw is flat beside the right one's"
         )
         paths = {name: path_of(page, name, tint) for name, tint in {"trot": "#1f5fa8", "lame": "#b0481c"}.items()}
         assert alike(paths["trot"], paths["lame"]) < 0.8, "their trajectories differ"
