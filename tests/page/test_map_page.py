@@ -228,9 +228,7 @@ def test_markers_are_selected_and_count_in_queries(page: LiveBrowser) -> None:
     choose(page, "trot0", "trot1")
     page.wait("document.querySelector('#curves canvas').getContext('2d') !== null")
     before = page.value("document.querySelector('#curves canvas').toDataURL()")
-    page.value(
-        "document.querySelectorAll('#markers input').forEach(b => { if (b.checked !== (b.ariaLabel === 'poll')) b.click(); })"
-    )
+    choose_markers(page, ["poll"])
     assert page.value("document.querySelector('#curves canvas').toDataURL()") != before
     light(page)
     click(page, "#pca canvas", *drawn_point(page, colour=TINTS["trot0"]), "right")
@@ -336,11 +334,17 @@ def dogs(folder: Path) -> list[str]:
     ]
 
 
+def choose_markers(page: LiveBrowser, names: list[str]) -> list[str]:
+    """Choose these markers and no others; which were chosen before."""
+    before = page.value("[...document.querySelectorAll('#markers input')].filter(b => b.checked).map(b => b.ariaLabel)")
+    wanted = f"b.checked !== {json.dumps(names)}.includes(b.ariaLabel)"
+    page.value(f"document.querySelectorAll('#markers input').forEach(b => {{ if ({wanted}) b.click(); }})")
+    return list(before)
+
+
 def swing_of(page: LiveBrowser, name: str, marker: str) -> int:
     """How high, in pixels, a marker's trajectory goes in the curves of a sequence, seen from the side; the axis spans both hind paws."""
     choose(page, name)
-    wanted = "b.checked !== ['j19', 'j23'].includes(b.ariaLabel)"
-    page.value(f"document.querySelectorAll('#markers input').forEach(b => {{ if ({wanted}) b.click(); }})")
     tint = page.value(
         "(c => '#' + c.match(/\\d+/g).slice(0, 3).map(n => (+n).toString(16).padStart(2, '0')).join(''))"
         f"(getComputedStyle(document.querySelector('#markers input[aria-label={marker}]').nextElementSibling).backgroundColor)"
@@ -376,10 +380,12 @@ def test_a_person_finds_the_lame_one_of_two_real_trots(browser: LiveBrowser, tmp
         assert min(sides, key=lambda name: sides[name][0] / sides[name][1]) == "lame", (
             "of all ten it alone steps short on the left behind"
         )
+        before = choose_markers(page, ["j19", "j23"])
         swings = {name: swing_of(page, name, "j19") / swing_of(page, name, "j23") for name in ("trot", "lame")}
         assert min(swings, key=lambda name: swings[name]) == "lame" and swings["lame"] < 0.6 < 0.75 < swings["trot"], (
             "the trajectory of one of the two trots' left hind paw is flat beside the right one's"
         )
+        choose_markers(page, before)
         paths = {name: path_of(page, name, tint) for name, tint in {"trot": "#1f5fa8", "lame": "#b0481c"}.items()}
         assert alike(paths["trot"], paths["lame"]) < 0.8, "their trajectories differ"
         click(page, "#pca canvas", *drawn_point(page, colour="#b0481c"), "right")
