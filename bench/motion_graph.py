@@ -77,9 +77,9 @@ def main() -> None:
         "KernelCPD, as many cuts": lambda: cut(take, kernel_cpd(tree, take, len(ours.spans) - 1)),
     }
     rows = []
-    for name, made in cuts.items():
+    for name, taken in cuts.items():
         try:
-            graph = build(tree, made())
+            graph = build(tree, taken())
         except (KinegraphError, ImportError) as error:
             rows.append([name, *["-"] * 6, str(error)[:80]])
             continue
@@ -99,7 +99,7 @@ def main() -> None:
         "feet not held": {"feet": False},
         "plain concatenation": {"feet": False, "smooth": False},
     }.items():
-        poses, stood, took = walk(graph, how)
+        poses, stood, took = walk(graph, **how)
         rows.append(
             [
                 name,
@@ -252,7 +252,7 @@ def following() -> str:
 
 def followed(graph: MotionGraph, path: Samples, seed: int) -> tuple[Samples, bool]:
     """How far each pose's root lies from the path (m), and whether the walk came to its end."""
-    walker, roots = GraphWalk(graph, [Aim(path=path)], seed=seed), []
+    walker, roots = GraphWalk(graph, [Aim(path=path)], seed=seed), list[Samples]()
     while len(roots) < FOLLOWED_S * RATE and len(walker.path):
         walker.step()
         roots.append(walker.pose[[0, 2]])
@@ -305,16 +305,16 @@ def aligned_runs() -> str:
 
 def kernel_cpd(tree: JointTree, take: Take, cuts: int) -> Times:
     """Where ruptures' KernelCPD cuts, told how often."""
-    import ruptures
+    import ruptures  # type: ignore[import-not-found]
 
     joints = joints_of(tree, take.poses)[1]
     seen = (joints - joints[:, :1]).reshape(len(joints), -1)
     return np.array(ruptures.KernelCPD("rbf", min_size=12).fit(seen).predict(n_bkps=cuts)[:-1])
 
 
-def walk(graph: MotionGraph, how: dict[str, bool]) -> tuple[Samples, Array, Samples]:
+def walk(graph: MotionGraph, feet: bool = True, smooth: bool = True) -> tuple[Samples, Array, Samples]:
     """Three minutes: poses, which feet stood, microseconds a frame."""
-    walker = GraphWalk(graph, seed=1, **how)
+    walker = GraphWalk(graph, seed=1, feet=feet, smooth=smooth)
     n = round(180 * RATE)
     poses, stood, took = np.empty((n, graph.tree.width)), np.empty((n, 2), bool), np.empty(n)
     for _ in range(300):

@@ -57,7 +57,7 @@ def resident_mb(process: int) -> float:
 
 def answer(client: ClientConnection, kind: str) -> float:
     """Wait for a message of this kind; the time at which it was there (s)."""
-    while decode(client.recv(timeout=300))[0]["t"] != kind:
+    while decode(client.recv(timeout=300, decode=False))[0]["t"] != kind:
         pass
     return time.perf_counter()
 
@@ -107,7 +107,7 @@ def served(path: Path, poses: int) -> list[list[str]]:
             children = subprocess.run(["ps", "-o", "pid=", "--ppid", str(process.pid)], capture_output=True, text=True)
             memory = [
                 resident_mb(int(pid))
-                for pid in (process.pid, *children.stdout.split())
+                for pid in (process.pid, *map(int, children.stdout.split()))
                 if Path(f"/proc/{pid}").exists()
             ]
         process.terminate()

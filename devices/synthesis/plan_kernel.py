@@ -35,8 +35,9 @@ FACING_M = 0.5
 """What a radian away from it costs, as metres farther from the path."""
 SURELY_M = 0.4
 """So near to a path's end is there, whatever blends and feet do to the root."""
-THERE_M = 5.0
-"""What coming there is worth, as metres nearer to the path: else somebody who runs would circle around it."""
+THERE_M, SOON_M_S = 6.0, 1.0
+"""What coming there is worth, as metres nearer to the path, and what each second until then takes from that: else somebody who runs would
+circle around it, and somebody who stands beside it would put it off."""
 GAIT_M = 4.0
 """What a second that is not in the gait that is wanted costs, as metres farther from the path."""
 FREE_M = 2.0
@@ -124,7 +125,7 @@ def score(
         there = walk[THERE] > 0.0
         seconds = walk[THERE] if there else walk[SECONDS]
         made += 2.0 * math.sqrt(walk[ERROR] / walk[LOOKS]) + walk[OFF] - PROGRESS * (walk[ALONG] - before) / seconds
-        made += -THERE_M if there else FACING_M * astray(walk, path, length)
+        made += min(0.0, SOON_M_S * seconds - THERE_M) if there else FACING_M * astray(walk, path, length)
         if length[-1] - before > FREE_M:
             made += GAIT_M * (walk[OTHER] + togo[int(walk[NODE])])
     return float(made)

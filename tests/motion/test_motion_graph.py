@@ -76,7 +76,8 @@ def skates(joints: Samples, stood: Array) -> list[float]:
 
 def jumps(joints: Samples) -> Samples:
     """Changes of velocity from frame to frame, m/s, of every joint."""
-    return np.linalg.norm(np.diff(joints, n=2, axis=0), axis=2) * RATE
+    made: Samples = np.linalg.norm(np.diff(joints, n=2, axis=0), axis=2) * RATE
+    return made
 
 
 def test_the_placement_is_the_best_one() -> None:
@@ -327,7 +328,7 @@ def test_what_cannot_be_done_is_said_before_it_starts(graph: MotionGraph, tmp_pa
         ({"then": "dance"}, "stop or wander"),
     ):
         with pytest.raises(ParameterError, match=complaint):
-            Synthesis(model=path, **words).specs()  # type: ignore[arg-type]
+            Synthesis(model=path, **words).specs()
     dead = replace(graph, core=graph.core & (graph.cluster == 0))
     dead.write(tmp_path / "dead.npz", {})
     with pytest.raises(ParameterError, match="a way back from: straight"):

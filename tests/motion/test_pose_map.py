@@ -46,7 +46,7 @@ def ring(n: int) -> Array:
 
 def through(operator: PoseGrid, data: Array, spec: StreamSpec = SPEC) -> dict[str, Array]:
     operator.open({"in": spec})
-    return {p: c.data for p, c in operator.process("in", Chunk(grid(50.0, len(data)), data, 10**18))}  # type: ignore[misc, union-attr]
+    return {p: c.data for p, c in operator.process("in", Chunk(grid(50.0, len(data)), data, 10**18))}  # type: ignore[union-attr]
 
 
 def test_the_grid_learns_live_and_is_frozen_while_it_is_shown() -> None:
