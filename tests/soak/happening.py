@@ -7,6 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from heapq import heapify, heappop, heappush
+from pathlib import Path
 
 from tests.soak.faults import Fault
 from tests.soak.watched import Watched
@@ -92,12 +93,19 @@ def _begin(watched: Watched, fault: Fault) -> bool:
         case "machine asleep":
             watched.send(signal.SIGSTOP)
             slept = watched.switches / "asleep"
-            slept.write_text(str(ASLEEP_S + (int(slept.read_text()) if slept.exists() else 0)))
+            _write(slept, ASLEEP_S + (int(slept.read_text()) if slept.exists() else 0))
         case "clock step":
             ahead = STEP_S if round(fault.at_s * 10) % 2 else -STEP_S
-            (watched.switches / "clock").write_text(str(ahead))
+            _write(watched.switches / "clock", ahead)
     watched.happens(kind)
     return True
+
+
+def _write(switch: Path, seconds: int) -> None:
+    """Whole at once: the session reads it at any moment."""
+    draft = switch.with_suffix(".draft")
+    draft.write_text(str(seconds))
+    draft.replace(switch)
 
 
 def _end(watched: Watched, fault: Fault) -> None:
