@@ -128,6 +128,44 @@ def test_a_gap_is_left_empty_from_close_by_and_from_afar(view: LiveBrowser, wind
         assert there > 0.9 * (behind - before) / pixel_s, "the line lacks pieces elsewhere"
 
 
+def test_what_is_painted_reaches_from_the_least_to_the_greatest_of_each_column(
+    browser: LiveBrowser, tmp_path: Path
+) -> None:
+    rate, spikes = 2000.0, {3.2: 1.0, 5.4: -1.0, 7.9: 0.6}
+    spec = StreamSpec((2,), rate_hz=rate, channels=("noise", "spikes"), units=("uV",))
+    time = grid(rate, round(10 * rate))
+    data = np.random.default_rng(1).normal(scale=0.05, size=(len(time), 2))
+    for second, height in spikes.items():
+        data[round(second * rate), 1] = height
+    write_recording(tmp_path / "noise.mcap", [Series("noise", spec, time + 1_700_000_000 * NS, data)], {})
+    with page_process(tmp_path, "view", "noise.mcap") as process:
+        browser.open(process.url)
+        browser.value("document.documentElement.dataset.theme = 'light'")
+        shown(browser, 10, 5)
+        browser.wait("document.querySelector('.signal').dataset.points > 500")
+        script = "(o => [o.offsetLeft, o.offsetTop, o.clientWidth, o.clientHeight])(document.querySelector('.signal .u-over'))"
+        left, top, width, height = browser.value(script)
+        for c in (0, 1):
+            pixels = np.array(browser.like(".signal canvas", SHADES[c], within=60))
+            middle, half = (data[:, c].max() + data[:, c].min()) / 2, np.ptp(data[:, c]) / 2
+            found = middle + (top + (c + 0.5) * height / 2 - pixels[:, 1] - 0.5) / (0.46 * height / 2) * half
+            pixel = half / (0.46 * height / 2)
+            seconds = (pixels[:, 0] + 0.5 - left) / width * 10
+            for column in np.unique(pixels[:, 0])[3:-3]:
+                here, at = found[pixels[:, 0] == column], seconds[pixels[:, 0] == column][0]
+                near = data[max(0, round((at - 0.03) * rate)) : round((at + 0.03) * rate), c]
+                assert near.min() - 1.5 * pixel < here.min() and here.max() < near.max() + 1.5 * pixel
+                assert len(here) > 1, "noise fills more than a line"
+            if c == 1:
+                for second, value in spikes.items():
+                    here = found[abs(seconds - second) < 0.03]
+                    assert abs((here.max() if value > 0 else here.min()) - value) < 1.5 * pixel, (
+                        second,
+                        "the spike is lost",
+                    )
+        assert browser.complaints == []
+
+
 def test_a_stream_that_fell_silent_is_greyed_and_says_since_when(browser: LiveBrowser, tmp_path: Path) -> None:
     (tmp_path / "silent.yaml").write_text(
         "name: silent\npage: {panels: [{kind: signal, of: over.emg}, {kind: signal, of: board.emg}]}\n"

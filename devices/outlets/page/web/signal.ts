@@ -5,6 +5,7 @@ import uPlot from "uplot";
 import { colour, make, type Page, Panel, shade, type Span } from "./panel";
 import { Analysis, type View } from "./spectrum";
 import type { Stream } from "./store";
+import { type Line, Strips } from "./strips";
 import type { PanelInfo, SpectrumMessage } from "./wire";
 
 const FILL = 0.46;
@@ -17,6 +18,8 @@ const FLAT = 1e-12;
 const LANE_LEAST = 16;
 /** How wide the names' column is, and what a long name adds, in pixels. */
 const [NAMES, NAMES_SHORT, LETTER] = [116, 8, 6.4];
+/** How far the chart is from its panel's right edge, in pixels. */
+const EDGE = 8;
 /** How far a key moves a cursor, as a share of the chart's width. */
 const KEY_STEP = 0.02;
 
@@ -31,6 +34,7 @@ export class SignalPanel extends Panel {
   private readonly view = make("select", { "aria-label": "view" }, ...["lines", "spectrum", "spectrogram"].map((v) => make("option", { value: v }, v)));
   private readonly channel = make("select", { "aria-label": "channel", hidden: "" });
   private span: Span = { begin: 0, end: 1, at: 1 };
+  private readonly strips = new Strips();
 
   constructor(info: PanelInfo, streams: Stream[], page: Page) {
     super(info, streams, page);
@@ -104,10 +108,8 @@ export class SignalPanel extends Panel {
     }
     this.plot ??= this.made(width);
     if (this.plot.width !== width) this.plot.setSize({ width, height: this.height });
-    const data = this.lanes();
-    this.plot.setData(data, false);
+    this.rescale(...this.part());
     this.plot.setScale("x", { min: span.begin, max: span.end });
-    this.element.dataset["points"] = String(data[0].length);
     this.element.dataset["gaps"] = String(gaps(this.stream.signal.low[0] ?? []));
   }
 
@@ -136,22 +138,28 @@ export class SignalPanel extends Panel {
     const options: uPlot.Options = {
       width,
       height: this.height,
-      padding: [4, 8, 0, 0],
+      padding: [4, EDGE, 0, 0],
       legend: { show: false },
       cursor: { sync: { key: "page", scales: ["x", null] }, drag: { x: true, y: false, setScale: false }, points: { show: false } },
       scales: { x: { time: false }, y: { range: [0, count] } },
-      series: [{}, ...names.map((_, c) => ({ stroke: shade(c), width: 1, points: { show: false }, spanGaps: false }))],
+      series: [{}, { show: false }],
       axes: [
-        { ...axis, size: 26, space: 90, values: (_: uPlot, at: number[]) => at.map((t) => this.page.clock(t, this.span.end - this.span.begin < 8)) },
+        { ...axis, size: 26, space: 90, values: (plot: uPlot, at: number[]) => at.map((t) => this.hour(plot, t)) },
         {
           ...axis, size: this.names(width, names), splits: () => names.map((_, c) => count - c - 0.5), filter: (_: uPlot, splits: number[]) => splits,
           values: () => names.map((name, c) => this.label(name, c)),
         },
       ],
       hooks: {
-        draw: [(plot) => this.cursor(plot)], setCursor: [(plot) => this.read(plot)], setSelect: [(plot) => this.measure(plot)] },
+        draw: [(plot) => this.lines(plot), (plot) => this.cursor(plot)], setCursor: [(plot) => this.read(plot)], setSelect: [(plot) => this.measure(plot)] },
     };
-    return new uPlot(options, [[], ...names.map(() => [])], this.body);
+    return new uPlot(options, [[], []], this.body);
+  }
+
+  /** The time of day, where there is room for it. */
+  private hour(plot: uPlot, at: number): string {
+    const text = this.page.clock(at, this.span.end - this.span.begin < 8);
+    return plot.valToPos(at, "x") + (LETTER * text.length) / 2 > plot.over.clientWidth + EDGE ? "" : text;
   }
 
   private label(name: string, c: number): string {
@@ -160,32 +168,37 @@ export class SignalPanel extends Panel {
   }
 
   /** Each channel in its lane, the least and the greatest value of a bucket one after the other. */
-  private lanes(): uPlot.AlignedData {
+  private lines({ ctx, bbox }: uPlot): void {
     const { time, low, high, thin, width } = this.stream.signal;
-    const first = Math.max(0, from(time, this.span.begin) - 1); // the line goes on beyond both edges
-    const last = Math.max(first, Math.min(time.length, from(time, this.span.end) + 1));
-    this.rescale(first, last);
+    const { begin, end } = this.span;
+    const [first, last] = this.part();
     const step = thin ? 2 : 1;
-    const n = (last - first) * step;
-    const x = new Array<number>(n);
+    const [across, lane] = [bbox.width / (end - begin), bbox.height / low.length];
+    const x = new Float64Array((last - first) * step);
     for (let i = first, k = 0; i < last; i++, k += step) {
-      x[k] = time[i] as number;
-      if (thin) x[k + 1] = (time[i] as number) + width / 2;
+      x[k] = ((time[i] as number) - begin) * across;
+      if (thin) x[k + 1] = (x[k] as number) + (width / 2) * across;
     }
-    const data: [number[], ...(number | null)[][]] = [x];
-    for (let c = 0; c < low.length; c++) {
+    const lines = low.map((lows, c): Line => {
       const { middle, half } = this.scales[c] as Scale;
-      const [zero, factor] = [low.length - c - 0.5, half ? FILL / half : 0];
-      const y = new Array<number | null>(n);
-      const [lows, highs] = [low[c] as number[], high[c] as number[]];
+      const [zero, factor] = [(c + 0.5) * lane, half ? (FILL * lane) / half : 0];
+      const y = new Float64Array(x.length);
+      const highs = high[c] as number[];
       for (let i = first, k = 0; i < last; i++, k += step) {
-        const value = lows[i] as number;
-        y[k] = value === value ? zero + (value - middle) * factor : null;
-        if (thin) y[k + 1] = value === value ? zero + ((highs[i] as number) - middle) * factor : null;
+        y[k] = zero - ((lows[i] as number) - middle) * factor;
+        if (thin) y[k + 1] = zero - ((highs[i] as number) - middle) * factor;
       }
-      data.push(y);
-    }
-    return data;
+      return { x, y, colour: shade(c) };
+    });
+    this.strips.draw(ctx, bbox, lines, Math.max(1, window.devicePixelRatio));
+    this.element.dataset["points"] = String(x.length);
+  }
+
+  /** The points within the span, and one on each side: the line goes on beyond both edges. */
+  private part(): [number, number] {
+    const { time } = this.stream.signal;
+    const first = Math.max(0, from(time, this.span.begin) - 1);
+    return [first, Math.max(first, Math.min(time.length, from(time, this.span.end) + 1))];
   }
 
   private rescale(first: number, last: number): void {
