@@ -59,6 +59,9 @@ def test_an_arrangement_can_be_put_into_the_graph(tmp_path: Path) -> None:
         press(browser, 1, "taller", 2)
         press(browser, 3, "remove")
         written = browser.value("document.querySelector('.arrangement textarea').value")
+        browser.value("document.querySelector('.arrangement button').focus()")
+        browser.type(" ")
+        browser.wait("document.querySelector('.arrangement button').textContent === 'copied'")
         browser.wait(
             "document.querySelectorAll('.panel').length === 3 && document.querySelector('.state').dataset.rows > 0"
         )
@@ -77,3 +80,26 @@ def test_an_arrangement_can_be_put_into_the_graph(tmp_path: Path) -> None:
     assert {k: told[1][k] for k in ("title", "least", "most", "tall", "window_s")} == {
         "title": 'a "calf": {x}', "least": -200, "most": 200, "tall": 2, "window_s": 30,
     }  # fmt: skip
+    looks_so(tmp_path, written)
+
+
+def looks_so(folder: Path, section: str) -> None:
+    """The page of a session with this section."""
+    (folder / "again.yaml").write_text(section + NODES)
+    with (
+        page_process(folder, "run", "again.yaml", "--view", "none", "--no-record") as process,
+        live_browser(folder) as browser,
+    ):
+        browser.open(process.url)
+        browser.wait("document.querySelector('.signal')?.dataset.points > 10")
+        panels = browser.value(
+            "[...document.querySelectorAll('.panel')].map(p => [p.className.match(/panel (\\w+) (\\w+)/).slice(1).join(' '), p.dataset.of])"
+        )
+        assert panels == [
+            ["state wide2", ""],
+            ["signal wide1", "calf"],
+            ["events wide1", "active.interval annotations"],
+        ]
+        assert browser.value("document.querySelector('.signal canvas').getBoundingClientRect().height") > 450
+        assert browser.value("document.querySelector('select[aria-label=\"seconds shown\"]').value") == "30"
+        assert browser.complaints == []

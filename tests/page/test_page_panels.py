@@ -234,6 +234,24 @@ def test_markers_stand_where_they_were_and_a_hidden_one_is_not_drawn(
         assert (np.nanmin(reach, axis=1) < 8).all(), "something else is drawn"
 
 
+@pytest.mark.parametrize("panel", ["markers", "a skeleton"])
+def test_names_do_not_stand_over_one_another(page: LiveBrowser, panel: str, at: dict[str, Any]) -> None:
+    seek(page, at["joints"])
+    script = f"""[...document.querySelectorAll('[aria-label="{panel}"] .name')].filter(e => getComputedStyle(e).visibility === 'visible'
+      && !e.hidden).map(e => (r => [r.left, r.top, r.right, r.bottom])(e.getBoundingClientRect()))"""
+    boxes = np.array(page.value(script))
+    assert len(boxes) > 5
+    for i, (left, top, right, bottom) in enumerate(boxes):  # a pixel or two of a letter's box are empty
+        others = np.delete(boxes, i, axis=0)
+        over = (
+            (others[:, 0] < right - 2)
+            & (others[:, 2] > left + 2)
+            & (others[:, 1] < bottom - 4)
+            & (others[:, 3] > top + 4)
+        )
+        assert not over.any()
+
+
 def test_a_skeleton_stands_where_its_joints_are(page: LiveBrowser, shown: Shown, at: dict[str, Any]) -> None:
     tree = JointTree.of(shown.specs["body.pose"])
     stamp, pose = shown.at("body.pose", at["joints"])

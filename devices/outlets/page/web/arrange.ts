@@ -5,6 +5,7 @@ import type { PanelInfo } from "./wire";
 
 const WIDEST = 4;
 const TALLS = [0.5, 1, 1.5, 2, 3, 4];
+const COPY = "copy";
 /** Streams that only the page has. */
 const OWN = new Set(["marks"]);
 
@@ -28,11 +29,16 @@ export function section(panels: PanelInfo[], window_s: number): string {
 export class Arranger {
   readonly button = make("button", { type: "button", "aria-pressed": "false" }, "arrange");
   private readonly text = make("textarea", { readonly: "", rows: "8", "aria-label": "the section page: of the graph" });
-  private readonly box = make("div", { class: "arrangement", hidden: "" }, make("p", {}, "In the graph's file, this makes the page look so:"), this.text);
+  private readonly copy = make("button", { type: "button" }, COPY);
+  private readonly box = make("div", { class: "arrangement", hidden: "" }, make("p", {}, "In the graph's file, this makes the page look so:"), this.copy, this.text);
   private handles: HTMLElement[] = [];
 
   constructor(host: HTMLElement, private readonly panels: () => Panel[], private readonly arranged: (panels: Panel[]) => void, private readonly window_s: () => number) {
     this.button.onclick = () => this.toggle();
+    this.copy.onclick = () => {
+      this.text.select();
+      this.copy.textContent = document.execCommand("copy") ? "copied" : "select and copy it by hand"; // the clipboard's newer way asks for TLS
+    };
     host.before(this.box);
   }
 
@@ -51,6 +57,7 @@ export class Arranger {
   }
 
   private write(): void {
+    this.copy.textContent = COPY;
     this.text.value = section(this.panels().map((panel) => panel.info), this.window_s());
   }
 

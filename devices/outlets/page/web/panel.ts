@@ -40,6 +40,7 @@ export const shade = (i: number): string => {
 
 /** A panel of more streams is not called after all of them. */
 const NAMED = 3;
+const NOTHING = "nothing yet";
 
 export abstract class Panel {
   readonly element: HTMLElement;
@@ -96,8 +97,11 @@ export abstract class Panel {
     return Math.round(260 * (this.info.tall ?? 1));
   }
 
-  /** Grey the panel where its streams have fallen silent, and say since when. */
+  /** Grey the panel where its streams have fallen silent, and say since when; say that nothing has come yet. */
   age(now: number): void {
+    const waits = this.page.runs && this.streams.length > 0 && this.streams.every((s) => !s.count);
+    if (waits && !this.note.textContent) this.note.textContent = NOTHING;
+    if (!waits && this.note.textContent === NOTHING) this.note.textContent = "";
     const silent = Math.max(0, ...this.streams.map((s) => s.stale(now)));
     const stale = silent > 0 && this.page.runs;
     if (stale !== this.element.classList.contains("stale")) {

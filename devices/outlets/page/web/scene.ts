@@ -12,6 +12,8 @@ import type { Newest, Stream } from "./store";
 import type { PanelInfo } from "./wire";
 
 const MOST_NAMES = 40;
+/** Where a name stands beside its point, how high it is, and how wide each letter, in pixels. */
+const [BESIDE, ABOVE, LINE, LETTER] = [6, 8, 13, 6.2];
 const TO_METRES: Record<string, number> = { m: 1, cm: 0.01, mm: 0.001 };
 const SKIN = 0x8fa8c8;
 /** How far from the picture's middle what is shown may come, as a share of half the picture, before the view goes with it. */
@@ -58,7 +60,7 @@ class Drawn implements Figure {
     }
     for (const part of this.parts) part.frustumCulled = false;
     const names = info.kind === "mesh" || !alone ? [] : info.channels.slice(0, MOST_NAMES);
-    this.labels = names.map((name) => make("span", { class: "name" }, name));
+    this.labels = names.map((name) => make("span", { class: "name", hidden: "" }, name));
   }
 
   restyle(): void {
@@ -242,13 +244,27 @@ export class ScenePanel extends Panel {
     grid.position.add(way.addScaledVector(camera.up, -way.dot(camera.up)));
   }
 
+  /** Names stand to the right of their points; where that is taken, to the left; where both are, the one that was there before stays. */
   private label({ labels, positions }: Figure, width: number, height: number): void {
     const at = new Vector3();
-    labels.forEach((label, i) => {
+    const places = labels.map((label, i) => {
       at.fromArray(positions, 3 * i).project(this.camera);
       label.hidden = !Number.isFinite(at.x) || at.z > 1;
-      if (!label.hidden) label.style.transform = `translate(${((at.x + 1) * width) / 2 + 6}px, ${((1 - at.y) * height) / 2 - 8}px)`;
-    });
+      const [x, y] = [((at.x + 1) * width) / 2 + BESIDE, ((1 - at.y) * height) / 2 - ABOVE];
+      if (!label.hidden) label.style.transform = `translate(${x}px, ${y}px)`;
+      return { label, x, y, wide: LETTER * (label.textContent?.length ?? 0) };
+    }).filter(({ label }) => !label.hidden);
+    const stood = (label: HTMLElement) => Number(label.classList.contains("crowded"));
+    const taken: { x: number; y: number; wide: number }[] = [];
+    for (const { label, x, y, wide } of places.sort((a, b) => stood(a.label) - stood(b.label))) {
+      const free = (from: number) => !taken.some((other) => Math.abs(y - other.y) < LINE && from < other.x + other.wide && other.x < from + wide);
+      const sides = [x, x - 2 * BESIDE - wide];
+      const side = label.classList.contains("left") && free(sides[1] as number) ? 1 : sides.findIndex(free);
+      label.classList.toggle("left", side === 1);
+      label.classList.toggle("crowded", side < 0);
+      if (side >= 0) taken.push({ x: sides[side] as number, y, wide });
+    }
+    this.element.dataset["names"] = String(taken.length);
   }
 }
 
