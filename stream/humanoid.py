@@ -48,19 +48,20 @@ ALIASES: dict[str, tuple[str, ...]] = {
     "Hips": ("hips", "pelvis", "root", "spinebase", "hipcenter"),
     "Spine": ("lowerback", "spine", "abdomen", "spinemid"),
     "Chest": ("chest", "spine", "spine1", "thorax"),
-    "UpperChest": ("upperchest", "spine2", "spine1", "spine3"),
+    "UpperChest": ("upperchest", "spine2", "spine1", "spine3", "chest2"),
     "Neck": ("neck", "upperneck", "lowerneck"),
     "Head": ("head",),
-    "Shoulder": ("?shoulder", "?clavicle", "?collar"),
-    "UpperArm": ("?upperarm", "?arm", "?shldr", "?humerus"),
-    "LowerArm": ("?lowerarm", "?forearm", "?radius"),
+    "Shoulder": ("?clavicle", "?collar", "?shoulder"),
+    "UpperArm": ("?upperarm", "?arm", "?shldr", "?humerus", "?shoulder"),
+    "LowerArm": ("?lowerarm", "?forearm", "?radius", "?elbow"),
     "Hand": ("?hand", "?wrist"),
-    "UpperLeg": ("?upperleg", "?upleg", "?thigh", "?femur"),
-    "LowerLeg": ("?lowerleg", "?leg", "?shin", "?tibia"),
+    "UpperLeg": ("?upperleg", "?upleg", "?thigh", "?femur", "?hip"),
+    "LowerLeg": ("?lowerleg", "?leg", "?shin", "?tibia", "?knee"),
     "Foot": ("?foot", "?ankle"),
     "Toes": ("?toes", "?toebase", "?toe"),
 }
-"""What other skeletons call the bones, best first, without capitals, spaces and signs; "?" is a side."""
+"""What other skeletons call the bones, best first, without capitals, spaces and signs; "?" is a side. Some name each bone by the joint that
+it begins at, so that beside a collar the shoulder is the upper arm."""
 NEEDED = ("Hips", "Neck", "Head", *(f"{s}{b}" for s in ("Left", "Right") for b in (*list(ARM)[1:], *list(LEG)[:3])))
 """Without these a skeleton is no humanoid; the others can be where their parents are."""
 

@@ -165,16 +165,29 @@ def test_what_shows_no_body_is_refused() -> None:
         played(marks(), landmarks={"tail": ("head",)})
 
 
-def test_other_skeletons_become_humanoid() -> None:
-    names = {
-        "LeftUpperArm": "LeftArm",
-        "LeftLowerArm": "LeftForeArm",
-        "LeftUpperLeg": "LeftUpLeg",
-        "LeftLowerLeg": "LeftLeg",
-    }
-    names |= {k.replace("Left", "Right"): v.replace("Left", "Right") for k, v in names.items()}
+BONES_BY_WHERE_THEY_END = {
+    "LeftUpperArm": "LeftArm",
+    "LeftLowerArm": "LeftForeArm",
+    "LeftUpperLeg": "LeftUpLeg",
+    "LeftLowerLeg": "LeftLeg",
+}
+BONES_BY_WHERE_THEY_BEGIN = {
+    "LeftShoulder": "LeftCollar",
+    "LeftUpperArm": "LeftShoulder",
+    "LeftLowerArm": "LeftElbow",
+    "LeftHand": "LeftWrist",
+    "LeftUpperLeg": "LeftHip",
+    "LeftLowerLeg": "LeftKnee",
+    "LeftFoot": "LeftAnkle",
+}
+
+
+@pytest.mark.parametrize("names", [BONES_BY_WHERE_THEY_END, BONES_BY_WHERE_THEY_BEGIN])
+def test_other_skeletons_become_humanoid(names: dict[str, str]) -> None:
+    names = names | {k.replace("Left", "Right"): v.replace("Left", "Right") for k, v in names.items()}
     other = JointTree(tuple(names.get(b, b) for b in BONES), TREE.parents, TREE.offsets)
-    assert find_bones(other.joints)["LeftLowerLeg"] == "LeftLeg" and set(find_bones(other.joints)) == set(PARENTS)
+    found = find_bones(other.joints)
+    assert set(found) == set(PARENTS) and all(found[bone] == name for bone, name in names.items())
     tree, poses = to_humanoid(other, POSES)
     assert np.allclose(joints_of(tree, poses)[1], JOINTS, atol=1e-9)
 
