@@ -18,7 +18,9 @@ BIN := .venv/bin
 demo: .venv/installed
 	$(BIN)/kinegraph run configs/treadmill_emg.yaml --set treadmill.duration_s=$(SECONDS_OF_DEMO) \
 		--set 'treadmill.faults=[{kind: lost, from_s: 6, for_s: 1}]' --page
-	@echo "the same session in a browser: $(BIN)/kinegraph view $$(ls -td recordings/treadmill_emg-* | head -n 1)"
+	@recording=$$(ls -td recordings/treadmill_emg-* | head -n 1); \
+	echo "its recording in a browser:          $(BIN)/kinegraph view $$recording"; \
+	echo "the session again, with your marks:  $(BIN)/kinegraph replay treadmill_emg $$recording --page"
 
 check: .venv/installed-for-tests
 	$(BIN)/ruff check .

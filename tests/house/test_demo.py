@@ -25,7 +25,10 @@ README = (HOUSE / "README.md").read_text(encoding="utf-8")
 PROGRAMS = Path(sys.executable).parent
 SECONDS, LOST_S = 14, 6.0
 ADDRESS = re.compile(r"page: (http://[\d.]+:\d+/)")
-LAST = re.compile(r"the same session in a browser: (\S+/kinegraph view (recordings/treadmill_emg-\S+))\s*$")
+VIEW = re.compile(r"its recording in a browser: +(\S+/kinegraph view (recordings/treadmill_emg-\S+))$", re.MULTILINE)
+REPLAY = re.compile(
+    r"the session again, with your marks: +(\S+/kinegraph replay \S+ recordings/treadmill_emg-\S+ --page)\s*$"
+)
 
 pytestmark = [
     needs_page,
@@ -81,15 +84,15 @@ def test_somebody_with_only_the_readme_watches_cycles_finds_the_gap_marks_it_and
             assert browser.colours(".cycles canvas") > 5
             assert browser.complaints == []
             assert process.wait(2 * PATIENCE_S) == 0, log.read_text()
-            last = LAST.search(log.read_text())
-            assert last and (tmp_path / last[2]).is_dir(), log.read_text()
-        with typed(shlex.split(last[1]), tmp_path) as (process, log):
+            told("(prints two commands. The first opens .* The second shows)")
+            first, second = VIEW.search(log.read_text()), REPLAY.search(log.read_text())
+            assert first and second and (tmp_path / first[2]).is_dir(), log.read_text()
+        with typed(shlex.split(first[1]), tmp_path) as (process, log):
             browser.open(address(process, log))
             at = find_and_mark(
                 browser, told(r"browser: `(.)` goes to the gap"), told(r"gap; `(.)`, a text and Enter mark")
             )
-        replay = told(r"`(kinegraph replay treadmill_emg RECORDING --page)`").replace("RECORDING", last[2])
-        with typed([*shlex.split(replay), "-q"], tmp_path) as (process, log):
+        with typed([*shlex.split(second[1]), "-q"], tmp_path) as (process, log):
             browser.open(address(process, log))
             chosen = "[...s.options].find(o => o.textContent === 'marks')"
             browser.wait(
