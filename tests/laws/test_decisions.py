@@ -51,6 +51,8 @@ TRIED: list[tuple[str, float, list[str], set[str]]] = [
     ("count_repetitions", 15.0, [], {"repetitions"}),
 ]  # fmt: skip
 """A shipped graph, for how long its simulated devices run (0.0: to the end of its own source), settings, nodes that give events."""
+AT_ONCE_S = 0.1
+"""What a device has sent meanwhile comes in one read, of a busy machine."""
 ALIKE = {"bedside_sleep": "bedside_simulated", "bedside_two": "bedside_simulated"}
 """Graphs that ask for a camera at its own pace all night: every operator of theirs that gives events is in another one."""
 SPOKEN = {"avatar": "its prompts are of the sample that leads to them"}
@@ -76,11 +78,12 @@ def test_no_event_of_a_shipped_graph_comes_later_than_check_says(
     graph = load(CONFIGS / f"{config}.yaml", overrides=read(settings))
     planned = {(d.origin.node, d.origin.output): d for d in plan(graph).decisions}
     late = measured(graph, for_s=for_s)
+    at_once_s = AT_ONCE_S if for_s else 0.0
     assert seen <= {node for node, output in late if (node, output) in planned and late[node, output]}
     for key, seconds in late.items():
         if seconds and key in planned:
             edge = planned[key].origin
-            assert max(seconds) <= planned[key].after_s + tolerance_s(graph, edge), (str(edge), max(seconds))
+            assert max(seconds) <= planned[key].after_s + tolerance_s(graph, edge) + at_once_s, (str(edge), max(seconds))
 
 
 def test_check_prints_when_events_come_beside_the_delay(kinegraph: Command) -> None:
