@@ -83,7 +83,10 @@ def test_no_event_of_a_shipped_graph_comes_later_than_check_says(
     for key, seconds in late.items():
         if seconds and key in planned:
             edge = planned[key].origin
-            assert max(seconds) <= planned[key].after_s + tolerance_s(graph, edge) + at_once_s, (str(edge), max(seconds))
+            assert max(seconds) <= planned[key].after_s + tolerance_s(graph, edge) + at_once_s, (
+                str(edge),
+                max(seconds),
+            )
 
 
 def test_check_prints_when_events_come_beside_the_delay(kinegraph: Command) -> None:
