@@ -85,6 +85,9 @@ def import_(
     dejitter: Annotated[bool, typer.Option(help="XDF: remove the jitter of regular streams' times")] = True,
     kinect: Annotated[bool, typer.Option(help="CSV: x, y and z of a skeleton's joints, as points")] = False,
     clock_sync: Annotated[bool, typer.Option(help="XDF: apply the clock offsets that were measured")] = True,
+    untried: Annotated[
+        bool, typer.Option("--untried", help="also read formats of which no real file was at hand to try: MVNX, Cortex")
+    ] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a recording that is there already")] = False,
 ) -> None:
     """Turn files of other programs into one recording.
@@ -99,7 +102,7 @@ def import_(
     said = {"stream": stream, "events": events, "time": time, "time_unit": time_unit, "rate": rate, "counter": counter,
             "names": names, "unit": unit, "scale": scale, "meta": meta}  # fmt: skip
     wishes = wishes_of(said, start, repeated=repeated, text_width=text_width, dejitter=dejitter, clock_sync=clock_sync,
-                       skip_rows=skip_rows, preview=preview)  # fmt: skip
+                       skip_rows=skip_rows, preview=preview, untried=untried)  # fmt: skip
     facts = {key: value(text) for key, text in pairs("fact", fact, named=True).items()}
     if output is None and not preview:
         raise RecordingError(

@@ -95,6 +95,8 @@ class Wishes:
     """Of XDF files: whether the jitter of regular streams' times is removed, and clock offsets are applied."""
     skip_rows: int | None = None
     """Lines of text files before the header that are passed over; None: nobody said."""
+    untried: bool = False
+    """Whether formats are read of which no real file was at hand."""
     preview: bool = False
     """Whether files are only looked at: a rate that nobody told is then no error."""
     findings: Findings = field(default_factory=Findings)

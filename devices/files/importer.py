@@ -32,6 +32,7 @@ class Importer:
               wishes that concern other files. Raises RecordingError that names the file
     order     of several importers the lower is asked first; one that takes every wish for its own comes late
     claims    whether a file is of this kind by its content (its path, its first bytes), whatever its name ends in; None: by its name only
+    untried   whether no file of a real program was at hand to try it on: such files are refused unless that is wished
     """
 
     what: str
@@ -39,6 +40,7 @@ class Importer:
     read: Reader
     order: int = 50
     claims: Callable[[Path, bytes], bool] | None = None
+    untried: bool = False
 
 
 @cache
@@ -118,6 +120,11 @@ def read_files(files: Sequence[Path], wishes: Wishes, *, kinect: bool = False) -
     kinds.sort(key=lambda kind: kind[0].order)
     series: list[Series] = []
     for one, mine in kinds:
+        if one.untried and not wishes.untried:
+            raise RecordingError(
+                f"{mine[0]}: the reader of {one.what} files was only tried on files that we wrote ourselves, never on a real export; "
+                "--untried reads it all the same: compare what --preview shows with the program that wrote the file"
+            )
         try:
             made, wishes = one.read(mine, wishes, one is kinds[-1][0])
         except RecordingError as error:

@@ -172,16 +172,24 @@ def test_inertial_sensors(tmp_path: Path) -> None:
 
 
 def test_cortex(tmp_path: Path) -> None:
-    found, _ = read(tmp_path / "walk.forces", made.FORCES)
+    found, _ = read(tmp_path / "walk.forces", made.FORCES, untried=True)
     assert found["force"].spec.units == ("N", "N", "N", "mm", "mm", "mm", "Nmm") and found["force"].spec.rate_hz == 300
-    found, findings = read(tmp_path / "walk.anc", made.ANC)
+    found, findings = read(tmp_path / "walk.anc", made.ANC, untried=True)
     assert found["analog"].data[29, 0] == pytest.approx(
         2900 * 5000 / 32768 / 1000
     ) and "never checked on a real board" in doubts(findings)
 
 
+@pytest.mark.parametrize(("name", "text"), [("w.forces", made.FORCES), ("w.anc", made.ANC), ("w.mvnx", made.MVNX)])
+def test_a_format_of_which_no_real_file_was_at_hand_is_refused_unless_asked_for(
+    name: str, text: str, tmp_path: Path
+) -> None:
+    with pytest.raises(RecordingError, match=rf"{name}: the reader of .* never on a real export; --untried reads it"):
+        read(tmp_path / name, text)
+
+
 def test_mvnx_by_its_frames_time_of_day(tmp_path: Path) -> None:
-    found, findings = read(tmp_path / "x.mvnx", made.MVNX)
+    found, findings = read(tmp_path / "x.mvnx", made.MVNX, untried=True)
     position = found["position"]
     assert (
         position.data.shape == (19, 2, 3) and position.spec.rate_hz == 60 and position.spec.channels == ("Pelvis", "L5")
@@ -192,10 +200,10 @@ def test_mvnx_by_its_frames_time_of_day(tmp_path: Path) -> None:
     )
     assert "Jane Doe" not in str(findings.facts)
     marked = made.MVNX.replace("<jointAngle>0 0 3<", "<marker>here</marker><jointAngle>0 0 3<")
-    assert "marker holds something else" in doubts(read(tmp_path / "x.mvnx", marked)[1])
+    assert "marker holds something else" in doubts(read(tmp_path / "x.mvnx", marked, untried=True)[1])
     bomb = made.MVNX.replace("<mvnx ", '<!DOCTYPE m [<!ENTITY a "b">]><mvnx ')
     with pytest.raises(RecordingError, match=r"declares entities, which no export does"):
-        read(tmp_path / "x.mvnx", bomb)
+        read(tmp_path / "x.mvnx", bomb, untried=True)
 
 
 def test_matlab_of_both_versions(tmp_path: Path) -> None:
@@ -317,7 +325,8 @@ def test_a_plain_table_below_other_lines(tmp_path: Path) -> None:
 
 def test_the_content_decides_and_not_the_name(tmp_path: Path) -> None:
     for name, text in made.TEXTS.items():
-        assert read(tmp_path / f"{Path(name).stem}.dat", text)[0].keys() == read(tmp_path / name, text)[0].keys()
+        by_content = read(tmp_path / f"{Path(name).stem}.dat", text, untried=True)[0]
+        assert by_content.keys() == read(tmp_path / name, text, untried=True)[0].keys()
     with pytest.raises(RecordingError, match=r"its content does not show what kind of file this is"):
         read(tmp_path / "x.dat", "nothing\n")
 
@@ -328,7 +337,7 @@ def test_a_file_cut_within_a_row_is_refused_by_its_line_or_read_to_there(tmp_pat
     last = text.rstrip("\n").rfind("\n") + 1
     for at in (last + 3, len(text) // 2):
         try:
-            found, _ = read(tmp_path / name, text[:at])
+            found, _ = read(tmp_path / name, text[:at], untried=True)
         except RecordingError as error:
             assert name in str(error)
         else:

@@ -26,7 +26,14 @@ def _of(module: str) -> Any:
 
 
 def _grammar(
-    what: str, suffixes: tuple[str, ...], module: str, read: str, knows: str = "knows", kind: str = ""
+    what: str,
+    suffixes: tuple[str, ...],
+    module: str,
+    read: str,
+    knows: str = "knows",
+    kind: str = "",
+    *,
+    untried: bool = False,
 ) -> Importer:
     """An importer whose reader, and what knows its files by their text, are functions of a module of this room."""
 
@@ -37,7 +44,7 @@ def _grammar(
     def read_all(files: Sequence[Path], wishes: Wishes, last: bool) -> tuple[list[Series], Wishes]:
         return _through(_of("reading").reader(kind or what, getattr(_of(module), read))(files, wishes, last))
 
-    return Importer(what, suffixes, read_all, order=30, claims=claims)
+    return Importer(what, suffixes, read_all, order=30, claims=claims, untried=untried)
 
 
 def _is_edf(path: Path, head: bytes) -> bool:
@@ -134,9 +141,9 @@ TRC = _grammar("OpenSim markers", (".trc",), "opensim", "read_trc", "is_trc")
 STORAGE = _grammar("OpenSim storage", (".mot", ".sto"), "opensim", "read_storage", "is_storage")
 MT_MANAGER = _grammar("Xsens MT Manager", (".txt",), "mt_manager", "read_mt_manager")
 APDM = _grammar("APDM", (".csv",), "apdm", "read_apdm")
-FORCES = _grammar("Cortex forces", (".forces",), "cortex", "read_forces", "is_forces")
-ANC = _grammar("Cortex analogue", (".anc",), "cortex", "read_anc", "is_anc")
-MVNX = _grammar("Xsens MVN", (".mvnx",), "mvnx", "read_mvnx")
+FORCES = _grammar("Cortex forces", (".forces",), "cortex", "read_forces", "is_forces", untried=True)
+ANC = _grammar("Cortex analogue", (".anc",), "cortex", "read_anc", "is_anc", untried=True)
+MVNX = _grammar("Xsens MVN", (".mvnx",), "mvnx", "read_mvnx", untried=True)
 EDF = Importer("EDF and BDF", (".edf", ".bdf"), _edf, order=30, claims=_is_edf)
 BIDS_MOTION = Importer("BIDS motion", (".tsv",), _bids_motion, order=29, claims=_is_bids_motion)
 MATLAB = Importer("MATLAB", (".mat",), _matlab, order=90, claims=_is_matlab)
