@@ -11,19 +11,29 @@ import asyncio
 import struct
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from devices.binary import Binary
 from devices.ble.link import Notification
 from devices.ble.polar import Polar, PolarReading
+from devices.clocks.rate_check import Policy
+from devices.frame_reading import FrameReading
 from devices.natnet import NatNet, NatNetReading
+from devices.osc import OscInlet, OscReading
 from devices.protocols import natnet, polar_pmd
+from devices.protocols.declared import Frame
 from devices.protocols.natnet import ServerInfo
 from devices.protocols.natnet_build import build_frame, build_models
+from devices.protocols.osc import read_osc
+from devices.protocols.osc_write import bundles, floats
+from devices.protocols.packet_decoder import PacketDecoder
 from devices.protocols.polar_pmd import PmdDecoder
 from devices.simulators.natnet import MODELS, TICK_HZ, NatNetScene
 from devices.simulators.polar import PolarBelt
+from stream.graph.load import load_text
 from tests.support.device_feed import Kept
 
 N = 4000
@@ -157,10 +167,73 @@ def polar_figures() -> dict[str, float]:
         return made | {"bleakheart": min(runner.run(many()) for _ in range(ROUNDS))}
 
 
+GRAPH = """
+nodes:
+  osc: {use: devices.osc.OscInlet, port: 9999, streams: [{address: /a, name: a, rate_hz: 100, arguments: [{name: x}, {name: y}, {name: z},
+    {role: counter}]}]}
+  udp: {use: devices.binary.Binary, port: "udp://127.0.0.1:9998", frames: [{name: f, sync: "", rate_hz: 100, fields: [{type: u32,
+    role: counter}, {type: f32, name: a}, {type: f32, name: b}, {type: f32, name: c}]}]}
+"""
+
+
+def declared_figures() -> dict[str, float]:
+    """us a datagram of a counter and three numbers: as an OSC message, and as a declared frame."""
+    graph = load_text(GRAPH)
+    inlet, binary = graph.nodes["osc"].part, graph.nodes["udp"].part
+    assert isinstance(inlet, OscInlet) and isinstance(binary, Binary)
+    osc, feed = OscReading(inlet, inlet.streams[0]), Clocked()
+    frames = FrameReading(DatagramFrames(binary), PacketDecoder(binary.layouts()))
+    messages = [next(iter(bundles([floats("/a", [1.0, 2.0, 3.0, float(i)])]))) for i in range(N * ROUNDS)]
+    packets = [struct.pack("<I3f", i, 1.0, 2.0, 3.0) for i in range(N * ROUNDS)]
+    first, second, begun = iter(range(N * ROUNDS)), iter(range(N * ROUNDS)), feed.at
+
+    def message(_: int) -> None:
+        i = next(first)
+        for _, arguments in read_osc(messages[i]):
+            osc.take(arguments, begun + i * 10_000_000, 0, feed)
+
+    def frame(_: int) -> None:
+        i = next(second)
+        feed.at = begun + i * 10_000_000
+        frames.take(packets[i], feed)
+
+    return {
+        "OSC message": cpu_us(message),
+        "declared frame": cpu_us(frame),
+        "bare loop": cpu_us(lambda i: np.array(struct.unpack("<I3f", packets[i]))),
+    }
+
+
+@dataclass(frozen=True)
+class DatagramFrames:
+    """A source of declared frames, as its reading sees it."""
+
+    of: Binary
+    wraps_ns: int = 0
+    hint: str = ""
+
+    @property
+    def port(self) -> str:
+        return self.of.port
+
+    @property
+    def frames(self) -> tuple[Frame, ...]:
+        return self.of.frames
+
+    @property
+    def latency_s(self) -> float:
+        return self.of.latency_s
+
+    @property
+    def rate_mismatch(self) -> Policy:
+        return self.of.rate_mismatch
+
+
 def main() -> None:
     for title, figures in (
         ("NatNet, us a frame", natnet_figures()),
         ("Polar ECG, us a frame of 73 samples", polar_figures()),
+        ("a counter and three numbers, us a datagram", declared_figures()),
     ):
         print(title)
         for name, us in figures.items():

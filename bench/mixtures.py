@@ -88,7 +88,7 @@ class DriftWatch:
 
 
 def watched(hours: float, seed: int, muscle: str, **settings: int) -> tuple[int, list[float]]:
-    """False alarms in so many hours, and after how many cycles each change at minute 5 is told; infinite: not within 57."""
+    """False alarms in so many hours, and after how many cycles each change at minute 5 is reported; infinite: not within 57."""
     rng = np.random.default_rng([seed, *muscle.encode()])
     watch, before = DriftWatch(**settings), 5 * 57
     first = walked(rng, before, muscle)

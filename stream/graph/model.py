@@ -52,7 +52,7 @@ class NodeOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Declared:
+class NodeDeclaration:
     """What an operator or outlet said of itself when it was opened to be checked; nothing of a source.
 
     delay_s, decision_s  as its `hold` was told
@@ -77,7 +77,7 @@ class Node:
     inputs: dict[str, Edge] = field(default_factory=dict)
     specs: Specs = field(default_factory=dict)
     """Output specs, by output name."""
-    declared: Declared = Declared()
+    declared: NodeDeclaration = NodeDeclaration()
     options: NodeOptions = field(default_factory=NodeOptions)
     line: int = 0
     given: dict[str, Any] = field(default_factory=dict)

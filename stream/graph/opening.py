@@ -8,7 +8,7 @@ from typing import Any
 
 from stream.chunk import Specs, StreamSpec
 from stream.errors import InputError, KinegraphError, ParameterError, asked_to_end, explain
-from stream.graph import Declared, Edge, Node, NodeOptions
+from stream.graph import Edge, Node, NodeDeclaration, NodeOptions
 from stream.graph.draft import Draft
 from stream.graph.problems import Problems
 from stream.graph.wiring import Wires, order
@@ -151,13 +151,13 @@ def _recorded(draft: Draft, recorded: Mapping[str, StreamSpec]) -> Specs:
     return specs
 
 
-def _declared(trial: Source | Operator[Any]) -> Declared:
+def _declared(trial: Source | Operator[Any]) -> NodeDeclaration:
     if isinstance(trial, Source):
-        return Declared()
-    return Declared(trial.delay_s, trial.decision_s, trial.memory_bytes)
+        return NodeDeclaration()
+    return NodeDeclaration(trial.delay_s, trial.decision_s, trial.memory_bytes)
 
 
-def _node(draft: Draft, part: Source | Operator[Any], wires: Wires, specs: Specs, declared: Declared) -> Node:
+def _node(draft: Draft, part: Source | Operator[Any], wires: Wires, specs: Specs, declared: NodeDeclaration) -> Node:
     options = {f.name for f in fields(NodeOptions)} | {"use", "from"}
     entry = draft.entry.items()
     return Node(

@@ -13,3 +13,4 @@ def test_frames_are_measured_from_bytes_to_chunks(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(datagrams, "ROUNDS", 1)
     for figures in (datagrams.natnet_figures(), datagrams.polar_figures()):
         assert next(iter(figures)) == "source" and all(us > 0 for us in figures.values())
+    assert all(us > 0 for us in datagrams.declared_figures().values())

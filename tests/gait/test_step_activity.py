@@ -1,4 +1,4 @@
-"""Walking, turning and standing are told apart, and where nothing was measured nothing is made up."""
+"""Tells walking, turning and standing apart, and makes nothing up where nothing was measured."""
 
 from __future__ import annotations
 

@@ -106,7 +106,7 @@ PROMISE_NOTHING = {
     ("MixtureDrift", "change"): "between its windows cycles may be rejected, or nobody walk",
     ("NightMap", "out"): "it waits until the night is known to be over",
     ("SleepStatistics", "out"): "it waits until it is known when somebody was in bed",
-    ("StepActivity", "activity"): "a turn is told once the body has turned by enough",
+    ("StepActivity", "activity"): "a turn is reported once the body has turned by enough",
     ("Steps", "steps"): "a peak stands until the signal has fallen",
 }
 """Events that may come as late as they like."""

@@ -1,4 +1,4 @@
-"""An avatar walks, runs and jumps where it is told, out of one recording."""
+"""An avatar walks, runs and jumps where it should, out of one recording."""
 
 from __future__ import annotations
 
