@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,15 +25,16 @@ def _motion(files: Sequence[Path], wishes: Wishes, last: bool) -> tuple[list[Ser
 
 
 def _mesh(files: Sequence[Path], wishes: Wishes, last: bool) -> tuple[list[Series], Wishes]:
-    from devices.files.obj_read import RATE_HZ, read_obj
+    from devices.files.obj_read import read_obj
 
     try:
-        rate, scale = float(wishes.rate.get("", RATE_HZ)), float(wishes.scale.get("", 1.0))
+        rate = float(said) if (said := wishes.rate.get("")) else None
+        scale = float(wishes.scale.get("", 1.0))
     except ValueError:
         raise RecordingError(
             "--rate and --scale of a mesh are numbers: frames per second, and metres per unit"
         ) from None
-    if rate <= 0.0 or scale <= 0.0:
+    if (rate is not None and not 0.0 < rate < inf) or not 0.0 < scale < inf:
         raise RecordingError("--rate and --scale of a mesh must be positive")
     return read_obj(files, rate, scale, wishes.start_ns), wishes
 
@@ -108,4 +110,4 @@ XDF = Importer("XDF", (".xdf", ".xdfz"), _xdf, order=10, claims=_is_xdf)
 MOTION = Importer(
     "motion capture (AMC with its ASF)", (".bvh", ".c3d", ".amc", ".asf"), _motion, order=0, claims=_is_motion
 )
-MESH = Importer("meshes, a file a frame", (".obj", ".ply", ".glb"), _mesh, order=20)
+MESH = Importer("meshes, a file a frame, and animations of glTF", (".obj", ".ply", ".glb", ".gltf"), _mesh, order=20)

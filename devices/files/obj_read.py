@@ -1,12 +1,15 @@
-"""A moving mesh, one file a frame: Wavefront OBJ, and PLY and GLB through trimesh."""
+"""A moving mesh: one file a frame (Wavefront OBJ; PLY through trimesh; glTF), or the animations of a glTF file."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from devices.files.gltf_read import animated, read_gltf
+from devices.files.moving_mesh import RATE_HZ, MovingMesh
 from devices.files.timing import grid_of
 from stream.bounded import reading
 from stream.chunk import Array, Samples
@@ -16,30 +19,62 @@ from stream.optional import optional
 from stream.recording.series import Series
 from stream.tables import read_text
 
-RATE_HZ = 30.0
-BY_TRIMESH = (".ply", ".glb")
+GLTF = (".glb", ".gltf")
 
 
-def read_obj(files: Sequence[Path], rate_hz: float = RATE_HZ, scale: float = 1.0, start_ns: int = 0) -> list[Series]:
-    """One stream, called after the first file: the vertices (vertices, 3) of each file in turn, times `scale` in metres.
+def read_obj(
+    files: Sequence[Path], rate_hz: float | None = None, scale: float = 1.0, start_ns: int = 0
+) -> list[Series]:
+    """The vertices (vertices, 3) of moving meshes, times `scale` in metres.
 
-    Every file holds the same mesh; polygons become fans of triangles; textures and normals are left out. The vertices stay in the file's
-    order. Of a GLB file the scene at rest is read, its meshes one after the other. Raises RecordingError.
+    Every file without an animation is a frame (30 Hz, if no rate is said) of one stream, called after the first of them; they hold the
+    same mesh. Each animation of a glTF file is a stream of its own, called after its file, and itself where there are several, at the
+    rate of its keys where these are regular and at least 10 Hz, else at 30 Hz. Polygons become fans of triangles; textures and normals
+    are left out. The vertices stay in the file's order. Raises RecordingError.
     """
+    made: list[Series] = []
     frames: list[Samples] = []
     faces: Array = np.empty((0, 3), np.int32)
-    for number, path in enumerate(files):
+    first = files[0]
+    for path in files:
+        moving: MovingMesh | None = None
         with reading(path, f"a mesh ({path.suffix.lower() or 'OBJ'})"):
-            vertices, mine = _by_trimesh(path) if path.suffix.lower() in BY_TRIMESH else _mesh(path)
-        if number and (len(vertices) != len(frames[0]) or not np.array_equal(mine, faces)):
+            if path.suffix.lower() in GLTF:
+                moving = read_gltf(path)
+                vertices, mine = moving.at(np.zeros(1))[0], moving.faces
+            else:
+                vertices, mine = _by_trimesh(path) if path.suffix.lower() == ".ply" else _mesh(path)
+        if moving and moving.animations:
+            made += _animated(path, moving, rate_hz, scale, start_ns)
+            continue
+        if frames and (len(vertices) != len(frames[0]) or not np.array_equal(mine, faces)):
             raise RecordingError(
-                f"{path}: is another mesh than {files[0]}: every frame must have the same vertices and faces"
+                f"{path}: is another mesh than {first}: every frame must have the same vertices and faces"
             )
+        first = first if frames else path
         frames.append(vertices * scale)
         faces = mine
-    mesh = Topology(len(frames[0]), faces, files[0].stem)
-    time = grid_of(rate_hz, np.arange(len(frames)), start_ns)
-    return [Series(files[0].stem, mesh.spec(rate_hz), time, np.array(frames))]
+    if frames:
+        made.append(
+            _series(first.stem, Topology(len(frames[0]), faces, first.stem), rate_hz, np.array(frames), start_ns)
+        )
+    return made
+
+
+def _animated(path: Path, mesh: MovingMesh, rate_hz: float | None, scale: float, start_ns: int) -> list[Series]:
+    """A stream of each animation."""
+    topology = Topology(mesh.vertices, mesh.faces, path.stem)
+    made: list[Series] = []
+    for name, rate, frames in animated(mesh, path, rate_hz):
+        stem = path.stem if len(mesh.animations) == 1 else f"{path.stem}.{re.sub('[^A-Za-z0-9_-]+', '_', name)}"
+        taken = sum(one.name == stem for one in made)
+        made.append(_series(f"{stem}_{len(made)}" if taken else stem, topology, rate, frames * scale, start_ns))
+    return made
+
+
+def _series(name: str, mesh: Topology, rate_hz: float | None, frames: Samples, start_ns: int) -> Series:
+    rate = rate_hz or RATE_HZ
+    return Series(name, mesh.spec(rate), grid_of(rate, np.arange(len(frames)), start_ns), frames)
 
 
 def _mesh(path: Path) -> tuple[Samples, Array]:

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from devices.files.gltf_document import glb_chunks, matrix_of
 from stream.bounded import reading
 from stream.chunk import Samples
 from stream.errors import RecordingError
 from stream.humanoid import BONES, NUMBERS
 from stream.joint_tree import JointTree
-
-MOST_JSON = 64 << 20
 
 
 def read_vrm(path: Path) -> JointTree:
@@ -25,7 +21,7 @@ def read_vrm(path: Path) -> JointTree:
     A bone that the avatar lacks lies where its parent does. Raises RecordingError.
     """
     with reading(path, "a VRM avatar"):
-        document = _document(path.read_bytes(), path)
+        document, _ = glb_chunks(path.read_bytes(), path, "VRM avatar")
         found, turned = _bones(document, path)
         places = _places(document["nodes"])
         heads = np.zeros((len(BONES), 3))
@@ -37,19 +33,6 @@ def read_vrm(path: Path) -> JointTree:
     offsets = heads.copy()
     offsets[1:] -= heads[NUMBERS[1:]]
     return JointTree(BONES, NUMBERS, offsets)
-
-
-def _document(data: bytes, path: Path) -> dict[str, Any]:
-    """The JSON of a glTF binary."""
-    if len(data) < 20 or data[:4] != b"glTF":
-        raise RecordingError(f"{path}: is no VRM avatar: it does not begin as a glTF binary does")
-    length, kind = struct.unpack_from("<II", data, 12)
-    if kind != 0x4E4F534A or length > min(len(data) - 20, MOST_JSON):
-        raise RecordingError(f"{path}: is no VRM avatar: its first chunk is no JSON, or is cut off")
-    found = json.loads(data[20 : 20 + length])
-    if not isinstance(found, dict) or not isinstance(found.get("nodes"), list):
-        raise RecordingError(f"{path}: is no VRM avatar: it has no nodes")
-    return found
 
 
 def _bones(document: dict[str, Any], path: Path) -> tuple[dict[str, int], bool]:
@@ -74,16 +57,8 @@ def _places(nodes: list[dict[str, Any]]) -> Samples:
     def world(n: int, depth: int = 0) -> tuple[Samples, Samples]:
         if depth > len(nodes):
             raise ValueError("nodes are their own ancestors")
-        node = nodes[n]
-        if "matrix" in node:
-            matrix = np.array(node["matrix"], float).reshape(4, 4).T
-        else:
-            matrix = np.eye(4)
-            turn = Rotation.from_quat(node.get("rotation", (0.0, 0.0, 0.0, 1.0))).as_matrix()
-            matrix[:3, :3] = turn * np.array(node.get("scale", (1.0, 1.0, 1.0)), float)
-            matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
         above = world(parents[n], depth + 1)[0] if n in parents else np.eye(4)
-        whole = above @ matrix
+        whole = above @ matrix_of(nodes[n])
         return whole, whole[:3, 3]
 
     return np.array([world(n)[1] for n in range(len(nodes))])

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from operators.steering.parts import blend_weights, edges_of, near_rigid_parts, nearest_of
+from operators.steering.parts import blend_weights, edges_of, near_rigid_parts, nearest_of, seams_of
 from operators.steering.regression import Learned, learn
 from stream.chunk import Array, Samples, Times
 
@@ -116,7 +116,7 @@ class Layout:
 
     @staticmethod
     def of(frames: Samples, faces: Array, at: Times, count: int) -> Layout:
-        edges = edges_of(faces)
+        edges = np.concatenate([edges_of(faces), seams_of(frames)])
         part = near_rigid_parts(frames, edges, count)
         diagonal = float(np.linalg.norm(np.ptp(frames[0], axis=0)))
         return Layout(part, *blend_weights(part, edges, frames[0], REACH * diagonal), nearest_of(at, edges, frames[0]))

@@ -21,6 +21,17 @@ def edges_of(faces: Array) -> Times:
     return np.unique(np.sort(pairs, axis=1), axis=0)
 
 
+def seams_of(frames: Samples) -> Times:
+    """Edges (m, 2) between vertices that lie at one place in all `frames` (f, vertices, 3).
+
+    Where texture or shading breaks, many programs write a vertex twice, and the triangles on either side are not joined.
+    """
+    moved = np.ascontiguousarray(frames.transpose(1, 0, 2), np.float32).reshape(frames.shape[1], -1)
+    order = np.lexsort(moved[:, :: max(1, moved.shape[1] // 64)].T)
+    same = (moved[order[1:]] == moved[order[:-1]]).all(axis=1)
+    return np.sort(np.stack([order[:-1][same], order[1:][same]], axis=1), axis=1).astype(np.int64)
+
+
 def near_rigid_parts(frames: Samples, edges: Times, count: int) -> Times:
     """The part (vertices,) of each vertex of a mesh's `frames` (f, vertices, 3), numbered from 0; at most `count` of them.
 
