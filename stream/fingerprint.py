@@ -1,7 +1,8 @@
-"""What a function depends on, as a hash: its own file, and what its code reaches in other files through global names.
+"""What a function or a class depends on, as a hash: its own file, and what its code reaches in other files through global names.
 
 Kernels are cached under it, so an edit recompiles the kernels that it can change and no others. Names are followed to the values that they
 have when the fingerprint is taken: through functions, kernels, intrinsics and modules, of ours and of a user's; constants count by value.
+Of a class files alone count, so that nothing that a program changes while it runs can change the hash.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
+from numba.core.dispatcher import Dispatcher
 
 OURS = ("stream", "devices", "operators")
 _PLAIN = (int, float, complex, str, bytes, type(None), np.dtype, np.generic)
@@ -51,6 +53,45 @@ def fingerprint(function: Callable[..., Any]) -> str:
                 waiting += _inside(value)
                 facts.add(_file(_module_of(value)))
     return hashlib.sha256("\n".join(sorted(facts)).encode()).hexdigest()[:20]
+
+
+def fingerprint_of_class(cls: type) -> str:
+    """A hash of the files that a class's methods, those of its bases, and the functions and classes that they name stand in."""
+    home = cls.__module__.partition(".")[0]
+    files: set[str] = set()
+    waiting: set[object] = {cls}
+    known: set[object] = set()
+    while waiting:
+        known.add(thing := waiting.pop())
+        found, led = _leads(thing, home)
+        files |= found
+        waiting |= led - known
+    return hashlib.sha256("\n".join(sorted(files)).encode()).hexdigest()[:20]
+
+
+@cache
+def _leads(thing: object, home: str) -> tuple[frozenset[str], frozenset[object]]:
+    """The hashes of the files that a class, a function or a kernel stands in, or imports when it runs; and which ones it names."""
+    if not _is_followed(thing, home):
+        return frozenset(), frozenset()
+    if isinstance(thing, FunctionType):
+        later = (_hash_of(path) for path in _imported_later(thing, home))
+        named = (value for value in _reached(thing) if isinstance(value, FunctionType | type | Dispatcher))
+        return frozenset((_source(thing), *later)), frozenset(named)
+    if isinstance(thing, type):
+        members = (getattr(m, "__func__", None) or getattr(m, "fget", m) for m in vars(thing).values())
+        methods = (member for member in members if isinstance(member, FunctionType))
+        return frozenset((_file(thing.__module__),)), frozenset((*thing.__mro__, *methods))
+    return frozenset(), frozenset(_inside(thing))
+
+
+def _imported_later(function: FunctionType, home: str) -> Iterator[str]:
+    """The files of modules that a function's code imports when it runs, or may: of the dotted names in it, those of ours and of its own."""
+    for name in _names(function.__code__):
+        top, _, rest = name.partition(".")
+        if rest and top in (*OURS, home) and (found := getattr(sys.modules.get(top), "__file__", None)):
+            place = Path(found).parent.joinpath(*rest.split("."))
+            yield str(place / "__init__.py" if place.is_dir() else place.with_suffix(".py"))
 
 
 def _reached(function: FunctionType) -> Iterator[object]:

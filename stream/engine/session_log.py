@@ -13,9 +13,11 @@ import structlog
 
 from stream.chunk import FOREVER, NEVER, Chunk, StreamSpec, utc
 from stream.clock import SessionClock
+from stream.engine.merge import Merge
 from stream.engine.pipeline import Pipeline
 from stream.engine.queues import DROPPED
 from stream.errors import KinegraphError, RecordingError
+from stream.fingerprint import fingerprint_of_class
 from stream.graph import Graph
 from stream.recording import Recorder, RecorderStatus, Recording, versions
 from stream.recording.checkpoint import Checkpoint, CheckpointWriter, fingerprint
@@ -85,6 +87,16 @@ class PriorSession:
                 f"{folder} was recorded with another graph, or with other values of --set; resume with the same, or start a new session"
             )
 
+        now, then = code_of(graph), self.recording.header.get("code")
+        if then != now:
+            changed = [name for name in now if not isinstance(then, dict) or then.get(name) != now[name]]
+            uses = [f"{node.name!r} ({node.use})" for name in changed if (node := graph.nodes.get(name))]
+            what = f"of node {uses[0]}" if len(uses) == 1 else f"of {len(uses)} nodes" if uses else "of kinegraph"
+            raise RecordingError(
+                f"{folder} was recorded with another version of the code {what}, to which its state may mean something else, and cannot be"
+                " resumed; what it recorded can be replayed: start a new session"
+            )
+
     @property
     def last_time(self) -> int:
         """The last stamp that it gave."""
@@ -98,6 +110,13 @@ class PriorSession:
     def recorded_through(self, edge: str) -> int:
         """The place in the input log of the last input of which an edge's answer is recorded; -1: of none."""
         return self.recording.streams[edge].last_sequence if edge in self.recording.streams else -1
+
+
+def code_of(graph: Graph) -> dict[str, str]:
+    """By node, a hash of the code that gives its state a meaning; under "" that of the engine's own state."""
+    return {"": fingerprint_of_class(Merge)} | {
+        name: fingerprint_of_class(type(node.part)) for name, node in graph.nodes.items()
+    }
 
 
 class SessionLog:
@@ -135,6 +154,7 @@ class SessionLog:
             "started": utc(self._clock.utc_ns),
             "resumed": self._prior is not None,
             "versions": versions(),
+            "code": code_of(self._graph),
         }
 
     def add_input(self, stream: str, spec: StreamSpec, first: int) -> int:

@@ -242,6 +242,64 @@ def test_another_graph_cannot_resume_a_session(config: Path, tmp_path: Path) -> 
         Session(load(config), folder, resume=True)
 
 
+OWN = """
+from dataclasses import dataclass
+
+from own_filters import doubled
+from stream.operator import Operator
+
+
+@dataclass(slots=True)
+class State:
+    sum: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Sum(Operator[State]):
+    def open(self, specs):
+        self.hold(State())
+        return {"out": specs["in"]}
+
+    def process(self, port, chunk):
+        self.state.sum += doubled(chunk.data.sum())
+        return chunk
+"""
+OWN_FILTERS = "def doubled(x):\n    return 2 * x\n"
+RESUMED = """
+import sys
+from pathlib import Path
+from stream.engine.session import Session
+from stream.errors import KinegraphError
+from stream.graph.load import load
+try:
+    Session(load(Path("graph.yaml")), Path("s"), resume=True)
+except KinegraphError as error:
+    sys.exit(str(error))
+"""
+
+
+@pytest.mark.parametrize(("changed", "refused"), [("own.py", True), ("own_filters.py", True), ("unrelated.py", False)])
+def test_a_session_of_which_the_code_has_changed_is_refused(changed: str, refused: bool, tmp_path: Path) -> None:
+    """Under the same version, too: a file of the operator's, or one that its methods call."""
+    for name, text in (("own.py", OWN), ("own_filters.py", OWN_FILTERS), ("unrelated.py", "")):
+        (tmp_path / name).write_text(text)
+    graph = tmp_path / "graph.yaml"
+    graph.write_text(
+        "nodes:\n  board: {use: devices.simulators.treadmill.Treadmill}\n  own: {use: own.Sum, from: board.emg}\n"
+    )
+    process = live(graph, tmp_path / "s")
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "s" / checkpoint.NAME).exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    kill(process)
+    (tmp_path / changed).write_text((tmp_path / changed).read_text() + "\nADDED = 1\n")
+    done = subprocess.run([sys.executable, "-c", RESUMED], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.returncode == (1 if refused else 0), done.stderr
+    if refused:
+        assert "another version of the code of node 'own' (own.Sum)" in done.stderr
+        assert "can be replayed: start a new session" in done.stderr
+
+
 def test_a_session_that_ended_well_cannot_be_resumed(config: Path, tmp_path: Path) -> None:
     outcome = Session(load(config), tmp_path / "s", duration_s=1.0).run()
     assert outcome.exit_code == 0
