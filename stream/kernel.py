@@ -75,7 +75,7 @@ class _Kept:
         if self._opened is None:
             _load_numba()
             folder = cache_folder() / f"{self._function.__module__}-{fingerprint(self._function)}"
-            folder.mkdir(exist_ok=True)
+            refuse_shared(private_folder(folder), "a folder of compiled kernels")
             os.utime(folder)
             with _choosing:
                 before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
@@ -133,7 +133,7 @@ def _written_down(name: str, source: str) -> Path:
     folder = cache_folder() / "rows"
     path = folder / name
     try:
-        folder.mkdir(exist_ok=True)
+        refuse_shared(private_folder(folder), "a folder of compiled kernels")
         if not path.exists():
             draft = path.with_suffix(f".{os.getpid()}")
             draft.write_text(source, encoding="utf-8")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from itertools import count
@@ -16,6 +15,7 @@ from devices.outlets.page.hub import Looking
 from devices.outlets.page.wire import encode
 from devices.pose_map import picture
 from devices.pose_map.wanted import Wanted, WantedCurve, WantedFrames, WantedNear
+from stream.child import child
 from stream.motion_index import MotionIndex
 
 log = structlog.get_logger(__name__)
@@ -101,7 +101,7 @@ class MapHub:
     async def search(self) -> None:
         """Run the graph that answers, in a process of its own, and pass on what it says; until cancelled."""
         self._process = process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "devices.pose_map.searching", str(self._path.absolute()),
+            *child("devices.pose_map.searching", str(self._path.absolute())),
             stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, limit=1 << 22,
         )  # fmt: skip
         assert process.stdin and process.stdout

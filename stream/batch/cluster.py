@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -115,6 +116,7 @@ def _cluster(distributed: Any, where: str, count: int, memory_bytes: int) -> Any
     """The cluster that is made for this batch; None where one is there already."""
     mebibytes = max(memory_bytes >> 20, 1)
     if where == LOCAL:
+        os.environ.setdefault("PYTHONSAFEPATH", "1")  # workers do not import what lies in the current folder
         return distributed.LocalCluster(
             n_workers=count,
             threads_per_worker=1,

@@ -12,16 +12,15 @@ import sys
 from dataclasses import is_dataclass
 from difflib import get_close_matches
 from functools import partial
-from importlib.machinery import PathFinder
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeAlias, TypeGuard
 
-from stream.errors import KinegraphError, explain, nearest
+from stream.errors import KinegraphError, asked_to_end, explain, nearest
 from stream.filter import SampleWise
+from stream.graph import beside as own
 from stream.operator import Operator, Outlet
-from stream.owners import refuse_shared
 from stream.source import Source
 
 PACKAGES = ("operators", "devices", "stream.manual")
@@ -32,16 +31,9 @@ OURS = ("stream", "devices", "operators")
 
 Part: TypeAlias = type[Source] | type[Operator[Any]]
 
-_beside: list[str] = []
-"""Folders that `import_from` has put on Python's search path."""
-
 
 class UseError(KinegraphError):
     """A `use` that leads to no source, operator or outlet."""
-
-
-_only_installed = False
-"""Whether files beside graphs are not run."""
 
 
 def import_from(folder: Path, *, trusted_only: bool = False) -> None:
@@ -49,20 +41,12 @@ def import_from(folder: Path, *, trusted_only: bool = False) -> None:
 
     A module of the same name that another graph's folder had brought in is forgotten. With `trusted_only`, only what is installed is run.
     """
-    global _only_installed
-    _only_installed = trusted_only
     wanted = [str(folder.absolute()), str(Path().absolute())]
-    for old in [entry for entry in _beside if entry not in wanted]:
-        _beside.remove(old)
-        sys.path[:] = [entry for entry in sys.path if entry != old]
+    for old in [entry for entry in own.folders if entry not in wanted]:
         for name in [n for n in sys.modules if _is_beside(n.partition(".")[0], Path(old))]:
             if any((Path(new) / f"{name.partition('.')[0]}{end}").exists() for new in wanted for end in (".py", "")):
                 del sys.modules[name]
-    for new in dict.fromkeys(wanted):
-        if new not in sys.path:
-            sys.path.append(new)
-            _beside.append(new)
-    importlib.invalidate_caches()
+    own.open_to(wanted, trusted_only=trusted_only)
 
 
 def _is_beside(top: str, folder: Path) -> bool:
@@ -97,7 +81,7 @@ def _shadowed(module: str) -> str:
     """A user's own file that an installed module of the same name comes before."""
     top = module.partition(".")[0]
     taken = getattr(sys.modules.get(top), "__file__", None)
-    for folder in _beside:
+    for folder in own.folders:
         mine = Path(folder) / f"{top}.py"
         if mine.exists() and taken and Path(taken).resolve() != mine.resolve():
             return f"; {mine} is ignored, because a module {top!r} is installed ({taken}): rename your file"
@@ -133,7 +117,9 @@ def catalogue(packages: tuple[str, ...] = PACKAGES) -> tuple[dict[str, Part], di
         for name in _modules(package, failed):
             try:
                 module = importlib.import_module(name)
-            except Exception as error:  # noqa: BLE001  (a broken module must not hide the others; it is reported)
+            except BaseException as error:  # a broken module must not hide the others; it is reported
+                if asked_to_end(error):
+                    raise
                 failed[name] = explain(error)
                 continue
             for attribute, member in vars(module).items():
@@ -156,7 +142,9 @@ def _modules(package: str, failed: dict[str, str]) -> list[str]:
         if error.name != package:
             failed[package] = explain(error)
         return []
-    except Exception as error:  # noqa: BLE001
+    except BaseException as error:
+        if asked_to_end(error):
+            raise
         failed[package] = explain(error)
         return []
     names = [package]
@@ -171,26 +159,15 @@ def beside(use: str) -> Path | None:
     top = use.partition(".")[0]
     if not top.isidentifier() or top in OURS:
         return None
-    try:
-        spec = PathFinder.find_spec(top)
-    except (ImportError, ValueError):
-        return None
-    places = [*([spec.origin] if spec and spec.origin else []), *((spec and spec.submodule_search_locations) or [])]
-    return next((Path(p) for p in places for folder in _beside if Path(p).is_relative_to(folder)), None)
+    return own.found(top)
 
 
 def _import(name: str, use: str) -> ModuleType:
-    if own := beside(name):
-        if _only_installed:
-            raise UseError(
-                f"{own} stands beside the graph and is not installed; --trusted-only, as for graphs of other users, does not run it. "
-                "Read it; then copy the graph and its files, to be yours, or install it as a package"
-            )
-        for place in (own.parent, own):
-            try:
-                refuse_shared(place, "what a graph runs")
-            except KinegraphError as error:
-                raise UseError(str(error)) from None
+    if own.closed and (file := beside(name)):
+        raise UseError(
+            f"{file} stands beside the graph and is not installed; --trusted-only, as for graphs of other users, does not run it. "
+            "Read it; then copy the graph and its files, to be yours, or install it as a package"
+        )
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
@@ -199,7 +176,9 @@ def _import(name: str, use: str) -> ModuleType:
         raise UseError(f"{name} could not be imported: {explain(error)}") from error
     except KinegraphError as error:
         raise UseError(str(error)) from error
-    except Exception as error:
+    except BaseException as error:
+        if asked_to_end(error):
+            raise
         raise UseError(f"{name} could not be imported: {explain(error)}") from error
 
 
@@ -214,11 +193,11 @@ def _similar(use: str) -> str:
         close = [by_name[n] for n in get_close_matches(use.rpartition(".")[2].lower(), by_name, n=1, cutoff=0.75)]
     if close:
         return f"; did you mean {close[0]!r}?"
-    mine = sorted({f.stem for d in _beside for f in Path(d).glob("*.py")})
+    mine = sorted({f.stem for d in own.folders for f in Path(d).glob("*.py")})
     close = get_close_matches(top, mine, n=1, cutoff=0.6)
     if close == [use]:
         return f", as in '{use}.MyClass'"
     if close:
         return f"; did you mean {'.'.join([close[0], *use.split('.')[1:]])!r}?"
-    own = f"; your own files next to the graph are {', '.join(mine)}" if mine else ""
-    return f"{own}; `kinegraph parts` lists all components"
+    theirs = f"; your own files next to the graph are {', '.join(mine)}" if mine else ""
+    return f"{theirs}; `kinegraph parts` lists all components"

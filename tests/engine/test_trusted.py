@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import compileall
 import os
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,7 @@ import pytest
 from stream.errors import KinegraphError
 from stream.model import ModelError, read_model, write_model
 from stream.owners import refuse_shared
-from tests.support.command_line import BOARD, QUIET, Command, refused
+from tests.support.command_line import BOARD, KINEGRAPH, QUIET, Command, refused
 
 MINE = """
 from pathlib import Path
@@ -97,3 +99,82 @@ def test_a_model_of_ones_own_in_a_folder_as_of_temporary_files_is_believed(tmp_p
     write_model(path, "pose", {}, {"a": np.zeros(3)})
     tmp_path.chmod(0o1777)
     assert read_model(path, "pose").kind == "pose"
+
+
+@pytest.mark.parametrize("command", [("check", "--trusted-only"), ("check",), ("run", *QUIET, "--no-record")])
+def test_a_file_of_an_optional_librarys_name_beside_the_graph_is_not_run(
+    kinegraph: Command, tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    """The graph names what is ours; what that imports is looked for among what is installed."""
+    (tmp_path / "brainflow").mkdir()
+    (tmp_path / "brainflow" / "__init__.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')")
+    (tmp_path / "brainflow" / "board_shim.py").touch()
+    (tmp_path / "g.yaml").write_text(
+        "nodes:\n  board: {use: devices.brainflow_board.BrainflowBoard, board: SYNTHETIC_BOARD}\n"
+    )
+    kinegraph(command[0], "g.yaml", *command[1:])
+    assert not (tmp_path / "ran").exists()
+
+
+PLANTED = ("json", "numpy", "asyncio", "multiprocessing", "stream", "websockets", "matplotlib", "logging")
+
+
+def test_no_process_runs_what_lies_in_the_folder_it_was_called_in(tmp_path: Path) -> None:
+    """Neither kinegraph nor those that it starts: for the page, and for a report."""
+    for name in PLANTED:
+        (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'a').write({name!r})")
+    settings = ("treadmill.duration_s=20", "treadmill.realtime=false", "report.path=report.html")
+    given = [word for setting in settings for word in ("--set", setting)]
+    done = subprocess.run(
+        [KINEGRAPH, "run", "treadmill_emg", *given, "--no-record", *QUIET, "--page-at", ":0"],
+        cwd=tmp_path, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert not (tmp_path / "ran").exists(), (tmp_path / "ran").read_text()
+    assert (tmp_path / "report.html").exists()
+
+
+@pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="processes as Linux shows them")
+def test_the_pages_token_stands_in_no_list_of_processes(tmp_path: Path) -> None:
+    (tmp_path / "g.yaml").write_text((BOARD % 0).replace("realtime: false, ", ""))
+    command = [KINEGRAPH, "run", "g.yaml", "--no-record", *QUIET, "--page-at", "0.0.0.0:0"]
+    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr
+        try:
+            token = next(line for line in process.stderr if "token=" in line).partition("token=")[2].strip()
+            listed = b"".join(arguments(path) for path in Path("/proc").glob("[0-9]*/cmdline"))
+        finally:
+            process.terminate()
+    assert len(token) > 20 and b"devices.outlets.page.server" in listed
+    assert token.encode() not in listed
+
+
+def arguments(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError:  # it has ended meanwhile
+        return b""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="owners as POSIX has them")
+@pytest.mark.parametrize("shared", ["helper.py", "package/part.py", "package", "__pycache__", "late.py"])
+def test_whatever_code_beside_a_graph_imports_is_nobody_elses(shared: str, tmp_path: Path) -> None:
+    """A module that its module imports, a part of its package, one that it imports as it runs, and what Python compiled them to."""
+    folder = tmp_path / "graph"
+    (folder / "package").mkdir(parents=True, mode=0o755)
+    (folder / "mine.py").write_text(
+        "from dataclasses import dataclass\nimport helper\nimport package.part\nfrom operators.rectify import Rectify\n"
+        "@dataclass(frozen=True, slots=True)\nclass Mine(Rectify):\n"
+        "    def open(self, specs):\n        import late\n        return Rectify.open(self, specs)\n"
+    )
+    for name in ("helper.py", "package/__init__.py", "package/part.py", "late.py"):
+        (folder / name).write_text("")
+    graph = folder / "graph.yaml"
+    graph.write_text(BOARD % 1 + "  own: {use: mine.Mine, from: board.emg}\n")
+    compileall.compile_dir(folder, quiet=1)
+    check = [KINEGRAPH, "check", graph]
+    done = subprocess.run(check, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    (folder / shared).chmod(0o777)
+    done = subprocess.run(check, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 2 and f"{folder / shared}: what a graph runs may be written by others" in done.stderr

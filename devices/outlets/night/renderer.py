@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import structlog
 
+from stream.child import child
 from stream.errors import DeviceError
 
 SETTLE_S, LONGEST_S = 1.0, 300.0
@@ -79,7 +79,7 @@ class ReportRenderer:
             raise DeviceError("\n".join(failed))
 
     def _begin(self, folder: Path) -> None:
-        command = [sys.executable, "-m", "devices.outlets.night.page", str(folder)]
+        command = child("devices.outlets.night.page", str(folder))
         del self._due[folder]
         try:
             process = subprocess.Popen(

@@ -7,6 +7,7 @@ it is served to this machine alone, and nobody steers the session by it.
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -18,7 +19,7 @@ import numpy as np
 from devices.files.foxglove_write import JsonMessages
 from devices.outlets.page.server import say
 from devices.outlets.page.shown import kind_of
-from devices.outlets.page.wire import LENGTH, MOST_BYTES, decode
+from devices.outlets.page.wire import LENGTH, MOST_BYTES, OPTIONS, decode
 from stream.chunk import NS, Chunk, StreamSpec
 
 BACKLOG = 4096
@@ -121,4 +122,4 @@ def main(options: dict[str, Any]) -> None:
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the session, which then ends us
-    main(msgspec.json.decode(sys.argv[1]))
+    main(msgspec.json.decode(os.environ.pop(OPTIONS)))

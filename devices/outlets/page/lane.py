@@ -11,7 +11,6 @@ import importlib.util
 import json
 import os
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, MutableMapping
@@ -28,7 +27,8 @@ from devices.outlets.page.marks import MARKS, SPEC, Marks, shown_with
 from devices.outlets.page.pipe import PipeMessage, ServerPipe
 from devices.outlets.page.serving import FILES, built, tls_context
 from devices.outlets.page.shown import described, hello, is_newest_only, offered, own_modules, with_avatar
-from devices.outlets.page.wire import encode
+from devices.outlets.page.wire import OPTIONS, encode
+from stream.child import child
 from stream.chunk import NS
 from stream.engine.status import Table
 from stream.errors import KinegraphError
@@ -234,8 +234,10 @@ class LivePage:
     def _serve(self) -> None:
         """One server, from its start until it or the session ends."""
         options = json.dumps(asdict(self._address) | {"port": self._port, "avatar": str(self._avatar)})
-        command = [sys.executable, "-m", self.server, options]
-        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0) as server:
+        given = {**os.environ, OPTIONS: options}  # which, unlike arguments, no other user sees: the token is among them
+        with subprocess.Popen(
+            child(self.server), env=given, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
+        ) as server:
             assert server.stdin
             _yielding(server.pid)
             pipe = ServerPipe(server.stdin.fileno())

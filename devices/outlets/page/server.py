@@ -15,7 +15,7 @@ import msgspec
 from devices.outlets.page.hub import Hub
 from devices.outlets.page.metrics import openmetrics
 from devices.outlets.page.serving import PageServer, tls_context
-from devices.outlets.page.wire import LENGTH, MOST_BYTES, decode
+from devices.outlets.page.wire import LENGTH, MOST_BYTES, OPTIONS, decode
 from stream.commands import logs
 
 
@@ -63,4 +63,4 @@ async def main(options: dict[str, Any]) -> None:
 if __name__ == "__main__":
     logs.set_up()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the session, which then ends us
-    asyncio.run(main(msgspec.json.decode(sys.argv[1])))
+    asyncio.run(main(msgspec.json.decode(os.environ.pop(OPTIONS))))

@@ -13,6 +13,8 @@ from typing import Any, Literal, TypeAlias
 import msgspec
 
 VERSION = 1
+OPTIONS = "KINEGRAPH_PAGE"
+"""The variable of its environment in which a server finds where it is to listen."""
 LENGTH = Struct("<I")
 MOST_BYTES = 64 << 20
 """No message between our own processes is longer."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,6 +32,7 @@ from devices.outlets.report.place import free_stem, page_of, recording_of
 from devices.outlets.report.tally import ALARM_PORTS, GAIT, Tally, hear, nothing_yet, numbers
 from devices.outlets.report.words import relative_to
 from devices.outlets.report.workbook import missing, write_tables
+from stream.child import child
 from stream.chunk import Array, Chunk, Specs
 from stream.errors import DeviceError, InputError, ParameterError
 from stream.graph import Graph
@@ -294,7 +294,7 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
     def _start_drawing(self, *, interim: bool) -> subprocess.Popen[bytes]:
         save(self._data, *self.report(interim=interim))
         page = f"{self.state.stem}.html"
-        command = [sys.executable, "-m", "devices.outlets.report.page", str(self._data), page]
+        command = child("devices.outlets.report.page", str(self._data), page)
         to = subprocess.DEVNULL if interim else subprocess.PIPE
         nice = 10 if interim and hasattr(os, "nice") else 0
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=to, start_new_session=True)
