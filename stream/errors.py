@@ -6,6 +6,8 @@ import signal
 import sysconfig
 import threading
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -119,5 +121,22 @@ def explain(error: BaseException) -> str:
     frames = traceback.extract_tb(error.__traceback__)
     own = [f for f in frames if not f.filename.startswith(_NOT_THE_USERS) and "site-packages" not in f.filename]
     where = "".join(f" ({at.filename}, line {at.lineno})" for at in own[-1:])
-    text = " ".join(str(error).split())
+    try:
+        text = " ".join(str(error).split())
+    except BaseException as mute:
+        if asked_to_end(mute):
+            raise
+        text = "it cannot say what it is"
     return f"{type(error).__name__}: {text if len(text) <= MOST else text[:MOST] + ' ...'}{where}"
+
+
+@contextmanager
+def blaming(node: str, call: str) -> Iterator[None]:
+    """Within: a part's code is called, beside `process`. What it raises that is no error of ours becomes one that names node and call."""
+    try:
+        yield
+    except BaseException as error:
+        if isinstance(error, KinegraphError) or asked_to_end(error):
+            raise
+        kind = MemoryExceeded if isinstance(error, MemoryError) else RunError
+        raise kind(f"node {node!r}: {call} failed: {explain(error)}") from error

@@ -225,7 +225,7 @@ def failure(node: str, error: BaseException, port: str = "", chunk: Chunk | None
     """What an operator's exception means to the person at the screen: which node, at which sample's time."""
     where = "" if chunk is None else given(port, chunk)
     text = str(error) if isinstance(error, KinegraphError) else explain(error)
-    if isinstance(error, ValueError) and "read-only" in str(error):
+    if isinstance(error, ValueError) and "read-only" in text:
         text += "; an input must not be written to, for others read it: work on a copy"
     if isinstance(error, MemoryError):
         return MemoryExceeded(f"node {node!r} asked for more memory than memory_mb leaves: {text}{where}")

@@ -76,7 +76,7 @@ class IngressPort:
     watched: bool = field(init=False)
 
     def __post_init__(self) -> None:
-        self.awaited, self.watched = bool(self.edge.readers), self.runner.source.live
+        self.awaited, self.watched = bool(self.edge.readers), self.runner.live
 
     @property
     def queue(self) -> BoundedQueue:
@@ -148,7 +148,7 @@ class DataTime:
         self.newest = self._due = NEVER
         self.clock = clock
         lasting = [port for port in ports if not port.runner.source.background]
-        alone = bool(lasting) and not any(port.runner.source.live for port in lasting)
+        alone = bool(lasting) and not any(port.runner.live for port in lasting)
         self.followers = [port for port in ports if alone and port.runner.source.background]
         self._early: list[tuple[IngressPort, Chunk, int]] = []
         for port in self.followers:

@@ -20,7 +20,7 @@ from stream.engine.edge import NOTHING, CallSlot, InputPort, LiveEdge, Push, fai
 from stream.engine.merge import Merge
 from stream.engine.queues import BoundedQueue
 from stream.engine.segment import CompiledSegment
-from stream.errors import KinegraphError, asked_to_end
+from stream.errors import KinegraphError, asked_to_end, blaming, explain
 from stream.graph import Edge, Graph, Node
 from stream.graph.parts import is_ours
 from stream.metrics import FOLD_AT, Timing
@@ -45,9 +45,10 @@ class Stage:
     def __init__(self, graph: Graph, node: Node, worker: str, slot: CallSlot) -> None:
         assert isinstance(node.part, Operator)
         self.node, self.worker, self.slot = node, worker, slot
-        self.operator: Operator[Any] = node.part.fresh()
         specs = graph.input_specs(node)
-        opened = self.operator.open(specs)
+        with blaming(node.name, "open"):
+            self.operator: Operator[Any] = node.part.fresh()
+            opened = self.operator.open(specs)
         self.edges = {name: LiveEdge(Edge(node.name, name), spec, slot, self.reached) for name, spec in opened.items()}
         for edge in self.edges.values():
             edge.strict = not is_ours(self.operator)
@@ -88,13 +89,9 @@ class Stage:
         return InputPort(self.node.name, port, self.operator, self.timing, out, self.emit, self.slot)
 
     def switch_off(self, error: BaseException) -> None:
-        self.failed = f"{type(error).__name__}: {error}" if not isinstance(error, KinegraphError) else str(error)
-        log.error(
-            "outlet switched off",
-            node=self.node.name,
-            error=self.failed,
-            exc_info=not isinstance(error, KinegraphError),
-        )
+        self.failed = str(error) if isinstance(error, KinegraphError) else explain(error)
+        log.debug("outlet failed", node=self.node.name, exc_info=error)
+        log.error("outlet switched off", node=self.node.name, error=self.failed)
 
     def emit(self, emitted: Emitted, start: int) -> int:
         """Send what an operator gave back to where it belongs."""
@@ -236,12 +233,13 @@ class Pipeline:
         self.compile()
         for stage in self.outlets:
             assert isinstance(stage.operator, Outlet)
-            stage.operator.meet(self.graph)
-            if clock:
-                stage.operator.keep_time(clock)
-            if clock and self._stop:
-                stage.operator.let_stop(self._stop)
-            stage.operator.begin()
+            with blaming(stage.node.name, "begin"):
+                stage.operator.meet(self.graph)
+                if clock:
+                    stage.operator.keep_time(clock)
+                if clock and self._stop:
+                    stage.operator.let_stop(self._stop)
+                stage.operator.begin()
 
     @property
     def outlets(self) -> list[Stage]:
@@ -278,7 +276,8 @@ class Pipeline:
         arrays: dict[str, Array] = {}
         for name, stage in self.stages.items():
             stage.slot.node = name
-            arrays |= {f"{name}/state/{k}": a for k, a in stage.operator.snapshot().items()}
+            with blaming(name, "snapshot"):
+                arrays |= {f"{name}/state/{k}": a for k, a in stage.operator.snapshot().items()}
             if stage.merge:
                 arrays |= {f"{name}/merge/{k}": a for k, a in stage.merge.snapshot().items()}
             stage.slot.node = ""
@@ -289,7 +288,8 @@ class Pipeline:
     def restore(self, arrays: dict[str, Array]) -> None:
         """Go on from a snapshot of the same graph."""
         for name, stage in self.stages.items():
-            stage.operator.restore(_under(arrays, f"{name}/state/"))
+            with blaming(name, "restore"):
+                stage.operator.restore(_under(arrays, f"{name}/state/"))
             if stage.merge:
                 stage.merge.restore(_under(arrays, f"{name}/merge/"))
         for name, edge in self.edges.items():

@@ -30,8 +30,8 @@ from stream.engine.status import MemoryWatch, Outcome, SessionView, Table, recor
 from stream.engine.supervisor import GRACE_S, REST_S, Runner
 from stream.engine.warmup import Compilations, warm_up
 from stream.engine.workers import Call, Watchdog, Workers
-from stream.errors import KinegraphError
-from stream.graph import Graph
+from stream.errors import KinegraphError, asked_to_end, blaming
+from stream.graph import Graph, Node
 from stream.graph.suited import refuse_unsuited
 from stream.operator import Outlet
 from stream.recording import RecorderStatus
@@ -74,7 +74,7 @@ class Session:
         self._error: Exception | None = None
         self._began = self._ran_s = 0.0
         self.table: Table = {}
-        waits = not any(s.live for s in graph.parts(Source) if not s.background)
+        waits = not any(_is_live(node) for node in graph.sources)
         self.log = SessionLog(folder, graph, self.clock, self._prior)
         self._workers = Workers(self._ready, waits, self._fail, partial(self.log.report, DROPPED))
         self.pipeline = Pipeline(graph, speaking=graph.outlets, bridge=self._workers.bridge, stop=self.stop)
@@ -247,6 +247,13 @@ class Session:
             self.table["recording"] = recording_row(status)
 
 
+def _is_live(node: Node) -> bool:
+    """Whether a source, not a person, gives what is gone if nobody reads it."""
+    assert isinstance(node.part, Source)
+    with blaming(node.name, "live"):
+        return node.part.live and not node.part.background
+
+
 def drain(ingress: Ingress, workers: Workers, pipeline: Pipeline, pump: Callable[[], None]) -> None:
     """Everything that had arrived is worked through, then every operator emits what is pending."""
     ingress.serve_all()
@@ -270,5 +277,13 @@ def exit_code(error: Exception | None, down: bool, recording: RecorderStatus | N
 
 def files_of(pipeline: Pipeline) -> dict[str, str]:
     """What outlets leave behind, by node."""
-    outlets = [(stage.node.name, stage.operator) for stage in pipeline.outlets]
-    return {name: file for name, outlet in outlets if isinstance(outlet, Outlet) and (file := outlet.file)}
+    found = {}
+    for stage in pipeline.outlets:
+        assert isinstance(stage.operator, Outlet)
+        try:
+            found[stage.node.name] = stage.operator.file
+        except BaseException as error:
+            if asked_to_end(error):
+                raise
+            stage.switch_off(error)
+    return {name: file for name, file in found.items() if file}

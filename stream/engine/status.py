@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, Self, TypeAlias
 
 from stream.ceiling import ceiling, taken
-from stream.errors import MemoryExceeded
+from stream.errors import MemoryExceeded, blaming
 from stream.metrics import rounded
 from stream.spare_memory import give_back
 
@@ -159,7 +159,7 @@ class MemoryWatch:
 
     def __init__(self, memory_mb: float, pipeline: Pipeline) -> None:
         self._most, self._stages = ceiling(memory_mb), pipeline.stages
-        self._first = {name: stage.operator.memory_bytes for name, stage in self._stages.items()}
+        self._first = self._held_by_each()
         self._held, self._due = 0, 0.0
         """What the session held after free memory had been given back last, and when that may be done again."""
 
@@ -176,8 +176,15 @@ class MemoryWatch:
         """What ended the session: a want of memory is reported as such, with whose state has grown; any other error stays as it is."""
         return self._error(taken()) if isinstance(error, MemoryError) else error
 
+    def _held_by_each(self) -> dict[str, int]:
+        held = {}
+        for name, stage in self._stages.items():
+            with blaming(name, "memory_bytes"):
+                held[name] = stage.operator.memory_bytes
+        return held
+
     def _error(self, held: int) -> MemoryExceeded:
-        rise = {name: stage.operator.memory_bytes - self._first[name] for name, stage in self._stages.items()}
+        rise = {name: held - self._first[name] for name, held in self._held_by_each().items()}
         worst = max(rise, key=lambda name: rise[name], default="")
         grown = worst and rise[worst] > 1e6
         who = (

@@ -15,7 +15,7 @@ from stream.chunk import FOREVER, NS, Chunk, StreamSpec, empty, utc
 from stream.clock import SessionClock
 from stream.engine.admission import conform, is_sound, ordered
 from stream.engine.queues import BoundedQueue, ReadyQueue
-from stream.errors import DeviceError, KinegraphError, RunError, explain, nearest
+from stream.errors import DeviceError, KinegraphError, RunError, blaming, explain, nearest
 from stream.graph import Edge, Node
 from stream.promise import END, MOST_LOST, PromiseError, impossible
 from stream.source import Source
@@ -143,6 +143,7 @@ class Runner:
     inline     per output, the way into the graph without it
     awaited    whether anybody waits for what this source says
     now        session time, as the source sees it
+    live       whether what it gives is gone if nobody reads it
     problems   what the source counted, by kind
     clock_facts   what it said last of its device's clock
     openings   how often the source was opened
@@ -154,7 +155,9 @@ class Runner:
         """`fatal` receives what ends the run, not only this opening of the source: a queue that must not fill is full."""
         assert isinstance(node.part, Source)
         self.node, self.clock, self.report, self._fatal = node, clock, report, fatal
-        self.source: Source = node.part.fresh()
+        with blaming(node.name, "fresh"):
+            self.source: Source = node.part.fresh()
+            self.live = self.source.live
         options = node.options
         self.queues = {
             output: BoundedQueue(str(Edge(node.name, output)), ready, options.queue, options.policy or "block")
@@ -233,7 +236,8 @@ class Runner:
 
     def _is_due(self, now: float) -> bool:
         """Whether a source that failed is to be opened: never while its device is not there, at once when it has come back."""
-        there = self.source.present()
+        with blaming(self.node.name, "present"):
+            there = self.source.present()
         if there is False:
             self._absent = True
             return False
@@ -350,7 +354,7 @@ class StartBarrier(Generic[P]):
         if self.done:
             return [(port, chunk, arrival)]
         source = runner.source
-        if self.ready or source.background or not source.live:
+        if self.ready or source.background or not runner.live:
             self._held.append((port, chunk, arrival))
         return self.release()
 

@@ -19,7 +19,7 @@ from stream.engine.admission import is_sound
 from stream.engine.edge import CallSlot
 from stream.engine.merge import Merge
 from stream.engine.row import step_of
-from stream.errors import GraphError, Interrupted, KinegraphError, asked_to_end, explain, interruption
+from stream.errors import GraphError, Interrupted, KinegraphError, asked_to_end, blaming, explain, interruption
 from stream.graph import Graph, Node, parts
 from stream.metrics import Timing
 from stream.operator import Emitted, Operator, grid
@@ -46,7 +46,8 @@ def warm_up(graph: Graph, stopped: Callable[[], bool] = bool) -> None:
         if stopped():
             raise Interrupted
         if isinstance(node.part, Source):
-            node.part.prepare()
+            with blaming(node.name, "prepare"):
+                node.part.prepare()
         if not isinstance(node.part, Operator) or node.is_outlet:
             continue
         try:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from typing import Any, TypeVar
 
-from stream.errors import ParameterError, nearest
+from stream.errors import ParameterError, asked_to_end, explain, nearest
 from stream.graph import NodeOptions
 from stream.graph.parts import Part, UseError, find
 from stream.graph.problems import Problems
@@ -125,6 +125,11 @@ def build_from(
             if error.parameter not in left or error.parameter in required:
                 return None
             del left[error.parameter]
+        except BaseException as error:
+            if asked_to_end(error):
+                raise
+            problems.add(f"{section}{cls.__name__} cannot be made: {explain(error)}", entry, node, cause=error)
+            return None
 
 
 def parameters_of(cls: Any) -> list[str]:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from stream.chunk import StreamSpec
-from stream.errors import GraphError, nearest
+from stream.errors import GraphError, blaming, nearest
 from stream.graph import Edge, Graph, RecordingOptions
 from stream.graph.draft import Draft, build_from, read_node
 from stream.graph.opening import open_nodes
@@ -153,7 +153,8 @@ class _Loading:
         self._problems.stop()
         for node in nodes.values():
             if self._recorded is None and isinstance(node.part, Source):
-                session |= node.part.facts()
+                with blaming(node.name, "facts"):
+                    session |= node.part.facts()
         if self._recorded is not None:
             record = tuple(edge for edge in record if edge.output in nodes[edge.node].specs)
         return Graph(

@@ -64,10 +64,15 @@ class _Opening:
         if draft.part is None or draft.wires is None:
             return
         inputs = self._inputs(draft, draft.wires)
-        trial = draft.part if isinstance(draft.part, Source) else draft.part.fresh()
-        specs = None if inputs is None else self._specs(draft, trial, draft.wires, inputs)
-        if specs is not None:
-            self.nodes[draft.name] = _node(draft, draft.part, draft.wires, specs, _declared(trial))
+        try:
+            trial = draft.part if isinstance(draft.part, Source) else draft.part.fresh()
+            specs = None if inputs is None else self._specs(draft, trial, draft.wires, inputs)
+            if specs is not None:
+                self.nodes[draft.name] = _node(draft, draft.part, draft.wires, specs, _declared(trial))
+        except BaseException as error:
+            if asked_to_end(error):
+                raise
+            self._failed(draft, error)
 
     def _inputs(self, draft: Draft, wires: Wires) -> Specs | None:
         inputs: Specs = {}
@@ -107,11 +112,6 @@ class _Opening:
             return None
         except KinegraphError as error:
             self.problems.add(str(error), draft.entry, draft.name, cause=error)
-            return None
-        except BaseException as error:
-            if asked_to_end(error):
-                raise
-            self._failed(draft, error)
             return None
         return self._promised(draft, part, specs)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from stream.ceiling import ceiling
 from stream.chunk import StreamSpec
-from stream.errors import GraphError
+from stream.errors import GraphError, blaming
 from stream.graph import Edge, Graph, Node
 from stream.source import Source
 
@@ -170,8 +170,10 @@ def _own(way: tuple[Step, ...]) -> float:
 def _step(graph: Graph, node: Node) -> Step:
     part = node.part
     if isinstance(part, Source):
-        held = sum(_chunk_bytes(spec, part.chunk_s) for spec in node.specs.values()) * node.options.queue
-        return Step(node.name, part.chunk_s, held)
+        with blaming(node.name, "chunk_s"):
+            chunk_s = part.chunk_s
+        held = sum(_chunk_bytes(spec, chunk_s) for spec in node.specs.values()) * node.options.queue
+        return Step(node.name, chunk_s, held)
     held = node.declared.memory_bytes
     if node.options.worker or node.is_outlet:
         waiting = graph.input_specs(node).values()

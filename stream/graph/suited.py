@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stream.errors import GraphError, ParameterError
+from stream.errors import GraphError, KinegraphError, asked_to_end, explain
 from stream.graph.model import Graph
 from stream.operator import Operator
 
@@ -13,5 +13,8 @@ def refuse_unsuited(graph: Graph) -> None:
         if isinstance(node.part, Operator):
             try:
                 node.part.suits(graph.session)
-            except ParameterError as error:
-                raise GraphError(str(error), path=graph.path, line=node.line or None, node=node.name) from None
+            except BaseException as error:
+                if asked_to_end(error):
+                    raise
+                text = str(error) if isinstance(error, KinegraphError) else f"suits failed: {explain(error)}"
+                raise GraphError(text, path=graph.path, line=node.line or None, node=node.name) from error

@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeAlias
 from devices.outlets.page.poses import avatar_bones, bones_of
 from devices.outlets.page.wire import MOST_TEXT
 from stream.chunk import StreamSpec
-from stream.errors import KinegraphError
+from stream.errors import KinegraphError, blaming
 from stream.filter import SampleWise
 from stream.graph import Edge, Graph
 from stream.graph.page_options import PageOptions
@@ -148,7 +148,11 @@ def words_of(graph: Graph) -> list[str]:
         for n in graph.nodes.values()
         if any(isinstance(graph.nodes[e.node].part, Annotations) for e in n.inputs.values())
     ]
-    said = [word for node in heard if isinstance(node.part, Operator) for word in node.part.words()]
+    said: list[str] = []
+    for node in heard:
+        if isinstance(node.part, Operator):
+            with blaming(node.name, "words"):
+                said += node.part.words()
     return [word[:MOST_TEXT] for word in dict.fromkeys(said)][:MOST_WORDS]
 
 
