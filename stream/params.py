@@ -49,7 +49,7 @@ def build(cls: type[T], values: Mapping[str, Any]) -> T:
     known = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
     for name in values:
         if name not in known:
-            raise ParameterError(name, values[name], f"a parameter of {cls.__name__}; {nearest(name, known)}")
+            raise UnknownParameter(name, nearest(name, known))
     for name, f in known.items():
         if name not in values and f.default is MISSING and f.default_factory is MISSING:
             raise MissingParameter(name, cls.__name__)
@@ -210,7 +210,7 @@ def _check_parts(name: str, given: Any, made: Any) -> None:
         for key, value in given.items():
             path = f"{name}.{key}"
             if key not in known:
-                raise _within(path, ParameterError(path, value, f"one of its names; {nearest(key, known)}"))
+                raise _within(path, UnknownParameter(path, nearest(key, known)))
             _check_bounds(path, value, _facts(known[key]))
             _check_parts(path, value, getattr(made, key))
     elif isinstance(given, list) and isinstance(made, tuple | list):
@@ -285,6 +285,14 @@ def _locate(values: Mapping[str, Any], location: tuple[str | int, ...]) -> tuple
 
 def _lower(message: str) -> str:
     return message.removeprefix("Input should be ").removeprefix("Value error, ")
+
+
+class UnknownParameter(ParameterError):
+    """A name that is none. What was given for it is not told: somebody may have written a password there."""
+
+    def __init__(self, parameter: str, hint: str) -> None:
+        super().__init__(parameter, None, hint)
+        self.args = (f"{parameter} is no parameter; {hint}",)
 
 
 class MissingParameter(ParameterError):

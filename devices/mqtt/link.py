@@ -50,11 +50,18 @@ class Broker:
         """Raises ParameterError for what cannot be."""
         if not self.host:
             raise ParameterError("broker", self.host, "a host's name or address")
+        if set("@/ ") & set(self.host):
+            accepts = (
+                "a host's name or address alone; the user's name is `username`, the password stands in `password_file`"
+            )
+            raise _untold("host", accepts)
         if not 1 <= self.port <= 65535:
             raise ParameterError("broker", self.port, "a port from 1 to 65535")
+        if self.password_file and not Path(self.password_file).is_file():
+            raise _untold("password_file", "a file that exists, and that holds the password")
+        if self.ca_file and not Path(self.ca_file).is_file():
+            raise ParameterError("broker", self.ca_file, "a file that exists")
         for name in (self.password_file, self.ca_file):
-            if name and not Path(name).is_file():
-                raise ParameterError("broker", name, "a file that exists")
             if name and not os.access(name, os.R_OK):
                 raise ParameterError("broker", name, "a file that may be read by who runs kinegraph")
         if self.password_file and not self.username:
@@ -65,6 +72,13 @@ class Broker:
         if not self.password_file:
             return None
         return next(iter(Path(self.password_file).read_text(encoding="utf-8").splitlines()), "")
+
+
+def _untold(parameter: str, accepts: str) -> ParameterError:
+    """The error about a value that may be, or hold, a password, and so is not shown."""
+    error = ParameterError("broker", None, accepts)
+    error.args = (f"broker.{parameter} is not shown here, as it may hold a password; it must be {accepts}",)
+    return error
 
 
 class BrokerConnection:

@@ -91,9 +91,9 @@ def test_what_fits_is_taken(name: str, given: Any, taken: Any) -> None:
         (
             "band",
             {"low_hz": 1, "hihg_hz": 2},
-            "band.hihg_hz is 2; it must be one of its names; did you mean 'high_hz'?",
+            "band.hihg_hz is no parameter; did you mean 'high_hz'?",
         ),
-        ("bands", {"a": [{"low_hz": 1}, {"low_hz": 1, "low": 2}]}, "bands.a[1].low is 2; it must be one of its names"),
+        ("bands", {"a": [{"low_hz": 1}, {"low_hz": 1, "low": 2}]}, "bands.a[1].low is no parameter"),
         ("band", 3, "band is 3; it must be a mapping of names to values"),
     ],
 )
@@ -118,7 +118,7 @@ def test_what_is_no_plain_value_is_refused(given: Any) -> None:
 
 
 def test_an_unknown_name_comes_with_the_nearest() -> None:
-    with pytest.raises(ParameterError, match=r"cutof_hz is 1; .* did you mean 'cutoff_hz'\?"):
+    with pytest.raises(ParameterError, match=r"cutof_hz is no parameter; did you mean 'cutoff_hz'\?"):
         made(cutof_hz=1)
 
 

@@ -25,7 +25,7 @@ from stream.chunk import FOREVER, NS, Chunk, StreamSpec, empty, utc
 from stream.errors import KinegraphError, ParameterError
 from stream.recording import Recording
 from tests.support import home_assistant
-from tests.support.command_line import KINEGRAPH
+from tests.support.command_line import KINEGRAPH, Command
 from tests.support.device_feed import check, reading
 from tests.support.mosquitto import Listener, Mosquitto, broker, eventually, free_port, listening
 
@@ -273,6 +273,29 @@ def test_a_password_stands_in_a_file(tmp_path: Path) -> None:
         Broker(password_file=str(file)).check()
     with pytest.raises(KinegraphError, match="exists"):
         Broker(username="me", password_file=str(tmp_path / "none")).check()
+
+
+@pytest.mark.parametrize(
+    "broker",
+    [
+        "{host: 127.0.0.1, password: hunter2}",
+        "{host: 'me:hunter2@127.0.0.1'}",
+        "{host: 'mqtt://me:hunter2@127.0.0.1'}",
+        "{host: 127.0.0.1, username: me, password_file: hunter2}",
+        "{host: 127.0.0.1, username: me, passwd: hunter2, password_file: ''}",
+    ],
+)
+def test_a_password_in_a_wrong_place_is_refused_and_not_repeated(
+    broker: str, kinegraph: Command, tmp_path: Path
+) -> None:
+    board = "nodes:\n  board: {use: devices.simulators.treadmill.Treadmill, realtime: false, duration_s: 1}\n"
+    entities = "device: {id: x}, entities: {a: {of: board.emg, name: A}}"
+    home = f"  home: {{use: devices.outlets.mqtt.MqttOutlet, from: board.emg, broker: {broker}, {entities}}}\n"
+    (tmp_path / "g.yaml").write_text(board + home)
+    for command in (("check",), ("run", "--view", "none", "-o", "s")):
+        code, out, said = kinegraph(command[0], "g.yaml", *command[1:])
+        assert code == 2 and "broker." in said and "hunter2" not in out + said, said
+    assert not (tmp_path / "s").exists()
 
 
 def test_a_broker_that_refuses_the_password_is_tried_ever_less_often_and_told_of_once(tmp_path: Path) -> None:
