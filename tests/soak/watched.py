@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -31,6 +31,8 @@ SLOW_CLIENTS = 3
 PAGE = re.compile(r"page: (http\S+)")
 LOOSE = Misbehaviour(lose=0.002, duplicate=0.001)
 """Beside everything else, single lines get lost on the way, or come twice."""
+STARVED_S = 0.2
+"""A session of which a thread has waited so long for a processor within a second is disturbed, as if it had been stopped."""
 START_S = 20.0
 """The most that a session takes from the start of its process to its first sample, on a busy machine."""
 ROOT = Path(__file__).resolve().parents[2]
@@ -58,12 +60,21 @@ class Held:
             return None
 
 
+def waited(pid: int) -> dict[str, int]:
+    """How long (ns) each thread of a process has waited for a processor so far; of none, where the system does not say."""
+    found = {}
+    for path in Path(f"/proc/{pid}/task").glob("*/schedstat"):
+        with suppress(OSError):
+            found[path.parent.name] = int(path.read_text().split()[1])
+    return found
+
+
 @dataclass
 class Watched:
     """One use's session, from its start through every kill to its end; everything of it lies in `folder`.
 
     ends   the exit code of every process of it; -9 where it was killed
-    disturbed  when something was last wrong, or will have started
+    disturbed  when something was last wrong, or will have started; or the machine last had no processor for it
     filled whether the disk was full during the life of the newest process
     lives  what each process held, as often as it was looked at
     kills  the device's next index at each kill, and whether nothing had been wrong for `CALM_S` then
@@ -90,6 +101,7 @@ class Watched:
         self.log = (self.folder / "log.txt").open("ab")
         self._process: subprocess.Popen[bytes] | None = None
         self._clients = ExitStack()
+        self._waited: dict[str, int] = {}
 
     @property
     def session(self) -> Path:
@@ -144,6 +156,9 @@ class Watched:
         """Note what the process holds."""
         if self._process and self.alive and (held := Held.by(self._process.pid)):
             self.lives[-1].append(held)
+            before, self._waited = self._waited, waited(self._process.pid)
+            if any(ns - before.get(thread, ns) > STARVED_S * 1e9 for thread, ns in self._waited.items()):
+                self.disturbed = max(self.disturbed, time.monotonic())
 
     def send(self, number: signal.Signals) -> None:
         if self._process and self.alive:
