@@ -11,7 +11,7 @@ import numpy as np
 import structlog
 
 from devices.outlets.night import archive
-from devices.outlets.night.weeks import FREE, SLOTS, NightRow, apart, by_weeks, row, trend
+from devices.outlets.night.weeks import FREE, SLOTS, NightRow, apart, by_weeks, part_trend, row
 from stream.chunk import Chunk, Specs, StreamSpec, empty
 from stream.params import param
 from stream.source import Feed, Source
@@ -153,9 +153,7 @@ def _letters(one: NightRow) -> str:
 
 
 def _week(name: str, of: Sequence[NightRow], first: Any, last: Any) -> tuple[Any, ...]:
-    days = [one.evening for one in of]
-    begin, end = max(first, min(days)), min(last, max(days))  # a week that has only begun misses no nights yet
-    found = trend(of, FREE, begin, end)
+    found = part_trend(of, FREE, first, last)
     counts = (found.nights, found.missing, found.naps)
     means = (found.asleep, found.efficiency, found.bed, found.rise, found.jet_lag, found.regularity)
     return (name, first.isoformat(), last.isoformat(), *counts, *means)

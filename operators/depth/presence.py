@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from operators.depth.bodies import CROWD, CROWD_S, SUSPECT_S, Bodies, share_high
+from operators.depth.mattress import mattress, somebody
 from operators.depth.regions import REGION, block_of, region_spec, sleepers_of, take
 from operators.depth.seconds import Seconds, add, look, restless
 from operators.depth.view import VIEW, check_view
@@ -45,9 +46,11 @@ class PresenceState:
     """
     regions    (k, 4)           in blocks: row, column, rows, columns; no rows: not known
     empty      (rows, columns)  the empty bed's depth, NaN where not known
+    mattress   (rows, columns)  while it is not known, the plane that most of the bed lies in; NaN where not known
     seconds                     the present second, and the present stretch of `learn_s`
     state, wanted (k,)          UNKNOWN, IN or OUT; what the depth has said since `since` (k,) ns; `seen` (k,) ns: when it was last seen
     still      (k,)             for how many stretches nothing has moved
+    lay        (k,)             whether what may be a body stood out of the mattress in the newest stretch, while the bed was not known
     seen_now   (k, 3)           of the newest second: share raised, mean height (mm), share measured
     doubt      (k,)             why the depth is not believed (of DOUBTS); alive: for how many stretches something has moved; was_in: in
                                 bed when the camera was moved
@@ -60,12 +63,14 @@ class PresenceState:
     block: int
     regions: Times
     empty: Samples
+    mattress: Samples
     seconds: Seconds
     state: Times
     wanted: Times
     since: Times
     seen: Times
     still: Times
+    lay: Times
     seen_now: Samples
     doubt: Times
     alive: Times
@@ -88,19 +93,21 @@ class Presence(Operator[PresenceState]):
     The empty bed is learned where nothing moves for `learn_s`, breath included, and nobody is known to be in bed; and learned again
     whenever that is so again (a blanket lies differently, the camera has sunk). Nothing moves: hardly any block of the region varies,
     second by second, by more than `still_mm` and three times what blocks of the frame vary by on average.
-    Before the empty bed is known, movement in the region is somebody in bed, and 5 min without any is an empty bed. Afterwards, too, so
-    long as `vacant_min` without any movement or breath is an empty bed, however high it is: a heap of blankets. Unseen for `unseen_s` is
-    unknown. Who sleeps without visible breath for this long is taken for absent; set `vacant_min: 0` against that.
+    Before the empty bed is known, movement in the region is somebody in bed, and 5 min without any is an empty bed, if nothing that may
+    be a body stands out of the plane of the mattress. Where something does, and afterwards, `vacant_min` without any movement or breath
+    is an empty bed, however high it is: a heap of blankets. Unseen for `unseen_s` is unknown. Who sleeps without visible breath for this
+    long is taken for absent; set `vacant_min: 0` against that.
 
     What cannot be judged is `unknown`, and `why` says so: no breath and no movement for `unsure_min`, though the bed is high (a heap that
-    was left behind, or breath that is not seen): then movement, or a flat bed, decides; movement for `odd_min` without a break where
+    was left behind, or breath that is not seen), or from the start, where the bed was not seen empty and something lies across the middle
+    of its length: then movement, or a flat bed, decides; movement for `odd_min` without a break where
     nobody lies (a region that is too large or elsewhere); the camera was moved or sees nothing (`view`). After a move the empty bed is
     learned again. `in` with `body`: 1.4 times as much is raised, for 30 s, as in the sleeper's first five minutes: there are two. So it
     is said after 3 s already, and taken back where it does not last. Within these five minutes the seconds so far count, and how high
     the region is as well: who sits and then lies down, or pulls a blanket up, stays one; a second body within the first minute is not
     noticed. While the empty bed is not known again, what is raised since the sleeper was seen again counts; who came before that is not
     noticed. `body` also while something small walks about: it is raised apart from the sleeper, on blocks that were flat a moment ago, and
-    as many are flat behind it (a cat; not one that walks on the sleeper).
+    as many are flat behind it (a cat; not one that walks on the sleeper); before the empty bed is known: out of the mattress's plane.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("view", "regions", "blocks")
@@ -130,9 +137,10 @@ class Presence(Operator[PresenceState]):
         k, quiet_min = len(sleepers), (self.vacant_min, self.unsure_min, self.odd_min)
         self.hold(
             PresenceState(
-                list(sleepers), block, np.zeros((k, 4), np.int64), np.full(spec.shape, np.nan), Seconds.of(spec.shape),
+                list(sleepers), block, np.zeros((k, 4), np.int64), np.full(spec.shape, np.nan), np.full(spec.shape, np.nan),
+                Seconds.of(spec.shape),
                 np.zeros(k, np.int64), np.zeros(k, np.int64), np.full(k, NEVER), np.full(k, NEVER), np.zeros(k, np.int64),
-                np.full((k, 3), np.nan), np.zeros(k, np.int64), np.zeros(k, np.int64), np.zeros(k, np.int64),
+                np.zeros(k, np.int64), np.full((k, 3), np.nan), np.zeros(k, np.int64), np.zeros(k, np.int64), np.zeros(k, np.int64),
                 Bodies.of(k, spec.shape), RoamingBody.of(k, spec.shape), np.zeros(k, np.int64), np.zeros(2, np.int64),
             ),
             delay_s=1.0,
@@ -219,7 +227,7 @@ class Presence(Operator[PresenceState]):
         if what == "moved":
             s.bodies.moved(s.empty, s.regions)
             s.visitor.forget()
-            s.empty[:] = np.nan
+            s.empty[:] = s.mattress[:] = np.nan
             s.seconds.since = NEVER
         for k in range(len(s.sleepers)):
             if what in ("moved", "dark"):
@@ -273,10 +281,11 @@ class Presence(Operator[PresenceState]):
             s.bodies.crowd[k] = 0
             return
         changed = s.bodies.count(k, self._times(k))
-        above = self._above(k)
+        part, above = self._part(k), self._above(k)
         if not s.bodies.known(k):
             s.bodies.learn(k, raised, share_high(above, self.rise_mm), float(s.seen_now[k, 1]))
-        s.visitor.look(k, self._part(k), above, self.rise_mm)
+        known = bool(np.isfinite(s.empty[part]).any())
+        s.visitor.look(k, part, above if known else s.mattress[part] - s.seconds.mean[part], self.rise_mm)
         suspected = s.bodies.suspected(k)
         body = suspected or s.visitor.here(k)
         if body != bool(s.told[k]):
@@ -313,6 +322,13 @@ class Presence(Operator[PresenceState]):
             return
         if s.doubt[k] == DARK:
             return
+        lies = False
+        if not known:
+            depth = s.seconds.depth()[part]
+            s.mattress[part] = mattress(depth, self.rise_mm / 2)
+            lies = somebody(s.mattress[part] - depth, self.rise_mm, self.least_share)
+        s.still[k] *= lies or not s.lay[k]  # what stood out has gone, though nobody saw it go
+        s.lay[k] = int(lies)
         if moving > max(2.0, ALIVE * s.regions[k, 2] * s.regions[k, 3]):
             self._moves(k, known, end, events)
             return
@@ -320,8 +336,13 @@ class Presence(Operator[PresenceState]):
         s.alive[k] = 0
         quiet_s = int(s.still[k]) * self.learn_s
         held = s.state[k] == IN or s.doubt[k] == STILL or bool(s.was_in[k])
-        patience = BLIND_S if not known and not s.was_in[k] else 60.0 * self.vacant_min
-        if s.state[k] == IN and (known or s.was_in[k]) and self.unsure_min and quiet_s >= 60 * self.unsure_min:
+        if lies and not held:
+            s.doubt[k] = STILL
+            self._become(k, UNKNOWN, end - round(quiet_s * NS), end - 1, events, "still", keep=True)
+            return
+        judged = known or bool(s.was_in[k]) or lies
+        patience = 60.0 * self.vacant_min if judged else BLIND_S
+        if s.state[k] == IN and judged and self.unsure_min and quiet_s >= 60 * self.unsure_min:
             s.doubt[k] = STILL
             self._become(k, UNKNOWN, end - round(quiet_s * NS), end - 1, events, "still", keep=True)
         if held and (not patience or quiet_s < patience):

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from operators.depth.setup.judgement import Minute, judge
 from tests.support.command_line import Command, kinegraph, refused
 
 __all__ = ["kinegraph"]
@@ -42,3 +44,19 @@ def test_what_is_not_well_is_named_and_ends_with_2(kinegraph: Command, more: tup
 def test_a_stereo_camera_without_a_light_is_refused_before_it_is_opened(kinegraph: Command) -> None:
     told = kinegraph("bedside", "check", CONFIGS / "bedside_sleep.yaml", "--set", "camera.projector=0")
     refused(told, "sees nothing in the dark", "lit_room: true")
+
+
+@pytest.mark.parametrize(("raised", "empty"), [((8, 12), False), ((0, 4), True)])
+def test_a_bed_that_was_not_empty_in_the_minute_out_of_it_is_named(raised: tuple[int, int], empty: bool) -> None:
+    """Depths of 20 x 10 blocks: a heap across the middle, or a pillow at the head."""
+    random = np.random.default_rng(4)
+    out, inn = Minute.of((20, 10)), Minute.of((20, 10))
+    for minute in (out, inn):
+        for _ in range(20):
+            depth = 2000.0 + random.normal(0, 1, (20, 10))
+            depth[slice(*raised), 2:8] -= 150.0
+            depth[4:18, 3:7] -= 200.0 * (minute is inn)
+            minute.add(depth)
+    found = judge(out, {"sleeper": inn}, {"sleeper": (0, 0, 20, 10)}, 8, 80.0, 0.15)
+    assert any("while it should be empty" in f.text for f in found) != empty
+    assert all(f.well for f in found) == empty, [f.text for f in found]

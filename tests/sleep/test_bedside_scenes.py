@@ -196,3 +196,11 @@ def test_the_shift_is_measured_to_a_quarter_of_a_block(right: float) -> None:
     made = play(View(), **{"in": (blocks_spec(15, 20, 4.0), grid(4.0, 360, 900 * NS), depth)})["out"]
     assert made.dtype == VIEW and [str(e["what"]) for e in made] == ["steady", "moved"]
     assert abs(float(made["right"][1]) - 8 * right) <= 2 and abs(float(made["down"][1])) <= 2
+
+
+def test_who_is_in_bed_from_the_start_and_is_not_seen_to_breathe_is_unknown_and_not_out_of_bed() -> None:
+    scene = Scene(2400, ((0.0, 1900.0),), moves=(900.0, 960.0, 1400.0, 1890.0), breath_mm=0.0)
+    told = Told(scene)
+    assert told.of(60, 870) == ({"unknown"}, {"still"})
+    assert told.of(1110, 1860)[0] == {"sleep"}
+    assert [str(e["state"]) for e in told.presence][:3] == ["unknown", "in", "out"]

@@ -85,6 +85,26 @@ def test_a_breathing_sleeper_is_never_taken_for_the_empty_bed() -> None:
     assert told(presence(time, depth)["out"], time)[2:4] == [("in", 1300), ("out", 1600)]
 
 
+def test_a_body_that_does_not_stir_from_the_start_on_is_not_learned_as_the_empty_bed() -> None:
+    time, depth = bedroom(2400, (0, 1500), breath_mm=0.0)
+    depth[np.ix_((time - time[0] > 900 * NS) & (time - time[0] < 905 * NS), [4, 5, 6], [8, 9, 10])] -= 90.0
+    made = presence(time, depth)["out"]
+    assert [(s, t) for s, t in told(made, time)][:2] == [("unknown", 0), ("in", 900)]
+    assert made["why"][0] == "still" and told(made, time)[2][0] == "out" and 1500 <= told(made, time)[2][1] < 1800
+    never = presence(time, bedroom(3600, (0, 3600), breath_mm=0.0)[1][: len(time)], vacant_min=30.0)["out"]
+    assert told(never, time)[:2] == [("unknown", 0), ("out", 0)], "after `vacant_min` it is a heap"
+
+
+@pytest.mark.parametrize("tilt", [0.0, 12.0])
+def test_pillows_and_a_tilted_camera_leave_an_empty_bed_empty_at_once(tilt: float) -> None:
+    time, depth = bedroom(300)
+    depth[:, 1:5, 7:13] -= 140.0
+    depth[:, 12:14, 6:14] -= 120.0  # a folded blanket
+    room = 1 / (1 / depth[0, 6, 7] + 1e-6 * tilt * (np.arange(ROWS)[:, None] - 7 + 0 * np.arange(COLUMNS)))
+    made = told(presence(time, depth + room - room[7, 7])["out"], time)
+    assert made[0] == ("out", 0)
+
+
 def test_a_heap_of_blankets_does_not_stay_in_bed_for_ever() -> None:
     time, depth = bedroom(3600, (200, 400))
     depth[time - time[0] > 400 * NS, 9:13, 7:13] -= 250.0
@@ -226,6 +246,15 @@ def test_what_walks_about_apart_from_the_sleeper_is_a_body(speed: float, walks: 
     assert [w for w, _ in why] == ["", "body", ""][: 1 + 2 * walks]
     if walks:
         assert 600 <= why[1][1] < 640 and 700 <= why[2][1] <= 720
+
+
+def test_a_cat_is_noticed_also_before_the_empty_bed_is_known() -> None:
+    time, depth = bedroom(1000, (0, 950))
+    second = (time - time[0]) / NS
+    depth[:, 3:12, 8:12][:, 7:] += np.where(second < 950, 200.0, 0.0)[:, None, None]  # short legs
+    cat(depth, second, 600, 700, 1.0)
+    why = [(str(e["why"]), (int(e["onset"]) - int(time[0])) // NS) for e in presence(time, depth)["out"]]
+    assert [w for w, _ in why][:3] == ["", "body", ""] and 600 <= why[1][1] < 640 and 700 <= why[2][1] <= 720
 
 
 def test_a_foot_that_lifts_the_blanket_and_a_turn_are_no_visitors() -> None:

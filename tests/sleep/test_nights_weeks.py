@@ -70,6 +70,25 @@ def test_naps_are_no_nights_and_missing_ones_are_told(fortnight: Path) -> None:
     assert weeks.missing(rows) == [date(2026, 11, 11)]
 
 
+def test_an_evening_with_a_nap_alone_is_not_missing_before_the_first_night(tmp_path: Path) -> None:
+    logged(tmp_path, "2026-11-03T14:00", "sw")
+    rows = weeks.rows(tmp_path)
+    assert [weeks.part_trend(rows, weeks.FREE, first, last).missing for _, first, last in weeks.by_weeks(rows)] == [0]
+    page = weeks_page.page(rows, weeks.FREE, (), (), months=False)
+    assert "missing</text>" not in page and "– %" not in page
+    for day in (7, 10):
+        logged(tmp_path, f"2026-11-{day:02d}T23:00", "s" * 16)
+    rows = weeks.rows(tmp_path)
+    found = [weeks.part_trend(rows, weeks.FREE, first, last) for _, first, last in weeks.by_weeks(rows)]
+    assert [(t.nights, t.naps, t.missing) for t in found] == [(1, 1, 1), (1, 0, 1)]
+
+
+def test_the_table_shows_the_minute_that_the_report_shows(tmp_path: Path) -> None:
+    logged(tmp_path, "2026-11-02T23:00:45", "s" * 16)
+    (one,) = weeks.rows(tmp_path)
+    assert weeks.hour(one.bed) == "23:00" and one.in_bed == 480
+
+
 def test_a_night_in_two_parts_is_one_night(tmp_path: Path) -> None:
     logged(tmp_path, "2026-11-02T22:00", "ssssss")
     logged(tmp_path, "2026-11-03T02:00", "ssssssssss")

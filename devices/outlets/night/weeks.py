@@ -165,6 +165,12 @@ def trend(
     )  # fmt: skip
 
 
+def part_trend(of: Sequence[NightRow], free: Sequence[int], first: date, last: date) -> Trend:
+    """Of a week or month of them; evenings miss a night from the very first night to the last: a week that has begun misses none yet."""
+    lost = sum(first <= day <= last for day in missing(of))
+    return replace(trend(of, free, first, last), missing=lost)
+
+
 def jet_lag(nights: Sequence[NightRow], free: Sequence[int] = FREE) -> float:
     """Hours by which sleep before free mornings has its middle later (negative: earlier); `free`: weekdays, Monday is 0."""
     known = [one for one in nights if one.middle == one.middle]
@@ -286,7 +292,8 @@ def _day(part: LoggedEpochs, start: int) -> Samples:
 
 
 def _after(time: int, start: int) -> float:
-    return (time - start) / (3600 * NS)
+    """Hours, by the minute that has begun, as clocks and reports show it."""
+    return (time - start) // (60 * NS) / 60
 
 
 def _mean(of: Sequence[NightRow], value: Callable[[NightRow], float]) -> float:

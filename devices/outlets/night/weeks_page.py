@@ -20,6 +20,7 @@ from devices.outlets.night.weeks import (
     compare,
     hour,
     missing,
+    part_trend,
     trend,
     within,
 )
@@ -51,7 +52,7 @@ def trends_table(of: Sequence[NightRow], free: Sequence[int], months: bool = Fal
     names = [f.name for f in fields(Trend)]
     lines = [["period", "from", "to", *names]]
     for name, first, last in by_weeks(of, months):
-        found = trend(of, free, *_known(of, first, last))
+        found = part_trend(of, free, first, last)
         cells = [_cell(n, getattr(found, n)) for n in names]
         lines.append([name, first.isoformat(), last.isoformat(), *cells])
     return sheet_text(lines)
@@ -91,7 +92,7 @@ def page(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined
     )
     spans = by_weeks(of, months)
-    found = [(name, trend(of, free, *_known(of, first, last))) for name, first, last in spans]
+    found = [(name, part_trend(of, free, first, last)) for name, first, last in spans]
     return environment.get_template("weeks.html.j2").render(
         title=_title(of),
         whole=words(trend(of, free)),
@@ -115,10 +116,11 @@ def cells(of: Trend) -> list[str]:
     """A line of the table of trends, as in HEADS."""
     spread = [f" ± {60 * s:.0f} min" if s == s else "" for s in (of.bed_sd, of.rise_sd)]
     asleep = hours(of.asleep) if of.asleep == of.asleep else "–"
+    efficiency = f"{of.efficiency:.0f} %" if of.efficiency == of.efficiency else "–"
     lag = f"{60 * of.jet_lag:+.0f} min" if of.jet_lag == of.jet_lag else "–"
     times = (hour(of.bed) + spread[0], hour(of.rise) + spread[1])
     counts = (str(of.nights), str(of.missing), str(of.naps))
-    return [*counts, asleep, f"{_whole(of.efficiency)} %", *times, lag, _whole(of.regularity)]
+    return [*counts, asleep, efficiency, *times, lag, _whole(of.regularity)]
 
 
 def _whole(value: float) -> str:
@@ -151,12 +153,6 @@ def _many(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
-def _known(of: Sequence[NightRow], first: date, last: date) -> Period:
-    """A span cut to where anything was recorded: a week that has only begun misses no nights yet."""
-    days = [r.evening for r in of]
-    return max(first, min(days)), min(last, max(days))
-
-
 def _title(of: Sequence[NightRow]) -> str:
     return f"Nights from {min(r.evening for r in of):%d.%m.%Y} to {max(r.evening for r in of):%d.%m.%Y}"
 
@@ -164,7 +160,7 @@ def _title(of: Sequence[NightRow]) -> str:
 def _days(of: Sequence[NightRow]) -> list[dict[str, Any]]:
     """For the picture: a line per evening from the first to the last, each with its bars (x, width, what)."""
     first, last = min(r.evening for r in of), max(r.evening for r in of)
-    lines = []
+    lines, lost = [], set(missing(of))
     for k in range((last - first).days + 1):
         day = first + timedelta(k)
         here = [r for r in of if r.evening == day]
@@ -174,7 +170,7 @@ def _days(of: Sequence[NightRow]) -> list[dict[str, Any]]:
                 bars.append((*_place(one.bed, one.rise), "unknown"))
             for state, what in ((1.0, "sleep"), (0.0, "wake")):
                 bars += [(LEFT + a * WIDE / SLOTS, (b - a) * WIDE / SLOTS, what) for a, b in runs(one.day == state)]
-        lines.append({"name": f"{day:%a %d.%m.}", "bars": bars, "missing": not any(r.kind == "night" for r in here)})
+        lines.append({"name": f"{day:%a %d.%m.}", "bars": bars, "missing": day in lost})
     return lines
 
 

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from operators.depth.mattress import mattress, somebody
 from stream.chunk import Samples
 
 LEAST_MEASURED = 0.5
@@ -97,6 +98,8 @@ def judge(
         found.append(Finding(False, f"no bed was found while it was empty; {hint}"))
         return [f for f in found if f]
     found.append(_measured(out, minutes[-1], inside))
+    for name, region in regions.items():
+        found.append(_empty(out.depth(), region, f" ({name})" if len(bodies) > 1 else "", rise_mm, least))
     for name, body in bodies.items():
         found.append(_held(body, regions[name], f" ({name})" if len(bodies) > 1 else "", hint, least))
     return [f for f in (*found, _light(out, minutes[-1], raised)) if f]
@@ -127,6 +130,18 @@ def _seen(views: list[str], when: str) -> Finding | None:
     if "moved" in views:
         return Finding(False, f"the camera was moved {when}: fix it, and check again")
     return None
+
+
+def _empty(depth: Samples, region: Region, who: str, rise_mm: float, least: float) -> Finding | None:
+    """Whether the bed that ought to be empty looks as if somebody lay in it."""
+    row, column, rows, columns = region
+    bed = depth[row : row + rows, column : column + columns]
+    if not somebody(mattress(bed, rise_mm / 2) - bed, rise_mm, least):
+        return None
+    return Finding(
+        False,
+        f"somebody, or a heap as large, was on the bed while it should be empty{who}: a night that begins so is unknown until it moves",
+    )
 
 
 def _held(body: Mask, region: Region, who: str, hint: str, least: float) -> Finding:
