@@ -127,6 +127,8 @@ SCENES: Mapping[str, Visited] = {
     "cat on the bed": replace(PLAIN, cat_bed=SPELL),
     "fan beside the bed": replace(PLAIN, fan=((0.0, LENGTH_S),)),
     "curtains in the wind": replace(PLAIN, curtains=SPELL),
+    "in bed from the start": replace(PLAIN, sleeper=((0.0, IN[1]),)),
+    "the same, breath not seen": replace(PLAIN, sleeper=((0.0, IN[1]),), breath_mm=0.0),
 }
 
 
