@@ -61,6 +61,17 @@ def run(kind, recording, *options):
     return result.output
 
 
+def test_a_recorded_subject_names_no_other_folder(tmp_path, monkeypatch):
+    here = tmp_path / "here"
+    here.mkdir()
+    (tmp_path / "there").mkdir()
+    monkeypatch.chdir(here)
+    spec, time, data = emg()
+    run("mvc", recorded(here / "walk.mcap", {"treadmill.emg": (spec, time, data)}, {"subject": "../there/S01"}))
+    assert sorted(path.name for path in here.iterdir()) == ["_there_S01.mvc.json", "walk.mcap"]
+    assert not any((tmp_path / "there").iterdir())
+
+
 def test_mvc_is_the_highest_half_second(walked, tmp_path):
     run("mvc", walked, "-o", str(tmp_path / "mvc.json"))
     found = AmplitudeReference.read(tmp_path / "mvc.json")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict, fields
 from enum import StrEnum
 from pathlib import Path as File
@@ -61,7 +62,7 @@ def calibrate(
     with Recording.open(recording) as opened:
         about = opened.header.get("session") or {}
         who = subject or str(about.get("subject", ""))
-        target = output or File(f"{who or recording.stem}.{kind.value}.json")
+        target = output or File(f"{_file_name(who) or recording.stem}.{kind.value}.json")
         if target.exists() and not overwrite:
             raise KinegraphError(f"{target} exists; --overwrite replaces it, --out names another file")
         text = _text(config) if config else str(opened.header.get("graph") or "")
@@ -70,6 +71,11 @@ def calibrate(
     made = type(found)(**{**asdict(found), "subject": who, "source": recording.name})
     made.write(target)
     _show(made, flags, target)
+
+
+def _file_name(subject: str) -> str:
+    """What a subject's file is called: a recording from a stranger may name one with a path."""
+    return re.sub(r"[^\w. -]", "_", subject)[:100].strip(" .")
 
 
 def reference(
