@@ -76,6 +76,30 @@ def test_the_kernel_cache_is_nobody_elses(tmp_path: Path, monkeypatch: pytest.Mo
         kernel.cache_folder.cache_clear()
 
 
+def doubled(x: float) -> float:
+    return 2.0 * x
+
+
+@pytest.mark.skipif(os.name != "posix", reason="owners as POSIX has them")
+def test_a_kernels_own_folder_is_nobody_elses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the umask of a program that imports kinegraph; and where one was left open, what may have been planted is not run."""
+    from stream import kernel
+
+    monkeypatch.setenv("KINEGRAPH_CACHE", str(tmp_path / "cache"))
+    kernel.cache_folder.cache_clear()
+    umask = os.umask(0)
+    try:
+        assert kernel.kernel(doubled)(2.0) == 4.0
+        (made,) = (tmp_path / "cache" / "kernels").glob("*test_trusted-*")
+        assert made.stat().st_mode & 0o077 == 0
+        made.chmod(0o777)
+        with pytest.raises(KinegraphError, match=r"may be written by others.*chmod go-w"):
+            kernel.kernel(doubled)(2.0)
+    finally:
+        os.umask(umask)
+        kernel.cache_folder.cache_clear()
+
+
 def test_ones_own_folder_is_taken(tmp_path: Path) -> None:
     refuse_shared(tmp_path, "this")
 
