@@ -64,6 +64,12 @@ class Cyton(SerialSource):
     settings: tuple[ChannelSetting, ...] = param(
         (), help="amplifier settings of channels that differ from the defaults"
     )
+    gather_s: float = param(
+        0.016,
+        least=0,
+        most=0.1,
+        help="packets of this time are read at once, as its dongle's chip is set to give them; 0: each as it comes, for less delay and twice the work",
+    )
     latency_s: float = param(
         0.0, least=0, most=1, help="the constant delay from the electrode to the port, if you know it"
     )
@@ -71,7 +77,11 @@ class Cyton(SerialSource):
 
     @property
     def chunk_s(self) -> float:
-        return 1 / self.rate_hz
+        return max(1 / self.rate_hz, self.gather_s)
+
+    @property
+    def gathered_s(self) -> float:
+        return self.gather_s
 
     @property
     def rate_hz(self) -> float:
@@ -228,22 +238,28 @@ class CytonReading:
         frames = self._decoder.feed(data)
         if len(frames):
             self._emit(frames, feed)
-        tell_problems(feed, bytes_that_are_no_packet=frames.dropped, resync=frames.resyncs)
+        if frames.dropped or frames.resyncs:
+            tell_problems(feed, bytes_that_are_no_packet=frames.dropped, resync=frames.resyncs)
         return len(frames)
 
     def _emit(self, frames: CytonFrames, feed: Feed) -> None:
         arrival = feed.now()
-        packets = self._clock.take(frames.counter, arrival)
-        repeated = len(frames) - len(packets.number)
-        tell_problems(feed, repeated_packet=repeated)
-        if not len(packets.number):
+        one = len(frames) == 1
+        packets = self._clock.take_one(frames.newest, arrival) if one else self._clock.take(frames.counter, arrival)
+        n = len(packets.number)
+        repeated = len(frames) - n
+        if repeated:
+            feed.problem("repeated packet", repeated)
+        if not n:
             return
-        missing = tell_losses(packets, feed, "lost packet", "counter reset")
-        if hz := self._rate.see(len(packets.number), missing, arrival, feed):
+        missing = 0 if packets.clean else tell_losses(packets, feed, "lost packet", "counter reset")
+        if hz := self._rate.see(n, missing, arrival, feed):
             self._clock.follow(hz)
         self._emg(packets, frames.counts[packets.kept] if repeated else frames.counts, feed)
-        self._accel(frames, packets, feed)
-        missing = -1 if (packets.lost < 0).any() else missing
+        if frames.moved:
+            self._accel(frames, packets, feed)
+        if not packets.clean and (packets.lost < 0).any():
+            missing = -1
         feed.emit(timing_chunk(packets.number, packets.device, arrival, packets.stamp, missing), "timing")
 
     def _emg(self, packets: Packets, counts: Samples, feed: Feed) -> None:

@@ -104,7 +104,6 @@ class Mti(SerialSource):
 
     @property
     def gathered_s(self) -> float:
-        """How long packets are left to gather."""
         if self.gather_s is not None:
             return self.gather_s
         return GATHER_S if self.rate_hz > FEW_HZ else 0.0
@@ -202,7 +201,7 @@ class MtiReading:
     """Measurements to samples."""
 
     def __init__(self, of: Mti, talk: XbusCommands) -> None:
-        self._port, self._gather_s, self._measure = of.port, of.gathered_s, ", ".join(of.measure)
+        self._port, self._measure = of.port, ", ".join(of.measure)
         self._decoder, self._behind = talk.decoder, talk.behind
         self._clock = TickClock(
             counter_bits=16,
@@ -232,10 +231,7 @@ class MtiReading:
             self._behind = []
         found = self._decoder.feed(data)
         tell_problems(feed, bytes_that_are_no_packet=found.dropped, resync=found.resyncs)
-        n = self._emit_all(found.runs, feed) if found.runs else 0
-        if n and self._gather_s:
-            feed.wait(self._gather_s)
-        return n
+        return self._emit_all(found.runs, feed) if found.runs else 0
 
     def _emit_all(self, found: list[XbusRun], feed: Feed) -> int:
         """Emit measurements, and act on what else came; returns how many samples that was."""

@@ -108,7 +108,8 @@ class DeviceClock:
 
     def see(self, device_ns: int, arrival_ns: int) -> None:
         """A packet with this (unwrapped) device time has arrived now."""
-        if self._n and self.is_waking(arrival_ns):
+        silent = arrival_ns - self._arrival > SLEPT_NS
+        if (silent or self._woke) and self._n and self.is_waking(arrival_ns):
             self._watch_sleep(device_ns, arrival_ns)
         self._arrival = arrival_ns
         difference = arrival_ns - device_ns

@@ -79,7 +79,7 @@ class PacketClock:
     def take(self, counters: Array, arrival_ns: int) -> Packets:
         """Packets with these counters (n,), n > 0, have arrived now."""
         if len(counters) == 1:
-            return self._take_one(int(counters[0]), arrival_ns)
+            return self.take_one(int(counters[0]), arrival_ns)
         counters = counters.astype(np.int64)
         steps = np.empty(len(counters), np.int64)
         steps[1:] = (counters[1:] - counters[:-1]) % self._range
@@ -102,7 +102,7 @@ class PacketClock:
         device = np.round(self._from_ns + (number - self._from_number) * self._period).astype(np.int64)
         return Packets(kept, number, lost, device, self._clock.stamps(device))
 
-    def _take_one(self, counter: int, arrival_ns: int) -> Packets:
+    def take_one(self, counter: int, arrival_ns: int) -> Packets:
         """The same for one packet, as most reads bring it, without arrays on the way."""
         step = self._first_step(counter, arrival_ns, 0)
         if not step:
@@ -117,7 +117,7 @@ class PacketClock:
         self._clock.see(device, arrival_ns)
         lost = lost or -int(self._clock.take_gap())
         row = np.array([number, lost, device, self._clock.stamp(device)])
-        return Packets(ONE, row[0:1], row[1:2], row[2:3], row[3:4])
+        return Packets(ONE, row[0:1], row[1:2], row[2:3], row[3:4], not lost)
 
     def _first_step(self, counter: int, arrival_ns: int, following: int) -> int:
         """How far a read's first packet is from the last one before it; 0: it is that one again."""

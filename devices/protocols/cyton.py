@@ -40,6 +40,7 @@ ENDING = b"$$$"
 """What every answer ends with."""
 
 _WIDE = np.dtype(">i4")
+_STILL = bytes(6)
 _NAMES = "12345678QWERTYUI"
 _OFF, _ON = "12345678qwertyui", "!@#$%^&*QWERTYUI"
 _FRAME = rb"\xA0.{31}[\xC0-\xC6]"
@@ -123,6 +124,16 @@ class CytonFrames:
     def counter(self) -> NDArray[np.uint8]:
         """(n,) uint8"""
         return self._table[:, 1]
+
+    @property
+    def newest(self) -> int:
+        """The last packet's counter, of n > 0."""
+        return self._data[1 - SIZE]
+
+    @property
+    def moved(self) -> bool:
+        """Whether any packet's auxiliary bytes hold something."""
+        return self._data[26 : SIZE - 1] != _STILL if self._n == 1 else bool(self.aux.any())
 
     @property
     def counts(self) -> Samples:
