@@ -1,14 +1,21 @@
-"""What a frame of motion capture and a packet of a belt cost, from bytes to stamped chunks, beside bare parsing and other clients.
+"""What a frame of motion capture and a packet of a belt cost, from bytes to stamped chunks, beside bare parsing and other clients; and what
+a whole source of datagrams costs as they come.
 
     python -m bench.datagrams
 
-CPU time of one thread, all in one run, so that a loaded machine changes the figures but hardly their ratios.
+CPU time of one thread, all in one run, so that a loaded machine changes the figures but hardly their ratios. Whole sources are processes of
+their own, which take turns with a bare loop.
 """
 
 from __future__ import annotations
 
 import asyncio
+import json
+import socket
 import struct
+import subprocess
+import sys
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -34,7 +41,7 @@ from devices.protocols.polar_pmd import PmdDecoder
 from devices.simulators.natnet import MODELS, TICK_HZ, NatNetScene
 from devices.simulators.polar import PolarBelt
 from stream.graph.load import load_text
-from tests.support.device_feed import Kept
+from tests.support.device_feed import Kept, free_udp_port
 
 N = 4000
 ROUNDS = 5
@@ -229,11 +236,89 @@ class DatagramFrames:
         return self.of.rate_mismatch
 
 
+BARE = """
+import json, socket, struct, sys, tempfile, threading, time
+import numpy as np
+kind, port, seconds = sys.argv[1], int(sys.argv[2]), float(sys.argv[3])
+def read(link, file):
+    global came
+    while True:
+        data = link.recv(65536)
+        row = struct.unpack(">4f", data[-16:]) if kind == "osc" else struct.unpack("<I3f", data)
+        file.write(np.array([time.time(), *row]).tobytes())
+        came += 1
+came = 0
+with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link, tempfile.TemporaryFile() as file:
+    link.bind(("127.0.0.1", port))
+    threading.Thread(target=read, args=(link, file), daemon=True).start()
+    while not came: time.sleep(0.01)
+    first, cpu = came, time.process_time()
+    time.sleep(seconds)
+    print(json.dumps([time.process_time() - cpu, came - first]), flush=True)
+    import os; os._exit(0)
+"""
+"""What somebody writes who needs only numbers: each datagram's, and its arrival, into a file. No stamps, no losses."""
+
+SOURCE = """
+import json, os, sys, threading, time
+from bench.datagrams import GRAPH
+from stream.graph.load import load_text
+class Feed:
+    stopped, again, samples = False, False, 0
+    now = staticmethod(time.time_ns)
+    def emit(self, chunk, output="out"): self.samples += len(chunk) if output != "timing" else 0
+    def ready(self): pass
+    def problem(self, kind, count=1): raise SystemExit(kind)
+    def device_clock(self, **facts): pass
+feed = Feed()
+source = load_text(GRAPH.replace("9999", sys.argv[2]).replace("9998", sys.argv[2])).nodes[sys.argv[1]].part
+source.prepare()
+threading.Thread(target=source.fresh().read, args=(feed,), daemon=True).start()
+while not feed.samples: time.sleep(0.01)
+first, cpu = feed.samples, time.process_time()
+time.sleep(float(sys.argv[3]))
+print(json.dumps([time.process_time() - cpu, feed.samples - first]), flush=True)
+os._exit(0)
+"""
+
+
+def sending(port: int, kind: str, hz: float, stop: threading.Event) -> None:
+    """Datagrams of a counter and three numbers to a port of this machine, until told to stop."""
+    due, i = time.monotonic(), 0
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        while not stop.wait(max(0.0, due - time.monotonic())):
+            packet = struct.pack("<I3f", i, 1.0, 2.0, 3.0)
+            message = next(iter(bundles([floats("/a", [1.0, 2.0, 3.0, float(i)])])))
+            link.sendto(message if kind == "osc" else packet, ("127.0.0.1", port))
+            due, i = due + 1 / hz, i + 1
+
+
+def whole_sources(rounds: int = 3, seconds: float = 8.0, hz: float = 100.0) -> dict[str, float]:
+    """CPU time (us) a datagram of whole sources as datagrams come, and of bare loops that write the numbers to a file."""
+    found: dict[str, list[float]] = {}
+    for _ in range(rounds):
+        for kind in ("osc", "udp"):
+            for name, program in (("bare loop", BARE), ("source", SOURCE)):
+                port, stop = free_udp_port(), threading.Event()
+                sender = threading.Thread(target=sending, args=(port, kind, hz, stop), daemon=True)
+                sender.start()
+                done = subprocess.run(
+                    [sys.executable, "-c", program, kind, str(port), str(seconds)],
+                    capture_output=True, text=True, check=True,
+                )  # fmt: skip
+                stop.set()
+                sender.join()
+                spent, came = json.loads(done.stdout.splitlines()[-1])
+                found.setdefault(f"{kind}, {name}", []).append(spent / came * 1e6)
+    return {name: float(np.median(us)) for name, us in found.items()}
+
+
 def main() -> None:
     for title, figures in (
         ("NatNet, us a frame", natnet_figures()),
         ("Polar ECG, us a frame of 73 samples", polar_figures()),
         ("a counter and three numbers, us a datagram", declared_figures()),
+        ("a whole source at 100 datagrams a second, receiving and all, us a datagram", whole_sources()),
     ):
         print(title)
         for name, us in figures.items():
