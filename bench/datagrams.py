@@ -252,6 +252,7 @@ with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link, tempfile.Temporar
     link.bind(("127.0.0.1", port))
     threading.Thread(target=read, args=(link, file), daemon=True).start()
     while not came: time.sleep(0.01)
+    time.sleep(float(sys.argv[4]))
     first, cpu = came, time.process_time()
     time.sleep(seconds)
     print(json.dumps([time.process_time() - cpu, came - first]), flush=True)
@@ -275,6 +276,7 @@ source = load_text(GRAPH.replace("9999", sys.argv[2]).replace("9998", sys.argv[2
 source.prepare()
 threading.Thread(target=source.fresh().read, args=(feed,), daemon=True).start()
 while not feed.samples: time.sleep(0.01)
+time.sleep(float(sys.argv[4]))
 first, cpu = feed.samples, time.process_time()
 time.sleep(float(sys.argv[3]))
 print(json.dumps([time.process_time() - cpu, feed.samples - first]), flush=True)
@@ -293,8 +295,11 @@ def sending(port: int, kind: str, hz: float, stop: threading.Event) -> None:
             due, i = due + 1 / hz, i + 1
 
 
-def whole_sources(rounds: int = 3, seconds: float = 8.0, hz: float = 100.0) -> dict[str, float]:
-    """CPU time (us) a datagram of whole sources as datagrams come, and of bare loops that write the numbers to a file."""
+def whole_sources(rounds: int = 3, seconds: float = 8.0, hz: float = 100.0, after: float = 11.0) -> dict[str, float]:
+    """CPU time (us) a datagram of whole sources as datagrams come, and of bare loops that write the numbers to a file.
+
+    `after` the first seconds, in which sources check what was declared.
+    """
     found: dict[str, list[float]] = {}
     for _ in range(rounds):
         for kind in ("osc", "udp"):
@@ -303,7 +308,7 @@ def whole_sources(rounds: int = 3, seconds: float = 8.0, hz: float = 100.0) -> d
                 sender = threading.Thread(target=sending, args=(port, kind, hz, stop), daemon=True)
                 sender.start()
                 done = subprocess.run(
-                    [sys.executable, "-c", program, kind, str(port), str(seconds)],
+                    [sys.executable, "-c", program, kind, str(port), str(seconds), str(after)],
                     capture_output=True, text=True, check=True,
                 )  # fmt: skip
                 stop.set()
