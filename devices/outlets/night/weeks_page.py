@@ -117,7 +117,7 @@ def cells(of: Trend) -> list[str]:
     spread = [f" ± {60 * s:.0f} min" if s == s else "" for s in (of.bed_sd, of.rise_sd)]
     asleep = hours(of.asleep) if of.asleep == of.asleep else "–"
     efficiency = f"{of.efficiency:.0f} %" if of.efficiency == of.efficiency else "–"
-    lag = f"{60 * of.jet_lag:+.0f} min" if of.jet_lag == of.jet_lag else "–"
+    lag = f"{_signed(60 * of.jet_lag)} min" if of.jet_lag == of.jet_lag else "–"
     times = (hour(of.bed) + spread[0], hour(of.rise) + spread[1])
     counts = (str(of.nights), str(of.missing), str(of.naps))
     return [*counts, asleep, efficiency, *times, lag, _whole(of.regularity)]
@@ -187,8 +187,13 @@ def _written(d: Difference) -> list[str]:
     sides = [hour(v) if clock else f"{v:.0f} {d.unit}" for v in (d.first, d.second)]
     scale, unit = (60, "min") if clock else (1, d.unit)
     known = np.isfinite([d.low, d.high]).all()
-    interval = f"{scale * d.low:+.0f} to {scale * d.high:+.0f}" if known else "–"
-    return [d.name, *sides, f"{scale * d.difference:+.0f} {unit}", interval]
+    interval = f"{_signed(scale * d.low)} to {_signed(scale * d.high)}" if known else "–"
+    return [d.name, *sides, f"{_signed(scale * d.difference)} {unit}", interval]
+
+
+def _signed(value: float) -> str:
+    """A whole number with its sign; what rounds to 0 has none."""
+    return f"{value:+.0f}" if abs(value) > 0.5 or value != value else "0"
 
 
 def _cell(name: str, value: float) -> str:
