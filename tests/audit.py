@@ -25,7 +25,9 @@ def judged(packages: list[dict[str, Any]]) -> tuple[list[str], bool]:
         for hole in package.get("vulns", ())
     ]
     unasked = [package["name"] for package in packages if "skip_reason" in package]
-    lines = [*holes, f"{len(packages) - len(unasked)} of {len(packages)} packages audited; known holes: {len(holes)}"]
+    audited = len(packages) - len(unasked)
+    told = f"; known holes: {len(holes)}" if audited else ""
+    lines = [*holes, f"{audited} of {len(packages)} packages audited{told}"]
     if unasked and len(unasked) == len(packages):
         lines.append(
             "the index answers about none of them: it may be a mirror without this service, and no hole is known or ruled out"
