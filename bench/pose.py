@@ -92,7 +92,7 @@ def errors(tree: JointTree, poses: Samples, truth: Samples) -> tuple[float, floa
 
 def model_at(path: Path, tree: JointTree, lessons: Sequence[Lesson], chosen: Array, centres: int) -> Path:
     """A model as the command makes it."""
-    learned = learn_pose(lessons, centres)
+    learned = learn_pose(lessons, chosen, centres)
     header = {"landmarks": [NAMES[k] for k in chosen]}
     write_model(path, "pose", header, {**learned, "landmarks": chosen, "offsets": tree.offsets})
     return path

@@ -16,7 +16,7 @@ from stream.humanoid import BONES
 from stream.joint_tree import JointTree, joints_of
 from stream.kernel import kernel
 
-WIDTH, RIDGE = 2.0, 0.2
+WIDTH, RIDGE = 1.0, 0.2
 """Width of the kernel in median distances of poses, and ridge: chosen by leaving out whole subjects."""
 MOST_FRAMES = 40_000
 LEFT_OUT = 1e-3
@@ -75,6 +75,31 @@ def lesson_of(tree: JointTree, poses: Samples, chosen: Times) -> Lesson:
     return Lesson(features, np.hstack([_six(priors, turns).reshape(n, -1), hips]))
 
 
+def mirrored(lesson: Lesson, chosen: Times) -> Lesson:
+    """What the same poses teach in a mirror: either side of the body can do what one was seen to do. Landmarks that have no counterpart
+    among those `chosen` leave the lesson as it is."""
+    n, names = len(lesson.features), [NAMES[k] for k in chosen]
+    if not {other_side(name) for name in names} <= set(names):
+        return lesson
+    marks = [names.index(other_side(name)) for name in names]
+    bones = [BONES.index(other_side(bone)) for bone in BONES]
+    features = (lesson.features.reshape(n, -1, 3) * [-1.0, 1.0, 1.0])[:, marks]
+    turns = lesson.targets[:, :-3].reshape(n, -1, 6)[:, bones] * [1.0, -1.0, -1.0, -1.0, 1.0, 1.0]
+    targets = np.hstack([turns.reshape(n, -1), lesson.targets[:, -3:] * [-1.0, 1.0, 1.0]])
+    return Lesson(features.reshape(n, -1), targets)
+
+
+def other_side(name: str) -> str:
+    """What a bone or a landmark is called on the other side; its own name where it has no side."""
+    for one, other in (("Left", "Right"), ("Right", "Left")):
+        if name.startswith(one):
+            return other + name.removeprefix(one)
+    for one, other in (("_l", "_r"), ("_r", "_l")):
+        if name.endswith(one):
+            return name.removesuffix(one) + other
+    return name
+
+
 def _six(priors: Samples, turns: Samples) -> Samples:
     """Rotations from `priors` to `turns` (n, j, 4) by two columns of their matrices (n, j, 6)."""
     a = priors * [1.0, -1.0, -1.0, -1.0]
@@ -86,14 +111,20 @@ def _six(priors: Samples, turns: Samples) -> Samples:
     return np.stack([*first, *second], axis=-1)
 
 
-def learn_pose(lessons: Sequence[Lesson], centres: int, width: float = WIDTH, ridge: float = RIDGE) -> dict[str, Array]:
-    """Kernel centres, weights, their basis, mean and scale: ridge regression on all frames with Gaussian kernels at `centres` of them.
+def learn_pose(
+    lessons: Sequence[Lesson], chosen: Times, centres: int, width: float = WIDTH, ridge: float = RIDGE
+) -> dict[str, Array]:
+    """Kernel centres, weights, their basis, mean and scale: ridge regression on all frames, as they are and in a mirror, with Gaussian
+    kernels at `centres` of them.
+
+    chosen  (m,)  the landmarks that the lessons are on
 
     The centres are frames as far from one another as can be (farthest points in turn). Raises KinegraphError for too few frames.
     """
-    x, y = np.concatenate([one.features for one in lessons]), np.concatenate([one.targets for one in lessons])
-    if len(x) < 50:
-        raise KinegraphError(f"{len(x)} poses are too few to learn from; at least 50 are needed")
+    if (frames := sum(len(one.features) for one in lessons)) < 50:
+        raise KinegraphError(f"{frames} poses are too few to learn from; at least 50 are needed")
+    both = [each for one in lessons for each in (one, mirrored(one, chosen))]
+    x, y = np.concatenate([one.features for one in both]), np.concatenate([one.targets for one in both])
     if len(x) > MOST_FRAMES:
         thin = np.linspace(0, len(x) - 1, MOST_FRAMES).astype(np.intp)
         x, y = x[thin], y[thin]
@@ -101,17 +132,17 @@ def learn_pose(lessons: Sequence[Lesson], centres: int, width: float = WIDTH, ri
     scale = 1.0 / (
         2.0 * (width * float(np.median(_squares(sample, sample)[np.triu_indices(len(sample), 1)] ** 0.5))) ** 2
     )
-    chosen = x[_far_apart(x, min(centres, len(x)))]
+    at = x[_far_apart(x, min(centres, len(x)))]
     mean = y.mean(axis=0)
-    left, right = np.zeros((len(chosen), len(chosen))), np.zeros((len(chosen), y.shape[1]))
+    left, right = np.zeros((len(at), len(at))), np.zeros((len(at), y.shape[1]))
     for part in range(0, len(x), 4096):
-        k = np.exp(-scale * _squares(x[part : part + 4096], chosen))
+        k = np.exp(-scale * _squares(x[part : part + 4096], at))
         left += k.T @ k
         right += k.T @ (y[part : part + 4096] - mean)
-    left += ridge * np.exp(-scale * _squares(chosen, chosen)) + 1e-9 * np.eye(len(chosen))
+    left += ridge * np.exp(-scale * _squares(at, at)) + 1e-9 * np.eye(len(at))
     weights: Samples = np.asarray(np.linalg.solve(left, right), np.float64)
-    weights, basis = _in_few(weights, np.exp(-scale * _squares(x[:: max(1, len(x) // 2000)], chosen)) @ weights)
-    return {"centres": chosen, "weights": weights, "basis": basis, "mean": mean, "scale": np.array([scale])}
+    weights, basis = _in_few(weights, np.exp(-scale * _squares(x[:: max(1, len(x) // 2000)], at)) @ weights)
+    return {"centres": at, "weights": weights, "basis": basis, "mean": mean, "scale": np.array([scale])}
 
 
 def _in_few(weights: Samples, predicted: Samples) -> tuple[Samples, Samples]:

@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 
 from operators.whole_pose.landmarks import NAMES, USUAL
+from operators.whole_pose.learn import lesson_of, mirrored, other_side
 from stream import cli
 from stream.errors import KinegraphError
+from stream.humanoid import BONES as HUMANOID
 from stream.humanoid import find_bones, to_humanoid
 from stream.joint_tree import JointTree, joints_of
 from stream.model import read_model
 from stream.recording import Recording
-from tests.avatar.test_whole_pose import RATE, N, marks, played
+from tests.avatar.test_whole_pose import POSES, RATE, TREE, N, marks, played
 
 DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
 SIDES = {"l": 1.0, "r": -1.0}
@@ -121,3 +123,18 @@ def test_a_real_c3d_file_of_a_person_gives_a_model(tmp_path: Path) -> None:
     kinegraph("import", DATA / "steering" / "HDM_dg_06-03_03_120.c3d", "-o", tmp_path / "walk.mcap")
     kinegraph("train", "pose", tmp_path / "walk.mcap", "-o", tmp_path / "pose.npz", "--centres", "50")
     assert len(read_model(tmp_path / "pose.npz", "pose").header["trained_on"]) == 1
+
+
+def test_a_mirrored_lesson_is_that_of_the_mirrored_poses() -> None:
+    chosen = np.arange(len(USUAL))
+    bones = [HUMANOID.index(other_side(bone)) for bone in HUMANOID]
+    other = POSES.copy()
+    other[:, 0] *= -1.0
+    turns = POSES[:, 3:].reshape(N, -1, 4)[:, bones] * [1.0, 1.0, -1.0, -1.0]
+    other[:, 3:] = turns.reshape(N, -1)
+    made, wanted = mirrored(lesson_of(TREE, POSES, chosen), chosen), lesson_of(TREE, other, chosen)
+    assert np.abs(made.features - wanted.features).max() < 1e-9
+    assert np.abs(made.targets - wanted.targets).max() < 1e-9
+    one_arm = np.array([k for k, name in enumerate(NAMES) if name in ("head", "hip_l", "hip_r", "wrist_l", "ankle_l")])
+    lesson = lesson_of(TREE, POSES, one_arm)
+    assert mirrored(lesson, one_arm) is lesson

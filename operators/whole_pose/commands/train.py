@@ -55,7 +55,7 @@ def pose(
         raise KinegraphError(f"{output}: exists; choose another --out, or replace it with --overwrite")
     chosen = np.array(sorted(NAMES.index(name) for name in set(names)), np.int64)
     lessons, told, tree = _lessons(recordings, chosen)
-    learned = learn_pose(lessons, centres)
+    learned = learn_pose(lessons, chosen, centres)
     header = {"landmarks": [NAMES[k] for k in chosen], "trained_on": told}
     write_model(output, "pose", header, {**learned, "landmarks": chosen, "offsets": tree.offsets})
     frames = sum(len(one.features) for one in lessons)
