@@ -157,7 +157,9 @@ class Watched:
         if self._process and self.alive and (held := Held.by(self._process.pid)):
             self.lives[-1].append(held)
             before, self._waited = self._waited, waited(self._process.pid)
-            if any(ns - before.get(thread, ns) > STARVED_S * 1e9 for thread, ns in self._waited.items()):
+            if self._begun <= self._former or any(
+                ns - before.get(thread, ns) > STARVED_S * 1e9 for thread, ns in self._waited.items()
+            ):
                 self.disturbed = max(self.disturbed, time.monotonic())
 
     def send(self, number: signal.Signals) -> None:
