@@ -23,17 +23,22 @@ FLAGS = [
     f"--{flag}" for flag in ("headless", "no-sandbox", *QUIET[1:], *GRAPHICS, "disable-sync", "remote-debugging-port=0")
 ]
 PATIENCE_S = 100.0
+GONE = re.compile(
+    r"WebSocket connection to '[^']*' failed: .*(ERR_CONNECTION_|ERR_EMPTY_RESPONSE|before receiving a handshake)"
+)
+"""What the browser itself says while a page looks for a server that has ended, as every session does before its page is closed."""
 CODES = {"Tab": 9, "Escape": 27, "ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40}
 """What a key needs beside its name to do what the browser itself does at it."""
 
 
 class LiveBrowser:
-    """One tab. `complaints` are its errors and warnings: whatever the console would show in red or yellow; `fetched` the addresses that it
-    asked for, other than the one it was told to open."""
+    """One tab. `complaints` are the errors of the page that is open, whatever the console would show in red; `unmended` those of all pages
+    that were; `fetched` the addresses that it asked for, other than the one it was told to open."""
 
     def __init__(self, socket: ClientConnection) -> None:
         self._socket, self._number = socket, 0
         self.complaints: list[str] = []
+        self.unmended: list[str] = []
         self.fetched: list[str] = []
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.ask(f"{domain}.enable")
@@ -53,15 +58,20 @@ class LiveBrowser:
         given = told.get("params", {})
         match told.get("method"):
             case "Runtime.exceptionThrown":
-                self.complaints.append(json.dumps(given["exceptionDetails"])[:2000])
+                self._complain(json.dumps(given["exceptionDetails"])[:2000])
             case "Runtime.consoleAPICalled" if given["type"] in ("error", "assert"):
-                self.complaints.append(json.dumps(given["args"])[:2000])
+                self._complain(json.dumps(given["args"])[:2000])
             case "Network.requestWillBeSent":
                 self.fetched.append(given["request"]["url"])
             case "Network.webSocketCreated":
                 self.fetched.append(given["url"])
             case "Log.entryAdded" if given["entry"]["level"] == "error":
-                self.complaints.append(given["entry"]["text"] + " " + given["entry"].get("url", ""))
+                self._complain(given["entry"]["text"] + " " + given["entry"].get("url", ""))
+
+    def _complain(self, text: str) -> None:
+        self.complaints.append(text)
+        if not GONE.search(text):
+            self.unmended.append(text)
 
     def open(self, url: str, width: int = 1280, height: int = 4000) -> Self:
         self.size(width, height)
@@ -155,8 +165,9 @@ class LiveBrowser:
 
 
 @contextmanager
-def live_browser(folder: Path) -> Iterator[LiveBrowser]:
-    """A browser that ends with the test."""
+def live_browser(folder: Path, allowed: str = "") -> Iterator[LiveBrowser]:
+    """A browser that ends with the test, and with an AssertionError if any page in it has written an error to the console; `allowed`: a
+    pattern of those that a test provokes."""
     command = [str(CHROMIUM), *FLAGS, f"--user-data-dir={folder / 'profile'}", "about:blank"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         try:
@@ -165,7 +176,11 @@ def live_browser(folder: Path) -> Iterator[LiveBrowser]:
             with connect(
                 f"ws://127.0.0.1:{port}{_tab(port)}", max_size=None, compression=None, ping_interval=None
             ) as socket:
-                yield LiveBrowser(socket)
+                browser = LiveBrowser(socket)
+                yield browser
+                browser.value("1")  # what it has said until now is heard
+                unmended = [text for text in browser.unmended if not (allowed and re.search(allowed, text))]
+                assert not unmended, unmended
         finally:
             process.terminate()
             process.communicate(timeout=20)
