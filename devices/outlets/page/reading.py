@@ -50,6 +50,8 @@ class RecordedViews:
         self.moments: dict[int, list[float]] = {}
         self._events: dict[int, tuple[Times, Array]] = {}
         self._reading = Lock()
+        self.whole = False
+        """Whether all gaps are known."""
 
     def seen(self, stream: int, look: Look) -> bytes | None:
         """One stream of a look, as a message."""
@@ -153,6 +155,7 @@ class RecordedViews:
                 pyramid.build(own.chunks(self.names[stream]), progress)
             self.pyramids[stream] = pyramid
             told(encode({"t": "gaps", "s": stream, "gaps": self._gaps(stream)}))
+        self.whole = True
         told(encode({"t": "progress", "share": 1, "what": "reading"}))
 
     def _find_moments(self, own: Recording, told: Callable[[bytes], None]) -> None:

@@ -67,7 +67,7 @@ class RecordingHub(RecordedViews):
             "t": "hello", "v": 1, "name": self.recording.path.name, "mode": "recording", "t0_ms": self.begin / 1e6,
             "session": {str(k): str(v) for k, v in (self.recording.header.get("session") or {}).items()},
             "streams": [described(name, spec) for name, spec in specs.items()], "nodes": [], "edges": [], "values": [], "words": [],
-            "panels": panels, "length_s": (self.end - self.begin) / NS, "spans": spans,
+            "panels": panels, "length_s": (self.end - self.begin) / NS, "spans": spans, "whole": self.whole,
             "gaps": [self._gaps(i) for i in range(len(self.names))],
             "moments": [self.moments.get(i) for i in range(len(self.names))],
         })  # fmt: skip

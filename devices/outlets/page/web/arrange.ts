@@ -75,7 +75,10 @@ export class Arranger {
     };
     const handle = make("span", { class: "handles" },
       step("←", "earlier", () => this.move(panel, -1)), step("→", "later", () => this.move(panel, 1)),
-      step("↔", "wider", () => { info.wide = ((info.wide ?? 1) % WIDEST) + 1; }),
+      step("↔", "wider", () => {
+        info.wide = ((info.wide ?? 1) % WIDEST) + 1;
+        this.arranged(this.panels());
+      }),
       step("↕", "taller", () => { info.tall = TALLS.find((t) => t > (info.tall ?? 1)) ?? (TALLS[0] as number); }),
       step("×", "remove", () => this.arranged(this.panels().filter((p) => p !== panel))));
     panel.element.prepend(handle);

@@ -7,7 +7,10 @@ import type { Cell, PanelInfo } from "./wire";
 /** The first of these fields that an event has says what kind of thing happened. */
 const KINDS = ["state", "activity", "cluster", "what", "name", "text", "rejected", "reason", "channel", "number"];
 const LABEL = 118;
-const LANE = 22;
+const [LANE, LANE_MOST] = [22, 40];
+const AXIS = 26;
+/** A state without an end lasts until the next one of the same sleeper or subject, unless it says that something has passed. */
+const [WHOSE, PASSED] = [["sleeper", "subject"], new Set(["out", "over", ""])];
 const MOST_LANES = 24;
 const MOST_ROWS = 60;
 
@@ -32,7 +35,8 @@ export class EventsPanel extends Panel {
 
   draw(span: Span): void {
     const lanes = this.lanes(span);
-    this.sheet.canvas.style.height = `${Math.max(60, lanes.length * LANE + 26)}px`;
+    const tall = Math.max(LANE, Math.min(LANE_MOST, Math.floor((this.body.clientHeight - AXIS) / Math.max(1, lanes.length))));
+    this.sheet.canvas.style.height = `${Math.max(60, lanes.length * tall + AXIS)}px`;
     const pen = this.sheet.clear();
     const scale = (this.sheet.width - LABEL) / (span.end - span.begin);
     const x = (t: number) => LABEL + (t - span.begin) * scale;
@@ -40,14 +44,14 @@ export class EventsPanel extends Panel {
     pen.textBaseline = "middle";
     let drawn = 0;
     lanes.forEach((lane, i) => {
-      const top = 2 + i * LANE;
+      const top = 2 + i * tall;
       pen.fillStyle = colour("dim");
-      pen.fillText(lane.label, 4, top + LANE / 2, LABEL - 8);
+      pen.fillText(lane.label, 4, top + tall / 2, LABEL - 8);
       pen.fillStyle = colour("rule");
-      pen.fillRect(LABEL, top + LANE - 1, this.sheet.width - LABEL, 0.5);
-      drawn += this.drawLane(pen, lane, top, span, x);
+      pen.fillRect(LABEL, top + tall - 1, this.sheet.width - LABEL, 0.5);
+      drawn += this.drawLane(pen, lane, top, tall, span, x);
     });
-    this.axis(pen, span, x, 2 + lanes.length * LANE);
+    this.axis(pen, span, x, 2 + lanes.length * tall);
     this.element.dataset["events"] = String(drawn);
     this.sheet.canvas.setAttribute("aria-label", `${drawn} events in ${lanes.length} lanes`);
   }
@@ -72,20 +76,23 @@ export class EventsPanel extends Panel {
     return this.kinds.get(kind) as number;
   }
 
-  private drawLane(pen: CanvasRenderingContext2D, lane: Lane, top: number, span: Span, x: (t: number) => number): number {
+  private drawLane(pen: CanvasRenderingContext2D, lane: Lane, top: number, tall: number, span: Span, x: (t: number) => number): number {
     const [onset, end, kind, final] = [field(lane.stream, "onset"), field(lane.stream, "end"), kindOf(lane.stream), field(lane.stream, "final")];
+    const whose = end || PASSED.has(String(lane.kind)) ? 0 : (WHOSE.map((name) => field(lane.stream, name)).find((i) => i > 0) ?? 0);
+    const rows = recent(lane.stream.rows, span);
     let drawn = 0;
     pen.fillStyle = pen.strokeStyle = shade(lane.shade);
-    for (const row of recent(lane.stream.rows, span)) {
+    for (const [i, row] of rows.entries()) {
       if (kind && (row[kind] ?? null) !== lane.kind) continue;
       const from = (onset ? row[onset] : row[0]) as number;
-      const to = end ? (row[end] as number) : from;
+      const next = whose ? rows.slice(i + 1).find((later) => later[whose] === row[whose]) : null;
+      const to = end ? (row[end] as number) : whose ? ((next ? next[onset || 0] : span.at) as number) : from;
       if (to < span.begin || from > span.end) continue;
       const left = Math.max(x(from), LABEL);
       const wide = Math.max(2, Math.min(x(to), this.sheet.width) - left);
       const open = final > 0 && row[final] === false;
-      if (open) pen.strokeRect(left + 0.5, top + 4.5, Math.max(1, wide - 1), LANE - 9);
-      else pen.fillRect(left, top + 4, Math.max(2, wide - (wide > 6 ? 1 : 0)), LANE - 8);
+      if (open) pen.strokeRect(left + 0.5, top + 4.5, Math.max(1, wide - 1), tall - 9);
+      else pen.fillRect(left, top + 4, Math.max(2, wide - (wide > 6 ? 1 : 0)), tall - 8);
       drawn++;
     }
     return drawn;
@@ -105,6 +112,12 @@ function recent(rows: Cell[][], span: Span): Cell[][] {
   let first = rows.length;
   while (first > 0 && (rows[first - 1] as Cell[])[0] as number >= span.begin - 1) first--;
   return rows.slice(Math.max(0, first - 50)).filter((row) => (row[0] as number) <= span.end + 3600);
+}
+
+/** The columns of a table: the stamp, then what happened, then from when until when, which is seldom what is looked for. */
+function inOrder(stream: Stream): number[] {
+  const times = ["onset", "end"].map((name) => field(stream, name)).filter((i) => i > 0);
+  return [0, ...stream.info.fields.map((_, i) => i + 1).filter((i) => !times.includes(i)), ...times];
 }
 
 export class TablePanel extends Panel {
@@ -127,8 +140,9 @@ export class TablePanel extends Panel {
     if (state === this.shown) return;
     this.shown = state;
     const heads = ["time", ...stream.info.fields.map(([name, , unit]) => (unit && unit !== "ns" ? `${name} [${unit}]` : name))];
-    const head = make("thead", {}, make("tr", {}, ...heads.map((h) => make("th", { scope: "col" }, h))));
-    const body = make("tbody", {}, ...rows.map((row) => make("tr", {}, ...row.map((cell, i) => this.cell(stream, cell, i)))));
+    const order = inOrder(stream);
+    const head = make("thead", {}, make("tr", {}, ...order.map((i) => make("th", { scope: "col" }, heads[i] as string))));
+    const body = make("tbody", {}, ...rows.map((row) => make("tr", {}, ...order.map((i) => this.cell(stream, row[i] ?? null, i)))));
     this.table.replaceChildren(head, body);
     this.element.dataset["rows"] = String(rows.length);
   }

@@ -22,6 +22,8 @@ const LOOK_MS = 80;
 const STARTING = "starting: compiling, and waiting for devices";
 /** A long window begins with the session, until it is full; but not shorter than this share of it. */
 const [LONG_S, SHORTEST] = [300, 1 / 8];
+/** A panel of this width is as wide as the page. */
+const WHOLE = 4;
 const DRAW_MS = 1000 / 60;
 const SLOW_DRAW_MS = 250;
 /** A machine that draws slowly rests for as long as it drew. */
@@ -48,6 +50,7 @@ class Main implements Page {
   private readonly controls = document.getElementById("controls") as HTMLElement;
   private readonly windows = make("select", { "aria-label": "seconds shown" });
   private readonly pause = make("button", { type: "button", "aria-pressed": "false", title: "P" }, "pause");
+  private readonly gap = make("button", { type: "button", title: "G" }, "next gap");
   private readonly mark = make("input", { type: "text", maxlength: "64", placeholder: "mark this moment", "aria-label": "annotation" });
   private readonly connection: Connection;
   private readonly arranger = new Arranger(this.host, () => this.panels, (panels) => this.arrange(panels), () => this.window_s);
@@ -58,6 +61,8 @@ class Main implements Page {
   private at = 0;
   private length = 0;
   private moved = true;
+  /** Whether a recording's gaps are all known. */
+  private read = false;
   private looked = 0;
   private answered = NaN;
   private onset = NaN;
@@ -68,7 +73,10 @@ class Main implements Page {
     dark.onchange = () => { if (!localStorage.getItem("theme")) this.theme(dark.matches ? "dark" : "light"); };
     this.connection = new Connection((m, buffer, at) => this.hear(m, buffer, at), (state) => this.say(state));
     addEventListener("keydown", (event) => this.key(event));
-    addEventListener("resize", () => this.look());
+    addEventListener("resize", () => {
+      this.fill();
+      this.look();
+    });
     requestAnimationFrame((now) => this.frame(now));
   }
 
@@ -109,6 +117,7 @@ class Main implements Page {
         return;
       case "gaps":
         this.timeline?.take(message.s, message.gaps);
+        this.countGaps();
         this.moved = true;
         return;
       case "moments":
@@ -127,7 +136,10 @@ class Main implements Page {
         this.answered = message.at;
         return;
       case "progress":
-        if (message.share === 1) this.moved = true;
+        if (message.share === 1) {
+          this.moved = this.read = true;
+          this.countGaps();
+        }
         return this.say(message.share < 1 ? `${message.what}: ${Math.round(100 * message.share)} %` : "recording");
       default: return this.streams[message.s]?.addNewest(message, buffer, at, now);
     }
@@ -140,7 +152,8 @@ class Main implements Page {
     this.recording = hello.mode === "recording";
     this.ahead = -Infinity;
     document.title = `${hello.name} · kinegraph`;
-    (document.getElementById("name") as HTMLElement).textContent = [hello.name, ...Object.values(hello.session)].join(" · ");
+    const facts = Object.entries(hello.session).map(([key, value]) => `${key}: ${value}`).join(" · ");
+    (document.getElementById("name") as HTMLElement).replaceChildren(hello.name, ...(facts ? [make("small", {}, facts)] : []));
     this.streams = hello.streams.map((info, i) => new Stream(info, i));
     for (const panel of this.panels) panel.leave();
     this.panels = hello.panels.map((info) => this.panel(info, hello)).filter((p): p is Panel => p !== null);
@@ -149,6 +162,7 @@ class Main implements Page {
     this.arrange(this.panels);
     this.arranger.renew();
     this.length = hello.length_s ?? 0;
+    this.read = hello.whole === true;
     this.timeline = this.recording ? new Timeline(this.footer, hello, this.streams, this) : null;
     this.toolbar(hello);
     this.say(hello.mode === "live" ? STARTING : hello.mode);
@@ -163,6 +177,21 @@ class Main implements Page {
     this.seen.clear();
     this.host.replaceChildren(...panels.map((p) => p.element));
     for (const panel of panels) this.watch.observe(panel.element);
+    this.fill();
+  }
+
+  /** Where a row's panels leave a place free, the last of them takes it. */
+  private fill(): void {
+    const columns = getComputedStyle(this.host).gridTemplateColumns.split(" ").length;
+    const rows: { free: number; last: Panel | null; wide: number }[] = [];
+    for (const panel of this.panels) {
+      const wide = panel.info.wide === WHOLE ? columns : Math.min(columns, panel.info.wide ?? 1);
+      panel.element.style.gridColumn = `span ${wide}`;
+      const row = rows.find(({ free }) => free >= wide) ?? rows[rows.push({ free: columns, last: null, wide }) - 1];
+      if (!row) continue;
+      Object.assign(row, { free: row.free - wide, last: panel, wide });
+    }
+    for (const { free, last, wide } of rows) if (free && last) last.element.style.gridColumn = `span ${wide + free}`;
   }
 
   private panel(info: Hello["panels"][number], hello: Hello): Panel | null {
@@ -202,7 +231,7 @@ class Main implements Page {
     };
     const button = make("button", { type: "button", title: "M, or a digit" }, "mark");
     button.onclick = () => this.annotate();
-    const theme = make("button", { type: "button" }, "light or dark");
+    const theme = make("button", { type: "button", title: "light or dark" }, "theme");
     theme.onclick = () => {
       this.theme(document.documentElement.dataset["theme"] === "dark" ? "light" : "dark");
       localStorage.setItem("theme", document.documentElement.dataset["theme"] ?? "");
@@ -210,14 +239,20 @@ class Main implements Page {
     const values = hello.values.map((v) => this.slider(v));
     if (this.recording) {
       this.seek(Math.min(this.length, this.at || this.window_s / 2));
-      const gap = make("button", { type: "button", title: "G" }, "next gap");
-      gap.onclick = () => this.seek(this.timeline?.nextGap(this.at) ?? this.at);
-      return this.controls.replaceChildren(this.player.button, this.player.speed, this.windows, gap, this.mark, button, this.arranger.button, theme);
+      this.gap.onclick = () => this.seek(this.timeline?.nextGap(this.at) ?? this.at);
+      this.countGaps();
+      return this.controls.replaceChildren(this.player.button, this.player.speed, this.windows, this.gap, this.mark, button, this.arranger.button, theme);
     }
     const { button: hold, step, speed, whole } = this.replayer;
     if (hello.mode === "replay") return this.controls.replaceChildren(hold, step, speed, whole, this.windows, this.arranger.button, theme);
     const marking = hello.mode === "live" ? [this.mark, button, ...(hello.words ?? []).map((word) => this.word(word))] : [];
     this.controls.replaceChildren(...values, this.windows, this.pause, ...marking, this.arranger.button, theme);
+  }
+
+  private countGaps(): void {
+    const count = this.timeline?.missing.length ?? 0;
+    this.gap.textContent = count ? `next gap (${count})` : this.read ? "no gap" : "next gap";
+    this.gap.disabled = !count && this.read;
   }
 
   private slider(value: Hello["values"][number]): HTMLElement {

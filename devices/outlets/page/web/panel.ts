@@ -47,11 +47,13 @@ export abstract class Panel {
   protected readonly body = make("div", { class: "body" });
   protected readonly note = make("output");
   protected readonly tools = make("span");
+  /** Stands in the middle while there is nothing to draw. */
+  protected readonly empty = make("p", { class: "empty", hidden: "" }, NOTHING);
 
   constructor(readonly info: PanelInfo, readonly streams: Stream[], protected readonly page: Page) {
     const title = info.title || (streams.length <= NAMED ? streams.map((s) => s.info.name).join(", ") : "") || info.kind;
     const head = make("header", {}, make("h2", {}, title), this.tools, this.note);
-    this.element = make("section", { class: `panel ${info.kind} wide${info.wide ?? 1}`, "aria-label": title, tabindex: "0" }, head, this.body);
+    this.element = make("section", { class: `panel ${info.kind} wide${info.wide ?? 1}`, "aria-label": title, tabindex: "0" }, head, this.body, this.empty);
     this.element.dataset["of"] = info.of.join(" ");
     this.element.addEventListener("keydown", (event) => {
       if (event.target !== this.element || event.ctrlKey || event.metaKey || event.altKey || !this.key(event)) return;
@@ -97,11 +99,14 @@ export abstract class Panel {
     return Math.round(260 * (this.info.tall ?? 1));
   }
 
+  /** Whether nothing has come yet that could be drawn. */
+  protected get waits(): boolean {
+    return this.streams.length > 0 && this.streams.every((s) => !s.count);
+  }
+
   /** Grey the panel where its streams have fallen silent, and say since when; say that nothing has come yet. */
   age(now: number): void {
-    const waits = this.page.runs && this.streams.length > 0 && this.streams.every((s) => !s.count);
-    if (waits && !this.note.textContent) this.note.textContent = NOTHING;
-    if (!waits && this.note.textContent === NOTHING) this.note.textContent = "";
+    this.empty.hidden = !this.waits;
     const silent = Math.max(0, ...this.streams.map((s) => s.stale(now)));
     const stale = silent > 0 && this.page.runs;
     if (stale !== this.element.classList.contains("stale")) {

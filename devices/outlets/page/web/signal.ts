@@ -35,6 +35,7 @@ export class SignalPanel extends Panel {
   private readonly channel = make("select", { "aria-label": "channel", hidden: "" });
   private span: Span = { begin: 0, end: 1, at: 1 };
   private readonly strips = new Strips();
+  private labels = "";
 
   constructor(info: PanelInfo, streams: Stream[], page: Page) {
     super(info, streams, page);
@@ -110,6 +111,10 @@ export class SignalPanel extends Panel {
     if (this.plot.width !== width) this.plot.setSize({ width, height: this.height });
     this.rescale(...this.part());
     this.plot.setScale("x", { min: span.begin, max: span.end });
+    const labels = this.channels.map((name, c) => this.label(name, c)).join();
+    if (labels !== this.labels) this.plot.redraw(false, true); // where the time stands still, nothing else has them written again
+    this.labels = labels;
+    this.element.dataset["labels"] = labels;
     this.element.dataset["gaps"] = String(gaps(this.stream.signal.low[0] ?? []));
   }
 
@@ -159,7 +164,9 @@ export class SignalPanel extends Panel {
   /** The time of day, where there is room for it. */
   private hour(plot: uPlot, at: number): string {
     const text = this.page.clock(at, this.span.end - this.span.begin < 8);
-    return plot.valToPos(at, "x") + (LETTER * text.length) / 2 > plot.over.clientWidth + EDGE ? "" : text;
+    const { begin, end } = this.span;
+    const [wide, x] = [plot.over.clientWidth, ((at - begin) / (end - begin)) * plot.over.clientWidth];
+    return wide && x + (LETTER * text.length) / 2 > wide + EDGE ? "" : text;
   }
 
   private label(name: string, c: number): string {

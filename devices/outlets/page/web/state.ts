@@ -12,6 +12,7 @@ const TROUBLES = new Set(["dropped", "late", "gaps"]);
 
 export class StatePanel extends Panel {
   private readonly table = make("table");
+  private begun = false;
   private state: StateMessage | null = null;
 
   constructor(info: PanelInfo, page: Page) {
@@ -21,6 +22,11 @@ export class StatePanel extends Panel {
 
   take(state: StateMessage): void {
     this.state = state;
+    this.begun = true;
+  }
+
+  protected override get waits(): boolean {
+    return !this.begun;
   }
 
   draw(_span: Span): void {
@@ -67,6 +73,10 @@ export class LogPanel extends Panel {
       this.lines.prepend(make("span", { class: bad }, `${new Date(at * 1000).toLocaleTimeString([], { hour12: false })} ${text}\n`));
     }
     while (this.lines.childElementCount > MOST_LINES) this.lines.lastElementChild?.remove();
+  }
+
+  protected override get waits(): boolean {
+    return !this.lines.childElementCount;
   }
 
   draw(): void {}

@@ -8,6 +8,11 @@ const LABEL = 118;
 const LANE = 13;
 const HEAD = 16;
 const STEP = 0.1;
+/** How far apart labels of the axis may stand (s), and at least how far that is on the screen (px). */
+const STEPS_S = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400, 21600, 43200, 86400];
+const APART = 84;
+/** What the cursor's own label takes to its right, in pixels. */
+const CURSOR = 90;
 /** Streams that hold what people marked: while the session ran, and afterwards. */
 export const MARKS = new Set(["annotations", "marks"]);
 
@@ -49,9 +54,20 @@ export class Timeline {
     this.host.dataset["events"] = String([...this.events.values()].reduce((n, e) => n + e.length, 0));
   }
 
+  /** Times at which something is missing, of any stream, as few as there are: what was lost of a signal is missing from what is made of it. */
+  get missing(): [number, number][] {
+    const joined: [number, number][] = [];
+    for (const [from, to] of [...this.gaps.values()].flat().sort(([a], [b]) => a - b)) {
+      const last = joined.at(-1);
+      if (last && from <= last[1]) last[1] = Math.max(last[1], to);
+      else joined.push([from, to]);
+    }
+    return joined;
+  }
+
   /** The next gap behind a moment, of any stream; the first one where there is none behind it. */
   nextGap(at: number): number | null {
-    const all = [...this.gaps.values()].flat().map(([from]) => from).sort((a, b) => a - b);
+    const all = this.missing.map(([from]) => from);
     return all.find((t) => t > at + 1e-6) ?? all[0] ?? null;
   }
 
@@ -70,6 +86,7 @@ export class Timeline {
     pen.textBaseline = "middle";
     pen.fillStyle = colour("rule");
     pen.fillRect(x(Math.max(0, span.begin)), 0, Math.max(2, (Math.min(this.length, span.end) - Math.max(0, span.begin)) * scale), this.sheet.height);
+    this.axis(pen, x, x(span.at));
     this.lanes.forEach((lane, i) => this.lane(pen, lane, HEAD + i * LANE, x));
     const marks = this.streams.filter((s) => MARKS.has(s.info.name)).flatMap((s) => s.rows);
     this.host.dataset["marks"] = String(marks.length);
@@ -77,9 +94,22 @@ export class Timeline {
     for (const row of marks) pen.fillRect(x((row[1] ?? row[0]) as number) - 1, HEAD, 2, this.sheet.height);
     pen.fillStyle = colour("ink");
     pen.fillRect(x(span.at) - 1, 0, 2, this.sheet.height);
-    pen.fillText(this.page.clock(span.at, true), Math.min(x(span.at) + 4, this.sheet.width - 90), HEAD / 2);
+    pen.fillText(this.page.clock(span.at, true), Math.min(x(span.at) + 4, this.sheet.width - CURSOR), HEAD / 2);
     this.sheet.canvas.setAttribute("aria-valuenow", span.at.toFixed(3));
     this.sheet.canvas.setAttribute("aria-valuetext", this.page.clock(span.at, true));
+  }
+
+  /** Whole times of day, where the cursor's own does not stand. */
+  private axis(pen: CanvasRenderingContext2D, x: (t: number) => number, cursor: number): void {
+    const scale = x(1) - x(0);
+    const step = STEPS_S.find((s) => s * scale >= APART) ?? 86400 * Math.ceil(APART / (86400 * scale));
+    const begin = this.page.t0_ms / 1000;
+    pen.fillStyle = colour("dim");
+    for (let t = Math.ceil(begin / step) * step - begin; t <= this.length; t += step) {
+      pen.fillRect(x(t), HEAD - 4, 1, 4);
+      const left = Math.max(LABEL, Math.min(x(t) - 22, this.sheet.width - 52));
+      if (left + 52 < cursor - 2 || left > Math.min(cursor + 4, this.sheet.width - CURSOR) + CURSOR) pen.fillText(this.page.clock(t), left, HEAD / 2);
+    }
   }
 
   /** A stream: from when until when there is anything of it, its gaps, and, of events, each. */

@@ -47,7 +47,7 @@ export interface Hello {
   values: ValueInfo[];
   words?: string[];
   panels: PanelInfo[];
-  length_s?: number;
+  length_s?: number; whole?: boolean;
   spans?: [number, number, number][];
   gaps?: [number, number][][];
   moments?: (number[] | null)[];
