@@ -59,6 +59,7 @@ class Feed:
     now = staticmethod(time.time_ns)
     def emit(self, chunk, output="out"): self.samples += len(chunk) if output == "emg" else 0
     def problem(self, kind, count=1): self.problems += count
+    def wait(self, seconds): time.sleep(seconds)
     def identify(self, device, **facts): pass
     def device_clock(self, **facts): pass
 feed = Feed()
