@@ -224,4 +224,7 @@ def _list(root: Path, sleeper: str, free: tuple[int, ...]) -> None:
     for who, rows in of.items():
         if sum(r.kind == "night" for r in rows) > 1:
             console.print(f"\n{who or 'Trends'}:", *weeks_page.words(weeks.trend(rows, free)), sep="\n  ")
-    console.print(f"{len(found)} night{'' if len(found) == 1 else 's'} in {root}")
+    naps = sum(kinds.get(folder.name) == "nap" for folder, _ in found)
+    counted = [(len(found) - naps, "night"), (naps, "nap")]
+    told = [f"{n} {what}{'' if n == 1 else 's'}" for n, what in counted if n or (what == "night" and not naps)]
+    console.print(f"{' and '.join(told)} in {root}")

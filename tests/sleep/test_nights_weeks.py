@@ -146,7 +146,7 @@ def test_periods_are_compared_with_welchs_interval(fortnight: Path) -> None:
 def test_the_command_reports_compares_and_exports(kinegraph: Command, fortnight: Path, tmp_path: Path) -> None:
     code, listed, _ = kinegraph("nights", "--path", fortnight)
     assert code == 0
-    assert "missing" in listed and "nap" in listed and "Social jet lag" in listed and "14 nights in" in listed
+    assert "missing" in listed and "nap" in listed and "Social jet lag" in listed and "13 nights and 1 nap in" in listed
     out = tmp_path / "weeks"
     periods = ("--compare", "2026-11-02..2026-11-08", "--compare", "2026-11-09..2026-11-15")
     assert kinegraph("nights", "weeks", "--path", fortnight, "-o", out, *periods)[0] == 0
