@@ -14,6 +14,7 @@ from stream.chunk import FOREVER, NS, Chunk, empty
 from stream.engine.edge import Observer, Push
 from stream.engine.pipeline import Pipeline, Stage
 from stream.engine.queues import recorded_drops
+from stream.engine.status import SessionView, Table, table_of_replay
 from stream.engine.substitutes import Substitutes
 from stream.engine.warmup import Compilations, warm_up
 from stream.graph import Edge, Graph
@@ -27,6 +28,8 @@ from stream.recording.packed import Packer
 
 FOLD_EVERY = 1000
 """Chunks between two foldings of the durations."""
+TOLD_S = 1.0
+"""How often whoever shows a replay is given its metrics."""
 
 
 class Digest:
@@ -88,6 +91,7 @@ class Replay:
     speed      how many times real time; None: as fast as it goes; or a `Pace`, which others may change meanwhile
     output     record the graph's edges again, into this file or folder
     strict     look at every chunk whether it keeps its node's promises
+    view       shows the replay's metrics; None: nobody does
     """
 
     def __init__(
@@ -113,6 +117,9 @@ class Replay:
         self._output = output
         self._joins = speed is None and output is None and not self._drops
         self._stopping = False
+        self.view: SessionView | None = None
+        self._table: Table = {}
+        self._due = 0.0
         edges = {name: edge for name, edge in self.pipeline.edges.items() if name not in self.pipeline.entries}
         self._inside = {name: Inside() for name in edges} if strict else {}
         for name, inside in self._inside.items():
@@ -206,6 +213,8 @@ class Replay:
             if recorder:
                 recorder.write(numbers[stream], chunk, arrival, sequence)
             send(chunk, perf_counter_ns())
+            if self.view and time.monotonic() >= self._due:
+                self._tell(self.view)
             if not count % FOLD_EVERY:
                 self.pipeline.fold()
                 result.seconds = (arrival - first) / NS
@@ -213,6 +222,10 @@ class Replay:
         else:
             result.seconds = self.recording.duration_ns / NS
             progress(result.seconds)
+
+    def _tell(self, view: SessionView) -> None:
+        self._due, self._table = time.monotonic() + TOLD_S, table_of_replay(self.pipeline, self._table)
+        view.update(self._table)
 
     def _close(self) -> None:
         """As a live session ends: every source's stream is over, then every operator emits what is pending."""

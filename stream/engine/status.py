@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, Self, TypeAlias
@@ -16,6 +16,7 @@ from stream.spare_memory import give_back
 if TYPE_CHECKING:
     from stream.engine.ingress import IngressPort
     from stream.engine.pipeline import Pipeline, Stage
+    from stream.engine.queues import BoundedQueue
     from stream.engine.session import Session
     from stream.engine.workers import Workers
     from stream.recording import RecorderStatus
@@ -41,18 +42,35 @@ def table_of(
     for port in ports:
         table[port.stream] = _source_row(port, now)
     for name, stage in pipeline.stages.items():
-        table[name] = _stage_row(stage, workers)
+        table[name] = _stage_row(stage, workers.queues)
+    _rate(table, before or {}, now, last=last)
+    if recording:
+        table["recording"] = recording_row(recording)
+    return table
+
+
+def table_of_replay(pipeline: Pipeline, before: Table) -> Table:
+    """The same of a replay, into which recorded streams are fed."""
+    pipeline.fold(least=1)
+    table: Table = {}
+    for name, edge in pipeline.entries.items():
+        table[name] = {"kind": "source", "samples": edge.samples, "gaps": edge.gaps, "lost": edge.lost}
+    for name, stage in pipeline.stages.items():
+        table[name] = _stage_row(stage, {})
+    _rate(table, before, time.monotonic())
+    return table
+
+
+def _rate(table: Table, before: Table, now: float, *, last: bool = False) -> None:
+    """Put in how many samples a second there were since the table `before`; the `last` one keeps its rates."""
     for name, row in table.items():
-        old = (before or {}).get(name)
+        old = before.get(name)
         row["at_s"] = round(now, 3)
         row["rate_hz"] = (
             round((row["samples"] - old["samples"]) / (now - old["at_s"]), 2) if old and now > old["at_s"] else 0.0
         )
         if last and old:
             row["rate_hz"] = old["rate_hz"]
-    if recording:
-        table["recording"] = recording_row(recording)
-    return table
 
 
 def recording_row(recording: RecorderStatus) -> dict[str, Any]:
@@ -88,10 +106,8 @@ def _source_row(port: IngressPort, now: float) -> dict[str, Any]:
     }
 
 
-def _stage_row(stage: Stage, workers: Workers) -> dict[str, Any]:
-    queues = [
-        c for name, c in workers.queues.items() if name.partition(" -> ")[2].rpartition(".")[0] == stage.node.name
-    ]
+def _stage_row(stage: Stage, waiting: Mapping[str, BoundedQueue]) -> dict[str, Any]:
+    queues = [c for name, c in waiting.items() if name.partition(" -> ")[2].rpartition(".")[0] == stage.node.name]
     return {
         "kind": "outlet" if stage.node.is_outlet else "operator",
         "worker": stage.worker,

@@ -17,8 +17,10 @@ from devices.files.vrm_read import read_vrm
 from devices.outlets.page.lane import AVATAR
 from operators.gait.contacts import CONTACT
 from stream.chunk import NS, Array, Samples, StreamSpec, grid
+from stream.graph import RecordingOptions
 from stream.humanoid import BONES, to_humanoid
 from stream.joint_tree import JointTree, joints_of
+from stream.recording import Recorder, Recording
 from stream.recording.series import Series, write_recording
 from tests.page.test_page_avatar import leg
 from tests.page.test_page_panels import SHADES, Shown
@@ -326,3 +328,33 @@ def test_a_real_pose_is_the_point_of_the_map_that_was_recorded(page: LiveBrowser
     if panel == "grid":
         assert page.value(f"{facts}.cells") == "20"
         assert len(page.like(f"section.map[aria-label={panel}] canvas", "rule", within=30)) > 1000, "around its cells"
+
+
+def with_a_log(path: Path, target: Path) -> None:
+    """The same recording, of a session that had to open a source again."""
+    with Recording.open(path) as source, Recorder(target, source.header, RecordingOptions(), wait=True) as recorder:
+        numbers = {name: recorder.add_stream(name, stream.spec, "input") for name, stream in source.streams.items()}
+        recorder.log("source reopened", source.begin_of_inputs, level="warning", node="treadmill", opening=2)
+        for sequence, name, chunk, arrival in source.inputs():
+            recorder.write(numbers[name], chunk, arrival, sequence)
+
+
+def test_a_replay_shows_its_rates_in_table_and_graph_and_what_the_session_told(
+    walked: Path, browser: LiveBrowser
+) -> None:
+    folder = walked.parent
+    with_a_log(folder / "real.mcap", folder / "told.mcap")
+    with page_process(folder, "replay", "real.yaml", "told.mcap", "--speed", "0.5") as process:
+        browser.open(process.url, 1400, 4000)
+        browser.wait("document.querySelector('.state')?.dataset.rows > 8")
+        rate = (
+            "+[...document.querySelectorAll('.state tbody tr')].find(r => r.cells[0].textContent === 'treadmill.emg')"
+            "?.cells[1].textContent"
+        )
+        browser.wait(f"(hz => hz > 300 && hz < 700)({rate})")  # 1000 a second at half its pace
+        nodes = {"treadmill", "body", "performer", "pose", "even", "grid", "plane", "alike"}
+        drawn = "[...document.querySelectorAll('.graph svg text')].map(t => t.textContent)"
+        assert nodes <= set(browser.value(drawn))
+        browser.wait(f"{drawn}.filter(t => /^[1-9][0-9.]*\\/s/.test(t)).length >= 8")
+        told = browser.value("document.querySelector('.log').textContent")
+        assert "source reopened: node treadmill, opening 2" in told

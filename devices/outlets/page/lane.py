@@ -13,7 +13,7 @@ import os
 import subprocess
 import threading
 import time
-from collections.abc import Callable, MutableMapping
+from collections.abc import Callable, Mapping, MutableMapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -53,6 +53,10 @@ DEFAULT_PORT = 7790
 AVATAR = Path(__file__).with_name("avatar.vrm")
 """A mannequin: `python -m tests.mannequin` makes it."""
 MOST_AVATAR = 128 << 20
+MOST_LINES = 200
+"""Lines of the log that wait for the server; a page shows as many."""
+ALSO = ("kind", "time", "level")
+"""What a recorded line of the log has beside its facts."""
 FOXGLOVE_PORT = 8765
 
 log = structlog.get_logger(__name__)
@@ -151,10 +155,20 @@ class LivePage:
             self._marks = Marks(recording.path)
             self._specs = {**self._specs, MARKS: SPEC}
             self._channel = PageChannel([is_newest_only(spec) for spec in self._specs.values()])
+            self._pending = [
+                _line(
+                    e["time"] / NS,
+                    str(e.get("level", "info")),
+                    str(e["kind"]),
+                    {k: v for k, v in e.items() if k not in ALSO},
+                )
+                for e in recording.log[-MOST_LINES:]
+            ]
         else:
             self._channel.forget()
             self._channel.announce(encode({"t": "again"}), *self._marked())
         self.observe(replay.pipeline)
+        replay.view = self
         self._length_s = max(replay.length_s, 1e-9)
         if pace:
             self._steered = {"pace": pace.go, "step": pace.step, "seek": pace.seek}
@@ -209,10 +223,10 @@ class LivePage:
 
     def _note(self, _logger: Any, level: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
         """A line of the log, on its way to wherever it goes."""
-        facts = ", ".join(f"{key} {value}" for key, value in event.items() if key not in ("event", "exc_info"))
-        line = {"level": level, "text": plain(f"{event.get('event', '')}{': ' if facts else ''}{facts}")[:500]}
+        facts = {key: value for key, value in event.items() if key not in ("event", "exc_info")}
+        line = _line(time.time(), level, str(event.get("event", "")), facts)
         with self._writing:
-            self._pending = [*self._pending[-199:], encode({"t": "log", "line": {"at": time.time(), **line}})]
+            self._pending = [*self._pending[1 - MOST_LINES :], line]
         return event
 
     # the lane's thread -----------------------------------------------------------------------------------------------
@@ -369,6 +383,13 @@ SHOWN = (
     ),
     *("lost", "error", "openings", "bytes", "behind_s", "dropped_chunks", "worker", "cpu_pct"),
 )
+
+
+def _line(at: float, level: str, event: str, facts: Mapping[str, Any]) -> bytes:
+    """A line of the log as the server takes it; `at`: Unix time (s)."""
+    told = ", ".join(f"{key} {value}" for key, value in facts.items())
+    text = plain(f"{event}{': ' if told else ''}{told}")[:500]
+    return encode({"t": "log", "line": {"at": at, "level": level, "text": text}})
 
 
 def refuse_unbuilt() -> None:
