@@ -65,10 +65,10 @@ class Cyton(SerialSource):
         (), help="amplifier settings of channels that differ from the defaults"
     )
     gather_s: float = param(
-        0.016,
+        0.02,
         least=0,
         most=0.1,
-        help="packets of this time are read at once, as its dongle hands them over when new; 0: each as it comes, with twice the work",
+        help="packets of this time are read at once; 0: each as it comes, for less delay and twice the work",
     )
     latency_s: float = param(
         0.0, least=0, most=1, help="the constant delay from the electrode to the port, if you know it"
