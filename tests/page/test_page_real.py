@@ -1,5 +1,5 @@
 """The page drawn from real recordings that a graph replays, beside those of test_page_panels: what the canvas holds, pixel by pixel, is
-what was recorded. A person's EMG on a treadmill, and motion capture of actions."""
+what was recorded. A person's EMG on a treadmill, motion capture of actions, a day's counts at a wrist."""
 
 from __future__ import annotations
 
@@ -358,3 +358,43 @@ def test_a_replay_shows_its_rates_in_table_and_graph_and_what_the_session_told(
         browser.wait(f"{drawn}.filter(t => /^[1-9][0-9.]*\\/s/.test(t)).length >= 8")
         told = browser.value("document.querySelector('.log').textContent")
         assert "source reopened: node treadmill, opening 2" in told
+
+
+NIGHT = """
+name: night
+record: [scorer]
+page: {panels: [{kind: hypnogram, of: scorer, title: night, wide: 4}]}
+nodes:
+  wrist: {use: devices.files.RecordedStreams, path: real.mcap, of: wrist}
+  scorer: {use: operators.sleep.scorer.SleepScorer, from: wrist.counts, method: cole_kripke_actilife}
+"""
+MINUTES = 240
+
+
+def test_a_hypnogram_of_a_persons_day_has_every_epoch_at_its_state(browser: LiveBrowser, tmp_path: Path) -> None:
+    assert DATA
+    day = arrays(DATA / "sleep/gt3x_day_actilife.npz")
+    counts, asleep = day["axis1"][:MINUTES, None].astype(float), day["actilife_cole_kripke_sleep"][:MINUTES]
+    meta = {"site": "wrist", "device": "actigraph"}
+    spec = StreamSpec((1,), rate_hz=1 / 60, channels=("axis1",), units=("counts",), meta=meta)
+    wrist = Series("wrist.counts", spec, grid(1 / 60, MINUTES, start_ns=START), counts)
+    write_recording(tmp_path / "real.mcap", [wrist], {"graph": "", "session": {}})
+    with page_process(tmp_path, "view", made(tmp_path, NIGHT, "night")) as process:
+        browser.open(process.url, 1400, 900)
+        browser.wait("document.body?.dataset.state === 'recording'")
+        light(browser)
+        choose = "(s => { s.value = '36000'; s.dispatchEvent(new Event('change')); })"
+        browser.value(f"{choose}(document.querySelector('select[aria-label=\"seconds shown\"]'))")
+        browser.wait(f"+document.querySelector('.hypnogram')?.dataset.final === {MINUTES}")
+        line = np.array(browser.like(".hypnogram canvas", "accent", within=20))
+        width = browser.value("document.querySelector('.hypnogram canvas').width")
+        begin, minute = line[:, 0].min(), (width - 82) / 600  # what is left and right of the chart takes 82 px
+        low, high = line[:, 1].max(), line[:, 1].min()
+        at = np.floor(begin + minute * (np.arange(MINUTES) + 0.5))
+        drawn = [np.abs(line[line[:, 0] == x][:, 1] - low).min(initial=high) < 3 for x in at]
+        awake = [np.abs(line[line[:, 0] == x][:, 1] - high).min(initial=low) < 3 for x in at]
+        changes = np.flatnonzero(np.diff(asleep)) + 1  # there a line leads from state to state
+        plain = np.setdiff1d(np.arange(MINUTES), [changes - 1, changes])
+        assert len(plain) > 150 and 0.2 < asleep[plain].mean() < 0.8
+        assert np.array_equal(np.array(drawn)[plain], asleep[plain] == 1)
+        assert np.array_equal(np.array(awake)[plain], asleep[plain] == 0)
