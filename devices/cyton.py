@@ -52,6 +52,8 @@ class Cyton(SerialSource):
     With a Daisy, even packets bring channels 9-16 and odd ones 1-8; a sample is an even one and the odd one after it (as BrainFlow pairs
     them), has the second one's stamp, and is lost if either is.
 
+    Packets of `gather_s` are read at once, which delays them by as much at most and halves the work. Stamps come from the counter.
+
     The board measures its electrodes' impedances before a session (`kinegraph check-electrodes`): both poles of a channel, one after the
     other; of one whose positive side is SRB2, or whose negative side is SRB1, the other pole alone.
     """

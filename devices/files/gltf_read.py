@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from devices.files.gltf_document import Gltf
-from devices.files.moving_mesh import USUAL, Animation, Channel, MovingMesh, Piece
+from devices.files.moving_mesh import USUAL, Animation, Channel, MeshPrimitive, MovingMesh
 from stream.chunk import Array, Samples
 from stream.errors import RecordingError
 
@@ -28,7 +28,7 @@ def read_gltf(path: Path) -> MovingMesh:
     file = Gltf.open(path)
     nodes: list[dict[str, Any]] = file.json.get("nodes", [])
     parents, order = _tree(file.json, nodes)
-    pieces: list[Piece] = []
+    pieces: list[MeshPrimitive] = []
     faces: list[Array] = []
     for node in order:
         if "mesh" in nodes[node]:
@@ -80,7 +80,7 @@ def _tree(document: dict[str, Any], nodes: list[dict[str, Any]]) -> tuple[list[i
     return parents, order
 
 
-def _add_mesh(file: Gltf, node: int, pieces: list[Piece], faces: list[Array]) -> None:
+def _add_mesh(file: Gltf, node: int, pieces: list[MeshPrimitive], faces: list[Array]) -> None:
     """The triangles of a node's mesh; primitives that share their vertices in the file share them here."""
     mesh = file.json["meshes"][file.json["nodes"][node]["mesh"]]
     known: dict[str, tuple[int, int]] = {}
@@ -100,7 +100,7 @@ def _add_mesh(file: Gltf, node: int, pieces: list[Piece], faces: list[Array]) ->
         faces.append(_triangles(corners.astype(np.int64), mode) + first)
 
 
-def _piece(file: Gltf, node: int, mesh: dict[str, Any], primitive: dict[str, Any]) -> Piece:
+def _piece(file: Gltf, node: int, mesh: dict[str, Any], primitive: dict[str, Any]) -> MeshPrimitive:
     attributes, targets = primitive["attributes"], primitive.get("targets", [])
     weights = np.array(file.json["nodes"][node].get("weights", mesh.get("weights", [0.0] * len(targets))), float)
     places = file.numbers(attributes["POSITION"]).astype(float)
@@ -119,7 +119,7 @@ def _piece(file: Gltf, node: int, mesh: dict[str, Any], primitive: dict[str, Any
         if bones.shape != shares.shape or len(bones) != len(places) or bones.max() >= len(joints):
             raise ValueError(f"vertices go by joints that are not there; there are {len(joints)}")
         shares = shares / np.maximum(shares.sum(axis=1, keepdims=True), 1e-12)
-    return Piece(node, places, moved, weights, joints, binds, bones, shares)
+    return MeshPrimitive(node, places, moved, weights, joints, binds, bones, shares)
 
 
 def _skin(file: Gltf, node: int) -> tuple[tuple[int, ...], Samples]:

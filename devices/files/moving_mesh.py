@@ -19,8 +19,8 @@ USUAL = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scal
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
-    """Vertices (v, 3) that a node moves, the targets (k, v, 3) they morph to, and the joints that they are skinned to.
+class MeshPrimitive:
+    """Part of a mesh: vertices (v, 3) that a node moves, the targets (k, v, 3) they morph to, and the joints they are skinned to.
 
     joints  nodes; binds (joints, 4, 4) undo their rest; bones (v, j) are numbers into `joints`, shares (v, j) how much each moves
     """
@@ -81,7 +81,7 @@ class MovingMesh:
     nodes: list[dict[str, Any]]
     parents: list[int]
     order: list[int]
-    pieces: list[Piece]
+    pieces: list[MeshPrimitive]
     faces: Array
     animations: list[Animation]
 
@@ -122,7 +122,7 @@ class MovingMesh:
         return made
 
 
-def _placed(piece: Piece, shape: Samples, f: int, world: dict[int, Samples]) -> Samples:
+def _placed(piece: MeshPrimitive, shape: Samples, f: int, world: dict[int, Samples]) -> Samples:
     """A piece's vertices (v, 3) in the world, in frame `f`: with its node, or with the joints that it is skinned to."""
     if not piece.joints:
         matrix = world[piece.node][f]
