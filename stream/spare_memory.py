@@ -12,7 +12,7 @@ from functools import cache
 
 M_MMAP_THRESHOLD, LARGE = -3, 4 << 20
 """Its name for the size (bytes) from which a piece is mapped by itself, and goes back to the system once freed; larger than a frame."""
-KEPT = 1 << 20
+KEPT = 128 << 10
 """Bytes at the heap's end that stay, so that the next messages find some."""
 
 

@@ -166,7 +166,7 @@ class Outcome:
     files: dict[str, str] = field(default_factory=dict)
 
 
-SPARE_BYTES, GIVEN_BACK_S = 1 << 20, 60.0
+SPARE_BYTES, GIVEN_BACK_S = 256 << 10, 60.0
 """Once memory has grown by more, what is free of it is given back, at most once in this time."""
 
 
