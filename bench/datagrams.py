@@ -34,7 +34,7 @@ from devices.protocols import natnet, polar_pmd
 from devices.protocols.declared import Frame
 from devices.protocols.natnet import ServerInfo
 from devices.protocols.natnet_build import build_frame, build_models
-from devices.protocols.osc import read_osc
+from devices.protocols.osc import OscReader
 from devices.protocols.osc_write import bundles, floats
 from devices.protocols.packet_decoder import PacketDecoder
 from devices.protocols.polar_pmd import PmdDecoder
@@ -188,7 +188,7 @@ def declared_figures() -> dict[str, float]:
     graph = load_text(GRAPH)
     inlet, binary = graph.nodes["osc"].part, graph.nodes["udp"].part
     assert isinstance(inlet, OscInlet) and isinstance(binary, Binary)
-    osc, feed = OscReading(inlet, inlet.streams[0]), Clocked()
+    osc, reader, feed = OscReading(inlet, inlet.streams[0]), OscReader(), Clocked()
     frames = FrameReading(DatagramFrames(binary), PacketDecoder(binary.layouts()))
     messages = [next(iter(bundles([floats("/a", [1.0, 2.0, 3.0, float(i)])]))) for i in range(N * ROUNDS)]
     packets = [struct.pack("<I3f", i, 1.0, 2.0, 3.0) for i in range(N * ROUNDS)]
@@ -196,7 +196,7 @@ def declared_figures() -> dict[str, float]:
 
     def message(_: int) -> None:
         i = next(first)
-        for _, arguments in read_osc(messages[i]):
+        for _, arguments in reader.read(messages[i]):
             osc.take(arguments, begun + i * 10_000_000, 0, feed)
 
     def frame(_: int) -> None:

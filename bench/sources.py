@@ -35,6 +35,8 @@ from stream.operator import Operator
 HOUSE = Path(__file__).resolve().parent.parent
 WARM_S = 3.0
 """What comes before is left out: clocks settle, connections are made."""
+OSC = "{name: a, address: /a, rate_hz: 100, arguments: [{name: x}, {name: y}, {name: z}, {role: counter}]}"
+FRAME = "{name: f, sync: '', rate_hz: 100, fields: [{type: u32, role: counter}, {type: f32, name: a}, {type: f32, name: b}]}"
 SOURCES = {
     "Cyton, 250 Hz": "devices.cyton.Cyton, port: COM1",
     "BITalino, 1000 Hz": "devices.bitalino.Bitalino, port: COM1, channels: [{input: A1, sensor: emg}]",
@@ -45,6 +47,10 @@ SOURCES = {
     "declared frames (WT901), 100 Hz": "witmotion",
     "declared USB reports, 250 Hz": "dualsense",
     "Lab Streaming Layer, 2000 Hz": "lsl_emg",
+    "OSC, 100 Hz, 20 ms read at once": f"devices.osc.OscInlet, streams: [{OSC}]",
+    "OSC, 100 Hz, as it comes": f"devices.osc.OscInlet, gather_s: 0, streams: [{OSC}]",
+    "declared datagrams, 100 Hz, 20 ms read at once": f"devices.binary.Binary, port: 'udp://127.0.0.1:9000', frames: [{FRAME}]",
+    "declared datagrams, 100 Hz, as they come": f"devices.binary.Binary, port: 'udp://127.0.0.1:9000', gather_s: 0, frames: [{FRAME}]",
     "Polar H10, ECG": "devices.ble.polar.Polar, device: Polar H10",
     "Movella DOT": "devices.ble.dot.MovellaDot, device: Movella DOT",
     "Ganglion, 200 Hz": "devices.ble.ganglion.Ganglion, device: Ganglion",

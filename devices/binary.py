@@ -11,6 +11,7 @@ from devices.protocols.declared import NS_PER, Frame, hex_bytes
 from devices.protocols.frame_decoder import FrameDecoder
 from devices.protocols.frame_layout import FrameLayout
 from devices.protocols.packet_decoder import EscapedDecoder, Framing, PacketDecoder
+from devices.transport.datagrams import GATHER_HELP, UdpTransport, gathered_s
 from devices.transport.serial_source import READ_S, SerialSource
 from devices.transport.transport import Transport
 from stream.chunk import NS, Specs, StreamSpec
@@ -64,10 +65,20 @@ class Binary(SerialSource):
         0.0, least=0, most=1, help="the constant delay from the measurement to the port, if you know it"
     )
     rate_mismatch: Policy = param("fail", help=POLICY_HELP)
+    gather_s: float | None = param(None, least=0, most=0.1, help=f"of udp:// ports: {GATHER_HELP}")
 
     @property
     def chunk_s(self) -> float:
-        return max((1 / f.rate_hz for f in self.frames if f.channels and f.rate_hz), default=0.0)
+        rates = [f.rate_hz for f in self.frames if f.channels and f.rate_hz]
+        return max(*(1 / hz for hz in rates), self.gathered_s) if rates else self.gathered_s
+
+    @property
+    def gathered_s(self) -> float:
+        if not self.port.startswith("udp://"):
+            return 0.0
+        if self.gather_s is not None:
+            return self.gather_s
+        return gathered_s(f.rate_hz if f.with_role("counter") or f.with_role("time") else None for f in self.frames)
 
     def specs(self) -> Specs:
         self.layouts()
@@ -131,6 +142,8 @@ class Binary(SerialSource):
                 raise ParameterError(
                     name, list(getattr(self, name)), "left out: nothing can be sent to who sends datagrams"
                 )
+        if self.gather_s and not self.port.startswith("udp://"):
+            raise ParameterError("gather_s", self.gather_s, "left out: only what comes to a udp:// port is gathered")
         if self._by_datagram and self.framing not in ("none", "packet"):
             raise ParameterError("framing", self.framing, "none: each datagram is a frame")
         if self.framing == "packet" and not self.port.startswith((*BY_MESSAGE, "ble://")):
@@ -167,6 +180,9 @@ class Binary(SerialSource):
     def fetch(self, link: Transport, heard: float) -> bytes:
         """One datagram is one frame; of all others, what has come."""
         return link.read(READ_S) if self._by_datagram else super(Binary, self).fetch(link, heard)
+
+    def more(self, link: Transport) -> bool:
+        return isinstance(link, UdpTransport) and link.waiting
 
     def rest(self, link: Transport, feed: Feed) -> None:
         self._send(link, feed, self._commands()[1])

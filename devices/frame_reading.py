@@ -12,10 +12,10 @@ import numpy as np
 from devices.clocks.counter_check import ENOUGH, MOSTLY, CounterCheck
 from devices.clocks.device_clock import ClockState, DeviceClock
 from devices.clocks.device_time import DeviceTime
-from devices.clocks.packet_clock import Packets
+from devices.clocks.packet_clock import Packets, Stamped
 from devices.clocks.rate_check import Policy, RateCheck
 from devices.clocks.stamps import REPEATED, Losses, Stamps, chunks, tell_problems
-from devices.clocks.timing import TIMING, timing_of_one
+from devices.clocks.timing import TIMING, chunks_of_one
 from devices.protocols.checksum_fit import fitting
 from devices.protocols.declared import Frame
 from devices.protocols.frame_decoder import SPOILT, FoundFrames, FrameDecoder
@@ -130,14 +130,24 @@ class FrameReading:
         return f"their counter {way}: {what}"
 
     def take(self, data: bytes, feed: Feed) -> int:
+        if only := self._decoder.only(data):
+            self._seen = True
+            self._emit_one(*only, feed)
+            if self._good + self._bad < JUDGED:
+                self._judge(1, 0, feed)
+            return 1
         found = self._decoder.feed(data)
         if found.kinds:
             self._seen = True
-            self._emit_all(found, feed)
+            if len(found.kinds) == 1:
+                self._emit_one(found.kinds[0], bytes(found.frames[found.kinds[0]]), feed)
+            else:
+                self._emit_all(found, feed)
         if self._good + self._bad < JUDGED:
             self._spoilt.extend(found.spoilt)
             self._judge(len(found.kinds), found.bad, feed)
-        tell_problems(feed, bad_checksum=found.bad, bytes_that_are_no_frame=found.dropped, resync=found.resyncs)
+        if found.bad or found.dropped or found.resyncs:
+            tell_problems(feed, bad_checksum=found.bad, bytes_that_are_no_frame=found.dropped, resync=found.resyncs)
         return len(found.kinds)
 
     def _judge(self, good: int, bad: int, feed: Feed) -> None:
@@ -154,6 +164,57 @@ class FrameReading:
             + self._hint
         )
         raise DeviceError(text) if feed.again else RunError(text)
+
+    def _emit_one(self, kind: int, frame: bytes, feed: Feed) -> None:
+        """What `_emit_all` does of one frame, as most reads of a slow device bring it, with as few arrays as can be."""
+        layout = self._layouts[kind]
+        if layout.frame.samples > 1:
+            self._emit_all(FoundFrames(kinds=[kind], frames={kind: bytearray(frame)}), feed)
+            return
+        arrival, own = feed.now(), None
+        counter = layout.counter_of(frame)
+        if self._timed:
+            own = layout.times_ns(layout.table(frame))
+            made = self._one_by_time(kind, own, counter, arrival, feed)
+        else:
+            made = self._stamps[kind].one(arrival, None, counter)
+        missing = max(made.lost, 0) if made else 0
+        if counter is not None and (counting := self._counting[kind]):
+            counting.see(np.array([counter]), arrival, feed)
+        came = 0 if made is None else 1
+        if hz := self._rates[kind].see(came, missing if layout.counted else 0, arrival, feed, own):
+            self._stamps[kind].follow(hz)
+            self._losses[kind].follow(hz)
+        if made is None or missing:
+            tell_problems(feed, repeated_frame_or_wrong_time=1 - came, lost_frame=missing)
+        if made is None:
+            return
+        record, event = chunks_of_one(made, arrival, layout.row(frame), self._last)
+        self._last = event.until
+        if layout.channels:
+            feed.emit(record, layout.frame.name)
+        feed.emit(event, "timing")
+
+    def _one_by_time(
+        self, kind: int, own: Times | None, counter: int | None, arrival: int, feed: Feed
+    ) -> Stamped | None:
+        """What `_by_time` gives for one frame; None where it is left out."""
+        restarted = False
+        if own is not None:
+            self._now = self._time.read(int(own[0]), arrival)
+            restarted = self._time.restarted
+            if restarted:
+                self._clock.restart(self._time.jump_ns)
+                feed.problem("device restarted")
+        if self._now is None:
+            return None
+        lost = self._losses[kind].before(self._now, counter, arrival, restarted)
+        if lost <= REPEATED:
+            return None
+        device = self._now + (0 if own is None else self._losses[kind].within_ns)
+        self._clock.see(device, arrival)
+        lost = lost or -int(self._clock.take_gap())
+        return Stamped(self._losses[kind].number, lost, device, self._clock.stamp(device))
 
     def _emit_all(self, found: FoundFrames, feed: Feed) -> None:
         arrival = feed.now()
@@ -247,12 +308,6 @@ class FrameReading:
 
     def _tell_timing(self, packets: dict[int, Packets], arrival: int, feed: Feed) -> None:
         """All kinds of frame in one stream, in the order of their stamps."""
-        if len(packets) == 1 and len((one := next(iter(packets.values()))).stamp) == 1:
-            self._last = max(int(one.stamp[0]), self._last)
-            feed.emit(
-                timing_of_one(int(one.number[0]), int(one.device[0]), arrival, int(one.stamp[0]), self._last), "timing"
-            )
-            return
         events = np.empty(sum(len(p.stamp) for p in packets.values()), TIMING)
         if not len(events):
             return

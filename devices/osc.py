@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -10,11 +12,11 @@ import numpy as np
 
 from devices.clocks import line_below
 from devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
-from devices.clocks.stamps import Stamps, chunks
-from devices.clocks.timing import timing_of_one, timing_spec
+from devices.clocks.stamps import Stamps
+from devices.clocks.timing import chunks_of_one, timing_spec
 from devices.protocols.declared import NS_PER
-from devices.protocols.osc import Argument, OscError, read_osc
-from devices.transport.datagrams import UdpTransport
+from devices.protocols.osc import Argument, OscError, OscReader
+from devices.transport.datagrams import GATHER_HELP, UdpTransport, gathered_s
 from stream.chunk import Specs, StreamSpec
 from stream.errors import ParameterError
 from stream.params import param
@@ -52,6 +54,11 @@ class OscStream:
     def channels(self) -> tuple[OscArgument, ...]:
         return tuple(a for a in self.arguments if a.role == "data" and a.name)
 
+    @property
+    def is_clocked(self) -> bool:
+        """Whether its stamps follow a counter or the sender's time."""
+        return any(a.role != "data" for a in self.arguments)
+
 
 class _Outputs:
     """The outputs of a class whose instances have those that they declare."""
@@ -80,6 +87,18 @@ class OscInlet(Source):
     latency_s: float = param(
         0.0, least=0, most=1, help="the constant delay from the measurement to its arrival, if you know it"
     )
+    gather_s: float | None = param(None, least=0, most=0.1, help=GATHER_HELP)
+
+    @property
+    def chunk_s(self) -> float:
+        return max([self.gathered_s, *(1 / s.rate_hz for s in self.streams if s.rate_hz)])
+
+    @property
+    def gathered_s(self) -> float:
+        """How long messages are left to gather after one that was read."""
+        if self.gather_s is not None:
+            return self.gather_s
+        return gathered_s(s.rate_hz if s.is_clocked else None for s in self.streams)
 
     def specs(self) -> Specs:
         specs: Specs = {}
@@ -113,14 +132,14 @@ class OscInlet(Source):
         readings: dict[str, list[OscReading]] = {}
         for s in self.streams:
             readings.setdefault(s.address, []).append(OscReading(self, s))
-        last = 0
+        last, pause_s, reader = 0, self.gathered_s, OscReader()
         with UdpTransport(f"udp://{self.host}:{self.port}") as port:
             feed.ready()
             while not feed.stopped:
                 if not (data := port.read(WAIT_S)):
                     continue
                 try:
-                    messages = read_osc(data)
+                    messages = reader.read(data)
                 except OscError:
                     feed.problem("not OSC")
                     continue
@@ -128,18 +147,24 @@ class OscInlet(Source):
                 for address, arguments in messages:
                     for reading in readings.get(address, ()):
                         last = reading.take(arguments, arrival, last, feed)
+                if pause_s and not port.waiting:
+                    time.sleep(pause_s)
 
 
 class OscReading:
     """One stream's messages to chunks."""
 
     def __init__(self, of: OscInlet, stream: OscStream) -> None:
-        self._of, self._stream = of, stream
+        self._name = stream.name
         roles = [a.role for a in stream.arguments]
+        self._least = len(roles)
         self._counter = roles.index("counter") if "counter" in roles else None
         self._time = roles.index("time") if "time" in roles else None
+        self._whole = [i for i in (self._counter, self._time) if i is not None]
         self._places = [i for i, a in enumerate(stream.arguments) if a in stream.channels]
-        self._scale = np.array([a.scale for a in stream.channels])
+        self._scale = [a.scale for a in stream.channels]
+        times = [a.scale * NS_PER[a.unit] for a in stream.arguments if a.role == "time"]
+        self._time_scale = times[0] if times else 1.0
         bits = 32 if self._counter is not None and (stream.rate_hz or self._time is not None) else 0
         self._stamps = Stamps(
             stream.rate_hz, counter_bits=bits, has_time=self._time is not None, latency_s=of.latency_s
@@ -149,41 +174,47 @@ class OscReading:
             where, stream.rate_hz, of.rate_mismatch, setting=f"rate_hz of {stream.name}", counted=bool(bits)
         )
 
-    def take(self, arguments: list[Argument], arrival: int, last: int, feed: Feed) -> int:
+    def take(self, arguments: Sequence[Argument], arrival: int, last: int, feed: Feed) -> int:
         """Emit a message; `last`: the stamp of the last event of `timing`, of which the newest is returned."""
-        numbers = self._numbers(arguments)
-        if numbers is None:
+        row = self._row(arguments)
+        if row is None:
             feed.problem("message of another shape")
             return last
-        time_ns = counter = None
+        own = counter = None
         if self._time is not None:
-            a = self._stream.arguments[self._time]
-            time_ns = np.array([round(numbers[self._time] * a.scale * NS_PER[a.unit])])
+            own = round(_number(arguments[self._time]) * self._time_scale)
         if self._counter is not None:
-            counter = np.array([int(numbers[self._counter]) % (1 << 32)])
-        packets = self._stamps.take(1, arrival, time_ns, counter)
-        if not len(packets.stamp):
+            counter = int(_number(arguments[self._counter])) % (1 << 32)
+        made = self._stamps.one(arrival, own, counter)
+        if made is None:
             feed.problem("repeated message or wrong time")
             return last
-        lost = int(packets.lost[0])
+        lost = made.lost
         if lost:
             feed.problem("lost message" if lost > 0 else "device restarted", max(lost, 1))
-        if hz := self._rate.see(1, max(lost, 0), arrival, feed, time_ns):
+        if hz := self._rate.see(1, max(lost, 0), arrival, feed, None if own is None else np.array([own])):
             self._stamps.follow(hz)
-        row = np.array([[numbers[i] for i in self._places]]) * self._scale
-        for chunk in chunks(packets.stamp, packets.lost, row):
-            feed.emit(chunk, self._stream.name)
-        newest = max(last, int(packets.stamp[0]))
-        feed.emit(timing_of_one(int(packets.number[0]), int(packets.device[0]), arrival, newest), "timing")
-        return newest
+        record, event = chunks_of_one(made, arrival, np.array([row]), last)
+        feed.emit(record, self._name)
+        feed.emit(event, "timing")
+        return event.until
 
-    def _numbers(self, arguments: list[Argument]) -> list[float] | None:
-        """The arguments as numbers; None where one that is wanted is none. Texts that are passed over are NaN."""
-        if len(arguments) < len(self._stream.arguments):
+    def _row(self, arguments: Sequence[Argument]) -> list[float] | None:
+        """The channels in their units; None where an argument that is wanted is no number."""
+        if len(arguments) < self._least:
             return None
-        made = [float(a) if isinstance(a, int | float) else math.nan for a in arguments[: len(self._stream.arguments)]]
-        wanted = [self._time, self._counter]
-        if any(i is not None and not math.isfinite(made[i]) for i in wanted):
-            return None
-        texts = [i for i in self._places if not isinstance(arguments[i], int | float)]
-        return None if texts else made
+        for i in self._whole:
+            if not math.isfinite(_number(arguments[i])):
+                return None
+        row = []
+        for i, scale in zip(self._places, self._scale, strict=True):
+            a = arguments[i]
+            if not isinstance(a, (int, float)):
+                return None
+            row.append(float(a) * scale)
+        return row
+
+
+def _number(argument: Argument) -> float:
+    """NaN for what is none."""
+    return float(argument) if isinstance(argument, (int, float)) else math.nan

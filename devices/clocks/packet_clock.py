@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +46,15 @@ NOTHING = Packets(np.zeros(1, bool), _NONE, _NONE, _NONE, _NONE)
 """Of one record that is left out."""
 ONE = np.ones(1, bool)
 """Of one record that is kept."""
+
+
+class Stamped(NamedTuple):
+    """One record: as `Packets` has it of several."""
+
+    number: int
+    lost: int
+    device: int
+    stamp: int
 
 
 class PacketClock:
@@ -104,9 +115,17 @@ class PacketClock:
 
     def take_one(self, counter: int, arrival_ns: int) -> Packets:
         """The same for one packet, as most reads bring it, without arrays on the way."""
+        made = self.one(counter, arrival_ns)
+        if made is None:
+            return NOTHING
+        row = np.array(made)
+        return Packets(ONE, row[0:1], row[1:2], row[2:3], row[3:4], not made.lost)
+
+    def one(self, counter: int, arrival_ns: int) -> Stamped | None:
+        """The same without any array; None where the packet was there already."""
         step = self._first_step(counter, arrival_ns, 0)
         if not step:
-            return NOTHING
+            return None
         number, lost = (self._number if self._counter >= 0 else counter - 1) + step, step - 1
         excess = self._excess(number, arrival_ns)
         if excess:
@@ -116,8 +135,7 @@ class PacketClock:
         device = round(self._made(number))
         self._clock.see(device, arrival_ns)
         lost = lost or -int(self._clock.take_gap())
-        row = np.array([number, lost, device, self._clock.stamp(device)])
-        return Packets(ONE, row[0:1], row[1:2], row[2:3], row[3:4], not lost)
+        return Stamped(number, lost, device, self._clock.stamp(device))
 
     def _first_step(self, counter: int, arrival_ns: int, following: int) -> int:
         """How far a read's first packet is from the last one before it; 0: it is that one again."""

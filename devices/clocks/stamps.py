@@ -6,13 +6,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from math import inf
-from typing import NamedTuple
 
 import numpy as np
 
 from devices.clocks.device_clock import ClockState, Counter, DeviceClock
 from devices.clocks.device_time import DeviceTime
-from devices.clocks.packet_clock import NOTHING, ONE, PacketClock, Packets
+from devices.clocks.packet_clock import NOTHING, ONE, PacketClock, Packets, Stamped
 from stream.chunk import NS, Array, Chunk, Times
 from stream.source import Feed
 
@@ -22,15 +21,6 @@ GAP_PERIODS = 1.75
 
 TICK = 0.03
 """By this much the number of records between two ticks of a coarse time may be off, beside one."""
-
-
-class Stamped(NamedTuple):
-    """One record: as `Packets` has it of several."""
-
-    number: int
-    lost: int
-    device: int
-    stamp: int
 
 
 class Stamps:
@@ -152,6 +142,16 @@ class Stamps:
         self._clock.see(value, arrival_ns)
         lost = lost or -int(self._clock.take_gap())
         return Stamped(self._losses.number, lost, value, self._clock.stamp(value))
+
+    def one(self, arrival_ns: int, device_ns: int | None = None, counter: int | None = None) -> Stamped | None:
+        """What `take` gives for one record of any clock, without arrays; None where it is left out."""
+        if device_ns is not None:
+            return self.take_one(device_ns, counter, arrival_ns)
+        if self._packets and counter is not None:
+            return self._packets.one(counter, arrival_ns)
+        stamp = arrival_ns - self._latency
+        self._last = stamp if self._last is None else max(stamp, self._last)
+        return Stamped(-1, 0, -1, self._last)
 
     def _one(self, raw_ns: Times, counter: Array | None, arrival_ns: int, again: bool) -> Packets:
         here = None if counter is None else int(counter[0])

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from stream.chunk import Chunk, StreamSpec, Times
+from devices.clocks.packet_clock import Stamped
+from stream.chunk import Array, Chunk, StreamSpec, Times
 
 TIMING = np.dtype([("counter", "<i8"), ("device", "<i8"), ("arrival", "<i8"), ("stamp", "<i8")])
 """One packet: its running counter, the device's time (ns), its arrival and its mapped stamp (ns, session time); -1: there is none."""
@@ -20,6 +21,16 @@ def timing_chunk(counter: Times | int, device: Times | int, arrival: Times | int
     events = np.empty(len(stamp), TIMING)
     events["counter"], events["device"], events["arrival"], events["stamp"] = counter, device, arrival, stamp
     return Chunk(stamp, events, int(stamp[-1]), lost)
+
+
+def chunks_of_one(made: Stamped, arrival: int, data: Array, last: int) -> tuple[Chunk, Chunk]:
+    """One record with its `data` (1, ...), and its event; `last`: the stamp of the event before, of any stream of the device."""
+    row = np.array([made.number, made.device, arrival, made.stamp])
+    time = row[3:4]
+    record = Chunk(time, data, made.stamp, made.lost)
+    if made.stamp >= last:
+        return record, Chunk(time, row.view(TIMING), made.stamp)
+    return record, Chunk(np.array([last]), row.view(TIMING), last)
 
 
 def timing_of_one(counter: int, device: int, arrival: int, stamp: int, at: int | None = None) -> Chunk:

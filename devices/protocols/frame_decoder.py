@@ -61,6 +61,10 @@ class FrameDecoder:
         self.contradicted: Tally[tuple[int, int]] = Tally()
         """How often a frame was not believed for its counter, by that and the one of the frame right behind; the first `CONTRADICTED`."""
 
+    def only(self, data: bytes) -> tuple[int, bytes] | None:
+        """The kind and the frame, where these bytes are one good frame and nothing else can be said of them; else `feed` takes them."""
+        return None
+
     def feed(self, data: bytes) -> FoundFrames:
         buffer = self._buffer + data
         found = FoundFrames()

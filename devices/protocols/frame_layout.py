@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Mapping
 from itertools import accumulate
 from typing import Literal
@@ -14,6 +15,12 @@ from devices.protocols.declared import NS_PER, Field, Frame, hex_bytes
 from stream.chunk import Array, Samples, Times
 from stream.errors import ParameterError
 
+STRUCT = {
+    "u": {8: "B", 16: "H", 32: "I", 64: "Q"},
+    "i": {8: "b", 16: "h", 32: "i", 64: "q"},
+    "f": {16: "e", 32: "f", 64: "d"},
+}
+"""How `struct` names a number of a kind and a number of bits."""
 NEAR = 8
 """So far a counter may go from one frame to the next for them to be believed to follow each other."""
 
@@ -53,6 +60,21 @@ class FrameLayout:
         self.channels, self.counted = frame.channels, self._counter is not None
         self._scale = np.array([f.scale for f in frame.channels])
         self._offset = np.array([f.offset for f in frame.channels])
+        self._plain = self._struct() if frame.samples == 1 else None
+        self._factors = [(f.scale, f.offset) for f in frame.channels]
+        self._counter_at = None if self._counter is None else self._place(self._counter)
+
+    def _struct(self) -> struct.Struct | None:
+        """Reads the channels of one frame; None where one of them is packed, or they differ in their order of bytes."""
+        orders = {self._endian(self.fields[i]) for i in self._chosen}
+        form, at = "<" if orders == {"little"} else ">", 0
+        for i in self._chosen:
+            f, start = self.fields[i], self._starts[i]
+            if len(orders) > 1 or self._format(i)[0] == "V":
+                return None
+            form += f"{start // 8 - at}x{STRUCT[f.type[0]][f.bits]}"
+            at = self._starts[i + 1] // 8
+        return struct.Struct(form)
 
     def _check(self, at: str) -> None:
         """Raise ParameterError for numbers that are packed so that they cannot be read."""
@@ -102,14 +124,26 @@ class FrameLayout:
         raw += self._offset
         return raw
 
+    def row(self, frame: bytes) -> Samples:
+        """What `values` gives for one frame (1, c) of one sample."""
+        if self._plain is None:
+            return self.values(self.table(frame))
+        row = []
+        for number, (scale, offset) in zip(self._plain.unpack_from(frame), self._factors, strict=True):
+            row.append(number * scale + offset)
+        return np.array([row])
+
     def counter_of(self, frame: bytes) -> int | None:
         """The counter of one frame."""
-        if self._counter is None:
+        if self._counter_at is None:
             return None
-        i = self._counter
+        start, stop, order, shift, mask = self._counter_at
+        return int.from_bytes(frame[start:stop], order) >> shift & mask
+
+    def _place(self, i: int) -> tuple[int, int, Literal["little", "big"], int, int]:
+        """A whole number's first byte, the one behind its last, their order, how far it is shifted in them, and its mask."""
         start, stop = self._starts[i] // 8, -(-self._starts[i + 1] // 8)
-        number = int.from_bytes(frame[start:stop], self._endian(self.fields[i]))
-        return number >> self._shift(i) & (1 << self.fields[i].bits) - 1
+        return start, stop, self._endian(self.fields[i]), self._shift(i), (1 << self.fields[i].bits) - 1
 
     def near(self, counter: int, later: int) -> bool:
         """Whether a frame may follow another one, by their counters: with a few lost in between."""

@@ -32,6 +32,12 @@ class PacketDecoder(FrameDecoder):
             self.take(data, found)
         return found
 
+    def only(self, data: bytes) -> tuple[int, bytes] | None:
+        if len(self.layouts) > 1 or not data or not self._fits(layout := self.layouts[0], data):
+            return None
+        frame = data[: layout.size]
+        return (0, frame) if layout.sound(frame) else None
+
     def take(self, packet: bytes, found: FoundFrames) -> None:
         """Sort one packet."""
         fitting = [kind for kind in self._order if self._fits(self.layouts[kind], packet)]
@@ -66,6 +72,9 @@ class EscapedDecoder(PacketDecoder):
         super().__init__(layouts)
         self._end, self._unescape = {"slip": (b"\xc0", unslip), "cobs": (b"\x00", uncobs)}[framing]
         self._rest, self._first = b"", True
+
+    def only(self, data: bytes) -> None:
+        return None
 
     def feed(self, data: bytes) -> FoundFrames:
         """`data`: bytes, cut anywhere."""

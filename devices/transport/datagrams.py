@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import select
 import socket
+from collections.abc import Iterable
 from contextlib import suppress
 from typing import Self
 
@@ -13,6 +14,16 @@ from stream.errors import DeviceError
 MOST = 65536
 BUFFER = 1 << 20
 """Bytes that the system is asked to keep while nobody reads."""
+GATHER_S = 0.02
+GATHER_HELP = (
+    "datagrams of this time are read at once, for half the work; 0: each as it comes, for live steering; left out: 20 ms where every "
+    "stream comes 100 times a second or more and its stamps follow a counter or the sender's time, else 0"
+)
+
+
+def gathered_s(rates_hz: Iterable[float | None]) -> float:
+    """How long datagrams gather where nothing is said of it: not at all where few would; `rates_hz` of streams that have a clock."""
+    return GATHER_S if all(hz and hz * GATHER_S >= 2 for hz in rates_hz) else 0.0
 
 
 class UdpTransport:
@@ -43,11 +54,20 @@ class UdpTransport:
     def read(self, timeout_s: float) -> bytes:
         """One datagram."""
         try:
-            if not select.select([self._socket], [], [], timeout_s)[0]:
-                return b""
+            self._socket.settimeout(timeout_s)
             return self._socket.recv(MOST)
+        except (TimeoutError, BlockingIOError):
+            return b""
         except (OSError, ValueError) as error:
             raise DeviceError(f"{self.address} is gone: {error}") from None
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a datagram is there already."""
+        try:
+            return bool(select.select([self._socket], [], [], 0)[0])
+        except (OSError, ValueError):
+            return True  # the next read tells why
 
     def write(self, data: bytes) -> None:
         raise DeviceError(f"{self.address}: nothing can be sent to a device that only sends datagrams")

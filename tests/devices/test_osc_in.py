@@ -5,6 +5,8 @@ from __future__ import annotations
 import socket
 import struct
 import time
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,8 +14,12 @@ import pytest
 
 from devices.binary import Binary
 from devices.osc import OscInlet
+from devices.simulators.misbehaviour import Misbehaviour
+from devices.simulators.osc import OscModel, serving
 from stream.errors import DeviceError, ParameterError
 from stream.params import build
+from stream.recording import Recording
+from tests.support.command_line import Command
 from tests.support.device_feed import check, free_udp_port, is_bound, reading, wait_for
 
 osc = pytest.importorskip("pythonosc.udp_client")
@@ -76,6 +82,31 @@ def test_the_senders_time_is_followed() -> None:
     steps = np.diff(feed.time("a")) / 1e6
     assert np.median(np.abs(steps - 20)) < 0.01, "though three came at a time"
     sender._sock.close()
+
+
+def test_a_network_that_loses_and_doubles() -> None:
+    source = inlet()
+    with serving(OscModel(source), Misbehaviour(lose=0.05, duplicate=0.05, seed=2)) as port:
+        source = replace(source, port=port)
+        with reading(source) as feed:
+            wait_for(lambda: feed.count("motion") > 300)
+    check(source, feed)
+    assert feed.problems["lost message"] > 3 and feed.problems["repeated message or wrong time"] > 3
+    steps = np.diff(feed.time("motion"))[100:]
+    assert np.median(np.abs(steps / 1e7 - 1)) < 0.05, "though two or three are read at once"
+
+
+def test_it_runs_without_its_sender(kinegraph: Command, tmp_path: Path) -> None:
+    streams = (
+        "[{name: a, address: /a, rate_hz: 120, arguments: [{role: time, unit: ms}, {name: x}]}, "
+        "{name: b, address: /b, rate_hz: 30, arguments: [{role: counter}, {name: y}]}]"
+    )
+    (tmp_path / "osc.yaml").write_text(f"nodes:\n  net:\n    use: devices.osc.OscInlet\n    streams: {streams}\n")
+    code, _, complaint = kinegraph("run", "osc.yaml", "--simulate", "--for", "3", "-o", "session", "--view", "none")
+    assert code == 0, complaint
+    with Recording.open(tmp_path / "session") as recording:
+        samples = {name: stream.samples for name, stream in recording.streams.items()}
+    assert samples["net.a"] > 150 and samples["net.b"] > 40
 
 
 @pytest.mark.parametrize(
