@@ -4,6 +4,9 @@ A mutant turns one comparison, sum, number or truth value around, in a copy of t
 to it in the imports, and the laws on its operators), for at most a minute of processor time, however busy the machine is. Survivors are
 listed; exit code 1 if fewer than nine in ten were noticed. A survivor that changes nothing that anyone could see is named in
 equivalent_mutants.txt, with the reason.
+
+In pieces: `--skip 10 --count 20` tries the second ten, and `--tree FOLDER` keeps the copy, so that the next piece finds its kernels
+compiled.
 """
 
 from __future__ import annotations
@@ -214,12 +217,14 @@ def _judged(arguments: list[str], tree: Path, code: int) -> list[str]:
 
 
 def copy_to(place: Path) -> Path:
-    """A copy of what tests need."""
+    """A copy of what tests need; where there is one already, that one, as it must be."""
     for name in COPIED:
         source = HOUSE / name
         if source.is_dir():
+            shutil.rmtree(place / name, ignore_errors=True)
             shutil.copytree(source, place / name, ignore=shutil.ignore_patterns("__pycache__"))
         else:
+            place.mkdir(parents=True, exist_ok=True)
             shutil.copy2(source, place / name)
     return place
 
@@ -232,16 +237,20 @@ def main() -> int:
     parser.add_argument(
         "--only", nargs="+", metavar="TEXT", default=[""], help="mutants in whose line one of these stands"
     )
+    parser.add_argument("--skip", type=int, default=0, help="leave out so many of those drawn, the first ones")
     parser.add_argument("--jobs", type=int, default=1, help="how many at once")
+    parser.add_argument(
+        "--tree", type=Path, metavar="FOLDER", help="keep the copies of the tree here, and use them again"
+    )
     given = parser.parse_args()
     equivalent = {line.rpartition("  # ")[0].strip() for line in EQUIVALENT.read_text(encoding="utf-8").splitlines()}
-    chosen = [m for m in drawn(given.seed, given.count) if any(text in str(m) for text in given.only)]
+    chosen = [m for m in drawn(given.seed, given.count)[given.skip :] if any(text in str(m) for text in given.only)]
     results: dict[Mutant, str] = {}
     broken: set[str] = set()
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder, ThreadPoolExecutor(given.jobs) as pool:
         trees: SimpleQueue[Path] = SimpleQueue()
         for k in range(given.jobs):
-            trees.put(copy_to(Path(folder) / str(k)))
+            trees.put(copy_to((given.tree or Path(folder)) / str(k)))
 
         def one(mutant: Mutant) -> None:
             tree = trees.get()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import tomllib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -15,6 +16,10 @@ FARTHEST = 6
 """Imports between a test and what it tests."""
 EVERYTHING = ("test_laws", "test_architecture", "test_face", "test_docs", "test_installed")
 """Tests of all modules at once are none's own."""
+CALLS = ("kinegraph", "call")
+"""What tests call with the words of a command."""
+WORDS = (("kinegraph.commands",), ("kinegraph.evaluations", "kinegraph.trainings"))
+"""The entry points that a command's first and second word may name."""
 
 
 def own_tests(module: str) -> list[str]:
@@ -53,15 +58,26 @@ def _imports(path: Path) -> frozenset[str]:
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
             found |= {_home(node.module, alias.name) for alias in node.names}
-        elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "kinegraph":
+        elif isinstance(node, ast.Call) and getattr(node.func, "id", getattr(node.func, "attr", "")) in CALLS:
             found |= set(_commands(node))
     return frozenset(found)
 
 
 def _commands(call: ast.Call) -> Iterator[str]:
-    if call.args and isinstance(call.args[0], ast.Constant):
-        name = str(call.args[0].value)
-        yield from (f"stream.commands.{name}", f"stream.commands.{name}_", "stream.cli")
+    """The modules of the command that a call names, and of what it is told to do: `train`, `pose`."""
+    given = [word for a in call.args for word in (a.elts if isinstance(a, ast.List) else [a])][:2]
+    words = [str(a.value) if isinstance(a, ast.Constant) else "" for a in given]
+    if words and words[0]:
+        yield from (f"stream.commands.{words[0]}", f"stream.commands.{words[0]}_", "stream.cli")
+        for word, groups in zip(words, WORDS, strict=False):
+            yield from (_entry_points()[group][word] for group in groups if word in _entry_points()[group])
+
+
+@cache
+def _entry_points() -> dict[str, dict[str, str]]:
+    """By group and name, the module that stands for it."""
+    groups = tomllib.loads((HOUSE / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
+    return {group: {name: at.partition(":")[0] for name, at in points.items()} for group, points in groups.items()}
 
 
 @cache
