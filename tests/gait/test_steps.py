@@ -133,6 +133,9 @@ def test_a_shortest_step_is_shorter_than_the_longest_and_leaves_out_what_comes_s
     given = some_walk(20.0, 100.0, 6)
     with pytest.raises(ParameterError, match="shortest_s"):
         found(given, Steps(shortest_s=0.8, longest_s=0.8))
+    with pytest.raises(ParameterError, match="longest_s"):
+        Steps(longest_s=3.1)
+    assert Steps(longest_s=3.0).longest_s == 3.0
     rows = found(given, Steps(shortest_s=0.7))[2]
     assert np.nanmin(rows["duration_s"]) > 0.7, "at 1.8 steps a second every other one is left out"
 

@@ -47,6 +47,7 @@ def test_info(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         "2023-11-14 22:13:20",
     ):
         assert words.replace("1 channels", "1 channel") in shown
+    assert any(line.startswith("emg ") for line in shown.splitlines()), "names on the left, numbers on the right"
     kinegraph("info", tmp_path / "s", "--json")
     facts = json.loads(capsys.readouterr().out)
     assert facts["streams"]["emg"]["lost"] == 50 and facts["streams"]["emg"]["gaps"] == 1 and len(facts["log"]) == 30

@@ -1,0 +1,99 @@
+"""Kernels of the segmentation one by one, on a few frames: what each says, without all that it is part of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from operators.segmentation.activities import open_up
+from operators.segmentation.belief import foresee
+from operators.segmentation.cycles import advance, last_cycle, sum_up
+from operators.segmentation.distances import insert, mark
+from operators.segmentation.layout import (
+    BELIEVED_EVENT,
+    COUNT_EVENT,
+    EVENTS,
+    LAST,
+    OPENED,
+    ORIGIN,
+    RADIUS_EVENT,
+    Memory,
+    allocate,
+)
+from operators.segmentation.separation import gaps
+
+FRAMES = {
+    "LAG": 30, "WINDOW": 200, "LEARN": 2, "QUIET": 4, "MASS": 6, "SETTLE": 20, "FIRM": 80, "BAND_LEAST": 3, "BAND_MOST": 3,
+    "EVERY": 5, "REST": 5, "TRANSITION": 10,
+}  # fmt: skip
+
+
+def memory(x: Any, radius: float = 1.0) -> Memory:
+    """A segmentation that has seen frames x (n, features), with room for events."""
+    made = allocate(x.shape[1], FRAMES, radius, 0.5).with_room(64)
+    for i, row in enumerate(x):
+        insert(made, row, i)
+    return made
+
+
+def circle(n: int, length: int = 10, size: float = 0.2, right: float = 0.0) -> Any:
+    turn = np.arange(n) * 2 * np.pi / length
+    return np.stack([size * np.cos(turn) + right, size * np.sin(turn)], 1)
+
+
+def test_a_path_of_even_distances_lies_as_far_away_as_they_do() -> None:
+    length = 6
+    cost, begin = np.full((2, length), np.inf), np.full((2, length), -1)
+    means = [advance(np.full(length, 0.1), i, length, 0, 0.3, cost, begin) for i in range(12)]
+    assert np.isinf(means[:2]).all(), "three frames are the least for six"
+    assert np.allclose(means[2:], 0.1)
+    assert begin[0, -1] >= 0
+
+
+def test_sums_give_the_mean_distance_of_the_newest_cycle_to_the_one_before_it() -> None:
+    x = np.random.default_rng(1).normal(size=(40, 3))
+    s = memory(x)
+    s.books[ORIGIN] = 2
+    s.sums[1] = 0.0
+    for i in range(2, 40):
+        sum_up(s, i)
+    apart = np.sqrt(((x[:, None] - x[None]) ** 2).mean(-1))
+    for k in (1, 7, 12):
+        newest = np.arange(40 - max(k, 6), 40)
+        assert np.isclose(last_cycle(s, 39, k), apart[newest, newest - k].mean())
+
+
+def test_motion_about_two_places_falls_into_two_though_frames_are_missing() -> None:
+    x = np.concatenate([circle(40), circle(40, right=1.7)])
+    for missing in ([], [5, 17, 44, 62]):
+        x[missing] = np.nan
+        assert gaps(memory(x), 0, 80, 1.0).tolist() == [40]
+    assert not len(gaps(memory(np.concatenate([circle(40), circle(40, right=0.5)])), 0, 80, 1.0))
+    assert not len(gaps(memory(np.concatenate([circle(40), circle(4, right=1.7)])), 0, 44, 1.0)), "too little of it"
+
+
+def test_two_cycles_are_believed_as_soon_as_the_second_is_seen_to_end() -> None:
+    x = circle(60, 12, size=2.0)
+    s, said = memory(x[:1]), {}
+    for t in range(1, 60):
+        insert(s, x[t], t)
+        s.books[EVENTS] = 0
+        foresee(s, 0, t)
+        for row in s.events[: s.books[EVENTS]]:
+            said[int(row[0]), int(row[3 if row[0] == COUNT_EVENT else 5])] = t
+    believed = [said[BELIEVED_EVENT, k] for k in range(1, 6)]
+    assert believed == [said[COUNT_EVENT, k] for k in range(1, 6)]
+    assert believed[0] == believed[1] <= 2 * 12 + 3 and believed[2:] == [35, 47, 59]
+
+
+def test_an_activity_that_opens_is_believed_from_what_its_first_frame_comes_back_to() -> None:
+    x = circle(25, 12, size=2.0)
+    s = memory(x, radius=0.1)
+    assert [mark(s, i, 0) for i in range(25)] == [False] * 12 + [True] * 13
+    s.books[EVENTS] = 0
+    open_up(s, 24)
+    assert s.books[OPENED] == s.books[LAST] == 24
+    radius, believed = s.events[: s.books[EVENTS]].tolist()
+    assert radius[0] == RADIUS_EVENT and believed[0] == BELIEVED_EVENT
+    assert believed[2:] == [0, 24, 0, 0, 0, 0], "onset and end, the first activity, no repetition"
