@@ -4,22 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
 from operators.inputs.channels import names_of, the_channel
-from operators.sleep.calibration import Calibration
-from operators.sleep.methods import METHODS, MethodName, ScoringRule, rule
-from operators.sleep.rescoring import REACH_MIN, rescored, settled
-from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times
+from operators.sleep.epoch_scores import EpochScores
+from operators.sleep.methods import MethodName, rule
+from operators.sleep.rescoring import REACH_MIN
+from operators.sleep.scored_input import calibration_for, epoch_length
+from stream.chunk import FOREVER, NEVER, NS, Chunk, Specs, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.filter import reset_gap
 from stream.operator import Case, Operator, grid
 from stream.params import param
 from stream.require import numeric, regular
-from stream.sleep_night import NAMES, SLEEP, UNKNOWN, WAKE, States
 
 EPOCH = np.dtype(
     [
@@ -36,30 +35,19 @@ EPOCH = np.dtype(
 
 
 Rows: TypeAlias = list[tuple[Any, ...]]
-MINUTE = 60 * NS
 
 
 @dataclass(slots=True)
 class ScorerState:
-    """The newest `n` epochs, oldest first; a place that no epoch has taken yet has onset NEVER.
-
-    activity (n,) counts or motion; NaN: not seen. raw (n,) the state by the score alone, score (n,) that score
-    scored   how many of the newest have no final score yet; waiting: how many of those scored wait for Webster's rules
+    """
     silent   how many epochs went by without a sample
     calibrated, gain, offset  whether and how motion becomes counts
     sleeper  whose activity it is; crowded: whether the newest epoch that was told of had a second body
     """
 
-    rule: ScoringRule
+    scores: EpochScores
     channel: int
-    epoch_ns: int
     most_silent: int
-    onset: Times
-    activity: Samples
-    raw: States
-    score: Samples
-    open: int
-    waiting: int
     silent: int
     lost: int
     calibrated: bool
@@ -119,13 +107,12 @@ class SleepScorer(Operator[ScorerState]):
         epoch_s = 1 / regular(spec)
         if not spec.is_signal:
             raise InputError("in", spec.describe(), "a signal of activity per epoch")
-        epoch_s = self._epoch_s(epoch_s)
+        epoch_s = epoch_length(self.method, epoch_s)
         channel = the_channel(spec, self.channel)
         if "seen" in specs and not {"onset", "sleeper", "why"} <= set(specs["seen"].dtype.names or ()):
             raise InputError("seen", specs["seen"].describe(), "the output epochs of operators.depth.activity.Activity")
-        used = self._calibrated(
-            spec, spec.unit_of(names_of(spec)[channel]) if spec.channels else spec.units[0], epoch_s
-        )
+        given_unit = spec.unit_of(names_of(spec)[channel]) if spec.channels else spec.units[0]
+        used = calibration_for(self.method, self.calibration, spec, given_unit, epoch_s)
         if self.method == "thesis" and self.threshold is not None and not 0 < self.threshold <= 1:
             raise ParameterError("threshold", self.threshold, "above 0 and at most 1 (the share of weight in movement)")
         made = rule(
@@ -140,8 +127,8 @@ class SleepScorer(Operator[ScorerState]):
         n = made.past + 1 + made.future + 2 * reach
         self.hold(
             ScorerState(
-                made, channel, spec.period_ns, int(self.reset_gap_s * NS) // spec.period_ns, np.full(n, NEVER),
-                np.full(n, np.nan), np.zeros(n, np.int8), np.full(n, np.nan), 0, 0, 0, 0,
+                EpochScores.none(made, self.rescore, self.least_seen, spec.period_ns, n), channel,
+                int(self.reset_gap_s * NS) // spec.period_ns, 0, 0,
                 used is not None, used.gain if used else 1.0, used.offset if used else 0.0,
                 spec.channels[channel] if spec.channels else "", False,
             ),
@@ -216,75 +203,24 @@ class SleepScorer(Operator[ScorerState]):
             Case(cls("sadeh", reset_gap_s=gap), inputs["ami"], least=360),
         ]
 
-    def _epoch_s(self, given: float) -> float:
-        """The epoch length as the method knows it."""
-        known = METHODS[self.method].epochs_s
-        for length in known:
-            if abs(given - length) < 1e-6 * length:
-                return length
-        wanted = " or ".join(f"{length:g}" for length in known)
-        raise InputError(
-            "in",
-            f"in epochs of {given:g} s",
-            f"in epochs of {wanted} s for {self.method}; operators.sleep.epochs.Epochs makes them",
-        )
-
-    def _calibrated(self, spec: StreamSpec, unit: str, epoch_s: float) -> Calibration | None:
-        """The calibration that is used. Raises where a scorer of counts would be given something else."""
-        known = METHODS[self.method]
-        if not known.device:
-            if self.calibration:
-                raise ParameterError("calibration", self.calibration, "left out: thesis takes movement as it is")
-            return None
-        if self.calibration:
-            found = Calibration.read(Path(self.calibration))
-            if (found.device, found.unit, found.epoch_s) != (known.device, unit, epoch_s):
-                raise ParameterError(
-                    "calibration", self.calibration,
-                    f"one from {unit or 'no unit'} to counts of {known.device} at {epoch_s:g} s; "
-                    f"{found.name!r} is from {found.unit} to {found.device} at {found.epoch_s:g} s",
-                )  # fmt: skip
-            return found
-        meta = spec.meta
-        given = f"{spec.describe()}, device {meta.get('device') or 'not named'}, site {meta.get('site') or 'not named'}"
-        if unit != "counts" or meta.get("device") != known.device or meta.get("site") != "wrist":
-            raise InputError(
-                "in", given,
-                f"wrist counts of {known.device} for {self.method}: unit counts, meta device={known.device} and site=wrist; "
-                "for other motion name a calibration, or take method thesis",
-            )  # fmt: skip
-        if known.measure and meta.get("measure") != known.measure:
-            raise InputError("in", f"{given}, measure {meta.get('measure')!r}", f"the {known.measure} in each minute")
-        return None
-
     def _missing(self, until: int, made: Rows, stamps: list[int]) -> None:
         """Epochs that should have begun long enough before `until` and did not come: unknown; after too many, scoring ends."""
         s = self.state
-        while s.onset[-1] != NEVER and until >= (due := int(s.onset[-1]) + s.epoch_ns * 7 // 4):
+        while s.scores.newest != NEVER and until >= (due := s.scores.newest + s.scores.epoch_ns * 7 // 4):
             s.silent += 1
             if s.silent > s.most_silent:
                 self._finish(made, stamps)
             else:
-                self._epoch(int(s.onset[-1]) + s.epoch_ns, np.nan, due, made, stamps)
+                self._epoch(s.scores.newest + s.scores.epoch_ns, np.nan, due, made, stamps)
 
     def _epoch(self, onset: int, value: float, stamp: int, made: Rows, stamps: list[int]) -> None:
         """One more epoch: its provisional score, and the final ones of those that it settles."""
         s = self.state
-        for array in (s.onset, s.activity, s.raw, s.score):
-            array[:-1] = array[1:]
-        s.onset[-1] = onset
-        s.activity[-1] = max(0.0, (value - s.offset) * s.gain) if s.calibrated and value == value else value
-        last = len(s.onset) - 1
-        self._score(last)
-        state = int(rescored(s.raw, s.epoch_ns / MINUTE)[-1]) if self.rescore else int(s.raw[-1])
-        made.append(self._row(last, state, final=False))
-        s.open += 1
-        if s.open > s.rule.future:
-            self._score(last - s.rule.future)
-            s.open -= 1
-            s.waiting += 1
-        while s.waiting and self._emit(made, ended=False):
-            pass
+        made.append(
+            s.scores.add(onset, max(0.0, (value - s.offset) * s.gain) if s.calibrated and value == value else value)
+        )
+        while event := s.scores.final(ended=False):
+            made.append(event)
         stamps += [stamp] * (len(made) - len(stamps))
 
     def _crowd(self, sleeper: str, onset: int, crowded: bool) -> None:
@@ -293,59 +229,20 @@ class SleepScorer(Operator[ScorerState]):
         if sleeper != s.sleeper:
             return
         if crowded and not s.crowded:
-            for place in range(len(s.onset) - s.open, len(s.onset)):
-                if s.onset[place] == onset - s.epoch_ns and s.activity[place] > 0:
-                    s.activity[place] = np.nan
+            s.scores.distrust(onset - s.scores.epoch_ns)
         s.crowded = crowded
-
-    def _emit(self, made: Rows, *, ended: bool) -> bool:
-        """The final score of the oldest epoch that waits for it; False if that must wait on."""
-        s = self.state
-        known = len(s.onset) - s.open
-        place = known - s.waiting
-        state = int(s.raw[place])
-        if self.rescore:
-            minutes = s.epoch_ns / MINUTE
-            if not ended and not settled(s.raw[:known], place, minutes):
-                return False
-            state = int(rescored(s.raw[:known], minutes, ahead=UNKNOWN if ended else WAKE)[place])
-        made.append(self._row(place, state, final=True))
-        s.waiting -= 1
-        return True
 
     def _finish(self, made: Rows, stamps: list[int]) -> None:
         """Nothing follows: all that waits gets its final score, and everything is forgotten."""
         s = self.state
-        if s.onset[-1] == NEVER:
+        if s.scores.newest == NEVER:
             return
-        for place in range(len(s.onset) - s.open, len(s.onset)):
-            self._score(place)
-        s.waiting, s.open = s.waiting + s.open, 0
-        while s.waiting:
-            self._emit(made, ended=True)
-        stamps += [int(s.onset[-1]) + s.epoch_ns * 7 // 4] * (len(made) - len(stamps))
-        s.onset[:], s.activity[:], s.score[:], s.raw[:], s.silent = NEVER, np.nan, np.nan, UNKNOWN, 0
-
-    def _score(self, place: int) -> None:
-        """Score the epoch at `place` by itself and its neighbours, those to come taken as still."""
-        s = self.state
-        first, stop = place - s.rule.past, place + s.rule.future + 1
-        around = np.zeros(len(s.rule.weights))
-        around[: len(s.onset) - first] = s.activity[first:stop]
-        absent = s.onset[first : place + 1] == NEVER
-        if s.rule.before == "zero":
-            around[: len(absent)][absent] = 0.0
-        score, asleep = s.rule.score(around, self.least_seen)
-        if score != score or (s.rule.before == "unknown" and absent.any()):
-            s.score[place], s.raw[place] = np.nan, UNKNOWN
-        else:
-            s.score[place], s.raw[place] = score, SLEEP if asleep else WAKE
-
-    def _row(self, place: int, state: int, *, final: bool) -> tuple[Any, ...]:
-        s = self.state
-        onset = int(s.onset[place])
-        changed = state != int(s.raw[place])
-        return (onset, onset + s.epoch_ns, NAMES[state], s.score[place], s.activity[place], final, changed)
+        s.scores.end()
+        while event := s.scores.final(ended=True):
+            made.append(event)
+        stamps += [s.scores.newest + s.scores.epoch_ns * 7 // 4] * (len(made) - len(stamps))
+        s.scores.forget()
+        s.silent = 0
 
     def _chunk(self, made: Rows, stamps: list[int], until: int) -> Chunk:
         s = self.state

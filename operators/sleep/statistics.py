@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from typing import Any, ClassVar
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
 import structlog
 
+from operators.sleep.bed_schedule import BedSchedule
 from operators.sleep.periods import PERIOD, scored, some_epochs
-from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
+from operators.sleep.scored_epochs import ScoredEpochs
+from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator
 from stream.params import param
-from stream.sleep_night import NAMES, SLEEP, UNKNOWN, Convention, States, night
+from stream.sleep_night import SLEEP, Convention, night
 
 MINUTES = (
     "unknown",
@@ -56,18 +57,14 @@ log = structlog.get_logger(__name__)
 @dataclass(slots=True)
 class SleepStatisticsState:
     """
-    onset, states, activity (capacity,)  the newest `count` final epochs, at the front
+    epochs  the newest final ones
     asked   (MOST_ASKED, 3)  times in bed whose last epoch is not final yet: begin, end, place in BEDS; the first `asks` hold
     dark    when the lights went off; NEVER: they are on. window (2,): the schedule's present night; NEVER: not known yet
     last    the newest stamp of any input; promised: up to when nothing more comes. bed: what the time in bed is by
     known   end of the newest epoch that was scored; NEVER: none was since the last row. parted: nothing counts until one is
     """
 
-    epoch_ns: int
-    onset: Times
-    states: States
-    activity: Samples
-    count: int
+    epochs: ScoredEpochs
     asked: Times
     asks: int
     dark: int
@@ -115,35 +112,16 @@ class SleepStatistics(Operator[SleepStatisticsState]):
 
     def open(self, specs: Specs) -> Specs:
         spec = scored(specs["epochs"], "epochs")
-        if "lights" in specs and not (specs["lights"].is_signal or "on" in (specs["lights"].dtype.names or ())):
-            raise InputError(
-                "lights", specs["lights"].describe(), "a signal of one channel, or events with a field `on`"
-            )
-        if "periods" in specs and not set(PERIOD.names or ()) <= set(specs["periods"].dtype.names or ()):
-            raise InputError(
-                "periods", specs["periods"].describe(), "the periods of operators.sleep.periods.SleepPeriods"
-            )
-        given = [name for name in ("lights", "periods") if name in specs]
-        if self.schedule and given:
-            raise ParameterError(
-                "schedule", self.schedule, f"left out where {given[0]} are connected: both say when someone is in bed"
-            )
-        if len(given) > 1:
-            raise InputError("periods", "connected beside lights", "left out: both say when someone is in bed")
-        bed = (
-            "schedule"
-            if self.schedule
-            else {"lights": "lights", "periods": "detected", "": "recording"}["".join(given)]
-        )
-        self._times()
+        bed = _time_in_bed_by(specs, self.schedule)
+        BedSchedule.read(self.schedule, self.timezone)
         epoch_s = float(spec.meta.get("epoch_s", 0.0))
         if not epoch_s > 0:
             raise InputError("epochs", "without epoch_s in its meta", "scored epochs of a known length")
         n = int(np.ceil(self.longest_h * 3600 / epoch_s))
         self.hold(
             SleepStatisticsState(
-                round(epoch_s * NS), np.zeros(n, np.int64), np.zeros(n, np.int8), np.zeros(n), 0,
-                np.zeros((MOST_ASKED, 3), np.int64), 0, NEVER, np.array([NEVER, NEVER]), NEVER, NEVER, bed, NEVER, False,
+                ScoredEpochs.none(round(epoch_s * NS), n), np.zeros((MOST_ASKED, 3), np.int64), 0, NEVER, np.array([NEVER, NEVER]),
+                NEVER, NEVER, bed, NEVER, False,
             )
         )  # fmt: skip
         meta = {**spec.meta, "convention": self.convention, "bed": bed}
@@ -172,10 +150,10 @@ class SleepStatistics(Operator[SleepStatisticsState]):
     def close(self) -> Chunk:
         s = self.state
         made: list[tuple[Any, ...]] = []
-        if s.count:
-            end = int(s.onset[s.count - 1]) + s.epoch_ns
+        if s.epochs.count:
+            end = s.epochs.end
             if s.bed == "recording":
-                self._ask(int(s.onset[0]), end, "recording")
+                self._ask(s.epochs.begin, end, "recording")
             elif s.dark != NEVER and s.dark < end:
                 self._ask(s.dark, end, "lights", estimated=True)
             elif s.bed == "schedule" and s.window[0] < end < s.window[1]:
@@ -200,48 +178,18 @@ class SleepStatistics(Operator[SleepStatisticsState]):
             Case(cls("ActiLife"), {"epochs": epochs, "periods": periods}, least=2),
         ]
 
-    def _times(self) -> tuple[timedelta, timedelta]:
-        """The schedule's evening and morning, as times since midnight. Raises ParameterError."""
-        try:
-            ZoneInfo(self.timezone)
-        except (ZoneInfoNotFoundError, ValueError):
-            raise ParameterError("timezone", self.timezone, "a time zone's name, like Europe/Berlin") from None
-        if not self.schedule:
-            return timedelta(), timedelta()
-        try:
-            evening, morning = (datetime.strptime(text.strip(), "%H:%M") for text in self.schedule.split("-"))
-        except ValueError:
-            raise ParameterError("schedule", self.schedule, "two times of day, like 22:30-07:00") from None
-        if evening == morning:
-            raise ParameterError("schedule", self.schedule, "two different times of day")
-        midnight = datetime(1900, 1, 1)
-        return evening - midnight, morning - midnight
-
-    def _night_of(self, onset: int) -> tuple[int, int]:
-        """The schedule's first night that ends after `onset`."""
-        zone = ZoneInfo(self.timezone)
-        evening, morning = self._times()
-        day = datetime.fromtimestamp(onset // NS, UTC).astimezone(zone).replace(hour=0, minute=0, second=0, tzinfo=None)
-        for days in (-2, -1, 0, 1):
-            begin = day + timedelta(days=days) + evening
-            end = day + timedelta(days=days + (morning <= evening)) + morning
-            first, stop = (int(t.replace(tzinfo=zone).timestamp()) * NS for t in (begin, end))
-            if stop > onset:
-                return first, stop
-        return onset, onset + 1
-
     def _apart(self, onset: int, state: str, made: list[tuple[Any, ...]]) -> bool:
         """End the row where nothing was known for `apart_h`; whether the epoch is one of those that lie between two nights."""
         s = self.state
-        end = onset + s.epoch_ns
+        end = onset + s.epochs.length_ns
         if (
-            s.count
+            s.epochs.count
             and s.known != NEVER
             and (onset if state != "unknown" else end) - s.known >= self.apart_h * 3600 * NS
         ):
-            self._ask(int(s.onset[0]), s.known, "recording")
+            self._ask(s.epochs.begin, s.known, "recording")
             self._answer(made, ended=True)
-            s.count, s.known, s.parted = 0, NEVER, state == "unknown"
+            s.epochs.count, s.known, s.parted = 0, NEVER, state == "unknown"
         if state != "unknown":
             s.known, s.parted = end, False
         return s.parted
@@ -249,25 +197,18 @@ class SleepStatistics(Operator[SleepStatisticsState]):
     def _epoch(self, event: Array, made: list[tuple[Any, ...]]) -> None:
         """Keep one final epoch, and ask for what it completes."""
         s = self.state
-        onset = int(event["onset"])
-        if s.bed == "recording" and self._apart(onset, str(event["state"]), made):
+        if s.bed == "recording" and self._apart(int(event["onset"]), str(event["state"]), made):
             return
-        if s.count == len(s.onset):
-            for array in (s.onset, s.states, s.activity):
-                array[:-1] = array[1:]
-            s.count -= 1
-        s.onset[s.count] = onset
-        s.states[s.count] = int(np.flatnonzero(event["state"] == NAMES)[0])
-        s.activity[s.count] = event["activity"]
-        s.count += 1
-        if s.bed == "recording" and s.count == len(s.onset):
-            self._ask(int(s.onset[0]), onset + s.epoch_ns, "recording")
+        s.epochs.add(event)
+        end = s.epochs.end
+        if s.bed == "recording" and s.epochs.full:
+            self._ask(s.epochs.begin, end, "recording")
         elif s.bed == "schedule":
-            if s.window[1] != NEVER and onset + s.epoch_ns >= s.window[1]:
+            if s.window[1] != NEVER and end >= s.window[1]:
                 self._ask(int(s.window[0]), int(s.window[1]), "schedule")
                 s.window[:] = NEVER
-            if s.window[1] == NEVER:
-                s.window[:] = self._night_of(onset + s.epoch_ns)
+            if s.window[1] == NEVER and (schedule := BedSchedule.read(self.schedule, self.timezone)):
+                s.window[:] = schedule.night_after(end)
 
     def _lights(self, stamp: int, on: bool) -> None:
         s = self.state
@@ -287,53 +228,61 @@ class SleepStatistics(Operator[SleepStatisticsState]):
                 since=_utc(begin), until=_utc(end), hours=round(hours, 2), longest_h=self.longest_h,
             )  # fmt: skip
             return
-        if end - begin >= s.epoch_ns and s.asks < MOST_ASKED:
+        if end - begin >= s.epochs.length_ns and s.asks < MOST_ASKED:
             s.asked[s.asks] = begin, end, BEDS.index(bed) + len(BEDS) * (estimated or bed in ("detected", "recording"))
             s.asks += 1
 
     def _answer(self, made: list[tuple[Any, ...]], *, ended: bool) -> None:
         """Give out the nights whose last epoch is final."""
         s = self.state
-        while s.asks and s.count and (ended or s.onset[s.count - 1] + s.epoch_ns >= s.asked[0, 1]):
+        while s.asks and s.epochs.count and (ended or s.epochs.end >= s.asked[0, 1]):
             begin, end, code = s.asked[0].tolist()
             bed = BEDS[code % len(BEDS)]
-            if bed == "schedule" and not self._scored(begin, end):
+            if bed == "schedule" and not s.epochs.any_known(begin, end):
                 log.warning("a scheduled night without any score: no numbers", since=_utc(begin), until=_utc(end))
             else:
                 made.append(self._row(begin, end, bed, code >= len(BEDS)))
             s.asked[:-1] = s.asked[1:]
             s.asks -= 1
             if s.bed == "recording":
-                s.count = 0
-
-    def _scored(self, begin: int, end: int) -> bool:
-        """Whether anything is known of a time in bed."""
-        s = self.state
-        onset = s.onset[: s.count]
-        return bool((s.states[: s.count][(onset >= begin) & (onset < end)] != UNKNOWN).any())
+                s.epochs.count = 0
 
     def _row(self, begin: int, end: int, bed: str, estimated: bool) -> tuple[Any, ...]:
-        s = self.state
-        n = round((end - begin) / s.epoch_ns)
-        place = (s.onset[: s.count] + s.epoch_ns // 2 - begin) // s.epoch_ns
-        here = (place >= 0) & (place < n)
-        states, activity = np.full(n, UNKNOWN, np.int8), np.full(n, np.nan)
-        states[place[here]], activity[place[here]] = s.states[: s.count][here], s.activity[: s.count][here]
-        found = asdict(night(states, activity, s.epoch_ns / (60 * NS), self.convention))
+        length = self.state.epochs.length_ns
+        states, activity = self.state.epochs.between(begin, end)
+        found = asdict(night(states, activity, length / (60 * NS), self.convention))
         asleep = np.flatnonzero(states == SLEEP)
-        slept = len(asleep) > 0 and found["first"] < n
+        slept = len(asleep) > 0 and found["first"] < len(states)
         stop = found["stop"] if self.convention == "Actiware" else int(asleep[-1]) + 1 if slept else 0
         facts = {
             **found,
             "onset": begin,
             "end": end,
-            "sleep_onset": begin + found["first"] * s.epoch_ns if slept else 0,
-            "sleep_end": begin + stop * s.epoch_ns if slept else 0,
+            "sleep_onset": begin + found["first"] * length if slept else 0,
+            "sleep_end": begin + stop * length if slept else 0,
             "convention": self.convention,
             "bed": bed,
             "estimated": estimated,
         }
         return tuple(facts[name] for name in NIGHT.names or ())
+
+
+def _time_in_bed_by(specs: Specs, schedule: str) -> str:
+    """Which of `BEDS` the time in bed is by. Raises InputError or ParameterError where two say when someone is in bed."""
+    if "lights" in specs and not (specs["lights"].is_signal or "on" in (specs["lights"].dtype.names or ())):
+        raise InputError("lights", specs["lights"].describe(), "a signal of one channel, or events with a field `on`")
+    if "periods" in specs and not set(PERIOD.names or ()) <= set(specs["periods"].dtype.names or ()):
+        raise InputError("periods", specs["periods"].describe(), "the periods of operators.sleep.periods.SleepPeriods")
+    given = [name for name in ("lights", "periods") if name in specs]
+    if schedule and given:
+        raise ParameterError(
+            "schedule", schedule, f"left out where {given[0]} are connected: both say when someone is in bed"
+        )
+    if len(given) > 1:
+        raise InputError("periods", "connected beside lights", "left out: both say when someone is in bed")
+    if schedule:
+        return "schedule"
+    return {"lights": "lights", "periods": "detected"}[given[0]] if given else "recording"
 
 
 def _utc(time: int) -> str:

@@ -1,0 +1,111 @@
+"""The newest epochs of activity and their scores, until each is final."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from operators.sleep.methods import ScoringRule
+from operators.sleep.rescoring import rescored, settled
+from stream.chunk import NEVER, NS, Samples, Times
+from stream.sleep_night import NAMES, SLEEP, UNKNOWN, WAKE, States
+
+MINUTE = 60 * NS
+
+
+@dataclass(slots=True)
+class EpochScores:
+    """The newest `n` epochs, oldest first; a place that no epoch has taken yet has onset NEVER.
+
+    rule, rescore, least_seen  how they are scored
+    activity (n,) counts or motion; NaN: not seen. raw (n,) the state by the score alone, score (n,) that score
+    open     how many of the newest are not scored for good yet; waiting: how many of those scored wait for Webster's rules
+    """
+
+    rule: ScoringRule
+    rescore: bool
+    least_seen: float
+    epoch_ns: int
+    onset: Times
+    activity: Samples
+    raw: States
+    score: Samples
+    open: int
+    waiting: int
+
+    @staticmethod
+    def none(rule: ScoringRule, rescore: bool, least_seen: float, epoch_ns: int, n: int) -> EpochScores:
+        nothing = np.full(n, np.nan), np.zeros(n, np.int8), np.full(n, np.nan)
+        return EpochScores(rule, rescore, least_seen, epoch_ns, np.full(n, NEVER), *nothing, 0, 0)
+
+    @property
+    def newest(self) -> int:
+        """Onset of the newest epoch; NEVER: there is none."""
+        return int(self.onset[-1])
+
+    def add(self, onset: int, activity: float) -> tuple[Any, ...]:
+        """One more epoch; its provisional event, as if no movement were to follow."""
+        for array in (self.onset, self.activity, self.raw, self.score):
+            array[:-1] = array[1:]
+        self.onset[-1], self.activity[-1] = onset, activity
+        last = len(self.onset) - 1
+        self._score(last)
+        state = int(rescored(self.raw, self.epoch_ns / MINUTE)[-1]) if self.rescore else int(self.raw[-1])
+        event = self._event(last, state, final=False)
+        self.open += 1
+        if self.open > self.rule.future:
+            self._score(last - self.rule.future)
+            self.open -= 1
+            self.waiting += 1
+        return event
+
+    def final(self, *, ended: bool) -> tuple[Any, ...] | None:
+        """The final event of the oldest epoch that waits for it; None where none does, or what is to come may change it."""
+        if not self.waiting:
+            return None
+        known = len(self.onset) - self.open
+        place = known - self.waiting
+        state = int(self.raw[place])
+        if self.rescore:
+            minutes = self.epoch_ns / MINUTE
+            if not ended and not settled(self.raw[:known], place, minutes):
+                return None
+            state = int(rescored(self.raw[:known], minutes, ahead=UNKNOWN if ended else WAKE)[place])
+        self.waiting -= 1
+        return self._event(place, state, final=True)
+
+    def end(self) -> None:
+        """Nothing follows: what is open is scored as it is, and waits."""
+        for place in range(len(self.onset) - self.open, len(self.onset)):
+            self._score(place)
+        self.waiting, self.open = self.waiting + self.open, 0
+
+    def forget(self) -> None:
+        self.onset[:], self.activity[:], self.score[:], self.raw[:] = NEVER, np.nan, np.nan, UNKNOWN
+
+    def distrust(self, onset: int) -> None:
+        """Movement in the epoch that began at `onset`, if it is still open, may be somebody else's: it counts as not seen."""
+        for place in range(len(self.onset) - self.open, len(self.onset)):
+            if self.onset[place] == onset and self.activity[place] > 0:
+                self.activity[place] = np.nan
+
+    def _score(self, place: int) -> None:
+        """Score the epoch at `place` by itself and its neighbours, those to come taken as still."""
+        first, stop = place - self.rule.past, place + self.rule.future + 1
+        around = np.zeros(len(self.rule.weights))
+        around[: len(self.onset) - first] = self.activity[first:stop]
+        absent = self.onset[first : place + 1] == NEVER
+        if self.rule.before == "zero":
+            around[: len(absent)][absent] = 0.0
+        score, asleep = self.rule.score(around, self.least_seen)
+        if score != score or (self.rule.before == "unknown" and absent.any()):
+            self.score[place], self.raw[place] = np.nan, UNKNOWN
+        else:
+            self.score[place], self.raw[place] = score, SLEEP if asleep else WAKE
+
+    def _event(self, place: int, state: int, *, final: bool) -> tuple[Any, ...]:
+        onset = int(self.onset[place])
+        changed = state != int(self.raw[place])
+        return (onset, onset + self.epoch_ns, NAMES[state], self.score[place], self.activity[place], final, changed)
