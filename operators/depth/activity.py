@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from operators.depth.light import LIGHT_S, STEADY, lit
-from operators.depth.noise import Noise
-from operators.depth.presence import BED, IN, NAMES, OUT, UNKNOWN
+from operators.depth.bed_events import BED, IN, UNKNOWN
+from operators.depth.sleeper_activity import ActivityLimits, SleeperActivity
 from operators.depth.view import VIEW, check_view
-from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
+from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.filter import reset_gap
 from stream.kernel import kernel
@@ -37,15 +35,6 @@ EPOCH_SEEN = np.dtype(
 )
 """What was seen of a sleeper in an epoch; see `Activity`."""
 
-LEAST_EPOCHS = 4
-"""Fewer tell nothing of the noise."""
-RESTLESS = 3.0
-"""No noise in bed is this many times that of the empty bed, unless it has been as steady as noise is."""
-STEADY_EPOCHS = 20
-"""Over this many epochs noise scatters as little as within one (operators.depth.light)."""
-
-WHYS = np.array(["", "unseen", "dark", "camera", "still", "region", "body"])
-
 Rows = list[tuple[Any, ...]]
 
 
@@ -63,41 +52,44 @@ def collect(x: Samples, time: Times, begin: int, slot_ns: int, sums: Samples, co
 
 
 @dataclass(slots=True)
-class ActivityState:
-    """
-    begin           start of the open epoch (ns); NEVER: none. silent: how many epochs without any frame have gone by
-    sums, counts    (slots, k) of the open epoch: change, and frames; far_sums, far_counts: of the change over twice the time
-    needed          how many frames an epoch must have; expected: how many it should have
-    bed, out        (k,) where each sleeper is (`unasked`: before anything is known); whether out of bed since the epoch's beginning
-    in_bed, empty   noise while each sleeper is in bed, and while the bed is empty; far_bed: in bed, of the change over twice the time
-    why             (k,) of WHYS: why nobody knows where a sleeper is, or whose movement it is; moved: noise is learned again since a jump
-    crowded         (k,) whether there was a second body at any time in the open epoch
-    dark, jumped    whether the view is dark; whether there was darkness or a jump in the open epoch
-    lost            what the next emission says is missing before it
-    """
+class EpochSlots:
+    """sums, counts (slots, k) of the open epoch: change, and frames; far_sums, far_counts: of the change over twice the time."""
 
-    sleepers: list[str]
-    epoch_ns: int
-    slot_ns: int
-    begin: int
-    silent: int
-    most_silent: int
-    expected: float
     sums: Samples
     counts: Samples
     far_sums: Samples
     far_counts: Samples
-    bed: Times
-    unasked: int
-    out: Times
-    in_bed: Noise
-    far_bed: Noise
-    empty: Noise
-    why: Times
-    crowded: Times
-    moved: bool
-    dark: bool
-    jumped: bool
+
+    @staticmethod
+    def none(slots: int, k: int) -> EpochSlots:
+        return EpochSlots(*(np.zeros((slots, k)) for _ in range(4)))
+
+    def averages(self) -> tuple[Samples, Samples]:
+        """Of both (slots, k); NaN: not seen."""
+        with np.errstate(invalid="ignore"):
+            return self.sums / self.counts, self.far_sums / self.far_counts
+
+    def clear(self) -> None:
+        for held in (self.sums, self.counts, self.far_sums, self.far_counts):
+            held[:] = 0.0
+
+
+@dataclass(slots=True)
+class ActivityState:
+    """
+    begin           start of the open epoch (ns); NEVER: none. silent: how many epochs without any frame have gone by
+    expected        how many frames an epoch should have
+    sleepers        where they are, and what is known of the noise
+    lost            what the next emission says is missing before it
+    """
+
+    sleepers: SleeperActivity
+    epoch_ns: int
+    begin: int
+    silent: int
+    most_silent: int
+    expected: float
+    slots: EpochSlots
     lost: int
 
 
@@ -159,17 +151,17 @@ class Activity(Operator[ActivityState]):
             raise InputError("far", specs["far"].describe(), "the output far of operators.depth.motion.Motion")
         if self.epoch_s * rate_hz < 4:
             raise ParameterError("epoch_s", self.epoch_s, f"at least {4 / rate_hz:g} (four frames)")
-        k = len(spec.channels)
-        unasked = UNKNOWN if "bed" in specs else IN
         slot_s = max(self.smooth_s, 1 / rate_hz)
         slots = max(1, round(self.epoch_s / slot_s))
         epoch_ns = round(self.epoch_s * NS)
+        unasked = UNKNOWN if "bed" in specs else IN
+        limits = ActivityLimits(
+            self.sigmas, self.least_rise, self.least_s, self.least_seen, self.crosstalk_ratio, unasked
+        )
         self.hold(
             ActivityState(
-                list(spec.channels), epoch_ns, -(-epoch_ns // slots), NEVER, 0, int(self.reset_gap_s * NS) // epoch_ns,
-                self.epoch_s * rate_hz, np.zeros((slots, k)), np.zeros((slots, k)), np.zeros((slots, k)), np.zeros((slots, k)),
-                np.full(k, unasked), unasked, np.zeros(k, np.int64), Noise.of(k), Noise.of(k), Noise.of(k),
-                np.zeros(k, np.int64), np.zeros(k, np.int64), False, False, False, 0,
+                SleeperActivity.none(list(spec.channels), limits, -(-epoch_ns // slots)), epoch_ns, NEVER, 0,
+                int(self.reset_gap_s * NS) // epoch_ns, self.epoch_s * rate_hz, EpochSlots.none(slots, len(spec.channels)), 0,
             ),
             delay_s=self.epoch_s,
             decision_s={"epochs": 1 / rate_hz},
@@ -189,17 +181,17 @@ class Activity(Operator[ActivityState]):
         if port == "bed":
             for event, time in zip(chunk.data, chunk.time.tolist(), strict=True):
                 self._pass(time - 1, made)
-                self._moved_to(str(event["sleeper"]), str(event["state"]), str(event["why"]))
+                s.sleepers.move(str(event["sleeper"]), str(event["state"]), str(event["why"]))
             chunk = Chunk(chunk.time, chunk.data, chunk.until)
         elif port == "view":
             for event, time in zip(chunk.data, chunk.time.tolist(), strict=True):
                 self._pass(time - 1, made)
-                self._looks(str(event["what"]))
+                s.sleepers.look(str(event["what"]))
             chunk = Chunk(chunk.time, chunk.data, chunk.until)
         elif port == "far":
-            emitted, made = self._motion(chunk, s.far_sums, s.far_counts, lost=0)
+            emitted, made = self._motion(chunk, s.slots.far_sums, s.slots.far_counts, lost=0)
         elif len(chunk.time):
-            emitted, made = self._motion(chunk, s.sums, s.counts, chunk.lost)
+            emitted, made = self._motion(chunk, s.slots.sums, s.slots.counts, chunk.lost)
         if chunk.until == FOREVER:
             self._end(made)
         elif self._pass(chunk.until, made):
@@ -253,38 +245,18 @@ class Activity(Operator[ActivityState]):
                 made, s.lost = [], -1
             if s.begin == NEVER:
                 s.begin = t // s.epoch_ns * s.epoch_ns
-                s.out[:] = s.bed == OUT
+                s.sleepers.begin()
             stop = int(np.searchsorted(time, s.begin + s.epoch_ns))
-            collect(x[start:stop], time[start:stop], s.begin, s.slot_ns, sums, counts)
+            collect(x[start:stop], time[start:stop], s.begin, s.sleepers.slot_ns, sums, counts)
             s.silent = 0
             start = stop
         return emitted, made
-
-    def _looks(self, what: str) -> None:
-        """The view has become another one."""
-        s = self.state
-        s.dark = what == "dark"
-        s.jumped = s.jumped or what in ("dark", "moved")
-        if what == "moved":
-            s.moved = True
-            s.in_bed.clear()
-            s.far_bed.clear()
-            s.empty.clear()
-
-    def _moved_to(self, sleeper: str, state: str, why: str) -> None:
-        s = self.state
-        if sleeper in s.sleepers:
-            k = s.sleepers.index(sleeper)
-            s.why[k] = int(np.flatnonzero(why == WHYS)[0]) if why in WHYS else 0
-            s.crowded[k] = s.crowded[k] or why == "body"
-            s.bed[k] = int(np.flatnonzero(state == NAMES)[0])
-            s.out[k] = s.out[k] and s.bed[k] == OUT
 
     def _pass(self, until: int, made: Rows) -> bool:
         """Close every epoch that is over by `until`; whether the silence has become too long to go on."""
         s = self.state
         while s.begin != NEVER and until >= s.begin + s.epoch_ns - 1:
-            if not s.counts.any():
+            if not s.slots.counts.any():
                 s.silent += 1
             if s.silent > s.most_silent:
                 self._forget()
@@ -293,121 +265,26 @@ class Activity(Operator[ActivityState]):
         return False
 
     def _end(self, made: Rows) -> None:
-        if self.state.begin != NEVER and self.state.counts.any():
+        if self.state.begin != NEVER and self.state.slots.counts.any():
             self._epoch(made)
         self._forget()
 
     def _forget(self) -> None:
-        s = self.state
-        s.begin, s.silent = NEVER, 0
-        s.moved = s.jumped = False
-        s.why[:] = s.crowded[:] = 0
-        s.bed[:] = s.unasked
-        s.in_bed.clear()
-        s.far_bed.clear()
-        s.empty.clear()
+        self.state.begin, self.state.silent = NEVER, 0
+        self.state.sleepers.forget()
 
     def _epoch(self, made: Rows) -> None:
         """Close the open epoch and open the next one."""
         s = self.state
-        with np.errstate(invalid="ignore"):
-            change = s.sums / s.counts
-            far = s.far_sums / s.far_counts
-        limits = np.array([self._limit(k, change[:, k], far[:, k]) for k in range(len(s.sleepers))])
-        for k in range(len(s.sleepers)):
-            made.append(self._row(k, change, far, limits))
-        for held in (s.sums, s.counts, s.far_sums, s.far_counts):
-            held[:] = 0.0
-        s.jumped = s.dark
+        seen = s.slots.counts.sum(axis=0) / s.expected
+        made += s.sleepers.end(s.begin, s.begin + s.epoch_ns, *s.slots.averages(), seen)
+        s.slots.clear()
         s.begin += s.epoch_ns
-        s.out[:] = s.bed == OUT
-        s.crowded[:] = WHYS[s.why] == "body"
-
-    def _limit(self, k: int, change: Samples, far: Samples) -> float:
-        """Learn from the epoch's averages (slots,) of a sleeper, and give the threshold (mm); NaN: not known."""
-        s = self.state
-        finite = change[np.isfinite(change)]
-        if 2 * len(finite) > len(change) and not s.jumped:
-            if s.bed[k] == IN:
-                s.in_bed.learn(k, finite)
-                if np.isfinite(far).any():
-                    s.far_bed.learn(k, far[np.isfinite(far)])
-            elif s.out[k]:
-                s.empty.learn(k, finite)
-        if s.in_bed.count[k] < LEAST_EPOCHS:
-            return math.nan
-        limit = s.in_bed.threshold(k, self.sigmas, self.least_rise)
-        if s.empty.count[k] < LEAST_EPOCHS or s.in_bed.steady(k, STEADY, STEADY_EPOCHS):
-            return limit
-        return min(limit, RESTLESS * s.empty.level_of(k))
-
-    def _row(self, k: int, change: Array, far: Array, limits: Samples) -> tuple[Any, ...]:
-        """One sleeper's epoch: its activity, and its event."""
-        s = self.state
-        seen = float(s.counts[:, k].sum()) / s.expected
-        slot_s = s.slot_ns / NS
-        moving = change[:, k] > limits[k]
-        light = self._lit(k, change[:, k], far[:, k], moving)
-        moving &= ~light
-        there = np.isfinite(change[:, k]) & ~light
-        moved_s = float(moving.sum()) * slot_s if limits[k] == limits[k] else math.nan
-        excess = change - limits
-        strongest = np.fmax.reduce(np.delete(excess, k, axis=1), axis=1, initial=-math.inf)
-        theirs = moving & (strongest > self.crosstalk_ratio * excess[:, k])
-        crosstalk = float(theirs.sum() / moving.sum()) if moving.any() else 0.0
-        own_s = moved_s - float(theirs.sum()) * slot_s
-        why = self._why(k, seen, float(light.mean()), moved_s, own_s)
-        if why:
-            activity = math.nan
-        elif s.out[k]:
-            activity = 1.0
-        else:
-            activity = own_s / (float((there & ~theirs).sum()) * slot_s) if not own_s < self.least_s else 0.0
-        event = (
-            s.begin,
-            s.begin + s.epoch_ns,
-            s.sleepers[k],
-            moved_s,
-            min(seen, 1.0),
-            NAMES[s.bed[k]],
-            crosstalk,
-            limits[k],
-            why,
-        )
-        return activity, event
-
-    def _lit(self, k: int, change: Samples, far: Samples, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which of the averages (slots,) in movement are none, but noise that has risen."""
-        s = self.state
-        if not moving.any() or not s.far_bed.count[k]:
-            return np.zeros(len(change), np.bool_)
-        n = math.ceil(LIGHT_S * NS / s.slot_ns)
-        return lit(change, far, moving, n, s.in_bed.level_of(k), s.in_bed.scatter_of(k), s.far_bed.level_of(k))
-
-    def _why(self, k: int, seen: float, light: float, moved_s: float, own_s: float) -> str:
-        """Why the epoch cannot be judged; "": it can. `own_s` of the movement is surely this sleeper's."""
-        s = self.state
-        known = moved_s == moved_s
-        s.moved = s.moved and not (known and s.in_bed.count.min() >= LEAST_EPOCHS)
-        if s.jumped:
-            return "dark" if s.dark else "camera"
-        if s.bed[k] == UNKNOWN:
-            return str(WHYS[s.why[k]]) or ("camera" if s.moved else "unseen" if seen < self.least_seen else "learning")
-        if seen < self.least_seen:
-            return "unseen"
-        if s.out[k]:
-            return ""
-        if not known:
-            return "camera" if s.moved else "learning"
-        if light > 1 - self.least_seen:
-            return "light"
-        whose = bool(s.crowded[k]) or own_s < self.least_s
-        return "body" if whose and moved_s >= self.least_s else ""
 
     def _chunks(self, made: Rows, until: int) -> list[tuple[str, Chunk]]:
         s = self.state
         lost, s.lost = s.lost, 0
-        k = len(s.sleepers)
+        k = len(s.sleepers.sleepers)
         events = np.array([event for _, event in made], EPOCH_SEEN)
         data = np.array([activity for activity, _ in made]).reshape(len(made) // k, k)
         promise = (until + 1) // s.epoch_ns * s.epoch_ns - 1 if NEVER < until < FOREVER else until

@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from operators.depth.bed_events import BED
 from operators.depth.breath import gather, peak, powers, straighten, vary
-from operators.depth.presence import BED
 from operators.depth.regions import REGION, block_of, region_spec, sleepers_of, take
 from operators.depth.seconds import steep
 from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times, add_lost

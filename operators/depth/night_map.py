@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.depth.activity import EPOCH_SEEN
+from operators.depth.bed_events import BED
 from operators.depth.motion import map_of
-from operators.depth.presence import BED
 from stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec, add_lost
 from stream.errors import InputError
 from stream.operator import Case, Operator, grid

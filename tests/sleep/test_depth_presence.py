@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from operators.depth.activity import Activity
+from operators.depth.bed_events import BED
 from operators.depth.breathing import Breathing
-from operators.depth.presence import BED, Presence
+from operators.depth.presence import Presence
 from operators.depth.view import VIEW
 from operators.sleep.scorer import SleepScorer
 from stream.chunk import NS, Array, StreamSpec
