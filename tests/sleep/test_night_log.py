@@ -29,12 +29,12 @@ def test_nothing_is_lost_or_doubled_by_kill_9(tmp_path: Path, at: int) -> None:
     feed(log, night.told(0, at - 10))
     checkpoint = log.snapshot()
     feed(log, night.told(at - 10, at))
-    assert log.runtime.night
-    folder = log.runtime.night.folder
+    assert log.runtime.writer and log.runtime.writer.night
+    folder = log.runtime.writer.night.folder
     before = logged(folder)
     with (folder / archive.EPOCHS).open("a") as file:
         file.write("2026-01-01T0")
-    os.close(log.runtime.night.file._handle)
+    os.close(log.runtime.writer.night.file._handle)
     log.runtime.claim.release()  # type: ignore[union-attr]
 
     again = opened(tmp_path, report=False)
@@ -123,8 +123,8 @@ def test_rows_wait_while_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.Mo
     folder = tmp_path / "2025-12-31"
     assert len(logged(folder)) == 100 - LATE - night.inn
     full = False
-    assert log.runtime.night
-    log.runtime.night.file._retry_at = 0.0
+    assert log.runtime.writer and log.runtime.writer.night
+    log.runtime.writer.night.file._retry_at = 0.0
     feed(log, chain(night.told(250), night.end()))
     log.close()
     assert logged(folder) == states(night, night.inn)
