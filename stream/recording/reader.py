@@ -6,7 +6,6 @@ import json
 from collections.abc import Container, Iterator
 from html import escape
 from itertools import takewhile
-from operator import itemgetter
 from pathlib import Path
 from typing import Any, Self
 
@@ -15,21 +14,15 @@ import numpy as np
 from stream.chunk import FOREVER, NS, Array, Chunk, Times
 from stream.errors import NothingRecorded, RecordingError, nearest
 from stream.html import table_html
-from stream.recording.format import (
-    HEAD,
-    LOG,
-    METRICS,
-    Entry,
-    decode,
-    decode_log,
-    table,
-)
+from stream.recording.format import LOG, METRICS, Entry, decode_log
+from stream.recording.input_log import Input, MessageReader, inputs
 from stream.recording.missing import missing_of
 from stream.recording.overview import Overview
 from stream.recording.place import parts_of
 from stream.recording.recorded_file import RecordedFile
 from stream.recording.recorded_stream import RecordedStream
 from stream.recording.records import DAMAGE
+from stream.recording.seeking import messages_from
 from stream.series import Series
 
 
@@ -103,33 +96,12 @@ class Recording:
             raise RecordingError(f"{self.path}: no stream {name!r} was recorded; {nearest(name, self.streams)}")
         return self.streams[name]
 
-    def inputs(self, after: int = -1, also: Container[str] = ()) -> Iterator[tuple[int, str, Chunk, int]]:
+    def inputs(self, after: int = -1, also: Container[str] = ()) -> Iterator[Input]:
         """The input log: (sequence, stream, chunk, arrival) in the order of `sequence`, from the one after `after` on.
 
         Chunks of recorded edges named in `also` come after the input that led to them. Samples that were not kept are `lost`.
-        Chunks are gathered into messages stream by stream, so the messages of one batch are sorted before they are given out.
         """
-        ends: dict[str, int] = {}
-        for part in self.parts:
-            topics = {name for name, s in part.streams.items() if s.role == "input" or name in also}
-            last = max((part.streams[name].last_sequence for name in topics), default=-1)
-            if last <= after:
-                continue
-            start = part.chunk_before(after, topics) if after >= 0 else 0
-            batch = -1
-            held: list[tuple[int, str, Chunk, int]] = []
-            for name, number, body, frames in part.messages(topics, start):
-                if number != batch:
-                    yield from _in_order(held, after)
-                    batch, held = number, []
-                if after >= 0 and int(table(body).rows[-1, 4]) <= after:
-                    _, samples, first = HEAD.unpack_from(body)
-                    ends[name] = first + samples
-                    continue
-                held += [
-                    (seq, name, chunk, arrival) for chunk, arrival, seq in self._entries(part, name, body, ends, frames)
-                ]
-            yield from _in_order(held, after)
+        return inputs(self.parts, after, also)
 
     def entries(self, name: str) -> Iterator[Entry]:
         """The chunks of one stream with their arrival and sequence, in order. Raises RecordingError where its samples were not kept."""
@@ -137,24 +109,10 @@ class Recording:
             raise RecordingError(
                 f"{self.path}: the frames of {name!r} were not recorded; a graph that is to keep them names it under `record`"
             )
-        ends: dict[str, int] = {}
+        reader = MessageReader()
         for part in self.parts:
             for _, _, body, frames in part.messages({name} & part.streams.keys()):
-                yield from self._entries(part, name, body, ends, frames)
-
-    @staticmethod
-    def _entries(
-        part: RecordedFile, name: str, body: memoryview, ends: dict[str, int], frames: list[memoryview]
-    ) -> list[Entry]:
-        """A message's chunks; samples that the recorder had to drop before them count as lost."""
-        try:
-            _, samples, first = HEAD.unpack_from(body)
-            missed = max(first - ends.get(name, first), 0)
-            ends[name] = first + samples
-            stream = part.streams[name]
-            return decode(stream.spec, body, missed, frames, stream.kept)
-        except (RecordingError, *DAMAGE) as error:
-            raise RecordingError(f"{part.file.path}: stream {name!r}: {error}") from None
+                yield from reader.read(part, name, body, frames)
 
     def chunks(self, name: str) -> Iterator[Chunk]:
         """The chunks of one stream, in order."""
@@ -166,8 +124,8 @@ class Recording:
             stream = part.streams.get(name)
             if stream is None or stream.kept == "outline" or stream.last is None or stream.last < time:
                 continue
-            for _, _, body, frames in part.messages_from(time, name):
-                yield from (entry.chunk for entry in self._entries(part, name, body, {}, frames))
+            for _, _, body, frames in messages_from(part, time, name):
+                yield from (entry.chunk for entry in MessageReader().read(part, name, body, frames))
 
     def overviews(self, name: str) -> list[Overview] | None:
         """What the recorder saw of a signal from afar, of each part that holds any of it; None where one of them has none."""
@@ -262,8 +220,3 @@ class Recording:
         first = [s.first for s in self.streams.values() if s.first is not None]
         last = [s.last for s in self.streams.values() if s.last is not None]
         return max(last) - min(first) if first else 0
-
-
-def _in_order(held: list[tuple[int, str, Chunk, int]], after: int) -> list[tuple[int, str, Chunk, int]]:
-    held.sort(key=itemgetter(0))
-    return held if held and held[0][0] > after else [item for item in held if item[0] > after]

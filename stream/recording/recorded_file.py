@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from itertools import islice
 from pathlib import Path
 from struct import Struct
 from typing import Any
@@ -175,7 +174,7 @@ class RecordedFile:
         images = {number: topic for number, topic in self.images.items() if topic in topics}
         waiting: dict[str, list[memoryview]] = {topic: [] for topic in images.values()}
         for record in self.chunks[start:]:
-            for number, batch, _, _, body in self._messages(record):
+            for number, batch, _, _, body in self.raw_messages(record):
                 if number in wanted:
                     name = wanted[number]
                     yield name, batch, body, waiting.get(name, [])
@@ -183,18 +182,6 @@ class RecordedFile:
                         waiting[name] = []
                 elif number in images:
                     waiting[images[number]].append(body)
-
-    def messages_from(self, time: int, topic: str) -> Iterator[tuple[str, int, memoryview, list[memoryview]]]:
-        """The messages of a stream from the one on that holds `time` (ns), or from a little before, each with all its frames."""
-        start = self.chunk_at(time, topic)
-        known = 0
-        if (
-            topic in self.images.values()
-        ):  # the frames of a chunk's first message may lie in chunks before: behind an earlier message
-            while start > 0 and not known:
-                start -= 1
-                known = sum(self.topics.get(number) == topic for number, *_ in self._messages(self.chunks[start]))
-        return islice(self.messages({topic}, start), known, None)
 
     def overview(self, name: str) -> Overview | None:
         """What the recorder saw of a signal from afar; None where it left nothing, or it is damaged."""
@@ -212,46 +199,8 @@ class RecordedFile:
                 return None
         return None
 
-    def chunk_before(self, sequence: int, topics: set[str]) -> int:
-        """A chunk of records before which no input comes after `sequence`: found by bisection, for sequences grow."""
-        low, high = 0, len(self.chunks)
-        while low < high:
-            middle = (low + high) // 2
-            first = self._first_sequence(middle, topics)
-            if first is not None and first <= sequence:
-                low = middle + 1
-            else:
-                high = middle
-        start = max(low - 1, 0)
-        batch = self._first_batch(start)
-        while start > 0 and self._first_batch(start) == batch:
-            start -= 1
-        return start
-
-    def chunk_at(self, time: int, topic: str) -> int:
-        """A chunk of records before which no sample of `topic` is at or after `time`: found by bisection, for stamps grow."""
-        low, high = 0, len(self.chunks)
-        while low < high:
-            middle = (low + high) // 2
-            first = next(
-                (table(body).times for _, _, body, _ in self.messages({topic}, middle) if len(table(body).times)), None
-            )
-            if first is not None and int(first[0]) < time:
-                low = middle + 1
-            else:
-                high = middle
-        return max(low - 1, 0)
-
-    def _first_sequence(self, start: int, topics: set[str]) -> int | None:
-        for _, _, body, _ in self.messages(topics, start):
-            return int(table(body).rows[0, 4])
-        return None
-
-    def _first_batch(self, start: int) -> int:
-        """The batch that a chunk of records begins with; it may have begun before."""
-        return next((message.batch for message in self._messages(self.chunks[start])), -1)
-
-    def _messages(self, record: Record) -> Iterator[RawMessage]:
+    def raw_messages(self, record: Record) -> Iterator[RawMessage]:
+        """The messages of a chunk of records. Raises RecordingError where it is damaged."""
         try:
             yield from messages(self.file.unpack(record))
         except DAMAGE as error:

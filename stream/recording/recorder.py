@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from queue import Empty, SimpleQueue
-from threading import Event, Thread
-from typing import Any, Self, TypeAlias
+from queue import SimpleQueue
+from threading import Event
+from typing import Any, Self
 
 import structlog
 
@@ -22,17 +22,12 @@ from stream.recording.packed import Packer
 from stream.recording.place import claim, give_back
 from stream.recording.record_writer import GRACE_S, SPOOL_BYTES, RecordWriter
 from stream.recording.recorder_slot import OVERHEAD, STREAMS, RecorderSlot, RecorderStatus
-from stream.recording.rounds import Round, Rounds
+from stream.recording.recorder_thread import Handed, RecorderThread
+from stream.recording.rounds import Rounds
 
-TURN = 0.8
-"""This much of `flush_s` the recorder's thread sleeps, unless much comes; then it writes all that came."""
-PATIENCE_S = 0.02
-"""How long the recorder waits for a moment at which the session has nothing to do."""
 PIECE_BYTES = LEAST // 2
 """A chunk with more is recorded in pieces. Readers unpack more than this of any piece of a file, whatever it packs to."""
 MOST_AT_ONCE = PIECE_BYTES + OVERHEAD
-Line: TypeAlias = tuple[int, Any, int]
-"""A line of the log (0) or of the metrics (1), and its time (ns)."""
 
 log = structlog.get_logger(__name__)
 
@@ -63,25 +58,21 @@ class Recorder:
         self._wait, self._limit = wait, queue_bytes
         self._share = self._much = 0
         self._slots = [RecorderSlot(LOG), RecorderSlot(METRICS)]
-        self._queue: SimpleQueue[Round | Line | Event] = SimpleQueue()
+        self._queue: SimpleQueue[Handed] = SimpleQueue()
         self._rounds = Rounds(self._slots, round(options.gather_s * NS), self._queue.put)
         self._lock, number = claim(path, taken=resume)
         self._segments = FileSegments(path, number, header, options, live=not wait)
-        self._stop, self._wake, self._lull = Event(), Event(), Event()
-        self._writer = RecordWriter(path, self._slots, self._segments, self._stop, live=not wait)
-        self._due = time.monotonic()
-        self.patient = False
-        """Whether the recorder's work is due, and waits a little for a lull in the session's."""
-        self._thread = Thread(target=self._run, name="recorder", daemon=True)
-        self._thread.start()
+        stop = Event()
+        self._writer = RecordWriter(path, self._slots, self._segments, stop, live=not wait)
+        self._thread = RecorderThread(
+            self._queue, self._rounds, self._writer, self._segments, stop, flush_s=options.flush_s, live=not wait
+        )
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    # -- called by the session
 
     def add_stream(self, name: str, spec: StreamSpec, role: Role, first: int = 0, *, outline: bool = False) -> int:
         """Declare a stream; returns its number for `write`. `first` is the cumulative index of the sample it starts with.
@@ -149,8 +140,7 @@ class Recorder:
 
     def _has_room(self, slot: RecorderSlot) -> bool:
         """Much of a stream waits: the recorder is woken; whether there is still room for more."""
-        if not self._wake.is_set():
-            self._wake.set()
+        self._thread.wake()
         return slot.put - slot.got <= self._share or not self._is_full() or self._wait_for_room()
 
     def _is_full(self) -> bool:
@@ -161,13 +151,13 @@ class Recorder:
         well = time.monotonic()
         if self._wait and self._rounds.size > self._limit:
             self._rounds.end()
-        while self._wait and self._thread.is_alive() and self._is_full():
+        while self._wait and self._thread.alive and self._is_full():
             now = time.monotonic()
             well = well if self._writer.error else now
             if now - well > GRACE_S:
                 raise self._incomplete()
             time.sleep(0.002)
-        return self._wait and self._thread.is_alive()
+        return self._wait and self._thread.alive
 
     @property
     def part(self) -> int:
@@ -185,20 +175,23 @@ class Recorder:
 
     def lull(self) -> None:
         """The session has nothing to do just now. The recorder's thread shares the interpreter with it, and works best in between."""
-        self._lull.set()
+        self._thread.lull()
+
+    @property
+    def patient(self) -> bool:
+        """Whether the recorder's work is due, and waits a little for a lull in the session's."""
+        return self._thread.patient
 
     def flush(self, timeout_s: float = 5.0) -> bool:
         """Wait until everything handed over so far is on the disk itself; returns whether it is. Not for the graph's thread."""
         done = Event()
         self._rounds.end(done)
-        self._wake.set()
+        self._thread.wake()
         return done.wait(timeout_s)
 
     def close(self) -> None:
         """Write what is left and the end, and wait for it; a disk that refuses is given up after some seconds."""
-        self._stop.set()
-        self._wake.set()
-        self._thread.join()
+        self._thread.close()
         give_back(self._path, self._lock)
 
     def check(self) -> None:
@@ -211,60 +204,6 @@ class Recorder:
         return RecordingError(
             f"{self._path}: not everything could be written ({why}); free some space or choose another folder"
         )
-
-    # -- the recorder's thread
-
-    def _run(self) -> None:
-        ended = False
-        try:
-            while not self._stop.is_set():
-                self._wake.wait(0.01 if self._wait else self._options.flush_s * TURN)
-                self._wake.clear()
-                if not self._wait and not self._stop.is_set():
-                    self._await_lull()
-                self._turn()
-            self._turn(last=True)
-            self._segments.finish()
-            ended = True
-        except OSError as error:
-            self._writer.fail(error)
-        finally:
-            if not ended:
-                self._writer.error = self._writer.error or "the recorder has stopped"
-                self._segments.abandon()
-
-    def _await_lull(self) -> None:
-        self._lull.clear()
-        self.patient = True
-        self._lull.wait(PATIENCE_S)
-        self.patient = False
-
-    def _turn(self, *, last: bool = False) -> None:
-        """Hand the writer what has come, and have it written when it is time."""
-        writer, get, here = self._writer, self._queue.get_nowait, Event()
-        if not self._wait or last:
-            self._rounds.end(
-                None if last else here
-            )  # a line of the log never gets to the disk before the chunks that it is about
-        while True:
-            try:
-                item = get()
-            except Empty:
-                break
-            if item is here:
-                break
-            if isinstance(item, Round):
-                writer.take(item)
-            elif isinstance(item, Event):
-                writer.sync()
-                item.set()
-            else:
-                writer.take_line(*item)
-        writer.report_drops(over=last)
-        now = time.monotonic()
-        if not self._wait or last or now >= self._due:
-            writer.save()
-            self._due = now + self._options.flush_s * TURN
 
 
 def _pieces(chunk: Chunk) -> Iterator[Chunk]:
