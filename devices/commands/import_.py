@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from pathlib import Path as File
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
+from devices.commands import import_arguments as argument
 from devices.commands.import_options import pairs, value, wishes_of
-from devices.files.importer import listed, read_files
+from devices.files.importer import read_files
 from stream.errors import RecordingError
 from stream.plain import say
 
@@ -19,76 +18,32 @@ if TYPE_CHECKING:
     from devices.files.column_table import Wishes
     from stream.recording.series import Series
 
-Many = list[str] | None
-
 
 def import_(
-    files: Annotated[
-        list[File],
-        typer.Argument(
-            help=f"files, recognised by their content or the ends of their names. {listed()}", metavar="FILE"
-        ),
-    ],
-    output: Annotated[
-        File | None, typer.Option("-o", "--out", help="the recording to be made, ending in .mcap")
-    ] = None,
-    preview: Annotated[
-        bool, typer.Option("--preview", help="only say what was understood; nothing is written")
-    ] = False,
-    stream: Annotated[
-        Many,
-        typer.Option(
-            metavar="NAME=COLUMNS",
-            help="a stream from an array, from columns (a,b,c), or from a stream of a file that has streams",
-        ),
-    ] = None,
-    events: Annotated[Many, typer.Option(metavar="NAME=COLUMN", help="an event stream from a column of times")] = None,
-    time: Annotated[
-        Many, typer.Option(metavar="[NAME=]COLUMN", help="the column or array with the samples' times")
-    ] = None,
-    time_unit: Annotated[
-        Many,
-        typer.Option(
-            metavar="[NAME=]UNIT", help="s, ms, us, ns, min or samples (default: by the column's name, else s)"
-        ),
-    ] = None,
-    rate: Annotated[
-        Many, typer.Option(metavar="[NAME=]HZ", help="sampling rate: a number, or the array that holds it")
-    ] = None,
-    counter: Annotated[
-        Many, typer.Option(metavar="[NAME=]COLUMN", help="a packet counter, which tells what was lost")
-    ] = None,
-    names: Annotated[
-        Many, typer.Option(metavar="[NAME=]NAMES", help="channel names: a,b,c, or the array that holds them")
-    ] = None,
-    unit: Annotated[
-        Many, typer.Option(metavar="[NAME=]UNIT", help="unit of the samples, e.g. uV; or one for each channel: a,b,c")
-    ] = None,
-    scale: Annotated[Many, typer.Option(metavar="[NAME=]FACTOR", help="multiply the samples")] = None,
-    meta: Annotated[Many, typer.Option(metavar="NAME:KEY=VALUE", help="a fact about a stream, e.g. side=right")] = None,
-    fact: Annotated[Many, typer.Option(metavar="KEY=VALUE", help="a fact about the session, e.g. subject=S01")] = None,
-    start: Annotated[
-        str, typer.Option(metavar="ISO", help="when time 0 was, e.g. 2024-05-01T09:30:00+02:00 (UTC without an offset)")
-    ] = "",
-    skip_rows: Annotated[
-        int | None,
-        typer.Option(min=0, metavar="N", help="text files: pass over N lines; below them the header may be missing"),
-    ] = None,
-    chunk_ms: Annotated[
-        float, typer.Option(min=1.0, max=1000.0, help="samples arrive in windows of this many ms")
-    ] = 20.0,
-    repeated: Annotated[bool, typer.Option(help="accept repeated times (a clock coarser than the rate)")] = False,
-    text_width: Annotated[
-        int | None,
-        typer.Option(min=1, max=4096, help="characters that a marker of an XDF file may have (default: as it has)"),
-    ] = None,
-    dejitter: Annotated[bool, typer.Option(help="XDF: remove the jitter of regular streams' times")] = True,
-    kinect: Annotated[bool, typer.Option(help="CSV: x, y and z of a skeleton's joints, as points")] = False,
-    clock_sync: Annotated[bool, typer.Option(help="XDF: apply the clock offsets that were measured")] = True,
-    untried: Annotated[
-        bool, typer.Option("--untried", help="also read formats of which no real file was at hand to try: MVNX, Cortex")
-    ] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a recording that is there already")] = False,
+    files: argument.ImportedFiles,
+    output: argument.Output = None,
+    preview: argument.PreviewOnly = False,
+    stream: argument.NamedColumns = None,
+    events: argument.EventColumns = None,
+    time: argument.TimeColumn = None,
+    time_unit: argument.TimeUnit = None,
+    rate: argument.Rate = None,
+    counter: argument.CounterColumn = None,
+    names: argument.ChannelNames = None,
+    unit: argument.Unit = None,
+    scale: argument.Scale = None,
+    meta: argument.StreamFacts = None,
+    fact: argument.SessionFacts = None,
+    start: argument.Start = "",
+    skip_rows: argument.SkippedRows = None,
+    chunk_ms: argument.ChunkLength = 20.0,
+    repeated: argument.RepeatedTimes = False,
+    text_width: argument.TextWidth = None,
+    dejitter: argument.Dejitter = True,
+    kinect: argument.KinectColumns = False,
+    clock_sync: argument.ClockSync = True,
+    untried: argument.UntriedFormats = False,
+    overwrite: argument.Overwrite = False,
 ) -> None:
     """Turn files of other programs into one recording.
 

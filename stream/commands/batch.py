@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from stream.commands.graph_options import GraphFile, Quiet, TrustedOnly
 from stream.errors import KinegraphError
 from stream.plain import say
 
@@ -22,7 +23,7 @@ SHOWN = 10
 
 
 def batch(
-    config: Annotated[Path, typer.Argument(help="the graph, a YAML file", metavar="CONFIG")],
+    config: GraphFile,
     recordings: Annotated[
         list[Path], typer.Argument(help="recordings: .mcap files, or sessions' folders", metavar="FILE")
     ],
@@ -44,10 +45,8 @@ def batch(
     ] = 0,
     retries: Annotated[int, typer.Option(help="how often a job whose worker died is tried again", min=0)] = 1,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="do again what is done already")] = False,
-    quiet: Annotated[bool, typer.Option("-q", "--quiet", help="no progress bar")] = False,
-    trusted_only: Annotated[
-        bool, typer.Option("--trusted-only", help="run installed code only, no files next to the graph")
-    ] = False,
+    quiet: Quiet = False,
+    trusted_only: TrustedOnly = False,
 ) -> None:
     """Replay a graph over many recordings and parameter values; each output that it records becomes a Parquet table.
 

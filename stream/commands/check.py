@@ -10,6 +10,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from stream.commands.graph_options import GraphFile, Settings, TrustedOnly
 from stream.errors import KinegraphError
 from stream.graph import Edge, Graph, Node, overrides
 from stream.graph.drawing import shown
@@ -26,16 +27,12 @@ WIDE = 120
 
 
 def check(
-    config: Annotated[File, typer.Argument(help="the graph, a YAML file", metavar="CONFIG")],
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NODE.PARAMETER=VALUE", help="change a parameter of the graph")
-    ] = None,
+    config: GraphFile,
+    settings: Settings = None,
     recording: Annotated[
         File | None, typer.Option(help="check it against the streams of this recording, as for a replay")
     ] = None,
-    trusted_only: Annotated[
-        bool, typer.Option("--trusted-only", help="run installed code only, no files next to the graph")
-    ] = False,
+    trusted_only: TrustedOnly = False,
 ) -> None:
     """Check a graph without opening any device: names, parameters, streams, delay and memory. Exit code 2 if it cannot run."""
     recorded = None

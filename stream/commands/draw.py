@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from stream.commands.graph_options import GraphFile, Settings
 from stream.graph import drawing, overrides
 from stream.graph.load import load
 from stream.plain import say
@@ -21,13 +21,11 @@ class DrawingFormat(StrEnum):
 
 
 def draw(
-    config: Annotated[Path, typer.Argument(help="the graph, a YAML file", metavar="CONFIG")],
+    config: GraphFile,
     format: Annotated[
         DrawingFormat, typer.Option(help="a tree for the terminal, Mermaid for Markdown, DOT for Graphviz")
     ] = DrawingFormat.tree,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NODE.PARAMETER=VALUE", help="change a parameter of the graph")
-    ] = None,
+    settings: Settings = None,
 ) -> None:
     """Draw a graph: its nodes, what flows between them, and what is recorded."""
     graph = load(config, overrides=overrides.read(settings or ()))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from stream.commands.graph_options import GraphFile, Quiet, Settings, TrustedOnly
 from stream.commands.page_options import PageAt, PageAvatar
 from stream.errors import KinegraphError, nearest
 from stream.plain import say
@@ -19,17 +20,16 @@ if TYPE_CHECKING:
     from stream.engine.replay import Replay, Replayed
     from stream.engine.substitutes import Substitutes
     from stream.graph import Graph
+    from stream.pace import Pace
     from stream.recording import Recording
 
 
 def replay(
-    config: Annotated[Path, typer.Argument(help="the graph, a YAML file", metavar="CONFIG")],
+    config: GraphFile,
     recording: Annotated[
         Path, typer.Argument(help="a recording: an .mcap file, or a session's folder", metavar="FILE")
     ],
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NODE.PARAMETER=VALUE", help="change a parameter of the graph")
-    ] = None,
+    settings: Settings = None,
     speed: Annotated[float, typer.Option(help="how many times real time; 0: as fast as possible", min=0.0)] = 0.0,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="record the graph's edges into this folder or .mcap file")
@@ -50,10 +50,8 @@ def replay(
     ] = False,
     page_at: PageAt = "",
     avatar: PageAvatar = None,
-    quiet: Annotated[bool, typer.Option("-q", "--quiet", help="no progress bar")] = False,
-    trusted_only: Annotated[
-        bool, typer.Option("--trusted-only", help="run installed code only, no files next to the graph")
-    ] = False,
+    quiet: Quiet = False,
+    trusted_only: TrustedOnly = False,
 ) -> None:
     """Run a graph on a recording: its streams replace the sources of the same names.
 
@@ -71,32 +69,42 @@ def replay(
         asked = read(settings or [])
         recorded = _recorded(source, recording, verify)
 
-        def made(quiet: bool) -> Graph:
+        def graph_again(quiet: bool) -> Graph:
             graph = _graph_of(config, source, asked, trusted_only)
             _take_facts(graph, source.header.get("session") or {}, asked, quiet=quiet)
             return graph
 
-        graph = made(quiet)
+        graph = graph_again(quiet)
         speaking = _speaking(graph, speak or [])
         shown = page_of(graph, page_at, mode="replay", avatar=avatar) if page or page_at or avatar else None
         pace = Pace(speed or 1.0, forwards_only=out is not None) if shown else speed or None
-        run = Replay(graph, source, speaking=speaking, speed=pace, output=out, strict=verify)
-        if shown:
-            shown.replays(run)
+
+        def replay_of(graph: Graph) -> Replay:
+            return Replay(graph, source, speaking=speaking, speed=pace, output=out, strict=verify)
+
+        run = replay_of(graph)
         _tell_missing(run.substitutes)
-        with shown or nullcontext():
-            while True:
-                with _interruptible(run):
-                    result = _with_progress(run, source.duration_ns / 1e9, quiet)
-                if not shown or not isinstance(pace, Pace) or pace.again is None:
-                    break
-                pace.begin_again()
-                run = Replay(made(True), source, speaking=speaking, speed=pace, output=out, strict=verify)
-                shown.replays(run)
+        if shown and isinstance(pace, Pace):
+            run, result = _on_page(shown, pace, run, lambda: replay_of(graph_again(True)), quiet)
+        else:
+            result = _with_progress(run, quiet)
     _tell(result)
     if verify and not _same(recorded, result, run, source):
         sys.exit(1)
     _check_whole(result, run, source)
+
+
+def _on_page(shown: Any, pace: Pace, run: Replay, again: Callable[[], Replay], quiet: bool) -> tuple[Replay, Replayed]:
+    """Replay on a page, once more whenever somebody there goes back; the last run, and how it went."""
+    shown.replays(run)
+    with shown:
+        while True:
+            result = _with_progress(run, quiet)
+            if pace.again is None:
+                return run, result
+            pace.begin_again()
+            run = again()
+            shown.replays(run)
 
 
 def _recorded(source: Recording, path: Path, verify: bool) -> list[str]:
@@ -215,13 +223,11 @@ def _tell_missing(of: Substitutes) -> None:
         say(f"  not computed: {', '.join(of.silent)}")
 
 
-def _with_progress(run: object, total_s: float, quiet: bool) -> Replayed:
+def _with_progress(run: Replay, quiet: bool) -> Replayed:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from stream.engine.replay import Replay
     from stream.screen import Screen
 
-    assert isinstance(run, Replay)
     columns = (
         TextColumn("replay"),
         BarColumn(),
@@ -229,8 +235,9 @@ def _with_progress(run: object, total_s: float, quiet: bool) -> Replayed:
         TimeRemainingColumn(),
     )
     console = Screen(stderr=True)
-    with Progress(*columns, console=console, disable=quiet or not console.is_terminal) as bar:
-        task = bar.add_task("replay", total=max(total_s, 1e-9))
+    off = quiet or not console.is_terminal
+    with _interruptible(run), Progress(*columns, console=console, disable=off) as bar:
+        task = bar.add_task("replay", total=max(run.recording.duration_ns / 1e9, 1e-9))
         return run.run(lambda done_s: bar.update(task, completed=done_s))
 
 

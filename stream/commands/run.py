@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from stream.commands.graph_options import GraphFile, Settings, TrustedOnly
 from stream.commands.page_options import PageAt, PageAvatar, PageCertificate, PageKey
 from stream.errors import KinegraphError, RecordingError
 from stream.plain import say
@@ -27,10 +28,8 @@ if TYPE_CHECKING:
 
 
 def run(
-    config: Annotated[Path, typer.Argument(help="the graph, a YAML file", metavar="CONFIG")],
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NODE.PARAMETER=VALUE", help="change a parameter of the graph")
-    ] = None,
+    config: GraphFile,
+    settings: Settings = None,
     out: Annotated[
         Path | None,
         typer.Option("-o", "--out", help="the session's folder (default: a new one in the graph's recording folder)"),
@@ -59,9 +58,7 @@ def run(
     ] = False,
     json_log: Annotated[bool, typer.Option("--log-json", help="log lines as JSON")] = False,
     verbose: Annotated[bool, typer.Option("-v", "--verbose", help="log more")] = False,
-    trusted_only: Annotated[
-        bool, typer.Option("--trusted-only", help="run installed code only, no files next to the graph")
-    ] = False,
+    trusted_only: TrustedOnly = False,
 ) -> None:
     """Run a graph on live devices, and record the session.
 
