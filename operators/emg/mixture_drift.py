@@ -10,6 +10,7 @@ import numpy as np
 
 from operators.alarm import ALARM, ALARM_UNITS, OVER
 from operators.emg.emg_model import read_references
+from operators.emg.first_references import FirstReferences
 from operators.emg.mixture_distance import cauchy_schwarz
 from operators.emg.mixture_events import MIXTURE, WHEN
 from operators.emg.mixture_pairs import limb_pairing, pairing
@@ -20,7 +21,7 @@ from operators.emg.peak_window import PeakWindow
 from operators.emg.refit import Fitting, Refit
 from operators.gait.cycle import MAXIMUM, Expected, check_cycles, some_cycles
 from operators.gait.stage_change import StageUnderWay
-from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec, Times
+from stream.chunk import NS, Array, Chunk, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
 from stream.params import param
@@ -47,8 +48,7 @@ Given: TypeAlias = tuple[StreamSpec, Array, Array]
 @dataclass(slots=True)
 class MixtureDriftState:
     """
-    window    the latest cycles;  held, slots (l, first): each limb's first, once there are enough (`frozen`), and where they stand in it
-    fit, job  the reference under way, and of which mixture it is, -1: none;  made (g,): 1 where it is done
+    window    the latest cycles
     refit     the newest cycles' mixture, followed from a reference
     first, stored   the references of each mixture;  limb (g,): whose muscles it is of
     other (o,)      the other leg's latest mixtures;  pairing (g,): which of them is each one's counterpart, -1: none
@@ -58,14 +58,8 @@ class MixtureDriftState:
 
     expected: Expected
     window: PeakWindow
-    held: list[PeakWindow]
     refit: Refit
-    frozen: Times
-    slots: Times
-    fit: ReferenceFit
-    job: int
-    made: Times
-    first: References
+    first: FirstReferences
     stored: References
     group: Times
     limb: Times
@@ -145,8 +139,8 @@ class MixtureDrift(Operator[MixtureDriftState]):
         self.hold(
             MixtureDriftState(
                 Expected.none(specs["closed"].dtype),
-                room, held, Refit.none(self.cycles, group.shape[1]), np.zeros(limbs, np.int64), np.zeros((limbs, self.first), np.int64),
-                ReferenceFit.none(self.first, group.shape[1], self.pairs), -1, np.zeros(g, np.int64), References.none(g), stored, group,
+                room, Refit.none(self.cycles, group.shape[1]),
+                FirstReferences.none(g, held, self.first, ReferenceFit.none(self.first, group.shape[1], self.pairs)), stored, group,
                 limb, np.zeros(len(others), MIXTURE), pairs, np.zeros(g, np.int64), Moved.none(g), StageUnderWay.none(limbs), names,
                 "pace" in specs, how,
             ),
@@ -166,7 +160,7 @@ class MixtureDrift(Operator[MixtureDriftState]):
         if port == "mixture":
             for k, stamp in enumerate(chunk.time.tolist()):
                 stamps.append(stamp)
-                if len(s.held) > 1:
+                if len(s.first.held) > 1:
                     self._remember(chunk.data[k : k + 1])
                 rows.append(self._compare(stamp, chunk.data[k : k + 1], alarms))
         elif port == "other":
@@ -210,19 +204,14 @@ class MixtureDrift(Operator[MixtureDriftState]):
             for row in chunk.data:
                 s.window.reject(int(row["number"]))
         else:
-            for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
-                closed = s.expected.match(stamp)
-                if closed is None:
-                    continue
+            for stamp, closed, curve in s.expected.matched(chunk):
                 limb = s.window.limb(number := int(closed["number"][0]))
                 if s.stage.begins(limb, closed[0]):
                     self._begin_again(stamp, limb, alarms)
                 if not s.stage.holds(limb, number):
                     continue
                 s.window.accept(number, curve)
-                if not s.frozen[limb] and len(slots := s.window.latest(self.first, limb)) == self.first:
-                    s.slots[limb], s.frozen[limb] = slots, 1
-                    s.held[limb].take(s.window)
+                s.first.take(limb, s.window)
         while not s.spread and self._step():
             pass
 
@@ -230,28 +219,17 @@ class MixtureDrift(Operator[MixtureDriftState]):
         """A limb's cycles so far are no reference for those to come."""
         s = self.state
         s.window.forget(limb)
-        s.frozen[limb] = 0
-        if s.job >= 0 and s.limb[s.job] == limb:
-            s.fit.abandon()
-            s.job = -1
-        for muscle in np.flatnonzero(s.limb == limb).tolist():
-            s.made[muscle] = s.fresh[muscle] = 0
-            s.first.forget(muscle)
+        mixtures = np.flatnonzero(s.limb == limb).tolist()
+        s.first.forget(limb, mixtures)
+        for muscle in mixtures:
+            s.fresh[muscle] = 0
             if s.moved.forget(FIRST, muscle):
                 alarms.append((stamp, s.moved.alarm(FIRST, muscle, s.names[muscle], OVER, self.first)))
 
     def _step(self) -> bool:
         """A piece of work on the references; whether there was any."""
         s = self.state
-        if s.job < 0:
-            due = np.flatnonzero((s.frozen[s.limb] == 1) & (s.made == 0))
-            if not len(due):
-                return False
-            s.job = int(due[0])
-        group, limb = s.group[s.job], int(s.limb[s.job])
-        if s.fit.go_on(s.held[limb], s.slots[limb], group[group >= 0], s.job, self.cycles, s.first, s.how):
-            s.made[s.job], s.job = 1, -1
-        return True
+        return s.first.step(s.group, s.limb, self.cycles, s.how)
 
     def _remember(self, rows: Array) -> None:
         """The other leg's latest mixtures."""
@@ -259,21 +237,22 @@ class MixtureDrift(Operator[MixtureDriftState]):
             self.state.other[int(row["muscle"])] = row
 
     def _compare(self, stamp: int, row: Array, alarms: list[tuple[int, Alarm]]) -> Array:
-        s, muscle, k = self.state, int(row["muscle"][0]), int(row["modes"][0])
-        turns = s.how.turns
-        mixture = row["weight"][0, :k].copy(), row["mean"][0, :k].copy(), row["covariance"][0, :k].copy()
+        s, muscle = self.state, int(row["muscle"][0])
         out = np.zeros(1, DISTANCE)
         for field, *_ in WHEN:
             out[field] = row[field]
-        first, stored = (self._moved(known, muscle) for known in (s.first, s.stored))
-        out["from_first"], out["limit"] = first, s.first.limit[muscle]
+        first, stored = (self._moved(known, muscle) for known in (s.first.known, s.stored))
+        out["from_first"], out["limit"] = first, s.first.known.limit[muscle]
         out["from_stored"], out["stored_limit"] = stored, s.stored.limit[muscle]
-        out["from_other"] = self._from_other(int(s.pairing[muscle]), mixture, turns)
-        out["full"], out["noise"] = s.first.full[muscle], s.first.noise[muscle]
+        if (counterpart := int(s.pairing[muscle])) >= 0:
+            out["from_other"] = _divergence(row[0], s.other[counterpart], s.how.turns)
+        else:
+            out["from_other"] = np.nan
+        out["full"], out["noise"] = s.first.known.full[muscle], s.first.known.noise[muscle]
         s.fresh[muscle] += 1
         if s.fresh[muscle] >= self.cycles:
             s.fresh[muscle] = 0
-            for kind, distance, known in ((FIRST, first, s.first), (STORED, stored, s.stored)):
+            for kind, distance, known in ((FIRST, first, s.first.known), (STORED, stored, s.stored)):
                 onset = int(row["onset"][0])
                 if state := s.moved.judge(kind, muscle, distance, known.limit[muscle], onset, self.windows):
                     alarms.append((stamp, s.moved.alarm(kind, muscle, s.names[muscle], state, self.first)))
@@ -289,13 +268,6 @@ class MixtureDrift(Operator[MixtureDriftState]):
         latest = s.window.latest(self.cycles, int(s.limb[muscle]))
         s.refit.follow(s.window, latest, group[group >= 0], s.how, known.mixture(muscle))
         return known.distance(muscle, s.refit.mixture(), s.how.turns)
-
-    def _from_other(self, counterpart: int, mixture: tuple[Samples, Samples, Samples], turns: int) -> float:
-        if counterpart < 0 or not len(mixture[0]) or not (k := int(self.state.other["modes"][counterpart])):
-            return np.nan
-        row = self.state.other[counterpart]
-        theirs = row["weight"][:k].copy(), row["mean"][:k].copy(), row["covariance"][:k].copy()
-        return float(cauchy_schwarz(*mixture, *theirs, turns))
 
 
 def fitting_of(spec: StreamSpec) -> Fitting:
@@ -325,3 +297,12 @@ def _mixtures(mixer: PeakMixtures, inputs: dict[str, Given]) -> tuple[Times, Arr
                 stamps.append(chunk.time)
                 rows.append(chunk.data)
     return np.concatenate(stamps), np.concatenate(rows)
+
+
+def _divergence(one: np.void, other: np.void, turns: int) -> float:
+    """Between the mixtures of two events; NaN where one has no modes."""
+    first, second = (
+        (row["weight"][:k].copy(), row["mean"][:k].copy(), row["covariance"][:k].copy())
+        for row, k in ((one, int(one["modes"])), (other, int(other["modes"])))
+    )
+    return float(cauchy_schwarz(*first, *second, turns)) if len(first[0]) and len(second[0]) else np.nan

@@ -138,12 +138,10 @@ class PeakMixtures(Operator[MixturesState]):
             for row in chunk.data:
                 s.window.reject(int(row["number"]))
         elif port == "cycles":
-            for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
-                closed = s.expected.match(stamp)
-                if closed is not None:
-                    self._take(closed, curve)
-                    if not s.spread:
-                        made += [(stamp, row) for row in self._all()]
+            for stamp, closed, curve in s.expected.matched(chunk):
+                self._take(closed, curve)
+                if not s.spread:
+                    made += [(stamp, row) for row in self._all()]
         else:
             for stamp in chunk.time.tolist():
                 if not self._waiting():

@@ -108,9 +108,8 @@ class CycleBursts(Operator[BurstsState]):
                     s.active.remove(old[:POINTS])
                     s.main.remove(old[POINTS:])
         else:
-            for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
-                if (closed := s.expected.match(stamp)) is not None:
-                    found.append((stamp, *self._cycle(closed[0], only_finite(curve))))
+            for stamp, closed, curve in s.expected.matched(chunk):
+                found.append((stamp, *self._cycle(closed[0], only_finite(curve))))
         lost, until = -1 if chunk.lost else 0, chunk.until
         stamps = np.array([stamp for stamp, *_ in found], np.int64)
         bursts = [rows for _, rows, _, _ in found]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -106,6 +107,12 @@ class Expected:
         row = self.rows[:1].copy()
         self._drop()
         return row
+
+    def matched(self, cycles: Chunk) -> Iterator[tuple[int, Array, Samples]]:
+        """Stamp, event (1,) and curve of each sample in a chunk of `cycles`."""
+        for stamp, curve in zip(cycles.time.tolist(), cycles.data, strict=True):
+            if (closed := self.match(stamp)) is not None:
+                yield stamp, closed, curve
 
     def _drop(self) -> None:
         self.rows[:-1], self.stamps[:-1] = self.rows[1:].copy(), self.stamps[1:].copy()

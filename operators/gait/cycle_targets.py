@@ -96,10 +96,9 @@ class CycleTargets(Operator[TargetsState]):
         if port == "closed":
             s.expected.note(chunk)
         else:
-            for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
-                if (closed := s.expected.match(stamp)) is not None:
-                    told = self._rows(closed[0], only_finite(curve))
-                    made.append((stamp, told, s.values.copy()))
+            for stamp, closed, curve in s.expected.matched(chunk):
+                told = self._rows(closed[0], only_finite(curve))
+                made.append((stamp, told, s.values.copy()))
         made = [one for one in made if len(one[1])]
         lost, stamps = -1 if chunk.lost else 0, np.array([stamp for stamp, *_ in made], np.int64)
         rows = [rows for _, rows, _ in made]

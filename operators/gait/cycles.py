@@ -7,17 +7,17 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from operators.gait.cycle import CLOSED, CLOSED_UNITS, MAXIMUM, POINTS, Closing
+from operators.gait.cycle import CLOSED, POINTS, Closing
 from operators.gait.cycle_kernel import normalise_time
-from operators.gait.panorama import Panorama
+from operators.gait.cycle_outputs import CycleOutputs
 from operators.gait.plausible import Durations, out_of_order, signal_reason
 from operators.gait.recent_samples import RecentSamples
-from stream.chunk import NEVER, NS, Array, Chunk, Specs, StreamSpec, Times
+from operators.gait.reported_contacts import ReportedContacts
+from stream.chunk import NEVER, NS, Chunk, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
 from stream.params import param
 
-WAITING, LIFTS = 16, 16
 LOOK_AHEAD = 2
 """Samples after a touch-down that a cycle's last points need."""
 
@@ -26,29 +26,22 @@ LOOK_AHEAD = 2
 class CyclesState:
     """
     recent         the signal's newest samples
-    touches        (16, 2) touch-downs whose cycle is not closed yet, onset and stamp; `waiting` of them
-    lifts          (16,) the latest lift-offs' onsets, a ring; `lifted` in all
+    contacts       the foot's, as they have been reported
     durations      of the latest plausible cycles
     start          the open cycle's touch-down; `broken`: contacts may have been missed since
-    told           the newest `until` that has gone out; never, blanks: stamps and samples of nothing, by output
+    told           the newest `until` that has gone out
     """
 
     recent: RecentSamples
     period: int
     settling: int
-    touches: Times
-    waiting: int
-    lifts: Times
-    lifted: int
+    contacts: ReportedContacts
     durations: Durations
     start: int
     broken: bool
     number: int
-    panorama: Panorama
-    names: list[str]
+    made: CycleOutputs
     told: int
-    never: Times
-    blanks: list[Array]
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,50 +96,30 @@ class Cycles(Operator[CyclesState]):
     )
 
     def open(self, specs: Specs) -> Specs:
-        spec, touch = specs["signal"], specs["touchdown"]
-        if not spec.is_signal or spec.rate_hz is None or spec.dtype.kind not in "iuf":
-            raise InputError("signal", spec.describe(), "a signal of channels at a regular rate")
-        for port in ("touchdown", "liftoff"):
-            if port in specs and "onset" not in (specs[port].dtype.names or ()):
-                raise InputError(port, specs[port].describe(), "contact events with a field 'onset'")
+        spec, touch, rate_hz = specs["signal"], specs["touchdown"], _checked_rate(specs)
         if self.shortest_s >= self.longest_s:
             raise ParameterError("shortest_s", self.shortest_s, f"below longest_s ({self.longest_s:g})")
-        if POINTS / self.shortest_s > 100 * spec.rate_hz:
-            raise ParameterError("shortest_s", self.shortest_s, f"at least one sample, {1 / spec.rate_hz:g} s")
+        if POINTS / self.shortest_s > 100 * rate_hz:
+            raise ParameterError("shortest_s", self.shortest_s, f"at least one sample, {1 / rate_hz:g} s")
         n = spec.shape[0]
         names = list(spec.channels or [f"channel {i + 1}" for i in range(n)])
-        keep = int((self.longest_s + self.late_s + spec.settling_s + self.gap_s) * spec.rate_hz * 1.1) + 8
+        keep = int((self.longest_s + self.late_s + spec.settling_s + self.gap_s) * rate_hz * 1.1) + 8
         state = CyclesState(
             recent=RecentSamples.of(keep, n),
             period=spec.period_ns,
             settling=round(spec.settling_s * NS),
-            touches=np.zeros((WAITING, 2), np.int64),
-            waiting=0,
-            lifts=np.zeros(LIFTS, np.int64),
-            lifted=0,
+            contacts=ReportedContacts.none(),
             durations=Durations.none(),
             start=NEVER,
             broken=False,
             number=0,
-            panorama=Panorama.none(POINTS, n),
-            names=names,
+            made=CycleOutputs.of(names),
             told=NEVER,
-            never=np.empty(0, np.int64),
-            blanks=[np.empty((0, POINTS, n)), np.empty(0, CLOSED), np.empty(0, MAXIMUM), np.empty((0, 2 * POINTS, n))],
         )
-        ahead_s = (LOOK_AHEAD + 1) / spec.rate_hz
+        ahead_s = (LOOK_AHEAD + 1) / rate_hz
         self.hold(state, delay_s=ahead_s, decision_s={"closed": ahead_s, "maxima": self.longest_s + ahead_s})
         meta = {**spec.meta, "side": touch.meta.get("side", spec.meta.get("side", ""))}
-        unit = spec.units if len(spec.units) == 1 else ("",)
-        curves = StreamSpec(
-            (POINTS, n), channels=tuple(names), units=spec.units, channel_axis=1, meta={**meta, "from_pct": 0}
-        )
-        return {
-            "cycles": curves,
-            "closed": StreamSpec((), CLOSED, units=CLOSED_UNITS, meta={**meta, "longest_s": self.longest_s}),
-            "maxima": StreamSpec((), MAXIMUM, units=("ns", "", "", "", "%", *unit), meta=meta),
-            "panorama": curves.derive(shape=(2 * POINTS, n), meta={**meta, "from_pct": -50}),
-        }
+        return CycleOutputs.specs(tuple(names), spec, CLOSED, self.longest_s, meta)
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]] | None:
         s = self.state
@@ -163,12 +136,11 @@ class Cycles(Operator[CyclesState]):
                     s.broken |= i == 0 and chunk.lost != 0
                     self._touch(closings, stamp, onset)
                 else:
-                    s.lifts[s.lifted % LIFTS] = onset
-                    s.lifted += 1
+                    s.contacts.lift(onset)
         self._close_due(closings, chunk.until)
         if closings or chunk.lost or chunk.until > s.told:
             s.told = max(s.told, int(chunk.until))
-            return self._emitted(closings, chunk.until, -1 if chunk.lost else 0)
+            return s.made.chunks(closings, chunk.until, -1 if chunk.lost else 0)
         return None
 
     @classmethod
@@ -196,17 +168,16 @@ class Cycles(Operator[CyclesState]):
     def _touch(self, closings: list[Closing], stamp: int, onset: int) -> None:
         """A touch-down has been reported. Where too many wait for samples that do not come, the first is closed without."""
         s = self.state
-        if s.waiting == WAITING:
-            self._close(closings, int(s.touches[0, 0]), stamp)
-            self._next_touch()
-        s.touches[s.waiting] = onset, stamp
-        s.waiting += 1
+        if s.contacts.full:
+            self._close(closings, s.contacts.first[0], stamp)
+            s.contacts.next_touch()
+        s.contacts.touch(onset, stamp)
 
     def _close_due(self, closings: list[Closing], until: int) -> None:
         """Close every cycle that has ended, whose samples are there, and whose stamp every input has passed (`until`)."""
         s = self.state
-        while s.waiting:
-            onset, stamp = int(s.touches[0, 0]), int(s.touches[0, 1])
+        while s.contacts.waiting:
+            onset, stamp = s.contacts.first
             if s.start == NEVER or onset <= s.start:
                 if stamp > until:
                     return
@@ -217,12 +188,7 @@ class Cycles(Operator[CyclesState]):
                 if second >= s.recent.fill or (due := max(stamp, int(s.recent.time[second]))) > until:
                     return
                 self._close(closings, onset, due)
-            self._next_touch()
-
-    def _next_touch(self) -> None:
-        s = self.state
-        s.touches[:-1] = s.touches[1:].copy()
-        s.waiting -= 1
+            s.contacts.next_touch()
 
     def _close(self, closings: list[Closing], end: int, stamp: int) -> None:
         """Close the open cycle at the touch-down `end`, and open the next."""
@@ -233,7 +199,7 @@ class Cycles(Operator[CyclesState]):
         b = min(s.recent.after(end) + LOOK_AHEAD, s.recent.fill)
         time, data = s.recent.time[a:b], s.recent.data[a:b]
         curve = np.full((POINTS + 2, data.shape[1]), np.nan)
-        lifts = [lift for lift in s.lifts[: s.lifted].tolist() if onset < lift < end]
+        lifts = s.contacts.lifts_between(onset, end)
         stance = (max(lifts) - onset) / duration * 100 if lifts else np.nan
         rejected = self._plausible(duration, lifts, stance, self._complete(time, onset, end, stamp))
         if not rejected:
@@ -268,31 +234,13 @@ class Cycles(Operator[CyclesState]):
         enough = len(time) > 3 and int(time[1]) <= onset and int(time[-2]) > end
         return reason or ("" if enough and stamp - end <= told_ns else "incomplete")
 
-    def _emitted(self, closings: list[Closing], until: int, lost: int) -> list[tuple[str, Chunk]]:
-        s = self.state
-        if not closings:
-            return [
-                (name, Chunk(s.never, blank, until, lost)) for name, blank in zip(self.outputs, s.blanks, strict=True)
-            ]
-        accepted = [c for c in closings if not c.rejected]
-        curves = np.array([c.curve[1:-1] for c in accepted]).reshape(-1, POINTS, len(s.names))
-        closed = np.array([c.row() for c in closings], CLOSED)
-        peaks = [c.maxima(s.names) for c in accepted]
-        views = [
-            (c.stamp, view)
-            for c in closings
-            if not c.again and (view := s.panorama.follow(None if c.rejected else c.curve[1:-1])) is not None
-        ]
-        panoramas = np.array([view for _, view in views]).reshape(-1, 2 * POINTS, len(s.names))
-        when = _stamps([c.stamp for c in accepted])
-        tops = np.concatenate([np.empty(0, MAXIMUM), *peaks])
-        return [
-            ("closed", Chunk(_stamps([c.stamp for c in closings]), closed, until, lost)),
-            ("cycles", Chunk(when, curves, until, lost)),
-            ("maxima", Chunk(when.repeat([len(p) for p in peaks]), tops, until, lost)),
-            ("panorama", Chunk(_stamps([stamp for stamp, _ in views]), panoramas, until, lost)),
-        ]
 
-
-def _stamps(values: list[int]) -> Times:
-    return np.array(values, np.int64)
+def _checked_rate(specs: Specs) -> float:
+    """The signal's rate (Hz). Raises InputError for inputs that cycles cannot be cut from."""
+    spec = specs["signal"]
+    if not spec.is_signal or spec.rate_hz is None or spec.dtype.kind not in "iuf":
+        raise InputError("signal", spec.describe(), "a signal of channels at a regular rate")
+    for port in ("touchdown", "liftoff"):
+        if port in specs and "onset" not in (specs[port].dtype.names or ()):
+            raise InputError(port, specs[port].describe(), "contact events with a field 'onset'")
+    return spec.rate_hz

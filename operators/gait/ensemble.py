@@ -7,14 +7,15 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from operators.gait.co_contraction import CoContraction
 from operators.gait.cycle import POINTS, REASONS, Expected, check_cycles, some_cycles
 from operators.gait.deviation_kernel import deviations
 from operators.gait.ensemble_events import MUSCLE, PAIR, SESSION, rows_of
 from operators.gait.history import ACCEPTED, CycleHistory
 from operators.gait.limbs import Belonging
 from operators.gait.running_curve import RunningCurve
+from operators.gait.stride_tally import StrideTally
 from stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec, Times
-from stream.errors import InputError, ParameterError, nearest
 from stream.finite import only_finite
 from stream.operator import Case, Operator
 from stream.params import param
@@ -29,12 +30,11 @@ class EnsembleState:
     """
     curve                     of all cycles
     kept (remember, 100, m)   the latest cycles, a ring; `seen` in all; kept_numbers (remember,)
-    strides, stances (over,)  durations in s and stance in % of the latest accepted cycles, rings; stride_numbers (over,); `walked` in all
     history                   what can still be revised
-    accepted, reasons (7,)    counts
+    tally                     of the session's cycles, accepted and rejected
     told, never, blanks       the newest `until` that has gone out; stamps and samples of nothing, by output
     counted (m,)              how many cycles of its limb were added up
-    shared, pairs (p,)        sum of the co-contraction over cycles, and their number, per pair
+    co_contraction            of the pairs
     """
 
     expected: Expected
@@ -44,16 +44,9 @@ class EnsembleState:
     kept: Samples
     kept_numbers: Times
     seen: int
-    strides: Samples
-    stances: Samples
-    stride_numbers: Times
-    walked: int
     history: CycleHistory
-    accepted: int
-    reasons: Array
-    shared: Samples
-    pairs: Samples
-    muscles: list[int]
+    tally: StrideTally
+    co_contraction: CoContraction
     names: list[str]
     told: int
     never: Times
@@ -96,15 +89,13 @@ class CycleEnsemble(Operator[EnsembleState]):
     def open(self, specs: Specs) -> Specs:
         spec = check_cycles(specs)
         n = spec.shape[1]
-        flat = self._muscles(spec)
         self.hold(
             EnsembleState(
                 Expected.none(specs["closed"].dtype), RunningCurve.none(POINTS, n),
                 Belonging.of(spec), np.zeros(n, np.int64), np.full((self.remember, POINTS, n), np.nan),
-                np.full(self.remember, -1), 0, np.full(self.over, np.nan), np.full(self.over, np.nan), np.full(self.over, -1), 0,
-                CycleHistory.none(POINTS, n), 0, np.zeros(len(REASONS), np.int64),
-                np.zeros(len(self.pairs)), np.zeros(len(self.pairs)), flat, list(spec.channels),
-                NEVER, np.empty(0, np.int64), [self._blank(name, (POINTS, n)) for name in self.outputs],
+                np.full(self.remember, -1), 0, CycleHistory.none(POINTS, n), StrideTally.none(self.over),
+                CoContraction.of(self.pairs, spec), list(spec.channels), NEVER,
+                np.empty(0, np.int64), [self._blank(name, (POINTS, n)) for name in self.outputs],
             ),
             decision_s={"muscles": 0.0, "pairs": 0.0, "session": 0.0},
         )  # fmt: skip
@@ -138,15 +129,13 @@ class CycleEnsemble(Operator[EnsembleState]):
                 row = chunk.data[i : i + 1]
                 if self._revised(row[0]) and row["rejected"][0]:
                     self._summary(made, stamp, row)
-                made["session"].append((stamp, self._session(row[0])))
+                made["session"].append((stamp, s.tally.add(row[0])))
         else:
-            for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
-                closed = s.expected.match(stamp)
-                if closed is not None:
-                    curve = only_finite(curve)
-                    self._take(closed[0], curve)
-                    self._summary(made, stamp, closed)
-                    made["pairs"].append((stamp, self._co_contraction(closed, curve)))
+            for stamp, closed, curve in s.expected.matched(chunk):
+                curve = only_finite(curve)
+                self._take(closed[0], curve)
+                self._summary(made, stamp, closed)
+                made["pairs"].append((stamp, s.co_contraction.add(closed, curve)))
         lost = -1 if chunk.lost else 0
         return [(name, self._chunk(name, parts, chunk.until, lost)) for name, parts in made.items()]
 
@@ -156,22 +145,6 @@ class CycleEnsemble(Operator[EnsembleState]):
             Case(cls(pairs=(("TA", "SO"),), remember=8), some_cycles(20, 3, 3), least=60),
             Case(cls(scale="cycle", remember=4, over=3), some_cycles(16, 2, 4), least=40),
         ]
-
-    def _muscles(self, spec: StreamSpec) -> list[int]:
-        """The pairs' channels, one after another."""
-        names = [name for pair in self.pairs for name in pair]
-        for name in names:
-            if name not in spec.channels:
-                raise ParameterError("pairs", name, f"one of the muscles; {nearest(name, spec.channels)}")
-        if any(a == b for a, b in self.pairs):
-            raise ParameterError("pairs", [list(pair) for pair in self.pairs], "pairs of two different muscles")
-        if names and spec.meta.get("normalisation", "none") == "none":
-            raise InputError(
-                "cycles",
-                f"not normalised in amplitude (in {', '.join(dict.fromkeys(spec.units)) or 'no unit'})",
-                "normalised for `pairs`, since co-contraction compares two muscles (operators.emg.normalise.Normalise before the cycles)",
-            )
-        return [spec.channels.index(name) for name in names]
 
     @staticmethod
     def _blank(name: str, curve: tuple[int, int]) -> Array:
@@ -199,20 +172,15 @@ class CycleEnsemble(Operator[EnsembleState]):
         number, reason = int(closed["number"]), str(closed["rejected"])
         before = s.history.note(number, REASONS.index(reason) if reason else ACCEPTED)
         if before >= 0:
-            s.reasons[before] -= 1
+            s.tally.reasons[before] -= 1
         if before != ACCEPTED:
             return False
-        s.accepted -= 1
-        here = s.stride_numbers == number
-        s.strides[here], s.stances[here], s.stride_numbers[here] = np.nan, np.nan, -1
+        s.tally.take_back(number)
         curve = s.history.take(number)
         s.curve.remove(curve)
         s.counted -= s.limbs.mine(closed)
         s.kept[s.kept_numbers == number] = np.nan
-        index = self._indices(curve)
-        known = np.isfinite(index)
-        s.shared[known] -= index[known]
-        s.pairs[known] -= 1
+        s.co_contraction.remove(curve)
         return True
 
     def _take(self, closed: np.void, curve: Samples) -> None:
@@ -252,47 +220,3 @@ class CycleEnsemble(Operator[EnsembleState]):
         out = np.empty((2, n))
         deviations(kept, SCALES.index(self.scale), np.empty((points, n)), np.empty((len(kept), n)), out)
         return out
-
-    def _co_contraction(self, closed: Array, curve: Samples) -> Array:
-        s = self.state
-        rows = rows_of(PAIR, closed, len(self.pairs))
-        if not self.pairs:
-            return rows
-        index = self._indices(curve)
-        known = np.isfinite(index)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            s.shared[known] += index[known]
-            s.pairs[known] += 1
-            rows["mean_pct"] = s.shared / s.pairs
-        rows["first"], rows["second"] = zip(*self.pairs, strict=True)
-        rows["co_contraction_pct"], rows["cycles"] = np.where(known, index, np.nan), s.pairs
-        return rows
-
-    def _indices(self, curve: Samples) -> Samples:
-        """The co-contraction (p,) of each pair in a cycle, in %."""
-        a, b = curve[:, self.state.muscles[::2]], curve[:, self.state.muscles[1::2]]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(200 * np.minimum(a, b).sum(axis=0) / (a + b).sum(axis=0))
-
-    def _session(self, closed: Array) -> Array:
-        s = self.state
-        reason = str(closed["rejected"])
-        if reason:
-            s.reasons[REASONS.index(reason)] += 1
-        else:
-            k = s.walked % self.over
-            s.strides[k], s.stances[k], s.stride_numbers[k] = (
-                closed["duration_s"],
-                closed["stance_pct"],
-                closed["number"],
-            )
-            s.walked += 1
-            s.accepted += 1
-        rows = rows_of(SESSION, closed[None], 1)
-        strides, stances = s.strides[np.isfinite(s.strides)], s.stances[np.isfinite(s.stances)]
-        rows["cadence"] = 60 / strides.mean() if len(strides) else np.nan
-        rows["stance_pct"] = stances.mean() if len(stances) else np.nan
-        rows["accepted"], rows["rejected"] = s.accepted, s.reasons.sum()
-        for name, count in zip(REASONS, s.reasons, strict=True):
-            rows[name.replace(" ", "_")] = count
-        return rows

@@ -7,7 +7,8 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from operators.gait.cycle import CLOSED, CLOSED_UNITS, MAXIMUM, POINTS
+from operators.gait.cycle import CLOSED
+from operators.gait.cycle_outputs import CycleOutputs
 from operators.gait.cycles import Cycles
 from operators.gait.limb_contacts import LIMB_CONTACT
 from operators.gait.limbs import LIMB, LimbsState, OnePerLimb, channels_of, check_limbs, check_named, merged, with_limb
@@ -70,18 +71,7 @@ class LimbCycles(_Placed):
         found = {limb: list(mine) for limb, mine in muscles.items()}
         named = {channel: muscle for mine in muscles.values() for channel, muscle in mine.items()}
         meta = {k: v for k, v in spec.meta.items() if k != "side"} | {"limbs": found, "muscles": named}
-        n, unit = len(names), spec.units if len(spec.units) == 1 else ("",)
-        curves = StreamSpec(
-            (POINTS, n), channels=tuple(names), units=spec.units, channel_axis=1, meta={**meta, "from_pct": 0}
-        )
-        return {
-            "cycles": curves,
-            "closed": StreamSpec(
-                (), LIMB_CLOSED, units=(*CLOSED_UNITS, ""), meta={**meta, "longest_s": self.longest_s}
-            ),
-            "maxima": StreamSpec((), MAXIMUM, units=("ns", "", "", "", "%", *unit), meta=meta),
-            "panorama": curves.derive(shape=(2 * POINTS, n), meta={**meta, "from_pct": -50}),
-        }
+        return CycleOutputs.specs(tuple(names), spec, LIMB_CLOSED, self.longest_s, meta)
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]] | None:
         if port == "signal":
@@ -97,8 +87,8 @@ class LimbCycles(_Placed):
         said: dict[str, list[Chunk]] = {name: [] for name in ("closed", "cycles", "maxima", "panorama")}
         for i, (part, out) in enumerate(zip(self.parts, made, strict=True)):
             told: dict[str, Chunk] = dict(out or ())
-            for k, name in enumerate(part.outputs):
-                each = told.get(name) or Chunk(part.state.never, part.state.blanks[k], chunk.until)
+            for name in part.outputs:
+                each = told.get(name) or part.state.made.blank(name, chunk.until)
                 said[name].append(Chunk(each.time, self._told(name, each.data, i), each.until, each.lost))
         return [(name, merged(chunks)) for name, chunks in said.items()]
 

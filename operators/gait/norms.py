@@ -95,9 +95,8 @@ class NormativeBands(Operator[NormativeBandsState]):
         if port == "closed":
             s.expected.note(chunk)
         else:
-            for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
-                if (closed := s.expected.match(stamp)) is not None:
-                    made.append((stamp, self._rows(closed[0], only_finite(curve))))
+            for stamp, closed, curve in s.expected.matched(chunk):
+                made.append((stamp, self._rows(closed[0], only_finite(curve))))
         lost, stamps = -1 if chunk.lost else 0, np.array([stamp for stamp, _ in made], np.int64)
         bands = [np.repeat(band[None], len(made), axis=0) for band in (s.low, s.high)]
         rows = np.concatenate([np.empty(0, AGAINST), *(rows for _, rows in made)])

@@ -12,7 +12,7 @@ from operators.emg.quality import QUALITY
 from operators.gait.cycle import POINTS, Expected, check_cycles, some_cycles
 from operators.gait.history import REVISABLE
 from operators.gait.limbs import Belonging
-from operators.gait.verdicts import FLAGS, IN, OUT, UNSAID, Windows, understood
+from operators.gait.verdicts import FLAGS, IN, OUT, UNSAID, PersonVerdicts, Windows, understood
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.finite import only_finite
@@ -44,8 +44,7 @@ log = structlog.get_logger(__name__)
 class ReviewState:
     """
     rows (64,), curves (64, 100, m)   the latest accepted cycles as they came, a ring; `seen` in all;  used (64, m) what was told of them
-    said (64, m)          what a person said of a muscle in one of these cycles, OUT or IN
-    session (m,)          what a person said of a muscle in all cycles
+    person                what a person said of these cycles
     pending, since        the stamp of judged windows that have not been applied (NEVER: none), and when the first of them begins
     """
 
@@ -54,8 +53,7 @@ class ReviewState:
     rows: Array
     curves: Samples
     used: Times
-    said: Times
-    session: Times
+    person: PersonVerdicts
     seen: int
     pending: int
     since: int
@@ -102,7 +100,7 @@ class CycleReview(Operator[ReviewState]):
         state = ReviewState(
             Expected.none(specs["closed"].dtype), Windows.none(n),
             np.zeros(REVISABLE, specs["closed"].dtype), np.zeros((REVISABLE, POINTS, n)),
-            np.ones((REVISABLE, n), np.int64), np.zeros((REVISABLE, n), np.int64), np.zeros(n, np.int64), 0, NEVER, FOREVER,
+            np.ones((REVISABLE, n), np.int64), PersonVerdicts.none(REVISABLE, n), 0, NEVER, FOREVER,
             Belonging.of(spec), names,
         )  # fmt: skip
         self.hold(state, decision_s={"closed": 0.0, "judged": 0.0})
@@ -166,12 +164,12 @@ class CycleReview(Operator[ReviewState]):
         k = int(found[0]) if len(found) and s.seen else s.seen % REVISABLE
         if not len(found):
             s.seen += 1
-            s.said[k] = UNSAID
+            s.person.say(k, -1, UNSAID)
             for texts, verdict in ((self.left_out, OUT), (self.kept, IN)):
                 for text in texts:
                     number, muscle = understood(text, s.names, -1) or (0, 0)
                     if number in (-1, int(closed["number"][0])):
-                        s.said[k, slice(None) if muscle < 0 else muscle] = verdict
+                        s.person.say(k, muscle, verdict)
         s.rows[k], s.curves[k] = closed[0], only_finite(curve)
         self._tell(out, stamp, k)
 
@@ -198,13 +196,13 @@ class CycleReview(Operator[ReviewState]):
         number, muscle = meant
         here = [k for k in self._latest() if number in (-1, int(s.rows["number"][k]))]
         if number < 0:
-            s.session[muscle] = verdict
+            s.person.session[muscle] = verdict
         elif not here:
             log.warning(
                 "not among the latest cycles that were accepted: replay with left_out or kept", cycle=number, text=text
             )
         for k in here:
-            s.said[k, slice(None) if muscle < 0 else muscle] = verdict
+            s.person.say(k, muscle, verdict)
             if not np.array_equal(self._used(k)[0], s.used[k]):
                 self._tell(out, stamp, k)
 
@@ -219,7 +217,7 @@ class CycleReview(Operator[ReviewState]):
         s = self.state
         flag, reason = s.windows.of(int(s.rows["onset"][k]), int(s.rows["end"][k]))
         worst = {"bad": 2, "doubtful": 1, "none": 3}[self.leave_out]
-        said = np.where(s.said[k] != UNSAID, s.said[k], s.session)
+        said = s.person.of(k)
         used = np.where(said == UNSAID, flag < worst, said == IN) & s.limbs.mine(s.rows[k])
         return used.astype(np.int64), flag, reason
 
@@ -236,7 +234,7 @@ class CycleReview(Operator[ReviewState]):
         mine = s.limbs.mine(row[0])
         judged = judged[mine]
         if not used.any():
-            row["rejected"] = "by hand" if (s.said[k][mine] == OUT).all() else "quality"
+            row["rejected"] = "by hand" if (s.person.said[k][mine] == OUT).all() else "quality"
             out.append((stamp, row, None, judged))
         else:
             out.append((stamp, row, np.where(used.astype(bool), s.curves[k], np.nan), judged))
@@ -246,32 +244,11 @@ class CycleReview(Operator[ReviewState]):
         stamps = np.array([stamp for stamp, *_ in out], np.int64)
         curves = [(stamp, curve) for stamp, _, curve, _ in out if curve is not None]
         judged = [rows for *_, rows in out]
+        closed = np.concatenate([np.empty(0, self.state.rows.dtype), *(row for _, row, _, _ in out)])
+        cycles = np.array([curve for _, curve in curves]).reshape(-1, POINTS, n)
+        verdicts = np.concatenate([np.empty(0, JUDGED), *judged])
         return [
-            (
-                "closed",
-                Chunk(
-                    stamps,
-                    np.concatenate([np.empty(0, self.state.rows.dtype), *(row for _, row, _, _ in out)]),
-                    until,
-                    lost,
-                ),
-            ),
-            (
-                "cycles",
-                Chunk(
-                    np.array([stamp for stamp, _ in curves], np.int64),
-                    np.array([curve for _, curve in curves]).reshape(-1, POINTS, n),
-                    until,
-                    lost,
-                ),
-            ),
-            (
-                "judged",
-                Chunk(
-                    stamps.repeat([len(rows) for rows in judged]),
-                    np.concatenate([np.empty(0, JUDGED), *judged]),
-                    until,
-                    lost,
-                ),
-            ),
+            ("closed", Chunk(stamps, closed, until, lost)),
+            ("cycles", Chunk(np.array([stamp for stamp, _ in curves], np.int64), cycles, until, lost)),
+            ("judged", Chunk(stamps.repeat([len(rows) for rows in judged]), verdicts, until, lost)),
         ]

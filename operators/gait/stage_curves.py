@@ -73,9 +73,8 @@ class StageCurves(Operator[StageCurvesState]):
             for row in chunk.data:
                 self._revise(row)
         else:
-            for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
-                closed = s.expected.match(stamp)
-                if closed is not None and closed["stage"][0]:
+            for stamp, closed, curve in s.expected.matched(chunk):
+                if closed["stage"][0]:
                     self._take(closed[0], only_finite(curve))
                     made.append((stamp, s.curve.centre(), s.curve.sd(), self._so_far(closed)))
         stamps = np.array([stamp for stamp, *_ in made], np.int64)

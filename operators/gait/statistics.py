@@ -141,11 +141,9 @@ class CycleStatistics(Operator[CycleStatisticsState]):
             for row in chunk.data:
                 self._revise(int(row["number"]), str(row["rejected"]))
         else:
-            for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
-                closed = s.expected.match(stamp)
-                if closed is not None:
-                    rows.append(self._rows(closed[0], curve)[s.limbs.mine(closed[0])])
-                    stamps += [stamp] * len(rows[-1])
+            for stamp, closed, curve in s.expected.matched(chunk):
+                rows.append(self._rows(closed[0], curve)[s.limbs.mine(closed[0])])
+                stamps += [stamp] * len(rows[-1])
         data = np.concatenate(rows) if rows else s.blank
         return Chunk(np.array(stamps, np.int64), data, chunk.until, -1 if chunk.lost else 0)
 

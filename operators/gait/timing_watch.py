@@ -124,9 +124,8 @@ class TimingWatch(Operator[TimingWatchState]):
         if port == "closed":
             s.expected.note(chunk)
         else:
-            for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
-                if (closed := s.expected.match(stamp)) is not None:
-                    self._cycle(found, stamp, closed[0], only_finite(curve))
+            for stamp, closed, curve in s.expected.matched(chunk):
+                self._cycle(found, stamp, closed[0], only_finite(curve))
         return alarm_chunk(found, chunk)
 
     @classmethod
