@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.clocks.line_below import even_stamps, line_below
+from devices.clocks.suspension import SLEPT_NS, Suspension
 from stream.chunk import NS, STAMP, Times
-from stream.clock import suspended_ns
 
 BUCKET_NS = NS
 WINDOW = 120
@@ -36,11 +36,6 @@ JUMP_NS = 10_000_000
 """A device's clock that is ahead of what can be by more, and has leapt by more, was set forward."""
 UNSURE_NS, SURE_FROM = 100_000_000, 3
 """The jump that is taken for a clock set forward until this many seconds are known: the first packets may have waited somewhere."""
-SLEPT_NS = NS
-"""After a longer silence it is asked whether the machine was suspended as long."""
-DRAINED_NS, WATCHED_NS, STOOD_NS = 100_000_000, 250_000_000, 100_000_000
-"""What had waited for the machine has come so long after it woke. If all of the time after that is later than before by more than the
-last, the device's clock stood still, too."""
 ROUNDED = 2
 """Stamps whose first is later than that by more ns than rounding makes are all later, as they advance faster."""
 
@@ -82,10 +77,7 @@ class DeviceClock:
         self._restarted = False
         self._arrival = 0
         self._jumps = self._jump = 0
-        self._slept, self._woke = suspended_ns(), 0
-        self._later: int | None = None
-        """By how much the packets after the machine was suspended are later than those before, at least."""
-        self._gap = False
+        self._suspension = Suspension()
         self._memory = np.empty(WINDOW, STAMP), np.empty(WINDOW), np.empty(3)
         """The kernel's: hull, distances, line."""
         self._forget()
@@ -109,8 +101,10 @@ class DeviceClock:
     def see(self, device_ns: int, arrival_ns: int) -> None:
         """A packet with this (unwrapped) device time has arrived now."""
         silent = arrival_ns - self._arrival > SLEPT_NS
-        if (silent or self._woke) and self._n and self.is_waking(arrival_ns):
-            self._watch_sleep(device_ns, arrival_ns)
+        if (silent or self._suspension.woke) and self._n and self.is_waking(arrival_ns):
+            later = arrival_ns - device_ns - self._zero - round(self._above(device_ns))
+            if stood_ns := self._suspension.see(later, arrival_ns):
+                self.restart(-stood_ns)
         self._arrival = arrival_ns
         difference = arrival_ns - device_ns
         bucket = device_ns // BUCKET_NS
@@ -131,26 +125,11 @@ class DeviceClock:
 
     def is_waking(self, arrival_ns: int) -> bool:
         """Whether the machine was suspended just before a packet that arrives now, so that the device's clock may have stood still."""
-        return self._woke > 0 or (arrival_ns - self._arrival > SLEPT_NS and suspended_ns() - self._slept > SLEPT_NS)
-
-    def _watch_sleep(self, device_ns: int, arrival_ns: int) -> None:
-        """Learn whether the device's clock stood still while the machine was suspended: then it starts again, as after a jump."""
-        later = arrival_ns - device_ns - self._zero - round(self._above(device_ns))
-        if not self._woke:
-            self._slept, self._woke, self._later = suspended_ns(), arrival_ns, None
-            self._gap = later > STOOD_NS
-        elif arrival_ns - self._woke > DRAINED_NS:
-            self._later = later if self._later is None else min(self._later, later)
-            if self._later <= STOOD_NS:
-                self._woke = 0
-            elif arrival_ns - self._woke > WATCHED_NS:
-                self._woke, self._gap = 0, True
-                self.restart(-self._later)
+        return self._suspension.is_waking(arrival_ns - self._arrival)
 
     def take_gap(self) -> bool:
         """Whether a gap is to be marked before the packet seen last, as nobody knows how long its device's clock stood still; once."""
-        gap, self._gap = self._gap, False
-        return gap
+        return self._suspension.take_gap()
 
     def _lowest(self, device_ns: int, difference: int) -> None:
         """The smallest difference of the last second so far."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.clocks.device_time import STILL_NS, STILL_STEPS
+from devices.clocks.mismatch_words import of_rate, of_turn, of_unit
 from stream.chunk import NS, Samples, Times
 from stream.errors import RunError
 from stream.source import Feed
@@ -36,8 +37,6 @@ TWICE = 0.1
 TOLD_AGAIN = 0.01
 BEHIND = 0.75
 """A time that fits the declared rate may run so slow: a computer that does not keep up takes late what came in time."""
-UNITS_NS = {"ns": 1.0, "us": 1e3, "ms": 1e6, "s": 1e9, "ticks of 1/1024 s": NS / 1024, "ticks of 1/32768 s": NS / 32768}
-NEAR = 0.02
 STILL = 10
 """This many records with one and the same time, over `FROM_S` or more: the device's time stands still."""
 TURNS, SHORTEST_NS = 4, NS // 2
@@ -158,7 +157,7 @@ class RateCheck:
         if share is None:
             return None, ""
         hint = "" if self._counted else ", or samples are lost on the way (a counter would tell)"
-        return self._rate * share, self._of_rate(self._rate * share) + hint
+        return self._rate * share, of_rate(self._rate * share, self._rate, self._setting) + hint
 
     def _by_time(self, least: float) -> tuple[float | None, str]:
         steps = np.concatenate(self._steps).astype(np.float64)[1:]
@@ -166,14 +165,14 @@ class RateCheck:
         if len(good) < 2:
             return (0.0, STANDS) if not steps.any() and len(steps) >= STILL else (None, "")
         if self._first and (turn := self._turn(steps)):
-            return 0.0, self._of_turn(turn)
+            return 0.0, of_turn(turn, self._unit)
         usual = _usual(steps[steps >= 0])
         self._bridge(steps, (steps < 0) | (steps > OUTLIER * max(usual, float(np.median(good)))), usual)
         ends = np.cumsum([len(part) for part in self._steps]) - 1
         device = np.concatenate([[0.0], np.cumsum(steps)])[ends]
         pace = _pace(np.array(self._arrivals), device, least)
         if pace is not None and not (pace < 1 and self._fits(usual) and (pace > BEHIND or least > WRONG)):
-            return 0.0, self._of_unit(pace)
+            return 0.0, of_unit(pace, self._unit)
         if not self._rate:
             return None, ""
         overall = self._made[-1] / device[-1] * NS
@@ -183,7 +182,7 @@ class RateCheck:
             abs(hz / self._rate - 1) <= WRONG + 2 * coarse / device[-1] for hz in rates
         ):
             return None, ""
-        return rates[-1], self._of_rate(rates[-1])
+        return rates[-1], of_rate(rates[-1], self._rate, self._setting)
 
     def _turn(self, steps: Samples) -> float:
         """The value (ns) at which the device's time starts again and again, by its `steps` (n,); 0.0: it does not."""
@@ -219,36 +218,6 @@ class RateCheck:
             feed.tell("rate mismatch", measured_hz=round(hz, 2), declared_hz=self._rate or 0.0, text=text)
         self._told = hz or self._told
         return hz or None
-
-    def _of_rate(self, hz: float) -> str:
-        assert self._rate
-        ratio = hz / self._rate
-        what = f"it sends {hz:.4g} samples a second, not {self._rate:g}"
-        for times in range(2, 17):
-            if abs(ratio / times - 1) < NEAR:
-                what += f", {times} times as many: is a divider of {times} set otherwise, or do {times} sensors share the line?"
-            elif abs(ratio * times - 1) < NEAR:
-                what += f", one in {times}: does it divide its rate by {times}, or send each sample in {times} frames?"
-        mend = f"set {self._setting} to {hz:.4g}" if " " not in self._setting else self._setting
-        return f"{what}; {mend}, or the device to {self._rate:g} Hz"
-
-    def _of_turn(self, turn_ns: float) -> str:
-        unit = UNITS_NS.get(self._unit, 0.0)
-        fits = [bits for bits in range(1, 64) if unit and abs(turn_ns / unit / 2**bits - 1) < 0.1]
-        mend = (
-            f": its numbers have {fits[0]} bits; set `time_bits` to {fits[0]}"
-            if fits
-            else "; say where it wraps around"
-        )
-        return f"its time starts again every {turn_ns / NS:.4g} s{mend}"
-
-    def _of_unit(self, pace: float) -> str:
-        what = f"its time advances by {pace:.4g} s in a second"
-        declared = UNITS_NS.get(self._unit, 0.0)
-        fits = [unit for unit, ns in UNITS_NS.items() if declared and abs(declared / pace / ns - 1) < NEAR]
-        if fits:
-            return f"{what}: its numbers are {fits[0]}, not {self._unit}; set the time's unit (or its scale)"
-        return f"{what}: look at the unit and scale of its time"
 
 
 def _usual(steps: Samples) -> float:

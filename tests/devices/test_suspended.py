@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from devices.clocks import device_clock
+from devices.clocks import suspension
 from devices.clocks.packet_clock import PacketClock, Packets
 from devices.clocks.short_counter import ShortCounter
 from devices.clocks.stamps import Stamps
@@ -49,7 +49,7 @@ def played(name: str, monkeypatch: pytest.MonkeyPatch, *, goes_on: bool) -> tupl
     Five that were made just before come after the machine woke.
     """
     slept_ns = 0
-    monkeypatch.setattr(device_clock, "suspended_ns", lambda: slept_ns)
+    monkeypatch.setattr(suspension, "suspended_ns", lambda: slept_ns)
     take, random = clocks()[name], np.random.default_rng(4)
     before, rows = round(AT_S * RATE), []
     for i in range(before + round(5 * RATE)):
@@ -84,7 +84,7 @@ def test_stamps_are_right_a_third_of_a_second_after_the_machine_woke(
 
 def test_a_computer_that_was_only_busy_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same silence, with nothing suspended: what was made meanwhile comes all at once."""
-    monkeypatch.setattr(device_clock, "suspended_ns", lambda: 0)
+    monkeypatch.setattr(suspension, "suspended_ns", lambda: 0)
     clock = Stamps(RATE, has_time=True)
     for i in range(4000):
         made_s = i / RATE
