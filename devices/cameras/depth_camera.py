@@ -7,17 +7,18 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Protocol
+from typing import ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.cameras.intrinsics import lens
 from devices.clocks import line_below
 from devices.clocks.clock_log import ClockLog
 from devices.clocks.stamps import Stamps
 from devices.clocks.timing import timing_chunk, timing_spec
 from stream.chunk import Array, Chunk, Specs, StreamSpec
-from stream.errors import DeviceError, ParameterError
+from stream.errors import DeviceError
 from stream.params import param
 from stream.source import Feed, Source
 
@@ -86,11 +87,7 @@ class DepthCamera(Source):
         return 1 / self.fps
 
     def specs(self) -> Specs:
-        if len(self.intrinsics) not in (0, 4):
-            raise ParameterError("intrinsics", list(self.intrinsics), "four numbers, fx, fy, cx, cy, or left out")
-        usual = (USUAL_FOCAL * self.width, USUAL_FOCAL * self.width, (self.width - 1) / 2, (self.height - 1) / 2)
-        camera: dict[str, Any] = dict(zip(("fx", "fy", "cx", "cy"), self.intrinsics or usual, strict=True))
-        camera["known"] = bool(self.intrinsics)
+        camera = lens(self.intrinsics, self.width, self.height, USUAL_FOCAL)
         size, meta = (self.height, self.width), {"device": self.maker, "invalid": 0, "camera": camera}
         specs = {
             "depth": StreamSpec(size, np.dtype(np.uint16), rate_hz=self.fps, units=("mm",), meta=meta),

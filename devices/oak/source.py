@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import structlog
 
+from devices.cameras.intrinsics import lens
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.oak.adapter import Frames, ImuPackets, image_of, message_of
 from devices.oak.camera import Camera, CameraLink, opened
@@ -112,13 +113,9 @@ class Oak(Source):
     def specs(self) -> Specs:
         if self.preset and self.preset not in PRESETS[self.depth]:
             raise ParameterError("preset", self.preset, f"one of {', '.join(PRESETS[self.depth])}, or left out")
-        if len(self.intrinsics) not in (0, 4):
-            raise ParameterError("intrinsics", list(self.intrinsics), "four numbers, fx, fy, cx, cy, or left out")
+        camera = lens(self.intrinsics, self.width, self.height, USUAL_FOCAL)
         if self.image and self.depth == "tof":
             raise ParameterError("image", self.image, "left out for a camera that measures the time of flight")
-        usual = (USUAL_FOCAL * self.width, USUAL_FOCAL * self.width, (self.width - 1) / 2, (self.height - 1) / 2)
-        camera: dict[str, Any] = dict(zip(("fx", "fy", "cx", "cy"), self.intrinsics or usual, strict=True))
-        camera["known"] = bool(self.intrinsics)
         meta = {"device": "OAK", "depth": self.depth, "invalid": 0, "camera": camera}
         specs = {
             "depth": StreamSpec(
