@@ -5,13 +5,14 @@ from __future__ import annotations
 from operators.segmentation.belief import conclude, foresee, keep_count
 from operators.segmentation.bouts import close_bout
 from operators.segmentation.cycles import cycle_length
-from operators.segmentation.distances import choose_radius, insert, mark, reflect
+from operators.segmentation.distances import choose_band, choose_radius, insert, mark, reflect, typical
 from operators.segmentation.division import hold, let_go, number_of
 from operators.segmentation.events import stamp, tell
 from operators.segmentation.final import how, settle, stretch, tell_start
 from operators.segmentation.layout import (
     BAND,
     BEGUN,
+    BELIEVED,
     BELIEVED_EVENT,
     BEST_END,
     BEST_START,
@@ -20,9 +21,11 @@ from operators.segmentation.layout import (
     COUNT,
     CYCLES,
     DONE,
+    EARLY_RADIUS,
     EVENTS,
     EVERY,
     FIRM,
+    FIXED,
     HELD,
     HELD_LAST,
     LAG,
@@ -109,7 +112,10 @@ def step(s: Memory, t: int) -> None:
         b[UNTOLD_AT] = s.times[t % s.times.shape[0]]
     if not b[OPEN]:
         if t - b[SINCE] + 1 < b[LEARN]:
+            anticipate(s, t)
             return
+        if b[BELIEVED] and t - b[SINCE] + 1 >= b[LEARN] + b[MASS]:
+            conclude(s, 0)
         if b[HELD] and t - b[HELD_LAST] > b[LAG] + b[TRANSITION]:
             let_go(s)
         if t >= b[RADIUS_AT]:
@@ -145,6 +151,21 @@ def step(s: Memory, t: int) -> None:
             foresee(s, grown(s), t)
         if t - b[LAST] >= b[QUIET] and not under_way(s, t):
             finish(s, False)
+
+
+@kernel
+def anticipate(s: Memory, t: int) -> None:
+    """Too little has been seen for a decision: what repeats is believed, by what is typical so far. Nothing of it stays."""
+    b, radius = s.books, s.values[RADIUS]
+    band, last = b[BAND], b[LAST]
+    if not b[FIXED]:
+        if (t - b[SINCE]) % b[EVERY] == 0:
+            s.values[EARLY_RADIUS] = typical(s, t)
+        s.values[RADIUS] = s.values[EARLY_RADIUS]
+    choose_band(s, t)
+    b[LAST] = t
+    foresee(s, grown(s), t)
+    s.values[RADIUS], b[BAND], b[LAST] = radius, band, last
 
 
 @kernel
@@ -276,6 +297,8 @@ def close_all(s: Memory, forced: bool) -> None:
             b[DONE] += 1
             explore(s, b[DONE])
         finish(s, forced)
+    elif b[BELIEVED]:
+        conclude(s, 0)
     let_go(s)
     if b[UNTOLD] <= newest:
         stretch(s, newest, forced)

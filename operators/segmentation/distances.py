@@ -168,25 +168,32 @@ def mark(s: Memory, i: int, seed: int) -> bool:
 
 @kernel
 def choose_radius(s: Memory, t: int) -> None:
-    """A share of the median distance between the window's frames that are not at rest; then the band, and who has a neighbour."""
+    """The radius that is typical of the window; then the band, and who has a neighbour."""
     b = s.books
     if not b[FIXED]:
-        moving = lively(s, max(b[SINCE], t - b[WINDOW] + 1), t)
-        step = max(1, len(moving) // SAMPLED)
-        n = (len(moving) + step - 1) // step
-        apart = np.empty(n * (n - 1) // 2)
-        at = 0
-        for i in range(n):
-            for j in range(i):
-                far = between(s, moving[i * step], moving[j * step])
-                if far < math.inf:
-                    apart[at] = far
-                    at += 1
-        s.values[RADIUS] = s.values[FACTOR] * np.median(apart[:at]) if at else 0.0
+        s.values[RADIUS] = typical(s, t)
     choose_band(s, t)
     b[ROWS] = 0
     for i in range(max(b[SEED], t - b[LAG] + 1), t):
         b[ROWS] += mark(s, i, b[SEED])
+
+
+@kernel
+def typical(s: Memory, t: int) -> float:
+    """A share of the median distance between the window's frames that are not at rest."""
+    b = s.books
+    moving = lively(s, max(b[SINCE], t - b[WINDOW] + 1), t)
+    step = max(1, len(moving) // SAMPLED)
+    n = (len(moving) + step - 1) // step
+    apart = np.empty(n * (n - 1) // 2)
+    at = 0
+    for i in range(n):
+        for j in range(i):
+            far = between(s, moving[i * step], moving[j * step])
+            if far < math.inf:
+                apart[at] = far
+                at += 1
+    return float(s.values[FACTOR] * np.median(apart[:at])) if at else 0.0
 
 
 @kernel

@@ -81,13 +81,14 @@ HELD_FIRST, HELD_LAST     its first and last frame, as far as it is known; HELD_
 HELD_CYCLES, HELD_CLUSTER its repetitions and cluster; HELD_HOW: the last number of its event
 """
 SEARCH, TRACK = 0, 1
-RADIUS, BEST, FACTOR, PRICE, MOVED, PEAK, STILL_SHARE, TRAVEL_SHARE, FARTHEST, PRICES, HELD_CERTAINTY, HELD_RADIUS = (
-    range(12)
-)
+(
+    RADIUS, BEST, FACTOR, PRICE, MOVED, PEAK, STILL_SHARE, TRAVEL_SHARE, FARTHEST, PRICES, HELD_CERTAINTY, HELD_RADIUS,
+    EARLY_RADIUS,
+) = range(13)  # fmt: skip
 """Places in `values`: the radius, the best path's mean distance, the radius as a share of the median distance, the
 pending repetition's mean distance, how much the newest frame moves, and the window's liveliest ones; STILL and TRAVELS; how far those
 that are counted in LIKE lie from their exemplar at the most; how far the open activity's repetitions lie from theirs, added up;
-how certain those of the activity are whose end is held, and its radius."""
+how certain those of the activity are whose end is held, and its radius; the radius before LEARN."""
 
 STILL = 0.12
 """Who has moved less than this share of what the window's liveliest frames do, is at rest."""
@@ -216,6 +217,10 @@ def allocate(
     books[PATCHY] = NEVER_KNOWN
     clusters = np.zeros((MOST_CLUSTERS, 3), np.int64)
     clusters[:, NUMBER] = -1
+    values = np.zeros(EARLY_RADIUS + 1)
+    values[[BEST, PRICE]] = np.inf
+    values[[FACTOR, STILL_SHARE, TRAVEL_SHARE]] = factor, STILL, TRAVELS
+    values[RADIUS] = 0.0 if radius is None else radius
     return Remembered(
         frames=np.zeros((width, 2 * ring)),
         known=np.full(width, NEVER_KNOWN),
@@ -238,7 +243,5 @@ def allocate(
         travels=np.zeros(MOST_CLUSTERS),
         kinds=np.zeros(4, np.int64),
         books=books,
-        values=np.array(
-            [0.0 if radius is None else radius, np.inf, factor, np.inf, 0.0, 0.0, STILL, TRAVELS, 0.0, 0.0, 0.0, 0.0]
-        ),
+        values=values,
     )

@@ -125,8 +125,9 @@ class Reference:
         self.moved = self.peak = 0.0
         self.peak_at = 0
         self.resting: list[int] = []
+        self.measured: dict[tuple[int, int, int], float] = {}
         self.p, self.share, self.fixed = frames, share, radius
-        self.radius, self.band = radius or 0.0, frames["BAND_MOST"]
+        self.radius, self.band, self.early = radius or 0.0, frames["BAND_MOST"], 0.0
         self.events: list[Event] = []
         self.now = self.back = 0
         self.exemplars: list[Exemplar | None] = [None] * MOST_CLUSTERS
@@ -138,7 +139,7 @@ class Reference:
         self.resumed = -1
 
     def run(self, *, end: bool = True) -> list[Event]:
-        self.seed = self.untold = self.when = self.repeated = 0
+        self.seed = self.untold = self.when = self.repeated = self.opened = self.last = 0
         self.open = False
         self.flags = np.zeros(len(self.x), bool)
         for i in range(len(self.came)):
@@ -215,7 +216,10 @@ class Reference:
     def apart(self, i: int, j: int, present: int = 0) -> float:
         assert i <= self.now and j <= self.now
         self.back = max(self.back, self.now - min(i, j))
-        return float(self.distances(self.x[i] - self.x[j], present or self.present[max(i, j)]))
+        key = i, j, present or int(self.present[max(i, j)])
+        if key not in self.measured:
+            self.measured[key] = float(self.distances(self.x[i] - self.x[j], key[2]))
+        return self.measured[key]
 
     @staticmethod
     def distances(differences: Any, present: Any) -> Any:
@@ -242,7 +246,10 @@ class Reference:
         self.choose_peak(t)
         if not self.open:
             if t + 1 < p["LEARN"]:
+                self.anticipate(t)
                 return
+            if self.believed and t + 1 >= p["LEARN"] + p["MASS"]:
+                self.conclude(0)
             if self.held and t - self.held.last > p["LAG"] + p["TRANSITION"]:
                 self.let_go()
             if t >= self.when:
@@ -279,13 +286,31 @@ class Reference:
             if t - self.last >= p["QUIET"] and not self.under_way(t):
                 self.finish(False)
 
-    def choose_radius(self, t: int) -> None:
-        p = self.p
+    def anticipate(self, t: int) -> None:
+        """Before there is enough for a decision: what repeats is believed, by what is typical so far."""
+        kept = self.radius, self.band, self.last
         if self.fixed is None:
-            moving = [i for i in range(max(0, t - p["WINDOW"] + 1), t + 1) if not self.at_rest(i)]
-            chosen = moving[:: max(1, len(moving) // SAMPLED)]
-            apart = [d for i in chosen for j in chosen if j < i and (d := self.apart(i, j, self.present[t])) < np.inf]
-            self.radius = self.share * float(np.median(apart)) if apart else 0.0
+            if t % self.p["EVERY"] == 0:
+                self.early = self.typical(t)
+            self.radius = self.early
+        self.choose_band(t)
+        self.last = t
+        self.foresee(self.grown(), t)
+        self.radius, self.band, self.last = kept
+
+    def choose_radius(self, t: int) -> None:
+        if self.fixed is None:
+            self.radius = self.typical(t)
+        self.choose_band(t)
+
+    def typical(self, t: int) -> float:
+        moving = [i for i in range(max(0, t - self.p["WINDOW"] + 1), t + 1) if not self.at_rest(i)]
+        chosen = moving[:: max(1, len(moving) // SAMPLED)]
+        apart = [d for i in chosen for j in chosen if j < i and (d := self.apart(i, j, self.present[t])) < np.inf]
+        return self.share * float(np.median(apart)) if apart else 0.0
+
+    def choose_band(self, t: int) -> None:
+        p = self.p
         stays = []
         for i in range(max(0, t - p["LAG"]), t):
             if self.at_rest(i):
@@ -520,6 +545,8 @@ class Reference:
                 self.done += 1
                 self.explore(self.done)
             self.finish(bool(forced))
+        elif self.believed:
+            self.conclude(0)
         self.let_go()
         if self.untold <= self.now:
             self.stretch(self.now, forced)

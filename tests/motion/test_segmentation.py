@@ -589,6 +589,33 @@ def test_a_repetition_is_believed_within_half_a_cycle_of_its_end(seed: int, leng
     assert events["activity"]["repetitions"].max() == 7
 
 
+@pytest.mark.parametrize("length", [24, 30, 36, 45])
+@pytest.mark.parametrize("seed", range(2))
+def test_who_begins_at_once_is_believed_before_enough_has_been_seen_for_a_decision(seed: int, length: int) -> None:
+    events, stamps = played(Segment(), stacked(lifts(seed, 7, length, 0)))
+    assert max(believed_late(events, stamps)) <= 0.5
+    assert events["begin"]["onset"].max() > 0 and stamps["begin"].min() >= round(5.0 * 1e9)
+    assert events["count"]["count"][-1] == events["activity"]["repetitions"].max() == 7
+
+
+@pytest.mark.parametrize("name", ["03", "07", "09", "11"])
+def test_a_real_walk_that_begins_at_once_is_believed_from_its_second_cycle_on(name: str) -> None:
+    x = np.unwrap(recording(f"cmu86_4ch/86_{name}")["angles_deg"].astype(np.float64), period=360.0, axis=0)[:2400:4]
+    assert believed_late(*played(Segment(), stacked(x)))[0] <= 0.5
+
+
+@pytest.mark.parametrize("goes_on", [True, False])
+def test_what_was_believed_too_early_is_withdrawn(goes_on: bool) -> None:
+    """Two short cycles, and then something else, or nothing: too little for an activity."""
+    turn = np.arange(60) * (2 * np.pi / 24)
+    body = np.stack([np.sin(turn), np.cos(turn), np.sin(2 * turn), 0.5 * np.cos(2 * turn)], 1)
+    away = body[-1] + 0.5 * np.arange(1, 200)[:, None] * np.array([1.0, -1.0, 0.5, 1.0])
+    x = np.concatenate([body, away]) if goes_on else body
+    events, _ = played(Segment(radius=0.3, mass_s=1.4), x + 0.01 * np.random.default_rng(0).normal(size=x.shape))
+    assert events["count"]["count"].tolist() == [1, 2, 0]
+    assert not events["activity"]["repeats"].any()
+
+
 def test_a_count_that_was_too_high_is_corrected() -> None:
     for seed in range(8):
         events, _ = played(Segment(**QUICK), motion(seed))

@@ -6,13 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from operators.segmentation.activities import open_up
+from operators.segmentation.activities import anticipate, open_up
 from operators.segmentation.belief import foresee
 from operators.segmentation.cycles import advance, last_cycle, sum_up
 from operators.segmentation.distances import insert, mark
 from operators.segmentation.layout import (
+    BELIEVED,
     BELIEVED_EVENT,
+    BELIEVED_OF,
     COUNT_EVENT,
+    EARLY_RADIUS,
     EVENTS,
     LAST,
     OPENED,
@@ -29,7 +32,7 @@ FRAMES = {
 }  # fmt: skip
 
 
-def memory(x: Any, radius: float = 1.0) -> Memory:
+def memory(x: Any, radius: float | None = 1.0) -> Memory:
     """A segmentation that has seen frames x (n, features), with room for events."""
     made = allocate(x.shape[1], FRAMES, radius, 0.5).with_room(64)
     for i, row in enumerate(x):
@@ -97,3 +100,20 @@ def test_an_activity_that_opens_is_believed_from_what_its_first_frame_comes_back
     radius, believed = s.events[: s.books[EVENTS]].tolist()
     assert radius[0] == RADIUS_EVENT and believed[0] == BELIEVED_EVENT
     assert believed[2:] == [0, 24, 0, 0, 0, 0], "onset and end, the first activity, no repetition"
+
+
+def test_before_enough_was_seen_what_repeats_is_believed_and_nothing_else_remembered() -> None:
+    x = circle(60, 12, size=2.0)
+    s, counts = memory(x[:1], radius=None), []
+    for t in range(1, 60):
+        insert(s, x[t], t)
+        s.books[EVENTS] = 0
+        books, values, near = s.books.copy(), s.values.copy(), s.near.copy()
+        anticipate(s, t)
+        counts += [(t, int(row[3])) for row in s.events[: s.books[EVENTS]] if row[0] == COUNT_EVENT]
+        for told in (EVENTS, BELIEVED, BELIEVED_OF):
+            books[told] = s.books[told]
+        values[EARLY_RADIUS] = s.values[EARLY_RADIUS]
+        assert np.array_equal(books, s.books) and np.array_equal(values, s.values) and np.array_equal(near, s.near)
+    assert [k for _, k in counts] == [1, 2, 3, 4, 5] and counts[1][0] <= 2 * 12 + 4
+    assert s.values[EARLY_RADIUS] > 0.0
