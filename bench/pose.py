@@ -13,12 +13,14 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
+from bench.avatar import SEEN, lag_of
 from operators.one_euro import OneEuro
 from operators.whole_pose.landmarks import BONE_OF, FROM_BONE, NAMES, USUAL
-from operators.whole_pose.learn import Lesson, learn_pose, lesson_of
+from operators.whole_pose.learn import Lesson, learn_pose, lessons_of
 from operators.whole_pose.operator import WholePose
 from operators.whole_pose.solve_kernel import place_marks
 from stream.chunk import Array, Chunk, Samples, StreamSpec
@@ -30,6 +32,9 @@ from stream.operator import grid
 NINE = tuple(name for name in USUAL if not name.startswith(("elbow", "knee")))
 FOLDS = (("13", "14"), ("03",), ("02",), ("01",))
 RATE = 30.0
+Row: TypeAlias = tuple[float, float, float, float, int]
+LEFT_M = 0.015
+"""What the filter leaves of the noise, of somebody who stands still (deviation): the training for noisy markers has so much of it."""
 
 
 def sequences(folder: Path) -> tuple[JointTree, dict[str, Samples]]:
@@ -104,20 +109,20 @@ def main() -> None:
     parser.add_argument("--centres", type=int, default=500)
     given = parser.parse_args()
     tree, motion = sequences(given.folder)
-    print("unseen subjects | markers | method | joints cm | bones deg | us a frame")
-    totals: dict[tuple[str, str], list[tuple[float, float, float, int]]] = {}
+    print("unseen subjects | markers | method | joints cm | bones deg | us a frame | lag ms")
+    totals: dict[tuple[str, str], list[Row]] = {}
     for unseen in FOLDS:
         for names, noise_m in ((USUAL, 0.0), (NINE, 0.0), (USUAL, 0.03)):
             what = f"{len(names)}{' noisy' if noise_m else ''}"
             for method, row in measured(tree, motion, unseen, names, noise_m, given.centres).items():
-                print(
-                    f"{'+'.join(unseen)} | {what} | {method} | {row[0]:.2f} | {row[1]:.1f} | {row[2]:.0f}", flush=True
-                )
+                print(f"{'+'.join(unseen)} | {what} | {method} | {told(row)}", flush=True)
                 totals.setdefault((what, method), []).append(row)
     for (what, method), rows in totals.items():
-        weight = np.array([row[3] for row in rows], float)
-        cm, deg, us = (float(np.average([row[k] for row in rows], weights=weight)) for k in range(3))
-        print(f"all | {what} | {method} | {cm:.2f} | {deg:.1f} | {us:.0f}")
+        print(f"all | {what} | {method} | {told(_mean(rows))}")
+
+
+def told(row: Row) -> str:
+    return f"{row[0]:.3f} | {row[1]:.2f} | {row[2]:.0f} | {row[3]:.0f}"
 
 
 def measured(
@@ -127,11 +132,12 @@ def measured(
     names: Sequence[str],
     noise_m: float,
     centres: int,
-) -> dict[str, tuple[float, float, float, int]]:
-    """Joint error (cm), bone error (deg), us a frame and frames of every method."""
+) -> dict[str, Row]:
+    """Joint error (cm), bone error (deg), us a frame, lag (ms) and frames of every method."""
     chosen = np.array(sorted(NAMES.index(name) for name in names), np.int64)
-    lessons = [lesson_of(tree, poses, chosen) for key, poses in motion.items() if key[:2] not in unseen]
-    found: dict[str, list[tuple[float, float, float, int]]] = {}
+    known = [poses for key, poses in motion.items() if key[:2] not in unseen]
+    lessons = [one for poses in known for one in lessons_of(tree, poses, chosen, LEFT_M if noise_m else 0.0)]
+    found: dict[str, list[Row]] = {}
     with tempfile.TemporaryDirectory() as folder:
         path = model_at(Path(folder) / "pose.npz", tree, lessons, chosen, centres)
         body = model_at(Path(folder) / "body.npz", tree, [_constant(one) for one in lessons], chosen, 50)
@@ -144,19 +150,29 @@ def measured(
             for method, model in (("geometry, mean turns", body), ("kernel ridge, limbs", path)):
                 operator = WholePose(model=model, calibrate_s=0.0)
                 made, us = played(replace(operator), [NAMES[k] for k in chosen], marks)
-                found.setdefault(method, []).append((*errors(tree, made, poses), us, len(poses)))
+                found.setdefault(method, []).append(
+                    (*errors(tree, made, poses), us, lag_ms(tree, made, poses), len(poses))
+                )
     return {method: _mean(rows) for method, rows in found.items()}
 
 
 def _constant(lesson: Lesson) -> Lesson:
     """Targets without any dependence on the features: what remains is their mean, the plain geometry's usual turns."""
-    return Lesson(lesson.features, np.broadcast_to(lesson.targets.mean(axis=0), lesson.targets.shape).copy())
+    return Lesson(
+        lesson.features, lesson.regional, np.broadcast_to(lesson.targets.mean(axis=0), lesson.targets.shape).copy()
+    )
 
 
-def _mean(rows: Sequence[tuple[float, float, float, int]]) -> tuple[float, float, float, int]:
-    weight = np.array([row[3] for row in rows], float)
-    cm, deg, us = (float(np.average([row[k] for row in rows], weights=weight)) for k in range(3))
-    return cm, deg, us, int(weight.sum())
+def lag_ms(tree: JointTree, poses: Samples, truth: Samples) -> float:
+    """By how much hands and feet of `poses` trail those of `truth`."""
+    places = [joints_of(tree, one)[1][:, SEEN].reshape(len(one), -1) for one in (truth, poses)]
+    return 1e3 * lag_of(places[0], places[1], RATE)
+
+
+def _mean(rows: Sequence[Row]) -> Row:
+    weight = np.array([row[4] for row in rows], float)
+    cm, deg, us, lag = (float(np.average([row[k] for row in rows], weights=weight)) for k in range(4))
+    return cm, deg, us, lag, int(weight.sum())
 
 
 if __name__ == "__main__":

@@ -95,10 +95,15 @@ def mirrored_poses(poses: Samples) -> Samples:
     return made
 
 
+def mirrored_tree(tree: JointTree) -> JointTree:
+    """The humanoid seen in a mirror: left for right, x for -x."""
+    swap = [BONES.index(_other_side(bone)) for bone in BONES]
+    return JointTree(tree.joints, tree.parents, tree.offsets[swap] * [-1.0, 1.0, 1.0])
+
+
 def symmetric(tree: JointTree) -> JointTree:
     """The humanoid with both sides the same: the mean of the two. Without that a mirrored pose would stand beside its own feet."""
-    swap = [BONES.index(_other_side(bone)) for bone in BONES]
-    made = 0.5 * (tree.offsets + tree.offsets[swap] * [-1.0, 1.0, 1.0])
+    made = 0.5 * (tree.offsets + mirrored_tree(tree).offsets)
     made[0] = tree.offsets[0]
     return JointTree(tree.joints, tree.parents, made)
 

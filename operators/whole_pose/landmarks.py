@@ -38,7 +38,7 @@ USUAL = NAMES[:13]
 
 _MORE = {
     "toe": ("?toe", "toe?", "?footindex", "?bigtoe", "?foot", "foot?", "?mt5"),
-    "hand": ("?index", "?handtip", "handtip?", "?fin", "?fingers"),
+    "hand": ("?index", "?handtip", "handtip?", "?fin", "?fingers", "hand?"),
     "ear": ("?ear", "ear?"),
     "nose": ("nose",),
 }

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from operators.motion_graph.takes import mirrored_poses, mirrored_tree
 from operators.whole_pose.landmarks import BONE_OF, FROM_BONE, NAMES
 from operators.whole_pose.prior_kernel import features_of, geometric_prior, heading, middles
+from operators.whole_pose.regions_kernel import REGIONS, numbers_of, regional_of, shown_by_region
 from operators.whole_pose.solve_kernel import place_marks
 from stream.chunk import Array, Samples, Times
 from stream.errors import KinegraphError
@@ -17,7 +19,7 @@ from stream.joint_tree import JointTree, joints_of
 from stream.kernel import kernel
 
 WIDTH, RIDGE = 1.0, 0.2
-"""Width of the kernel in median distances of poses, and ridge: chosen by leaving out whole subjects."""
+"""Widths of the kernels in median distances of poses, and ridge."""
 MOST_FRAMES = 40_000
 LEFT_OUT = 1e-3
 """The share of the corrections' variance that is given up for speed."""
@@ -25,9 +27,11 @@ LEFT_OUT = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Lesson:
-    """What a training has to learn from: features (n, 3 m) and targets (n, 6 * 22 + 3) of all its frames."""
+    """What a training has to learn from: of all its frames features (n, 3 m) of the whole body, those of its regions by themselves, and
+    targets (n, 6 * 22 + 3)."""
 
     features: Samples
+    regional: Samples
     targets: Samples
 
 
@@ -35,11 +39,13 @@ class Lesson:
 def see_poses(
     marks: Samples,
     chosen: Times,
+    shown: Times,
     present: Array,
     offsets: Samples,
     root: Samples,
     joints: Samples,
     features: Samples,
+    regional: Samples,
     priors: Samples,
     hips: Samples,
     work: Samples,
@@ -53,51 +59,38 @@ def see_poses(
         low = work[4, :3]
         middles(marks[i], present, 1.0, low, work[5, :3])
         features_of(marks[i], chosen, low, left, 1.0, features[i])
+        regional_of(marks[i], shown, low, work[5, :3], priors[i], 1.0, regional[i], work)
         x, z = root[i, 0] - low[0], root[i, 2] - low[2]
         hips[i, 0] = x * left[0] + z * left[2]
         hips[i, 1] = root[i, 1] - low[1]
         hips[i, 2] = z * left[0] - x * left[2]
 
 
-def lesson_of(tree: JointTree, poses: Samples, chosen: Times) -> Lesson:
-    """What the poses (n, 3 + 4 * 22) of a humanoid skeleton teach about its landmarks `chosen` (m,)."""
+def lessons_of(tree: JointTree, poses: Samples, chosen: Times, noise_m: float = 0.0) -> tuple[Lesson, Lesson]:
+    """What the poses (n, 3 + 4 * 22) of a humanoid skeleton teach, as they are and in a mirror: people of whom nothing was recorded use
+    either hand. See `lesson_of`."""
+    return (
+        lesson_of(tree, poses, chosen, noise_m),
+        lesson_of(mirrored_tree(tree), mirrored_poses(poses), chosen, noise_m),
+    )
+
+
+def lesson_of(tree: JointTree, poses: Samples, chosen: Times, noise_m: float = 0.0) -> Lesson:
+    """What the poses (n, 3 + 4 * 22) of a humanoid skeleton teach about its landmarks `chosen` (m,), which err by `noise_m` (deviation)."""
     turns, joints = joints_of(tree, poses)
     present = np.isin(np.arange(len(NAMES)), chosen)
     marks = np.zeros((len(poses), len(NAMES), 3))
     for i in range(len(poses)):
         place_marks(FROM_BONE, BONE_OF, turns[i], joints[i], present, marks[i])
-    n = len(poses)
-    features, priors, hips = np.empty((n, 3 * len(chosen))), np.empty((n, len(BONES), 4)), np.empty((n, 3))
-    placed = np.empty((n, len(BONES), 3))
+    n, (shown, ends) = len(poses), shown_by_region(chosen)
+    if noise_m:
+        marks[:, chosen] += np.random.default_rng([18, n]).normal(0.0, noise_m, (n, len(chosen), 3))
+    features, regional, hips = np.empty((n, 3 * len(chosen))), np.empty((n, int(ends[-1]))), np.empty((n, 3))
+    priors, placed = np.empty((n, len(BONES), 4)), np.empty((n, len(BONES), 3))
     see_poses(
-        marks, chosen, present, tree.offsets, joints[:, 0].copy(), placed, features, priors, hips, np.zeros((9, 4))
-    )
-    return Lesson(features, np.hstack([_six(priors, turns).reshape(n, -1), hips]))
-
-
-def mirrored(lesson: Lesson, chosen: Times) -> Lesson:
-    """What the same poses teach in a mirror: either side of the body can do what one was seen to do. Landmarks that have no counterpart
-    among those `chosen` leave the lesson as it is."""
-    n, names = len(lesson.features), [NAMES[k] for k in chosen]
-    if not {other_side(name) for name in names} <= set(names):
-        return lesson
-    marks = [names.index(other_side(name)) for name in names]
-    bones = [BONES.index(other_side(bone)) for bone in BONES]
-    features = (lesson.features.reshape(n, -1, 3) * [-1.0, 1.0, 1.0])[:, marks]
-    turns = lesson.targets[:, :-3].reshape(n, -1, 6)[:, bones] * [1.0, -1.0, -1.0, -1.0, 1.0, 1.0]
-    targets = np.hstack([turns.reshape(n, -1), lesson.targets[:, -3:] * [-1.0, 1.0, 1.0]])
-    return Lesson(features.reshape(n, -1), targets)
-
-
-def other_side(name: str) -> str:
-    """What a bone or a landmark is called on the other side; its own name where it has no side."""
-    for one, other in (("Left", "Right"), ("Right", "Left")):
-        if name.startswith(one):
-            return other + name.removeprefix(one)
-    for one, other in (("_l", "_r"), ("_r", "_l")):
-        if name.endswith(one):
-            return name.removesuffix(one) + other
-    return name
+        marks, chosen, shown, present, tree.offsets, joints[:, 0].copy(), placed, features, regional, priors, hips, np.zeros((9, 4))
+    )  # fmt: skip
+    return Lesson(features, regional, np.hstack([_six(priors, turns).reshape(n, -1), hips]))
 
 
 def _six(priors: Samples, turns: Samples) -> Samples:
@@ -112,43 +105,88 @@ def _six(priors: Samples, turns: Samples) -> Samples:
 
 
 def learn_pose(
-    lessons: Sequence[Lesson], chosen: Times, centres: int, width: float = WIDTH, ridge: float = RIDGE
+    lessons: Sequence[Lesson],
+    chosen: Times,
+    centres: int,
+    width: float = WIDTH,
+    regional_width: float = WIDTH,
+    ridge: float = RIDGE,
 ) -> dict[str, Array]:
-    """Kernel centres, weights, their basis, mean and scale: ridge regression on all frames, as they are and in a mirror, with Gaussian
-    kernels at `centres` of them.
+    """The arrays of `Corrections`: ridge regression on all frames, with kernels at `centres` of them.
 
     chosen  (m,)  the landmarks that the lessons are on
 
-    The centres are frames as far from one another as can be (farthest points in turn). Raises KinegraphError for too few frames.
+    What a region of the body says goes by the sum of two Gaussian kernels, of the whole body's pose and of the region's own: limbs also do
+    together what they were never seen to do together. The centres are frames as far from one another as can be (farthest points in turn).
+    Raises KinegraphError for too few frames.
     """
     if (frames := sum(len(one.features) for one in lessons)) < 50:
         raise KinegraphError(f"{frames} poses are too few to learn from; at least 50 are needed")
-    both = [each for one in lessons for each in (one, mirrored(one, chosen))]
-    x, y = np.concatenate([one.features for one in both]), np.concatenate([one.targets for one in both])
+    x, own, y = (
+        np.concatenate([getattr(one, name) for one in lessons]) for name in ("features", "regional", "targets")
+    )
     if len(x) > MOST_FRAMES:
         thin = np.linspace(0, len(x) - 1, MOST_FRAMES).astype(np.intp)
-        x, y = x[thin], y[thin]
-    sample = x[:: max(1, len(x) // 400)]
-    scale = 1.0 / (
-        2.0 * (width * float(np.median(_squares(sample, sample)[np.triu_indices(len(sample), 1)] ** 0.5))) ** 2
+        x, own, y = x[thin], own[thin], y[thin]
+    ends, mean = shown_by_region(chosen)[1], y.mean(axis=0)
+    scales = np.array(
+        [_scale(x, width), *(_scale(own[:, ends[k] : ends[k + 1]], regional_width) for k in range(REGIONS))]
     )
-    at = x[_far_apart(x, min(centres, len(x)))]
-    mean = y.mean(axis=0)
-    left, right = np.zeros((len(at), len(at))), np.zeros((len(at), y.shape[1]))
+    at = _far_apart(x, min(centres, len(x)))
+    centre = (x[at], own[at], ends, scales)
+    lefts = np.zeros((REGIONS, len(at), len(at)))
+    rights = [np.zeros((len(at), len(numbers_of(k)))) for k in range(REGIONS)]
     for part in range(0, len(x), 4096):
-        k = np.exp(-scale * _squares(x[part : part + 4096], at))
-        left += k.T @ k
-        right += k.T @ (y[part : part + 4096] - mean)
-    left += ridge * np.exp(-scale * _squares(at, at)) + 1e-9 * np.eye(len(at))
-    weights: Samples = np.asarray(np.linalg.solve(left, right), np.float64)
-    weights, basis = _in_few(weights, np.exp(-scale * _squares(x[:: max(1, len(x) // 2000)], at)) @ weights)
-    return {"centres": at, "weights": weights, "basis": basis, "mean": mean, "scale": np.array([scale])}
+        rows = slice(part, part + 4096)
+        for k, near in enumerate(_kernels(x[rows], own[rows], *centre)):
+            lefts[k] += near.T @ near
+            rights[k] += near.T @ (y[rows] - mean)[:, numbers_of(k)]
+    every = max(1, len(x) // 2000)
+    seen = _kernels(x[::every], own[::every], *centre)
+    weights, bases = [], []
+    for k, among in enumerate(_kernels(x[at], own[at], *centre)):
+        left = lefts[k] + ridge * among + 1e-9 * np.eye(len(at))
+        solved, narrow = _in_few(np.asarray(np.linalg.solve(left, rights[k]), np.float64), next(seen))
+        basis = np.zeros((len(narrow), y.shape[1]))
+        basis[:, numbers_of(k)] = narrow
+        weights.append(solved)
+        bases.append(basis)
+    ranks = np.cumsum([0, *(len(basis) for basis in bases)])
+    return {
+        "centres": x[at], "regional": own[at], "weights": np.hstack(weights), "basis": np.concatenate(bases), "mean": mean,
+        "scales": scales, "ranks": ranks,
+    }  # fmt: skip
 
 
-def _in_few(weights: Samples, predicted: Samples) -> tuple[Samples, Samples]:
-    """Weights (c, q) by those directions of the predictions (n, q) that hold all but `LEFT_OUT` of their variance: (c, r) and (r, q)."""
+def _kernels(
+    x: Samples, own: Samples, centres: Samples, regional: Samples, ends: Times, scales: Samples
+) -> Iterator[Samples]:
+    """For each region the kernel (n, c) of the frames `x` (n, 3 m), `own` (n, 3 k) with the centres; see `Corrections`."""
+    whole = _gaussian(x, centres, scales[0])
+    for k in range(REGIONS):
+        columns = slice(ends[k], ends[k + 1])
+        yield whole + _gaussian(own[:, columns], regional[:, columns], scales[1 + k])
+
+
+def _scale(x: Samples, width: float) -> float:
+    """1 / (2 w^2) for a `width` in median distances of the rows of `x`; 0 where these are all alike, or have no columns."""
+    sample = x[:: max(1, len(x) // 400)]
+    median = float(np.median(_squares(sample, sample)[np.triu_indices(len(sample), 1)] ** 0.5))
+    return 1.0 / (2.0 * (width * median) ** 2) if median > 0.0 else 0.0
+
+
+def _gaussian(x: Samples, at: Samples, scale: float) -> Samples:
+    made = _squares(x, at)
+    made *= -scale
+    return np.asarray(np.exp(made, out=made))
+
+
+def _in_few(weights: Samples, kernel: Samples) -> tuple[Samples, Samples]:
+    """Weights (c, q) by those directions of what they predict, `kernel` (n, c) times them, that hold all but `LEFT_OUT` of its variance:
+    (c, r) and (r, q)."""
+    predicted = kernel @ weights
     _, size, directions = np.linalg.svd(predicted, full_matrices=False)
-    share = np.cumsum(size**2) / np.sum(size**2)
+    share = np.cumsum(size**2) / max(float(np.sum(size**2)), 1e-300)
     basis = np.ascontiguousarray(directions[: int(np.searchsorted(share, 1.0 - LEFT_OUT)) + 1])
     return np.ascontiguousarray(weights @ basis.T), basis
 

@@ -11,12 +11,13 @@ import numpy as np
 
 from operators.inputs.lengths import length_of, metres
 from operators.whole_pose.landmarks import BONE_OF, FROM_BONE, NAMES, PLACES, find_landmarks
+from operators.whole_pose.regions_kernel import REGIONS, Corrections, shown_by_region
 from operators.whole_pose.solve_kernel import GROUND, SIZE, Solver, solve
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
 from stream.humanoid import BONES, PARENTS, usual_body
 from stream.joint_tree import JointTree, joints_of
-from stream.model import Model, read_model
+from stream.model import Model, ModelError, read_model
 from stream.operator import Case, Operator, grid
 from stream.params import param
 
@@ -48,14 +49,9 @@ class WholePoseState:
 
 @dataclass(frozen=True, slots=True)
 class Regression:
-    """What a model has learned: landmarks, kernel centres (c, 3 m), weights (c, r), basis (r, 135), mean (135,), 1 / (2 width^2)."""
+    """What a model has learned, and the skeleton that it is for."""
 
-    chosen: Times
-    centres: Samples
-    weights: Samples
-    basis: Samples
-    mean: Samples
-    scale: float
+    learned: Corrections
     tree: JointTree
 
 
@@ -105,7 +101,7 @@ class WholePose(_Solving):
         unit = length_of(spec)
         found, columns = find_landmarks(spec, self.landmarks or {})
         learned = regression_of(read_model(self.model, "pose")) if self.model else no_regression()
-        if missing := [NAMES[k] for k in learned.chosen if NAMES[k] not in found]:
+        if missing := [NAMES[k] for k in learned.learned.chosen if NAMES[k] not in found]:
             what = f"has no {missing[0]}, which {self.model} was trained for; it has {', '.join(found)}"
             raise ParameterError("model", str(self.model), f"a model for these markers: the input {what}")
         axes, signs = AXES[self.up]
@@ -138,9 +134,7 @@ class WholePose(_Solving):
         state = {f.name: getattr(self.state, f.name) for f in fields(WholePoseState)}
         solver = Solver(
             columns=columns, axes=axes, signs=signs, present=present, counts=np.zeros(m), from_bone=FROM_BONE, bone_of=BONE_OF,
-            usual=r.tree.offsets, parents=r.tree.parents, chosen=r.chosen, centres=r.centres, weights=r.weights, basis=r.basis, mean=r.mean,
-            few=np.zeros(len(r.basis)),
-            x=np.zeros(3 * len(r.chosen)), predicted=np.zeros(len(r.mean)), work=np.zeros((8, 4)), **state,
+            usual=r.tree.offsets, parents=r.tree.parents, learned=r.learned, work=np.zeros((8, 4)), **state,
         )  # fmt: skip
         object.__setattr__(self, "solver", solver)
 
@@ -149,7 +143,7 @@ class WholePose(_Solving):
         pose, joints, quality = np.empty((n, 3 + 4 * bones)), np.empty((n, bones, 3)), np.empty((n, bones + len(NOTES)))
         if n:
             solve(
-                chunk.data, chunk.time, self.solver, self.learned.scale, self.needed, self.feet, self.turn_rad_s, pose, joints, quality
+                chunk.data, chunk.time, self.solver, self.needed, self.feet, self.turn_rad_s, pose, joints, quality
             )  # fmt: skip
         made = zip(self.outputs, (pose, joints, quality), strict=True)
         return [(name, Chunk(chunk.time, data, chunk.until, chunk.lost)) for name, data in made]
@@ -181,8 +175,10 @@ class WholePose(_Solving):
 
 def no_regression() -> Regression:
     """Geometry alone, on the usual body."""
+    nothing, none, none_of = np.empty((0, 0)), np.empty(0, np.int64), np.empty(0)
+    shown = np.empty((0, 3), np.int64)
     return Regression(
-        np.empty(0, np.int64), np.empty((0, 0)), np.empty((0, 0)), np.empty((0, 0)), np.empty(0), 0.0, usual_body()
+        _room(none, nothing, none_of, shown, nothing, none, none, nothing, nothing, none_of), usual_body()
     )
 
 
@@ -201,11 +197,35 @@ def start(tree: JointTree) -> WholePoseState:
 
 def regression_of(model: Model) -> Regression:
     """What a model of a pose says. Raises ModelError."""
+    if "regional" not in model.arrays:
+        raise ModelError(f"{model.path}: made by an earlier kinegraph; make it again: kinegraph train pose")
     chosen = model.array("landmarks", (None,), np.int64)
-    centres = model.array("centres", (None, 3 * len(chosen)))
-    mean = model.array("mean", (6 * len(BONES) + 3,))
+    if len(chosen) and not (chosen.min() >= 0 and chosen.max() < len(NAMES)):
+        raise ModelError(f"{model.path}: names landmarks that there are not")
+    centres, mean = model.array("centres", (None, 3 * len(chosen))), model.array("mean", (6 * len(BONES) + 3,))
+    shown, ends = shown_by_region(chosen)
+    regional = model.array("regional", (len(centres), int(ends[-1])))
     basis = model.array("basis", (None, len(mean)))
-    weights = model.array("weights", (len(centres), len(basis)))
-    scale = model.array("scale", (1,))
+    weights, scales = model.array("weights", (len(centres), len(basis))), model.array("scales", (1 + REGIONS,))
+    ranks = model.array("ranks", (1 + REGIONS,), np.int64)
+    if ranks[0] or ranks[-1] != len(basis) or (np.diff(ranks) < 0).any():
+        raise ModelError(f"{model.path}: says wrongly which weights are for which region of the body")
     tree = JointTree(BONES, usual_body().parents, model.array("offsets", (len(BONES), 3)))
-    return Regression(chosen, centres, weights, basis, mean, float(scale[0]), tree)
+    return Regression(_room(chosen, centres, scales, shown, regional, ends, ranks, weights, basis, mean), tree)
+
+
+def _room(
+    chosen: Times, centres: Samples, scales: Samples, shown: Times, regional: Samples, ends: Times, ranks: Times, weights: Samples,
+    basis: Samples, mean: Samples,
+) -> Corrections:  # fmt: skip
+    """These, and the room that the regression works in."""
+    count = len(centres)
+    room = (
+        np.zeros(3 * len(chosen)),
+        np.zeros(3 * len(shown)),
+        np.zeros((2, count)),
+        np.zeros(len(basis)),
+        np.zeros(len(mean)),
+    )
+    centres, regional = np.ascontiguousarray(centres.T), np.ascontiguousarray(regional.T)
+    return Corrections(chosen, centres, scales, shown, regional, ends, ranks, weights, basis, mean, *room)

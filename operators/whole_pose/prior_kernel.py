@@ -223,39 +223,6 @@ def features_of(marks: Samples, chosen: Times, low: Samples, left: Samples, size
 
 
 @kernel
-def regress(
-    x: Samples,
-    centres: Samples,
-    weights: Samples,
-    basis: Samples,
-    mean: Samples,
-    scale: float,
-    few: Samples,
-    out: Samples,
-) -> float:
-    """Gaussian kernel regression: out (q,) = mean + (sum over c of exp(-scale |x - centres[c]|^2) weights[c]) basis.
-
-    weights (c, r), basis (r, q), few (r,) room. Returns the least |x - centres[c]|^2.
-    """
-    few[:] = 0.0
-    least = math.inf
-    for c in range(centres.shape[0]):
-        d = 0.0
-        for k in range(x.shape[0]):
-            e = x[k] - centres[c, k]
-            d += e * e
-        least = min(least, d)
-        g = math.exp(-scale * d)
-        for r in range(few.shape[0]):
-            few[r] += g * weights[c, r]
-    out[:] = mean
-    for r in range(few.shape[0]):
-        for q in range(out.shape[0]):
-            out[q] += few[r] * basis[r, q]
-    return least
-
-
-@kernel
 def trained_prior(
     predicted: Samples, low: Samples, left: Samples, size: float, turns: Samples, joints: Samples, work: Samples
 ) -> None:

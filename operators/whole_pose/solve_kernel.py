@@ -24,7 +24,8 @@ from operators.whole_pose.limb_kernel import (
 )
 from operators.whole_pose.marks_kernel import complete_marks, gather, scale_body, stand
 from operators.whole_pose.motion_kernel import limit_turns, put_feet, same_signs
-from operators.whole_pose.prior_kernel import features_of, geometric_prior, heading, middles, regress, trained_prior
+from operators.whole_pose.prior_kernel import features_of, geometric_prior, heading, middles, trained_prior
+from operators.whole_pose.regions_kernel import Corrections, regional_of, regress
 from operators.whole_pose.rotation_kernel import from_axes
 from stream.chunk import Array, Samples, Times
 from stream.joint_tree import place_joints, turn
@@ -46,7 +47,7 @@ class Solver(NamedTuple):
     from_bone (m, 3), bone_of (m,)  where landmarks are from which joint
     usual, offsets (22, 3)  the skeleton as given and as calibrated; parents (22,)
     turns, turns_before, local, local_before (22, 4)  rotations in the world and relative to parents; joints (22, 3)
-    chosen, centres, weights, basis, mean  the regression; without one there are no centres
+    learned  the regression; without one there are no centres
     """
 
     columns: Times
@@ -69,14 +70,7 @@ class Solver(NamedTuple):
     local: Samples
     local_before: Samples
     joints: Samples
-    chosen: Times
-    centres: Samples
-    weights: Samples
-    basis: Samples
-    mean: Samples
-    x: Samples
-    few: Samples
-    predicted: Samples
+    learned: Corrections
     left: Samples
     memory: Samples
     feet: Samples
@@ -85,17 +79,18 @@ class Solver(NamedTuple):
 
 
 @kernel
-def prior(s: Solver, scale: float) -> None:
+def prior(s: Solver) -> None:
     """World rotations and the hips' place: by geometry, corrected by the regression where there is one."""
     heading(s.marks, s.present, s.left)
     geometric_prior(s.marks, s.present, s.memory[SIZE], s.left, s.offsets, s.turns, s.joints, s.work)
-    if s.centres.shape[0]:
-        low = s.work[4, :3]
-        middles(s.marks, s.present, s.memory[SIZE], low, s.work[5, :3])
-        features_of(s.marks, s.chosen, low, s.left, s.memory[SIZE], s.x)
-        near = regress(s.x, s.centres, s.weights, s.basis, s.mean, scale, s.few, s.predicted)
-        s.memory[OUTSIDE] = math.sqrt(2.0 * scale * near)
-        trained_prior(s.predicted, low, s.left, s.memory[SIZE], s.turns, s.joints, s.work)
+    r = s.learned
+    if r.centres.shape[1]:
+        low, high, size = s.work[4, :3], s.work[5, :3], s.memory[SIZE]
+        middles(s.marks, s.present, size, low, high)
+        features_of(s.marks, r.chosen, low, s.left, size, r.x)
+        regional_of(s.marks, r.shown, low, high, s.turns, size, r.own, s.work)
+        s.memory[OUTSIDE] = math.sqrt(2.0 * r.scales[0] * regress(r))
+        trained_prior(r.predicted, low, s.left, size, s.turns, s.joints, s.work)
 
 
 @kernel
@@ -175,9 +170,9 @@ def flag(s: Solver) -> None:
 
 
 @kernel
-def move(s: Solver, scale: float, dt: float, first: bool, feet: bool, turn_rad_s: float) -> None:
+def move(s: Solver, dt: float, first: bool, feet: bool, turn_rad_s: float) -> None:
     """The pose that fits the landmarks, as far as one period lets the bones turn."""
-    prior(s, scale)
+    prior(s)
     fit_pose(s.marks, s.present, s.from_bone, s.parents, s.offsets, s.turns, s.joints, s.work)
     if feet:
         put_feet(s.marks, s.present, dt, s.memory, s.feet, s.offsets, s.turns, s.joints, s.work)
@@ -188,7 +183,7 @@ def move(s: Solver, scale: float, dt: float, first: bool, feet: bool, turn_rad_s
 
 @kernel
 def solve(
-    rows: Samples, time: Times, s: Solver, scale: float, frames: int, feet: bool, turn_rad_s: float,
+    rows: Samples, time: Times, s: Solver, frames: int, feet: bool, turn_rad_s: float,
     poses: Samples, joints: Samples, quality: Samples,
 ) -> None:  # fmt: skip
     """Poses (n, 3 + 4 * 22), joints (n, 22, 3) and what is known of them (n, 22 + 4) of the samples `rows` (n, width)."""
@@ -199,7 +194,7 @@ def solve(
         s.memory[LAST] = now
         if believe(rows[i], dt, frames, s):
             s.memory[OUTSIDE] = 0.0
-            move(s, scale, dt, first, feet, turn_rad_s)
+            move(s, dt, first, feet, turn_rad_s)
             if not first:
                 same_signs(s.local_before, s.local)
             s.turns_before[:] = s.turns

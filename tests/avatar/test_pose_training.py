@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 
 from operators.whole_pose.landmarks import NAMES, USUAL
-from operators.whole_pose.learn import lesson_of, mirrored, other_side
+from operators.whole_pose.learn import learn_pose, lesson_of, lessons_of
+from operators.whole_pose.regions_kernel import shown_by_region
 from stream import cli
+from stream.chunk import Samples
 from stream.errors import KinegraphError
 from stream.humanoid import BONES as HUMANOID
 from stream.humanoid import find_bones, to_humanoid
 from stream.joint_tree import JointTree, joints_of
-from stream.model import read_model
+from stream.model import ModelError, read_model, write_model
 from stream.recording import Recording
 from tests.avatar.test_whole_pose import POSES, RATE, TREE, N, marks, played
 
@@ -125,16 +127,80 @@ def test_a_real_c3d_file_of_a_person_gives_a_model(tmp_path: Path) -> None:
     assert len(read_model(tmp_path / "pose.npz", "pose").header["trained_on"]) == 1
 
 
-def test_a_mirrored_lesson_is_that_of_the_mirrored_poses() -> None:
-    chosen = np.arange(len(USUAL))
-    bones = [HUMANOID.index(other_side(bone)) for bone in HUMANOID]
-    other = POSES.copy()
-    other[:, 0] *= -1.0
-    turns = POSES[:, 3:].reshape(N, -1, 4)[:, bones] * [1.0, 1.0, -1.0, -1.0]
-    other[:, 3:] = turns.reshape(N, -1)
-    made, wanted = mirrored(lesson_of(TREE, POSES, chosen), chosen), lesson_of(TREE, other, chosen)
-    assert np.abs(made.features - wanted.features).max() < 1e-9
-    assert np.abs(made.targets - wanted.targets).max() < 1e-9
-    one_arm = np.array([k for k, name in enumerate(NAMES) if name in ("head", "hip_l", "hip_r", "wrist_l", "ankle_l")])
-    lesson = lesson_of(TREE, POSES, one_arm)
-    assert mirrored(lesson, one_arm) is lesson
+def test_a_pose_is_learned_as_it_is_and_in_a_mirror() -> None:
+    chosen, sides = np.arange(len(USUAL)), [NAMES.index(other_side(name)) for name in USUAL]
+    one, other = lessons_of(TREE, POSES, chosen)
+    assert np.array_equal(one.features, lesson_of(TREE, POSES, chosen).features)
+    flipped = one.features.reshape(N, -1, 3)[:, sides] * [-1.0, 1.0, 1.0]
+    assert np.abs(flipped.reshape(N, -1) - other.features).max() < 1e-9
+    assert np.abs(other.targets[:, -3:] - one.targets[:, -3:] * [-1.0, 1.0, 1.0]).max() < 1e-9
+    arm = slice(*shown_by_region(chosen)[1][1:3])
+    other_arm = slice(*shown_by_region(chosen)[1][2:4])
+    assert (
+        np.abs(
+            one.regional[:, arm].reshape(N, -1, 3) * [-1.0, 1.0, 1.0] - other.regional[:, other_arm].reshape(N, -1, 3)
+        ).max()
+        < 1e-9
+    )
+
+
+def other_side(name: str) -> str:
+    return name.replace("_l", "_?").replace("_r", "_l").replace("_?", "_r")
+
+
+@pytest.mark.parametrize(
+    "few", [("head", "hip_l", "hip_r", "wrist_l", "ankle_l"), ("head", "neck", "nose", "wrist_l", "wrist_r"), NAMES]
+)
+def test_every_subset_of_the_landmarks_can_be_learned_from_and_played(few: tuple[str, ...], tmp_path: Path) -> None:
+    chosen = np.array(sorted(NAMES.index(name) for name in few))
+    learned = learn_pose(lessons_of(TREE, POSES, chosen), chosen, 50)
+    names = tuple(NAMES[k] for k in chosen)
+    path = tmp_path / "pose.npz"
+    write_model(path, "pose", {"landmarks": list(names)}, {**learned, "landmarks": chosen, "offsets": TREE.offsets})
+    poses = played(marks(names), names, model=path, calibrate_s=0.0)[0]
+    assert np.isfinite(poses).all()
+
+
+def test_limbs_do_together_what_they_were_never_seen_to_do_together(tmp_path: Path) -> None:
+    """The wrists turn as the elbows bend, one arm at a time in the training, both at once live."""
+    chosen, tree = np.arange(len(USUAL)), TREE
+    arms = [[HUMANOID.index(f"{side}{bone}") for bone in ("LowerArm", "Hand")] for side in ("Left", "Right")]
+
+    def bent(left: Samples, right: Samples) -> Samples:
+        poses = np.tile(np.concatenate([tree.offsets[0], np.tile([1.0, 0.0, 0.0, 0.0], len(HUMANOID))]), (len(left), 1))
+        turns = poses[:, 3:].reshape(len(left), -1, 4)
+        for (lower, hand), angle, sign in zip(arms, (left, right), (1.0, -1.0), strict=True):
+            turns[:, lower, 0], turns[:, lower, 2] = np.cos(angle / 2), -sign * np.sin(angle / 2)
+            turns[:, hand, 0], turns[:, hand, 1] = np.cos(angle / 2), np.sin(angle / 2)
+        return poses
+
+    angle, still = np.linspace(0.0, 1.5, 90), np.zeros(90)
+    lessons = [one for poses in (bent(angle, still), bent(still, angle)) for one in lessons_of(tree, poses, chosen)]
+    path = tmp_path / "pose.npz"
+    write_model(path, "pose", {}, {**learn_pose(lessons, chosen, 100), "landmarks": chosen, "offsets": tree.offsets})
+    both = bent(angle, angle)
+    made = played(marks(poses=both), model=path, calibrate_s=0.0, feet=False)[0][:, 3:].reshape(90, -1, 4)
+    for _, hand in arms:
+        off = np.degrees(
+            2 * np.arccos(np.minimum(1.0, np.abs((made[:, hand] * both[:, 3:].reshape(90, -1, 4)[:, hand]).sum(-1))))
+        )
+        assert off.mean() < 15.0, off.mean()
+
+
+def test_a_model_of_an_earlier_kinegraph_is_refused(tmp_path: Path) -> None:
+    write_model(tmp_path / "pose.npz", "pose", {}, {"landmarks": np.arange(13), "centres": np.zeros((4, 39))})
+    with pytest.raises(ModelError, match="made by an earlier kinegraph"):
+        played(marks(), model=tmp_path / "pose.npz")
+
+
+def test_a_training_for_noisy_markers_turns_less_with_them(tmp_path: Path) -> None:
+    chosen, noise = np.arange(len(USUAL)), np.random.default_rng(5).normal(0.0, 0.03, (N, len(USUAL), 3))
+    off = []
+    for noise_m in (0.0, 0.03):
+        path = tmp_path / f"{noise_m}.npz"
+        learned = learn_pose(lessons_of(TREE, POSES, chosen, noise_m), chosen, 60)
+        write_model(path, "pose", {}, {**learned, "landmarks": chosen, "offsets": TREE.offsets})
+        made = played(marks() + noise, model=path, calibrate_s=0.0)[0]
+        dot = np.abs((made[:, 3:].reshape(N, -1, 4) * POSES[:, 3:].reshape(N, -1, 4)).sum(-1))
+        off.append(np.arccos(np.minimum(1.0, dot)).mean())
+    assert off[1] < off[0]

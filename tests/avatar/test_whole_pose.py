@@ -43,16 +43,17 @@ def walker() -> Samples:
 
 
 POSES = walker()
-TURNS, JOINTS = joints_of(TREE, POSES)
+JOINTS = joints_of(TREE, POSES)[1]
 
 
-def marks(names: tuple[str, ...] = USUAL) -> Samples:
-    made = np.empty((N, len(names), 3))
+def marks(names: tuple[str, ...] = USUAL, poses: Samples = POSES) -> Samples:
+    turns, joints = joints_of(TREE, poses)
+    made = np.empty((len(poses), len(names), 3))
     for i, name in enumerate(names):
         k = NAMES.index(name)
-        w, v = TURNS[:, BONE_OF[k], :1], TURNS[:, BONE_OF[k], 1:]
+        w, v = turns[:, BONE_OF[k], :1], turns[:, BONE_OF[k], 1:]
         u = 2 * np.cross(v, FROM_BONE[k])
-        made[:, i] = JOINTS[:, BONE_OF[k]] + FROM_BONE[k] + w * u + np.cross(v, u)
+        made[:, i] = joints[:, BONE_OF[k]] + FROM_BONE[k] + w * u + np.cross(v, u)
     return made
 
 

@@ -67,7 +67,8 @@ def pose(path: Path) -> Reader:
     width = 6 * len(BONES) + 3
     arrays = {
         "landmarks": np.arange(2), "centres": np.zeros((4, 6)), "mean": np.zeros(width), "basis": np.ones((2, width)),
-        "weights": np.zeros((4, 2)), "scale": np.ones(1), "offsets": np.zeros((len(BONES), 3)),
+        "weights": np.zeros((4, 2)), "scales": np.ones(6), "regional": np.zeros((4, 3)), "ranks": np.array([0, 1, 1, 2, 2, 2]),
+        "offsets": np.zeros((len(BONES), 3)),
     }  # fmt: skip
     write_model(path, "pose", {}, arrays)
     return lambda path: regression_of(read_model(path, "pose"))

@@ -28,6 +28,12 @@ def pose(
         str, typer.Option(help="landmarks that will be seen, with commas [default: head, shoulders, ..., ankles: 13]")
     ] = "",
     centres: Annotated[int, typer.Option(min=50, max=5000, help="kernel centres: 500 take some 30 us a frame")] = 500,
+    noise_mm: Annotated[
+        float,
+        typer.Option(
+            min=0.0, max=200.0, help="how far the live markers err (deviation), after all filters; a camera's 15 or so"
+        ),
+    ] = 0.0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a model that exists")] = False,
 ) -> None:
     """Learn what markers do not show of a pose: how bones are turned, where joints without a marker are.
@@ -54,22 +60,22 @@ def pose(
     if output.exists() and not overwrite:
         raise KinegraphError(f"{output}: exists; choose another --out, or replace it with --overwrite")
     chosen = np.array(sorted(NAMES.index(name) for name in set(names)), np.int64)
-    lessons, told, tree = _lessons(recordings, chosen)
+    lessons, told, tree = _lessons(recordings, chosen, noise_mm / 1000.0)
     learned = learn_pose(lessons, chosen, centres)
-    header = {"landmarks": [NAMES[k] for k in chosen], "trained_on": told}
+    header = {"landmarks": [NAMES[k] for k in chosen], "noise_mm": noise_mm, "trained_on": told}
     write_model(output, "pose", header, {**learned, "landmarks": chosen, "offsets": tree.offsets})
-    frames = sum(len(one.features) for one in lessons)
+    frames = sum(len(one.features) for one in lessons) // 2
     say(
         f"{output}: learned from {frames} poses of {len(told)} streams, for {len(chosen)} landmarks, {len(learned['centres'])} centres"
     )
 
 
-def _lessons(recordings: list[File], chosen: object) -> tuple[list[Lesson], list[str], JointTree]:
+def _lessons(recordings: list[File], chosen: object, noise_m: float) -> tuple[list[Lesson], list[str], JointTree]:
     """What every stream of poses teaches, which they are, and the skeleton of the first."""
     import numpy as np
 
     from operators.whole_pose.from_markers import solved
-    from operators.whole_pose.learn import lesson_of
+    from operators.whole_pose.learn import lessons_of
     from stream.batch.sessions import name_of, open_session, sessions_at
     from stream.humanoid import to_humanoid, usual_body
     from stream.joint_tree import JointTree
@@ -95,7 +101,7 @@ def _lessons(recordings: list[File], chosen: object) -> tuple[list[Lesson], list
                 else:
                     continue
                 tree = tree or body
-                lessons.append(lesson_of(body, poses, np.asarray(chosen)))
+                lessons += lessons_of(body, poses, np.asarray(chosen), noise_m)
                 told.append(f"{name_of(opened)}: {name}")
                 say(f"{name_of(opened)}: {name}: {len(poses)} poses")
     if tree is None:
