@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -83,10 +84,11 @@ def main() -> None:
     markers = markers_of(train[0]) if given.mesh == "horse-gallop" else spread_markers(train[0], faces)
     reference = REFERENCE if given.mesh == "horse-gallop" else tuple(markers)
     began = time.perf_counter()
-    chosen, way, off = choose(train, faces, markers, reference)
+    chosen, way, off, pull = choose(train, faces, markers, reference)
     print(
         f"training frames left out: {', '.join(f'{name} {error:.3f} %' for name, error in off.items())}; chosen: {way}"
     )
+    print(f"how markers pull: {pull}")
     print(f"chosen and trained in {time.perf_counter() - began:.1f} s")
     began = time.perf_counter()
     model = fit_steering(train, faces, markers, reference)
@@ -96,6 +98,14 @@ def main() -> None:
     print("method | mean % | p95 % | max %")
     marks = test[:, model.vertices]
     told(f"chosen: {way}", chosen(marks, frames.shape[1]), test, diagonal)
+    told(
+        "the same, markers that do not pull",
+        replace(chosen, soft=np.zeros((0, 0)))(marks, frames.shape[1]),
+        test,
+        diagonal,
+    )
+    by_parts = choose(train, faces, markers, reference, method="parts")[0]
+    told("parts, markers pull", by_parts(marks, frames.shape[1]), test, diagonal)
     told("part model, kernel ridge", model(marks, frames.shape[1]), test, diagonal)
     peers(model, train, test, diagonal, faces)
 

@@ -9,6 +9,8 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 
 from operators.steering.fit import Layout, Steering, fit_steering, fit_straight
+from operators.steering.parts import along_surface, edges_of, seams_of
+from operators.steering.soft import Pull, felt, pulled
 from stream.chunk import Array, Samples
 
 Method: TypeAlias = Literal["parts", "straight", "both"]
@@ -26,16 +28,19 @@ def choose(
     modes: int = 4,
     heading: Sequence[str] = (),
     method: Method | None = None,
-) -> tuple[Steering, Method, dict[Method, float]]:
-    """A model of a mesh's `frames` (f, vertices, 3), how it was made, and what each way's vertices are off by, in percent of the mesh's
-    diagonal, in frames left out.
+    pull: Pull | None = None,
+) -> tuple[Steering, Method, dict[Method, float], Pull | None]:
+    """A model of a mesh's `frames` (f, vertices, 3), how it was made, what each way's vertices are off by, in percent of the mesh's
+    diagonal, in frames left out, and how its markers pull.
 
     Every fourth frame is left out in turn, four times; only the borders of the parts are those of all frames. Limbs that move by
-    themselves need parts, and so do fewer than eight frames. Nothing is left out where `method` says what to make. The mean of both costs
-    as much as both together; their errors differ, and so it is mostly better than either, and taken where it is not clearly worse.
+    themselves need parts, and so do fewer than eight frames; nothing is left out then, and no marker pulls. Of `method` and `pull`, what
+    is given is not chosen. The mean of both costs as much as both together; their errors differ, and so it is mostly better than either,
+    and taken where it is not clearly worse.
     """
     at = np.array(list(markers.values()), np.int64)
     layout = None if method == "straight" else Layout.of(frames, faces, at, count)
+    diagonal = float(np.linalg.norm(np.ptp(frames[0], axis=0)))
 
     def made(rows: Samples, way: Method) -> Steering:
         if way == "straight":
@@ -43,19 +48,32 @@ def choose(
         parts = fit_steering(rows, faces, markers, reference, limbs, count, modes, heading, layout)
         return parts if way == "parts" else mean_of(parts, fit_straight(rows, markers, reference, heading))
 
-    if method or limbs or len(frames) < 2 * FOLDS:
-        return made(frames, method or "parts"), method or "parts", {}
-    diagonal = float(np.linalg.norm(np.ptp(frames[0], axis=0)))
-    off = {way: np.zeros(len(frames)) for way in METHODS}
+    def soft(model: Steering, apart: Samples, how: Pull | None) -> Steering:
+        return replace(model, soft=felt(apart, at, how), most=how.most) if how else model
+
+    if limbs or len(frames) < 2 * FOLDS:
+        return made(frames, method or "parts"), method or "parts", {}, None
+    edges = np.concatenate([edges_of(faces), seams_of(frames)])
+    apart = along_surface(at, edges, frames[0]) / diagonal
+    if method and pull:
+        return soft(made(frames, method), apart, pull), method, {}, pull
+    ways: tuple[Method, ...] = (method,) if method else METHODS
+    off = {way: np.zeros_like(frames) for way in ways}
     for fold in range(FOLDS):
         out = np.arange(len(frames)) % FOLDS == fold
-        parts, straight = (
-            made(frames[~out], way)(frames[out][:, at], frames.shape[1]) for way in ("parts", "straight")
-        )
-        for way, there in (("parts", parts), ("straight", straight), ("both", (parts + straight) / 2)):
-            off[way][out] = 100.0 * np.linalg.norm(there - frames[out], axis=-1).mean(axis=1) / diagonal  # type: ignore[index]
-    best = best_of(off)
-    return made(frames, best), best, {way: float(frame.mean()) for way, frame in off.items()}
+        marks, there = frames[out][:, at], dict[Method, Samples]()
+        for way in ("parts", "straight"):
+            if method in (None, way, "both"):
+                there[way] = made(frames[~out], way)(marks, frames.shape[1])
+        if method in (None, "both"):
+            there["both"] = (there["parts"] + there["straight"]) / 2
+        for way in ways:
+            off[way][out] = frames[out] - there[way]
+    found = {way: pulled(off[way], apart, at) for way in ways}
+    error = {way: 100.0 * np.linalg.norm(left, axis=-1).mean(axis=1) / diagonal for way, (_, left) in found.items()}
+    best = method or best_of(error)
+    model = soft(made(frames, best), apart, found[best][0])
+    return model, best, {way: float(frame.mean()) for way, frame in error.items()}, found[best][0]
 
 
 def best_of(off: Mapping[Method, Samples]) -> Method:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from operators.steering.parts import blend_weights, edges_of, near_rigid_parts, nearest_of, seams_of
 from operators.steering.regression import Learned, learn
+from operators.steering.soft import faded, pulls
 from stream.chunk import Array, Samples, Times
 
 REACH = 0.024
@@ -42,6 +43,8 @@ class Steering:
     facing         (4,)    two markers, and the horizontal direction (x, z) from the one to the other that the training faced; (0,) where
                            the mesh never turns as a whole
     reach          how far the mesh goes for a metre of its reference markers
+    soft, most     (vertices, m), m  how much each vertex moves for what each marker's vertex is off by, and by what most of that; (0, 0)
+                   where markers are no soft constraints
     """
 
     markers: tuple[str, ...]
@@ -52,6 +55,8 @@ class Steering:
     spread: Samples
     facing: Samples
     reach: float = 1.0
+    soft: Samples = field(default_factory=lambda: np.zeros((0, 0)))
+    most: float = 0.0
 
     def features(self, marks: Samples) -> tuple[Samples, Samples, Samples]:
         """Markers (f, m, 3) as seen from the references' mean and turned to face as in the training: (f, 3 m); that mean (f, 1, 3); and
@@ -69,6 +74,9 @@ class Steering:
             for f in range(len(marks)):
                 shape = part.mean + (y[f, 9:] * np.sqrt(len(part.vertices)) @ part.modes).reshape(-1, 3)
                 made[f, part.vertices] += part.weights[:, None] * (shape @ matrix(y[f, :6]).T + y[f, 6:9])
+        for f, seen in enumerate(x.reshape(len(x), -1, 3) if len(self.soft) else ()):
+            far = max(part.learned.outside(x[f, part.features]) for part in self.parts)
+            made[f] += pulls(seen - made[f, self.vertices], self.soft, self.most, faded(far))
         return turned(made, turns) + centre
 
 

@@ -13,6 +13,7 @@ from operators.inputs.lengths import length_of, metres
 from operators.inputs.marker_columns import marker_columns
 from operators.steering.assemble_kernel import add_part, gather_marks, predict, put
 from operators.steering.fit import Part, Steering
+from operators.steering.soft import faded, pull_mesh
 from operators.steering.stored import KIND, from_model
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.model import read_model
@@ -58,7 +59,8 @@ class SteerMesh(_Steered):
     before all have been seen, the mesh keeps the training's mean pose. No delay.
 
     Thesis 9.3 and 9.4, with kernel ridge for the linear maps, and every part placed by its own regression instead of one after the other:
-    on the horse that halves the error. Alignment and blending (9.16) are by weights along the surface; 9.14 is left out.
+    on the horse that halves the error. Alignment and blending (9.16) are by weights along the surface. Marked vertices are soft constraints
+    (9.14): what the mesh is off by at its markers is taken back around them, as far as that helped in frames left out of the training.
     """
 
     takes = "finite"
@@ -108,6 +110,19 @@ class SteerMesh(_Steered):
                     far = predict(x, part.features, one.centres, one.weights, one.mean, one.scale, y)
                     s.outside[0] = max(s.outside[0], far)
                     add_part(y, part.vertices, part.weights, part.mean, _modes(part), turn, s.latest)
+                if len(learned.soft):
+                    about = np.zeros(3) if len(learned.facing) else s.centre
+                    share = faded(float(s.outside[0]))
+                    pull_mesh(
+                        s.marks,
+                        about,
+                        learned.vertices,
+                        learned.soft,
+                        learned.most,
+                        share,
+                        s.latest,
+                        np.empty_like(s.marks),
+                    )
                 if len(learned.facing):
                     put(s.centre, s.heading, learned.reach, s.latest)
             made[i], quality[i] = s.latest, s.outside

@@ -109,14 +109,19 @@ def blend_weights(part: Times, edges: Times, rest: Samples, reach: float) -> tup
     return parts, weights
 
 
+def along_surface(vertices: Times, edges: Times, rest: Samples) -> Samples:
+    """How far the mesh's vertices are from some `vertices` (m,) along the surface, (m, vertices); inf where they are not joined."""
+    length = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
+    graph = _graph(edges, np.maximum(length, 1e-12), len(rest))
+    return np.asarray(dijkstra(graph, directed=False, indices=vertices))
+
+
 def nearest_of(vertices: Times, edges: Times, rest: Samples) -> Times:
     """For each vertex of the mesh, which of some `vertices` is nearest to it along the surface (numbers into `vertices`).
 
     What is not joined to any of them goes by the straight distance.
     """
-    length = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
-    graph = _graph(edges, np.maximum(length, 1e-12), len(rest))
-    along = dijkstra(graph, directed=False, indices=vertices)
+    along = along_surface(vertices, edges, rest)
     straight = np.linalg.norm(rest[None] - rest[vertices][:, None], axis=-1)
     return np.asarray(np.where(np.isfinite(along), along, 1e6 + straight).argmin(axis=0), np.int64)
 

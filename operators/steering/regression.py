@@ -28,6 +28,10 @@ class Learned:
     def __call__(self, x: Samples) -> Samples:
         return np.asarray(self.mean + np.exp(-self.scale * squares(x, self.centres)) @ self.weights)
 
+    def outside(self, x: Samples) -> float:
+        """How far `x` (d,) lies from the nearest frame of the training, in kernel widths."""
+        return float(np.sqrt(2.0 * self.scale * squares(x[None], self.centres).min()))
+
 
 def squares(a: Samples, b: Samples) -> Samples:
     """Squared distances (n, m) of rows."""

@@ -34,6 +34,8 @@ def to_arrays(model: Steering, mesh: Topology, limbs: tuple[str, ...]) -> tuple[
     }
     if len(model.facing) or model.reach != 1.0:
         arrays |= {"facing": model.facing, "reach": np.array([model.reach])}
+    if len(model.soft):
+        arrays |= {"soft": model.soft, "most": np.array([model.most])}
     for k, part in enumerate(model.parts):
         arrays |= {f"{k}.{name}": getattr(part, name) for name in ("vertices", "weights", "mean", "modes", "features")}
         arrays |= {f"{k}.{name}": getattr(part.learned, name) for name in ("centres", "scale")}
@@ -64,13 +66,20 @@ def from_model(model: Model) -> tuple[Steering, Topology]:
         facing, reach = model.array("facing", (None,)), float(model.array("reach", (1,))[0])
     if len(facing) not in (0, 4) or not 0.0 < reach < np.inf:
         raise ModelError(f"{model.path}: says wrongly which way its mesh faces")
+    soft, most = np.zeros((0, 0)), 0.0
+    if "soft" in model.arrays:
+        soft, most = model.array("soft", (count, len(names))), float(model.array("most", (1,))[0])
     numbers = [(vertices, count), (reference, len(names)), *((p.vertices, count) for p in parts)]
     numbers += [(facing[:2].astype(np.int64), len(names))]
     numbers += [(p.features, 3 * len(names)) for p in parts]
-    if not len(reference) or not parts or any(n.size and not (n.min() >= 0 and n.max() < most) for n, most in numbers):
+    if (
+        not len(reference)
+        or not parts
+        or any(n.size and not (n.min() >= 0 and n.max() < limit) for n, limit in numbers)
+    ):
         raise ModelError(f"{model.path}: names vertices or markers that are not there")
     usual, spread = model.array("usual", (len(names), 3)), model.array("spread", (len(names), 3))
-    return Steering(names, vertices, reference, parts, usual, spread, facing, reach), mesh
+    return Steering(names, vertices, reference, parts, usual, spread, facing, reach, soft, most), mesh
 
 
 def _part(model: Model, k: int) -> Part:

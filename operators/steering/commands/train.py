@@ -73,13 +73,13 @@ def mesh(
     performed = _performed(performer, tuple(said["markers"])) if performer else None
     say(f"{len(frames)} frames of {topology.vertices} vertices; learning ...")
     given = (topology.faces, said["markers"], said["reference"], said["limbs"], parts, modes, said["heading"])
-    model, how, off = choose(frames, *given, method or None)  # type: ignore[arg-type]
+    model, how, off, pull = choose(frames, *given, method or None)  # type: ignore[arg-type]
     if report:
         from operators.steering.commands.report import write_report
 
         error = write_report(
             report, f"{output.name}: {topology.name or 'a mesh'}", model, how, off, frames, topology.faces,
-            lambda rows: choose(rows, *given, how)[0],
+            lambda rows: choose(rows, *given, how, pull)[0],
         )  # fmt: skip
         say(f"{report}: off by {error:.3f} % of the mesh's diagonal in every fourth frame, left out")
     if performed is not None:
@@ -87,6 +87,8 @@ def mesh(
     header, arrays = to_arrays(model, topology, tuple(said["limbs"]))
     told = {"method": how, "left_out": off, "trained_on": [path.name for path in recordings]}
     write_model(output, KIND, {**header, **told, "performer": performer.name if performer else ""}, arrays)
+    if len(model.soft) and pull:
+        say(f"what markers are off by is taken back around them, {100 * pull.width:.0f} % of the diagonal far")
     for name, error in off.items():
         say(
             f"{name}: off by {error:.3f} % of the mesh's diagonal in frames left out{', chosen' if name == how else ''}"
