@@ -70,10 +70,11 @@ class Binary(SerialSource):
     @property
     def chunk_s(self) -> float:
         rates = [f.rate_hz for f in self.frames if f.channels and f.rate_hz]
-        return max(*(1 / hz for hz in rates), self.gathered_s) if rates else self.gathered_s
+        return max(*(1 / hz for hz in rates), self.datagrams_s) if rates else self.datagrams_s
 
     @property
-    def gathered_s(self) -> float:
+    def datagrams_s(self) -> float:
+        """How long datagrams are left to gather before they are read, one after the other."""
         if not self.port.startswith("udp://"):
             return 0.0
         if self.gather_s is not None:
@@ -170,6 +171,11 @@ class Binary(SerialSource):
         """What else may be the reason when no frame comes."""
         return f" (is baud {self.baud} right?)" if "://" not in self.port else ""
 
+    def connect(self) -> Transport:
+        if self.port.startswith("udp://"):
+            return UdpTransport(self.port, self.datagrams_s)
+        return super(Binary, self).connect()
+
     def greet(self, link: Transport, feed: Feed) -> FrameReading:
         self._send(link, feed, self._commands()[0])
         layouts = self.layouts()
@@ -180,9 +186,6 @@ class Binary(SerialSource):
     def fetch(self, link: Transport, heard: float) -> bytes:
         """One datagram is one frame; of all others, what has come."""
         return link.read(READ_S) if self._by_datagram else super(Binary, self).fetch(link, heard)
-
-    def more(self, link: Transport) -> bool:
-        return isinstance(link, UdpTransport) and link.waiting
 
     def rest(self, link: Transport, feed: Feed) -> None:
         self._send(link, feed, self._commands()[1])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
@@ -132,8 +131,8 @@ class OscInlet(Source):
         readings: dict[str, list[OscReading]] = {}
         for s in self.streams:
             readings.setdefault(s.address, []).append(OscReading(self, s))
-        last, pause_s, reader = 0, self.gathered_s, OscReader()
-        with UdpTransport(f"udp://{self.host}:{self.port}") as port:
+        last, reader = 0, OscReader()
+        with UdpTransport(f"udp://{self.host}:{self.port}", self.gathered_s) as port:
             feed.ready()
             while not feed.stopped:
                 if not (data := port.read(WAIT_S)):
@@ -147,8 +146,6 @@ class OscInlet(Source):
                 for address, arguments in messages:
                     for reading in readings.get(address, ()):
                         last = reading.take(arguments, arrival, last, feed)
-                if pause_s and not port.waiting:
-                    time.sleep(pause_s)
 
 
 class OscReading:

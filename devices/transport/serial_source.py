@@ -71,10 +71,6 @@ class SerialSource(Source):
         stalled = time.monotonic() - heard > STALL_S
         return all_there(link, data) if data and (stalled or len(data) > MUCH) else data
 
-    def more(self, link: Transport) -> bool:
-        """Whether the next fetch brings something at once, after one that did: where each brings a part of what has gathered."""
-        return False
-
     def read(self, feed: Feed) -> None:
         with self.connect() as link:
             reading = self.greet(link, feed)
@@ -95,8 +91,8 @@ class SerialSource(Source):
             now = time.monotonic()
             if reading.take(data, feed):
                 heard, came = now, b""
-                if pause_s and not self.more(link):
-                    time.sleep(pause_s)
+                if pause_s:
+                    feed.wait(pause_s)
             else:
                 came = (came + data)[-SHOWN:]
             if wrong := reading.wrong(now - heard, came):

@@ -152,9 +152,9 @@ def said(read: Any, data: bytes) -> Any:
 def test_what_waits_is_read_at_once_where_a_clock_bears_it() -> None:
     def pause(hz: float | None, *fields: dict[str, Any], **more: Any) -> float:
         frame = {"name": "m", "sync": "", "rate_hz": hz, "fields": [*fields, *DATA]}
-        return build(Binary, {"port": "udp://127.0.0.1:9", "frames": [frame], **more}).gathered_s
+        return build(Binary, {"port": "udp://127.0.0.1:9", "frames": [frame], **more}).datagrams_s
 
-    assert pause(100.0, COUNTER) == pause(100.0, TIME) == 0.02
+    assert pause(100.0, COUNTER) == pause(100.0, TIME) == 0.025
     assert pause(100.0) == pause(60.0, COUNTER) == pause(None, TIME) == 0, "few, or stamped by their arrival"
     assert pause(100.0, COUNTER, gather_s=0.0) == 0 and pause(100.0, gather_s=0.05) == 0.05
     arguments = [{"name": "x"}, {"role": "counter"}]
@@ -166,5 +166,5 @@ def test_what_waits_is_read_at_once_where_a_clock_bears_it() -> None:
         ]
         return build(OscInlet, {"streams": made})
 
-    assert osc(100.0).gathered_s == osc(200.0, 100.0).chunk_s == 0.02
+    assert osc(100.0).gathered_s == osc(200.0, 100.0).chunk_s == 0.025
     assert osc(100.0, 30.0).gathered_s == osc(100.0, clock=False).gathered_s == osc(None).gathered_s == 0
