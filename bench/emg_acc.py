@@ -141,7 +141,7 @@ def table(folder: Path, most: int = 0) -> Section:
         for found in told:
             repeats = found["primitive"][found["primitive"]["repetition"] > 0]
             sure = found["activity"]["activity"][found["activity"]["certainty"] > 0.0]
-            # a repetition that is told as two steps is one
+            # a repetition that is found as two steps is one
             one = np.unique(np.stack([repeats["activity"], repeats["repetition"]], 1), axis=0)
             counted.append(len(one))
             certain += int(np.isin(one[:, 0], sure).sum())

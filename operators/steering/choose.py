@@ -10,7 +10,7 @@ import numpy as np
 
 from operators.steering.fit import Layout, Steering, fit_steering, fit_straight
 from operators.steering.parts import along_surface, edges_of, seams_of
-from operators.steering.soft import Pull, felt, pulled
+from operators.steering.soft import MarkerPull, felt, pulled
 from stream.chunk import Array, Samples
 
 Method: TypeAlias = Literal["parts", "straight", "both"]
@@ -28,8 +28,8 @@ def choose(
     modes: int = 4,
     heading: Sequence[str] = (),
     method: Method | None = None,
-    pull: Pull | None = None,
-) -> tuple[Steering, Method, dict[Method, float], Pull | None]:
+    pull: MarkerPull | None = None,
+) -> tuple[Steering, Method, dict[Method, float], MarkerPull | None]:
     """A model of a mesh's `frames` (f, vertices, 3), how it was made, what each way's vertices are off by, in percent of the mesh's
     diagonal, in frames left out, and how its markers pull.
 
@@ -48,7 +48,7 @@ def choose(
         parts = fit_steering(rows, faces, markers, reference, limbs, count, modes, heading, layout)
         return parts if way == "parts" else mean_of(parts, fit_straight(rows, markers, reference, heading))
 
-    def soft(model: Steering, apart: Samples, how: Pull | None) -> Steering:
+    def soft(model: Steering, apart: Samples, how: MarkerPull | None) -> Steering:
         return replace(model, soft=felt(apart, at, how), most=how.most) if how else model
 
     if limbs or len(frames) < 2 * FOLDS:

@@ -19,7 +19,7 @@ MOST = 95.0
 
 
 @dataclass(frozen=True, slots=True)
-class Pull:
+class MarkerPull:
     """How markers pull: how far it is felt (diagonals), how softly the mesh follows, and from what distance (m) on no stronger."""
 
     width: float
@@ -27,7 +27,7 @@ class Pull:
     most: float
 
 
-def felt(apart: Samples, at: Times, pull: Pull) -> Samples:
+def felt(apart: Samples, at: Times, pull: MarkerPull) -> Samples:
     """By how much each vertex moves for what each marker is off by, (vertices, m).
 
     apart  (m, vertices)  how far vertices are from the markers along the surface, in diagonals; inf where they are not joined
@@ -39,7 +39,7 @@ def felt(apart: Samples, at: Times, pull: Pull) -> Samples:
     return np.ascontiguousarray(np.linalg.solve(near[:, at] + pull.ridge * np.eye(len(at)), near).T)
 
 
-def pulled(off: Samples, apart: Samples, at: Times) -> tuple[Pull | None, Samples]:
+def pulled(off: Samples, apart: Samples, at: Times) -> tuple[MarkerPull | None, Samples]:
     """The pull that brings a mesh nearest to frames that were left out, by what it was `off` (f, vertices, 3) there, and what is left.
 
     None where no pull brings it nearer.
@@ -49,7 +49,7 @@ def pulled(off: Samples, apart: Samples, at: Times) -> tuple[Pull | None, Sample
     most = float(np.percentile(long, MOST))
     short = off[:, at] * np.minimum(1.0, most / np.maximum(long, 1e-12))[..., None]
     for width, ridge in product(WIDTHS, RIDGES):
-        pull = Pull(width, ridge, most)
+        pull = MarkerPull(width, ridge, most)
         rest = off - np.einsum("vm,fma->fva", felt(apart, at, pull), short)
         if mean(rest) < mean(left):
             best, left = pull, rest

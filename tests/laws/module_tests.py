@@ -64,7 +64,7 @@ def _imports(path: Path) -> frozenset[str]:
 
 
 def _commands(call: ast.Call) -> Iterator[str]:
-    """The modules of the command that a call names, and of what it is told to do: `train`, `pose`."""
+    """The modules of the command that a call names, and of its subcommands: `train`, `pose`."""
     given = [word for a in call.args for word in (a.elts if isinstance(a, ast.List) else [a])][:2]
     words = [str(a.value) if isinstance(a, ast.Constant) else "" for a in given]
     if words and words[0]:
