@@ -12,7 +12,7 @@ import structlog
 
 from operators.features.mirror import STACKED
 from operators.inputs.channels import names_of
-from operators.segmentation.operator import BELIEVED, PRIMITIVE, RADIUS
+from operators.segmentation.outputs import BELIEVED, PRIMITIVE, RADIUS
 from operators.segmentation.recent_frames import RecentFrames, sides_alike, widest
 from operators.segmentation.taught import MOST_LETTERS, MOST_NAMES, UNKNOWN, Taught, fit_for_name, grown, said
 from stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec

@@ -4,109 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-import structlog
 
 from operators.features.mirror import STACKED
 from operators.inputs.channels import names_of
-from operators.inputs.continuity import Continuity, watch
+from operators.inputs.continuity import watch
 from operators.segmentation.activities import ROOM, end, follow
-from operators.segmentation.final import SIDED, SYMMETRIC
-from operators.segmentation.layout import (
-    ACTIVITY_EVENT,
-    BEGIN_EVENT,
-    BELIEVED_EVENT,
-    BOUT_EVENT,
-    COUNT_EVENT,
-    EVENT_WIDTH,
-    EVENTS,
-    FIRM,
-    LEARN,
-    MERGE_EVENT,
-    NEXT,
-    NOW,
-    PRESENT,
-    PRIMITIVE_EVENT,
-    RADIUS_EVENT,
-    REST_EVENT,
-    RESTING_EVENT,
-    WINDOW,
-    Remembered,
-    allocate,
-)
-from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
+from operators.segmentation.layout import EVENTS, NOW, allocate
+from operators.segmentation.outputs import OUTPUTS, emitted, specs_of
+from operators.segmentation.state import SegmentState
+from stream.chunk import FOREVER, NEVER, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.filter import reset_gap
 from stream.operator import Case, Operator, grid
 from stream.params import param
 from stream.require import numeric, regular, samples_in
 
-log = structlog.get_logger(__name__)
-SPAN = [("onset", "<i8"), ("end", "<i8"), ("activity", "<i8")]
-ACTIVITY = np.dtype(
-    [
-        *SPAN,
-        ("repeats", "?"),
-        ("cluster", "<i8"),
-        ("repetitions", "<i4"),
-        ("transition", "?"),
-        ("forced", "?"),
-        ("symmetry", "<i4"),
-        ("certainty", "<f8"),
-    ]
-)
-PRIMITIVE = np.dtype([*SPAN, ("repetition", "<i4"), ("cluster", "<i8"), ("forced", "?"), ("side", "<i4")])
-BOUT = np.dtype([*SPAN, ("bout", "<i4"), ("repetitions", "<i4"), ("cluster", "<i8")])
-BEGIN = np.dtype([("onset", "<i8"), ("activity", "<i8")])
-COUNT = np.dtype([("activity", "<i8"), ("count", "<i4"), ("certainty", "<f8")])
-MERGE = np.dtype([("cluster", "<i8"), ("into", "<i8")])
-BELIEVED = np.dtype([*SPAN, ("repetition", "<i4")])
-REST = np.dtype([("onset", "<i8"), ("end", "<i8")])
-RESTING = np.dtype([("onset", "<i8")])
-RADIUS = np.dtype([("radius", "<f8")])
-DOUBTFUL = 3
-"""This many activities of which it is not sure that they repeat, and more than half of those that do, are worth a warning."""
-FEW = 5
-"""Fewer repetitions that are certain, in little motion, are too few to rely on."""
 REACH = 1.43
 """This many of the longest cycles back neighbours are looked for: it may be a sixth longer in turn, and must be the lowest lag around."""
-OUTPUTS = {
-    "activity": (ACTIVITY, ACTIVITY_EVENT),
-    "primitive": (PRIMITIVE, PRIMITIVE_EVENT),
-    "bout": (BOUT, BOUT_EVENT),
-    "begin": (BEGIN, BEGIN_EVENT),
-    "count": (COUNT, COUNT_EVENT),
-    "merge": (MERGE, MERGE_EVENT),
-    "provisional": (BELIEVED, BELIEVED_EVENT),
-    "rest": (REST, REST_EVENT),
-    "resting": (RESTING, RESTING_EVENT),
-    "radius": (RADIUS, RADIUS_EVENT),
-}
-"""By the name of an output: its events, and their kind in the kernels' table."""
-
-
-@dataclass(slots=True)
-class SegmentState(Continuity):
-    """memory: see layout.py; longest: ns, of a transition; mirrored: the newest mirror image (features,), if any; its stamp.
-
-    absent: features (features,) of which it has been said that nothing comes; names: theirs. cut: activities; sure: repetitions of
-    those that are certain; judged, doubtful: activities that repeated, and those of them that chance might have made; warned:
-    whether that has been said.
-    """
-
-    memory: Remembered
-    longest: int
-    mirrored: Samples
-    mirrored_at: int
-    absent: Array
-    names: list[str]
-    cut: int = 0
-    sure: int = 0
-    judged: int = 0
-    doubtful: int = 0
-    warned: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +95,24 @@ class Segment(Operator[SegmentState]):
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
+        frames = self._frames(spec)
+        firsts = _firsts(spec, specs["mirrored"]) if "mirrored" in specs else None
+        self.hold(
+            SegmentState(
+                **watch(spec, reset_gap_s=self.reset_gap_s),
+                memory=allocate(spec.shape[0], frames, self.radius, self.radius_share, firsts),
+                longest=round(self.transition_s * 1e9),
+                mirrored=np.full(0 if firsts is None else spec.shape[0], np.nan),
+                mirrored_at=NEVER,
+                absent=np.zeros(spec.shape[0], bool),
+                names=list(names_of(spec)),
+            ),
+            decision_s=decisions(frames, spec.period_ns),
+        )
+        return specs_of(spec)
+
+    def _frames(self, spec: StreamSpec) -> dict[str, int]:
+        """All times as numbers of frames. Raises InputError and ParameterError."""
         numeric(spec)
         if not spec.is_signal or not 1 <= spec.shape[0] <= 4096:
             raise InputError("in", spec.describe(), "a signal of 1 to 4096 features")
@@ -205,27 +140,7 @@ class Segment(Operator[SegmentState]):
         frames["FIRM"] = max(frames["FIRM"], 2 * frames["LAG"])
         frames["TRANSITION"] = min(round(self.transition_s * rate_hz), frames["LAG"])
         frames["EVERY"] = max(1, round(0.5 * rate_hz))
-        firsts = _firsts(spec, specs["mirrored"]) if "mirrored" in specs else None
-        self.hold(
-            SegmentState(
-                **watch(spec, reset_gap_s=self.reset_gap_s),
-                memory=allocate(spec.shape[0], frames, self.radius, self.radius_share, firsts),
-                longest=round(self.transition_s * 1e9),
-                mirrored=np.full(0 if firsts is None else spec.shape[0], np.nan),
-                mirrored_at=NEVER,
-                absent=np.zeros(spec.shape[0], bool),
-                names=list(names_of(spec)),
-            ),
-            decision_s=decisions(frames, spec.period_ns),
-        )
-        unit = spec.units[0] if len(set(spec.units)) == 1 else ""
-        units = {"onset": "ns", "end": "ns", "radius": unit}
-        return {
-            name: StreamSpec(
-                (), dtype, units=tuple(units.get(field, "") for field in dtype.names or ()), meta=spec.meta
-            )
-            for name, (dtype, _) in OUTPUTS.items()
-        }
+        return frames
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
         s = self.state
@@ -248,96 +163,24 @@ class Segment(Operator[SegmentState]):
             memory = s.memory.with_room(4 * ROOM)
             done = follow(memory, x, images, chunk.time, done, gap and not done)
             tables.append(s.memory.told(memory))
-        self._say_missing(1)
+        s.say_missing(1)
         return self._emitted(tables, min(chunk.until, s.last.item(0) - 1), -1 if chunk.lost else 0)
-
-    def _say_missing(self, learnt: int) -> None:
-        """Which features are left out, as nothing has come of them for a window, or since the start: said once each."""
-        s = self.state
-        books = s.memory.books
-        if books[PRESENT] == s.width or books[NEXT] < learnt * books[LEARN]:
-            return
-        missing = books[NEXT] - s.memory.known > books[WINDOW]
-        fresh = missing & ~s.absent
-        s.absent[:] = missing
-        if fresh.any():
-            names = dict.fromkeys(STACKED.sub("", s.names[k]) for k in np.flatnonzero(fresh))
-            log.warning(
-                "features are left out of the comparison: no value has come for as long as the window, or since the start",
-                features=", ".join(names), left=int(s.width - missing.sum()), of=s.width, t_ns=int(books[NOW]),
-            )  # fmt: skip
-
-    def _say_doubtful(self, certainty: Samples) -> None:
-        """Once, if most of what repeats comes no nearer to itself than chance: these sensors do not tell repetitions."""
-        s = self.state
-        s.judged += len(certainty)
-        s.doubtful += int((certainty <= 0.0).sum())
-        if not s.warned and s.doubtful >= DOUBTFUL and 2 * s.doubtful > s.judged:
-            s.warned = True
-            log.warning(
-                "most of what is counted may be chance: repetitions lie as far apart as in motion of random phases;"
-                " docs/segmentation.md says which sensors tell repetitions",
-                doubtful=s.doubtful, of=s.judged, t_ns=int(s.memory.books[NOW]),
-            )  # fmt: skip
-
-    def _say_short(self) -> None:
-        """If the whole stream held less motion than FIRM, few repetitions that are certain, and was cut or counted all the same."""
-        s, books = self.state, self.state.memory.books
-        if books[NEXT] < books[FIRM] and s.sure < FEW and (s.cut > 1 or s.judged):
-            log.warning(
-                "too little motion to tell what repeats: what was cut and counted is not to be relied on;"
-                " docs/segmentation.md says which sensors tell repetitions",
-                motion_s=round(int(books[NEXT]) * s.period_ns / NS, 1), least_s=round(int(books[FIRM]) * s.period_ns / NS, 1),
-                t_ns=int(s.last[0]),
-            )  # fmt: skip
 
     def close(self) -> list[tuple[str, Chunk]]:
         s = self.state
-        self._say_missing(0)
+        s.say_missing(0)
         s.memory.books[EVENTS] = 0
         s.memory.books[NOW] = s.last[0]
         memory = s.memory.with_room(ROOM)
         end(memory)
-        emitted = self._emitted([s.memory.told(memory)], FOREVER, 0)
-        self._say_short()
-        return emitted
+        made = self._emitted([s.memory.told(memory)], FOREVER, 0)
+        s.say_short()
+        return made
 
     def _emitted(self, tables: list[tuple[Times, Samples]], until: int, lost: int) -> list[tuple[str, Chunk]]:
-        table = np.concatenate([t for t, _ in tables]) if tables else np.empty((0, EVENT_WIDTH), np.int64)
-        ratings = np.concatenate([r for _, r in tables]) if tables else np.empty(0)
-        emitted = []
-        for name, (dtype, kind) in OUTPUTS.items():
-            mine = table[:, 0] == kind
-            emitted.append(
-                (name, Chunk(table[mine, 1].copy(), self._events(dtype, table[mine, 2:], ratings[mine]), until, lost))
-            )
-        return emitted
-
-    def _events(self, dtype: np.dtype[Any], table: Times, ratings: Samples) -> Array:
-        """The kernels' six numbers as events."""
-        events: Array = np.zeros(len(table), dtype)
-        if dtype == RADIUS:
-            events["radius"] = ratings
-            return events
-        for field, column in zip(COLUMNS[dtype], table.T, strict=False):
-            if field:
-                events[field] = column
-        if dtype == ACTIVITY:
-            events["repeats"] = events["repetitions"] > 1
-            s = self.state
-            events["transition"] = (table[:, 5] & 2 > 0) & (events["end"] - events["onset"] <= s.longest)
-            events["symmetry"] = table[:, 5] // SYMMETRIC
-            events["certainty"] = np.where(events["repeats"], ratings, 0.0)
-            s.cut += len(events)
-            s.sure += int(events["repetitions"][events["certainty"] > 0.0].sum())
-            self._say_doubtful(events["certainty"][events["repeats"]])
-        if dtype == COUNT:
-            events["certainty"] = ratings
-        if dtype == PRIMITIVE:
-            events["side"] = table[:, 5] // SIDED
-        if dtype in (ACTIVITY, PRIMITIVE):
-            events["forced"] = table[:, 5] & 1
-        return events
+        made = emitted(tables, self.state.longest, until, lost)
+        self.state.judge(made["activity"].data)
+        return list(made.items())
 
     @classmethod
     def cases(cls) -> Sequence[Case]:
@@ -384,17 +227,3 @@ def _firsts(spec: StreamSpec, mirrored: StreamSpec) -> Times:
     names = names_of(spec)
     own = any(name.endswith("[+0]") for name in names)
     return np.array([STACKED.sub("", n) in firsts and (not own or n.endswith("[+0]")) for n in names], np.int64)
-
-
-COLUMNS: dict[np.dtype[Any], tuple[str, ...]] = {
-    ACTIVITY: ("onset", "end", "activity", "repetitions", "cluster"),
-    PRIMITIVE: ("onset", "end", "activity", "repetition", "cluster"),
-    BOUT: ("onset", "end", "activity", "bout", "repetitions", "cluster"),
-    BEGIN: ("onset", "activity"),
-    COUNT: ("activity", "count"),
-    REST: ("onset", "end"),
-    RESTING: ("onset",),
-    MERGE: ("cluster", "into"),
-    BELIEVED: ("onset", "end", "activity", "repetition"),
-}
-"""Which field each of the kernels' numbers is."""

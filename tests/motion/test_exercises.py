@@ -16,7 +16,7 @@ from devices.outlets.exercise_panel import FIELDS, ExercisePanel, panel
 from devices.outlets.terminal import LineView
 from devices.outlets.training import TrainingReport
 from operators.segmentation.naming import BELIEVED_NAME, REPETITION, TURNS, NameRepetitions, letters
-from operators.segmentation.operator import OUTPUTS, PRIMITIVE
+from operators.segmentation.outputs import OUTPUTS, PRIMITIVE
 from operators.segmentation.taught import UNKNOWN, Taught, taught
 from stream import cli
 from stream.chunk import NS, Chunk, StreamSpec

@@ -20,6 +20,7 @@ from operators.iir import Lowpass
 from operators.resample import Resample
 from operators.segmentation import Segment
 from operators.segmentation.operator import REACH
+from operators.segmentation.outputs import ACTIVITY
 from stream.chunk import Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.operator import Operator, grid
@@ -678,10 +679,13 @@ def test_most_of_what_repeats_by_chance_in_four_channels_is_not_sure(name: str) 
 def test_a_warning_says_once_that_most_of_what_is_counted_may_be_chance(capture: list[dict[str, Any]]) -> None:
     operator = Segment()
     operator.open({"in": StreamSpec((4,), rate_hz=RATE)})
-    operator._say_doubtful(np.array([0.5, 0.0, 0.0]))
+    activities = np.zeros(5, ACTIVITY)
+    activities["repeats"] = [True, True, True, False, False]
+    activities["certainty"][0] = 0.5
+    operator.state.judge(activities)
     assert not capture
     for _ in range(3):
-        operator._say_doubtful(np.array([0.0]))
+        operator.state.judge(activities[2:])
     assert len(capture) == 1 and capture[0]["doubtful"] == 3 and capture[0]["of"] == 4
 
 
