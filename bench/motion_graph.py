@@ -175,7 +175,7 @@ def frames() -> str:
             walker = GraphWalk(graph, [aim] if aim else [])
             took = np.empty((FRAMES, 2))
             for i in range(FRAMES):
-                if aim and walker.over:
+                if aim and walker.progress.over:
                     walker.go([aim])
                 wall, own = time.perf_counter(), time.thread_time()
                 walker.step()
@@ -253,13 +253,13 @@ def following() -> str:
 def followed(graph: MotionGraph, path: Samples, seed: int) -> tuple[Samples, bool]:
     """How far each pose's root lies from the path (m), and whether the walk came to its end."""
     walker, roots = GraphWalk(graph, [Aim(path=path)], seed=seed), list[Samples]()
-    while len(roots) < FOLLOWED_S * RATE and len(walker.path):
+    while len(roots) < FOLLOWED_S * RATE and len(walker.progress.path):
         walker.step()
         roots.append(walker.pose[[0, 2]])
     begins, steps = path[:-1], np.diff(path, axis=0)
     away = np.array(roots)[:, None] - begins
     share = np.clip((away * steps).sum(2) / (steps**2).sum(1), 0.0, 1.0)
-    return np.linalg.norm(away - share[..., None] * steps, axis=2).min(axis=1), not len(walker.path)
+    return np.linalg.norm(away - share[..., None] * steps, axis=2).min(axis=1), not len(walker.progress.path)
 
 
 def build(tree: JointTree, take: Take) -> MotionGraph:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from devices.files.gltf_write import TRIANGLES, VERTICES, Glb
-from devices.outlets.page.lane import AVATAR
+from devices.outlets.page.avatar_file import AVATAR
 from stream.chunk import Array, Samples
 from stream.humanoid import BONES, NUMBERS, usual_body
 

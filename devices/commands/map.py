@@ -16,7 +16,7 @@ from stream.errors import KinegraphError
 from stream.plain import say
 
 if TYPE_CHECKING:
-    from devices.outlets.page.lane import Address
+    from devices.outlets.page.address import Address
     from devices.pose_map.hub import MapHub
 
 
@@ -45,7 +45,8 @@ def map_(
     The map is trained once and kept; it is trained again when a recording or the table has changed. A map that `kinegraph train map` has
     made can be given in the recordings' place.
     """
-    from devices.outlets.page.lane import parsed, refuse_unbuilt
+    from devices.outlets.page.address import parsed
+    from devices.outlets.page.serving import refuse_unbuilt
     from devices.pose_map.hub import MapHub
     from stream.commands import logs
     from stream.motion_index import MotionIndex

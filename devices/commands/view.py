@@ -12,7 +12,7 @@ from stream.commands.page_options import PageAt, PageAvatar, PageCertificate, Pa
 from stream.plain import say
 
 if TYPE_CHECKING:
-    from devices.outlets.page.lane import Address
+    from devices.outlets.page.address import Address
     from devices.outlets.page.viewing import RecordingHub
 
 
@@ -27,7 +27,9 @@ def view(
     duration_s: PageFor = 0.0,
 ) -> None:
     """Open a recording in a browser: scrub through all its streams, see gaps and annotations."""
-    from devices.outlets.page.lane import checked_avatar, parsed, refuse_unbuilt
+    from devices.outlets.page.address import parsed
+    from devices.outlets.page.avatar_file import checked_avatar
+    from devices.outlets.page.serving import refuse_unbuilt
     from devices.outlets.page.viewing import RecordingHub
     from stream.commands import logs
     from stream.recording import Recording

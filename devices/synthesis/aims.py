@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from devices.synthesis.plan_kernel import nearest_ahead
 from stream.chunk import Array, Samples
 from stream.motion_graph import MotionGraph
+
+ARRIVED_M = 0.5
+"""So near to a target, or to the end of a path, is there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,3 +65,71 @@ def seconds_to(graph: MotionGraph) -> Samples:
         if len(goals):
             made[:, c] = dijkstra(back, indices=goals, min_only=True)
     return made
+
+
+class Progress:
+    """Aims that a walk does in turn, and how far it has come.
+
+    aims    those that are left, the first under way
+    over    whether all have been done
+    sought  the first, as the search knows it
+    along   how far along its path the walk is, m
+    """
+
+    def __init__(self, graph: MotionGraph) -> None:
+        self._graph, self._seconds = graph, seconds_to(graph)
+        self.aims: list[Aim] = []
+        self.over, self._passed, self.along = True, 0, 0.0
+        self.sought = sought(graph, self._seconds, Aim())
+
+    def begin(self, aims: Sequence[Aim]) -> None:
+        """These from now on."""
+        self.aims, self.over = list(aims), not aims
+        self._take_up()
+
+    @property
+    def path(self) -> Samples:
+        """(p, 2) the way on the floor that is followed; empty: none."""
+        return self.sought.path
+
+    @property
+    def left_m(self) -> float:
+        """What is left of the path."""
+        return float(self.sought.length[-1] - self.along) if len(self.path) else np.inf
+
+    def ends_at(self, node: int) -> bool:
+        """Whether entering `node` is the last that the first aim asks for: nodes of a cluster, a number of them."""
+        return self._counts(node) and 0 < self.aims[0].times <= self._passed + 1
+
+    def next_sought(self) -> Sought:
+        """What is sought once the first aim is done."""
+        return sought(self._graph, self._seconds, self.aims[1] if len(self.aims) > 1 else Aim())
+
+    def enter(self, node: int) -> None:
+        """Note that a node has been entered: of the cluster that is wanted, perhaps often enough."""
+        if self.ends_at(node):
+            self._next_aim()
+        else:
+            self._passed += self._counts(node)
+
+    def follow(self, x: float, z: float) -> bool:
+        """Note that the walk is at this place; whether that is the end of the path."""
+        if not len(self.path):
+            return False
+        self.along, _ = nearest_ahead(self.path, self.sought.length, self.along, 1.0, x, z)
+        arrived = self.left_m < ARRIVED_M and bool(np.hypot(*(self.path[-1] - (x, z))) < ARRIVED_M)
+        if arrived:
+            self._next_aim()
+        return arrived
+
+    def _counts(self, node: int) -> bool:
+        return bool(self.aims) and self.aims[0].path is None and 0 <= self.aims[0].cluster == self._graph.cluster[node]
+
+    def _next_aim(self) -> None:
+        self.aims = self.aims[1:]
+        self.over = self.over or not self.aims
+        self._take_up()
+
+    def _take_up(self) -> None:
+        self._passed, self.along = 0, 0.0
+        self.sought = sought(self._graph, self._seconds, self.aims[0] if self.aims else Aim())

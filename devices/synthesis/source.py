@@ -138,7 +138,7 @@ class Synthesis(Source):
             if feed.stopped or word == "stop":
                 return
             if word is not None and self._obey(feed, walker, word):
-                aims, nearest_m, since = walker.aims, np.inf, frame
+                aims, nearest_m, since = walker.progress.aims, np.inf, frame
             entered = walker.step()
             feed.emit(Chunk(np.array([stamp]), walker.pose[None].copy(), stamp), "pose")
             if entered:
@@ -146,12 +146,12 @@ class Synthesis(Source):
             if walker.trespassed > told:
                 told = walker.trespassed
                 feed.problem("frames in a forbidden area")
-            if aims and walker.over and self.then == "stop":
+            if aims and walker.progress.over and self.then == "stop":
                 return
             left = _left(walker)
             if left < nearest_m - NEARER_M:
                 nearest_m, since = left, frame
-            if len(walker.path) and frame - since > NOWHERE_S * graph.rate_hz:
+            if len(walker.progress.path) and frame - since > NOWHERE_S * graph.rate_hz:
                 feed.tell("not reached", left_m=round(left, 2), seconds=NOWHERE_S)
                 return
 
@@ -190,7 +190,7 @@ class Synthesis(Source):
 
 def _left(walker: GraphWalk) -> float:
     """How far it is to the end of the path (m)."""
-    if not len(walker.path):
+    if not len(walker.progress.path):
         return np.inf
-    end: Samples = walker.path[-1]
-    return float(walker.length[-1] - walker.along + np.hypot(end[0] - walker.pose[0], end[1] - walker.pose[2]))
+    end: Samples = walker.progress.path[-1]
+    return walker.progress.left_m + float(np.hypot(end[0] - walker.pose[0], end[1] - walker.pose[2]))

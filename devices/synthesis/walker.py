@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from devices.synthesis import plan_kernel as beam
-from devices.synthesis.aims import Aim, seconds_to, sought
+from devices.synthesis.aims import Aim, Progress
 from devices.synthesis.blend_kernel import blended, hold_feet, placed, room_for
 from devices.synthesis.way_search import Start, WaySearch
 from stream.chunk import Samples
@@ -18,8 +17,6 @@ from stream.motion_graph import MotionGraph
 LEGS = np.array(
     [[BONES.index(f"{side}{bone}") for bone in ("UpperLeg", "LowerLeg", "Foot", "Toes")] for side in ("Left", "Right")]
 )
-ARRIVED_M = 0.5
-"""So near to a target, or to the end of a path, is there."""
 
 
 class GraphWalk:
@@ -27,7 +24,7 @@ class GraphWalk:
 
     Begins at the place (0, 0), facing z. `feet`: whether feet that stand are held; `smooth`: whether seams are blended (both for comparison
     only). A walk that has done all its aims goes on by chance, which prefers near seams and nodes that were entered less often, so that
-    in the long run all that was recorded comes; `over` says that the aims are done.
+    in the long run all that was recorded comes. `progress` says how far it has come with its aims.
     """
 
     def __init__(
@@ -37,7 +34,7 @@ class GraphWalk:
         self.graph, self.feet, self.smooth = graph, feet, smooth
         self.areas: Samples = np.zeros((0, 3)) if areas is None else np.asarray(areas, np.float64).reshape(-1, 3)
         self._search = WaySearch(graph, self.areas, np.random.default_rng(seed))
-        self._seconds = seconds_to(graph)
+        self.progress = Progress(graph)
         self._entered = np.zeros(len(graph.first))
         joints = len(graph.tree.joints)
         self._turns, self._joints, self._work = room_for(joints)
@@ -54,7 +51,6 @@ class GraphWalk:
         )
         self.stands = np.zeros(2, np.bool_)
         self.trespassed = 0
-        self.aims: list[Aim] = []
         self.node = self._first_node(aims[0].cluster if aims else -1)
         self.frame = int(graph.first[self.node])
         root = graph.poses[self.frame]
@@ -62,7 +58,7 @@ class GraphWalk:
         heading = float(np.arctan2(2.0 * (w * y + x * z), 1.0 - 2.0 * (x * x + y * y)))
         cos, sin = np.cos(-heading), np.sin(-heading)
         self.place = np.array([-heading, -(root[0] * cos + root[2] * sin), -(root[2] * cos - root[0] * sin)])
-        self.along, self._half, self._edge, self._otherwise, self._beyond_it = 0.0, 0, -1, -1, False
+        self._half, self._edge, self._otherwise, self._beyond_it = 0, -1, -1, False
         self.go(aims)
 
     def _first_node(self, cluster: int) -> int:
@@ -73,28 +69,19 @@ class GraphWalk:
 
     def go(self, aims: Sequence[Aim]) -> None:
         """These aims from now on, in turn."""
-        self.aims, self.passed, self.along, self.over = list(aims), 0, 0.0, not aims
-        self._count()
-        self._aim()
+        self.progress.begin(aims)
+        self.progress.enter(self.node)
         if self._blending:
             self._seek_beyond()
             return
         if self._edge >= 0:
             self._otherwise = self._edge
         self._edge, self._beyond_it = -1, False
-        self._search.begin_at(Start(self.node, self.frame, self.place, self.along), self._sought, self._entered)
+        self._search.begin_at(
+            Start(self.node, self.frame, self.place, self.progress.along), self.progress.sought, self._entered
+        )
         if self._otherwise >= 0:
             self._search.due = min(self._search.due, int(self.graph.leave[self._otherwise]) - self._half)
-
-    @property
-    def path(self) -> Samples:
-        """(p, 2) the way on the floor that is followed; empty: none."""
-        return self._sought.path
-
-    @property
-    def length(self) -> Samples:
-        """(p,) how far along the path each of its points is, m."""
-        return self._sought.length
 
     @property
     def _blending(self) -> bool:
@@ -105,30 +92,6 @@ class GraphWalk:
             and self.frame >= self.graph.leave[self._edge] - self._half
         )
 
-    def _aim(self) -> None:
-        """What the search knows of the first aim."""
-        self._sought = sought(self.graph, self._seconds, self.aims[0] if self.aims else Aim())
-
-    def _enough(self, node: int) -> bool:
-        """Whether entering `node` is the last that the first aim asks for: nodes of a cluster, a number of them."""
-        aim = self.aims[0] if self.aims else Aim()
-        return self._counts(node) and 0 < aim.times <= self.passed + 1
-
-    def _counts(self, node: int) -> bool:
-        return bool(self.aims) and self.aims[0].path is None and 0 <= self.aims[0].cluster == self.graph.cluster[node]
-
-    def _count(self) -> None:
-        """Note that a node has been entered: of the cluster that is wanted, perhaps often enough."""
-        if self._enough(self.node):
-            self._next_aim()
-        else:
-            self.passed += self._counts(self.node)
-
-    def _next_aim(self) -> None:
-        self.aims, self.passed, self.along = self.aims[1:], 0, 0.0
-        self.over = self.over or not self.aims
-        self._aim()
-
     def _end(self, edge: int) -> int:
         """The frame of this node with which the node that `edge` leads to is entered."""
         if edge < 0 or self._search.natural[edge]:
@@ -138,9 +101,9 @@ class GraphWalk:
     def _seek_beyond(self) -> None:
         """Begin to look for what comes after the edge that has been decided on, as if its node had been entered."""
         g, edge, end, s = self.graph, self._edge, self._end(self._edge), self._search
-        node, here = int(g.target[edge]), Start(self.node, self.frame, self.place, self.along)
-        changes = self._enough(node)
-        wanted = sought(g, self._seconds, self.aims[1] if len(self.aims) > 1 else Aim()) if changes else self._sought
+        node, here = int(g.target[edge]), Start(self.node, self.frame, self.place, self.progress.along)
+        changes = self.progress.ends_at(node)
+        wanted = self.progress.next_sought() if changes else self.progress.sought
         if s.natural[edge]:
             start = Start(node, end, self.place, 0.0 if changes else s.along(here, end, wanted))
         else:
@@ -213,19 +176,15 @@ class GraphWalk:
             self.frame = int(g.enter[edge]) + self.frame - int(g.leave[edge])
         self.node, self._edge, self._otherwise, self._beyond_it = int(g.target[edge]), -1, -1, False
         self._entered[self.node] += 1.0
-        self._count()
+        self.progress.enter(self.node)
         if not self._search.running:
             self._decide()
 
     def _follow(self) -> None:
         """How far along the path the walk is; and whether it is where it must not be."""
         x, z = self.pose[0], self.pose[2]
-        if len(self.path):
-            self.along, _ = beam.nearest_ahead(self.path, self.length, self.along, 1.0, x, z)
-            if self.length[-1] - self.along < ARRIVED_M and np.hypot(*(self.path[-1] - (x, z))) < ARRIVED_M:
-                self._next_aim()
-                if self._beyond_it:
-                    self._seek_beyond()
+        if self.progress.follow(x, z) and self._beyond_it:
+            self._seek_beyond()
         self.trespassed += bool(
             ((self.areas[:, 0] - x) ** 2 + (self.areas[:, 1] - z) ** 2 < self.areas[:, 2] ** 2).any()
         )

@@ -300,7 +300,7 @@ def test_frames_without_clock_and_counter() -> None:
 
 
 def test_bytes_of_another_device_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("devices.frame_reading.FIRST_FRAME_S", 0.3)
+    monkeypatch.setattr("devices.declaration_check.FIRST_FRAME_S", 0.3)
     server, _ = served(Binary("", (PAIR[0],)))
     wrong = Binary("", (replace(PAIR[0], checksum="xor8"),))
     again, _ = served(Binary("", (PAIR[0],)))

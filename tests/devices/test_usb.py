@@ -362,7 +362,7 @@ def test_other_reports_and_wrong_ones_are_passed_over(own_bus: SimulatedBus) -> 
 
 
 def test_nothing_that_was_declared_comes(own_bus: SimulatedBus, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("devices.frame_reading.FIRST_FRAME_S", 0.2)
+    monkeypatch.setattr("devices.declaration_check.FIRST_FRAME_S", 0.2)
     line = UsbLine(own_bus, DUALSENSE)
     try:
         with reading(dualsense()) as feed:

@@ -18,7 +18,7 @@ from devices.files.bvh_write import order_of
 from devices.files.gltf_write import write_mesh, write_skeleton
 from devices.outlets.bvh_file import BvhFile
 from devices.outlets.osc_points import OscPoints
-from devices.outlets.page.lane import AVATAR
+from devices.outlets.page.avatar_file import AVATAR
 from devices.outlets.page.web import bundle
 from devices.outlets.vrchat import TRACKERS, VrchatTrackers
 from devices.protocols.osc import read_osc

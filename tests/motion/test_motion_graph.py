@@ -165,7 +165,7 @@ def test_a_seed_says_all(graph: MotionGraph) -> None:
 def test_clusters_come_in_the_order_and_as_often_as_they_are_told(graph: MotionGraph) -> None:
     walker = GraphWalk(graph, [Aim(0, 2), Aim(1, 3), Aim(0, 1)])
     nodes = [int(graph.cluster[walker.node])]
-    while not walker.over:
+    while not walker.progress.over:
         if walker.step():
             nodes.append(int(graph.cluster[walker.node]))
         assert len(nodes) < 40
@@ -180,21 +180,21 @@ def test_a_path_is_followed_and_a_target_reached_around_what_is_forbidden(graph:
         walker.step()
         x, z = walker.pose[0], walker.pose[2]
         off.append(min(_beside(path[k], path[k + 1], x, z) for k in range(2)))
-        if walker.over:
+        if walker.progress.over:
             break
-    assert walker.over and np.hypot(x - 3.0, z - 8.0) < 0.5
+    assert walker.progress.over and np.hypot(x - 3.0, z - 8.0) < 0.5
     assert np.mean(off) < 0.5
     straight = GraphWalk(graph, [Aim(path=np.array([[0.0, 0.0], [0.0, 6.0]]))])
     around = GraphWalk(graph, [Aim(path=np.array([[0.0, 0.0], [0.0, 6.0]]))], np.array([[0.0, 3.0, 0.6]]))
     for one in (straight, around):
         frames = 0
-        while not one.over and frames < 2500:
+        while not one.progress.over and frames < 2500:
             one.step()
             within = float(np.hypot(one.pose[0], one.pose[2] - 3.0))
             frames += 1
             if one is around:
                 assert within > 0.45, "it may graze the border by a step, not walk in"
-        assert one.over
+        assert one.progress.over
 
 
 def test_a_search_is_spread_over_frames(graph: MotionGraph, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,7 +20,7 @@ from devices.mqtt.link import FIRST_PAUSE_S, Broker
 from devices.outlets.mqtt import MqttOutlet
 from devices.outlets.mqtt.discovery import Device, Entity
 from devices.outlets.mqtt.outbox import MOST_LETTERS, Outbox, OutboxState
-from devices.outlets.mqtt.outlet import SentEvents
+from devices.outlets.mqtt.sent_events import SentEvents
 from stream.chunk import FOREVER, NS, Chunk, StreamSpec, empty, utc
 from stream.errors import KinegraphError, ParameterError
 from stream.recording import Recording
@@ -353,7 +353,7 @@ def test_the_end_of_a_stream_is_no_life(tmp_path: Path) -> None:
     made = outlet(free_port())
     with running(made):
         made.process("motion", Chunk(np.array([START]), np.array([[1.0, 2.0]]), FOREVER))
-        assert made.runtime.told["camera"][0] == "OFF"
+        assert made.runtime.states.told["camera"][0] == "OFF"
 
 
 def test_a_broker_that_never_answers_holds_nobody_up() -> None:

@@ -16,7 +16,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from devices.files.vrm_read import read_vrm
-from devices.outlets.page.lane import AVATAR, checked_avatar
+from devices.outlets.page.avatar_file import AVATAR, checked_avatar
 from devices.outlets.page.poses import avatar_bones
 from stream.chunk import NS, Samples
 from stream.errors import KinegraphError

@@ -15,10 +15,10 @@ from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
 from devices.outlets.page import messages
 from devices.outlets.page.access import Access
+from devices.outlets.page.address import parsed
 from devices.outlets.page.channel import PageChannel, Portion
 from devices.outlets.page.history import History
 from devices.outlets.page.hub import Hub, Looking
-from devices.outlets.page.lane import parsed
 from devices.outlets.page.metrics import openmetrics
 from devices.outlets.page.shown import default_panels, described, hello, kind_of, offered
 from devices.outlets.page.thin import thinned

@@ -14,7 +14,7 @@ from scipy.signal import spectrogram, welch
 
 from devices.files.bvh_read import read_bvh
 from devices.files.vrm_read import read_vrm
-from devices.outlets.page.lane import AVATAR
+from devices.outlets.page.avatar_file import AVATAR
 from operators.gait.contacts import CONTACT
 from stream.chunk import NS, Array, Samples, StreamSpec, grid
 from stream.graph import RecordingOptions

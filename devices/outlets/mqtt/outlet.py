@@ -7,21 +7,24 @@ import os
 import socket
 import time
 import uuid
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
-import numpy as np
 import structlog
 
 from devices.mqtt.link import Broker, BrokerConnection
 from devices.outlets.claim import check_path
-from devices.outlets.mqtt.discovery import OFF, ON, UNKNOWN, Device, Entity, Topics, announcement
+from devices.outlets.mqtt.discovery import Device, Entity, Topics, announcement
+from devices.outlets.mqtt.entity_states import EntityStates
+from devices.outlets.mqtt.fields import check_field, check_where, stream_of
 from devices.outlets.mqtt.outbox import Outbox, OutboxState
 from devices.outlets.mqtt.report_news import NAME, ReportNews, ReportWatch, report_announcement
-from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Specs, StreamSpec, utc
+from devices.outlets.mqtt.sent_events import SentEvents
+from stream.chunk import NEVER, Array, Chunk, Specs
 from stream.complete import private_folder
-from stream.errors import InputError, ParameterError, nearest
+from stream.errors import ParameterError
 from stream.operator import Outlet
 from stream.params import param
 from stream.state import pack
@@ -29,46 +32,22 @@ from stream.state import pack
 if TYPE_CHECKING:
     from stream.clock import SessionClock
 
-REFRESH = 0.4
-"""A state that has not changed is said again after this share of its `expire_after_s`."""
 FAREWELL_S, KNOCK_S, LAST_TRY_S = 2.0, 5.0, 20.0
 """At the end: how long the last states are given to arrive; how long a broker to answer, if letters wait; how long these to arrive."""
 
 log = structlog.get_logger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class SentEvents:
-    """Events of a stream that are sent one by one, each once and in order, as JSON with all their fields.
-
-    of      the stream
-    where   only events whose fields have these values ({final: true})
-    key     an integer field that grows from event to event; by it what was sent already is known again
-    log     the folder of a `devices.outlets.night.NightLog`, where these are final epochs: after a crash, what stands there and was not
-            sent is sent as it stands, so that the two always agree (put the log before this outlet in the graph)
-    sleeper whose nights of that folder, where there are several
-    """
-
-    of: str
-    where: dict[str, str | float | bool] | None = None
-    key: str = "onset"
-    log: str = ""
-    sleeper: str = ""
-
-
 class MqttRuntime:
     """What belongs to a running outlet but not to its state."""
 
-    def __init__(self, specs: Specs) -> None:
+    def __init__(self, specs: Specs, entities: Mapping[str, Entity]) -> None:
         self.specs = specs
+        self.states = EntityStates(entities, specs)
         self.link: BrokerConnection | None = None
         self.outbox: Outbox | None = None
         self.live_from = NEVER
         """What a resumed session works through a second time lies before this."""
-        self.told: dict[str, tuple[str, float, int]] = {}
-        """Per entity: the state told last, when (monotonic s), and the sample's time."""
-        self.newest: dict[str, int] = {}
-        """Per stream, the newest sample's stamp."""
         self.mark = ""
         self.reports: ReportWatch | None = None
 
@@ -117,16 +96,13 @@ class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
             raise ParameterError("entities", NAME, "another name: this one is the report's")
         for name, entity in self.entities.items():
             entity.check(name)
-            spec = _stream(specs, entity.of, f"entities.{name}.of")
+            spec = stream_of(specs, entity.of, f"entities.{name}.of")
             if not entity.alive_s:
-                _check_field(spec, entity.field, f"entities.{name}.field")
-            _check_where(spec, entity.where, f"entities.{name}.where")
+                check_field(spec, entity.field, f"entities.{name}.field")
+            check_where(spec, entity.where, f"entities.{name}.where")
         for i, history in enumerate(self.history):
-            spec = _stream(specs, history.of, f"history[{i}].of")
-            if not spec.is_event or history.key not in spec.channels or spec.dtype[history.key].kind not in "iu":
-                raise InputError(history.of, spec.describe(), f"events with a whole number {history.key!r}")
-            _check_where(spec, history.where, f"history[{i}].where")
-        self.hold(OutboxState(""), MqttRuntime(specs))
+            history.check(specs, f"history[{i}]")
+        self.hold(OutboxState(""), MqttRuntime(specs, self.entities))
         return {}
 
     def keep_time(self, clock: SessionClock) -> None:
@@ -143,7 +119,9 @@ class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
         runtime.outbox = Outbox(self.state, self._say, ledger)
         for history in self.history:
             if history.log:
-                self._post_logged(history)
+                topic = self._topics.history(history.of)
+                for key, text in history.logged_after(runtime.outbox.newest(topic), self.state.session):
+                    runtime.outbox.post(topic, key, text)
         runtime.reports = ReportWatch(self.report, self._topics) if self.report else None
         topics, histories = self._topics, [self._topics.history(h.of) for h in self.history]
         heard = [*([topics.birth] if self.discovery else []), *([topics.mark(), *histories] if histories else [])]
@@ -157,14 +135,12 @@ class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
         runtime = self.runtime
         if runtime.outbox is None:
             return
-        if len(chunk):
-            runtime.newest[port] = int(chunk.time[-1])
-        for name, entity in self.entities.items():
-            if entity.of == port:
-                self._tell(name, entity, chunk)
+        for name, text in runtime.states.changed(port, chunk):
+            runtime.outbox.state(self._topics.state(name), text)
         for history in self.history:
             if history.of == port and len(chunk):
-                self._post(history, chunk)
+                for key, text in history.chosen(chunk, runtime.specs[port], self.state.session):
+                    runtime.outbox.post(self._topics.history(port), key, text)
         self._tell_report()
         if chunk.until >= runtime.live_from:
             runtime.outbox.flush()
@@ -202,72 +178,12 @@ class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
     def snapshot(self) -> dict[str, Array]:
         return pack(self.runtime.outbox.keep() if self.runtime.outbox else self.state)
 
-    # what is reported --------------------------------------------------------------------------------------------------------
-
-    def _tell(self, name: str, entity: Entity, chunk: Chunk) -> None:
-        """Tell an entity's state where it has changed, or is about to be forgotten."""
-        runtime = self.runtime
-        assert runtime.outbox
-        before, when, stamp = runtime.told.get(name, ("", 0.0, NEVER))
-        text, at = self._state(entity, chunk, before, stamp)
-        now = time.monotonic()
-        stale = entity.expire_after_s > 0 and now - when >= REFRESH * entity.expire_after_s
-        if text and (text != before or stale):
-            runtime.told[name] = (text, now, at)
-            runtime.outbox.state(self._topics.state(name), text)
-
     def _tell_report(self, *, now: bool = False) -> None:
         """Announce a new report."""
         runtime = self.runtime
         for topic, text in runtime.reports.look(now=now) if runtime.reports else ():
             assert runtime.outbox
             runtime.outbox.state(topic, text)
-
-    def _state(self, entity: Entity, chunk: Chunk, before: str, told: int) -> tuple[str, int]:
-        """What is to be reported after a chunk, and of which sample; "": nothing is known yet."""
-        if entity.alive_s:
-            newest = self.runtime.newest.get(entity.of, NEVER)
-            alive = newest != NEVER and chunk.until < FOREVER and chunk.until - newest <= entity.alive_s * NS
-            return (ON if alive else OFF), newest
-        spec = self.runtime.specs[entity.of]
-        rows = chunk.data[_chosen(chunk.data, entity.where)] if spec.is_event else chunk.data
-        if not len(rows) or (not spec.is_event and told != NEVER and chunk.time[-1] - told < entity.every_s * NS):
-            return before, told
-        row = rows[-1]
-        value = row[entity.field or spec.channels[0]] if spec.is_event else row.reshape(-1)[_place(spec, entity.field)]
-        return _text(value, entity), int(chunk.time[-1])
-
-    def _post(self, history: SentEvents, chunk: Chunk) -> None:
-        runtime = self.runtime
-        assert runtime.outbox
-        spec = runtime.specs[history.of]
-        for row in chunk.data[_chosen(chunk.data, history.where)]:
-            told: dict[str, Any] = {"session": self.state.session, "key": int(row[history.key])}
-            told |= {field: _plain(row[field], spec.unit_of(field)) for field in spec.channels}
-            runtime.outbox.post(self._topics.history(history.of), told["key"], json.dumps(told))
-
-    def _post_logged(self, history: SentEvents) -> None:
-        """What a night's log has, and this session has not sent: it was killed in between."""
-        from devices.outlets.night import archive
-
-        outbox, topic = self.runtime.outbox, self._topics.history(history.of)
-        assert outbox
-        newest = outbox.newest(topic)
-        nights = archive.nights(Path(history.log)) if newest >= 0 else []
-        nights = [night for night in nights if night[1].sleeper == history.sleeper]
-        nights.sort(key=lambda night: (night[0] / archive.EPOCHS).stat().st_mtime_ns)  # the one that was written last
-        for folder, _ in nights[-1:]:
-            epochs = archive.read_epochs(folder)
-            for k in np.flatnonzero(epochs.onset > newest).tolist():
-                told = {"session": self.state.session, "key": int(epochs.onset[k])}
-                told |= {name: utc(int(column[k])) for name, column in (("onset", epochs.onset), ("end", epochs.end))}
-                told |= {
-                    "state": str(epochs.texts["state"][k]),
-                    "final": True,
-                    "rescored": bool(epochs.numbers["rescored"][k]),
-                }
-                told |= {name: _plain(epochs.numbers[name][k], "") for name in ("score", "activity")}
-                outbox.post(topic, int(epochs.onset[k]), json.dumps(told))
 
     # the link's thread ---------------------------------------------------------------------------------------------------
 
@@ -310,54 +226,3 @@ class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
             if self.report:
                 told = report_announcement(self.device, self._topics)
                 self._say(self._topics.config("sensor", NAME), json.dumps(told), True)
-
-
-def _stream(specs: Specs, of: str, parameter: str) -> StreamSpec:
-    if of not in specs:
-        raise ParameterError(parameter, of, f"a stream that this outlet reads; {nearest(of, list(specs))}")
-    return specs[of]
-
-
-def _check_field(spec: StreamSpec, field: str, parameter: str) -> None:
-    if field and field not in spec.channels:
-        raise ParameterError(parameter, field, f"a field of the stream; {nearest(field, list(spec.channels))}")
-    if not spec.is_event and len(spec.shape) != 1:
-        raise ParameterError(parameter, field, f"a channel of a signal or a field of events, not of {spec.describe()}")
-
-
-def _check_where(spec: StreamSpec, where: dict[str, Any] | None, parameter: str) -> None:
-    for field in where or {}:
-        if not spec.is_event:
-            raise ParameterError(parameter, field, "left out of a signal")
-        _check_field(spec, field, parameter)
-
-
-def _chosen(rows: Array, where: dict[str, Any] | None) -> Array:
-    """Which events are meant (n,) bool."""
-    chosen = np.ones(len(rows), np.bool_)
-    for field, value in (where or {}).items():
-        chosen &= rows[field] == value
-    return chosen
-
-
-def _place(spec: StreamSpec, field: str) -> int:
-    return spec.channels.index(field) if field else 0
-
-
-def _text(value: Any, entity: Entity) -> str:
-    """A value as Home Assistant takes it; what is not known is "None"."""
-    if entity.device_class == "timestamp":
-        return utc(int(value)) if value > 0 else UNKNOWN
-    if entity.values is not None:
-        return entity.values.get(str(value).lower() if isinstance(value, bool | np.bool_) else str(value), UNKNOWN)
-    if isinstance(value, np.floating | float):
-        return f"{value:.{entity.decimals}f}" if np.isfinite(value) else UNKNOWN
-    return str(value)
-
-
-def _plain(value: Any, unit: str) -> Any:
-    """A field for JSON: times as ISO 8601, what is not known as null."""
-    if unit == "ns":
-        return utc(int(value)) if value > 0 else None
-    plain = value.item() if isinstance(value, np.generic) else value.tolist()
-    return None if isinstance(plain, float) and not np.isfinite(plain) else plain

@@ -21,6 +21,7 @@ from websockets.http11 import Request, Response
 from devices.outlets.page.access import HEADERS, Access
 from devices.outlets.page.hub import Looking
 from devices.outlets.page.wire import MOST_ASKED_BYTES, asked, encode
+from stream.errors import KinegraphError
 
 log = structlog.get_logger(__name__)
 
@@ -197,3 +198,13 @@ def tls_context(certificate: str, key: str) -> ssl.SSLContext | None:
     context: Any = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     context.load_cert_chain(certificate, key or None)
     return context  # type: ignore[no-any-return]
+
+
+def refuse_unbuilt() -> None:
+    """Raises KinegraphError where the page was not built."""
+    try:
+        [built(name) for name, _ in FILES.values()]
+    except FileNotFoundError:
+        raise KinegraphError(
+            "the page was not built: `python -m pip install -e .` builds it (from the npm registry)"
+        ) from None

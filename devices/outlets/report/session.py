@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Literal
 
-import structlog
 from filelock import FileLock
 
 from devices.outlets.append_file import AppendFile
@@ -26,24 +23,21 @@ from devices.outlets.report.cycle_rows import (
     take_closed,
     take_statistics,
 )
-from devices.outlets.report.data import Curves, Report, save
-from devices.outlets.report.peaks import MODE, MOVED
+from devices.outlets.report.data import Curves, Report
+from devices.outlets.report.drawing import PageDrawing
 from devices.outlets.report.place import free_stem, page_of, recording_of
-from devices.outlets.report.tally import ALARM_PORTS, GAIT, Tally, hear, nothing_yet, numbers
+from devices.outlets.report.ports import NEEDED, PORTS, check_ports
+from devices.outlets.report.tally import Tally, hear, nothing_yet, numbers
 from devices.outlets.report.words import relative_to
 from devices.outlets.report.workbook import missing, write_tables
-from stream.child import child
 from stream.chunk import Array, Chunk, Specs
-from stream.errors import DeviceError, InputError, ParameterError
+from stream.errors import ParameterError
 from stream.graph import Graph
 from stream.operator import Outlet
 from stream.params import param
 from stream.state import pack
 
 FIRST_INTERIM_S = 30.0
-DRAWING_S = 180.0
-
-log = structlog.get_logger(__name__)
 
 
 @dataclass(slots=True)
@@ -66,7 +60,7 @@ class ReportRuntime:
         self.graph: Graph | None = None
         self.table: AppendFile | None = None
         self.claim: FileLock | None = None
-        self.drawing: subprocess.Popen[bytes] | None = None
+        self.drawing = PageDrawing()
         self.next_interim = 0.0
 
 
@@ -105,34 +99,8 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
     Without `path` the files lie with the session's recording, called after the node; where nothing is recorded, in reports.
     """
 
-    inputs: ClassVar[tuple[str, ...]] = (
-        "emg", "closed", "cycles", "statistics", "muscles", "pairs", "quality", "electrodes", "contacts", "changes",
-        "channels", "patterns", "timing", "markers", "symmetry", "footfalls", "gait", "bursts", "active", "modes", "distance", "low",
-        "high",
-    )  # fmt: skip
-    optional: ClassVar[tuple[str, ...]] = (
-        "emg",
-        "statistics",
-        "muscles",
-        "pairs",
-        "quality",
-        "electrodes",
-        "contacts",
-        "changes",
-        "channels",
-        "patterns",
-        "timing",
-        "markers",
-        "symmetry",
-        "footfalls",
-        "gait",
-        "bursts",
-        "active",
-        "modes",
-        "distance",
-        "low",
-        "high",
-    )
+    inputs: ClassVar[tuple[str, ...]] = PORTS
+    optional: ClassVar[tuple[str, ...]] = tuple(port for port in PORTS if port not in NEEDED)
     durable: ClassVar[bool] = True
 
     path: str = param("", help="the page; the tables lie beside it; empty: with the recording")
@@ -147,29 +115,7 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
         for kind in self.tables:
             if what := missing(kind):
                 raise ParameterError("tables", kind, f"left out, or written after `{what}`")
-        cycles = specs["cycles"]
-        if cycles.is_event or len(cycles.shape) != 2 or cycles.channel_axis != 1 or not cycles.channels:
-            raise InputError(
-                "cycles", cycles.describe(), "cycles (points, muscles), as operators.gait.cycles.Cycles gives"
-            )
-        _check_fields(specs, "closed", (*GAIT, "onset", "number", "rejected"))
-        _check_fields(specs, "statistics", ("number", "muscle"))
-        _check_fields(specs, "muscles", ("muscle", "verdict"))
-        _check_fields(specs, "pairs", ("first", "second", "mean_pct"))
-        _check_fields(specs, "symmetry", ("name", "measure", "mean_pct", "low_pct", "high_pct", "pairs"))
-        _check_fields(specs, "footfalls", ("limb", "phase_pct", "duty_pct"))
-        _check_fields(specs, "bursts", ("name", "cycles", "per_cycle", "on_pct", "off_pct", "duration_pct"))
-        if "active" in specs and specs["active"].shape != cycles.shape:
-            raise InputError("active", specs["active"].describe(), "`active` of operators.gait.bursts.CycleBursts")
-        for port in ("low", "high"):
-            if port in specs and specs[port].shape != cycles.shape:
-                raise InputError(port, specs[port].describe(), f"`{port}` of operators.gait.norms.NormativeBands")
-        _check_fields(specs, "gait", ("gait", "double_support_pct", "flight_pct", "feet"))
-        _check_fields(specs, "modes", ("name", "number", *MODE))
-        _check_fields(specs, "distance", ("name", *MOVED))
-        _check_fields(specs, "quality", ("name", "flag", "reason", "session_flag", "session_reason"))
-        for port in ALARM_PORTS:
-            _check_fields(specs, port, ("onset", "subject", "state", "what"))
+        check_ports(specs)
         self.hold(ReportState(nothing_yet(specs), nothing_held(specs)), ReportRuntime(specs))
         return {}
 
@@ -209,17 +155,16 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
             self._write_rows(port, chunk.data)
         if time.monotonic() >= runtime.next_interim:
             runtime.next_interim = time.monotonic() + self.interim_s
-            self._draw_interim()
+            if not runtime.drawing.busy:
+                runtime.drawing.begin(Path(state.stem), *self.report(interim=True))
 
     def close(self) -> None:
         runtime, state = self.runtime, self.state
         try:
             if runtime.table:
                 runtime.table.write(release(state.held, state.tally.started, runtime.about))
-            if runtime.drawing:
-                runtime.drawing.kill()
-                runtime.drawing.wait()
-            self._draw()
+            runtime.drawing.stop()
+            runtime.drawing.draw(Path(state.stem), *self.report())
         finally:
             if runtime.table:
                 table, runtime.table = runtime.table, None
@@ -262,70 +207,12 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
         if lines and runtime.table:
             runtime.table.write(lines)
 
-    def _draw_interim(self) -> None:
-        """Begin to draw a page in a process of its own; whatever goes wrong with it is reported and does not matter."""
-        runtime = self.runtime
-        if runtime.drawing and runtime.drawing.poll() is None:
-            return
-        try:
-            runtime.drawing = self._start_drawing(interim=True)
-        except OSError as error:
-            log.warning("interim report not drawn", error=str(error))
-
-    def _draw(self) -> None:
-        page = Path(f"{self.state.stem}.html")
-        try:
-            process = self._start_drawing(interim=False)
-            _, complaint = process.communicate(timeout=DRAWING_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
-            raise DeviceError(
-                f"report {page}: drawing took more than {DRAWING_S:g} s; its data are in {self._data}"
-            ) from None
-        except OSError as error:
-            raise DeviceError(f"report {page}: cannot be written: {error.strerror or error}") from None
-        if process.returncode:
-            last = complaint.decode(errors="replace").strip().splitlines()[-1:] or ["no reason given"]
-            raise DeviceError(f"report {page} could not be drawn: {last[0]}; its data are in {self._data}")
-        self._data.unlink(missing_ok=True)
-        log.info("report written", page=str(page), table=str(_table(self.state)))
-
-    def _start_drawing(self, *, interim: bool) -> subprocess.Popen[bytes]:
-        save(self._data, *self.report(interim=interim))
-        page = f"{self.state.stem}.html"
-        command = child("devices.outlets.report.page", str(self._data), page)
-        to = subprocess.DEVNULL if interim else subprocess.PIPE
-        nice = 10 if interim and hasattr(os, "nice") else 0
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=to, start_new_session=True)
-        if nice:
-            _be_nice(process.pid, nice)
-        return process
-
     @property
     def _node(self) -> str:
         """What the graph calls it; of two with the same parameters, the first."""
         nodes = self.runtime.graph.nodes.values() if self.runtime.graph else ()
         return next((node.name for node in nodes if node.part == self), "report")
 
-    @property
-    def _data(self) -> Path:
-        path = Path(self.state.stem)
-        return path.with_name(f".{path.name}.npz")
-
-
-def _check_fields(specs: Specs, port: str, needed: tuple[str, ...]) -> None:
-    if port in specs and not set(needed) <= set(specs[port].dtype.names or ()):
-        raise InputError(port, specs[port].describe(), f"events with the fields {', '.join(needed)}")
-
 
 def _table(state: ReportState) -> Path:
     return Path(f"{state.stem}.csv")
-
-
-def _be_nice(process: int, by: int) -> None:
-    """An interim page must not take the processor from the graph."""
-    try:
-        os.setpriority(os.PRIO_PROCESS, process, by)
-    except (OSError, AttributeError):
-        log.debug("interim report drawn at normal priority")
