@@ -12,7 +12,7 @@ import numpy as np
 
 from operators.body.bones import possible
 from operators.body.facing import CELLS, facing_of, shape_of, weights
-from operators.body.geodesic_kernel import extrema_of, middle_of, surface_of, walk_back
+from operators.body.geodesic_kernel import area_around, extrema_of, middle_of, surface_at, surface_of, walk_back
 from operators.body.names import MARKERS, camera_of, markers_specs
 from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError
@@ -22,6 +22,8 @@ from stream.params import param
 ENDS = ("head", "left hand", "right hand", "left foot", "right foot")
 USUAL = np.array([(0.0, 0.72), (0.35, 0.1), (-0.35, 0.1), (0.12, -0.85), (-0.12, -0.85)])
 """Where the ends are from the middle of a body that stands, to its left and upwards (m, for 1.75 m)."""
+MEMORY = np.array([0.4, 0.8, 0.8, 0.5, 0.5])
+"""How much where an end was counts against where it usually is: a head and feet that were mistaken for another must be found again."""
 JOINTS = (
     ((0.10, "head", 0.09),),
     ((0.13, "left_wrist", 0.025), (0.38, "left_elbow", 0.035)),
@@ -30,8 +32,18 @@ JOINTS = (
     ((0.03, "right_toe", 0.02), (0.15, "right_ankle", 0.04), (0.55, "right_knee", 0.055)),
 )
 """By end: how far back along the surface a marker lies (m, for 1.75 m), which one, how far inside the body."""
-ORDERS = np.array(list(permutations(range(len(ENDS) + 1), len(ENDS))))
+MOST_ENDS = 6
+"""How many ends are searched for: knees and elbows may lie farther out than the head."""
+ORDERS = np.array(list(permutations(range(MOST_ENDS + 1), len(ENDS))))
 """Every way to give the ends to what was found; the last number: it is none of them."""
+INSIDE = {"shoulder": (0.08, 0.08), "hip": (0.11, 0.04)}
+"""How far inside the trunk its middle is there (m, for 1.75 m): seen from the front, and how much farther from the side."""
+NEAR_AXIS_M = 0.10
+"""The trunk's surface is what is seen within this distance of its axis."""
+ROUND_M, UNLIKE = 0.18, 0.4
+AREAS, HEADS, TIPS = (0.014, 0.019, 0.030, 0.036), (1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 1.0, 1.0)
+"""The visible surface within ROUND_M of an end (m2, for 1.75 m), and by how much it rules out a head, a hand or foot: hands and feet show
+0.005 to 0.016, heads 0.019 to 0.030, knees mostly more; what it costs to take one for the other (m)."""
 MOST_WIDTH = 160
 LEAST_PIXELS = 60
 FAR_M, LEAP_M, REMEMBERED_S = 0.55, 0.35, 0.5
@@ -113,16 +125,18 @@ class Extrema(Operator[ExtremaState]):
         self._face(depth)
         size = self.height_m / 1.75
         pixels = points.shape[0] * points.shape[1]
-        distance, parent, found = np.empty(pixels), np.empty(pixels, np.int64), np.empty(len(ENDS) + 1, np.int64)
+        distance, parent, found = np.empty(pixels), np.empty(pixels, np.int64), np.empty(MOST_ENDS, np.int64)
         count = extrema_of(points, middle_of(points, middle), self.apart_m, distance, parent, found, 0.2 * size)
         at = points.reshape(-1, 3)[found[:count]]
-        for end, k in enumerate(self._named(time, at, middle, size)):
+        middle *= 1.0 + INSIDE["hip"][0] * size / middle[2]
+        areas = np.array([area_around(points, place, ROUND_M * size, s.camera / step) for place in at]) / size**2
+        for end, k in enumerate(self._named(time, at, areas, middle, size)):
             if k < 0:
                 continue
             doubtful = math.dist(s.before[end], at[k]) > LEAP_M if s.seen[end] else False
             s.before[end], s.seen[end] = at[k], time
             self._joints(end, points, parent, int(found[k]), 0.4 if doubtful else 0.7, size, out, confidence)
-        self._trunk(size, middle, self._across(size, points, middle, out), out, confidence)
+        self._trunk(size, points, middle, self._across(size, points, middle, out), out, confidence)
         confidence[~possible(size, out)] = 0.0
         out[confidence < 0.5] = np.nan
 
@@ -139,27 +153,25 @@ class Extrema(Operator[ExtremaState]):
         length = math.hypot(x, z)
         return np.array([-z / length, 0.0, x / length]) if length > 0.0 else np.array([1.0, 0.0, 0.0])
 
-    def _named(self, time: int, at: Samples, middle: Samples, size: float) -> list[int]:
+    def _named(self, time: int, at: Samples, areas: Samples, middle: Samples, size: float) -> list[int]:
         """By end the number of what was found there; -1: it was not found."""
         s, n = self.state, len(ENDS)
         usual = middle + size * (USUAL[:, :1] * self._left() - USUAL[:, 1:] * np.array([0.0, 1.0, 0.0]))
         fresh = (time - s.seen < REMEMBERED_S * NS) & (s.seen > 0)
-        cost = np.full((n, n + 1), FAR_M * size)
-        for k, place in enumerate(at[:n]):
+        cost = np.full((n, MOST_ENDS + 1), FAR_M * size)
+        for k, place in enumerate(at):
             apart = np.linalg.norm(usual - place, axis=1)
             since = np.linalg.norm(s.before - place, axis=1)
-            cost[:, k] = np.where(fresh, 0.8 * np.nan_to_num(since) + 0.2 * apart, 0.8 * apart)
-        orders = ORDERS if len(at) >= n else ORDERS[((len(at) > ORDERS) | (n == ORDERS)).all(axis=1)]
-        return self._cheapest(cost, orders, len(at))
+            cost[:, k] = np.where(fresh, MEMORY * np.nan_to_num(since) + (1 - MEMORY) * apart, 0.8 * apart)
+            cost[:, k] += UNLIKE * size * unlike(areas[k])
+        return self._cheapest(cost, ORDERS)
 
     @staticmethod
-    def _cheapest(cost: Samples, orders: Array, found: int) -> list[int]:
-        """The cheapest way to name what was found; what costs more than not being found is not."""
-        n = len(ENDS)
-        capped = np.minimum(cost, cost[:, n:])
-        totals = capped[np.arange(n), orders].sum(axis=1)
-        best = orders[int(totals.argmin())] if len(orders) else np.full(n, n)
-        return [int(k) if k < min(found, n) and cost[e, k] < cost[e, n] else -1 for e, k in enumerate(best)]
+    def _cheapest(cost: Samples, orders: Array) -> list[int]:
+        """The cheapest way to name what was found; what costs as much as not being found, the last column, is not."""
+        ends = np.arange(len(ENDS))
+        best = orders[int(np.minimum(cost, cost[:, -1:])[ends, orders].sum(axis=1).argmin())]
+        return [int(k) if cost[e, k] < cost[e, -1] else -1 for e, k in enumerate(best)]
 
     def _joints(
         self,
@@ -200,18 +212,25 @@ class Extrema(Operator[ExtremaState]):
             )  # what has been seen of it is kept against a shape that is not sure
         return left
 
-    def _trunk(self, size: float, middle: Samples, left: Samples, out: Samples, trust: Samples) -> None:
-        """Shoulders and hips: below the head, towards the body's middle, across where the body faces."""
+    def _trunk(
+        self, size: float, points: Samples, middle: Samples, left: Samples, out: Samples, trust: Samples
+    ) -> None:
+        """Shoulders and hips: below the head, towards the body's middle, across where the body faces, inside what is seen there."""
         head = MARKERS.index("head")
         if not trust[head]:
             return
         down = middle - out[head]
         length = float(np.linalg.norm(down))
         down = down / length if 0.3 * size < length < 1.1 * size else np.array([0.0, 1.0, 0.0])
-        for name, below, half in (("shoulder", 0.22, 0.18), ("hip", 0.70, 0.10)):
+        for name, below, half in (("shoulder", 0.25, 0.18), ("hip", 0.72, 0.10)):
+            place = out[head] + size * below * down
+            least, more = INSIDE[name]
+            surface = surface_at(points, place, NEAR_AXIS_M * size)
+            if math.isfinite(surface):
+                place *= (surface + size * (least + more * left[2] ** 2)) / place[2]
             for side, sign in (("left", 1.0), ("right", -1.0)):
                 k = MARKERS.index(f"{side}_{name}")
-                out[k] = out[head] + size * (below * down + sign * half * left)
+                out[k] = place + size * sign * half * left
                 trust[k] = 0.6
 
     @classmethod
@@ -229,3 +248,9 @@ class Extrema(Operator[ExtremaState]):
         meta = {"camera": {"fx": 60.0, "fy": 60.0, "cx": 23.5, "cy": 29.5}}
         spec = StreamSpec((60, 48), np.dtype(np.uint16), rate_hz=30.0, units=("mm",), meta=meta)
         return [Case(cls(), {"in": (spec, grid(30.0, n), frames)}, least=2 * n)]
+
+
+def unlike(area: float) -> Samples:
+    """By how much the surface around an end (m2) rules out each of ENDS: 0 to 1."""
+    head, tip = np.interp(area, AREAS, HEADS), np.interp(area, AREAS, TIPS)
+    return np.array([head, tip, tip, tip, tip])

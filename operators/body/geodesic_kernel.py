@@ -153,6 +153,33 @@ def walk_back(points: Samples, parent: Times, start: int, along_m: float, out: S
 
 
 @kernel(nogil=True)
+def area_around(points: Samples, place: Samples, within_m: float, camera: Samples) -> float:
+    """The surface that the camera sees within `within_m` of `place` (3,), in m2; `camera` is that of `points` (h, w, 3)."""
+    area = 0.0
+    for i in range(points.shape[0]):
+        for j in range(points.shape[1]):
+            if _squared(points[i, j], place) < within_m**2:
+                area += points[i, j, 2] ** 2
+    return float(area / (camera[0] * camera[1]))
+
+
+@kernel(nogil=True)
+def surface_at(points: Samples, place: Samples, within_m: float) -> float:
+    """How deep (m) the surface is before `place` (3,): the median of what the camera sees beside it; NaN: hardly anything is there.
+
+    What lies much nearer or deeper, four times `within_m`, is something else: an arm, or another one's.
+    """
+    kept, n = np.empty(points.shape[0] * points.shape[1]), 0
+    for i in range(points.shape[0]):
+        for j in range(points.shape[1]):
+            beside = (points[i, j, 0] - place[0]) ** 2 + (points[i, j, 1] - place[1]) ** 2
+            if beside < within_m**2 and abs(points[i, j, 2] - place[2]) < 4.0 * within_m:
+                kept[n] = points[i, j, 2]
+                n += 1
+    return float(np.median(kept[:n])) if n >= 8 else math.nan
+
+
+@kernel(nogil=True)
 def _squared(p: Samples, q: Samples) -> float:
     """The squared distance of two places; NaN where one is."""
     return float((p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2)

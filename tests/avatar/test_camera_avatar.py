@@ -89,6 +89,34 @@ def test_depth_alone_finds_head_hands_and_feet() -> None:
     assert ((made["confidence"].data >= 0.5) == np.isfinite(made["out"].data).all(axis=2)).all()
 
 
+@pytest.mark.parametrize("first", [6.0, 10.0, 20.0])
+def test_the_trunks_joints_lie_inside_the_trunk(first: float) -> None:
+    """Not on the surface that the camera sees: neither from the front nor where the performer has turned."""
+    frames, truth = someone(first, first + 1.0)
+    extrema = Extrema()
+    extrema.open({"in": camera_spec()})
+    made = dict(extrema.process("in", Chunk(grid(RATE, len(frames)), frames, 0)))["out"].data
+    for joint in ("shoulder", "hip"):
+        found, true = (
+            each[:, [names.index(f"{side}_{joint}") for side in ("left", "right")]].mean(axis=1)
+            for each, names in ((made, MARKERS), (truth, POINTS))
+        )
+        assert abs(100 * np.nanmean((found - true)[:, 2])) < 4.5, joint
+
+
+def test_a_head_that_was_taken_for_a_foot_is_found_again() -> None:
+    frames, truth = someone(6.0, 7.0)
+    extrema = Extrema()
+    extrema.open({"in": camera_spec()})
+    times = grid(RATE, len(frames))
+    extrema.process("in", Chunk(times[:5], frames[:5], 0))
+    state = extrema.state
+    state.before[[0, 3]] = state.before[[3, 0]]  # head and left foot, exchanged
+    made = dict(extrema.process("in", Chunk(times[5:], frames[5:], 0)))["out"].data
+    off = np.linalg.norm(made[-5:, MARKERS.index("head")] - truth[-5:, POINTS.index("head")], axis=1)
+    assert off.max() < 0.12
+
+
 @pytest.mark.parametrize("depth", [0, 65535, 30])
 def test_depth_alone_invents_nothing(depth: int) -> None:
     extrema = Extrema()
