@@ -23,7 +23,8 @@ from stream.plain import say
 from stream.source import Source
 
 if TYPE_CHECKING:
-    from stream.engine.status import Outcome, SessionPage
+    from stream.engine.session import SessionPage
+    from stream.engine.status import Outcome
     from stream.graph import Graph
 
 

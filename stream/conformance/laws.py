@@ -111,7 +111,7 @@ class Conformance:
         return player
 
     def replay(self) -> None:
-        """Law 2: two fresh instances give the same chunks, `until` included."""
+        """Law 2: two fresh instances, and one that has worked and was put back to its start, give the same chunks, `until` included."""
         with self.warm():
             delivery = steps(self.tapes, max(1, self.longest // 20))
             one, two = self.play(delivery), self.play(delivery)
@@ -120,6 +120,19 @@ class Conformance:
                 raise Broken("replay", f"the second run differs in emission {k}. {differ(one, two)}")
             if difference := differ(self.reference, one):
                 raise Broken("cuts", difference, f"chunks: {describe(delivery)}")
+            if one.log != (back := self._put_back(delivery)).log:
+                raise Broken("state", f"put back to its start, it gives something else. {differ(one, back)}")
+
+    def _put_back(self, delivery: Delivery) -> Player:
+        """The delivery once more, by an operator that has worked through it and was given its first snapshot: as the warm-up does."""
+        used = self.player()
+        start = used.operator.snapshot()
+        for port, chunk in delivery:
+            used.feed(port, chunk)
+        back = self.player()
+        back.operator = used.operator
+        back.operator.restore(start)
+        return back.play(delivery)
 
     def memory(self) -> None:
         """Law 4: the case again and again; the snapshot's size in the second half stays within that of the first.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable
 from time import perf_counter_ns
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import structlog
@@ -47,8 +47,7 @@ class Stage:
         self.node, self.worker, self.slot = node, worker, slot
         specs = graph.input_specs(node)
         with blaming(node.name, "open"):
-            self.operator: Operator[Any] = node.part.fresh()
-            opened = self.operator.open(specs)
+            self.operator, opened = node.open(specs)
         self.edges = {name: LiveEdge(Edge(node.name, name), spec, slot, self.reached) for name, spec in opened.items()}
         for edge in self.edges.values():
             edge.strict = not is_ours(self.operator)

@@ -148,7 +148,7 @@ class Replay:
 
     def run(self, progress: Callable[[float], None] = lambda done_s: None) -> Replayed:
         """Feed the whole recording; `progress` receives the seconds of session time done so far."""
-        warm_up(self.graph)
+        warm_up(self.pipeline)
         if any(stream.kept == "packed" for stream in self.recording.streams.values()):
             Packer()
         recorder = self._open_output()

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
+from typing import Protocol, Self
 
 import structlog
 
@@ -100,7 +101,7 @@ class Session:
     def run(self) -> Outcome:
         """Run until every source has ended, `stop` is called, or something fails; closes everything. Raises Interrupted while `warming`."""
         self.warming = True
-        warm_up(self.graph, lambda: self._stopping)
+        warm_up(self.pipeline, lambda: self._stopping)
         self.warming = False
         self._open()
         compilations = Compilations()
@@ -245,6 +246,17 @@ class Session:
         self.log.close(well=self._error is None)
         if (status := self.log.status) is not None:
             self.table["recording"] = recording_row(status)
+
+
+class SessionPage(SessionView, Protocol):
+    """A view that also takes samples, and through which people steer."""
+
+    def attach(self, session: Session) -> None:
+        """Observe what is to be shown; called before the session runs."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *error: object) -> None: ...
 
 
 def _is_live(node: Node) -> bool:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from stream.ceiling import ceiling, taken
 from stream.errors import MemoryExceeded, blaming
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from stream.engine.ingress import IngressPort
     from stream.engine.pipeline import Pipeline, Stage
     from stream.engine.queues import BoundedQueue
-    from stream.engine.session import Session
     from stream.engine.workers import Workers
     from stream.recording import RecorderStatus
 
@@ -125,17 +124,6 @@ class SessionView(Protocol):
 
     def update(self, table: Table) -> None:
         """Take the newest metrics, once a second; must not wait."""
-
-
-class SessionPage(SessionView, Protocol):
-    """A view that also takes samples, and through which people steer."""
-
-    def attach(self, session: Session) -> None:
-        """Observe what is to be shown; called before the session runs."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(self, *error: object) -> None: ...
 
 
 class Views(list[SessionView]):

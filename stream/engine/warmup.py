@@ -1,7 +1,9 @@
-"""Before any device opens: sources prepare and scratch operators are run, so that nothing compiles while a graph runs.
+"""Before any device opens: sources prepare and operators are tried, so that nothing compiles while a graph runs.
 
-Two runs for each operator: its own `warm_up_cases`, which reach every kernel, and made-up samples under the specs of this graph, which
-also show whether the operator keeps the promises of its specs.
+Two trials for each operator: its own `warm_up_cases`, which reach every kernel, and made-up samples under the specs of this graph, which
+also show whether the operator keeps the promises of its specs. The latter are given to the operator that is going to run, and its state is
+put back afterwards: the laws say that its state is all that it remembers. Nothing says so of an operator from outside our packages; another
+one with the same parameters is opened and tried in its place.
 """
 
 from __future__ import annotations
@@ -14,10 +16,11 @@ from typing import Any
 import numpy as np
 import structlog
 
-from stream.chunk import FOREVER, NS, Chunk, StreamSpec, empty
+from stream.chunk import FOREVER, NS, Chunk, Specs, StreamSpec, empty
 from stream.engine.admission import is_sound
 from stream.engine.edge import CallSlot
 from stream.engine.merge import Merge
+from stream.engine.pipeline import Pipeline, Stage
 from stream.engine.row import step_of
 from stream.errors import GraphError, Interrupted, KinegraphError, asked_to_end, blaming, explain, interruption
 from stream.graph import Graph, Node, parts
@@ -31,7 +34,7 @@ SAMPLES = 64
 log = structlog.get_logger(__name__)
 
 
-def warm_up(graph: Graph, stopped: Callable[[], bool] = bool) -> None:
+def warm_up(pipeline: Pipeline, stopped: Callable[[], bool] = bool) -> None:
     """Compile (or load from the cache) all kernels of a graph, and the engine's own.
 
     `stopped` is asked between two nodes. Raises GraphError where an operator breaks its specs' promises, Interrupted once `stopped`: a
@@ -42,6 +45,7 @@ def warm_up(graph: Graph, stopped: Callable[[], bool] = bool) -> None:
     timing.read()
     is_sound(StreamSpec(()), empty(StreamSpec(()), NS))
     seen: set[type[Any]] = set()
+    graph = pipeline.graph
     for node in graph.nodes.values():
         if stopped():
             raise Interrupted
@@ -54,7 +58,7 @@ def warm_up(graph: Graph, stopped: Callable[[], bool] = bool) -> None:
             if type(node.part) not in seen:
                 seen.add(type(node.part))
                 _run_cases(node.part)
-            _run_made_up(graph, node)
+            _run_made_up(graph, pipeline.stages[node.name])
         except BaseException as error:
             if asked_to_end(error) or isinstance(error, KinegraphError):
                 raise
@@ -83,13 +87,21 @@ def _run_cases(part: Operator[Any]) -> None:
         operator.close()
 
 
-def _run_made_up(graph: Graph, node: Node) -> None:
+def _run_made_up(graph: Graph, stage: Stage) -> None:
     """Made-up signals and frames under the node's own specs, in the order of time as in a session; events are left to the cases, for their
     fields have meanings."""
-    assert isinstance(node.part, Operator)
-    operator = node.part.fresh()
-    specs = graph.input_specs(node)
-    promised = operator.open(specs)
+    node, operator, specs = stage.node, stage.operator, graph.input_specs(stage.node)
+    promised = {name: edge.spec for name, edge in stage.edges.items()}
+    if parts.is_ours(operator):
+        state = operator.snapshot()
+        _try(graph, node, operator, specs, promised)
+        operator.restore(state)
+    else:
+        scratch = operator.fresh()
+        _try(graph, node, scratch, specs, scratch.open(specs))
+
+
+def _try(graph: Graph, node: Node, operator: Operator[Any], specs: Specs, promised: Specs) -> None:
     take = taking(operator, specs)
     merge = Merge(specs, in_turn=operator.in_turn, acts=operator.acts)
     given = {port: made_up(spec, SAMPLES) for port, spec in specs.items() if not spec.is_event}

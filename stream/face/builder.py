@@ -79,6 +79,8 @@ class GraphBuilder:
     def _of(cls, checked: Graph) -> Self:
         graph = cls(checked.name)
         graph._path, graph._text, graph._nodes = checked.path, checked.text, checked.nodes
+        for node in checked.nodes.values():
+            node.opened = None  # what runs is another graph, read from this one's text
         written = parse(checked.text, checked.path).plain()
         record = written.get("record") or []
         graph._document = {"name": checked.name, **written, "record": [record] if isinstance(record, str) else record}

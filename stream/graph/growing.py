@@ -28,4 +28,5 @@ def grown(nodes: Mapping[str, Node], name: str, entry: Mapping[str, Any]) -> Nod
     node = open_node(draft, problems, nodes)
     problems.stop()
     assert node is not None
+    node.opened = None  # what runs is another graph, read from this one's text
     return node

@@ -64,11 +64,29 @@ class NodeDeclaration:
     memory_bytes: int = 0
 
 
+class OpenedOperator:
+    """An operator that was opened when its graph was loaded, and waits for the run that takes it."""
+
+    __slots__ = ("_inputs", "_kept", "_part")
+
+    def __init__(self, part: Operator[Any], inputs: Specs, opened: Operator[Any], outputs: Specs) -> None:
+        """`part` holds the parameters of `opened`; `outputs` as its `open` returned them."""
+        self._part, self._inputs = part, inputs
+        self._kept: tuple[Operator[Any], Specs] | None = (opened, outputs)
+
+    def take(self, part: object, inputs: Specs) -> tuple[Operator[Any], Specs] | None:
+        """The operator and its outputs, if it is still there, has this part's parameters and was opened on these inputs."""
+        if part is not self._part or inputs != self._inputs:
+            return None
+        kept, self._kept = self._kept, None
+        return kept
+
+
 @dataclass(slots=True)
 class Node:
     """One node: a part (source, operator or outlet), where its inputs come from, and what flows out.
 
-    The part is what the node is and its parameters. It is never opened: what checks, warms up or runs it opens a `fresh` one.
+    The part is what the node is and its parameters. It is never opened: `open` gives an operator with these parameters.
     """
 
     name: str
@@ -82,6 +100,19 @@ class Node:
     line: int = 0
     given: dict[str, Any] = field(default_factory=dict)
     """The parameters as written in YAML."""
+    opened: OpenedOperator | None = field(default=None, repr=False, compare=False)
+    """Of an operator or outlet of a graph that was loaded."""
+
+    def open(self, inputs: Specs) -> tuple[Operator[Any], Specs]:
+        """An operator for a run, opened on these inputs, and its outputs as its `open` gave them.
+
+        The first run gets the one that was opened when the graph was loaded, so that a node is opened once; a later run opens its own.
+        """
+        if self.opened and (kept := self.opened.take(self.part, inputs)):
+            return kept
+        assert isinstance(self.part, Operator)
+        operator = self.part.fresh()
+        return operator, operator.open(inputs)
 
     @property
     def is_source(self) -> bool:

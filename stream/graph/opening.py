@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
 from stream.chunk import Specs, StreamSpec
 from stream.errors import InputError, KinegraphError, ParameterError, asked_to_end, explain
-from stream.graph import Edge, Node, NodeDeclaration, NodeOptions
+from stream.graph import Edge, Node, NodeDeclaration, NodeOptions, OpenedOperator
 from stream.graph.draft import Draft
 from stream.graph.problems import Problems
 from stream.graph.wiring import Wires, order
@@ -65,10 +65,8 @@ class _Opening:
             return
         inputs = self._inputs(draft, draft.wires)
         try:
-            trial = draft.part if isinstance(draft.part, Source) else draft.part.fresh()
-            specs = None if inputs is None else self._specs(draft, trial, draft.wires, inputs)
-            if specs is not None:
-                self.nodes[draft.name] = _node(draft, draft.part, draft.wires, specs, _declared(trial))
+            if inputs is not None and (opened := self._opened(draft, draft.part, draft.wires, inputs)):
+                self.nodes[draft.name] = opened
         except BaseException as error:
             if asked_to_end(error):
                 raise
@@ -96,12 +94,28 @@ class _Opening:
         asked = isinstance(draft.part, Operator) and port in draft.part.optional
         return asked and isinstance(node.part, Source) and node.part.background and edge.output not in node.specs
 
-    def _specs(self, draft: Draft, part: Source | Operator[Any], wires: Wires, inputs: Specs) -> Specs | None:
-        """What flows out of a node."""
-        if isinstance(part, Source) and self.recorded is not None:
-            return _recorded(draft, self.recorded)
+    def _opened(self, draft: Draft, part: Source | Operator[Any], wires: Wires, inputs: Specs) -> Node | None:
+        """The node, with what flows out of it, if that can be had."""
+        if isinstance(part, Source):
+            given = (
+                _recorded(draft, self.recorded)
+                if self.recorded is not None
+                else self._said(draft, part, part.specs, wires)
+            )
+            return None if given is None else _node(draft, part, wires, given)
+        operator = part.fresh()
+        given = self._said(draft, operator, lambda: operator.open(inputs), wires)
+        if given is None:
+            return None
+        node = _node(draft, part, wires, given)
+        node.declared = NodeDeclaration(operator.delay_s, operator.decision_s, operator.memory_bytes)
+        node.opened = OpenedOperator(part, inputs, operator, given)
+        return node
+
+    def _said(self, draft: Draft, part: Source | Operator[Any], say: Callable[[], Specs], wires: Wires) -> Specs | None:
+        """The specs that a part gives for its outputs."""
         try:
-            specs = part.specs() if isinstance(part, Source) else part.open(inputs)
+            specs = say()
         except ParameterError as error:
             self.problems.add(str(error), draft.at(error.parameter), draft.name)
             return None
@@ -138,7 +152,7 @@ class _Opening:
                 f"{draft.kind.__name__}.open() must call hold(state, delay_s=...)", draft.entry, draft.name
             )
             return None
-        return {output: specs[output] for output in part.outputs}
+        return specs
 
 
 def _recorded(draft: Draft, recorded: Mapping[str, StreamSpec]) -> Specs:
@@ -151,13 +165,7 @@ def _recorded(draft: Draft, recorded: Mapping[str, StreamSpec]) -> Specs:
     return specs
 
 
-def _declared(trial: Source | Operator[Any]) -> NodeDeclaration:
-    if isinstance(trial, Source):
-        return NodeDeclaration()
-    return NodeDeclaration(trial.delay_s, trial.decision_s, trial.memory_bytes)
-
-
-def _node(draft: Draft, part: Source | Operator[Any], wires: Wires, specs: Specs, declared: NodeDeclaration) -> Node:
+def _node(draft: Draft, part: Source | Operator[Any], wires: Wires, specs: Specs) -> Node:
     options = {f.name for f in fields(NodeOptions)} | {"use", "from"}
     entry = draft.entry.items()
     return Node(
@@ -165,8 +173,7 @@ def _node(draft: Draft, part: Source | Operator[Any], wires: Wires, specs: Specs
         part=part,
         use=str(entry["use"].value),
         inputs={port: edge for port, (edge, _) in wires.items()},
-        specs=specs,
-        declared=declared,
+        specs={output: specs[output] for output in part.outputs if output in specs},
         options=draft.options,
         line=draft.entry.line,
         given={key: at.plain() for key, at in entry.items() if key not in options},

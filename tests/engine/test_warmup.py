@@ -14,6 +14,7 @@ import pytest
 from parts import Counting
 
 from stream.chunk import Chunk, Specs, StreamSpec
+from stream.engine.pipeline import Pipeline
 from stream.engine.warmup import warm_up
 from stream.graph.load import load_text
 from stream.operator import Case, Operator, grid
@@ -58,7 +59,7 @@ def test_samples_after_the_last_event_are_met_too() -> None:
     graph = load_text(
         f"nodes:\n  a: {{use: parts.{Counting.__name__}}}\n  b: {{use: tests.engine.test_warmup.TwoInputs, from: a}}"
     )
-    warm_up(graph)
+    warm_up(Pipeline(graph))
     assert MET == {"in": 200, "mark": 2}
 
 
@@ -93,7 +94,8 @@ class InOrder(Operator[Newest]):
 def test_made_up_samples_of_several_inputs_come_in_the_order_of_time() -> None:
     counting = f"parts.{Counting.__name__}"
     order = "tests.engine.test_warmup.InOrder, from: {in: a, other: b}"
-    warm_up(load_text(f"nodes:\n  a: {{use: {counting}}}\n  b: {{use: {counting}}}\n  c: {{use: {order}}}"))
+    text = f"nodes:\n  a: {{use: {counting}}}\n  b: {{use: {counting}}}\n  c: {{use: {order}}}"
+    warm_up(Pipeline(load_text(text)))
 
 
 @pytest.mark.parametrize("use", ["operators.emg.mixtures.PeakMixtures", "operators.emg.mixture_drift.MixtureDrift"])
