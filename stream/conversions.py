@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from stream.chunk import Array
+from stream.chunk import Array, StreamSpec, Times
 from stream.columns import column_names, columns
 from stream.errors import KinegraphError
 from stream.optional import optional
-
-if TYPE_CHECKING:
-    from stream.series import Series
 
 VOLTS = {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "µV": 1e-6, "nV": 1e-9}
 """Units that MNE takes as voltages, in volts."""
 
 
-def to_xarray(series: Series) -> Any:
+class HeldSeries(Protocol):
+    """A `stream.series.Series`, as far as it is read here."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def spec(self) -> StreamSpec: ...
+
+    @property
+    def time(self) -> Times: ...
+
+    @property
+    def data(self) -> Array: ...
+
+
+def to_xarray(series: HeldSeries) -> Any:
     """An xarray.DataArray (time, channel), or (time, axis, ...) for markers and frames; events: a Dataset with a variable per field."""
     xarray = optional("xarray", "an xarray array", "pip install xarray")
     spec, time = series.spec, ("time", series.time.astype("datetime64[ns]"))
@@ -38,7 +51,7 @@ def to_xarray(series: Series) -> Any:
     return xarray.DataArray(series.data, coords=coords, dims=dims, name=series.name, attrs=attributes)
 
 
-def to_polars(series: Series) -> Any:
+def to_polars(series: HeldSeries) -> Any:
     """A polars.DataFrame with the columns of `Series.to_pandas`, and `time` in UTC."""
     polars = optional("polars", "a polars table", "pip install polars")
     stamps = polars.Series("time", series.time).cast(polars.Datetime("ns", "UTC"))
@@ -46,16 +59,16 @@ def to_polars(series: Series) -> Any:
     return polars.DataFrame([stamps, *map(polars.Series, names, map(plain_values, columns(series.spec, series.data)))])
 
 
-def to_mne(series: Series, kind: str = "emg") -> Any:
+def to_mne(series: HeldSeries, kind: str = "emg") -> Any:
     """An mne.io.RawArray of a regular signal, in volts where the unit is one; each gap is filled with zeros and annotated BAD_gap.
 
     `kind`: MNE's channel type ("emg", "eeg", "bio", "misc"). Raises KinegraphError for what is no regular signal.
     """
     mne = optional("mne", "MNE's Raw", "pip install mne")
     spec = series.spec
-    if not (spec.is_signal and spec.rate_hz and len(series)):
+    if not (spec.is_signal and spec.rate_hz and len(series.time)):
         raise KinegraphError(
-            f"{series.name}: MNE takes regular signals; this is {spec.describe()}, {len(series)} samples"
+            f"{series.name}: MNE takes regular signals; this is {spec.describe()}, {len(series.time)} samples"
         )
     places = np.rint((series.time - series.time[0]) * (spec.rate_hz / 1e9)).astype(np.int64)
     places = np.maximum.accumulate(np.maximum(places, np.arange(len(places))))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Protocol
 
 import numpy as np
 
@@ -11,9 +11,6 @@ from stream.chunk import Chunk, Samples, Specs, StreamSpec
 from stream.finite import finite
 from stream.kernel import kernel
 from stream.require import width_of
-
-if TYPE_CHECKING:
-    from stream.operator import Operator
 
 
 class Rows:
@@ -46,7 +43,14 @@ class Rows:
         return made
 
 
-def rows_for(operator: Operator[Any], spec: StreamSpec, made: dict[bool, Rows]) -> Rows | None:
+class AsksForRows(Protocol):
+    """An operator, by the form in which its ports ask for numbers."""
+
+    @property
+    def takes(self) -> str: ...
+
+
+def rows_for(operator: AsksForRows, spec: StreamSpec, made: dict[bool, Rows]) -> Rows | None:
     """What brings an edge's chunks into the form that an operator asks for; None: they have it. `made`: what the edge has already."""
     if operator.takes == "any" or spec.is_event or spec.dtype.kind not in "iufb":
         return None
@@ -54,7 +58,7 @@ def rows_for(operator: Operator[Any], spec: StreamSpec, made: dict[bool, Rows]) 
     return made.setdefault(asks, Rows(spec, finite=asks)) if asks or not _are_rows(spec) else None
 
 
-def taking(operator: Operator[Any], specs: Specs) -> Callable[[str, Chunk], Chunk]:
+def taking(operator: AsksForRows, specs: Specs) -> Callable[[str, Chunk], Chunk]:
     """For whoever calls an operator's `process` without a graph: brings a port's chunk into the form that the operator asks for."""
     by_port = {port: rows_for(operator, spec, {}) for port, spec in specs.items()}
 

@@ -6,12 +6,9 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from devices.oak.library import all_cameras, not_opened
-
-if TYPE_CHECKING:
-    from devices.oak.source import Oak
 
 QUEUE = 8
 """Messages that wait for us at most; then the oldest is dropped, which shows as a leap of the frames' numbers."""
@@ -65,8 +62,42 @@ class Camera:
     light: Callable[[], list[str]] = list
 
 
+class WantedOak(Protocol):
+    """What is asked of a camera: the parameters of `devices.oak.Oak`, as far as they are read here."""
+
+    @property
+    def device(self) -> str: ...
+
+    @property
+    def depth(self) -> str: ...
+
+    @property
+    def preset(self) -> str: ...
+
+    @property
+    def width(self) -> int: ...
+
+    @property
+    def height(self) -> int: ...
+
+    @property
+    def fps(self) -> float: ...
+
+    @property
+    def image(self) -> str: ...
+
+    @property
+    def imu_hz(self) -> float: ...
+
+    @property
+    def projector(self) -> float: ...
+
+    @property
+    def flood(self) -> float: ...
+
+
 @contextmanager
-def opened(dai: Any, of: Oak, link: CameraLink) -> Iterator[Camera]:
+def opened(dai: Any, of: WantedOak, link: CameraLink) -> Iterator[Camera]:
     """The camera that the source names, at work while the context lasts. Raises DeviceError.
 
     depthai itself would look for a camera for ten seconds, in which it cannot be stopped; so it is only asked for one that is there, or
@@ -112,7 +143,7 @@ def lit(device: Any, projector: float, flood: float) -> list[str]:
     return missing
 
 
-def _depth(dai: Any, pipeline: Any, of: Oak) -> Any:
+def _depth(dai: Any, pipeline: Any, of: WantedOak) -> Any:
     """The node of the pipeline that gives depth frames."""
     if of.depth == "tof":
         preset = {"profile": dai.ToFConfig.Profile.__members__[of.preset.upper()]} if of.preset else {}
@@ -126,7 +157,7 @@ def _depth(dai: Any, pipeline: Any, of: Oak) -> Any:
     )
 
 
-def _image(dai: Any, pipeline: Any, of: Oak, depth: Any) -> Any:
+def _image(dai: Any, pipeline: Any, of: WantedOak, depth: Any) -> Any:
     """The queue of images that show what the depth shows, pixel by pixel: the rectified right camera, or colour to which depth is aligned.
 
     Written after depthai's documentation; not tried on a camera.
@@ -140,7 +171,7 @@ def _image(dai: Any, pipeline: Any, of: Oak, depth: Any) -> Any:
     return output.createOutputQueue(maxSize=QUEUE, blocking=False)
 
 
-def _imu(dai: Any, pipeline: Any, of: Oak) -> Any:
+def _imu(dai: Any, pipeline: Any, of: WantedOak) -> Any:
     node = pipeline.create(dai.node.IMU)
     sensors = [dai.IMUSensor.ACCELEROMETER_RAW, dai.IMUSensor.GYROSCOPE_RAW]
     node.enableIMUSensor(sensors, round(of.imu_hz))

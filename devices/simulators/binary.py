@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
@@ -14,7 +14,8 @@ import numpy as np
 from devices.binary import Binary
 from devices.protocols.declared import NS_PER, Field, Frame
 from devices.protocols.packet_decoder import escaped
-from devices.simulators.ble_radio import PeripheralInReach, radio
+from devices.simulators.ble_peripheral import PeripheralInReach
+from devices.simulators.ble_radio import in_reach
 from devices.simulators.datagrams import sending
 from devices.simulators.lines import line_at
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
@@ -156,11 +157,11 @@ class NotifyingModel:
         return [(self._notify, frame) for frame in self._model.say(seconds)]
 
 
-@contextmanager
-def notifying(source: Binary, model: BinaryModel, misbehaviour: Misbehaviour = GOOD) -> Iterator[PeripheralInReach]:
+def notifying(
+    source: Binary, model: BinaryModel, misbehaviour: Misbehaviour = GOOD
+) -> AbstractContextManager[PeripheralInReach]:
     """A peripheral that notifies a device's frames."""
-    with radio() as air:
-        yield air.put(NotifyingModel(source, model), misbehaviour=misbehaviour)
+    return in_reach(NotifyingModel(source, model), misbehaviour)
 
 
 @contextmanager

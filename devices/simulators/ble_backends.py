@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from bleak.backends.characteristic import BleakGATTCharacteristic
 from bleak.backends.client import BaseBleakClient
@@ -12,17 +12,15 @@ from bleak.backends.service import BleakGATTService, BleakGATTServiceCollection
 from bleak.exc import BleakError
 
 from devices.ble.radio import uuid
-
-if TYPE_CHECKING:
-    from devices.simulators.ble_radio import PeripheralInReach, SimulatedRadio
+from devices.simulators.ble_peripheral import PeripheralInReach
 
 TICK_S = 0.004
 
 
-def bound(made: SimulatedRadio) -> tuple[type[BaseBleakClient], type[BaseBleakScanner]]:
-    """The two classes, bound to a radio: bleak makes instances of them itself."""
-    client = type("BoundClient", (SimulatedClient,), {"radio": made})
-    return client, type("BoundScanner", (SimulatedScanner,), {"radio": made})
+def bound(around: list[PeripheralInReach]) -> tuple[type[BaseBleakClient], type[BaseBleakScanner]]:
+    """The two classes, bound to what is around a radio: bleak makes instances of them itself."""
+    client = type("BoundClient", (SimulatedClient,), {"around": around})
+    return client, type("BoundScanner", (SimulatedScanner,), {"around": around})
 
 
 def table(here: PeripheralInReach) -> BleakGATTServiceCollection:
@@ -42,9 +40,9 @@ def table(here: PeripheralInReach) -> BleakGATTServiceCollection:
 
 
 class SimulatedScanner(BaseBleakScanner):
-    """Hears what the peripherals within reach of `radio` advertise, once, as soon as it starts."""
+    """Hears what the peripherals around it advertise, if they are within reach, once, as soon as it starts."""
 
-    radio: ClassVar[SimulatedRadio]
+    around: ClassVar[list[PeripheralInReach]]
 
     def __init__(self, detection_callback: Any, service_uuids: Any, scanning_mode: Any = "active", **_: Any) -> None:
         super().__init__(detection_callback, service_uuids)
@@ -56,7 +54,7 @@ class SimulatedScanner(BaseBleakScanner):
     async def stop(self) -> None: ...
 
     def _announce(self) -> None:
-        for here in self.radio.around:
+        for here in self.around:
             if here.reachable:
                 services = [uuid(one) for one in here.peripheral.advertised]
                 said = AdvertisementData(here.peripheral.name, {}, {}, services, None, -50, ())
@@ -65,14 +63,14 @@ class SimulatedScanner(BaseBleakScanner):
 
 
 class SimulatedClient(BaseBleakClient):
-    """A connection with a peripheral of `radio`, as long as that is within reach."""
+    """A connection with a peripheral `around`, as long as that is within reach."""
 
-    radio: ClassVar[SimulatedRadio]
+    around: ClassVar[list[PeripheralInReach]]
 
     def __init__(self, device: Any, **more: Any) -> None:
         kept = {k: v for k, v in more.items() if k in ("disconnected_callback", "timeout")}
         super().__init__(device, **kept)
-        by_address = [h for h in self.radio.around if h.address == self.address]
+        by_address = [h for h in self.around if h.address == self.address]
         self._here: PeripheralInReach = getattr(device, "details", None) or by_address[0]
         self._listening: dict[str, Any] = {}
         self._task: asyncio.Task[None] | None = None

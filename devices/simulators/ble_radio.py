@@ -2,54 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Protocol
 
 from devices.ble import radio as real_radio
-from devices.simulators.misbehaviour import GOOD, Misbehaviour, Mishaps
-
-
-class Peripheral(Protocol):
-    """A simulated Bluetooth LE device without its radio. Characteristics are named as in `devices.ble.radio.uuid`.
-
-    services    by service, its characteristics with their properties
-    advertised  the services that it advertises
-    """
-
-    name: str
-    services: dict[str, dict[str, list[str]]]
-    advertised: tuple[str, ...]
-
-    def connected(self, yes: bool) -> None:
-        """A host has come, or gone."""
-
-    def hold(self, characteristic: str) -> bytes:
-        """What a characteristic that is read holds."""
-
-    def hear(self, characteristic: str, data: bytes) -> list[tuple[str, bytes]]:
-        """Something was written; what is notified or indicated for it."""
-
-    def say(self, seconds: float) -> list[tuple[str, bytes]]:
-        """What was notified since the last call, up to this second since it was switched on."""
-
-
-class PeripheralInReach:
-    """A peripheral, its address, and whether it can be reached."""
-
-    def __init__(self, peripheral: Peripheral, address: str, mtu: int, misbehaviour: Misbehaviour) -> None:
-        self.peripheral, self.address, self.mtu = peripheral, address, mtu
-        self.mishaps, self.began = Mishaps(misbehaviour), time.monotonic()
-        self.in_reach = True
-
-    @property
-    def seconds(self) -> float:
-        return time.monotonic() - self.began
-
-    @property
-    def reachable(self) -> bool:
-        return self.in_reach and not self.mishaps.unplugged(self.seconds)
+from devices.simulators.ble_peripheral import Peripheral, PeripheralInReach
+from devices.simulators.misbehaviour import GOOD, Misbehaviour
 
 
 class SimulatedRadio:
@@ -59,7 +17,7 @@ class SimulatedRadio:
         self.around: list[PeripheralInReach] = []
         from devices.simulators.ble_backends import bound
 
-        self.client, self.scanner = bound(self)
+        self.client, self.scanner = bound(self.around)
 
     def put(self, peripheral: Peripheral, *, mtu: int = 247, misbehaviour: Misbehaviour = GOOD) -> PeripheralInReach:
         here = PeripheralInReach(peripheral, f"C0:FF:EE:00:00:{len(self.around):02X}", mtu, misbehaviour)
@@ -76,3 +34,10 @@ def radio() -> Iterator[SimulatedRadio]:
         yield made
     finally:
         real_radio.simulated.remove(made)
+
+
+@contextmanager
+def in_reach(peripheral: Peripheral, misbehaviour: Misbehaviour = GOOD) -> Iterator[PeripheralInReach]:
+    """A radio with one peripheral in its reach."""
+    with radio() as air:
+        yield air.put(peripheral, misbehaviour=misbehaviour)

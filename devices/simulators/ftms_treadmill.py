@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from devices.ble.radio import uuid
 from devices.ble.treadmill import FtmsTreadmill
 from devices.protocols import ftms
-from devices.simulators.ble_radio import radio
+from devices.simulators.ble_radio import in_reach
 
 ANSWERS = {ftms.REQUEST, ftms.RESET, ftms.SPEED, ftms.INCLINE, ftms.START, ftms.STOP}
 EVERY_S = 0.25
@@ -92,8 +92,7 @@ class FtmsBelt:
 @contextmanager
 def simulated(source: FtmsTreadmill) -> Iterator[FtmsTreadmill]:
     """What `--simulate` puts in its place: a belt that already moves, and is called as the source calls it."""
-    with radio() as air:
-        belt = FtmsBelt(speed_kmh=4.5)
-        belt.name = source.device or belt.name
-        air.put(belt)
+    belt = FtmsBelt(speed_kmh=4.5)
+    belt.name = source.device or belt.name
+    with in_reach(belt):
         yield source

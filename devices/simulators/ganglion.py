@@ -11,7 +11,7 @@ import numpy as np
 from devices.ble.ganglion import Ganglion
 from devices.ble.radio import uuid
 from devices.protocols import ganglion as protocol
-from devices.simulators.ble_radio import radio
+from devices.simulators.ble_radio import in_reach
 from stream.chunk import Array
 
 
@@ -88,7 +88,6 @@ class GanglionBoard:
 @contextmanager
 def simulated(source: Ganglion) -> Iterator[Ganglion]:
     """What `--simulate` puts in its place."""
-    with radio() as air:
-        board = GanglionBoard()
-        air.put(board)
+    board = GanglionBoard()
+    with in_reach(board):
         yield replace(source, device=board.name)

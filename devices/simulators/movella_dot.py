@@ -11,7 +11,7 @@ import numpy as np
 from devices.ble.dot import MovellaDot
 from devices.protocols import movella_dot as protocol
 from devices.protocols.movella_dot import DotMode
-from devices.simulators.ble_radio import radio
+from devices.simulators.ble_radio import in_reach
 from stream.chunk import Samples
 
 
@@ -69,6 +69,5 @@ class DotSensor:
 @contextmanager
 def simulated(source: MovellaDot) -> Iterator[MovellaDot]:
     """What `--simulate` puts in its place."""
-    with radio() as air:
-        air.put(DotSensor())
+    with in_reach(DotSensor()):
         yield replace(source, device="Movella DOT")

@@ -15,7 +15,7 @@ from devices.ble.radio import uuid
 from devices.protocols import heart_rate, polar_pmd
 from devices.protocols.heart_rate import HeartRateSaid
 from devices.protocols.polar_pmd import ACC, ECG
-from devices.simulators.ble_radio import radio
+from devices.simulators.ble_radio import in_reach
 from stream.chunk import NS, Array
 
 BEAT_S = 0.85
@@ -121,7 +121,6 @@ class PolarBelt:
 @contextmanager
 def simulated(source: Polar | HeartRate) -> Iterator[Polar | HeartRate]:
     """What `--simulate` puts in its place."""
-    with radio() as air:
-        belt = PolarBelt()
-        air.put(belt)
+    belt = PolarBelt()
+    with in_reach(belt):
         yield replace(source, device=belt.name)
