@@ -28,6 +28,13 @@ class Sheet:
         self._writer.writerows(map(cell, row) for row in rows)
 
 
+def row_of(cells: Iterable[Any]) -> bytes:
+    """A row, as it stands in a file."""
+    text = io.StringIO()
+    Sheet(text).writerow(cells)
+    return text.getvalue().encode()
+
+
 def cell(value: Any) -> Any:
     """A cell: a text that would be a formula has an apostrophe before it; carriage returns, which csv does not quote, are line feeds."""
     if not isinstance(value, str):

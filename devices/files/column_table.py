@@ -311,3 +311,14 @@ def _events(shelf: ColumnTable, wishes: Wishes, name: str, array: str) -> Series
     data = np.empty(len(time), dtype)
     data["onset"] = time
     return Series(name, StreamSpec((), dtype, units=("ns",), meta=wishes.meta.get(name, {})), time, data)
+
+
+def positive(text: str, option: str) -> float:
+    """The number that an option names. Raises RecordingError for one that is not positive."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = 0.0
+    if not isfinite(number) or number <= 0.0:
+        raise RecordingError(f"{option}: {text} must be a positive number")
+    return number

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import numpy as np
 from devices.files.asf_read import Skeleton, read_amc, read_asf
 from devices.files.bvh_read import read_bvh
 from devices.files.c3d_read import read_c3d
-from devices.files.column_table import Wishes
+from devices.files.column_table import Wishes, positive
 from devices.files.kinect_read import read_kinect
 from stream.bounded import reading
 from stream.errors import RecordingError, nearest
@@ -129,7 +128,7 @@ def _of_kind(file: Path, skeletons: dict[str, Skeleton], wishes: Wishes) -> list
     wishes.findings.kinds[file] = {".bvh": "BVH", ".asf": "ASF skeleton", ".amc": "AMC"}.get(
         kind, "table of a skeleton's joints"
     )
-    scale = _number(_said(wishes.scale, file, wishes) or "1", f"--scale {file.stem}")
+    scale = positive(_said(wishes.scale, file, wishes) or "1", f"--scale {file.stem}")
     if kind == ".asf":
         return []
     if kind == ".bvh":
@@ -137,7 +136,7 @@ def _of_kind(file: Path, skeletons: dict[str, Skeleton], wishes: Wishes) -> list
     if kind == ".c3d":
         return read_c3d(file, wishes.start_ns, wishes.findings)
     said = _said(wishes.rate, file, wishes)
-    rate = _number(said or str(RATE_HZ), f"--rate {file.stem}")
+    rate = positive(said or str(RATE_HZ), f"--rate {file.stem}")
     if kind == ".amc":
         return read_amc(file, _skeleton_of(file, skeletons), rate, wishes.start_ns)
     return read_kinect(file, unit, scale, wishes.start_ns, rate if said else None)
@@ -151,13 +150,3 @@ def _skeleton_of(file: Path, skeletons: dict[str, Skeleton]) -> Skeleton:
             f"{file}: an AMC file is read with its skeleton; name the ASF file too, as in 86.asf 86_01.amc"
         )
     return skeletons[max(fitting, key=len)]
-
-
-def _number(text: str, option: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = 0.0
-    if not isfinite(number) or number <= 0.0:
-        raise RecordingError(f"{option}: {text} must be a positive number")
-    return number

@@ -17,7 +17,7 @@ from stream.chunk import NS, Array, Chunk, Specs, StreamSpec, Times, add_lost
 from stream.errors import InputError, ParameterError
 from stream.operator import Outlet
 from stream.params import param
-from stream.sheet import Sheet
+from stream.sheet import Sheet, row_of
 from stream.state import pack
 
 MOST_COLUMNS = 4096
@@ -133,7 +133,7 @@ class CsvFile(Outlet[CsvState, CsvRuntime]):
             state.path = str(path)
             file = AppendFile(path)
         if not file.offset and not file.pending:
-            file.write(_line(header(self.runtime.spec)))
+            file.write(row_of(header(self.runtime.spec)))
         return file
 
 
@@ -213,9 +213,3 @@ def _seconds_of(stamp: int, start_ns: int) -> str:
     past = stamp - start_ns
     whole, rest = divmod(abs(past), NS)
     return f"{'-' if past < 0 else ''}{whole}.{rest:09d}"
-
-
-def _line(fields: list[str]) -> bytes:
-    text = io.StringIO()
-    Sheet(text).writerow(fields)
-    return text.getvalue().encode()

@@ -11,6 +11,7 @@ import numpy as np
 from operators.gait.cycle_kernel import maxima
 from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError
+from stream.finite import only_finite
 
 POINTS = 100
 REASONS = (
@@ -113,6 +114,14 @@ class Expected:
         for stamp, curve in zip(cycles.time.tolist(), cycles.data, strict=True):
             if (closed := self.match(stamp)) is not None:
                 yield stamp, closed, curve
+
+    def heard(self, port: str, chunk: Chunk) -> Iterator[tuple[int, np.void, Samples]]:
+        """Events `closed` are noted; of `cycles`, stamp, event and curve of each, in which NaN is what is not a finite number."""
+        if port == "closed":
+            self.note(chunk)
+            return
+        for stamp, closed, curve in self.matched(chunk):
+            yield stamp, closed[0], only_finite(curve)
 
     def _drop(self) -> None:
         self.rows[:-1], self.stamps[:-1] = self.rows[1:].copy(), self.stamps[1:].copy()

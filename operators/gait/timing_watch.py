@@ -14,7 +14,6 @@ from operators.gait.stage_change import StageUnderWay
 from operators.gait.textbook import WORKS_PCT, likeness, muscle_called, side_called, textbook_pattern
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError, nearest
-from stream.finite import only_finite
 from stream.operator import Case, Operator
 from stream.params import param
 
@@ -119,13 +118,9 @@ class TimingWatch(Operator[TimingWatchState]):
         return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=meta)}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
-        s = self.state
         found: FoundAlarms = []
-        if port == "closed":
-            s.expected.note(chunk)
-        else:
-            for stamp, closed, curve in s.expected.matched(chunk):
-                self._cycle(found, stamp, closed[0], only_finite(curve))
+        for stamp, closed, curve in self.state.expected.heard(port, chunk):
+            self._cycle(found, stamp, closed, curve)
         return alarm_chunk(found, chunk)
 
     @classmethod

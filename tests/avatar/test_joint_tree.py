@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -102,3 +104,17 @@ def test_a_damaged_mesh_is_refused(changes: dict[str, object], why: str) -> None
 def test_a_triangle_of_vertices_that_are_not_there_is_refused() -> None:
     with pytest.raises(ValueError, match="names vertex 4; there are 4"):
         Topology(4, CUBE)
+
+
+@pytest.mark.parametrize(
+    ("parents", "offsets"),
+    [
+        (PARENTS[:-1], TREE.offsets),
+        (PARENTS, TREE.offsets[:-1]),
+        (PARENTS, TREE.offsets[:, :2]),
+        (PARENTS, np.where(np.arange(18).reshape(6, 3) == 7, np.nan, TREE.offsets)),
+    ],
+)
+def test_every_joint_needs_a_parent_and_a_finite_offset(parents: Any, offsets: Any) -> None:
+    with pytest.raises(ValueError, match=r"6 joints need 6 parents and \(6, 3\) finite offsets"):
+        JointTree(TREE.joints, parents, offsets)

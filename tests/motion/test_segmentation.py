@@ -20,7 +20,6 @@ from operators.iir import Lowpass
 from operators.resample import Resample
 from operators.segmentation import Segment
 from operators.segmentation.operator import REACH
-from operators.segmentation.outputs import ACTIVITY
 from stream.chunk import Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.operator import Operator, grid
@@ -674,19 +673,6 @@ def test_most_of_what_repeats_by_chance_in_four_channels_is_not_sure(name: str) 
     by_chance = np.sum([repetitions(random_phases(x, seed))[1] for seed in range(2)])
     assert certain >= 0.5 * real
     assert by_chance / 2 <= 0.25 * real
-
-
-def test_a_warning_says_once_that_most_of_what_is_counted_may_be_chance(capture: list[dict[str, Any]]) -> None:
-    operator = Segment()
-    operator.open({"in": StreamSpec((4,), rate_hz=RATE)})
-    activities = np.zeros(5, ACTIVITY)
-    activities["repeats"] = [True, True, True, False, False]
-    activities["certainty"][0] = 0.5
-    operator.state.judge(activities)
-    assert not capture
-    for _ in range(3):
-        operator.state.judge(activities[2:])
-    assert len(capture) == 1 and capture[0]["doubtful"] == 3 and capture[0]["of"] == 4
 
 
 def test_half_of_the_next_exercise_is_no_repetition_of_the_last_one_though_stillness_comes_before_it() -> None:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from math import isfinite
 from pathlib import Path
 
 import numpy as np
 
-from devices.files.column_table import Wishes
+from devices.files.column_table import Wishes, positive
 from devices.files.importer import Reader
 from devices.files.lab.understood import Asked, RateMissing, Understood
 from devices.files.timing import plain_unit
@@ -95,7 +94,7 @@ def _changed(one: Series, names: tuple[str, ...], wishes: Wishes) -> None:
     if unit:
         one.spec = one.spec.derive(units=(plain_unit(unit),))
     if scale := next((wishes.scale[name] for name in (*names, "") if name in wishes.scale), ""):
-        one.data = one.data * _number(scale, "--scale")
+        one.data = one.data * positive(scale, "--scale")
 
 
 def _nothing_left(rest: Wishes, known: Sequence[str]) -> None:
@@ -118,14 +117,4 @@ def _said(option: Mapping[str, str], file: Path) -> str:
 def _rate(file: Path, wishes: Wishes) -> float | None:
     mine = [name for name in wishes.rate if name == file.stem or name.startswith(f"{file.stem}.")]
     told = wishes.rate[mine[0]] if mine else wishes.rate.get("", "")
-    return _number(told, "--rate") if told else None
-
-
-def _number(text: str, option: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = 0.0
-    if not isfinite(number) or number <= 0.0:
-        raise RecordingError(f"{option}: {text} must be a positive number")
-    return number
+    return positive(told, "--rate") if told else None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 from devices.outlets.report.tally import numbers
 from stream.chunk import NS, Array, Samples, Specs, StreamSpec
 from stream.complete import complete
-from stream.sheet import Sheet
+from stream.sheet import row_of
 
 CYCLE = ("duration_s", "stance_pct", "cadence")
 NONE = -1
@@ -74,7 +73,7 @@ def header(specs: Specs) -> bytes:
         fields = numbers(statistics)
         names += [f"{muscle} {_named(f, statistics)}" for muscle in specs["cycles"].channels for f in fields]
         names += [f"{muscle} signal" for muscle, _ in zip(specs["cycles"].channels, _no_flags(specs), strict=False)]
-    return _line(names)
+    return row_of(names)
 
 
 def take_closed(held: Held, rows: Array, start_ns: int, about: About) -> bytes:
@@ -125,7 +124,7 @@ def release(held: Held, start_ns: int, about: About) -> bytes:
     values += [float(event[name]) for name in CYCLE]
     values += [str(event["rejected"]), about.amplitudes, about.recording, *held.values.T.ravel().tolist(), *held.flags]
     held.number = NONE
-    return _line(values)
+    return row_of(values)
 
 
 def settle(path: Path) -> None:
@@ -142,9 +141,3 @@ def _named(field: str, spec: StreamSpec) -> str:
     """The field with its unit, unless its name ends with it."""
     unit = spec.unit_of(field)
     return f"{field} ({unit})" if unit and not field.endswith(("_s", "_pct", "_m_s")) else field
-
-
-def _line(values: Sequence[Any]) -> bytes:
-    text = io.StringIO()
-    Sheet(text).writerow(values)
-    return text.getvalue().encode()

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path as File
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from stream.errors import KinegraphError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from operators.emg.mixture_reference import References
 
 
 def emg_model(
@@ -28,7 +33,6 @@ def emg_model(
     Beyond the limit a session has moved away: the 99th percentile of divergences between `--cycles` of these, at random, and the rest.
     """
     import numpy as np
-    from rich.table import Table
 
     from operators.emg.commands.session_cycles import MOST_CYCLES, check_alike, joined, other_speeds, read_sessions
     from operators.emg.emg_model import write_references
@@ -55,10 +59,20 @@ def emg_model(
         "input": {"muscles": names, "unit": whole.alike["height_unit"]},
     }  # fmt: skip
     write_references(output, made, names, {**whole.alike, "fitting": {"circular": mixer.circular}}, about)
-    table = Table(
-        title=f"{output}: {count} cycles of {len(read)} sessions, amplitudes: {whole.alike['normalisation']}",
-        box=None,
-    )
+    title = f"{output}: {count} cycles of {len(read)} sessions, amplitudes: {whole.alike['normalisation']}"
+    Screen().print(_table(title, names, made))
+    for speed in (speeds := other_speeds(read)):
+        say(speed)
+    if speeds:
+        say(f"{output} takes all these speeds for usual")
+
+
+def _table(title: str, names: list[str], made: References) -> Table:
+    """What the model knows of each muscle."""
+    import numpy as np
+    from rich.table import Table
+
+    table = Table(title=title, box=None)
     for heading in ("muscle", "cycles", "modes", "limit", "all points", "noise"):
         table.add_column(heading, justify="left" if heading == "muscle" else "right")
     for k, name in enumerate(names):
@@ -69,8 +83,4 @@ def emg_model(
         table.add_row(
             name, str(made.cycles[k]), str(max(made.modes[k], 0)) if made.modes[k] > 0 else "no burst", *numbers
         )
-    Screen().print(table)
-    for speed in (speeds := other_speeds(read)):
-        say(speed)
-    if speeds:
-        say(f"{output} takes all these speeds for usual")
+    return table

@@ -11,6 +11,9 @@ from stream.errors import KinegraphError, nearest
 from stream.plain import say
 
 if TYPE_CHECKING:
+    from operators.steering.choose import Method
+    from operators.steering.fit import Steering
+    from operators.steering.soft import MarkerPull
     from stream.chunk import Samples
     from stream.mesh import Topology
 
@@ -55,15 +58,11 @@ def mesh(
     motion made equal. The model is used by operators.steering.operator.SteerMesh.
     """
     from operators.steering.adapt import adapt
-    from operators.steering.choose import METHODS, choose
+    from operators.steering.choose import choose
     from operators.steering.stored import KIND, to_arrays
     from stream.model import write_model
 
-    for place in (output, report):
-        if place and place.exists() and not overwrite:
-            raise KinegraphError(f"{place}: exists; choose another, or replace it with --overwrite")
-    if method not in ("", *METHODS):
-        raise KinegraphError(f"--method: there is no method {method!r}; {nearest(method, METHODS)}")
+    _refuse(output, report, method, overwrite=overwrite)
     frames, topology = _frames(recordings)
     said = _markers(markers, topology.vertices)
     if said["limbs"] and method not in ("", "parts"):
@@ -87,6 +86,22 @@ def mesh(
     header, arrays = to_arrays(model, topology, tuple(said["limbs"]))
     told = {"method": how, "left_out": off, "trained_on": [path.name for path in recordings]}
     write_model(output, KIND, {**header, **told, "performer": performer.name if performer else ""}, arrays)
+    _tell(output, model, how, off, pull)
+
+
+def _refuse(output: File, report: File | None, method: str, *, overwrite: bool) -> None:
+    """Raises KinegraphError for files that are there and a method that is not."""
+    from operators.steering.choose import METHODS
+
+    for place in (output, report):
+        if place and place.exists() and not overwrite:
+            raise KinegraphError(f"{place}: exists; choose another, or replace it with --overwrite")
+    if method not in ("", *METHODS):
+        raise KinegraphError(f"--method: there is no method {method!r}; {nearest(method, METHODS)}")
+
+
+def _tell(output: File, model: Steering, how: Method, off: dict[Method, float], pull: MarkerPull | None) -> None:
+    """What was learned, and how far off each method was."""
     if len(model.soft) and pull:
         say(f"what markers are off by is taken back around them, {100 * pull.width:.0f} % of the diagonal far")
     for name, error in off.items():
