@@ -9,7 +9,9 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +19,12 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from bench.steering_peers import canonical, global_pca, skinning
-from operators.steering.choose import choose
-from operators.steering.fit import Steering, fit_steering
+from operators.steering.choose import choose, regression_of
+from operators.steering.fit import Layout, Steering, fit_steering
 from operators.steering.operator import SteerMesh
 from operators.steering.parts import edges_of, near_rigid_parts
-from operators.steering.regression import learn
+from operators.steering.pose_parameters import POSES
+from operators.steering.regression import REGRESSIONS, learn
 from operators.steering.stored import KIND, to_arrays
 from stream.chunk import Array, Chunk, Samples, StreamSpec
 from stream.mesh import Topology
@@ -107,7 +110,24 @@ def main() -> None:
     by_parts = choose(train, faces, markers, reference, method="parts")[0]
     told("parts, markers pull", by_parts(marks, frames.shape[1]), test, diagonal)
     told("part model, kernel ridge", model(marks, frames.shape[1]), test, diagonal)
+    earlier = frames[np.flatnonzero(np.arange(len(frames)) % every) - 1][:, model.vertices]
+    as_the_thesis(train, test, earlier, (faces, markers, reference), diagonal)
     peers(model, train, test, diagonal, faces)
+
+
+def as_the_thesis(
+    train: Samples, test: Samples, earlier: Samples, mesh: tuple[Array, dict[str, int], Sequence[str]], diagonal: float
+) -> None:
+    """The part model with what the thesis has in other places: table 9.1's parameters, linear regression, the virtual skeleton.
+
+    earlier  (f, m, 3)  where the markers were a frame before each that is tested
+    """
+    layout = Layout.of(train, mesh[0], np.array(list(mesh[1].values())), PARTS)
+    for pose, regression, skeleton in product(POSES, REGRESSIONS, (False, True)):
+        how = regression_of(train, *mesh, pose=pose, regression=regression, skeleton=skeleton)
+        model = fit_steering(train, *mesh, layout=layout, how=how)
+        name = f"parts, {pose}, {regression}{', virtual skeleton' if skeleton else ''}"
+        told(name, model(test[:, model.vertices], test.shape[1], earlier), test, diagonal)
 
 
 def live(model: Steering, frames: Samples, faces: Array) -> float:
@@ -165,7 +185,7 @@ def peers(model: Steering, train: Samples, test: Samples, diagonal: float, faces
 def nearest_sum(train: Samples, truth: Samples) -> Samples:
     """Of `truth` (f, v, 3) what the affine sums of the training's frames (n, 3 v) come nearest to, in the mean of squares.
 
-    No regression straight to the vertices can do better than that.
+    No regression that weighs whole frames can do better than that; one that weighs them differently in every region can.
     """
     mean = train.mean(axis=0)
     directions = np.linalg.svd(train - mean, full_matrices=False)[2][: len(train) - 1]

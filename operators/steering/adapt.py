@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from operators.steering.fit import Steering, headings, turned
-from operators.steering.regression import learn
+from operators.steering.regression import Regression, learn
 from stream.chunk import Samples, Times
 
 MOST_FRAMES = 300
@@ -60,11 +60,15 @@ def adapt(model: Steering, mesh: Samples, performed: Samples, heading: Sequence[
     x_mesh = model.features(mesh)[0]
     seen, theirs = about(model, performed, facing), about(model, mesh, facing)
     ranged = matched(seen, theirs)
-    x, whole = seen.reshape(len(seen), -1), nearest_frames(ranged, theirs)
+    x_mesh = model.pose(x_mesh)
+    model = replace(model, graph=model.graph.of(seen) if model.graph else None)
+    x, whole = model.pose(seen.reshape(len(seen), -1)), nearest_frames(ranged, theirs)
     parts = []
     for part in model.parts:
-        frames = _of_limb(ranged, theirs, int(part.features[0]) // 3) if len(part.features) == 3 else whole
-        learned = learn(x[:, part.features], part.learned(x_mesh[frames][:, part.features]))
+        limb = model.alone(part)
+        frames = _of_limb(ranged, theirs, model.markers.index(limb)) if limb else whole
+        regression: Regression = "linear" if part.learned.linear else "kernel"
+        learned = learn(x[:, part.features], part.learned(x_mesh[frames][:, part.features]), regression)
         parts.append(replace(part, learned=learned))
     mean = seen.mean(axis=0)
     reach = float(np.linalg.norm(theirs.mean(axis=0), axis=1).mean() / max(np.linalg.norm(mean, axis=1).mean(), 1e-9))

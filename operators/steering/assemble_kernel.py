@@ -104,6 +104,39 @@ def predict(
 
 
 @kernel
+def predict_linear(
+    x: Samples,
+    features: Times,
+    centres: Samples,
+    middle: Samples,
+    weights: Samples,
+    mean: Samples,
+    scale: float,
+    furthest: float,
+    out: Samples,
+) -> float:
+    """Linear regression of one part: `out` (q,) = mean + (x - middle) weights, of which `x` is held back `furthest` widths from the frames.
+
+    Returns how far the nearest frame of the training is, in kernel widths; `scale` is that of a kernel, negative.
+    """
+    least = math.inf
+    for f in range(centres.shape[0]):
+        d = 0.0
+        for k in range(features.shape[0]):
+            e = x[features[k]] - centres[f, k]
+            d += e * e
+        least = min(least, d)
+    far = math.sqrt(-2.0 * scale * least)
+    share = min(1.0, furthest / max(far, 1e-12))
+    out[:] = mean
+    for k in range(features.shape[0]):
+        g = share * (x[features[k]] - middle[k])
+        for q in range(out.shape[0]):
+            out[q] += g * weights[k, q]
+    return far
+
+
+@kernel
 def add_part(
     y: Samples, vertices: Times, share: Samples, mean: Samples, modes: Samples, turn: Samples, out: Samples
 ) -> None:

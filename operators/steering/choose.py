@@ -8,8 +8,10 @@ from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
-from operators.steering.fit import Layout, Steering, fit_steering, fit_straight
+from operators.steering.fit import USUAL, Layout, PoseRegression, Steering, fit_steering, fit_straight, untrained
 from operators.steering.parts import along_surface, edges_of, seams_of
+from operators.steering.pose_parameters import PoseKind, backward, marker_graph
+from operators.steering.regression import Regression
 from operators.steering.soft import MarkerPull, felt, pulled
 from stream.chunk import Array, Samples
 
@@ -29,6 +31,7 @@ def choose(
     heading: Sequence[str] = (),
     method: Method | None = None,
     pull: MarkerPull | None = None,
+    how: PoseRegression = USUAL,
 ) -> tuple[Steering, Method, dict[Method, float], MarkerPull | None]:
     """A model of a mesh's `frames` (f, vertices, 3), how it was made, what each way's vertices are off by, in percent of the mesh's
     diagonal, in frames left out, and how its markers pull.
@@ -42,14 +45,16 @@ def choose(
     layout = None if method == "straight" else Layout.of(frames, faces, at, count)
     diagonal = float(np.linalg.norm(np.ptp(frames[0], axis=0)))
 
-    def made(rows: Samples, way: Method) -> Steering:
-        if way == "straight":
-            return fit_straight(rows, markers, reference, heading)
-        parts = fit_steering(rows, faces, markers, reference, limbs, count, modes, heading, layout)
-        return parts if way == "parts" else mean_of(parts, fit_straight(rows, markers, reference, heading))
+    earlier = backward(frames[:, at])
 
-    def soft(model: Steering, apart: Samples, how: MarkerPull | None) -> Steering:
-        return replace(model, soft=felt(apart, at, how), most=how.most) if how else model
+    def made(rows: Samples, way: Method, before: Samples = earlier) -> Steering:
+        if way == "straight":
+            return fit_straight(rows, markers, reference, heading, how, before)
+        parts = fit_steering(rows, faces, markers, reference, limbs, count, modes, heading, layout, how, before)
+        return parts if way == "parts" else mean_of(parts, fit_straight(rows, markers, reference, heading, how, before))
+
+    def soft(model: Steering, apart: Samples, by: MarkerPull | None) -> Steering:
+        return replace(model, soft=felt(apart, at, by), most=by.most) if by else model
 
     if limbs or len(frames) < 2 * FOLDS:
         return made(frames, method or "parts"), method or "parts", {}, None
@@ -64,7 +69,7 @@ def choose(
         marks, there = frames[out][:, at], dict[Method, Samples]()
         for way in ("parts", "straight"):
             if method in (None, way, "both"):
-                there[way] = made(frames[~out], way)(marks, frames.shape[1])
+                there[way] = made(frames[~out], way, earlier[~out])(marks, frames.shape[1], earlier[out])
         if method in (None, "both"):
             there["both"] = (there["parts"] + there["straight"]) / 2
         for way in ways:
@@ -74,6 +79,34 @@ def choose(
     best = method or best_of(error)
     model = soft(made(frames, best), apart, found[best][0])
     return model, best, {way: float(frame.mean()) for way, frame in error.items()}, found[best][0]
+
+
+def regression_of(
+    frames: Samples,
+    faces: Array,
+    markers: Mapping[str, int],
+    reference: Sequence[str],
+    limbs: Sequence[str] = (),
+    heading: Sequence[str] = (),
+    pose: PoseKind = "positions",
+    regression: Regression = "kernel",
+    skeleton: bool = False,
+) -> PoseRegression:
+    """How the markers of a mesh are to be turned into poses; the reference edge joins the first two markers of `reference`.
+
+    Raises ValueError where there are not two, or no marker beside them.
+    """
+    if pose == "positions":
+        return PoseRegression(None, regression, skeleton)
+    names, at = list(markers), np.array(list(markers.values()), np.int64)
+    if len(reference) < 2 or len(names) < 3:
+        raise ValueError(
+            "angles are measured against an edge between two reference markers, of at least one marker more"
+        )
+    _, _, x = untrained(frames, markers, reference, heading)
+    lead = (names.index(reference[0]), names.index(reference[1]))
+    graph = marker_graph(x.reshape(len(x), -1, 3), frames, faces, at, lead, pose, [names.index(one) for one in limbs])
+    return PoseRegression(graph, regression, skeleton)
 
 
 def best_of(off: Mapping[Method, Samples]) -> Method:

@@ -11,8 +11,11 @@ import numpy as np
 
 from operators.inputs.lengths import length_of, metres
 from operators.inputs.marker_columns import marker_columns
-from operators.steering.assemble_kernel import add_part, gather_marks, predict, put
+from operators.steering.assemble_kernel import add_part, columns, gather_marks, predict, predict_linear, put
 from operators.steering.fit import Part, Steering
+from operators.steering.pose_parameters import tell_pose
+from operators.steering.regression import FAR
+from operators.steering.skeleton import hang
 from operators.steering.soft import faded, pull_mesh
 from operators.steering.stored import KIND, from_model
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
@@ -26,7 +29,7 @@ QUADRUPED = Path(__file__).with_name("quadruped.npz")
 @dataclass(slots=True)
 class SteerMeshState:
     """known (m,): which markers have been seen; marks (m, 3) from the centre (3,) of the references, turned back by the heading (2,);
-    latest (v, 3), the newest mesh."""
+    latest (v, 3), the newest mesh; earlier (m, 3), the marks of the sample before; begun (1,), whether there was one."""
 
     known: Array
     marks: Samples
@@ -34,6 +37,8 @@ class SteerMeshState:
     heading: Samples
     latest: Samples
     outside: Samples
+    earlier: Samples
+    begun: Array
 
 
 class _Steered(Operator[SteerMeshState]):
@@ -43,7 +48,7 @@ class _Steered(Operator[SteerMeshState]):
     learned: Steering
     columns: Times
     scale: float
-    room: tuple[Samples, Samples, list[Samples]]
+    room: tuple[Samples, Samples, Samples, list[Samples], list[Samples]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +62,9 @@ class SteerMesh(_Steered):
     Where the model says which way its markers face, the mesh turns with them about the vertical, y. The input has the model's markers by
     their names; `markers` names others in their place. A marker that is not seen has moved with the reference markers since it was;
     before all have been seen, the mesh keeps the training's mean pose. No delay.
+
+    The pose goes in as the model says: positions of markers, or the angles, lengths and directions of table 9.1. Parts are placed each by
+    itself, or hang from one another as a virtual skeleton.
 
     Thesis 9.3 and 9.4, with kernel ridge for the linear maps, and every part placed by its own regression instead of one after the other:
     on the horse that halves the error. Alignment and blending (9.16) are by weights along the surface. Marked vertices are soft constraints
@@ -82,12 +90,20 @@ class SteerMesh(_Steered):
         object.__setattr__(self, "learned", learned)
         object.__setattr__(self, "columns", np.array(columns, np.int64))
         object.__setattr__(self, "scale", metres(unit))
-        object.__setattr__(
-            self, "room", (np.zeros(3 * m), np.zeros((3, 3)), [np.zeros(len(p.learned.mean)) for p in learned.parts])
-        )
+        predicted = [np.zeros(len(part.learned.mean)) for part in learned.parts]
+        middles = [part.learned.centres.mean(axis=0) for part in learned.parts]
+        told = np.zeros(learned.width) if learned.graph else np.zeros(0)
+        object.__setattr__(self, "room", (np.zeros(3 * m), told, np.zeros((3, 3)), predicted, middles))
         self.hold(
             SteerMeshState(
-                np.zeros(m, np.bool_), np.zeros((m, 3)), np.zeros(3), np.array([1.0, 0.0]), rest, np.zeros(1)
+                np.zeros(m, np.bool_),
+                np.zeros((m, 3)),
+                np.zeros(3),
+                np.array([1.0, 0.0]),
+                rest,
+                np.zeros(1),
+                np.zeros((m, 3)),
+                np.zeros(1, np.bool_),
             )
         )
         meta = {key: value for key, value in spec.meta.items() if key != "skeleton"}
@@ -96,7 +112,7 @@ class SteerMesh(_Steered):
 
     def process(self, port: str, chunk: Chunk) -> Sequence[tuple[str, Chunk]]:
         s, n = self.state, len(chunk.time)
-        x, turn, predicted = self.room
+        x = self.room[0]
         made, quality = np.empty((n, *s.latest.shape)), np.empty((n, 1))
         learned = self.learned
         for i in range(n):
@@ -105,11 +121,7 @@ class SteerMesh(_Steered):
             ):  # fmt: skip
                 s.outside[0] = 0.0
                 s.latest[:] = 0.0 if len(learned.facing) else s.centre
-                for part, y in zip(learned.parts, predicted, strict=True):
-                    one = part.learned
-                    far = predict(x, part.features, one.centres, one.weights, one.mean, one.scale, y)
-                    s.outside[0] = max(s.outside[0], far)
-                    add_part(y, part.vertices, part.weights, part.mean, _modes(part), turn, s.latest)
+                self._add_parts(self._told())
                 if len(learned.soft):
                     about = np.zeros(3) if len(learned.facing) else s.centre
                     share = faded(float(s.outside[0]))
@@ -131,6 +143,35 @@ class SteerMesh(_Steered):
             ("quality", Chunk(chunk.time, quality, chunk.until, chunk.lost)),
         ]
 
+    def _told(self) -> Samples:
+        """What tells the pose: the markers' positions, or the angles, lengths and directions of the model's graph."""
+        s, (x, told, *_), graph = self.state, self.room, self.learned.graph
+        if graph is None:
+            return x
+        if not s.begun[0]:
+            s.earlier[:] = s.marks
+        tell_pose(
+            s.marks, s.earlier, graph.lead, graph.edges, graph.before, graph.lengths, graph.shares, graph.still, told
+        )
+        s.earlier[:], s.begun[0] = s.marks, True
+        return told
+
+    def _add_parts(self, told: Samples) -> None:
+        """Add every part to the newest mesh, as `told` (width,) says."""
+        s, parts, (_, _, turn, predicted, middles) = self.state, self.learned.parts, self.room
+        for part, y, middle in zip(parts, predicted, middles, strict=True):
+            one = part.learned
+            if one.linear:
+                far = predict_linear(told, part.features, one.centres, middle, one.weights, one.mean, one.scale, FAR, y)
+            else:
+                far = predict(told, part.features, one.centres, one.weights, one.mean, one.scale, y)
+            s.outside[0] = max(s.outside[0], far)
+            if part.parent >= 0:
+                columns(predicted[part.parent], turn)
+                sizes = np.array([len(parts[part.parent].vertices), len(part.vertices)])
+                hang(y, predicted[part.parent], turn, part.above, part.own, sizes)
+            add_part(y, part.vertices, part.weights, part.mean, _modes(part), turn, s.latest)
+
     @classmethod
     def cases(cls) -> Sequence[Case]:
         names = ("hoof_fl", "hoof_fr", "hoof_hl", "hoof_hr", "withers", "croup")
@@ -147,7 +188,13 @@ def _modes(part: Part) -> Samples:
 
 def resting(model: Steering, count: int) -> Samples:
     """The mesh (count, 3) in the mean pose of its training, about the place of its reference markers."""
-    made = np.zeros((count, 3))
+    made, predicted = np.zeros((count, 3)), list[Samples]()
     for part in model.parts:
-        add_part(part.learned.mean, part.vertices, part.weights, part.mean, _modes(part), np.zeros((3, 3)), made)
+        y, turn = part.learned.mean.copy(), np.zeros((3, 3))
+        if part.parent >= 0:
+            columns(predicted[part.parent], turn)
+            sizes = np.array([len(model.parts[part.parent].vertices), len(part.vertices)])
+            hang(y, predicted[part.parent], turn, part.above, part.own, sizes)
+        predicted.append(y)
+        add_part(y, part.vertices, part.weights, part.mean, _modes(part), turn, made)
     return made

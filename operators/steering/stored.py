@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from operators.steering.fit import Part, Steering
+from operators.steering.pose_parameters import MarkerGraph
 from operators.steering.regression import Learned
 from stream.chunk import Array
 from stream.mesh import Topology
 from stream.model import Model, ModelError
 
 KIND = "mesh"
+GRAPH = ("lead", "edges", "before", "lengths", "shares", "still")
 
 
 def to_arrays(model: Steering, mesh: Topology, limbs: tuple[str, ...]) -> tuple[dict[str, Any], dict[str, Array]]:
@@ -36,7 +39,11 @@ def to_arrays(model: Steering, mesh: Topology, limbs: tuple[str, ...]) -> tuple[
         arrays |= {"facing": model.facing, "reach": np.array([model.reach])}
     if len(model.soft):
         arrays |= {"soft": model.soft, "most": np.array([model.most])}
+    if model.graph:
+        arrays |= {f"graph.{name}": getattr(model.graph, name) for name in GRAPH}
     for k, part in enumerate(model.parts):
+        if part.parent >= 0:
+            arrays |= {f"{k}.parent": np.array([part.parent]), f"{k}.above": part.above, f"{k}.own": part.own}
         arrays |= {f"{k}.{name}": getattr(part, name) for name in ("vertices", "weights", "mean", "modes", "features")}
         arrays |= {f"{k}.{name}": getattr(part.learned, name) for name in ("centres", "scale")}
         arrays |= {
@@ -60,7 +67,9 @@ def from_model(model: Model) -> tuple[Steering, Topology]:
     reference = model.array("reference", (None,), np.int64)
     if not isinstance(how_many := model.header.get("parts"), int):
         raise ModelError(f"{model.path}: does not say how many parts it has")
+    graph = _graph(model, len(names)) if "graph.edges" in model.arrays else None
     parts = tuple(_part(model, k) for k in range(how_many))
+    _hanging(model, parts)
     facing, reach = np.zeros(0), 1.0
     if "facing" in model.arrays:
         facing, reach = model.array("facing", (None,)), float(model.array("reach", (1,))[0])
@@ -71,7 +80,7 @@ def from_model(model: Model) -> tuple[Steering, Topology]:
         soft, most = model.array("soft", (count, len(names))), float(model.array("most", (1,))[0])
     numbers = [(vertices, count), (reference, len(names)), *((p.vertices, count) for p in parts)]
     numbers += [(facing[:2].astype(np.int64), len(names))]
-    numbers += [(p.features, 3 * len(names)) for p in parts]
+    numbers += [(p.features, graph.width if graph else 3 * len(names)) for p in parts]
     if (
         not len(reference)
         or not parts
@@ -79,7 +88,7 @@ def from_model(model: Model) -> tuple[Steering, Topology]:
     ):
         raise ModelError(f"{model.path}: names vertices or markers that are not there")
     usual, spread = model.array("usual", (len(names), 3)), model.array("spread", (len(names), 3))
-    return Steering(names, vertices, reference, parts, usual, spread, facing, reach, soft, most), mesh
+    return Steering(names, vertices, reference, parts, usual, spread, facing, reach, soft, most, graph), mesh
 
 
 def _part(model: Model, k: int) -> Part:
@@ -89,8 +98,32 @@ def _part(model: Model, k: int) -> Part:
     features = model.array(f"{k}.features", (None,), np.int64)
     centres = model.array(f"{k}.centres", (None, len(features)))
     usual = model.array(f"{k}.usual", (9 + len(modes),))
-    learned = Learned(
-        centres, model.array(f"{k}.ridge", (len(centres), len(usual))), usual, float(model.array(f"{k}.scale", (1,))[0]), 0.0, 0.0, 0.0
-    )  # fmt: skip
+    scale = float(model.array(f"{k}.scale", (1,))[0])
+    rows = len(features) if scale < 0.0 else len(centres)
+    learned = Learned(centres, model.array(f"{k}.ridge", (rows, len(usual))), usual, scale, 0.0, 0.0, 0.0)
     weights, mean = model.array(f"{k}.weights", (n,)), model.array(f"{k}.mean", (n, 3))
-    return Part(vertices, weights, mean, modes, 1.0, features, learned)
+    part = Part(vertices, weights, mean, modes, 1.0, features, learned)
+    if f"{k}.parent" not in model.arrays:
+        return part
+    parent = int(model.array(f"{k}.parent", (1,), np.int64)[0])
+    above, own = model.array(f"{k}.above", (None, 3)), model.array(f"{k}.own", (1 + len(modes), 3))
+    return replace(part, parent=parent, above=above, own=own)
+
+
+def _hanging(model: Model, parts: tuple[Part, ...]) -> None:
+    """Raises ModelError where a part hangs from one that does not come before it, or from joints that are not there."""
+    for k, part in enumerate(parts):
+        if f"{k}.parent" in model.arrays and not (
+            0 <= part.parent < k and len(part.above) == 1 + len(parts[part.parent].modes)
+        ):
+            raise ModelError(f"{model.path}: part {k} hangs from a part that does not fit")
+
+
+def _graph(model: Model, markers: int) -> MarkerGraph:
+    edges = model.array("graph.edges", (None, 2), np.int64)
+    lead, before = model.array("graph.lead", (2,), np.int64), model.array("graph.before", (len(edges),), np.int64)
+    lengths, shares, still = (model.array(f"graph.{name}", (len(edges),)) for name in ("lengths", "shares", "still"))
+    inside = all(one.size == 0 or (one.min() >= 0 and one.max() < markers) for one in (edges, lead))
+    if not (len(edges) and inside and (before < np.arange(len(edges))).all() and (before >= -1).all()):
+        raise ModelError(f"{model.path}: its graph of markers names markers or edges that are not there")
+    return MarkerGraph(lead, edges, before, lengths, shares, still)

@@ -89,7 +89,7 @@ def errors_of(model: Steering, frames: Samples) -> Samples:
 
 def facts_of(model: Steering, k: int, part: Part, share: Samples) -> tuple[str, ...]:
     """A row of the table of parts."""
-    follows = model.markers[int(part.features[0]) // 3] if len(part.features) == 3 else "all markers"
+    follows = model.alone(part) or "all markers"
     learned = part.learned
     shown = f"{100 * share[-1]:.0f} %" if len(share) else "-"
     return str(k), str(len(part.vertices)), follows, f"{learned.width:g}", f"{learned.ridge:g}", shown

@@ -12,7 +12,7 @@ from stream.plain import say
 
 if TYPE_CHECKING:
     from operators.steering.choose import Method
-    from operators.steering.fit import Steering
+    from operators.steering.fit import PoseRegression, Steering
     from operators.steering.soft import MarkerPull
     from stream.chunk import Samples
     from stream.mesh import Topology
@@ -35,6 +35,20 @@ def mesh(
             help="parts, straight (from markers to vertices) or both (their mean) [default: what predicts frames left out best]"
         ),
     ] = "",
+    pose: Annotated[
+        str,
+        typer.Option(
+            help="what tells the pose: positions of markers, angles (and lengths between them, as in the thesis), or directions "
+            "(the same, and where each marker goes)"
+        ),
+    ] = "positions",
+    regression: Annotated[str, typer.Option(help="kernel, or linear as in the thesis")] = "kernel",
+    skeleton: Annotated[
+        bool,
+        typer.Option(
+            "--skeleton", help="parts hang from one another by joints, turned by quaternions, as in the thesis"
+        ),
+    ] = False,
     performer: Annotated[
         File | None,
         typer.Option(help="a recording of the one who will steer: markers of the same names, on another body"),
@@ -62,7 +76,7 @@ def mesh(
     from operators.steering.stored import KIND, to_arrays
     from stream.model import write_model
 
-    _refuse(output, report, method, overwrite=overwrite)
+    _refuse(output, report, method, skeleton=skeleton, overwrite=overwrite)
     frames, topology = _frames(recordings)
     said = _markers(markers, topology.vertices)
     if said["limbs"] and method not in ("", "parts"):
@@ -72,24 +86,32 @@ def mesh(
     performed = _performed(performer, tuple(said["markers"])) if performer else None
     say(f"{len(frames)} frames of {topology.vertices} vertices; learning ...")
     given = (topology.faces, said["markers"], said["reference"], said["limbs"], parts, modes, said["heading"])
-    model, how, off, pull = choose(frames, *given, method or None)  # type: ignore[arg-type]
+    poses = _poses(frames, topology, markers, said, (pose, regression, skeleton))
+    model, how, off, pull = choose(frames, *given, "parts" if skeleton else method or None, how=poses)  # type: ignore[arg-type]
     if report:
         from operators.steering.commands.report import write_report
 
         error = write_report(
             report, f"{output.name}: {topology.name or 'a mesh'}", model, how, off, frames, topology.faces,
-            lambda rows: choose(rows, *given, how, pull)[0],
+            lambda rows: choose(rows, *given, how, pull, poses)[0],
         )  # fmt: skip
         say(f"{report}: off by {error:.3f} % of the mesh's diagonal in every fourth frame, left out")
     if performed is not None:
         model = adapt(model, frames[:, model.vertices], performed, said["heading"])
     header, arrays = to_arrays(model, topology, tuple(said["limbs"]))
-    told = {"method": how, "left_out": off, "trained_on": [path.name for path in recordings]}
+    told = {
+        "method": how,
+        "pose": pose,
+        "regression": regression,
+        "skeleton": skeleton,
+        "left_out": off,
+        "trained_on": [path.name for path in recordings],
+    }
     write_model(output, KIND, {**header, **told, "performer": performer.name if performer else ""}, arrays)
     _tell(output, model, how, off, pull)
 
 
-def _refuse(output: File, report: File | None, method: str, *, overwrite: bool) -> None:
+def _refuse(output: File, report: File | None, method: str, *, skeleton: bool, overwrite: bool) -> None:
     """Raises KinegraphError for files that are there and a method that is not."""
     from operators.steering.choose import METHODS
 
@@ -98,6 +120,8 @@ def _refuse(output: File, report: File | None, method: str, *, overwrite: bool) 
             raise KinegraphError(f"{place}: exists; choose another, or replace it with --overwrite")
     if method not in ("", *METHODS):
         raise KinegraphError(f"--method: there is no method {method!r}; {nearest(method, METHODS)}")
+    if skeleton and method not in ("", "parts"):
+        raise KinegraphError(f"--skeleton: parts hang from one another; leave out --method {method}")
 
 
 def _tell(output: File, model: Steering, how: Method, off: dict[Method, float], pull: MarkerPull | None) -> None:
@@ -115,10 +139,29 @@ def _tell(output: File, model: Steering, how: Method, off: dict[Method, float], 
     said_too = ", and half of it straight to the vertices" if how == "both" else ""
     say(f"{output}: {len(near_rigid)} parts, {len(model.markers)} markers{said_too}")
     for k, part in enumerate(near_rigid):
-        alone = model.markers[int(part.features[0]) // 3] if len(part.features) == 3 else "all markers"
+        alone = model.alone(part) or "all markers"
         say(
             f"  part {k}: {len(part.vertices)} vertices, by {alone}, width {part.learned.width:g}, ridge {part.learned.ridge:g}"
         )
+
+
+def _poses(
+    frames: Samples, mesh: Topology, markers: File, said: dict[str, Any], options: tuple[str, str, bool]
+) -> PoseRegression:
+    """What --pose, --regression and --skeleton ask for."""
+    from operators.steering.choose import regression_of
+    from operators.steering.pose_parameters import POSES
+    from operators.steering.regression import REGRESSIONS
+
+    pose, regression, skeleton = options
+    for name, asked, known in (("pose", pose, POSES), ("regression", regression, REGRESSIONS)):
+        if asked not in known:
+            raise KinegraphError(f"--{name}: there is no {name} {asked!r}; {nearest(asked, known)}")
+    given = said["markers"], said["reference"], said["limbs"], said["heading"]
+    try:
+        return regression_of(frames, mesh.faces, *given, pose, regression, skeleton)  # type: ignore[arg-type]
+    except ValueError as error:
+        raise KinegraphError(f"{markers}: --pose {pose}: {error}") from None
 
 
 def _frames(recordings: list[File]) -> tuple[Samples, Topology]:
