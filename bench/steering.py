@@ -110,6 +110,9 @@ def main() -> None:
     by_parts = choose(train, faces, markers, reference, method="parts")[0]
     told("parts, markers pull", by_parts(marks, frames.shape[1]), test, diagonal)
     told("part model, kernel ridge", model(marks, frames.shape[1]), test, diagonal)
+    local = choose(train, faces, markers, reference, method="local")[0]
+    told("local, markers pull", local(marks, frames.shape[1]), test, diagonal)
+    told("local", replace(local, soft=np.zeros((0, 0)))(marks, frames.shape[1]), test, diagonal)
     earlier = frames[np.flatnonzero(np.arange(len(frames)) % every) - 1][:, model.vertices]
     as_the_thesis(train, test, earlier, (faces, markers, reference), diagonal)
     peers(model, train, test, diagonal, faces)

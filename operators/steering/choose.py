@@ -9,14 +9,17 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 
 from operators.steering.fit import USUAL, Layout, PoseRegression, Steering, fit_steering, fit_straight, untrained
+from operators.steering.local import fit_local
 from operators.steering.parts import along_surface, edges_of, seams_of
 from operators.steering.pose_parameters import PoseKind, backward, marker_graph
 from operators.steering.regression import Regression
 from operators.steering.soft import MarkerPull, felt, pulled
 from stream.chunk import Array, Samples
 
-Method: TypeAlias = Literal["parts", "straight", "both"]
+Method: TypeAlias = Literal["parts", "straight", "both", "local"]
 METHODS: tuple[Method, ...] = get_args(Method)
+TRIED: tuple[Method, ...] = ("parts", "straight", "both")
+"""What is tried where no method is given."""
 FOLDS = 4
 
 
@@ -42,12 +45,14 @@ def choose(
     and taken where it is not clearly worse.
     """
     at = np.array(list(markers.values()), np.int64)
-    layout = None if method == "straight" else Layout.of(frames, faces, at, count)
+    layout = None if method in ("straight", "local") else Layout.of(frames, faces, at, count)
     diagonal = float(np.linalg.norm(np.ptp(frames[0], axis=0)))
 
     earlier = backward(frames[:, at])
 
     def made(rows: Samples, way: Method, before: Samples = earlier) -> Steering:
+        if way == "local":
+            return fit_local(rows, faces, markers, reference, heading, how, before)
         if way == "straight":
             return fit_straight(rows, markers, reference, heading, how, before)
         parts = fit_steering(rows, faces, markers, reference, limbs, count, modes, heading, layout, how, before)
@@ -62,12 +67,13 @@ def choose(
     apart = along_surface(at, edges, frames[0]) / diagonal
     if method and pull:
         return soft(made(frames, method), apart, pull), method, {}, pull
-    ways: tuple[Method, ...] = (method,) if method else METHODS
+    ways: tuple[Method, ...] = (method,) if method else TRIED
     off = {way: np.zeros_like(frames) for way in ways}
     for fold in range(FOLDS):
         out = np.arange(len(frames)) % FOLDS == fold
         marks, there = frames[out][:, at], dict[Method, Samples]()
-        for way in ("parts", "straight"):
+        alone: tuple[Method, ...] = ("local",) if method == "local" else ("parts", "straight")
+        for way in alone:
             if method in (None, way, "both"):
                 there[way] = made(frames[~out], way, earlier[~out])(marks, frames.shape[1], earlier[out])
         if method in (None, "both"):

@@ -100,6 +100,20 @@ def test_both_is_the_mean_and_taken_where_it_is_not_clearly_worse(tmp_path: Path
     assert best_of(alike) == "both" and best_of({**alike, "straight": frames - 0.1}) == "straight"
 
 
+def test_regions_go_by_their_nearest_markers_and_the_operator_does_as_the_reference(tmp_path: Path) -> None:
+    model, way, off, _ = choose(STRIDE[::2], FACES, marked(), REFERENCE, method="local")
+    assert way == "local" and list(off) == ["local"] and len(model.parts) == len(AT)
+    shares = np.zeros(432)
+    for part in model.parts:
+        shares[part.vertices] += part.weights
+    assert np.allclose(shares, 1.0)
+    assert any(len(part.features) < model.width for part in model.parts)
+    header, arrays = to_arrays(model, topology(), ())
+    write_model(tmp_path / "m.npz", KIND, header, arrays)
+    assert np.allclose(steered(tmp_path / "m.npz", STRIDE[:, AT]), model(STRIDE[:, AT], 432), atol=1e-9)
+    assert np.linalg.norm(model(STRIDE[1::2, AT], 432) - STRIDE[1::2], axis=-1).mean() < 0.01
+
+
 def unconstrained(model: Steering) -> Steering:
     return replace(model, soft=np.zeros((0, 0)), most=0.0)
 

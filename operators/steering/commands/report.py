@@ -42,7 +42,9 @@ def write_report(
     than four frames: of the frames trained).
     """
     errors = left_out(frames, train) if len(frames) >= FOLD else errors_of(model, frames)
-    near_rigid = [part for part in model.parts if how == "parts" or part is not model.parts[-1]] or list(model.parts)
+    near_rigid = [part for part in model.parts if how in ("parts", "local") or part is not model.parts[-1]] or list(
+        model.parts
+    )
     owner = np.full(frames.shape[1], -1)
     weight = np.zeros(frames.shape[1])
     for k, part in enumerate(near_rigid):

@@ -32,7 +32,8 @@ def mesh(
     method: Annotated[
         str,
         typer.Option(
-            help="parts, straight (from markers to vertices) or both (their mean) [default: what predicts frames left out best]"
+            help="parts, straight (from markers to vertices), both (their mean) [default: what predicts frames left out best], or local "
+            "(straight, each region by the nearest markers)"
         ),
     ] = "",
     pose: Annotated[
@@ -139,7 +140,7 @@ def _tell(output: File, model: Steering, how: Method, off: dict[Method, float], 
     said_too = ", and half of it straight to the vertices" if how == "both" else ""
     say(f"{output}: {len(near_rigid)} parts, {len(model.markers)} markers{said_too}")
     for k, part in enumerate(near_rigid):
-        alone = model.alone(part) or "all markers"
+        alone = model.alone(part) or ("all markers" if len(part.features) == model.width else "the nearest markers")
         say(
             f"  part {k}: {len(part.vertices)} vertices, by {alone}, width {part.learned.width:g}, ridge {part.learned.ridge:g}"
         )
