@@ -12,6 +12,7 @@ from functools import cache
 
 M_MMAP_THRESHOLD, LARGE = -3, 4 << 20
 """Its name for the size (bytes) from which a piece is mapped by itself, and goes back to the system once freed; larger than a frame."""
+M_TRIM_THRESHOLD, HELD = -1, 8 << 20
 KEPT = 128 << 10
 """Bytes at the heap's end that stay, so that the next messages find some."""
 
@@ -28,6 +29,7 @@ def map_large_pieces() -> None:
     """From now on large pieces of memory are mapped by themselves, whatever was freed before."""
     if library := _library():
         library.mallopt(M_MMAP_THRESHOLD, LARGE)
+        library.mallopt(M_TRIM_THRESHOLD, HELD)
 
 
 def give_back() -> None:

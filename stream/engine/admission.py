@@ -8,6 +8,7 @@ way a chunk takes into the graph (`stream.engine.ingress`), inline on its source
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import Enum
 
 import msgspec
@@ -20,6 +21,9 @@ from stream.promise import END, MOST_LOST
 
 AHEAD_NS = NS
 """A live sample's stamp may lie this far after its arrival, by what a device's clock is wrong; beyond that it is reported."""
+
+JOINED_BYTES = 8192
+"""Chunks with more samples than this enter alone: to copy them costs more than it saves."""
 
 
 class Verdict(msgspec.Struct, gc=False):
@@ -45,10 +49,8 @@ def is_sound(spec: StreamSpec, chunk: Chunk) -> bool:
         return False
     if time.dtype is not STAMP or data.dtype is not spec.dtype or data.shape != (len(time), *spec.shape):
         return False
-    if not (time.flags.carray and _is_ordered(time)) or not -1 <= chunk.lost <= MOST_LOST:
-        return False
-    first, last = (time.item(0), time.item(-1)) if len(time) else (chunk.until, chunk.until)
-    return -END < first <= last <= chunk.until < END
+    until = chunk.until
+    return time.flags.carray and -1 <= chunk.lost <= MOST_LOST and -END < until < END and _is_ordered(time, until)
 
 
 def conform(spec: StreamSpec, chunk: Chunk) -> Chunk:
@@ -80,12 +82,14 @@ def ordered(chunk: Chunk) -> tuple[Chunk, int]:
 
 
 @kernel
-def _is_ordered(time: Times) -> bool:
-    """Whether no stamp of `time` (n,) lies before the one before it."""
-    for i in range(1, time.shape[0]):  # noqa: SIM110 - a kernel
-        if time[i] < time[i - 1]:
+def _is_ordered(time: Times, until: int) -> bool:
+    """Whether no stamp of `time` (n,) lies before the one before it, and all, and `until`, where it may: after -END, up to `until`."""
+    before = 1 - END
+    for i in range(time.shape[0]):
+        if time[i] < before:
             return False
-    return True
+        before = time[i]
+    return before <= until
 
 
 def admit(chunk: Chunk, watermark: int, owed: int, arrival: int, *, awaited: bool, watched: bool) -> Verdict:
@@ -123,6 +127,27 @@ def followed(chunk: Chunk, watermark: int, newest: int) -> Chunk:
     n = len(chunk.time)
     at = max(newest, watermark + 1) if n else newest
     return Chunk(np.full(n, at, STAMP), chunk.data, FOREVER if chunk.until == FOREVER else at, chunk.lost)
+
+
+def joins(until: int, chunk: Chunk) -> bool:
+    """Whether a chunk may enter together with those before it, complete up to `until`: no answer depends on how samples come in chunks, and
+    what each chunk costs is so paid once for all. Not where something is said between them: a gap, a sample that comes too late, that none
+    came, the end."""
+    if chunk.lost or not len(chunk.time) or chunk.data.nbytes > JOINED_BYTES:
+        return False
+    return bool(chunk.time.item(0) > until) and chunk.until < END
+
+
+def join(chunks: Sequence[Chunk]) -> Chunk:
+    """Chunks of one stream, each of which `joins` the one before it, as one."""
+    if len(chunks) == 1:
+        return chunks[0]
+    try:
+        data = np.frombuffer(bytearray().join([chunk.data.data for chunk in chunks]), chunks[0].data.dtype)
+    except (ValueError, TypeError):  # such as rows that are not in order, or of a dtype that is no buffer's
+        data = np.concatenate([chunk.data for chunk in chunks])
+    time = np.frombuffer(bytearray().join([chunk.time.data for chunk in chunks]), STAMP)
+    return Chunk(time, data.reshape(-1, *chunks[0].data.shape[1:]), chunks[-1].until, chunks[0].lost)
 
 
 class Full(Enum):

@@ -1,8 +1,8 @@
 """Where sources' chunks enter the graph, one after the other: inline on the source's own thread, or through queues and one ready queue.
 
 A chunk is worked through inline while nothing waits and no other thread has the turn: to wake another thread for it costs more than most
-graphs' work. Everything else waits for the graph's thread. Both ways end in `Ingress.enter`, and what may enter is decided by
-`stream.engine.admission` alone.
+graphs' work. Chunks of a burst are gathered there, and enter as one. Everything else waits for the graph's thread. All ways end in
+`Ingress.enter`, and what may enter is decided by `stream.engine.admission` alone.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 
 from stream.chunk import FOREVER, NEVER, NS, Chunk, empty, utc
 from stream.clock import SessionClock
-from stream.engine.admission import admit, followed
+from stream.engine.admission import JOINED_BYTES, admit, followed
 from stream.engine.edge import CallSlot, LiveEdge
 from stream.engine.pipeline import Pipeline
 from stream.engine.queues import BoundedQueue, ReadyQueue
@@ -31,6 +31,10 @@ LONG_AGO = 10**8 * NS
 LONG_NS = 1_000_000
 LONG_OFTEN = 3
 """Work longer than LONG_NS this often in a row would keep a source from its device: for a second, its chunks are queued."""
+BURST, SPARE_NS = 32, 50_000
+GATHERED_NS, GATHERED_BYTES = 2_000_000, 1 << 16
+"""A source that waits less than SPARE_NS a chunk for its device, over BURST chunks, has more at hand than is worked through one by one. So
+many, up to GATHERED_BYTES, and for at most GATHERED_NS, are gathered on its thread, and enter as one."""
 FOLLOWED_NS = 50_000_000
 """How far data may run ahead of what follows them: as far as they do in real time, where a value speaks every 50 ms."""
 
@@ -59,6 +63,7 @@ class IngressPort:
     awaited    whether anybody waits for what time brings here; where nobody does, only samples are let in
     watched    whether it is still to be seen to that stamps do not lie ahead of the session's clock
     follows    whether it is a background stream of a session none of whose sources is live
+    gathers    whether its source gathers chunks
     """
 
     runner: Runner
@@ -72,6 +77,7 @@ class IngressPort:
     silent: bool = False
     stale: bool = False
     follows: bool = False
+    gathers: bool = False
     awaited: bool = field(init=False)
     watched: bool = field(init=False)
 
@@ -99,7 +105,7 @@ class IngressPort:
         """At `now` (ns), nothing has come for `age_s`. Once that is longer than the stated patience: the chunk that says that nothing
         happened, so that nobody waits; the alarm is raised after `stale_s`. What waits in the queue has come."""
         options = self.runner.node.options
-        if not self.minded or self.queue.waiting:
+        if not self.minded or self.queue.depth:
             return None
         if 0 < options.stale_s < age_s and not self.stale:
             self.stale = True
@@ -217,6 +223,7 @@ class Ingress:
         self._ready, self._log, self._clock, self._fail = ready, session_log, clock, fail
         self._runners, self._slot = runners, pipeline.slots[""]
         self._put_aside: list[BoundedQueue] = []
+        self._gathering: list[IngressPort] = []
         self._closed = self.over = False
         self.turn = GraphTurn()
         self.ports = [IngressPort(r, o, pipeline.entries[queue.name]) for r in runners for o, queue in r.queues.items()]
@@ -224,6 +231,7 @@ class Ingress:
         self._start: StartBarrier[IngressPort] = StartBarrier(runners, [port.runner for port in self.time.followers])
         for port in self.ports:
             port.queue.owner = port
+            port.queue.arrival_of = clock.at
             port.queue.on_drop = self._dropped(port.stream)
             port.runner.inline[port.output] = self.inline(port)
         for runner in runners:
@@ -260,7 +268,7 @@ class Ingress:
         """No source goes in by itself any more; what waits can still be served."""
         self._closed, self.turn.open = True, False
 
-    # the two ways in ---------------------------------------------------------------------------------------------------
+    # the ways in -------------------------------------------------------------------------------------------------------
 
     def inline(self, port: IngressPort) -> Inline:
         """The way into the graph on the source's own thread."""
@@ -268,6 +276,9 @@ class Ingress:
 
     def serve(self, timeout_s: float) -> None:
         """Take the next chunk that waits, whoever it comes from; waits at most `timeout_s` for one."""
+        if self._gathering:
+            self._look_after_gathered()
+            timeout_s = min(timeout_s, GATHERED_NS / NS)
         if self._put_aside:
             queue = self._put_aside.pop(0)
         else:
@@ -288,6 +299,32 @@ class Ingress:
             else:
                 self._let_in(self._start.pass_on(queue.owner, queue.owner.runner, *item))
             self._slot.port = None
+
+    def gather(self, port: IngressPort, take: Inline, now: int, chunk: Chunk) -> None:
+        """From `now` on (monotonic ns) a source gathers chunks like this one, unless its queue drops. Where no more come, the graph's
+        thread takes what is gathered."""
+        if port.queue.policy != "block" or chunk.data.nbytes > JOINED_BYTES:
+            return
+        port.gathers = True
+        port.runner.inline[port.output] = _gathering(self, port, take, now, self._slot, self._log, self._fail)
+        if port not in self._gathering:
+            self._gathering.append(port)
+            self._ready.put(None)
+
+    def enter_together(self, port: IngressPort) -> int:
+        """On the graph's turn, what a source has left in its queue and gathered enters; returns how many ns that took."""
+        return sum(self.enter(port, chunk, arrival) for chunk, arrival in port.queue.take_together())
+
+    def _look_after_gathered(self) -> None:
+        quiet = time.monotonic() - GATHERED_NS / NS
+        for port in self._gathering[:]:
+            if port.last < quiet:
+                port.gathers = False
+                with self.turn.lock:
+                    self.enter_together(port)
+                    self._slot.port = None
+            if not port.gathers and not port.queue.gathered:
+                self._gathering.remove(port)
 
     def enter(self, port: IngressPort, chunk: Chunk, arrival: int) -> int:
         """A source's chunk enters the graph, as far as it is admitted, and all that it leads to is done: returns how many ns that took."""
@@ -319,6 +356,9 @@ class Ingress:
 
     def serve_all(self) -> None:
         """Work through everything that waits."""
+        for port in self.ports:
+            if port.queue.gathered:
+                self.enter_together(port)
         while not self._ready.empty() or self._put_aside:
             self.serve(0.0)
 
@@ -397,13 +437,17 @@ def _inline(
     After a rest of a few milliseconds, which is how a device's chunks come, a processor has to fetch code and numbers from far memory:
     so it says no by few looks at what is at hand.
     """
-    runner, queue, turn, enter = port.runner, port.queue, ingress.turn, ingress.enter
+    runner, queue, turn, enter, at = port.runner, port.queue, ingress.turn, ingress.enter, port.runner.clock.at
     acquire, release = turn.lock.acquire, turn.lock.release
-    long = queue_until = 0
+    long = queue_until = count = worked = since = 0
 
-    def take(chunk: Chunk, arrival: int) -> bool:
-        nonlocal long, queue_until
-        if queue.waiting or queue.owed or not turn.open or not ready.empty() or arrival < queue_until:
+    def take(chunk: Chunk, came: int) -> bool:
+        nonlocal long, queue_until, count, worked, since
+        if came < queue_until or not turn.open:
+            return False
+        if queue.waiting or queue.owed or not ready.empty():
+            if len(queue.waiting) >= BURST:
+                ingress.gather(port, take, came, chunk)
             return False
         if runner.state != "running" or not acquire(False):
             return False
@@ -412,7 +456,7 @@ def _inline(
                 return False
             queue.index += len(chunk.time)
             queue.chunks += 1
-            long = long + 1 if enter(port, chunk, arrival) > LONG_NS else 0
+            work = enter(port, chunk, at(came))
         except Exception as error:  # noqa: BLE001 - an operator's, or the engine's own: it ends the session
             fail(error)
             return True
@@ -420,8 +464,62 @@ def _inline(
             slot.port = None
             release()
         session_log.lull()
+        long, count, worked = long + 1 if work > LONG_NS else 0, count + 1, worked + work
         if long == LONG_OFTEN:
-            long, queue_until = 0, arrival + NS
+            long, queue_until = 0, came + NS
+        elif count == BURST:
+            if came - since - worked < BURST * SPARE_NS:
+                ingress.gather(port, take, came, chunk)
+            count, worked, since = 0, 0, came
         return True
 
     return take
+
+
+def _gathering(
+    ingress: Ingress,
+    port: IngressPort,
+    take: Inline,
+    since: int,
+    slot: CallSlot,
+    session_log: SessionLog,
+    fail: Callable[[Exception], None],
+) -> Inline:
+    """What gathers a burst of chunks from `since` on, and takes them into the graph together; `take` takes them one by one afterwards."""
+    runner, queue, turn = port.runner, port.queue, ingress.turn
+    gathered, limit = queue.gathered, queue.limit
+
+    def gather(chunk: Chunk, came: int) -> bool:
+        many, size = len(gathered), chunk.data.nbytes
+        if not port.gathers or not turn.open or runner.state != "running" or size > JOINED_BYTES or many >= limit:
+            return cease(chunk, came)
+        gathered.append((chunk, came))
+        if many + 1 >= BURST or (many + 1) * size >= GATHERED_BYTES or came >= since + GATHERED_NS:
+            enter(came)
+        return True
+
+    def enter(came: int) -> None:
+        """What is gathered, and waits before it, enters where nobody else has the turn."""
+        nonlocal since
+        if not turn.lock.acquire(False):
+            return
+        many = queue.depth
+        try:
+            worked = ingress.enter_together(port)
+        except Exception as error:  # noqa: BLE001 - an operator's, or the engine's own: it ends the session
+            fail(error)
+            return
+        finally:
+            slot.port = None
+            turn.lock.release()
+        session_log.lull()
+        port.gathers = came - since - worked < many * SPARE_NS
+        since = came
+
+    def cease(chunk: Chunk, came: int) -> bool:
+        """What is gathered waits in the queue before this chunk, if nobody has taken it."""
+        port.gathers = False
+        runner.inline[port.output] = take
+        return not gathered and take(chunk, came)
+
+    return gather

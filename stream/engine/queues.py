@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from queue import SimpleQueue
 from typing import Any, TypeAlias
@@ -16,12 +16,15 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from stream.chunk import NEVER, Chunk, add_lost
-from stream.engine.admission import Full, on_full
+from stream.engine.admission import Full, join, joins, on_full
 from stream.errors import RunError
 from stream.graph import Policy
 
 ReadyQueue: TypeAlias = "SimpleQueue[BoundedQueue | threading.Event | None]"
 """Holds queues that have a chunk, events to set when everything before them is done, and None to wake the thread."""
+
+MOST_TOGETHER = 64
+"""So many chunks at most enter as one."""
 
 
 class BoundedQueue:
@@ -32,7 +35,9 @@ class BoundedQueue:
     policy    what a full queue does: `block` its writer, `drop_oldest`, or `fail`
     on_drop   told (first, n) of every drop: the dropped samples' running index in this queue and their number
     waiting   what waits: chunks, their arrivals, and the running index of their first samples
+    gathered  what came after that, which its writer keeps for a moment to take it on together: chunks, and when they came
     owed      how many samples were dropped before the next chunk that is taken
+    arrival_of  makes an arrival of when a gathered chunk came (ns of the host's monotonic clock)
     index     how many samples have come by, ever
     chunks    and in how many chunks
     told      the watermark of what has been taken
@@ -41,9 +46,11 @@ class BoundedQueue:
     __slots__ = (
         "_lock",
         "_room",
+        "arrival_of",
         "chunks",
         "closed",
         "dropped",
+        "gathered",
         "index",
         "limit",
         "name",
@@ -66,23 +73,60 @@ class BoundedQueue:
     ) -> None:
         self.name, self.ready, self.limit, self.policy, self.on_drop = name, ready, limit, policy, on_drop
         self.owner: Any = None
+        self.arrival_of: Callable[[int], int] = int
         self.dropped = 0
         self.closed = False
         self.chunks = self.index = 0
         self.waiting: deque[tuple[Chunk, int, int]] = deque()
+        self.gathered: deque[tuple[Chunk, int]] = deque()
         self.owed = 0
         self.told = NEVER
         self._lock = threading.Lock()
         self._room = threading.Event()
 
     def put(self, chunk: Chunk, arrival: int = 0) -> None:
-        """Leave a chunk; waits, drops or fails as the policy says where the queue is full."""
+        """Leave a chunk, behind what is gathered; waits, drops or fails as the policy says where the queue is full."""
+        if self.gathered:
+            with self._lock:
+                while self.gathered:
+                    earlier, came = self.gathered.popleft()
+                    self._leave(earlier, self.arrival_of(came))
         if len(self.waiting) >= self.limit and self._is_in_place_of_another(chunk, arrival):
             return
+        self._leave(chunk, arrival)
+
+    def _leave(self, chunk: Chunk, arrival: int) -> None:
         self.waiting.append((chunk, arrival, self.index))  # one thread writes, so this needs no lock
         self.index += len(chunk.time)
         self.chunks += 1
         self.ready.put(self)
+
+    def take_together(self) -> Iterator[tuple[Chunk, int]]:
+        """All that waits and is gathered now, in its order, each with its arrival: what may enter together (`admission.joins`) as one."""
+        together: list[Chunk] = []
+        arrival = 0
+        for chunk, at in self._take_all():
+            if together and (len(together) == MOST_TOGETHER or not joins(together[-1].until, chunk)):
+                yield join(together), arrival
+                together = []
+            together.append(chunk)
+            arrival = at
+        if together:
+            yield join(together), arrival
+
+    def _take_all(self) -> list[tuple[Chunk, int]]:
+        items = []
+        while (item := self.take()) is not None:
+            items.append(item)
+        with self._lock:  # so that its writer moves none of them into the queue meanwhile; what it gathers further is left to the next time
+            if self.waiting or not self.gathered:
+                return items
+            many = len(self.gathered)
+            offset = self.arrival_of(came := self.gathered[0][1]) - came
+            for _ in range(many):
+                chunk, came = self.gathered.popleft()
+                items.append((chunk, came + offset))
+        return items
 
     def take(self) -> tuple[Chunk, int] | None:
         """The oldest chunk and its arrival, with the drops before it added to its `lost`; None where nothing waits."""
@@ -106,7 +150,7 @@ class BoundedQueue:
     @property
     def depth(self) -> int:
         """How many chunks wait now."""
-        return len(self.waiting)
+        return len(self.waiting) + len(self.gathered)
 
     def _is_in_place_of_another(self, chunk: Chunk, arrival: int) -> bool:
         """What the policy says of a full queue; whether the chunk waits now, in the place of an older one that was dropped for it."""

@@ -54,13 +54,14 @@ TRANSITIONS: dict[State, dict[Event, State]] = {
 Report = Callable[..., None]
 """report(kind, **facts): something that belongs into the log and the recording."""
 Inline: TypeAlias = Callable[[Chunk, int], bool]
-"""Takes a chunk and its arrival. Whether it has gone into the graph and all that it leads to is done; else nothing has been done."""
+"""Takes a chunk and when it came (ns of the host's monotonic clock). Whether it needs no queue: it has gone into the graph, or is gathered
+for it; else nothing has been done."""
 P = TypeVar("P")
 
 log = structlog.get_logger(__name__)
 
 
-def not_inline(chunk: Chunk, arrival: int) -> bool:
+def not_inline(chunk: Chunk, came: int) -> bool:
     """The inline way of a source that no graph reads yet."""
     return False
 
@@ -129,9 +130,8 @@ class _Feed:
         runner.last_alive = now / NS
         if runner.state == "starting" and not runner.source.background:
             runner.came_alive()
-        arrival = runner.clock.at(now)
-        if not runner.inline[output](chunk, arrival):
-            runner.queues[output].put(chunk, arrival)
+        if not runner.inline[output](chunk, now):
+            runner.queues[output].put(chunk, runner.clock.at(now))
         if runner.state == "starting":  # only now, so that data which waited for its first word come behind it
             runner.came_alive()
 
@@ -226,7 +226,7 @@ class Runner:
             self.report("source reopened", node=self.node.name, opening=self.openings + 1)
             self.start()
         elif self.state in ("starting", "running") and 0 < self.node.options.silence_s < now - self.last_alive:
-            if any(queue.waiting for queue in self.queues.values()):
+            if any(queue.depth for queue in self.queues.values()):
                 return  # not the source is silent, but the graph behind
             assert self._feed
             self._feed.stop()
@@ -373,7 +373,7 @@ class StartBarrier(Generic[P]):
 
     def _has_spoken(self, runner: Runner) -> bool:
         """Whether what it says at its start, if anything, has come this far."""
-        if runner.ready and not any(queue.waiting for queue in runner.queues.values()):
+        if runner.ready and not any(queue.depth for queue in runner.queues.values()):
             return True
         return runner.state in ("failed", "ended") or time.monotonic() - self._began > FIRST_WORDS_S
 

@@ -7,31 +7,43 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stream.chunk import Times
+from stream.chunk import Array, Times
 from stream.kernel import kernel
 
 Rows: TypeAlias = NDArray[np.float32]
 NAN = np.float32(np.nan)
 
 
-@kernel
-def extremes(values: Rows, piece: Times, pieces: Times, low: Rows, high: Rows) -> None:
-    """The least and the greatest finite value of each run of equal numbers in `piece`; NaN where there is none.
+@kernel(nogil=True)
+def runs(time: Times, width: int) -> int:
+    """How many runs of stamps (n,) lie in one piece each, where piece k lasts from k to k + 1 times `width`."""
+    count, last = 0, 0
+    for i in range(time.shape[0]):
+        piece = time[i] // width
+        count += count == 0 or piece != last
+        last = piece
+    return count
 
-    values  (n, c)  float32
-    piece   (n,)    the number of the piece in which each row lies
-    pieces  (m,)    out: each run's number
-    low     (m, c)  out; so is `high`
+
+@kernel(nogil=True)
+def extremes(data: Array, time: Times, width: int, pieces: Times, low: Rows, high: Rows) -> None:
+    """The least and the greatest finite value of each of the `runs`; NaN where there is none. What float32 cannot hold is not finite.
+
+    data    (n, c)  numbers
+    time    (n,)    their stamps
+    pieces  (m,)    out: the number of the piece of each run
+    low     (m, c)  out, float32; so is `high`
     """
     k = -1
-    for i in range(values.shape[0]):
-        if k < 0 or piece[i] != pieces[k]:
+    for i in range(data.shape[0]):
+        piece = time[i] // width
+        if k < 0 or piece != pieces[k]:
             k += 1
-            pieces[k] = piece[i]
-            for c in range(values.shape[1]):
+            pieces[k] = piece
+            for c in range(data.shape[1]):
                 low[k, c] = high[k, c] = NAN
-        for c in range(values.shape[1]):
-            v = values[i, c]
+        for c in range(data.shape[1]):
+            v = np.float32(data[i, c])
             if np.isfinite(v):
                 if not low[k, c] <= v:
                     low[k, c] = v
@@ -39,7 +51,7 @@ def extremes(values: Rows, piece: Times, pieces: Times, low: Rows, high: Rows) -
                     high[k, c] = v
 
 
-@kernel
+@kernel(nogil=True)
 def torn(rows: Times, time: Times, before: int, longest: int, gaps: Times) -> int:
     """Where samples are missing: behind a step longer than `longest`, and before a chunk that says so.
 

@@ -20,13 +20,15 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stream.chunk import StreamSpec, Times
+from stream.chunk import Array, StreamSpec, Times
 from stream.recording.format import COLUMNS, Kept, table
 
 NAME, MEDIA_TYPE = "kinegraph.overview/", "application/x-kinegraph-overview"
 LEAST_WIDTH_NS = 1 << 26
 SAMPLES_IN_A_PIECE = 16
 MOST_CHANNELS, MOST_GAPS = 64, 1000
+COMPILED = "fdbBhHiIlLqQ"
+"""The number types for which there is machine code; others are made float32 before."""
 LENGTH = Struct("<I")
 Rows: TypeAlias = NDArray[np.float32]
 
@@ -53,12 +55,12 @@ class Overview:
 
 
 class OverviewWriter:
-    """Takes a signal's messages as they are written. `width_ns` must not be 0. Making one compiles (or loads) both kernels."""
+    """Takes a signal's messages as they are written. `width_ns` must not be 0. Making one compiles (or loads) its kernels."""
 
     def __init__(self, spec: StreamSpec, width_ns: int) -> None:
-        from stream.recording.extremes import extremes, torn
+        from stream.recording.extremes import extremes, runs, torn
 
-        self._find_extremes, self._find_torn = extremes, torn
+        self._count_runs, self._find_extremes, self._find_torn = runs, extremes, torn
         self._spec, self._width = spec, width_ns
         self._channels = prod(spec.shape)
         self._pieces, self._low, self._high = bytearray(), bytearray(), bytearray()
@@ -66,7 +68,7 @@ class OverviewWriter:
         self._before: int | None = None
         self._gaps: list[tuple[int, int]] = []
         nothing = np.empty(0, np.int64)
-        self._extremes(np.empty((0, self._channels), np.float32), nothing, 0)
+        self._extremes(np.frombuffer(b"", spec.dtype).reshape(0, self._channels), np.frombuffer(b"", np.int64))
         torn(np.empty((0, COLUMNS), np.int64), nothing, 0, 0, np.empty((0, 2), np.int64))
 
     def add(self, body: bytes | memoryview) -> None:
@@ -77,15 +79,16 @@ class OverviewWriter:
         count = len(times) * self._channels
         data = np.frombuffer(body, self._spec.dtype, count, start).reshape(len(times), self._channels)
         self._note_gaps(rows, times)
-        piece = times // self._width
-        with np.errstate(over="ignore"):  # what float32 cannot hold is no finite value
-            values = data.astype(np.float32)
-        self._append(*self._extremes(values, piece, 1 + int(np.count_nonzero(piece[1:] != piece[:-1]))))
+        self._append(*self._extremes(data, times))
 
-    def _extremes(self, values: Rows, piece: Times, m: int) -> tuple[Times, Rows, Rows]:
-        """The `m` pieces of rows `values` (n, channels), and the least and the greatest values of each."""
-        pieces, low, high = np.empty(m, np.int64), *np.empty((2, m, values.shape[1]), np.float32)
-        self._find_extremes(values, piece, pieces, low, high)
+    def _extremes(self, data: Array, times: Times) -> tuple[Times, Rows, Rows]:
+        """The pieces of rows `data` (n, channels), and the least and the greatest values of each."""
+        if data.dtype.char not in COMPILED or not data.dtype.isnative:
+            with np.errstate(over="ignore"):
+                data = data.astype(np.float32)
+        m = self._count_runs(times, self._width)
+        pieces, low, high = np.empty(m, np.int64), *np.empty((2, m, data.shape[1]), np.float32)
+        self._find_extremes(data, times, self._width, pieces, low, high)
         return pieces, low, high
 
     def _append(self, pieces: Times, low: Rows, high: Rows) -> None:

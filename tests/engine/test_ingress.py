@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -132,6 +133,74 @@ def test_where_nobody_waits_only_samples_enter(tmp_path: Path) -> None:
     assert outcome.exit_code == 0
     with Recording.open(tmp_path / "s") as recording:
         assert [e.chunk for e in recording.entries("annotations") if e.chunk.until < 2**62] == []
+
+
+@dataclass(frozen=True, slots=True)
+class Hasty(Untidy):
+    """The same, many more, without a pause: a burst. Then it waits until the last chunk has come through the graph, and may fail."""
+
+    fails: bool = param(False)
+
+    def read(self, feed: Feed) -> None:
+        if self.fails and "hasty" in parts.openings:
+            return
+        parts.openings["hasty"] = 1
+        feed.emit(Chunk(np.array([START]), np.zeros((1, 2)), START))
+        feed.wait(0.4)
+        made = [chunk for part in range(20) for chunk in later(chunks(self.seed + part), part)]
+        for chunk in made:
+            feed.emit(chunk)
+        if self.fails:
+            raise OSError("unplugged")
+        end = max(chunk.until for chunk in made)
+        while not feed.stopped and parts.seen["out"][-1].until < end:
+            feed.wait(0.001)
+
+
+def later(made: list[Chunk], part: int) -> list[Chunk]:
+    """The chunks `part` milliseconds later, and a hundred good ones behind them."""
+    shift = part * 10**6
+    moved = [Chunk(np.asarray(c.time) + shift, c.data, c.until + shift, c.lost) for c in made]
+    at = START + shift + 500_000
+    good = [np.arange(at + 100 * i, at + 100 * i + 50, 10) for i in range(100)]
+    return moved + [Chunk(time, np.full((5, 2), i), int(time[-1])) for i, time in enumerate(good)]
+
+
+def joined(entries: list[tuple[Any, ...]]) -> list[tuple[int, list[float], int]]:
+    """Every sample: its stamp, its values, and how many are missing before it."""
+    samples, missing = [], 0
+    for times, data, _, lost in entries:
+        missing += lost
+        for stamp, values in zip(times, data, strict=True):
+            samples.append((stamp, values, missing))
+            missing = 0
+    return samples
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_burst_enters_together_and_is_the_same(seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules[__name__], "NODES", NODES.replace("Untidy", "Hasty"))
+    together, gathered = run(seed, tmp_path / "together")
+    assert together.exit_code == 0, together.error
+    seen = [(c.time.tolist(), c.data.tolist(), c.until, c.lost) for c in parts.seen["out"]]
+    monkeypatch.setattr(Ingress, "inline", lambda *_: not_inline)
+    alone, one_by_one = run(seed, tmp_path / "alone")
+    assert alone.exit_code == 0, alone.error
+    assert len(gathered) < 0.8 * len(one_by_one)
+    assert joined(gathered) == joined(one_by_one) == joined(seen)
+    for name in ("late", "lost", "gaps", "samples", "problems"):
+        assert together.table["board"][name] == alone.table["board"][name]
+
+
+def test_of_a_burst_before_a_failure_nothing_is_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    parts.openings.clear()
+    monkeypatch.setattr(sys.modules[__name__], "NODES", nodes := NODES.replace("Untidy", "Hasty"))
+    _, whole = run(0, tmp_path / "whole")
+    parts.openings.clear()
+    monkeypatch.setattr(sys.modules[__name__], "NODES", nodes.replace("seed", "fails: true, seed"))
+    outcome, before = run(0, tmp_path / "fails")
+    assert outcome.exit_code == 0, outcome.error
+    assert joined(before) == joined(whole)
 
 
 @dataclass(frozen=True, slots=True)

@@ -174,3 +174,12 @@ def test_the_kernels_find_what_a_pass_by_numpy_finds() -> None:
     told = set(begins[(rows[:, 2] != 0) & (rows[:, 0] > 0)].tolist())
     torn = [i for i in range(4000) if i in told or (i and times[i] - times[i - 1] > 2 * period)]
     assert found.gaps == [(int(times[max(i - 1, 0)]), int(times[i])) for i in torn] and len(torn) > 40
+
+
+def test_stamps_that_run_backwards_make_further_pieces() -> None:
+    """An operator's may, and `replay --verify` says so: what sums them up stays within its memory."""
+    times = np.tile(np.array([5, 3, 9, 4], np.int64) * (1 << 26), 500)
+    data = np.arange(6000.0).reshape(2000, 3)
+    pieces, low, high = OverviewWriter(SPEC, 1 << 26)._extremes(data, times)
+    assert pieces.tolist() == [5, 3, 9, 4] * 500
+    assert np.array_equal(low, data) and np.array_equal(high, data)
