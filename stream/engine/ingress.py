@@ -201,6 +201,37 @@ class DataTime:
             del self._early[0]
 
 
+class Bursts:
+    """The sources that gather chunks now: each on its own thread, until it has no more at hand, which the graph's thread sees.
+
+    ports   of these sources
+    """
+
+    __slots__ = ("_ready", "ports")
+
+    def __init__(self, ready: ReadyQueue) -> None:
+        self._ready = ready
+        self.ports: list[IngressPort] = []
+
+    def begin(self, port: IngressPort, gather: Inline) -> None:
+        """From now on `gather` takes what the source gives; the graph's thread is woken to look after it."""
+        port.gathers = True
+        port.runner.inline[port.output] = gather
+        if not any(port is other for other in self.ports):
+            self.ports.append(port)
+            self._ready.put(None)
+
+    def over(self) -> Iterator[IngressPort]:
+        """Those that have brought nothing for GATHERED_NS: they are to enter what they have gathered, and gather no more."""
+        quiet = time.monotonic() - GATHERED_NS / NS
+        for port in self.ports[:]:
+            if port.last < quiet:
+                port.gathers = False
+                yield port
+            if not port.gathers and not port.queue.gathered:
+                self.ports.remove(port)
+
+
 class Ingress:
     """All that stands between the sources and the graph.
 
@@ -208,6 +239,7 @@ class Ingress:
     turn    who works on the graph now
     over    whether every source that a session lasts for has ended
     time    the session's
+    bursts  the sources that gather chunks
     """
 
     def __init__(
@@ -223,7 +255,7 @@ class Ingress:
         self._ready, self._log, self._clock, self._fail = ready, session_log, clock, fail
         self._runners, self._slot = runners, pipeline.slots[""]
         self._put_aside: list[BoundedQueue] = []
-        self._gathering: list[IngressPort] = []
+        self.bursts = Bursts(ready)
         self._closed = self.over = False
         self.turn = GraphTurn()
         self.ports = [IngressPort(r, o, pipeline.entries[queue.name]) for r in runners for o, queue in r.queues.items()]
@@ -232,13 +264,10 @@ class Ingress:
         for port in self.ports:
             port.queue.owner = port
             port.queue.arrival_of = clock.at
-            port.queue.on_drop = self._dropped(port.stream)
+            port.queue.on_drop = _dropped(session_log, port.stream)
             port.runner.inline[port.output] = self.inline(port)
         for runner in runners:
             runner.awaited = any(port.awaited for port in self.ports if port.runner is runner)
-
-    def _dropped(self, stream: str) -> Callable[[int, int], None]:
-        return lambda _, n: self._log.report("source queue dropped", stream=stream, samples=n)
 
     def declare(self, prior: PriorSession | None) -> None:
         """Name the streams of the input log, and go on where a session was broken off."""
@@ -276,8 +305,11 @@ class Ingress:
 
     def serve(self, timeout_s: float) -> None:
         """Take the next chunk that waits, whoever it comes from; waits at most `timeout_s` for one."""
-        if self._gathering:
-            self._look_after_gathered()
+        if self.bursts.ports:
+            for port in self.bursts.over():
+                with self.turn.lock:
+                    self.enter_together(port)
+                    self._slot.port = None
             timeout_s = min(timeout_s, GATHERED_NS / NS)
         if self._put_aside:
             queue = self._put_aside.pop(0)
@@ -300,31 +332,9 @@ class Ingress:
                 self._let_in(self._start.pass_on(queue.owner, queue.owner.runner, *item))
             self._slot.port = None
 
-    def gather(self, port: IngressPort, take: Inline, now: int, chunk: Chunk) -> None:
-        """From `now` on (monotonic ns) a source gathers chunks like this one, unless its queue drops. Where no more come, the graph's
-        thread takes what is gathered."""
-        if port.queue.policy != "block" or chunk.data.nbytes > JOINED_BYTES:
-            return
-        port.gathers = True
-        port.runner.inline[port.output] = _gathering(self, port, take, now, self._slot, self._log, self._fail)
-        if port not in self._gathering:
-            self._gathering.append(port)
-            self._ready.put(None)
-
     def enter_together(self, port: IngressPort) -> int:
         """On the graph's turn, what a source has left in its queue and gathered enters; returns how many ns that took."""
         return sum(self.enter(port, chunk, arrival) for chunk, arrival in port.queue.take_together())
-
-    def _look_after_gathered(self) -> None:
-        quiet = time.monotonic() - GATHERED_NS / NS
-        for port in self._gathering[:]:
-            if port.last < quiet:
-                port.gathers = False
-                with self.turn.lock:
-                    self.enter_together(port)
-                    self._slot.port = None
-            if not port.gathers and not port.queue.gathered:
-                self._gathering.remove(port)
 
     def enter(self, port: IngressPort, chunk: Chunk, arrival: int) -> int:
         """A source's chunk enters the graph, as far as it is admitted, and all that it leads to is done: returns how many ns that took."""
@@ -424,6 +434,10 @@ class Ingress:
         }  # a source may have said it in numpy's integers
 
 
+def _dropped(session_log: SessionLog, stream: str) -> Callable[[int, int], None]:
+    return lambda _, n: session_log.report("source queue dropped", stream=stream, samples=n)
+
+
 def _inline(
     ingress: Ingress,
     port: IngressPort,
@@ -439,7 +453,12 @@ def _inline(
     """
     runner, queue, turn, enter, at = port.runner, port.queue, ingress.turn, ingress.enter, port.runner.clock.at
     acquire, release = turn.lock.acquire, turn.lock.release
+    may_gather = queue.policy == "block"  # what is gathered is never dropped
     long = queue_until = count = worked = since = 0
+
+    def burst(chunk: Chunk, came: int) -> None:
+        if may_gather and chunk.data.nbytes <= JOINED_BYTES:
+            ingress.bursts.begin(port, _gathering(ingress, port, take, came, slot, session_log, fail))
 
     def take(chunk: Chunk, came: int) -> bool:
         nonlocal long, queue_until, count, worked, since
@@ -447,7 +466,7 @@ def _inline(
             return False
         if queue.waiting or queue.owed or not ready.empty():
             if len(queue.waiting) >= BURST:
-                ingress.gather(port, take, came, chunk)
+                burst(chunk, came)
             return False
         if runner.state != "running" or not acquire(False):
             return False
@@ -469,7 +488,7 @@ def _inline(
             long, queue_until = 0, came + NS
         elif count == BURST:
             if came - since - worked < BURST * SPARE_NS:
-                ingress.gather(port, take, came, chunk)
+                burst(chunk, came)
             count, worked, since = 0, 0, came
         return True
 

@@ -24,7 +24,7 @@ ReadyQueue: TypeAlias = "SimpleQueue[BoundedQueue | threading.Event | None]"
 """Holds queues that have a chunk, events to set when everything before them is done, and None to wake the thread."""
 
 MOST_TOGETHER = 64
-"""So many chunks at most enter as one."""
+"""The most chunks that enter as one."""
 
 
 class BoundedQueue:
