@@ -32,6 +32,8 @@ AGREES_M, POSSIBLE_M = 0.22, 0.45
 """A measured depth is believed if it differs by less from the guess; one that makes the bone as long as it is, by less than the second."""
 BONE_SHARE = 0.25
 """A bone may differ this much from its length before its outer end is moved."""
+TWINS_M, FARTHER_M = 0.10, 0.05
+"""Left and right landmarks that are nearer to each other in the image hide one another; farther away by less is not farther away."""
 LIMBS = np.array([11, 12, 13, 14, 15, 16, 23, 24, 25, 26, 27, 28])
 WORD = np.array([0.3, 0.0, -0.3])
 """What speaks for the three readings of a frame, before anything is compared: as given, a back taken for a front, exchanged."""
@@ -147,6 +149,7 @@ def placed(
     `camera` (4,) fx, fy, cx, cy; `lengths` (7,) of bones, learned from what was measured, with `counts` (7,). Returns how far away the
     trunk is (m); NaN, with nothing placed, where no depth was measured.
     """
+    points = _without_hidden(points, camera)
     trunk = _trunk(points)
     places[:] = math.nan
     doubt[:] = 1.0
@@ -172,6 +175,26 @@ def placed(
         places[k, 1] = (points[k, 1] - camera[3]) / camera[1] * depth[k]
         places[k, 2] = depth[k]
     return trunk
+
+
+@kernel
+def _without_hidden(points: Samples, camera: Samples) -> Samples:
+    """`points` (34, 8) without the depths that belong to something before the landmark: to the other side's limb, at the same pixels.
+
+    Of a left and a right landmark within TWINS_M of each other in the image at the same depth, the one that the network sees less of and
+    takes for the farther one is hidden.
+    """
+    out = points.copy()
+    for k in range(11, 33):
+        twin = k + 1 if k % 2 else k - 1
+        if points[k, 7] < points[twin, 7] + FARTHER_M or points[k, 3] > points[twin, 3]:
+            continue
+        across, down = points[k, 0] - points[twin, 0], points[k, 1] - points[twin, 1]
+        if math.hypot(across, down) * points[twin, 2] > TWINS_M * camera[0]:
+            continue
+        if points[k, 2] - points[twin, 2] < FARTHER_M:
+            out[k, 2] = math.nan
+    return out
 
 
 @kernel
