@@ -207,6 +207,19 @@ def test_hips_behind_something_are_not_where_that_is() -> None:
     assert doubt[[11, 12], 0].tolist() == [0.0, 0.0]
 
 
+def test_an_ankle_hidden_behind_the_other_one_is_not_where_that_is() -> None:
+    """The left foot is lifted behind the right one: at its pixels the depth is the right one's, where a shank could just as well end."""
+    seen, camera = standing()["points"][0], np.array([285.6, 285.6, 159.5, 119.5])
+    for k in (27, 28):
+        seen[k, :2] = 159.5, 119.5 + 285.6 * 0.74 / 2.5
+    seen[27, 3], seen[27, 7] = 0.5, 0.18
+    places, doubt = np.empty((34, 3)), np.empty((34, 2))
+    placed(seen, camera, LENGTHS.copy(), np.zeros(len(LENGTHS)), places, doubt)
+    assert places[27, 2] == pytest.approx(2.7, abs=0.08)
+    assert places[28, 2] == pytest.approx(2.5, abs=0.02)
+    assert doubt[[27, 28], 0].tolist() == [1.0, 0.0]
+
+
 def test_markers_that_leap_are_missing_and_come_back() -> None:
     markers = Markers()
     markers.open({"in": CLIP})
