@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from devices.oak.library import all_cameras, not_opened
+from devices.oak.network import WantedNetwork, on_camera
 
 QUEUE = 8
 """Messages that wait for us at most; then the oldest is dropped, which shows as a leap of the frames' numbers."""
@@ -51,6 +52,7 @@ class Camera:
     depth      queue of depth frames
     imu        queue of inertial packets, where they are wanted
     image      queue of images, where they are wanted
+    keypoints  queue of what the network on the camera sees, where there is one
     identity   serial number, model, sensors, USB speed
     light      sets the projector and the flood light; what the camera lacks of them
     """
@@ -58,11 +60,12 @@ class Camera:
     depth: Any
     imu: Any = None
     image: Any = None
+    keypoints: Any = None
     identity: dict[str, Any] = field(default_factory=dict)
     light: Callable[[], list[str]] = list
 
 
-class WantedOak(Protocol):
+class WantedOak(WantedNetwork, Protocol):
     """What is asked of a camera: the parameters of `devices.oak.Oak`, as far as they are read here."""
 
     @property
@@ -75,13 +78,7 @@ class WantedOak(Protocol):
     def preset(self) -> str: ...
 
     @property
-    def width(self) -> int: ...
-
-    @property
     def height(self) -> int: ...
-
-    @property
-    def fps(self) -> float: ...
 
     @property
     def image(self) -> str: ...
@@ -113,13 +110,13 @@ def opened(dai: Any, of: WantedOak, link: CameraLink) -> Iterator[Camera]:
         try:
             node = _depth(dai, pipeline, of)
             depth = node.depth.createOutputQueue(maxSize=QUEUE, blocking=False)
-            image = _image(dai, pipeline, of, node) if of.image else None
+            image, keypoints = _seen(dai, pipeline, of, node)
             imu = _imu(dai, pipeline, of) if of.imu_hz else None
             pipeline.setDeviceStateCallback(link.tell)
             pipeline.start()
         except RuntimeError as error:
             raise not_opened(dai, of.device, error) from None
-        yield Camera(depth, imu, image, identity_of(device), lambda: lit(device, of.projector, of.flood))
+        yield Camera(depth, imu, image, keypoints, identity_of(device), lambda: lit(device, of.projector, of.flood))
 
 
 def lit(device: Any, projector: float, flood: float) -> list[str]:
@@ -157,18 +154,24 @@ def _depth(dai: Any, pipeline: Any, of: WantedOak) -> Any:
     )
 
 
-def _image(dai: Any, pipeline: Any, of: WantedOak, depth: Any) -> Any:
-    """The queue of images that show what the depth shows, pixel by pixel: the rectified right camera, or colour to which depth is aligned.
+def _seen(dai: Any, pipeline: Any, of: WantedOak, depth: Any) -> tuple[Any, Any]:
+    """The queues of images and of key points, None where they are not wanted.
 
-    Written after depthai's documentation; not tried on a camera.
+    Images show what the depth shows, pixel by pixel: the rectified right camera, or colour to which depth is aligned. The network sees
+    colour, which stays on the camera unless images are wanted too. Written after depthai's documentation; not tried on a camera.
     """
+    image = keypoints = None
     if of.image == "mono":
-        output = depth.rectifiedRight
-    else:
+        image = depth.rectifiedRight.createOutputQueue(maxSize=QUEUE, blocking=False)
+    elif of.image or of.network:
         colour = pipeline.create(dai.node.Camera).build(dai.CameraBoardSocket.CAM_A)
         output = colour.requestOutput((of.width, of.height), type=dai.ImgFrame.Type.RGB888i, fps=of.fps)
         output.link(depth.inputAlignTo)
-    return output.createOutputQueue(maxSize=QUEUE, blocking=False)
+        if of.image:
+            image = output.createOutputQueue(maxSize=QUEUE, blocking=False)
+        if of.network:
+            keypoints = on_camera(dai, pipeline, of, depth, colour)
+    return image, keypoints
 
 
 def _imu(dai: Any, pipeline: Any, of: WantedOak) -> Any:

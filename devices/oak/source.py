@@ -14,8 +14,12 @@ import structlog
 from devices.cameras.intrinsics import lens
 from devices.clocks.timing import timing_chunk, timing_spec
 from devices.oak.adapter import Frames, ImuPackets, image_of, message_of
+from devices.oak.archive import pose_archive
 from devices.oak.camera import Camera, CameraLink, opened
+from devices.oak.keypoint_sets import MARKERS
+from devices.oak.keypoints import Keypoints, sight_of
 from devices.oak.library import library, zero_ns
+from devices.oak.network import apart_s
 from stream.chunk import NS, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
@@ -36,12 +40,13 @@ log = structlog.get_logger(__name__)
 
 
 class _Outputs:
-    """The outputs of a class whose instances have images and an inertial one only where they are wanted."""
+    """The outputs of a class whose instances have images, markers and an inertial one only where they are wanted."""
 
     def __get__(self, instance: Oak | None, owner: type) -> tuple[str, ...]:
         if instance is None:
             return "depth", "timing"
-        return "depth", *filter(None, (instance.image, "imu" if instance.imu_hz else "")), "timing"
+        points = ("markers", "confidence") if instance.network else ()
+        return "depth", *filter(None, (instance.image, *points, "imu" if instance.imu_hz else "")), "timing"
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +58,10 @@ class Oak(Source):
     mono     (height, width) uint8, with `image: mono`: what the right camera sees, the same pixels as the depth; with the projector's dots
     colour   (height, width, 3) uint8, with `image: colour`: red, green, blue, and the depth is that of the colour camera's pixels
     timing   an event per frame: its number, the camera's time, arrival, stamp
+
+    With `network`, a pose network that runs on the camera (its archive, a file of yours), of one person in view, under the stamps of depth:
+    markers     (20, 3) m: x right, y down, z away from the camera; NaN where one is not seen or has no depth
+    confidence  (20,) 0 to 1, the network's own; below `least` a marker is NaN
 
     Images are recorded only where the graph names them in `record`, as depth is. Their stamps are their own. The specs of depth and images
     say `camera`: fx, fy, cx, cy, in pixels, from `intrinsics`, or from the angle of view that these cameras usually have (`known: false`).
@@ -78,6 +87,8 @@ class Oak(Source):
     intrinsics: tuple[float, ...] = param(
         (), least=0.0, help="fx, fy, cx, cy in pixels at this width and height; left out: about what these cameras have"
     )
+    network: str = param("", help="the archive (NNArchive, .tar.xz) of a pose network that is to run on the camera")
+    least: float = param(0.5, least=0.0, most=1.0, help="a marker of which the network is less sure is NaN")
     preset: str = param(
         "",
         help="depthai's preset: for stereo default, accuracy, density, ...; for tof low_range, mid_range, high_range",
@@ -116,6 +127,9 @@ class Oak(Source):
         camera = lens(self.intrinsics, self.width, self.height, USUAL_FOCAL)
         if self.image and self.depth == "tof":
             raise ParameterError("image", self.image, "left out for a camera that measures the time of flight")
+        if self.network and (self.depth == "tof" or self.image == "mono"):
+            kind = "stereo camera" if self.depth == "tof" else "camera that gives no mono images: it sees colour"
+            raise ParameterError("network", self.network, f"left out, or used with a {kind}")
         meta = {"device": "OAK", "depth": self.depth, "invalid": 0, "camera": camera}
         specs = {
             "depth": StreamSpec(
@@ -128,6 +142,12 @@ class Oak(Source):
             light = "dots" if self.projector else "flood" if self.flood else "room"
             facts = {"device": "OAK", "camera": camera, "light": light}
             specs[self.image] = StreamSpec(shape, np.dtype(np.uint8), rate_hz=self.fps, meta=facts)
+        if self.network:
+            of_points = {"device": "OAK", "axes": "camera", "camera": camera}
+            specs["markers"] = StreamSpec(
+                (len(MARKERS), 3), rate_hz=self.fps, channels=MARKERS, units=("m",), meta=of_points
+            )
+            specs["confidence"] = StreamSpec((len(MARKERS),), rate_hz=self.fps, channels=MARKERS, meta=of_points)
         if self.imu_hz:
             units = ("m/s2",) * 3 + ("rad/s",) * 3
             specs["imu"] = StreamSpec((6,), rate_hz=self.imu_hz, channels=MOTION, units=units, meta={"device": "OAK"})
@@ -139,6 +159,12 @@ class Oak(Source):
 
     def prepare(self) -> None:
         library()  # where it is missing, waiting for it would be in vain
+        self.check_network()
+
+    def check_network(self) -> None:
+        """Raises ParameterError where the archive of the network is none, or none of a pose network."""
+        if self.network:
+            pose_archive(self.network)
 
     def read(self, feed: Feed) -> None:
         dai, link = library(), CameraLink()
@@ -156,13 +182,14 @@ class _Reading:
         self._frames = Frames(of.specs()["depth"], zero, latency)
         self._motion = ImuPackets(of.imu_hz, zero, latency) if of.imu_hz else None
         self._images = Frames(of.specs()[of.image], zero, latency) if of.image else None
+        self._points = Keypoints(zero, latency, of.least, round(apart_s(of.fps) * NS)) if of.network else None
         self._patience_s = FIRST_FRAME_S
-        self._heard = time.monotonic()
+        self._heard = self._saw = time.monotonic()
 
     def run(self) -> None:
         """Until told to stop; raises DeviceError when the camera is lost."""
         self._light()
-        wait = timedelta(milliseconds=10 if self._motion or self._images else 100)
+        wait = timedelta(milliseconds=10 if self._motion or self._images or self._points else 100)
         while not self._feed.stopped:
             try:
                 message = self._camera.depth.get(wait)
@@ -170,6 +197,7 @@ class _Reading:
             except self._dai.MessageQueue.QueueException:
                 raise DeviceError(f"the OAK camera's pipeline has ended ({self._link.state})") from None
             images = self._camera.image.tryGetAll() if self._images else ()
+            sights = self._camera.keypoints.tryGetAll() if self._points else ()
             self._look_at_link()
             if message is not None:
                 self._frame(message)
@@ -177,6 +205,7 @@ class _Reading:
                 self._image(image)
             for packets in motion:
                 self._packets(packets)
+            self._see(sights)
             self._check_silence()
 
     def _light(self) -> None:
@@ -200,6 +229,8 @@ class _Reading:
         if chunk.lost > 0:
             self._feed.problem("lost frame", chunk.lost)
         self._feed.emit(chunk, "depth")
+        if self._points:
+            self._points.depth(taken.device, int(chunk.time[0]))
         self._feed.emit(timing_chunk(taken.number, taken.device, arrival, chunk.time, chunk.lost), "timing")
 
     def _image(self, message: Any) -> None:
@@ -209,6 +240,18 @@ class _Reading:
             self._feed.problem(problem)
         if taken.chunk is not None:
             self._feed.emit(taken.chunk, self._of.image)
+
+    def _see(self, sights: Any) -> None:
+        if not self._points:
+            return
+        for message in sights:
+            self._saw = time.monotonic()
+            self._points.see(sight_of(message))
+        for markers, confidence in self._points.take():
+            if markers.lost > 0:
+                self._feed.problem("image the network has not seen", markers.lost)
+            self._feed.emit(markers, "markers")
+            self._feed.emit(confidence, "confidence")
 
     def _packets(self, message: Any) -> None:
         assert self._motion
@@ -231,6 +274,8 @@ class _Reading:
                 self._images.interrupted()
             if self._motion:
                 self._motion.interrupted()
+            if self._points:
+                self._points.interrupted()
 
     def _check_silence(self) -> None:
         silent = time.monotonic() - self._heard
@@ -241,3 +286,8 @@ class _Reading:
                 )
         elif silent > self._patience_s:
             raise DeviceError(f"no frame from the OAK camera for {self._patience_s:g} s, though it is connected")
+        elif self._points and self._heard - self._saw > self._patience_s:
+            raise DeviceError(
+                f"the network on the OAK camera has said nothing for {self._patience_s:g} s, though depth comes: does it run on this "
+                "camera? (write a lower fps if it is slow)"
+            )

@@ -22,8 +22,10 @@ import numpy as np
 
 from devices.oak.camera import QUEUE, Camera, CameraLink
 from devices.oak.library import NONE, library
+from devices.oak.network import located
 from devices.oak.source import Oak as OakSource
 from devices.simulators.misbehaviour import GOOD, Misbehaviour, Mishaps
+from devices.simulators.oak_keypoints import KeypointSight
 from devices.simulators.rendered_performer import RenderedPerformer
 from devices.simulators.serve import Simulator
 from devices.simulators.sleeper import Sleeper
@@ -46,7 +48,9 @@ MOVING_S = 5.0
 class OakSimulator(Simulator):
     """An OAK depth camera above a bed with a sleeper in it (Luxonis, through depthai itself).
 
-    With `image` it stands before a person who walks on the spot and moves the arms, rendered in depth and grey (colour: grey three times).
+    With `image` or `network` it stands before a person who walks on the spot and moves the arms, rendered in depth and grey (colour: grey
+    three times). With `network` it runs none, but gives what a pose network would: key points of that person in the image, a little off, as
+    depthai's detections; depthai's own nodes put them in space.
 
     Besides what goes wrong with every device, the picture may freeze (the same frame under new numbers), or be blind (no pixel valid).
     After the camera was unplugged its frames are numbered from 0 again. A fault that changes a byte mostly changes a pixel.
@@ -57,6 +61,7 @@ class OakSimulator(Simulator):
     fps: float = param(30.0, above=0, most=240, help="frames per second")
     imu_hz: float = param(0.0, least=0, most=1000, help="inertial packets per second; 0: none")
     image: str = param("", help="mono or colour: images beside the depth, of someone who moves before the camera")
+    network: bool = param(False, help="key points, as of a pose network on the camera, of someone who moves before it")
     seed: int = param(0, least=0, help="another seed, another night")
     per_min: float = param(1.5, least=0, help="movements per minute, on average")
     invalid: float = param(0.1, least=0, most=1, help="share of pixels without a measurement")
@@ -65,6 +70,11 @@ class OakSimulator(Simulator):
     blind_every_s: float = param(0.0, least=0, help="how often no pixel is valid; 0: never")
     blind_s: float = param(1.0, above=0, help="for how long")
     record: str = param("", help="write depthai's own recording into this file, FILE.mcap")
+
+    @property
+    def shows_someone(self) -> bool:
+        """Whether somebody stands before it; else somebody sleeps below it."""
+        return bool(self.image) or self.network
 
     @property
     def cannot(self) -> dict[str, str]:
@@ -135,11 +145,17 @@ class SimulatedCamera:
             depth = node.depth.createOutputQueue(maxSize=QUEUE, blocking=False)
             imu = node.imu.createOutputQueue(maxSize=16 * QUEUE, blocking=False) if self.of.imu_hz else None
             image = node.image.createOutputQueue(maxSize=QUEUE, blocking=False) if self.of.image else None
+            keypoints = (
+                located(dai, pipeline, OakSource(width=self.of.width, fps=self.of.fps), node.depth, node.sight)
+                if self.of.network
+                else None
+            )
             pipeline.start()
             yield Camera(
                 depth,
                 imu,
                 image,
+                keypoints,
                 {"id": "simulated", "model": "OAK without hardware", "depthai": dai.__version__},
                 self.light,
             )
@@ -175,7 +191,7 @@ class SimulatedCamera:
         if self._freeze.stalled(seconds):
             index = int((seconds - seconds % self.of.freeze_every_s) * self.of.fps)
             seconds = index / self.of.fps
-        frame = (self.performer if self.of.image else self.sleeper).frame(index, seconds)
+        frame = (self.performer if self.of.shows_someone else self.sleeper).frame(index, seconds)
         return np.zeros_like(frame) if self._blind.stalled(seconds) else frame
 
 
@@ -187,6 +203,7 @@ class RunningScene:
         self._zero_us = round(camera.began * 1e6)
         self._gone = False
         self._kept: list[bytes] = []
+        self._sees = KeypointSight(camera.of.width, camera.of.height, camera.of.seed)
         self._begin()
 
     def _begin(self) -> None:
@@ -212,6 +229,8 @@ class RunningScene:
             message = self._message(packet)
             if camera.of.image and message.getSequenceNum() >= 0:
                 node.image.send(self._image(message.getSequenceNum()))
+            if camera.of.network and message.getSequenceNum() >= 0:
+                node.sight.send(self._sight(message))
             node.depth.send(message)
         if camera.of.imu_hz:
             self._send_motion(node, seconds)
@@ -245,6 +264,17 @@ class RunningScene:
         message.setSequenceNum(number)
         message.setTimestamp(timedelta(microseconds=host_us))
         message.setTimestampDevice(timedelta(microseconds=self._by_camera(host_us)))
+        if of.network:
+            message.setTransformation(self._sees.lens(self._dai))
+        return message
+
+    def _sight(self, frame: Any) -> Any:
+        """What the network sees in the image of a depth frame's moment."""
+        k = self._first + frame.getSequenceNum()
+        message = self._sees.message(self._dai, k, k / self._camera.of.fps)
+        message.setSequenceNum(frame.getSequenceNum())
+        message.setTimestamp(frame.getTimestamp())
+        message.setTimestampDevice(frame.getTimestampDevice())
         return message
 
     def _image(self, number: int) -> Any:
@@ -310,7 +340,8 @@ def _node_class() -> type[Any]:
 
         def __init__(self) -> None:
             dai.node.ThreadedHostNode.__init__(self)
-            self.depth, self.imu, self.image = self.createOutput(), self.createOutput(), self.createOutput()
+            self.depth, self.imu = self.createOutput(), self.createOutput()
+            self.image, self.sight = self.createOutput(), self.createOutput()
 
         def run(self) -> None:
             with suppress(dai.MessageQueue.QueueException):  # somebody closed the pipeline while we were sending
@@ -334,8 +365,11 @@ class SimulatedOak(OakSource):
     def prepare(self) -> None:
         """Compiles what the picture is drawn with here, before the session: in depthai's own thread it would hold up the first frames."""
         OakSource.prepare(self)
-        if self.image:
+        if self.image or self.network:
             RenderedPerformer(64, 48).frame(0, MOVING_S)
+
+    def check_network(self) -> None:
+        """None runs here: its archive need not be there."""
 
     def open(self, dai: Any, link: CameraLink) -> AbstractContextManager[Camera]:
         if self.camera is None:
@@ -350,7 +384,12 @@ class SimulatedOak(OakSource):
 def simulated(source: OakSource) -> Iterator[SimulatedOak]:
     """What `--simulate` puts in its place."""
     device = OakSimulator(
-        width=source.width, height=source.height, fps=source.fps, imu_hz=source.imu_hz, image=source.image
+        width=source.width,
+        height=source.height,
+        fps=source.fps,
+        imu_hz=source.imu_hz,
+        image=source.image,
+        network=bool(source.network),
     )
     with device.plugged_in() as camera:
         yield SimulatedOak.of(replace(source, device=""), camera)

@@ -22,7 +22,16 @@ from stream.engine.edge import CallSlot
 from stream.engine.merge import Merge
 from stream.engine.pipeline import Pipeline, Stage
 from stream.engine.row import step_of
-from stream.errors import GraphError, Interrupted, KinegraphError, asked_to_end, blaming, explain, interruption
+from stream.errors import (
+    GraphError,
+    Interrupted,
+    KinegraphError,
+    ParameterError,
+    asked_to_end,
+    blaming,
+    explain,
+    interruption,
+)
 from stream.graph import Graph, Node, parts
 from stream.metrics import Timing
 from stream.operator import Emitted, Operator, grid
@@ -50,8 +59,11 @@ def warm_up(pipeline: Pipeline, stopped: Callable[[], bool] = bool) -> None:
         if stopped():
             raise Interrupted
         if isinstance(node.part, Source):
-            with blaming(node.name, "prepare"):
-                node.part.prepare()
+            try:
+                with blaming(node.name, "prepare"):
+                    node.part.prepare()
+            except ParameterError as error:
+                raise GraphError(str(error), path=graph.path, line=node.line, node=node.name) from None
         if not isinstance(node.part, Operator) or node.is_outlet:
             continue
         try:
