@@ -55,7 +55,7 @@ AT_ONCE_S = 0.1
 """What a device has sent meanwhile comes in one read, of a busy machine."""
 ALIKE = {"bedside_sleep": "bedside_simulated", "bedside_two": "bedside_simulated"}
 """Graphs that ask for a camera at its own pace all night: every operator of theirs that gives events is in another one."""
-SPOKEN = {"avatar": "its prompts are of the sample that leads to them"}
+SPOKEN = dict.fromkeys(("avatar", "avatar_oak"), "its prompts are of the sample that leads to them")
 
 
 def eventful(config: str) -> set[type]:
