@@ -33,7 +33,7 @@ CHAIN = f"""
 """
 
 
-def graph_of(steps: Sequence[Step | None], live: bool) -> str:
+def graph_of(steps: Sequence[Step | None], *, live: bool) -> str:
     """The YAML of a graph: the chain, or as many identities as there are steps."""
     text = f"nodes:\n  device: {{use: bench.parts.Device, live_pace: {str(live).lower()}}}"
     if any(steps):
@@ -50,7 +50,7 @@ class Kinegraph:
 
     def drive(self, style: str, steps: Sequence[Step | None], feed: Feed, sink: Sink) -> tuple[int, int]:
         TRIAL.feed, TRIAL.sink, TRIAL.take = feed, sink, leave
-        graph = load_text(graph_of(steps, feed.paced))
+        graph = load_text(graph_of(steps, live=feed.paced or style in (SESSION, UNRECORDED)))
         if style in (SESSION, UNRECORDED):
             self._session(graph, recorded=style == SESSION)
         else:

@@ -33,8 +33,8 @@ LONG_OFTEN = 3
 """Work longer than LONG_NS this often in a row would keep a source from its device: for a second, its chunks are queued."""
 BURST, SPARE_NS = 32, 50_000
 GATHERED_NS, GATHERED_BYTES = 2_000_000, 1 << 16
-"""A source that waits less than SPARE_NS a chunk for its device, over BURST chunks, has more at hand than is worked through one by one. So
-many, up to GATHERED_BYTES, and for at most GATHERED_NS, are gathered on its thread, and enter as one."""
+"""A live source that waits less than SPARE_NS a chunk for its device, over BURST chunks, has more at hand than is worked through one by
+one. Up to BURST chunks and GATHERED_BYTES are gathered on its thread, for at most GATHERED_NS, and enter as one."""
 FOLLOWED_NS = 50_000_000
 """How far data may run ahead of what follows them: as far as they do in real time, where a value speaks every 50 ms."""
 
@@ -453,7 +453,7 @@ def _inline(
     """
     runner, queue, turn, enter, at = port.runner, port.queue, ingress.turn, ingress.enter, port.runner.clock.at
     acquire, release = turn.lock.acquire, turn.lock.release
-    may_gather = queue.policy == "block"  # what is gathered is never dropped
+    may_gather = runner.live and queue.policy == "block"  # when a file's chunks enter depends on the data alone
     long = queue_until = count = worked = since = 0
 
     def burst(chunk: Chunk, came: int) -> None:

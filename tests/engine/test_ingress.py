@@ -141,6 +141,10 @@ class Hasty(Untidy):
 
     fails: bool = param(False)
 
+    @property
+    def live(self) -> bool:
+        return True
+
     def read(self, feed: Feed) -> None:
         if self.fails and "hasty" in parts.openings:
             return

@@ -15,7 +15,7 @@ import parts
 import pytest
 from structlog.testing import capture_logs
 
-from stream.chunk import NS, Chunk, empty, utc
+from stream.chunk import NS, Chunk, empty
 from stream.engine.pipeline import Pipeline
 from stream.engine.session import Session
 from stream.engine.status import Outcome
@@ -219,7 +219,7 @@ def test_losses_with_every_chunk_are_told_once_and_all_recorded(tmp_path: Path) 
 
 def test_an_operator_that_raises_stops_the_graph_and_leaves_the_recording_readable(tmp_path: Path) -> None:
     nodes = """
-  board: {use: parts.Counting, samples: 5000, realtime: true}
+  board: {use: parts.Counting, samples: 5000}
   sum: {use: parts.RunningSum, from: board, fails_at: 1234}
 """
     outcome = run(nodes, tmp_path / "s", "record: [sum]")
@@ -227,11 +227,8 @@ def test_an_operator_that_raises_stops_the_graph_and_leaves_the_recording_readab
     assert outcome.exit_code == 4
     told = str(outcome.error)
     assert "node 'sum': ValueError: this number is not to my taste" in told
+    assert "parts.py, line" in told and "at sample time 2023-11-14T22:13:21.23" in told
     recording = recorded(tmp_path / "s")
-    first = recording.streams["board"].first
-    assert first is not None
-    at = first + 1_230_000_000
-    assert "parts.py, line" in told and f"at sample time {utc(at)} (input 'in', 10 samples)" in told
     assert recording.finished
     assert recording.streams["sum"].samples == 1230
     assert recording.streams["board"].samples >= 1240
