@@ -103,7 +103,7 @@ def _add_head(places: Samples, confidence: Samples) -> None:
         confidence[head] = confidence[nose]
 
 
-class Followed:
+class FollowedPerson:
     """The one person of several whose markers are given: the nearest at first, then the same one."""
 
     def __init__(self) -> None:
@@ -142,7 +142,7 @@ class Keypoints:
         self._zero, self._latency, self._least, self._apart = zero_ns, latency_ns, least, apart_ns
         self._depths: deque[tuple[int, int]] = deque(maxlen=NUMBERS_BACK)
         self._waiting: deque[Sight] = deque(maxlen=NUMBERS_BACK)
-        self._followed = Followed()
+        self._followed = FollowedPerson()
         self._number: int | None = None
         self._interrupted = False
         self._stamp = 0

@@ -82,6 +82,16 @@ def put(centre: Samples, heading: Samples, reach: float, out: Samples) -> None:
 
 
 @kernel
+def apart(x: Samples, features: Times, centre: Samples) -> float:
+    """The squared distance of `x` from a frame of the training, `centre` (f,), in the `features` of `x`."""
+    d = 0.0
+    for k in range(features.shape[0]):
+        e = x[features[k]] - centre[k]
+        d += e * e
+    return d
+
+
+@kernel
 def predict(
     x: Samples, features: Times, centres: Samples, weights: Samples, mean: Samples, scale: float, out: Samples
 ) -> float:
@@ -92,10 +102,7 @@ def predict(
     out[:] = mean
     least = math.inf
     for f in range(centres.shape[0]):
-        d = 0.0
-        for k in range(features.shape[0]):
-            e = x[features[k]] - centres[f, k]
-            d += e * e
+        d = apart(x, features, centres[f])
         least = min(least, d)
         g = math.exp(-scale * d)
         for q in range(out.shape[0]):
@@ -121,11 +128,7 @@ def predict_linear(
     """
     least = math.inf
     for f in range(centres.shape[0]):
-        d = 0.0
-        for k in range(features.shape[0]):
-            e = x[features[k]] - centres[f, k]
-            d += e * e
-        least = min(least, d)
+        least = min(least, apart(x, features, centres[f]))
     far = math.sqrt(-2.0 * scale * least)
     share = min(1.0, furthest / max(far, 1e-12))
     out[:] = mean
