@@ -79,15 +79,23 @@ class TrignoModel:
             self._began = seconds
         due = int((seconds - self._began) / FRAME_S)
         first, self._said = max(self._said, due - MOST_BEHIND), max(self._said, due)
-        return [frame for i in range(first, self._said) for frame in self.frames(i)]
+        return self.frames(first, self._said)
 
     def restart(self) -> None: ...
 
-    def frames(self, number: int) -> list[bytes]:
-        """What is sent every 13.5 ms: EMG, auxiliary channels as of old, and as of today."""
-        emg = self.emg(np.arange(number * EMG_FRAME, (number + 1) * EMG_FRAME))
-        aux = np.arange(number * AUX_FRAME, (number + 1) * AUX_FRAME)
-        return [protocol.rows(emg), protocol.rows(self.aux(aux, "legacy")), protocol.rows(self.aux(aux, "current"))]
+    def frames(self, first: int, last: int) -> list[bytes]:
+        """What is sent every 13.5 ms: EMG, auxiliary channels as of old, and as of today; made at once, however many are due."""
+        if first >= last:
+            return []
+        emg = self.emg(np.arange(first * EMG_FRAME, last * EMG_FRAME))
+        aux = self.aux(np.arange(first * AUX_FRAME, last * AUX_FRAME), "current")
+        legacy = aux.reshape(len(aux), SENSORS, 9)[:, :, :3].reshape(len(aux), SENSORS * 3)
+        sent: list[bytes] = []
+        for i in range(last - first):
+            now = slice(i * AUX_FRAME, (i + 1) * AUX_FRAME)
+            sent += [protocol.rows(emg[i * EMG_FRAME : (i + 1) * EMG_FRAME])]
+            sent += [protocol.rows(legacy[now]), protocol.rows(aux[now])]
+        return sent
 
     def emg(self, index: Times) -> Samples:
         """V (n, 16) at consecutive samples."""

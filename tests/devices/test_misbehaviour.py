@@ -152,18 +152,23 @@ def _plugged(name: str, source: Any, device: Any) -> Iterator[Source]:
 
 
 class Watching:
-    """A view that ends the session when all has shown that can."""
+    """A view that ends the session when all has shown that can, and every source that was opened again has samples from then on."""
 
     def __init__(self) -> None:
         self.session: Session | None = None
-        self.log: list[str] = []
         self.table: Table = {}
+        self._before: dict[str, int] = {}
+        """By source opened again: its samples when that was first seen."""
 
     def update(self, table: Table) -> None:
         self.table = table
-        if not missing(table):
+        if not missing(table) and not self._away(table):
             assert self.session
             self.session.stop()
+
+    def _away(self, table: Table) -> bool:
+        again = {name: row(table, name) for name in DEVICES if row(table, name).get("openings", 0) > 1}
+        return any(facts["samples"] <= self._before.setdefault(name, facts["samples"]) for name, facts in again.items())
 
 
 def row(table: Table, name: str) -> dict[str, Any]:

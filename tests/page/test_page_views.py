@@ -208,11 +208,11 @@ def test_a_kind_that_nobody_brings_is_refused_with_those_there_are(tmp_path: Pat
 
 
 def test_an_installed_package_brings_a_panel_by_an_entry_point(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    module = tmp_path / "dial_panel.py"
-    module.write_text("from pathlib import Path\nPANEL = Path(__file__).with_name('dial.js')\n")
+    module = f"dial_of_{tmp_path.name}"  # one that no earlier try of this test has left imported
+    (tmp_path / f"{module}.py").write_text("from pathlib import Path\nPANEL = Path(__file__).with_name('dial.js')\n")
     (tmp_path / "dial.js").write_text("export default () => ({ draw() {} });")
     monkeypatch.syspath_prepend(str(tmp_path))
-    entry = EntryPoint("dial", "dial_panel:PANEL", GROUP)
+    entry = EntryPoint("dial", f"{module}:PANEL", GROUP)
     monkeypatch.setattr("stream.graph.page_section.entry_points", lambda group, name: [entry] if name == "dial" else [])
     text = (
         "page: {panels: [{kind: dial, of: board.emg}]}\nnodes: {board: {use: devices.simulators.treadmill.Treadmill}}\n"
