@@ -57,7 +57,8 @@ if TYPE_CHECKING:
     from stream.face.running import live, load, replay, run, try_
     from stream.given import Input
     from stream.kernel import kernel
-    from stream.operator import Case, Operator, Outlet
+    from stream.operator import Case, Operator
+    from stream.outlet import Outlet
     from stream.params import param
     from stream.recording import Recording
     from stream.series import Series
@@ -98,7 +99,7 @@ __getattr__, __dir__ = offered(
         "Input": "stream.given",
         "KinegraphError": "stream.errors",
         "Operator": "stream.operator",
-        "Outlet": "stream.operator",
+        "Outlet": "stream.outlet",
         "Recording": "stream.recording",
         "Results": "stream.face.results",
         "Series": "stream.series",

@@ -31,7 +31,7 @@ from bench.night import frames
 from bench.report import HOUSE, Section, marks, publish, short, whole
 from devices.simulators import bedroom
 from stream.chunk import NS, Chunk, Specs, StreamSpec
-from stream.operator import Outlet
+from stream.outlet import Outlet
 from stream.params import param
 from stream.source import Feed, Source
 

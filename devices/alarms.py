@@ -12,7 +12,7 @@ from rich.table import Table
 from devices.outlets.terminal import TerminalView
 from stream.chunk import NS, Chunk, Specs, utc
 from stream.errors import InputError
-from stream.operator import Outlet
+from stream.outlet import Outlet
 
 FIELDS = ("onset", "subject", "state", "what", "advice")
 

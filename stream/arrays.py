@@ -1,19 +1,15 @@
-"""Arrays as streams: their stamps and spec; and what an operator makes of one."""
+"""Arrays as streams: their stamps and spec."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from stream.chunk import FOREVER, Array, Chunk, StreamSpec, Times, grid, stamps
+from stream.chunk import Array, StreamSpec, Times, grid, stamps
 from stream.errors import InputError, KinegraphError
 from stream.series import Series
-
-if TYPE_CHECKING:
-    from stream.operator import Emitted, Operator
 
 
 def series(
@@ -65,40 +61,3 @@ def _gaps(time: Times, spec: StreamSpec) -> Array | None:
         return None
     missing = np.concatenate([[0], np.round(np.diff(time) * (spec.rate_hz / 1e9)).astype(np.int64) - 1])
     return np.maximum(missing, 0) if (missing > 0).any() else None
-
-
-def applied(operator: Operator[Any], given: Series) -> dict[str, Array]:
-    """What an operator with one input makes of a whole stream: every output's samples, by name."""
-    from stream.rows import taking  # it has kernels, and numba takes long to import
-
-    fresh = operator.fresh()
-    port = required_input(operator)
-    specs = fresh.open({port: given.spec})
-    take = taking(fresh, {port: given.spec})
-    found: dict[str, list[Array]] = {name: [np.empty((0, *spec.shape), spec.dtype)] for name, spec in specs.items()}
-
-    def keep(emitted: Emitted) -> None:
-        if emitted is not None:
-            pairs = [(next(iter(specs)), emitted)] if isinstance(emitted, Chunk) else emitted
-            for output, chunk in pairs:
-                found[output].append(chunk.data)
-
-    starts = [0, *(np.flatnonzero(given.lost[1:]) + 1 if given.lost is not None else ()), len(given.time)]
-    for start, stop in pairwise(starts):
-        lost = int(given.lost[start]) if given.lost is not None else 0
-        until = FOREVER if stop == len(given.time) else int(given.time[stop]) - 1
-        chunk = Chunk(given.time[start:stop], np.ascontiguousarray(given.data[start:stop]), until, lost)
-        keep(fresh.process(port, take(port, chunk)))
-    keep(fresh.close())
-    return {name: np.concatenate(parts) for name, parts in found.items()}
-
-
-def required_input(operator: Operator[Any]) -> str:
-    """The one input that must be connected. Raises KinegraphError where there are several."""
-    required = [port for port in operator.inputs if port not in operator.optional]
-    if operator.variadic or len(required) > 1:
-        takes = "any number of inputs" if operator.variadic else f"the inputs {', '.join(map(repr, required))}"
-        raise KinegraphError(
-            f"{type(operator).__name__} takes {takes}; put it into a kinegraph.Graph and run that on the arrays"
-        )
-    return (required or list(operator.inputs))[0]

@@ -6,25 +6,22 @@ so that a snapshot of the state is a snapshot of the operator. `docs/operators.m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar
+from itertools import pairwise
+from typing import Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar
 
 import numpy as np
-import typing_extensions
 
-from stream.arrays import applied, series
-from stream.chunk import Array, Chunk, Specs, StreamSpec, stamps
+from stream.arrays import series
+from stream.chunk import FOREVER, Array, Chunk, Specs, StreamSpec, stamps
 from stream.chunk import grid as grid
+from stream.errors import KinegraphError
 from stream.params import check
+from stream.series import Series
 from stream.state import pack, size_of, unpack
 
-if TYPE_CHECKING:
-    from stream.clock import SessionClock
-    from stream.graph import Graph
-
 S = TypeVar("S")
-R = typing_extensions.TypeVar("R", default=None)
 
 Takes: TypeAlias = Literal["any", "rows", "finite"]
 """In what form an operator's ports ask for numbers."""
@@ -65,6 +62,7 @@ class Operator(Generic[S]):
     in_turn: ClassVar[bool] = True
     acts: ClassVar[tuple[str, ...]] = ()
     takes: ClassVar[Takes] = "any"
+    is_outlet: ClassVar[bool] = False
     contiguous: ClassVar[bool] = False
     delays: ClassVar[str] = "none"
     agrees: ClassVar[str] = ""
@@ -154,7 +152,7 @@ class Operator(Generic[S]):
         stamps, and for operators with several inputs, put it into a `kinegraph.Graph`.
         """
         given = series(data, rate_hz=rate_hz, time=time, channels=channels, units=units)
-        made = applied(self, given)
+        made = _applied(self, given)
         flat = np.ndim(data) == 1 and not given.spec.is_event
         out = {name: x[:, 0] if flat and x.ndim == 2 and x.shape[1] == 1 else x for name, x in made.items()}
         return out if len(out) > 1 else next(iter(out.values()), None)
@@ -163,61 +161,6 @@ class Operator(Generic[S]):
     def memory_bytes(self) -> int:
         """What the state takes now."""
         return size_of(self.state)
-
-
-class Outlet(Operator[S], Generic[S, R]):
-    """Where streams leave the graph: a file, a network, a screen. It has inputs and no outputs.
-
-    An outlet is silent in replay unless it is asked to speak. It runs on the worker `outlets` unless told otherwise, and when it fails it
-    is reported and switched off while the graph goes on. `open` only checks and allocates (a graph is opened to be checked, too); what
-    touches the world begins in `begin`. Whatever a running outlet needs besides its state (specs, open files, a connection) is
-    its `runtime`, of the type that `Outlet[State, Runtime]` names: `hold` keeps it, and no snapshot has it.
-
-    durable    whether the outlet can take its words back: after a crash it is restored to its last snapshot (a file is cut back to the
-               length it had) and given again what followed, so that nothing is doubled or missing. One that is not durable, a network,
-               hears nothing of what is worked through a second time.
-    in_order   whether samples of several inputs are brought in global time order. Off, for an outlet that passes on at once what any of
-               them says: each input's own order, and no waiting for the others
-    """
-
-    __slots__ = ("runtime",)
-    outputs: ClassVar[tuple[str, ...]] = ()
-    durable: ClassVar[bool] = False
-    in_order: ClassVar[bool] = True
-
-    runtime: R
-
-    def hold(
-        self,
-        state: S,
-        runtime: R | None = None,
-        *,
-        delay_s: float = 0.0,
-        decision_s: Mapping[str, float] | None = None,
-    ) -> None:
-        """Keep the state and what belongs to a running outlet only (see `runtime`); called by `open`."""
-        super().hold(state, delay_s=delay_s, decision_s=decision_s)
-        object.__setattr__(self, "runtime", runtime)
-
-    @property
-    def file(self) -> str:
-        """Where what it leaves behind lies, for people to find it at the end of a session; "" if it leaves nothing."""
-        return str(getattr(self, "path", ""))
-
-    def meet(self, graph: Graph) -> None:
-        """Told once, before `begin`, which graph this is: its text, its nodes with their parameters and delays, the session's facts."""
-
-    def keep_time(self, clock: SessionClock) -> None:
-        """Told once, before `begin`, the clock of a live session; in replay there is none. For outlets whose stamps others read."""
-
-    def let_stop(self, stop: Callable[[], None]) -> None:
-        """Told once, before `begin`, how a live session is ended in order, from any thread; in replay it is not."""
-
-    def begin(self) -> None:
-        """Touch the world: create the file, connect. Called once, after `open` (and `restore`), before any device starts.
-
-        Raises KinegraphError where that cannot be done: the run does not start.
-        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,3 +179,40 @@ class Case:
     def __post_init__(self) -> None:
         for port, (_, time, _) in self.inputs.items():
             stamps(time, port)
+
+
+def _applied(operator: Operator[Any], given: Series) -> dict[str, Array]:
+    """What an operator with one input makes of a whole stream: every output's samples, by name."""
+    from stream.rows import taking  # it has kernels, and numba takes long to import
+
+    fresh = operator.fresh()
+    port = _required_input(operator)
+    specs = fresh.open({port: given.spec})
+    take = taking(fresh, {port: given.spec})
+    found: dict[str, list[Array]] = {name: [np.empty((0, *spec.shape), spec.dtype)] for name, spec in specs.items()}
+
+    def keep(emitted: Emitted) -> None:
+        if emitted is not None:
+            pairs = [(next(iter(specs)), emitted)] if isinstance(emitted, Chunk) else emitted
+            for output, chunk in pairs:
+                found[output].append(chunk.data)
+
+    starts = [0, *(np.flatnonzero(given.lost[1:]) + 1 if given.lost is not None else ()), len(given.time)]
+    for start, stop in pairwise(starts):
+        lost = int(given.lost[start]) if given.lost is not None else 0
+        until = FOREVER if stop == len(given.time) else int(given.time[stop]) - 1
+        chunk = Chunk(given.time[start:stop], np.ascontiguousarray(given.data[start:stop]), until, lost)
+        keep(fresh.process(port, take(port, chunk)))
+    keep(fresh.close())
+    return {name: np.concatenate(parts) for name, parts in found.items()}
+
+
+def _required_input(operator: Operator[Any]) -> str:
+    """The one input that must be connected. Raises KinegraphError where there are several."""
+    required = [port for port in operator.inputs if port not in operator.optional]
+    if operator.variadic or len(required) > 1:
+        takes = "any number of inputs" if operator.variadic else f"the inputs {', '.join(map(repr, required))}"
+        raise KinegraphError(
+            f"{type(operator).__name__} takes {takes}; put it into a kinegraph.Graph and run that on the arrays"
+        )
+    return (required or list(operator.inputs))[0]

@@ -12,7 +12,7 @@ from devices.ble.targets import Targets, targets_of
 from devices.protocols import ftms
 from stream.chunk import Chunk, Samples, Specs
 from stream.errors import InputError
-from stream.operator import Outlet
+from stream.outlet import Outlet
 from stream.params import param
 
 KINDS: Mapping[str, tuple[int, float, str]] = {"speed": (ftms.SPEED, 3.6, "m/s"), "incline": (ftms.INCLINE, 1.0, "%")}

@@ -14,7 +14,7 @@ from stream.chunk import Chunk, Samples, Specs
 from stream.complete import private_folder
 from stream.errors import DeviceError, InputError, ParameterError
 from stream.joint_tree import JointTree
-from stream.operator import Outlet
+from stream.outlet import Outlet
 from stream.params import param
 
 MOST_REPEATED = 3000

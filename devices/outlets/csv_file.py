@@ -15,7 +15,7 @@ from devices.outlets.append_file import AppendFile
 from devices.outlets.claim import check_path, claim, free_name, let_go
 from stream.chunk import NS, Array, Chunk, Specs, StreamSpec, Times, add_lost
 from stream.errors import InputError, ParameterError
-from stream.operator import Outlet
+from stream.outlet import Outlet
 from stream.params import param
 from stream.sheet import Sheet, row_of
 from stream.state import pack

@@ -14,7 +14,7 @@ from devices.outlets.report.words import decimals, relative_to
 from devices.outlets.terminal import TerminalView
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
-from stream.operator import Outlet
+from stream.outlet import Outlet
 from stream.params import param
 from stream.plain import say
 

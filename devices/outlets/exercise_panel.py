@@ -13,7 +13,7 @@ from rich.text import Text
 from devices.outlets.terminal import TerminalView
 from stream.chunk import NEVER, NS, Array, Chunk, Specs
 from stream.errors import InputError
-from stream.operator import Outlet
+from stream.outlet import Outlet
 from stream.params import param
 from stream.plain import one_line, say
 

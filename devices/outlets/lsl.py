@@ -14,7 +14,7 @@ from devices.lsl.network import ANY, Network, library
 from devices.outlets.lsl_samples import Form, Numbers, form_of
 from stream.chunk import NS, Chunk, Specs
 from stream.errors import DeviceError
-from stream.operator import Outlet
+from stream.outlet import Outlet
 from stream.params import param
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from devices.outlets.osc_sender import OscSender
 from devices.protocols.osc_write import bundles, floats
 from stream.chunk import Chunk, Specs
 from stream.errors import InputError, ParameterError
-from stream.operator import Outlet
+from stream.outlet import Outlet
 from stream.params import param
 
 

@@ -10,7 +10,7 @@ from rich.text import Text
 from devices.outlets.terminal import TerminalView
 from stream.chunk import Chunk, Specs
 from stream.errors import InputError
-from stream.operator import Outlet
+from stream.outlet import Outlet
 from stream.plain import one_line, say
 
 

@@ -9,7 +9,7 @@ import structlog
 
 from stream.chunk import FOREVER, NEVER, NS, Chunk, Specs
 from stream.errors import InputError, ParameterError
-from stream.operator import Outlet
+from stream.outlet import Outlet
 from stream.params import param
 
 log = structlog.get_logger(__name__)

@@ -17,7 +17,7 @@ from devices.outlets.serial_line import SerialLine
 from devices.protocols.osc_write import bundles, floats
 from stream.chunk import NS, Chunk, Specs
 from stream.errors import DeviceError, InputError, ParameterError
-from stream.operator import Outlet
+from stream.outlet import Outlet
 from stream.params import param
 
 if TYPE_CHECKING:

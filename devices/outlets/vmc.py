@@ -17,7 +17,7 @@ from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
 from stream.errors import DeviceError, InputError
 from stream.humanoid import BONES, humanoid_of, to_humanoid, usual_body
 from stream.joint_tree import JointTree
-from stream.operator import Outlet
+from stream.outlet import Outlet
 from stream.params import param
 
 log = structlog.get_logger(__name__)

@@ -14,7 +14,7 @@ from devices.protocols.osc_write import bundles, floats
 from stream.chunk import Chunk, Samples, Specs
 from stream.humanoid import BONES, humanoid_of, to_humanoid
 from stream.joint_tree import JointTree, joints_of
-from stream.operator import Outlet
+from stream.outlet import Outlet
 from stream.params import param
 
 TRACKERS = ("Hips", "Chest", "LeftFoot", "RightFoot", "LeftLowerLeg", "RightLowerLeg", "LeftLowerArm", "RightLowerArm")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from stream.chunk import Chunk, Specs
 from stream.errors import InputError
-from stream.operator import Outlet
+from stream.outlet import Outlet
 
 FIELDS = ("query", "place", "sequence", "first", "last", "distance")
 

@@ -27,7 +27,8 @@ ROOT = {"index.md": "README.md", **{f"{n}.md": f"{n}.md" for n in ("CHANGELOG", 
 ROOT["CODE_OF_CONDUCT.md"] = ".github/CODE_OF_CONDUCT.md"
 ENGINE = (
     ("stream.chunk", "Chunk StreamSpec grid empty"),
-    ("stream.operator", "Operator Outlet Case"),
+    ("stream.operator", "Operator Case"),
+    ("stream.outlet", "Outlet"),
     ("stream.filter", "Filter SampleWise"),
     ("stream.source", "Source"),
     ("stream.params", "param"),

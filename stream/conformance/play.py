@@ -15,7 +15,8 @@ from stream.conformance.cut import Delivery
 from stream.engine.merge import Merge
 from stream.engine.row import Row, step_of
 from stream.errors import KinegraphError
-from stream.operator import Case, Emitted, Operator, Outlet
+from stream.operator import Case, Emitted, Operator
+from stream.outlet import Outlet
 from stream.rows import taking
 
 TOLERANCE = 0.01

@@ -24,7 +24,8 @@ from stream.errors import KinegraphError, asked_to_end, blaming, explain
 from stream.graph import Edge, Graph, Node
 from stream.graph.parts import is_ours
 from stream.metrics import FOLD_AT, Timing
-from stream.operator import Emitted, Operator, Outlet
+from stream.operator import Emitted, Operator
+from stream.outlet import Outlet
 from stream.rows import Rows, rows_for
 
 log = structlog.get_logger(__name__)

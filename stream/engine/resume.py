@@ -15,7 +15,7 @@ from stream.engine.queues import recorded_drops
 from stream.engine.session_log import PriorSession, SessionLog
 from stream.engine.substitutes import Substitutes
 from stream.engine.workers import Workers
-from stream.operator import Outlet
+from stream.outlet import Outlet
 
 log = structlog.get_logger(__name__)
 

@@ -34,7 +34,7 @@ from stream.engine.workers import Call, Watchdog, Workers
 from stream.errors import KinegraphError, asked_to_end, blaming
 from stream.graph import Graph, Node
 from stream.graph.suited import refuse_unsuited
-from stream.operator import Outlet
+from stream.outlet import Outlet
 from stream.recording import RecorderStatus
 from stream.source import Source
 from stream.stalls import calm

@@ -13,7 +13,8 @@ from stream.graph.parts import Part, UseError, find
 from stream.graph.problems import Problems
 from stream.graph.wiring import Wires
 from stream.graph.yaml_lines import Located
-from stream.operator import Operator, Outlet
+from stream.operator import Operator
+from stream.outlet import Outlet
 from stream.params import build
 from stream.source import Source
 

@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeVar
 
 from stream.chunk import Specs, StreamSpec
 from stream.graph.page_options import PageOptions
-from stream.operator import Operator, Outlet
+from stream.operator import Operator
 from stream.params import param
 from stream.source import Source
 
@@ -120,7 +120,7 @@ class Node:
 
     @property
     def is_outlet(self) -> bool:
-        return isinstance(self.part, Outlet)
+        return isinstance(self.part, Operator) and self.part.is_outlet
 
 
 @dataclass(slots=True)

@@ -20,7 +20,8 @@ from typing import Any, TypeAlias, TypeGuard
 from stream.errors import KinegraphError, asked_to_end, explain, nearest
 from stream.filter import SampleWise
 from stream.graph import beside as own
-from stream.operator import Operator, Outlet
+from stream.operator import Operator
+from stream.outlet import Outlet
 from stream.source import Source
 
 PACKAGES = ("operators", "devices", "stream.manual")

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from stream.chunk import NS, Chunk, Specs, StreamSpec
-from stream.operator import Operator, Outlet
+from stream.operator import Operator
+from stream.outlet import Outlet
 from stream.params import param
 from stream.recording import Recording
 from stream.source import Feed, Source

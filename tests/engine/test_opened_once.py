@@ -19,7 +19,8 @@ from stream.engine.session import Session
 from stream.graph import Graph, Node
 from stream.graph.load import load, load_text
 from stream.graph.parts import is_ours
-from stream.operator import Operator, Outlet
+from stream.operator import Operator
+from stream.outlet import Outlet
 from tests.support.pose_model import pose_network_or_skip
 
 CONFIGS = sorted((Path(__file__).resolve().parents[2] / "configs").glob("*.yaml"))

@@ -21,7 +21,8 @@ from itertools import repeat
 from pathlib import Path
 
 from stream.chunk import FOREVER
-from stream.operator import Operator, Outlet
+from stream.operator import Operator
+from stream.outlet import Outlet
 from stream.params import param
 
 

@@ -168,9 +168,9 @@ def imports_of(path: Path, *, later: bool = False, types: bool = False) -> set[s
     return (found & MODULES.keys()) - {module_of(path)}
 
 
-def circles(*, types: bool) -> list[list[str]]:
+def circles() -> list[list[str]]:
     """Modules that import one another, directly or by way of others, at once, within functions, or where only `types` need it."""
-    graph = {name: imports_of(path, later=True, types=types) for name, path in MODULES.items()}
+    graph = {name: imports_of(path, later=True, types=True) for name, path in MODULES.items()}
     reach: dict[str, set[str]] = {}
     for name in graph:
         seen, todo = set[str](), list(graph[name])
@@ -205,12 +205,7 @@ def test_the_engines_floors() -> None:
 
 
 def test_no_module_imports_itself_by_way_of_others() -> None:
-    assert circles(types=False) == []
-
-
-def test_types_make_one_circle_alone() -> None:
-    """A graph holds operators, and an outlet is given the graph (`Outlet.meet`); an operator can be called on an array."""
-    assert circles(types=True) == [["stream.arrays", "stream.graph", "stream.graph.model", "stream.operator"]]
+    assert circles() == []
 
 
 def test_the_engine_stays_small() -> None:

@@ -60,7 +60,7 @@ TALLY = '''"""A file with how many samples came."""
 from dataclasses import dataclass
 from pathlib import Path
 
-from stream.operator import Outlet
+from stream.outlet import Outlet
 from stream.params import param
 
 

@@ -14,7 +14,8 @@ from stream.graph.load import load
 from stream.graph.overrides import read
 from stream.graph.parts import catalogue
 from stream.graph.plan import plan
-from stream.operator import Case, Operator, Outlet
+from stream.operator import Case, Operator
+from stream.outlet import Outlet
 from tests.laws.decisions import lateness, measured
 from tests.support.command_line import Command
 

@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 
 from stream.conformance import Broken, Conformance, checks, trials
 from stream.graph.parts import catalogue
-from stream.operator import Operator, Outlet
+from stream.operator import Operator
+from stream.outlet import Outlet
 
 EXAMPLES = int(os.environ.get("KINEGRAPH_EXAMPLES", "0")) or 12
 

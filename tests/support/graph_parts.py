@@ -9,7 +9,8 @@ import numpy as np
 
 from stream.chunk import Chunk, Specs, StreamSpec
 from stream.errors import InputError, ParameterError
-from stream.operator import Operator, Outlet
+from stream.operator import Operator
+from stream.outlet import Outlet
 from stream.params import param
 from stream.source import Feed, Source
 

@@ -10,7 +10,8 @@ from typing import ClassVar
 import numpy as np
 
 from stream.chunk import NS, Array, Chunk, Specs, StreamSpec, empty
-from stream.operator import Emitted, Operator, Outlet
+from stream.operator import Emitted, Operator
+from stream.outlet import Outlet
 from stream.params import param
 from stream.source import Feed, Source
 

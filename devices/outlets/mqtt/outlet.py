@@ -25,7 +25,7 @@ from devices.outlets.mqtt.sent_events import SentEvents
 from stream.chunk import NEVER, Array, Chunk, Specs
 from stream.complete import private_folder
 from stream.errors import ParameterError
-from stream.operator import Outlet
+from stream.outlet import Outlet
 from stream.params import param
 from stream.state import pack
 

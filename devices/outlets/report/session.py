@@ -33,7 +33,7 @@ from devices.outlets.report.workbook import missing, write_tables
 from stream.chunk import Array, Chunk, Specs
 from stream.errors import ParameterError
 from stream.graph import Graph
-from stream.operator import Outlet
+from stream.outlet import Outlet
 from stream.params import param
 from stream.state import pack
 

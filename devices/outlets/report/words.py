@@ -15,7 +15,7 @@ from devices.outlets.report.data import Column, Setting
 from devices.outlets.report.place import recording_of
 from stream.chunk import Samples, StreamSpec
 from stream.graph import Graph
-from stream.operator import Outlet
+from stream.outlet import Outlet
 
 COLUMNS = {
     "peak": ("Peak", 1, "highest point of a cycle."),

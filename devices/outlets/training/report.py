@@ -19,7 +19,7 @@ from stream.chunk import NEVER, NS, Array, Chunk, Specs
 from stream.complete import write_complete
 from stream.errors import DeviceError, InputError, ParameterError
 from stream.graph import Graph
-from stream.operator import Outlet
+from stream.outlet import Outlet
 from stream.params import param
 from stream.sheet import Sheet
 from stream.state import pack
