@@ -405,6 +405,12 @@ def test_a_module_that_cannot_be_imported_says_why(tmp_path: Path, code: str, wo
     assert "faulty" not in sys.modules
 
 
+def test_an_error_names_the_file_or_else_the_graph() -> None:
+    text = nodes("a: {use: graph_parts.Nothing, from: board}")
+    assert [str(error)[:6] for error in refused(text, name="walk")] == ["walk:4"]
+    assert "/x/walk.yaml:4" in str(refused(text, name="walk", path="/x/walk.yaml")[0])
+
+
 @pytest.mark.parametrize(
     ("name", "words"),
     [

@@ -104,6 +104,14 @@ def test_force_cells_are_added_up() -> None:
     np.testing.assert_allclose(onsets(told, "touchdown"), up, atol=1e-6)
 
 
+def test_a_press_is_told_with_the_sample_that_completes_its_time() -> None:
+    load = np.repeat([0.0, 20.0, 0.0], [3, 4, 4])[:, None]
+    out = feed(ForceContacts(threshold_n=20.0, debounce_s=0.02), StreamSpec((1,), rate_hz=100.0, units=("N",)), load)
+    (touchdown,) = np.concatenate([c.time for c in out["touchdown"]])
+    (onset,) = np.concatenate([c.data["onset"] for c in out["touchdown"]])
+    assert (onset - START, touchdown - START) == (30_000_000, 50_000_000)
+
+
 def test_force_noise_makes_no_contacts() -> None:
     force, up, _ = ramps()
     noisy = force + np.random.default_rng(3).normal(0.0, 6.0, force.shape)
