@@ -32,9 +32,9 @@ LONG_NS = 1_000_000
 LONG_OFTEN = 3
 """Work longer than LONG_NS this often in a row would keep a source from its device: for a second, its chunks are queued."""
 BURST, SPARE_NS = 32, 50_000
-GATHERED_NS, GATHERED_BYTES = 2_000_000, 1 << 16
+GATHERED, GATHERED_NS, GATHERED_BYTES = 128, 2_000_000, 1 << 18
 """A live source that waits less than SPARE_NS a chunk for its device, over BURST chunks, has more at hand than is worked through one by
-one. Up to BURST chunks and GATHERED_BYTES are gathered on its thread, for at most GATHERED_NS, and enter as one."""
+one. Up to GATHERED chunks and GATHERED_BYTES are gathered on its thread, for at most GATHERED_NS, and enter as one."""
 FOLLOWED_NS = 50_000_000
 """How far data may run ahead of what follows them: as far as they do in real time, where a value speaks every 50 ms."""
 
@@ -334,15 +334,18 @@ class Ingress:
 
     def enter_together(self, port: IngressPort) -> int:
         """On the graph's turn, what a source has left in its queue and gathered enters; returns how many ns that took."""
-        return sum(self.enter(port, chunk, arrival) for chunk, arrival in port.queue.take_together())
+        return sum(self.enter(port, *taken) for taken in port.queue.take_together())
 
-    def enter(self, port: IngressPort, chunk: Chunk, arrival: int) -> int:
-        """A source's chunk enters the graph, as far as it is admitted, and all that it leads to is done: returns how many ns that took."""
+    def enter(self, port: IngressPort, chunk: Chunk, arrival: int, joined: bool = False) -> int:
+        """A source's chunk enters the graph, as far as it is admitted, and all that it leads to is done: returns how many ns that took.
+
+        `joined`: it was made of several, in memory that the source does not know.
+        """
         if not self.time.followers or self.time.passes(port, chunk.until):
-            return self._admit(port, chunk, arrival)
+            return self._admit(port, chunk, arrival, joined)
         return sum(self._admit(*entry) for entry in self.time.entering(port, chunk, arrival))
 
-    def _admit(self, port: IngressPort, chunk: Chunk, arrival: int) -> int:
+    def _admit(self, port: IngressPort, chunk: Chunk, arrival: int, joined: bool = False) -> int:
         verdict = admit(chunk, port.watermark, port.owed, arrival, awaited=port.awaited, watched=port.watched)
         port.last = time.monotonic()
         port.silent = port.stale = False
@@ -354,7 +357,7 @@ class Ingress:
         if len(admitted.time):
             port.owed = 0
         port.watermark = admitted.until
-        self._log.enter(port.number, admitted, arrival)
+        self._log.enter(port.number, admitted, arrival, joined)
         start = perf_counter_ns()
         end = port.edge.send(admitted, start)
         if admitted.until == FOREVER:
@@ -513,7 +516,7 @@ def _gathering(
         if not port.gathers or not turn.open or runner.state != "running" or size > JOINED_BYTES or many >= limit:
             return cease(chunk, came)
         gathered.append((chunk, came))
-        if many + 1 >= BURST or (many + 1) * size >= GATHERED_BYTES or came >= since + GATHERED_NS:
+        if many + 1 >= GATHERED or (many + 1) * size >= GATHERED_BYTES or came >= since + GATHERED_NS:
             enter(came)
         return True
 

@@ -23,7 +23,7 @@ from stream.graph import Policy
 ReadyQueue: TypeAlias = "SimpleQueue[BoundedQueue | threading.Event | None]"
 """Holds queues that have a chunk, events to set when everything before them is done, and None to wake the thread."""
 
-MOST_TOGETHER = 64
+MOST_TOGETHER = 256
 """The most chunks that enter as one."""
 
 
@@ -101,18 +101,19 @@ class BoundedQueue:
         self.chunks += 1
         self.ready.put(self)
 
-    def take_together(self) -> Iterator[tuple[Chunk, int]]:
-        """All that waits and is gathered now, in its order, each with its arrival: what may enter together (`admission.joins`) as one."""
+    def take_together(self) -> Iterator[tuple[Chunk, int, bool]]:
+        """All that waits and is gathered now, in its order, each with its arrival: what may enter together (`admission.joins`) as one, and
+        whether it is."""
         together: list[Chunk] = []
         arrival = 0
         for chunk, at in self._take_all():
             if together and (len(together) == MOST_TOGETHER or not joins(together[-1].until, chunk)):
-                yield join(together), arrival
+                yield join(together), arrival, len(together) > 1
                 together = []
             together.append(chunk)
             arrival = at
         if together:
-            yield join(together), arrival
+            yield join(together), arrival, len(together) > 1
 
     def _take_all(self) -> list[tuple[Chunk, int]]:
         items = []

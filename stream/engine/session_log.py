@@ -197,12 +197,12 @@ class SessionLog:
 
         return observe
 
-    def enter(self, number: int, chunk: Chunk, arrival: int) -> None:
-        """A chunk enters the graph: its place in the input log."""
+    def enter(self, number: int, chunk: Chunk, arrival: int, joined: bool = False) -> None:
+        """A chunk enters the graph: its place in the input log. One that was `joined` lies in memory that no source writes to."""
         self.sequence += 1
         self.arrival = arrival
         if self.recorder:
-            self.recorder.write(number, chunk, arrival, self.sequence)
+            self.recorder.write(number, chunk, arrival, self.sequence, kept=joined)
 
     def lull(self) -> None:
         """The session has nothing to do just now: a good moment for the recorder's thread."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, cast
 
@@ -83,16 +84,14 @@ class FileSegment:
     @property
     def waiting(self) -> int:
         """Bytes in memory that `save` would write, without the chunk being compressed."""
-        return len(self._spool.pending)
+        return self._spool.size
 
     def save(self, *, sync: bool = False) -> None:
         """Write everything so far. Raises OSError as the disk gives it; what it did not take is kept for the next try."""
         self._writer.flush()  # type: ignore[no-untyped-call]
-        pending = self._spool.pending
-        while pending:
-            with memoryview(pending)[:PIECE] as piece:
-                n = os.write(self._file, piece)
-            del pending[:n]
+        for piece in self._spool.pieces():
+            n = os.write(self._file, piece)
+            self._spool.drop(n)
             self._written += n
         self.saved = self._written
         if sync:
@@ -122,16 +121,33 @@ class FileSegment:
 
 
 class _Spool:
-    """Memory that the MCAP writer takes for a file."""
+    """Memory that the MCAP writer takes for a file. What it is given is kept as it is, not copied.
+
+    size   bytes that wait
+    """
 
     def __init__(self) -> None:
-        self.pending = bytearray()
-        self._total = 0
+        self._waiting: deque[memoryview] = deque()
+        self._total = self.size = 0
 
     def write(self, data: bytes) -> int:
-        self.pending += data
-        self._total += len(data)
+        if data:
+            self._waiting.append(memoryview(data))
+            self._total += len(data)
+            self.size += len(data)
         return len(data)
+
+    def pieces(self) -> Iterator[memoryview]:
+        """What waits, in order, at most PIECE bytes at a time, from where `drop` has come to."""
+        while self._waiting:
+            yield self._waiting[0][:PIECE]
+
+    def drop(self, n: int) -> None:
+        """The first `n` bytes of the first piece are written."""
+        first = self._waiting.popleft()
+        if n < len(first):
+            self._waiting.appendleft(first[n:])
+        self.size -= n
 
     def flush(self) -> None:
         """What is pending goes to the disk by `FileSegment.save` only."""

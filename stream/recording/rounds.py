@@ -40,9 +40,11 @@ class Rounds:
         self._opened = self.size = 0
         self.newest = self.oldest = 0
 
-    def add(self, slot: RecorderSlot, n: int, size: int, chunk: Chunk, arrival: int, sequence: int) -> None:
+    def add(
+        self, slot: RecorderSlot, n: int, size: int, chunk: Chunk, arrival: int, sequence: int, *, kept: bool = False
+    ) -> None:
         """Join a chunk of `n` samples, which takes `size` bytes, to its stream's message; raises ValueError or TypeError where it is not of
-        its spec."""
+        its spec. Arrays that are `kept` as they are need no copy."""
         with self._lock:
             if arrival > self.newest:
                 self.oldest = self.oldest or arrival
@@ -55,7 +57,7 @@ class Rounds:
             gathering = slot.gathering
             if gathering is None or slot.missed:
                 gathering = self._begun(slot)
-            gathering.add(chunk, n, size, arrival, sequence)
+            gathering.add(chunk, n, size, arrival, sequence, kept=kept)
             slot.put += size
             self.size += size
 
