@@ -207,8 +207,10 @@ def test_what_fails_is_an_entry_and_leaves_no_table(folder: Path) -> None:
         Job(folder / "none", "none"),
         Job(folder / "s2", "s2", {"x.y": 1}),
     ):
+        since = time.monotonic()
         entry, now = do(out, job)
         assert entry.failed and entry.error and now and not entry.tables
+        assert 0 <= entry.took_s <= time.monotonic() - since
         assert do(out, job)[1], "what failed is tried again"
     results = kg.BatchResults(out)
     assert {entry.name for entry in results.failed} == {"broken", "none", "s2"}
