@@ -97,6 +97,18 @@ def test_a_bigger_body_has_the_same_pose_once_its_size_is_known():
     assert np.allclose(small, tall) and np.allclose(small, poses(x, KINECT)[1])
 
 
+def test_a_bodys_size_is_that_of_its_first_two_seconds():
+    x = body(frames=120)
+    for k, joint in enumerate(("hip", "knee", "ankle")):
+        for side, at in (("l", 0.1), ("r", -0.1)):
+            x[:, KINECT.index(f"{joint}_{side}")] = (at, -0.4 * k, 0.0)
+    other = x.copy()
+    other[61:] *= 2.0  # from after two seconds on somebody else's
+    _, alone = poses(x, KINECT, body_cm=90.0)
+    _, both = poses(other, KINECT, body_cm=90.0)
+    assert np.allclose(both[61:], 2.0 * alone[61:]) and np.allclose(both[:61], alone[:61], equal_nan=True)
+
+
 def test_the_last_heading_holds_while_one_hip_is_above_the_other():
     x = body(3)
     x[1:, KINECT.index("hip_l")], x[1:, KINECT.index("hip_r")] = (0.001, 0.1, 0.01), (0.0, -0.1, 0.0)
