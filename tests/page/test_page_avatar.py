@@ -18,11 +18,13 @@ from scipy.spatial.transform import Rotation
 from devices.files.vrm_read import read_vrm
 from devices.outlets.page.avatar_file import AVATAR, checked_avatar
 from devices.outlets.page.poses import avatar_bones
-from stream.chunk import NS, Samples
+from stream.chunk import NS, Samples, StreamSpec
 from stream.errors import KinegraphError
 from stream.humanoid import BONES, to_humanoid, usual_body
 from stream.joint_tree import JointTree, joints_of
+from stream.operator import grid
 from stream.recording import Recording
+from stream.recording.series import Series, write_recording
 from tests import mannequin
 from tests.support.browser import needs_browser
 from tests.support.command_line import KINEGRAPH
@@ -202,3 +204,21 @@ def test_bones_of_another_skeleton_are_turned_as_its_joints_are() -> None:
     same = [abs(float(np.dot(q, r.as_quat(scalar_first=True)))) for q, r in zip(whole, bones, strict=True)]
     assert min(same) > 1 - 1e-9
     assert avatar_bones(JointTree(("base", "tip"), np.array([-1, 0]), np.zeros((2, 3))).spec(30.0)) is None
+
+
+@needs_browser
+@pytest.mark.parametrize("axes", ["camera", ""])
+def test_markers_of_a_camera_stand_on_their_feet(axes: str, browser: LiveBrowser, tmp_path: Path) -> None:
+    """A camera's y points down, a laboratory's up."""
+    names, high = ("head", "hip", "toe"), np.array([1.7, 0.9, 0.0])
+    places = np.stack([[0.0, 0.1, 0.2], -high if axes else high, [2.0, 2.0, 1.9]], axis=1)
+    spec = StreamSpec((3, 3), rate_hz=30.0, channels=names, units=("m",), meta={"axes": axes} if axes else {})
+    series = Series("markers", spec, grid(30.0, 60), np.repeat(places[None], 60, axis=0))
+    write_recording(tmp_path / "m.mcap", [series], {"graph": "", "session": {}})
+    with page_process(tmp_path, "view", tmp_path / "m.mcap") as process:
+        browser.open(process.url, 900, 900)
+        browser.wait("document.querySelectorAll('.scene .name:not([hidden])').length === 3")
+        script = "[...document.querySelectorAll('.scene .name')].map(e => +e.style.transform.match(/-?[\\d.]+/g)[1])"
+        head, hip, toe = browser.value(script)
+        assert head < hip < toe, "upside down"
+        assert browser.complaints == []

@@ -97,6 +97,7 @@ def described(name: str, spec: StreamSpec) -> dict[str, Any]:
         "describe": spec.describe(),
         "avatar": avatar_bones(spec),
         "bones": skeleton.pairs if skeleton else _pairs(spec.meta.get("bones")),
+        "down": spec.meta.get("axes") == "camera",
         "columns": spec.meta.get("columns") if isinstance(spec.meta.get("columns"), int) else None,
         "faces": Topology.of(spec).faces.tolist() if kind_of(spec) == "mesh" else None,
     }

@@ -76,7 +76,8 @@ class Drawn implements Figure {
     if (this.positions.length !== newest.data.length) this.positions = new Float32Array(newest.data.length);
     for (let i = 0; i < this.positions.length; i++) {
       const [raw, low] = [newest.data[i] as number, newest.low[i % 3]];
-      this.positions[i] = scale * (low === undefined ? raw : low + (raw * ((newest.high[i % 3] as number) - low)) / 65535);
+      const sign = info.down && i % 3 ? -1 : 1; // a camera's y points down and its z away: it is turned round
+      this.positions[i] = sign * scale * (low === undefined ? raw : low + (raw * ((newest.high[i % 3] as number) - low)) / 65535);
     }
     const attribute = new BufferAttribute(this.positions, 3);
     this.geometry.setAttribute("position", attribute);

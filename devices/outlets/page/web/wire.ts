@@ -13,6 +13,8 @@ export interface StreamInfo {
   describe: string;
   bones: [string | number, string | number][];
   faces: number[][] | null;
+  /** Whether y points down and z away, as a camera has it. */
+  down: boolean;
   columns: number | null;
   avatar: AvatarInfo | null;
 }
