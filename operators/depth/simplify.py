@@ -1,4 +1,4 @@
-"""Depth frames without detail finer than a block: every block as a few numbers (thesis, chapter 4)."""
+"""Frames without detail finer than a block: every block as a few numbers (thesis, chapter 4, figure 4.2)."""
 
 from __future__ import annotations
 
@@ -49,6 +49,7 @@ class SimplifyState:
 @dataclass(frozen=True, slots=True)
 class Simplify(Operator[SimplifyState]):
     """Depth frames (height, width) uint16 in mm in, 0: no measurement; the same frames out, with `components` numbers left of each block.
+    Or grey and infrared images (height, width) uint8, in which every pixel counts, and 0 is black; they come out as uint8.
 
     out     (height, width) uint16, mm: every block of `block` x `block` pixels as its level, and with more `components` than one also
             its projections on the principal components of what blocks hold beside their level. A block with fewer measured pixels than
@@ -77,7 +78,9 @@ class Simplify(Operator[SimplifyState]):
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
-        frames_of(spec)
+        if len(spec.shape) != 2 or spec.dtype not in (np.dtype(np.uint16), np.dtype(np.uint8)):
+            wanted = "depth frames: (height, width) uint16, or grey or infrared images: (height, width) uint8"
+            raise InputError("in", spec.describe(), wanted)
         height, width = spec.shape
         b, m = self.block, self.components
         if height % b or width % b:
@@ -98,20 +101,24 @@ class Simplify(Operator[SimplifyState]):
         _use(state, state.vectors, np.zeros(b * b))
         meta = {**spec.meta, "simplified": {"block": b, "components": m}}
         grid_spec = spec.derive(shape=(height // b, width // b), dtype=np.dtype(np.float64), meta=meta)
-        scene = StreamSpec((), SCENE, units=("ns", "", spec.units[0]), meta=meta)
+        scene = StreamSpec((), SCENE, units=("ns", "", *(spec.units[:1] or ("",))), meta=meta)
         return {"out": spec.derive(meta=meta), "blocks": grid_spec, "scene": scene}
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
         s = self.state
         n, b = len(chunk.time), self.block
-        height, width = chunk.data.shape[1:]
+        grey = chunk.data.dtype == np.uint8
+        frames = chunk.data + np.uint16(1) if grey else chunk.data  # black is a measurement; 0 is none
+        height, width = frames.shape[1:]
         out = np.empty((n, height, width), np.uint16)
         blocks = np.empty((n, height // b, width // b))
         changes: list[tuple[int, str, float]] = []
         for i in range(n):
             if self.components > 1:
-                self._learn(chunk.data[i], int(chunk.time[i]), changes)
-            simplify(chunk.data[i], s.tiles, s.centre, s.shift, s.needed, out[i], blocks[i])
+                self._learn(frames[i], int(chunk.time[i]), changes)
+            simplify(frames[i], s.tiles, s.centre, s.shift, s.needed, out[i], blocks[i])
+        if grey:
+            out, blocks = np.minimum(out - np.uint16(1), 255).astype(np.uint8), blocks - 1.0
         scene = np.array(changes, SCENE)
         return [
             ("scene", Chunk(scene["onset"].copy(), scene, chunk.until)),
@@ -128,10 +135,12 @@ class Simplify(Operator[SimplifyState]):
         frames[random.random(frames.shape) < 0.1] = 0
         frames[40:43] = 0
         spec = StreamSpec((16, 24), np.dtype(np.uint16), 30.0, units=("mm",))
+        grey, shades = StreamSpec((16, 24), np.dtype(np.uint8), 30.0), (frames / 8).astype(np.uint8)
         inputs = {"in": (spec, grid(30.0, 240), frames.astype(np.uint16))}
         return [
             Case(cls(block=4, components=2, learn_s=0.5), inputs, least=482),
             Case(cls(block=8), inputs, least=480),
+            Case(cls(block=4, components=2, learn_s=0.5), {"in": (grey, grid(30.0, 240), shades)}, least=481),
         ]
 
     def _learn(self, frame: Frame, time: int, changes: list[tuple[int, str, float]]) -> None:

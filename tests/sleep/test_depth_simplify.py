@@ -83,7 +83,29 @@ def test_a_changed_scene_is_learned_anew_and_an_unchanged_one_is_not() -> None:
     assert time[300] < made["onset"][1] <= time[300] + 8 * NS, "within two stretches and their searches"
 
 
+@pytest.mark.parametrize("components", [1, 2])
+def test_grey_and_infrared_images_are_simplified_as_depth_is_and_black_is_a_grey(components: int) -> None:
+    random = np.random.default_rng(3)
+    y, x = np.mgrid[0:48, 0:64]
+    images = np.where(y % 19 < 7, 140.0, 40.0) + x + random.normal(0, 9, (150, 48, 64))
+    images = np.clip(images, 0, 255).astype(np.uint8)
+    images[:, :8, :8] = 0
+    images[:, :8, 8:16] = 255
+    spec = RAW.derive(dtype=np.dtype(np.uint8), units=())
+    made = play(Simplify(components=components, learn_s=1.0), **{"in": (spec, grid(30.0, 150), images)})
+    out, means = made["out"], in_blocks(images).mean(axis=-1)
+    assert out.dtype == np.uint8 and np.allclose(made["blocks"], means)
+    assert np.array_equal(in_blocks(out[:90])[..., 0], np.floor(means[:90] + 0.5)) and finer(out[:90]) == 0
+    assert not out[:90, :8, :8].any() and (out[:90, :8, 8:16] == 255).all()
+    assert made["scene"]["what"].tolist() == ["learned"] * (components > 1)
+    left = np.square(in_blocks(images[-1:]) - in_blocks(out[-1:]).astype(float)).mean()
+    mean_left = np.square(in_blocks(images[-1:]) - means[-1:, ..., None]).mean()
+    assert left < 0.75 * mean_left if components > 1 else abs(left - mean_left) < 1.0
+
+
 def test_what_cannot_be_simplified_is_refused() -> None:
+    with pytest.raises(InputError, match="grey or infrared images"):
+        Simplify().open({"in": RAW.derive(shape=(48, 64, 3), dtype=np.dtype(np.uint8))})
     with pytest.raises(ParameterError, match="block is 9; it must be a divisor of both 48 and 64: 2, 4, 8, 16"):
         Simplify(block=9).open({"in": RAW})
     with pytest.raises(ParameterError, match="at most 4"):
