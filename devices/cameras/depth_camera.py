@@ -63,6 +63,8 @@ class DepthCamera(Source):
 
     outputs = _Outputs()
     maker: ClassVar[str] = ""
+    rectified: ClassVar[bool] = False
+    """Whether its frames are free of distortion as they come."""
 
     device: str = param("", help="which camera: its serial number; left out: the first that is found")
     width: int = param(640, least=16, most=4096, help="pixels in a row of a depth frame")
@@ -73,6 +75,10 @@ class DepthCamera(Source):
     )
     intrinsics: tuple[float, ...] = param(
         (), least=0.0, help="fx, fy, cx, cy in pixels; left out: about what such cameras have"
+    )
+    distortion: tuple[float, ...] = param(
+        (),
+        help="the lens's k1, k2, p1, p2, k3 (4, 5 or 8 numbers, as OpenCV has them) for the spec; left out: not known",
     )
     recording: Path | None = param(None, help="a recording of the maker's own to play in place of a camera")
     lost_after_s: float = param(5.0, above=0, help="after how long without a frame it is opened again")
@@ -86,8 +92,14 @@ class DepthCamera(Source):
     def chunk_s(self) -> float:
         return 1 / self.fps
 
+    @property
+    def light(self) -> str:
+        """What lights the images: `room`, `flood` or `dots`; `unknown`: models differ."""
+        return "room"
+
     def specs(self) -> Specs:
-        camera = lens(self.intrinsics, self.width, self.height, USUAL_FOCAL)
+        distortion = self.distortion or ((0.0,) * 5 if self.rectified else None)
+        camera = lens(self.intrinsics, self.width, self.height, USUAL_FOCAL, distortion)
         size, meta = (self.height, self.width), {"device": self.maker, "invalid": 0, "camera": camera}
         specs = {
             "depth": StreamSpec(size, np.dtype(np.uint16), rate_hz=self.fps, units=("mm",), meta=meta),
@@ -95,7 +107,7 @@ class DepthCamera(Source):
         }
         if self.image:
             shape = size if self.image == "mono" else (*size, 3)
-            facts = {"device": self.maker, "camera": camera, "light": "room"}
+            facts = {"device": self.maker, "camera": camera, "light": self.light}
             specs[self.image] = StreamSpec(shape, np.dtype(np.uint8), rate_hz=self.fps, meta=facts)
         return specs
 

@@ -61,6 +61,10 @@ class AzureKinect(DepthCamera):
             raise ParameterError("image", "colour", "mono, or left out: the colour camera has other pixels")
         return super(AzureKinect, self).specs()
 
+    @property
+    def light(self) -> str:
+        return "flood"
+
     def prepare(self) -> None:
         DepthCamera.prepare(self)
         library()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from devices.cameras.depth_camera import CameraFrame, DepthCamera, OpenCamera
 from devices.cameras.realsense import in_mm
 from stream.errors import DeviceError
 from stream.optional import optional
+from stream.params import param
 
 simulated: list[Any] = []
 """Libraries that replace pyorbbecsdk; the last one added."""
@@ -51,6 +52,14 @@ class Orbbec(DepthCamera):
     """
 
     maker: ClassVar[str] = "Orbbec"
+
+    infrared: Literal["unknown", "flood", "dots"] = param(
+        "unknown", help="what lights the infrared images: flood (Femto) or dots (Gemini, Astra)"
+    )
+
+    @property
+    def light(self) -> str:
+        return self.infrared if self.image == "mono" else "room"
 
     def prepare(self) -> None:
         DepthCamera.prepare(self)

@@ -35,8 +35,13 @@ class RealSense(DepthCamera):
     """
 
     maker: ClassVar[str] = "RealSense"
+    rectified: ClassVar[bool] = True
 
     projector: bool = param(True, help="the infrared dot projector, as the maker has it: on")
+
+    @property
+    def light(self) -> str:
+        return "dots" if self.projector and self.image == "mono" else "room"
 
     def prepare(self) -> None:
         DepthCamera.prepare(self)

@@ -165,7 +165,9 @@ def _seen(dai: Any, pipeline: Any, of: WantedOak, depth: Any) -> tuple[Any, Any]
         image = depth.rectifiedRight.createOutputQueue(maxSize=QUEUE, blocking=False)
     elif of.image or of.network:
         colour = pipeline.create(dai.node.Camera).build(dai.CameraBoardSocket.CAM_A)
-        output = colour.requestOutput((of.width, of.height), type=dai.ImgFrame.Type.RGB888i, fps=of.fps)
+        output = colour.requestOutput(
+            (of.width, of.height), type=dai.ImgFrame.Type.RGB888i, fps=of.fps, enableUndistortion=True
+        )
         output.link(depth.inputAlignTo)
         if of.image:
             image = output.createOutputQueue(maxSize=QUEUE, blocking=False)

@@ -64,7 +64,9 @@ class Oak(Source):
     confidence  (20,) 0 to 1, the network's own; below `least` a marker is NaN
 
     Images are recorded only where the graph names them in `record`, as depth is. Their stamps are their own. The specs of depth and images
-    say `camera`: fx, fy, cx, cy, in pixels, from `intrinsics`, or from the angle of view that these cameras usually have (`known: false`).
+    say `camera`: fx, fy, cx, cy, in pixels, from `intrinsics`, or from the angle of view that these cameras usually have (`known: false`);
+    distortion, zero, as depthai takes it out of stereo and colour images (of a ToF camera it is not known); extrinsics from the depth
+    to the image, which are none.
 
     A frame's stamp is the middle of its exposure, on the host clock that depthai keeps in step with the camera's. Frames that are missing
     are known from their numbers. depthai itself connects again to a camera that comes back; one that stays away for `reconnect_s`, or
@@ -124,7 +126,8 @@ class Oak(Source):
     def specs(self) -> Specs:
         if self.preset and self.preset not in PRESETS[self.depth]:
             raise ParameterError("preset", self.preset, f"one of {', '.join(PRESETS[self.depth])}, or left out")
-        camera = lens(self.intrinsics, self.width, self.height, USUAL_FOCAL)
+        clear = (0.0,) * 5 if self.depth == "stereo" else None
+        camera = lens(self.intrinsics, self.width, self.height, USUAL_FOCAL, clear)
         if self.image and self.depth == "tof":
             raise ParameterError("image", self.image, "left out for a camera that measures the time of flight")
         if self.network and (self.depth == "tof" or self.image == "mono"):
@@ -139,7 +142,8 @@ class Oak(Source):
         }
         if self.image:
             shape = (self.height, self.width) if self.image == "mono" else (self.height, self.width, 3)
-            light = "dots" if self.projector else "flood" if self.flood else "room"
+            lights = "dots" if self.projector else "flood" if self.flood else "room"
+            light = lights if self.image == "mono" else "room"  # the colour camera sees no infrared
             facts = {"device": "OAK", "camera": camera, "light": light}
             specs[self.image] = StreamSpec(shape, np.dtype(np.uint8), rate_hz=self.fps, meta=facts)
         if self.network:

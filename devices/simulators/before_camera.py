@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from devices.cameras.intrinsics import lens
 from devices.simulators.paced import paced
 from devices.simulators.rendered_performer import POINTS, RenderedPerformer, camera_of
 from stream.chunk import Chunk, Specs, StreamSpec
@@ -43,7 +44,7 @@ class BeforeCamera(Source):
         return 1 / self.fps
 
     def specs(self) -> Specs:
-        camera = dict(zip(("fx", "fy", "cx", "cy"), camera_of(self.width, self.height), strict=True))
+        camera = lens(camera_of(self.width, self.height), self.width, self.height, 1.0)
         meta = {"simulated": True, "camera": camera}
         shape = (self.height, self.width)
         return {

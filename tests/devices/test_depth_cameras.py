@@ -15,6 +15,7 @@ from devices.cameras.kinect import AzureKinect
 from devices.cameras.orbbec import Orbbec, depth_of, pixels
 from devices.cameras.realsense import RealSense, in_mm
 from devices.discovery.depth_cameras import find_orbbec
+from devices.oak import Oak
 from devices.simulators.orbbec import SERIAL, OrbbecLibrary, camera
 from stream.errors import DeviceError, ParameterError
 from tests.support.device_feed import check, reading, wait_for
@@ -37,6 +38,36 @@ def test_an_orbbec_camera(image: Any) -> None:
     assert feed.identity["serial"] == SERIAL and feed.identity["fx"] == 252.3
     if image:
         assert feed.count(image) == feed.count("depth")
+
+
+@pytest.mark.parametrize(
+    ("source", "light", "distortion"),
+    [
+        (RealSense(image="mono"), "dots", [0.0] * 5),
+        (RealSense(image="mono", projector=False), "room", [0.0] * 5),
+        (RealSense(image="colour"), "room", [0.0] * 5),
+        (AzureKinect(image="mono"), "flood", None),
+        (Orbbec(image="mono"), "unknown", None),
+        (Orbbec(image="mono", infrared="dots", distortion=(0.1, -0.2, 0.0, 0.0)), "dots", [0.1, -0.2, 0.0, 0.0]),
+        (Oak(image="mono"), "room", [0.0] * 5),
+        (Oak(image="mono", flood=0.5), "flood", [0.0] * 5),
+        (Oak(image="mono", flood=0.5, projector=0.5), "dots", [0.0] * 5),
+        (Oak(image="colour", projector=0.5), "room", [0.0] * 5),
+    ],
+    ids=repr,
+)
+def test_the_spec_says_lens_place_and_light_of_an_image(source: Any, light: str, distortion: Any) -> None:
+    specs = source.specs()
+    image, depth = specs[source.image], specs["depth"]
+    assert image.meta["light"] == light and image.dtype == np.uint8 and image.shape[:2] == depth.shape
+    for lens in (image.meta["camera"], depth.meta["camera"]):
+        assert {"fx", "fy", "cx", "cy"} < set(lens) and lens["distortion"] == distortion
+        assert lens["extrinsics"] == {"rotation": np.eye(3).tolist(), "translation": [0.0, 0.0, 0.0]}
+
+
+def test_coefficients_of_no_lens_are_refused() -> None:
+    with pytest.raises(ParameterError, match="4, 5 or 8 numbers"):
+        Orbbec(distortion=(0.1, 0.2)).specs()
 
 
 def test_orbbec_frames_that_are_missing_are_counted_and_a_pulled_cable_is_told() -> None:

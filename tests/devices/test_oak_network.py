@@ -453,6 +453,7 @@ class TestOnDepthai:
             set(re.findall(r"(\w+): ", one)) >= set(network) and "depthai.node.Camera" in one for one in overloads
         )
         assert set(calls[1][2]) <= set(re.findall(r"(\w+): ", dai.node.Camera.requestOutput.__doc__))
+        assert calls[1][2]["enableUndistortion"] is True, "the spec says that images are free of distortion"
         assert ("image", "align") in links, "depth is aligned to colour"
         assert (("image", "host") in links) == bool(image), "images stay on the camera unless they are wanted"
         assert {"depth", "DetectionNetwork.out"} <= {name for name, _ in links} and queues[1] is not None
