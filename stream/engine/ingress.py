@@ -64,6 +64,7 @@ class IngressPort:
     watched    whether it is still to be seen to that stamps do not lie ahead of the session's clock
     follows    whether it is a background stream of a session none of whose sources is live
     gathers    whether its source gathers chunks
+    may_join   whether chunks may enter together: when a file's do depends on the data alone
     """
 
     runner: Runner
@@ -80,9 +81,11 @@ class IngressPort:
     gathers: bool = False
     awaited: bool = field(init=False)
     watched: bool = field(init=False)
+    may_join: bool = field(init=False)
 
     def __post_init__(self) -> None:
         self.awaited, self.watched = bool(self.edge.readers), self.runner.live
+        self.may_join = self.runner.live and self.queue.policy == "block"
 
     @property
     def queue(self) -> BoundedQueue:
@@ -304,7 +307,7 @@ class Ingress:
         return _inline(self, port, self._ready, self._slot, self._log, self._fail)
 
     def serve(self, timeout_s: float) -> None:
-        """Take the next chunk that waits, whoever it comes from; waits at most `timeout_s` for one."""
+        """Take the next chunk that waits, whoever it comes from, or all of a live source's if they are many; waits at most `timeout_s`."""
         if self.bursts.ports:
             for port in self.bursts.over():
                 with self.turn.lock:
@@ -321,15 +324,18 @@ class Ingress:
             if not isinstance(token, BoundedQueue):
                 return
             queue = token
+        port = queue.owner
         with self.turn.lock:
-            if (item := queue.take()) is None:
+            if len(queue.waiting) >= BURST and isinstance(port, IngressPort) and port.may_join and self._start.done:
+                self.enter_together(port)
+            elif (item := queue.take()) is None:
                 return
-            if not isinstance(queue.owner, IngressPort):
-                queue.owner(item[0], perf_counter_ns())
+            elif not isinstance(port, IngressPort):
+                port(item[0], perf_counter_ns())
             elif self._start.done:
-                self.enter(queue.owner, *item)
+                self.enter(port, *item)
             else:
-                self._let_in(self._start.pass_on(queue.owner, queue.owner.runner, *item))
+                self._let_in(self._start.pass_on(port, port.runner, *item))
             self._slot.port = None
 
     def enter_together(self, port: IngressPort) -> int:
@@ -456,11 +462,10 @@ def _inline(
     """
     runner, queue, turn, enter, at = port.runner, port.queue, ingress.turn, ingress.enter, port.runner.clock.at
     acquire, release = turn.lock.acquire, turn.lock.release
-    may_gather = runner.live and queue.policy == "block"  # when a file's chunks enter depends on the data alone
     long = queue_until = count = worked = since = 0
 
     def burst(chunk: Chunk, came: int) -> None:
-        if may_gather and chunk.data.nbytes <= JOINED_BYTES:
+        if port.may_join and chunk.data.nbytes <= JOINED_BYTES:
             ingress.bursts.begin(port, _gathering(ingress, port, take, came, slot, session_log, fail))
 
     def take(chunk: Chunk, came: int) -> bool:

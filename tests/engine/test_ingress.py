@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -188,12 +189,72 @@ def test_a_burst_enters_together_and_is_the_same(seed: int, tmp_path: Path, monk
     assert together.exit_code == 0, together.error
     seen = [(c.time.tolist(), c.data.tolist(), c.until, c.lost) for c in parts.seen["out"]]
     monkeypatch.setattr(Ingress, "inline", lambda *_: not_inline)
+    monkeypatch.setattr("stream.engine.ingress.BURST", 10**9)
     alone, one_by_one = run(seed, tmp_path / "alone")
     assert alone.exit_code == 0, alone.error
     assert len(gathered) < 0.8 * len(one_by_one)
     assert joined(gathered) == joined(one_by_one) == joined(seen)
     for name in ("late", "lost", "gaps", "samples", "problems"):
         assert together.table["board"][name] == alone.table["board"][name]
+
+
+@dataclass(frozen=True, slots=True)
+class Slow(parts.Identity):
+    """Takes its time with one chunk, on that one's source's thread, and says so."""
+
+    def process(self, port: str, chunk: Chunk) -> Chunk:
+        if START + 1 in chunk.time:
+            BUSY.set()
+            DONE.wait(10.0)
+        return chunk
+
+
+@dataclass(frozen=True, slots=True)
+class Waking(Source):
+    """Two chunks: the second one sets a slow operator to work."""
+
+    def specs(self) -> Specs:
+        return {"out": SPEC}
+
+    def read(self, feed: Feed) -> None:
+        feed.emit(Chunk(np.array([START]), np.zeros((1, 2)), START))
+        feed.wait(0.4)
+        feed.emit(Chunk(np.array([START + 1]), np.zeros((1, 2)), START + 1))
+
+
+@dataclass(frozen=True, slots=True)
+class Flooding(Waking):
+    """Two hundred chunks while somebody else has the turn."""
+
+    def read(self, feed: Feed) -> None:
+        feed.emit(Chunk(np.array([START]), np.zeros((1, 2)), START))
+        assert BUSY.wait(10.0)
+        for i in range(1, 200):
+            feed.emit(Chunk(np.array([START + i]), np.full((1, 2), i, float), START + i))
+        DONE.set()
+
+
+BUSY, DONE = threading.Event(), threading.Event()
+
+BESIDE = """
+nodes:
+  board: {use: tests.engine.test_ingress.Flooding}
+  other: {use: tests.engine.test_ingress.Waking}
+  slow: {use: tests.engine.test_ingress.Slow, from: other}
+  out: {use: parts.Collect, from: board, policy: block}
+record: [slow]
+"""
+
+
+def test_what_waits_while_another_has_the_turn_enters_together(tmp_path: Path) -> None:
+    parts.seen.clear()
+    outcome = Session(load_text(BESIDE, path=str(Path(__file__))), tmp_path / "s").run()
+    assert outcome.exit_code == 0, outcome.error
+    with Recording.open(tmp_path / "s") as recording:
+        entered = [e.chunk for e in recording.entries("board") if len(e.chunk)]
+        assert np.array_equal(recording.read("board")[1][:, 0], np.arange(200.0))
+    assert np.array_equal(np.concatenate([c.data[:, 0] for c in parts.seen["out"]]), np.arange(200.0))
+    assert len(entered) < 10
 
 
 def test_of_a_burst_before_a_failure_nothing_is_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
