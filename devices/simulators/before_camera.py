@@ -10,7 +10,7 @@ import numpy as np
 from devices.cameras.intrinsics import lens
 from devices.simulators.paced import paced
 from devices.simulators.rendered_performer import POINTS, RenderedPerformer, camera_of
-from stream.chunk import Chunk, Specs, StreamSpec
+from stream.chunk import NS, Array, Chunk, Specs, StreamSpec
 from stream.params import param
 from stream.source import Feed, Source
 
@@ -58,9 +58,21 @@ class BeforeCamera(Source):
 
     def read(self, feed: Feed) -> None:
         performer = RenderedPerformer(self.width, self.height, seed=self.seed)
+        drawn = self._drawn(performer, 0)
         for frame, stamp in paced(feed, self.fps, self.duration_s, self.realtime):
-            seconds = frame / self.fps
-            at = np.array([stamp])
-            feed.emit(Chunk(at, performer.frame(frame, seconds)[None], stamp), "depth")
-            feed.emit(Chunk(at, performer.image(frame, seconds)[None], stamp), "mono")
-            feed.emit(Chunk(at, performer.joints(seconds)[None], stamp), "joints")
+            for output, data in drawn.items():
+                feed.emit(Chunk(np.array([stamp]), data[None], stamp), output)
+            if self.realtime and feed.wait(max(0.0, stamp / NS + 0.5 / self.fps - feed.now() / NS)):
+                return
+            drawn = self._drawn(
+                performer, frame + 1
+            )  # before it is due, and while nobody waits: a camera takes no time to draw
+
+    def _drawn(self, performer: RenderedPerformer, frame: int) -> dict[str, Array]:
+        """A frame by output, what others wait for first."""
+        seconds = frame / self.fps
+        return {
+            "mono": performer.image(frame, seconds),
+            "depth": performer.frame(frame, seconds),
+            "joints": performer.joints(seconds),
+        }

@@ -1,4 +1,4 @@
-"""Connected things in a depth image, and whose they are."""
+"""Connected things in a depth image, whose they are, and how much of the image each person fills."""
 
 from __future__ import annotations
 
@@ -26,39 +26,50 @@ def components(
     most = len(sizes) - 1
     stack = np.empty(h * w, np.int64)
     count = 0
-    for start in range(h * w):
-        if frame[start // w, start % w] == 0 or parts[start // w, start % w] != 0:
-            continue
-        mark = count + 1 if count < most else -1
-        size, taken = 0, 1
-        stack[0] = start
-        parts[start // w, start % w] = mark
-        while size < taken:  # the stack is a queue: what was taken stays in it
-            y, x = stack[size] // w, stack[size] % w
-            size += 1
-            for k in range(4):
-                v, u = y + (k == 0) - (k == 1), x + (k == 2) - (k == 3)
-                if v < 0 or u < 0 or v >= h or u >= w or frame[v, u] == 0 or parts[v, u] != 0:
-                    continue
-                if abs(float(frame[v, u]) - float(frame[y, x])) <= apart:
-                    parts[v, u] = mark
-                    stack[taken] = v * w + u
-                    taken += 1
-        if size < least or mark < 0:
+    for row in range(h):
+        for column in range(w):
+            if frame[row, column] == 0 or parts[row, column] != 0:
+                continue
+            mark = count + 1 if count < most else -1
+            parts[row, column] = mark
+            stack[0] = row * w + column
+            size = _fill(frame, apart, mark, parts, stack)
+            if size < least or mark < 0:
+                for k in range(size):
+                    parts[stack[k] // w, stack[k] % w] = -1
+                continue
+            count += 1
+            sizes[count] = size
             for k in range(size):
-                parts[stack[k] // w, stack[k] % w] = -1
-            continue
-        count += 1
-        sizes[count] = size
-        for k in range(size):
-            y, x = stack[k] // w, stack[k] % w
-            middles[count, 0] += x / size
-            middles[count, 1] += y / size
-            middles[count, 2] += frame[y, x] / size
+                y, x = stack[k] // w, stack[k] % w
+                middles[count, 0] += x / size
+                middles[count, 1] += y / size
+                middles[count, 2] += frame[y, x] / size
     for y in range(h):
         for x in range(w):
             parts[y, x] = max(parts[y, x], 0)
     return count
+
+
+@kernel
+def _fill(
+    frame: NDArray[np.uint16], apart: float, mark: int, parts: NDArray[np.int32], stack: NDArray[np.int64]
+) -> int:
+    """Give `mark` to all that is connected with the first pixel of `stack`; how many there are: their numbers are in `stack`."""
+    h, w = frame.shape
+    size, taken = 0, 1
+    while size < taken:  # the stack is a queue: what was taken stays in it
+        y, x = stack[size] // w, stack[size] % w
+        size += 1
+        for k in range(4):
+            v, u = y + (k == 0) - (k == 1), x + (k == 2) - (k == 3)
+            if v < 0 or u < 0 or v >= h or u >= w or frame[v, u] == 0 or parts[v, u] != 0:
+                continue
+            if abs(float(frame[v, u]) - float(frame[y, x])) <= apart:
+                parts[v, u] = mark
+                stack[taken] = v * w + u
+                taken += 1
+    return size
 
 
 @kernel(nogil=True)
@@ -94,3 +105,47 @@ def share_out(
                 if best == 0 or way < least:
                     best, least = who, way
             labels[y, x] = best
+
+
+@kernel(nogil=True)
+def only(frame: NDArray[np.uint16], labels: NDArray[np.uint8], who: int, out: NDArray[np.uint16]) -> None:
+    """The pixels of `frame` (h, w) that are `who`'s, into `out` (h, w), which is 0."""
+    for y in range(frame.shape[0]):
+        for x in range(frame.shape[1]):
+            if labels[y, x] == who:
+                out[y, x] = frame[y, x]
+
+
+@kernel(nogil=True)
+def measure(frame: NDArray[np.uint16], labels: NDArray[np.uint8], out: NDArray[np.int64]) -> None:
+    """What each person fills of `frame` (h, w), into `out` (people + 1, 8), row 0 is nobody's.
+
+    Pixels, sums of their columns and of their rows, first and last row, first and last column, and twice the median of their depths.
+    """
+    h, w = frame.shape
+    out[:] = 0
+    out[:, 3], out[:, 5] = h, w
+    for y in range(h):
+        for x in range(w):
+            k = labels[y, x]
+            if k != 0:
+                out[k, 0] += 1
+                out[k, 1] += x
+                out[k, 2] += y
+                out[k, 3], out[k, 4] = min(out[k, 3], y), max(out[k, 4], y)
+                out[k, 5], out[k, 6] = min(out[k, 5], x), max(out[k, 6], x)
+    for k in range(1, out.shape[0]):
+        if out[k, 0] == 0:
+            continue
+        counts = np.zeros(65536, np.int32)
+        for y in range(out[k, 3], out[k, 4] + 1):
+            for x in range(out[k, 5], out[k, 6] + 1):
+                if labels[y, x] == k:
+                    counts[frame[y, x]] += 1
+        seen, before = 0, 0
+        for depth in range(65536):
+            seen += counts[depth]
+            out[k, 7] += depth * ((before <= (out[k, 0] - 1) // 2 < seen) + (before <= out[k, 0] // 2 < seen))
+            if seen > out[k, 0] // 2:
+                break
+            before = seen

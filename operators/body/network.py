@@ -1,4 +1,7 @@
-"""A pose network on this computer: BlazePose through LiteRT, one thread, the same bits for the same image."""
+"""A pose network on this computer: BlazePose through LiteRT, one thread, the same bits for the same image.
+
+One thread, since a second one has not made it faster: its layers are so small that waking that thread takes what it saves.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +14,9 @@ import numpy as np
 import platformdirs
 
 from operators.body.crop import Single
+from operators.body.trimmed import trimmed
 from stream.chunk import Samples
-from stream.digest import sha256_of
+from stream.digest import bytes_of, sha256_of
 from stream.errors import ParameterError
 
 SIZE, POINTS = 256, 39
@@ -20,6 +24,8 @@ SIZE, POINTS = 256, 39
 FILE = "pose_landmark_full.tflite"
 SHA256 = "e9a5c5cb17f736fafd4c2ec1da3b3d331d6edbe8a0d32395855aeb2cdfd64b9f"
 """The file, and what its bytes must be, as `kinegraph fetch pose-model` brings it."""
+READ = ((1, 195), (1, 1), (1, 64, 64, POINTS), (1, 117))
+"""The outputs that are read, by shape: points, presence, heat, points in metres. A mask of the person is not: depth says it better."""
 _local = threading.local()
 _digest = cache(sha256_of)
 
@@ -77,11 +83,12 @@ def _interpreter(path: str) -> tuple[Any, int, list[int]]:
         from ai_edge_litert.interpreter import Interpreter
 
         try:
-            network = Interpreter(path, num_threads=1)
+            Interpreter(path)  # refuses what is no network
+            network = Interpreter(model_content=trimmed(bytes_of(Path(path)), READ), num_threads=1)
             network.allocate_tensors()
             by_shape = {tuple(o["shape"]): o["index"] for o in network.get_output_details()}
-            outputs = [by_shape[shape] for shape in ((1, 195), (1, 1), (1, 64, 64, 39), (1, 117))]
-        except (ValueError, RuntimeError, KeyError) as error:
+            outputs = [by_shape[shape] for shape in READ]
+        except (ValueError, RuntimeError) as error:
             raise ParameterError(
                 "model", str(path), f"a landmark network of BlazePose in LiteRT's format ({error})"
             ) from None

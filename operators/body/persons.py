@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.body.components import components, overlaps, share_out
+from operators.body.components import components, measure, only, overlaps, share_out
 from operators.body.names import camera_of
 from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError
@@ -77,7 +77,8 @@ class Persons(Operator[PersonsState]):
         labels, out, told = np.zeros((n, *chunk.data.shape[1:]), np.uint8), np.zeros_like(chunk.data), list[Array]()
         for i, time in enumerate(chunk.time.tolist()):
             told += self._told(time, chunk.data[i], labels[i])
-            out[i] = np.where(labels[i] == self._followed(), chunk.data[i], 0) if self._followed() else 0
+            if self._followed():
+                only(chunk.data[i], labels[i], self._followed(), out[i])
         events = np.array(told, PERSON)
         return [
             ("out", Chunk(chunk.time, out, chunk.until, chunk.lost)),
@@ -133,20 +134,20 @@ class Persons(Operator[PersonsState]):
 
     def _measured(self, time: int, frame: Array, labels: NDArray[np.uint8]) -> list[Array]:
         """Remember everyone's place; the events of a frame."""
-        s, told = self.state, []
+        s, told, rows = self.state, [], np.empty((self.most + 1, 8), np.int64)
         s.labels[:] = labels
-        for who in range(1, self.most + 1):
-            y, x = np.nonzero(labels == who)
-            if not len(y):
+        measure(frame, labels, rows)
+        for who, (pixels, across, down, top, bottom, left, right, twice) in enumerate(rows[1:].tolist(), 1):
+            if not pixels:
                 s.places[who - 1] = np.nan
                 continue
-            depth = float(np.median(frame[y, x]))
-            s.places[who - 1], s.seen[who - 1] = (x.mean(), y.mean(), depth, len(y)), time
+            x, y, depth = across / pixels, down / pixels, twice / 2
+            s.places[who - 1], s.seen[who - 1] = (x, y, depth, pixels), time
             z = depth / 1000
             fx, fy, cx, cy = s.camera
-            place = ((x.mean() - cx) / fx * z, (y.mean() - cy) / fy * z, z)
-            box = (y.min(), x.min(), np.ptp(y) + 1, np.ptp(x) + 1)
-            told.append(np.array((time, who, box, len(y), place), PERSON))
+            place = ((x - cx) / fx * z, (y - cy) / fy * z, z)
+            box = (top, left, bottom - top + 1, right - left + 1)
+            told.append(np.array((time, who, box, pixels, place), PERSON))
         sizes = np.nan_to_num(s.places[:, 3])
         if not s.followed or (
             not sizes[s.followed - 1] and (sizes.any() or time - s.seen[s.followed - 1] > FORGET_S * NS)

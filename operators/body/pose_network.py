@@ -53,7 +53,7 @@ class PoseNetworkState:
 class PoseNetwork(Operator[PoseNetworkState]):
     """An image and the depth of one person in it (0 elsewhere, of operators.body.persons.Persons) in, what is seen of that person out.
 
-    BlazePose full (Apache-2.0; `kinegraph fetch pose-model`) by LiteRT, on colour, grey or infrared, 15 to 20 ms a frame: put it on a
+    BlazePose full (Apache-2.0; `kinegraph fetch pose-model`) by LiteRT, on colour, grey or infrared, some 10 ms a frame: put it on a
     `worker`. It looks where the depth says that the person is, so no frame is spent on finding people. One sample comes out for every
     frame of depth, NaN where nobody is seen or no image was taken within `apart_s`. It can be recorded where images are not, and
     everything after it computed from it again. It is not what the network says alone: the depth at every landmark and where the body's
