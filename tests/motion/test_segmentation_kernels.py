@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 
 from operators.segmentation.activities import anticipate, open_up
+from operators.segmentation.anchor import lead_in
 from operators.segmentation.belief import foresee
 from operators.segmentation.cycles import advance, last_cycle, sum_up
 from operators.segmentation.distances import insert, mark
@@ -21,6 +23,7 @@ from operators.segmentation.layout import (
     OPENED,
     ORIGIN,
     RADIUS_EVENT,
+    SEED,
     Memory,
     allocate,
 )
@@ -74,6 +77,16 @@ def test_motion_about_two_places_falls_into_two_though_frames_are_missing() -> N
         assert gaps(memory(x), 0, 80, 1.0).tolist() == [40]
     assert not len(gaps(memory(np.concatenate([circle(40), circle(40, right=0.5)])), 0, 80, 1.0))
     assert not len(gaps(memory(np.concatenate([circle(40), circle(4, right=1.7)])), 0, 44, 1.0)), "too little of it"
+
+
+@pytest.mark.parametrize(("back", "belongs"), [(7, False), (8, True), (18, True), (19, False)])
+def test_frames_before_an_activity_belong_to_it_if_they_come_back_about_a_cycle_later(back: int, belongs: bool) -> None:
+    s = memory(np.random.default_rng(2).normal(size=(70, 3)), 1.0)
+    s.near[:], s.rows[:] = 0, 9.0
+    s.books[SEED], s.books[OPENED] = 0, 40
+    for i in range(30, 40):
+        s.rows[(i + back) % len(s.rows), back] = 0.5
+    assert lead_in(s, 40, 12) == (30 if belongs else 40)
 
 
 def test_two_cycles_are_believed_as_soon_as_the_second_is_seen_to_end() -> None:
