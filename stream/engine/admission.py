@@ -143,10 +143,10 @@ def join(chunks: Sequence[Chunk]) -> Chunk:
     if len(chunks) == 1:
         return chunks[0]
     try:
-        data = np.frombuffer(bytearray().join([chunk.data.data for chunk in chunks]), chunks[0].data.dtype)
-    except (ValueError, TypeError):  # such as rows that are not in order, or of a dtype that is no buffer's
+        data = np.frombuffer(bytearray().join([chunk.data for chunk in chunks]), chunks[0].data.dtype)  # type: ignore[misc]
+    except (BufferError, ValueError, TypeError):  # such as rows that are not in order
         data = np.concatenate([chunk.data for chunk in chunks])
-    time = np.frombuffer(bytearray().join([chunk.time.data for chunk in chunks]), STAMP)
+    time = np.frombuffer(bytearray().join([chunk.time for chunk in chunks]), STAMP)  # type: ignore[misc]
     return Chunk(time, data.reshape(-1, *chunks[0].data.shape[1:]), chunks[-1].until, chunks[0].lost)
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stream.chunk import FOREVER, NEVER, NS, Chunk, StreamSpec
-from stream.engine.admission import Full, admit, conform, followed, is_sound, on_full, ordered
+from stream.engine.admission import Full, admit, conform, followed, is_sound, join, on_full, ordered
 from stream.engine.supervisor import TRANSITIONS
 from stream.promise import impossible
 
@@ -168,3 +168,21 @@ def test_every_state_of_a_source_leads_to_an_end() -> None:
     for state in states - {"ended", "stopped"}:
         assert TRANSITIONS[state]["stop"] == "stopped" and TRANSITIONS[state]["failed"] == "failed"
     assert TRANSITIONS["ended"] == {}
+
+
+EVENT = np.dtype([("onset", "<i8"), ("size", "<f4", (2,))])
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+@pytest.mark.parametrize("dtype", [np.float32, np.uint16, np.bool_, np.complex128, "M8[ns]", "<U2", EVENT])
+def test_chunks_of_any_kind_are_joined_into_memory_of_their_own(dtype: Any, stride: int) -> None:
+    random = np.random.default_rng(4)
+    given = [random.integers(0, 255, (3, 64), np.uint8).astype("<i8").astype("<U2") if dtype == "<U2" else
+             np.frombuffer(random.integers(0, 2, (3, 64), np.uint8).tobytes() * np.dtype(dtype).itemsize, dtype).reshape(3, -1)
+             for _ in range(3)]  # fmt: skip
+    chunks = [Chunk(np.arange(3) + 3 * i, data[:, ::stride], 3 * i + 2) for i, data in enumerate(given)]
+    made = join(chunks)
+    assert made.data.dtype == np.dtype(dtype) and (made.until, made.lost) == (8, 0)
+    assert made.data.tobytes() == np.concatenate([one.data for one in chunks]).tobytes()
+    assert made.time.tolist() == list(range(9))
+    assert made.data.flags.carray and not any(np.may_share_memory(made.data, one.data) for one in chunks)
