@@ -36,7 +36,7 @@ test: .venv/installed-for-tests
 
 test-peers: .venv/installed-for-tests
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,oak,peers]'
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps bitalino
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps bitalino vmcp "osc4py3<1.0.4"
 	$(BIN)/python -m tests.compile_kernels
 	$(BIN)/pytest -n 2 --dist loadgroup tests/peers tests/devices/test_oak.py tests/files/test_depthai_replay.py tests/devices/test_simulators.py \
 		tests/files/test_export.py tests/files/test_lab_exports.py tests/sleep/test_night_report.py
