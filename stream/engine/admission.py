@@ -145,7 +145,7 @@ def join(chunks: Sequence[Chunk]) -> Chunk:
     try:
         data = np.frombuffer(bytearray().join([chunk.data for chunk in chunks]), chunks[0].data.dtype)  # type: ignore[misc]
     except (BufferError, ValueError, TypeError):  # such as rows that are not in order
-        data = np.concatenate([chunk.data for chunk in chunks])
+        data = np.concatenate([chunk.data for chunk in chunks], dtype=chunks[0].data.dtype)
     time = np.frombuffer(bytearray().join([chunk.time for chunk in chunks]), STAMP)  # type: ignore[misc]
     return Chunk(time, data.reshape(-1, *chunks[0].data.shape[1:]), chunks[-1].until, chunks[0].lost)
 
