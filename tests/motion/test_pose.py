@@ -8,6 +8,7 @@ import pytest
 
 from operators.features.pose import Pose
 from operators.features.skeleton import SETS, partner
+from operators.inputs.lengths import metres
 from stream.chunk import Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.operator import grid
@@ -95,6 +96,11 @@ def test_a_bigger_body_has_the_same_pose_once_its_size_is_known():
     _, small = poses(x, KINECT, body_cm=80.0)
     _, tall = poses(1.3 * x, KINECT, body_cm=80.0)
     assert np.allclose(small, tall) and np.allclose(small, poses(x, KINECT)[1])
+
+
+@pytest.mark.parametrize(("unit", "metre"), [("m", 1.0), ("cm", 0.01), ("mm", 0.001), ("", 1.0)])
+def test_positions_in_any_unit_become_metres(unit, metre):
+    assert metres(unit) == pytest.approx(metre)
 
 
 def test_a_bodys_size_is_that_of_its_first_two_seconds():

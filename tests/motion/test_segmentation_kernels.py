@@ -12,6 +12,7 @@ from operators.segmentation.anchor import lead_in
 from operators.segmentation.belief import foresee
 from operators.segmentation.cycles import advance, last_cycle, sum_up
 from operators.segmentation.distances import insert, mark
+from operators.segmentation.division import divide
 from operators.segmentation.layout import (
     BELIEVED,
     BELIEVED_EVENT,
@@ -19,11 +20,21 @@ from operators.segmentation.layout import (
     COUNT_EVENT,
     EARLY_RADIUS,
     EVENTS,
+    HELD,
+    HELD_CYCLES,
+    HELD_FIRST,
+    HELD_LAST,
+    HELD_TO,
     LAST,
     OPENED,
     ORIGIN,
+    PIECES_FROM,
     RADIUS_EVENT,
+    RESUMED,
     SEED,
+    START,
+    UNTOLD,
+    UNTOLD_AT,
     Memory,
     allocate,
 )
@@ -87,6 +98,22 @@ def test_frames_before_an_activity_belong_to_it_if_they_come_back_about_a_cycle_
     for i in range(30, 40):
         s.rows[(i + back) % len(s.rows), back] = 0.5
     assert lead_in(s, 40, 12) == (30 if belongs else 40)
+
+
+def test_two_activities_meet_where_frames_begin_to_be_like_the_second() -> None:
+    """Frames up to 31 repeat what came before, those from 32 on what comes after; the first activity was taken to end with frame 29."""
+    s = memory(np.random.default_rng(3).normal(size=(70, 3)), 1.0)
+    s.times[:70] = np.arange(70) * 1000
+    s.near[:], s.rows[:] = 0, 9.0
+    b = s.books
+    b[HELD], b[HELD_FIRST], b[HELD_LAST], b[HELD_TO], b[HELD_CYCLES], b[START] = 1, 5, 29, 29_000, 2, 36
+    b[PIECES_FROM], b[RESUMED] = 5, 0
+    for i in range(21, 36):
+        like_before, like_after = (i, 15), (i + 10, 10)
+        s.rows[like_before if i < 32 else like_after] = 0.1
+    divide(s)
+    assert (b[START], b[UNTOLD], b[UNTOLD_AT]) == (32, 32, 32_000)
+    assert (b[HELD], b[HELD_LAST], b[HELD_TO]) == (0, 31, 31_000)
 
 
 def test_two_cycles_are_believed_as_soon_as_the_second_is_seen_to_end() -> None:
