@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -40,6 +41,24 @@ def test_arrays_numbers_and_tuples_come_back_bit_for_bit(folder: Path) -> None:
     design(2, 0.3, start + 1)
     assert calls == [2, 2, 3, 2]
     assert [reach(4), reach(4)] == [5, 5]
+
+
+def test_two_processes_that_keep_the_same_do_not_write_into_one_draft(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drafts, save = set[str](), np.savez
+
+    def saved(file: Any, **parts: Any) -> None:
+        drafts.add(file.name)
+        save(file, **parts)
+
+    monkeypatch.setattr(np, "savez", saved)
+    for pid in (41, 42):
+        with monkeypatch.context() as process:
+            process.setattr("os.getpid", lambda pid=pid: pid)
+            module._keep(folder / "one.npz", np.arange(3.0))
+    assert len(drafts) == 2
+    assert [path.name for path in folder.iterdir()] == ["one.npz"]
 
 
 def test_a_damaged_file_is_made_again(folder: Path) -> None:
