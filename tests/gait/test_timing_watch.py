@@ -131,6 +131,7 @@ def test_a_channel_whose_name_says_nothing_is_named_by_hand_and_the_others_are_t
     given = cycles_of(swapped, names)
     specs = {port: each[0] for port, each in given.items()}
     assert TimingWatch(muscles={"EMG1": "TA"}).open(specs)["out"].meta["unnamed"] == ["EMG2", "EMG3", "EMG4"]
+    assert TimingWatch(first=7, latest=4).open(specs)["out"].meta["needs_cycles"] == 11
     for wrong, said in (({"EMG9": "TA"}, "did you mean"), ({"EMG1": "jaw"}, "textbook has")):
         with pytest.raises(ParameterError, match=said):
             TimingWatch(muscles=wrong).open(specs)

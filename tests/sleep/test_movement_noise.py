@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from operators.depth.noise import DECILE, EPOCHS, Noise
+from operators.depth.sleeper_activity import WHYS, ActivityLimits, SleeperActivity
 
 
 def learned(levels: list[float], scatter: float = 0.1) -> Noise:
@@ -43,3 +44,11 @@ def test_only_the_newest_epochs_count() -> None:
 )
 def test_epochs_are_steady_among_and_within_themselves(levels: list[float], scatter: float, steady: bool) -> None:
     assert learned(levels, scatter).steady(0, most=0.2, epochs=6) == steady
+
+
+def test_a_reason_that_is_not_known_counts_as_none() -> None:
+    sleepers = SleeperActivity.none(["left", "right"], ActivityLimits(5.0, 0.1, 0.5, 0.5, 2.0, 0), 10**9)
+    for why, number in (("region", 5), ("nothing of ours", 0), ("", 0)):
+        sleepers.move("right", "out", why)
+        assert sleepers.why.tolist() == [0, number]
+    assert len(WHYS) == 7
