@@ -110,6 +110,19 @@ SCENES = {
     "half a body": lambda x: x[70:120, :6].fill(np.nan),
     "nobody": lambda x: x[60:80].fill(np.nan),
     "left for right": lambda x: x.__setitem__(slice(80, 84), x[80:84][:, [1, 0, 3, 2, 5, 4, 7, 6, 9, 8, 11, 10, 12]]),
+    "left for right for good": lambda x: x.__setitem__(
+        slice(80, N), x[80:][:, [1, 0, 3, 2, 5, 4, 7, 6, 9, 8, 11, 10, 12]]
+    ),
+    "left for right from the start": lambda x: x.__setitem__(
+        slice(None), x[:, [1, 0, 3, 2, 5, 4, 7, 6, 9, 8, 11, 10, 12]]
+    ),
+    "left for right now and then": lambda x: x.__setitem__(
+        slice(60, N, 3), x[60::3][:, [1, 0, 3, 2, 5, 4, 7, 6, 9, 8, 11, 10, 12]]
+    ),
+    "names in disorder": lambda x: x.__setitem__(slice(None), x[:, ::-1]),
+    "huge": lambda x: x.__setitem__((slice(60, 80), [6, 8]), 1e30),
+    "all in one place": lambda x: x.__setitem__(slice(60, 120), x[60:120, 12:]),
+    "10 fps in a stream of 30": lambda x: [x.__setitem__(slice(k, k + 3), x[k]) for k in range(60, N, 3)],
     "a leap": lambda x: x.__setitem__((slice(90, 92), 10), x[90:92, 10] + 1.5),
     "noise": lambda x: x.__iadd__(np.random.default_rng(3).normal(0, 0.03, x.shape)),
     "far away": lambda x: x.__setitem__(slice(100, 240), x[100:240] + 5.0),
