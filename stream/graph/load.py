@@ -178,7 +178,11 @@ class _Loading:
         known = [*(f.name for f in fields(Settings)), *SECTIONS]
         for key, at in top.items():
             if key not in known:
-                self._problems.add(f"unknown key {key!r}; {nearest(key, known)}", at)
+                nodes = ", ".join(sorted(top["nodes"].items())) if "nodes" in top else ""
+                of_node = f"a node's is set as NODE.{key}, with one of the nodes {nodes}"
+                self._problems.add(
+                    f"unknown key {key!r}; {of_node if at.origin and nodes else nearest(key, known)}", at
+                )
         return {key: at for key, at in top.items() if key in known}
 
     def _section(self, top: Mapping[str, Located], key: str) -> dict[str, Located]:

@@ -299,7 +299,7 @@ def test_a_setting_changes_no_other_node_that_shares_an_anchor() -> None:
         ("low.cutoff_hz=600", ["--set low.cutoff_hz: node 'low'", "below 500"]),
         ("lo.cutoff_hz=6", ["--set lo.cutoff_hz", "there is no node 'lo'", "did you mean 'low'?"]),
         ("low.cutof=6", ["--set low.cutof", "no parameter 'cutof'", "'cutoff_hz'"]),
-        ("latency=6", ["--set latency", "unknown key 'latency'"]),
+        ("latency=6", ["--set latency", "unknown key 'latency'", "set as NODE.latency"]),
         ("low.from=nowhere", ["--set low.from", "there is no node 'nowhere'"]),
     ],
 )
