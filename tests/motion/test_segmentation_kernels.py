@@ -39,6 +39,7 @@ from operators.segmentation.layout import (
     allocate,
 )
 from operators.segmentation.separation import gaps
+from operators.segmentation.symmetry import moves
 
 FRAMES = {
     "LAG": 30, "WINDOW": 200, "LEARN": 2, "QUIET": 4, "MASS": 6, "SETTLE": 20, "FIRM": 80, "BAND_LEAST": 3, "BAND_MOST": 3,
@@ -157,3 +158,15 @@ def test_before_enough_was_seen_what_repeats_is_believed_and_nothing_else_rememb
         assert np.array_equal(books, s.books) and np.array_equal(values, s.values) and np.array_equal(near, s.near)
     assert [k for _, k in counts] == [1, 2, 3, 4, 5] and counts[1][0] <= 2 * 12 + 4
     assert s.values[EARLY_RADIUS] > 0.0
+
+
+def test_whose_half_moves_more_is_the_sum_of_its_squared_steps_less_the_others() -> None:
+    x = np.random.default_rng(6).normal(size=(40, 4))
+    left, right = [0, 1], [2, 3]
+    s = memory(x)
+    ring = len(s.times)
+    mirrored = np.zeros((ring, 4))
+    mirrored[:40] = x[:, [2, 3, 0, 1]]
+    s = s._replace(mirrored=mirrored, firsts=np.array([1, 1, 0, 0]))
+    steps = np.diff(x, axis=0)[9:29] ** 2
+    assert np.isclose(moves(s, 10, 30), steps[:, left].sum() - steps[:, right].sum())

@@ -156,6 +156,8 @@ def test_closing_on_a_disk_that_stays_full_ends_and_leaves_a_readable_file(
     feed(recorder, 1000, 5)
     recorder.close()
     assert recorder.status.error == os.strerror(errno.ENOSPC)
+    with pytest.raises(RecordingError, match=os.strerror(errno.ENOSPC)):
+        recorder.check()
     with Recording.open(tmp_path / "s") as recording:
         assert not recording.finished
         assert_holes_are_told(recording, 0)
@@ -171,6 +173,8 @@ def test_a_slow_disk_drops_and_counts(tmp_path: Path, disk: Disk) -> None:
     until(lambda: recorder.status.behind_s < 0.05)
     feed(recorder, at, 10)
     recorder.close()
+    with pytest.raises(RecordingError, match="the disk was too slow"):
+        recorder.check()
     with Recording.open(tmp_path / "s") as recording:
         assert_holes_are_told(recording, recorder.status.dropped["board"])
 
