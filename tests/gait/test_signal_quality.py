@@ -74,6 +74,13 @@ def test_made_up_faults_are_named():
     assert rows["missing"][:, 6].tolist() == [0, 0, 1, 1, 0, 0]
 
 
+def test_a_row_says_which_window_and_channel_it_is_of():
+    rows = judged([bursts(4), bursts(4, seed=1)], channels=("TA", "SO"), operator=SignalQuality(window_s=0.5))
+    time = stamps(4000, 1000.0).reshape(8, 500)
+    assert rows["onset"].tolist() == time[:, [0, 0]].tolist() and rows["end"].tolist() == time[:, [-1, -1]].tolist()
+    assert rows["channel"].tolist() == [[0, 1]] * 8 and rows["name"].tolist() == [["TA", "SO"]] * 8
+
+
 def test_hum_share_is_the_share_of_power():
     rng = np.random.default_rng(7)
     noise = rng.standard_normal(60_000) * 10
