@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from operators.segmentation.belief import conclude, foresee, keep_count
+from operators.segmentation.belief import conclude, foresee, keep_count, look_ahead
 from operators.segmentation.bouts import close_bout
 from operators.segmentation.cycles import cycle_length
 from operators.segmentation.distances import choose_band, choose_radius, insert, mark, reflect, typical
@@ -26,6 +26,7 @@ from operators.segmentation.layout import (
     EVERY,
     FIRM,
     FIXED,
+    GROWN,
     HELD,
     HELD_LAST,
     LAG,
@@ -34,6 +35,7 @@ from operators.segmentation.layout import (
     MASS,
     MODE,
     NEXT,
+    NOTICED,
     NOW,
     OPEN,
     OPENED,
@@ -147,8 +149,9 @@ def step(s: Memory, t: int) -> None:
                     conclude(s, 0)
                     return
             keep_count(s)
-        else:
-            foresee(s, grown(s), t)
+            look_ahead(s, t)
+        elif not foresee(s, grown(s), t, True):
+            foresee(s, b[NOTICED], t, False)
         if t - b[LAST] >= b[QUIET] and not under_way(s, t):
             finish(s, False)
 
@@ -164,7 +167,7 @@ def anticipate(s: Memory, t: int) -> None:
         s.values[RADIUS] = s.values[EARLY_RADIUS]
     choose_band(s, t)
     b[LAST] = t
-    foresee(s, grown(s), t)
+    foresee(s, grown(s), t, True)
     s.values[RADIUS], b[BAND], b[LAST] = radius, band, last
 
 
@@ -183,6 +186,7 @@ def open_up(s: Memory, t: int) -> None:
     row, k = s.rows[first % s.rows.shape[0]], b[BAND]
     while row[k] > s.values[RADIUS]:
         k += 1
+    b[NOTICED], b[GROWN] = first - k, 0
     tell(s, RADIUS_EVENT, 0, 0, 0, 0, 0, 0)
     tell(s, BELIEVED_EVENT, stamp(s, first - k), stamp(s, t), number_of(s, first - k), 0, 0, 0)
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 
-from operators.segmentation.cycles import FAR, first_dip, longest_lag
+from operators.segmentation.cycles import FAR, TRUSTS, first_dip, longest_lag, release, track
 from operators.segmentation.division import number_of
 from operators.segmentation.events import stamp, tell
 from operators.segmentation.layout import (
     ACTIVITY,
+    AHEAD,
     BELIEVED,
     BELIEVED_EVENT,
     BELIEVED_OF,
@@ -16,12 +17,18 @@ from operators.segmentation.layout import (
     BEST_START,
     COUNT,
     COUNT_EVENT,
+    FORESEEN,
     FROM,
+    GROWN,
     LENGTH,
     MASS,
     MODE,
+    NOTICED,
+    ORIGIN,
     PENDING,
     RADIUS,
+    TO,
+    TOLD,
     TRACK,
     Memory,
 )
@@ -45,10 +52,12 @@ def believe(s: Memory, activity: int, count: int) -> None:
 
 @kernel
 def conclude(s: Memory, count: int) -> None:
-    """The open activity has ended with `count` repetitions: the next one begins with none."""
+    """The open activity has ended with `count` repetitions: the next one begins with none, or with those that are believed of it."""
     b = s.books
     believe(s, b[ACTIVITY] if count else b[BELIEVED_OF], count)
     b[BELIEVED] = 0
+    if b[AHEAD]:
+        b[BELIEVED_OF], b[BELIEVED], b[AHEAD] = b[ACTIVITY] + 1, b[AHEAD], 0
 
 
 @kernel
@@ -56,7 +65,30 @@ def keep_count(s: Memory) -> None:
     """The repetitions of the activity that is followed: those accepted, and the best path, unless it is to replace the last one."""
     b = s.books
     if b[MODE] == TRACK:
-        believe(s, b[ACTIVITY], b[COUNT] + (b[BEST_END] >= 0 and not replaces(s)))
+        believe_open(s, b[COUNT] + (b[BEST_END] >= 0 and not replaces(s)))
+
+
+@kernel
+def believe_open(s: Memory, count: int) -> None:
+    """This many repetitions have come in the open activity; if that is one more, what was believed of the next activity was wrong."""
+    b = s.books
+    if b[AHEAD] and count > b[BELIEVED]:
+        tell(s, COUNT_EVENT, b[ACTIVITY] + 1, 0, 0, 0, 0, 0)
+        b[AHEAD] = 0
+    believe(s, b[ACTIVITY], count)
+
+
+@kernel
+def expect(s: Memory, i: int) -> None:
+    """Frame `i` after the open activity's cycle was given up: where that comes again it is believed, though not yet followed."""
+    b = s.books
+    fresh = b[BEST_END]
+    if track(s, i):
+        release(s)
+    elif fresh < 0 and b[BEST_END] >= 0:
+        number = b[BELIEVED] + 1
+        tell(s, BELIEVED_EVENT, stamp(s, b[BEST_START]), stamp(s, b[BEST_END]), b[ACTIVITY], number, 0, 0)
+        believe_open(s, number)
 
 
 @kernel
@@ -67,24 +99,78 @@ def replaces(s: Memory) -> bool:
 
 
 @kernel
-def foresee(s: Memory, first: int, t: int) -> None:
-    """Nothing is decided of the open activity, which began about frame `first`: its repetitions, if it has a cycle by frame `t`."""
+def foresee(s: Memory, first: int, t: int, grown: bool) -> bool:
+    """Nothing is decided of the open activity, which began about frame `first`: its repetitions, if it has a cycle by frame `t`.
+
+    `grown`: it has been grown back to `first`, which corrects what was believed from where it was noticed on.
+    """
     b = s.books
-    last = longest_lag(s, t - first + 1)
-    if not last:
+    length = cycle_by(s, first, t)
+    if length:
+        first = comes_back(s, first, t, length)
+        activity = number_of(s, first)
+        if b[BELIEVED_OF] != activity or (grown and not b[GROWN]):
+            b[FORESEEN] = first - 1
+        b[GROWN] |= grown
+        count = (t - first + 1) // length
+        for k in range(count):
+            last = first + (k + 1) * length - 1
+            if last - b[FORESEEN] > length // 2:
+                tell_believed(s, last, length, activity, k + 1)
+                b[FORESEEN] = last
+        believe(s, activity, max(count, b[BELIEVED] if b[BELIEVED_OF] == activity else 0))
+    return length > 0
+
+
+@kernel
+def look_ahead(s: Memory, t: int) -> None:
+    """The open activity's start has been sought. While its cycle is not found, what came back when it was noticed is believed; and when
+    its cycle has not come again for longer than it lasts, what repeats since then is believed to be the next activity."""
+    b = s.books
+    if b[MODE] != TRACK:
+        if not b[TOLD]:
+            foresee(s, b[NOTICED], t, False)
         return
+    first = max(b[TO] + 1, b[ORIGIN])
+    if not b[COUNT] or b[BEST_END] >= 0 or t - first < b[LENGTH]:
+        return
+    length = cycle_by(s, first, t)
+    if length:
+        for k in range(b[AHEAD], (t - first + 1) // length):
+            tell_believed(s, first + (k + 1) * length - 1, length, b[ACTIVITY] + 1, k + 1)
+            tell(s, COUNT_EVENT, b[ACTIVITY] + 1, k + 1, 0, 0, 0, 0)
+            b[AHEAD] = k + 1
+
+
+@kernel
+def cycle_by(s: Memory, first: int, t: int) -> int:
+    """The lag at which frames `first` to `t` come back to themselves; 0: they do not."""
+    last = longest_lag(s, t - first + 1)
     for k in range(1, last + 1):
-        n = min(max(k, b[MASS]), t - first + 1 - k)
+        n = min(max(k, s.books[MASS]), t - first + 1 - k)
         total = 0.0
         for i in range(t - n + 1, t + 1):
             far = s.rows[i % s.rows.shape[0], k]
             total += far if far < math.inf else FAR * s.values[RADIUS]
         s.scratch[k] = total / n
-    length = first_dip(s, last, False)[0]
-    if length:
-        activity = number_of(s, first)
-        told = b[BELIEVED] if b[BELIEVED_OF] == activity else 0
-        for k in range(told, (t - first + 1) // length):
-            onset = first + k * length
-            tell(s, BELIEVED_EVENT, stamp(s, onset), stamp(s, onset + length - 1), activity, k + 1, 0, 0)
-            believe(s, activity, k + 1)
+    return first_dip(s, last, False)[0]
+
+
+@kernel
+def comes_back(s: Memory, first: int, t: int, length: int) -> int:
+    """The first of the frames `first`, a cycle later, two later, ... from which on a cycle comes back, within TRUSTS radii on the mean."""
+    first += length * max(0, (t + length - s.rows.shape[0] - first) // length)
+    while first + 2 * length <= t:
+        total = 0.0
+        for i in range(first + length, first + 2 * length):
+            far = s.rows[i % s.rows.shape[0], length]
+            total += far if far < math.inf else FAR * s.values[RADIUS]
+        if total <= TRUSTS * length * s.values[RADIUS]:
+            break
+        first += length
+    return first
+
+
+@kernel
+def tell_believed(s: Memory, last: int, length: int, activity: int, number: int) -> None:
+    tell(s, BELIEVED_EVENT, stamp(s, last + 1 - length), stamp(s, last), activity, number, 0, 0)

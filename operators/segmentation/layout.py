@@ -12,7 +12,7 @@ from stream.chunk import Array, Samples, Times
 NAMES = [
     "LAG", "WINDOW", "LEARN", "QUIET", "MASS", "SETTLE", "FIRM", "BAND_LEAST", "BAND_MOST", "EVERY", "REST", "FIXED",
     "NEXT", "SINCE", "SEED", "UNTOLD", "UNTOLD_AT", "BAND", "RADIUS_AT", "ROWS", "OPEN", "OPENED", "LAST", "BEGUN",
-    "RETURNED", "REPEATED", "START", "START_AT", "ACTIVITY",
+    "RETURNED", "REPEATED", "START", "START_AT", "ACTIVITY", "NOTICED", "GROWN", "AHEAD", "FORESEEN",
     "MODE", "ORIGIN", "DONE", "SLOT", "LENGTH", "FREE", "BEST_START", "BEST_END", "COUNT", "PENDING", "FROM", "TO", "CYCLES",
     "PIECES_FROM", "PIECES_AT", "TOLD_TO", "BOUT", "BOUT_COUNT", "BOUT_AT", "BOUT_TO", "BOUT_END",
     "CLUSTER", "NEXT_CLUSTER", "CLOCK", "TURN", "EVENTS", "TOLD", "NOW", "PRESENT", "PATCHY",
@@ -22,7 +22,7 @@ NAMES = [
 (
     LAG, WINDOW, LEARN, QUIET, MASS, SETTLE, FIRM, BAND_LEAST, BAND_MOST, EVERY, REST, FIXED,
     NEXT, SINCE, SEED, UNTOLD, UNTOLD_AT, BAND, RADIUS_AT, ROWS, OPEN, OPENED, LAST, BEGUN,
-    RETURNED, REPEATED, START, START_AT, ACTIVITY,
+    RETURNED, REPEATED, START, START_AT, ACTIVITY, NOTICED, GROWN, AHEAD, FORESEEN,
     MODE, ORIGIN, DONE, SLOT, LENGTH, FREE, BEST_START, BEST_END, COUNT, PENDING, FROM, TO, CYCLES,
     PIECES_FROM, PIECES_AT, TOLD_TO, BOUT, BOUT_COUNT, BOUT_AT, BOUT_TO, BOUT_END,
     CLUSTER, NEXT_CLUSTER, CLOCK, TURN, EVENTS, TOLD, NOW, PRESENT, PATCHY,
@@ -73,6 +73,10 @@ RESTED                    frames left out by the rest under way; 0: there is non
 REST_FROM, REST_TO        stamps of its first and newest frame
 PEAK_AT                   when it is judged again how much the liveliest frames move
 BELIEVED, BELIEVED_OF     the count told last, and of which activity
+NOTICED                   the first frame that had come back when the open activity was noticed
+GROWN                     whether repetitions are believed that begin where the open activity was grown back to
+FORESEEN                  the last frame of the newest repetition that is believed before its activity has a cycle
+AHEAD                     repetitions believed of the activity after the open one
 LIKE                      repetitions told since the exemplar was taken up
 TRANSITION                frames between two activities, at the most, that are divided between them
 RESUMED                   the first frame after the last rest that was longer

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from operators.segmentation.anchor import first_whole, in_phase, lead_in, look_back
-from operators.segmentation.belief import conclude, replaces
+from operators.segmentation.belief import conclude, expect, replaces
 from operators.segmentation.bouts import close_bout, part
 from operators.segmentation.clusters import keep, recognise, use
 from operators.segmentation.cycles import (
@@ -80,6 +80,8 @@ def explore(s: Memory, i: int) -> None:
     length = cycle_length(s, i, False)
     if length:
         take_up(s, i, length)
+    elif b[TOLD] and b[COUNT]:
+        expect(s, i)
 
 
 @kernel

@@ -132,7 +132,7 @@ class Reference:
         self.now = self.back = 0
         self.exemplars: list[Exemplar | None] = [None] * MOST_CLUSTERS
         self.clock = self.turn = self.clusters = self.activity = 0
-        self.believed = self.believed_of = 0
+        self.believed = self.believed_of = self.from_grown = self.ahead = self.foreseen = self.noticed = 0
         self.like: list[float] = []
         self.certain: list[float] = []
         self.held: Held | None = None
@@ -280,9 +280,10 @@ class Reference:
                         return
                 if self.paths:
                     more = self.paths.best is not None and not self.replaces(self.paths)
-                    self.believe(self.activity, self.count + more)
-            else:
-                self.foresee(self.grown(), t)
+                    self.believe_open(self.count + more)
+                self.look_ahead(t)
+            elif not self.foresee(self.grown(), t, grown=True):
+                self.foresee(self.noticed, t)
             if t - self.last >= p["QUIET"] and not self.under_way(t):
                 self.finish(False)
 
@@ -295,7 +296,7 @@ class Reference:
             self.radius = self.early
         self.choose_band(t)
         self.last = t
-        self.foresee(self.grown(), t)
+        self.foresee(self.grown(), t, grown=True)
         self.radius, self.band, self.last = kept
 
     def choose_radius(self, t: int) -> None:
@@ -328,6 +329,7 @@ class Reference:
         marked = [i for i in range(first, t + 1) if self.flags[i]]
         self.last, first = marked[-1], marked[0]
         k = next(k for k in range(self.band, first + 1) if self.apart(first, first - k) <= self.radius)
+        self.noticed, self.from_grown = first - k, False
         self.tell("radius")
         self.tell("provisional", first - k, t, self.number_of(first - k), 0)
 
@@ -367,19 +369,66 @@ class Reference:
     def conclude(self, count: int) -> None:
         self.believe(self.activity if count else self.believed_of, count)
         self.believed = 0
+        if self.ahead:
+            self.believed_of, self.believed, self.ahead = self.activity + 1, self.ahead, 0
+
+    def believe_open(self, count: int) -> None:
+        """If there is one more in the open activity, what was believed of the next one was wrong."""
+        if self.ahead and count > self.believed:
+            self.tell("count", self.activity + 1, 0)
+            self.ahead = 0
+        self.believe(self.activity, count)
 
     def replaces(self, q: Paths) -> bool:
         """Whether the best path is to replace the pending repetition, or the other way round."""
         return bool(self.pending and q.best and q.best[1] - self.pending[0] < q.slack)
 
-    def foresee(self, first: int, t: int) -> None:
+    def foresee(self, first: int, t: int, *, grown: bool = False) -> bool:
         """Before anything is decided of an activity that began about frame `first`: its repetitions, if it has a cycle by now."""
         length, _ = self.first_dip(self.means(first, t), last_chance=False)
         if length:
-            activity = self.number_of(first)
-            for k in range(self.believed if self.believed_of == activity else 0, (t - first + 1) // length):
-                self.tell("provisional", first + k * length, first + (k + 1) * length - 1, activity, k + 1)
-                self.believe(activity, k + 1)
+            while first + 2 * length <= t and self.strays(first, length):
+                first += length
+            activity, count = self.number_of(first), (t - first + 1) // length
+            if self.believed_of != activity or (grown and not self.from_grown):
+                self.foreseen = first - 1
+            self.from_grown |= grown
+            for k in range(count):
+                last = first + (k + 1) * length - 1
+                if last - self.foreseen > length // 2:
+                    self.tell("provisional", last + 1 - length, last, activity, k + 1)
+                    self.foreseen = last
+            self.believe(activity, max(count, self.believed if self.believed_of == activity else 0))
+        return length > 0
+
+    def strays(self, first: int, length: int) -> bool:
+        """Whether the cycle from `first` on does not come back: on the mean it lies too far from the frames a cycle later."""
+        far = [self.apart(i + length, i, int(self.present[i + length])) for i in range(first, first + length)]
+        return sum(FAR * self.radius if d == np.inf else d for d in far) > TRUSTS * length * self.radius
+
+    def look_ahead(self, t: int) -> None:
+        """While no cycle is found, what came back when the activity was noticed; later, what repeats in place of its cycle."""
+        q = self.paths
+        if q is None:
+            if not self.told:
+                self.foresee(self.noticed, t)
+        elif self.count and q.best is None:
+            first = max(self.latest + 1, self.origin)
+            length = self.first_dip(self.means(first, t), last_chance=False)[0] if t - first >= len(q.frames) else 0
+            for k in range(self.ahead, (t - first + 1) // length if length else 0):
+                self.tell("provisional", first + k * length, first + (k + 1) * length - 1, self.activity + 1, k + 1)
+                self.tell("count", self.activity + 1, k + 1)
+                self.ahead = k + 1
+
+    def expect(self, i: int) -> None:
+        """The cycle that was given up is looked for all the same, for belief alone."""
+        q = self.given_up
+        fresh = q.best is None
+        if self.track(q, i):
+            q.release()
+        elif fresh and q.best:
+            self.tell("provisional", q.best[1], q.best[2], self.activity, self.believed + 1)
+            self.believe_open(self.believed + 1)
 
     def counts(self) -> bool:
         """Motion that does not come back is no activity, unless there were repetitions within a window."""
@@ -562,6 +611,8 @@ class Reference:
         length = self.cycle_length(i)
         if length:
             self.take_up(i, length)
+        elif self.told and self.count:
+            self.expect(i)
 
     def take_up(self, i: int, length: int) -> None:
         origin = max(self.origin, i + 1 - 2 * length)
@@ -708,7 +759,7 @@ class Reference:
                 self.settle(self.pending[1])
             self.close_bout()
         if i - since > q.slack + 2 * len(q.frames) + q.patience and q.best is None:
-            self.paths, self.origin = None, max(self.pieces, i - self.p["LAG"])
+            self.given_up, self.paths, self.origin = q, None, max(self.pieces, i - self.p["LAG"])
 
     def accept(self) -> None:
         q = self.paths
@@ -730,7 +781,7 @@ class Reference:
         start = max(start, self.pieces)
         if start > self.pieces:
             self.piece(start - 1, False)
-        self.pending, self.price = (start, end), price
+        self.pending, self.price, self.latest = (start, end), price, end
         found = self.exemplars[self.slot]
         assert found
         self.cluster = found.number

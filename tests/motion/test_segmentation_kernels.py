@@ -20,6 +20,8 @@ from operators.segmentation.layout import (
     COUNT_EVENT,
     EARLY_RADIUS,
     EVENTS,
+    FORESEEN,
+    GROWN,
     HELD,
     HELD_CYCLES,
     HELD_FIRST,
@@ -123,7 +125,7 @@ def test_two_cycles_are_believed_as_soon_as_the_second_is_seen_to_end() -> None:
     for t in range(1, 60):
         insert(s, x[t], t)
         s.books[EVENTS] = 0
-        foresee(s, 0, t)
+        foresee(s, 0, t, True)
         for row in s.events[: s.books[EVENTS]]:
             said[int(row[0]), int(row[3 if row[0] == COUNT_EVENT else 5])] = t
     believed = [said[BELIEVED_EVENT, k] for k in range(1, 6)]
@@ -152,7 +154,7 @@ def test_before_enough_was_seen_what_repeats_is_believed_and_nothing_else_rememb
         books, values, near = s.books.copy(), s.values.copy(), s.near.copy()
         anticipate(s, t)
         counts += [(t, int(row[3])) for row in s.events[: s.books[EVENTS]] if row[0] == COUNT_EVENT]
-        for told in (EVENTS, BELIEVED, BELIEVED_OF):
+        for told in (EVENTS, BELIEVED, BELIEVED_OF, FORESEEN, GROWN):
             books[told] = s.books[told]
         values[EARLY_RADIUS] = s.values[EARLY_RADIUS]
         assert np.array_equal(books, s.books) and np.array_equal(values, s.values) and np.array_equal(near, s.near)
