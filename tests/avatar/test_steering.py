@@ -226,3 +226,55 @@ def test_the_shipped_configs_run_as_they_stand(config: str, source: str, tmp_pat
         _, mesh = recording.read("steer.mesh")
         assert recording.streams["steer.mesh"].spec.meta["mesh"]["topology"] == topology().hash
     assert mesh.shape == (180, 432, 3) and np.isfinite(mesh).all() and np.ptp(mesh[120:], axis=0).max() > 0.2
+
+
+def mesh_files(folder: Path, frames: int, *, holes: bool = False, apart: bool = False) -> Path:
+    """Some frames of the walking quadruped, imported: with every eighth triangle missing, or with a thing beside it and a lone vertex."""
+    faces = np.delete(FACES, np.arange(0, len(FACES), 8), axis=0) if holes else FACES
+    for k in range(frames):
+        places = walking(k / 12)
+        if apart:
+            beside = places[marked()["withers"]] + [[0, 0.3, 0], [0.1, 0.3, 0], [0, 0.4, 0], [0, 0.3, 0.1]]
+            places = np.vstack([places, beside, np.zeros((1, 3))])
+        corners = np.vstack([faces, len(STRIDE[0]) + np.array([[0, 1, 2], [0, 2, 3]])]) if apart else faces
+        lines = [f"v {x} {y} {z}" for x, y, z in places] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in corners]
+        (folder / f"frame{k:02}.obj").write_text("\n".join(lines))
+    kinegraph("import", *sorted(folder.glob("*.obj")), "--rate", "24", "-o", folder / "mesh.mcap")
+    text = "markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}\nreference: [withers, croup]\n"
+    (folder / "markers.yaml").write_text(text)
+    return folder / "mesh.mcap"
+
+
+@pytest.mark.parametrize(("holes", "apart"), [(True, False), (False, True)], ids=["holes", "components"])
+def test_a_mesh_with_holes_or_in_pieces_is_steered_as_a_whole_one(holes: bool, apart: bool, tmp_path: Path) -> None:
+    mesh = mesh_files(tmp_path, 12, holes=holes, apart=apart)
+    kinegraph("train", "mesh", mesh, "--markers", tmp_path / "markers.yaml", "-o", tmp_path / "m.npz")
+    found, quality = steered(STRIDE[::4, NUMBERS], model=tmp_path / "m.npz")
+    assert np.isfinite(found).all() and np.isfinite(quality).all()
+    assert np.linalg.norm(found[:, : len(STRIDE[0])] - STRIDE[::4], axis=-1).mean() < 0.01
+
+
+def test_one_frame_of_a_mesh_teaches_nothing_and_says_so(tmp_path: Path) -> None:
+    arguments = [
+        "mesh",
+        str(mesh_files(tmp_path, 1)),
+        "--markers",
+        str(tmp_path / "markers.yaml"),
+        "-o",
+        str(tmp_path / "m.npz"),
+    ]
+    with pytest.raises(KinegraphError, match="at least 2 are needed"):
+        cli.call("train", arguments)
+    assert not (tmp_path / "m.npz").exists()
+
+
+@pytest.mark.parametrize("swapped", [("hoof_fl", "hoof_fr"), ("hoof_fl", "croup")])
+def test_markers_whose_names_are_exchanged_give_a_mesh_of_the_kind_and_are_told(swapped: tuple[str, str]) -> None:
+    marks = STRIDE[:, NUMBERS].copy()
+    one, other = (NAMES.index(name) for name in swapped)
+    marks[:, [one, other]] = marks[:, [other, one]]
+    found, quality = steered(marks)
+    size = np.ptp(STRIDE, axis=1).max(axis=0)
+    assert np.isfinite(found).all() and (np.ptp(found, axis=1) < 1.5 * size + 0.1).all(), "it explodes"
+    usual = np.median(steered(STRIDE[:, NUMBERS])[1][:, 0])
+    assert np.median(quality[:, 0]) > max(1.0, 5 * usual), "nobody is told"
