@@ -12,12 +12,17 @@ from stream.errors import DeviceError
 log = structlog.get_logger(__name__)
 
 
+BACK_AFTER = 10
+"""A receiver is back after so many sendings in a row without an error: of a closed port only every other datagram tells."""
+
+
 class OscSender:
     """A UDP socket. A receiver that is not there, or a full network, holds nothing up: that is logged once, until it is back."""
 
     def __init__(self, what: str, host: str, port: int) -> None:
         """Raises DeviceError for a host that is not known."""
-        self._what, self._where, self._silent = what, f"{host}:{port}", False
+        self._what, self._where = what, f"{host}:{port}"
+        self._silent = 0
         try:
             address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
             self._socket = socket.socket(address[0], socket.SOCK_DGRAM)
@@ -30,11 +35,11 @@ class OscSender:
         try:
             for datagram in datagrams:
                 self._socket.send(datagram)
-            self._silent = False
+            self._silent = max(0, self._silent - 1)
         except OSError as error:
             if not self._silent:
                 log.warning(f"nobody receives {self._what}", receiver=self._where, error=str(error))
-            self._silent = True
+            self._silent = BACK_AFTER
 
     def close(self) -> None:
         self._socket.close()

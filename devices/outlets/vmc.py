@@ -12,6 +12,7 @@ import numpy as np
 import structlog
 
 from devices.files.vrm_read import read_vrm
+from devices.outlets.osc_sender import BACK_AFTER
 from devices.protocols.vmc import SAFE_BYTES, VmcFrame
 from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
 from stream.errors import DeviceError, InputError
@@ -37,7 +38,7 @@ class VmcRuntime:
     def __init__(self, tree: JointTree, frame: VmcFrame, scale: float) -> None:
         self.tree, self.frame, self.scale = tree, frame, scale
         self.socket: socket.socket | None = None
-        self.silent = False
+        self.silent = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,11 +108,11 @@ class VmcOutlet(Outlet[VmcState, VmcRuntime]):
         try:
             for datagram in datagrams:
                 runtime.socket.send(datagram)
-            runtime.silent = False
+            runtime.silent = max(0, runtime.silent - 1)
         except OSError as error:
             if not runtime.silent:
                 log.warning("nobody receives VMC", host=self.host, port=self.port, error=str(error))
-            runtime.silent = True
+            runtime.silent = BACK_AFTER
 
     def close(self) -> None:
         if self.runtime.socket is not None:

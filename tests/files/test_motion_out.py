@@ -7,11 +7,14 @@ import shutil
 import socket
 import struct
 import subprocess
+import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from structlog.testing import capture_logs
 
 from devices.files.bvh_read import read_bvh
 from devices.files.bvh_write import order_of
@@ -20,6 +23,7 @@ from devices.outlets.bvh_file import BvhFile
 from devices.outlets.osc_points import OscPoints
 from devices.outlets.page.avatar_file import AVATAR
 from devices.outlets.page.web import bundle
+from devices.outlets.vmc import VmcOutlet
 from devices.outlets.vrchat import TRACKERS, VrchatTrackers
 from devices.protocols.osc import read_osc
 from devices.simulators.performer import true_pose
@@ -241,3 +245,31 @@ def test_points_go_out_by_their_names_and_what_is_unknown_does_not(receiver: soc
             OscPoints(**parameters).open({"in": StreamSpec((3, 3))})
     with pytest.raises(KinegraphError, match="names differ"):
         OscPoints().open({"in": StreamSpec((2, 3), channels=("a b", "a_b"))})
+
+
+@pytest.mark.parametrize("kind", [OscPoints, VrchatTrackers, VmcOutlet])
+def test_a_receiver_that_is_not_there_is_told_once_and_again_when_it_has_been_back(kind: Any) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    outlet = kind(port=port, most_bytes=65000) if kind is VmcOutlet else kind(port=port)
+    entry, spec = (
+        ("in", StreamSpec((1, 3), channels=("a",), units=("m",))) if kind is OscPoints else ("pose", TREE.spec(30.0))
+    )
+    row = np.ones((1, 1, 3)) if kind is OscPoints else POSES[:1]
+    with capture_logs() as said:
+        outlet.open({entry: spec})
+        outlet.begin()
+
+        def warned(times: int) -> int:
+            for k in range(times):
+                outlet.process(entry, Chunk(np.array([k + 1]), row, k + 1))
+                time.sleep(0.001)
+            return sum(one["log_level"] == "warning" for one in said)
+
+        assert warned(40) == 1, "each of a stream's samples is told of"
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as back:
+            back.bind(("127.0.0.1", port))
+            assert warned(40) == 1
+        assert warned(40) == 2
+    outlet.close()
