@@ -13,7 +13,7 @@ log = structlog.get_logger(__name__)
 
 
 BACK_AFTER = 10
-"""A receiver is back after so many sendings in a row without an error: of a closed port only every other datagram tells."""
+"""A receiver is back after this number of sendings in a row without an error: of a closed port only every other datagram tells."""
 
 
 class OscSender:
