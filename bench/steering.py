@@ -32,6 +32,8 @@ from stream.model import write_model
 
 REFERENCE = ("withers", "croup")
 PARTS = 14
+ENDS = ("m1", "m2", "m3", "m4")
+"""The samba's first four: what lies farthest from the middle and from one another."""
 HOOVES = ("hoof_fl", "hoof_fr", "hoof_hl", "hoof_hr")
 
 
@@ -77,6 +79,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.steering", description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--mesh", choices=("horse-gallop", "samba"), default="horse-gallop")
+    parser.add_argument("--assemblies", action="store_true", help="only how parts come to fit one another")
     parser.add_argument("--every", type=int, help="which frames train: every second, third, ...")
     given = parser.parse_args()
     held = np.load(given.folder / f"{given.mesh}.npz")
@@ -86,6 +89,11 @@ def main() -> None:
     diagonal = float(np.linalg.norm(np.ptp(train[0], axis=0)))
     markers = markers_of(train[0]) if given.mesh == "horse-gallop" else spread_markers(train[0], faces)
     reference = REFERENCE if given.mesh == "horse-gallop" else tuple(markers)
+    limbs = HOOVES if given.mesh == "horse-gallop" else ENDS
+    if given.assemblies:
+        for some in ((), limbs):
+            assemblies(train, test, (faces, markers, reference, some), diagonal)
+        return
     began = time.perf_counter()
     chosen, way, off, pull = choose(train, faces, markers, reference)
     print(
@@ -115,6 +123,8 @@ def main() -> None:
     told("local", replace(local, soft=np.zeros((0, 0)))(marks, frames.shape[1]), test, diagonal)
     earlier = frames[np.flatnonzero(np.arange(len(frames)) % every) - 1][:, model.vertices]
     as_the_thesis(train, test, earlier, (faces, markers, reference), diagonal)
+    for some in ((), limbs):
+        assemblies(train, test, (faces, markers, reference, some), diagonal)
     peers(model, train, test, diagonal, faces)
 
 
@@ -131,6 +141,22 @@ def as_the_thesis(
         model = fit_steering(train, *mesh, layout=layout, how=how)
         name = f"parts, {pose}, {regression}{', virtual skeleton' if skeleton else ''}"
         told(name, model(test[:, model.vertices], test.shape[1], earlier), test, diagonal)
+
+
+def assemblies(
+    train: Samples, test: Samples, mesh: tuple[Array, dict[str, int], Sequence[str], Sequence[str]], diagonal: float
+) -> None:
+    """How parts come to fit one another, with and without limbs: greedy alignment, shapes by 9.14, shared clusters by 9.16; no pull."""
+    for greedy, optimised, shared in product((False, True), repeat=3):
+        if shared and not mesh[3]:
+            continue
+        how = regression_of(train, *mesh, greedy=greedy, optimised=optimised, shared=shared)
+        model = replace(choose(train, *mesh, method="parts", how=how)[0], soft=np.zeros((0, 0)))
+        words = (greedy and "greedy", optimised and "optimised", shared and "shared")
+        name = f"parts, {'limbs' if mesh[3] else 'no limbs'}, {', '.join(word for word in words if word) or 'as predicted'}"
+        told(name, model(test[:, model.vertices], test.shape[1]), test, diagonal)
+        if model.settling:
+            print(f"  {live(model, test, mesh[0]):.0f} us a frame; {model.settling.shapes}")
 
 
 def live(model: Steering, frames: Samples, faces: Array) -> float:

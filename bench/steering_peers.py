@@ -11,8 +11,8 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.optimize import nnls
 
-from operators.steering.fit import matrix, rigid
 from operators.steering.regression import squares
+from operators.steering.turns import matrix, rigid
 from stream.chunk import Samples, Times
 
 Peer = Callable[[Samples, Samples, Samples], Samples]

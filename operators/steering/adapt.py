@@ -73,6 +73,7 @@ def adapt(model: Steering, mesh: Samples, performed: Samples, heading: Sequence[
     mean = seen.mean(axis=0)
     reach = float(np.linalg.norm(theirs.mean(axis=0), axis=1).mean() / max(np.linalg.norm(mean, axis=1).mean(), 1e-9))
     model = replace(model, soft=np.zeros((0, 0)), most=0.0)  # these markers lie on another body
+    model = replace(model, settling=model.settling.without_markers() if model.settling else None)
     return replace(model, parts=tuple(parts), usual=mean, spread=seen.std(axis=0), facing=facing, reach=reach)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, TypeAlias, get_args
 
@@ -13,8 +13,9 @@ from operators.steering.local import fit_local
 from operators.steering.parts import along_surface, edges_of, seams_of
 from operators.steering.pose_parameters import PoseKind, backward, marker_graph
 from operators.steering.regression import Regression
+from operators.steering.settling import SoftShapes, offered
 from operators.steering.soft import MarkerPull, felt, pulled
-from stream.chunk import Array, Samples
+from stream.chunk import Array, Samples, Times
 
 Method: TypeAlias = Literal["parts", "straight", "both", "local"]
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -61,7 +62,12 @@ def choose(
     def soft(model: Steering, apart: Samples, by: MarkerPull | None) -> Steering:
         return replace(model, soft=felt(apart, at, by), most=by.most) if by else model
 
-    if limbs or len(frames) < 2 * FOLDS:
+    if how.shapes and len(frames) >= 2 * FOLDS:
+        shapes, off_by = softest(frames, at, diagonal, lambda rows, before: made(rows, "parts", before))
+        model = made(frames, "parts")
+        assert model.settling
+        return replace(model, settling=model.settling.by(shapes, diagonal)), "parts", {"parts": off_by}, None
+    if limbs or how.settled or how.shared or len(frames) < 2 * FOLDS:
         return made(frames, method or "parts"), method or "parts", {}, None
     edges = np.concatenate([edges_of(faces), seams_of(frames)])
     apart = along_surface(at, edges, frames[0]) / diagonal
@@ -87,6 +93,24 @@ def choose(
     return model, best, {way: float(frame.mean()) for way, frame in error.items()}, found[best][0]
 
 
+def softest(
+    frames: Samples, at: Times, diagonal: float, made: Callable[[Samples, Samples], Steering]
+) -> tuple[SoftShapes, float]:
+    """How shapes are best moved against their neighbours and the markers `at` (m,), and what vertices are then off by (percent of the
+    `diagonal`), in frames left out; `made` fits a model to frames and where the markers were before each."""
+    earlier, off = backward(frames[:, at]), dict.fromkeys(offered(), 0.0)
+    for fold in range(FOLDS):
+        out = np.arange(len(frames)) % FOLDS == fold
+        model = made(frames[~out], earlier[~out])
+        assert model.settling
+        for one in off:
+            moved = replace(model, settling=model.settling.by(one, diagonal))
+            there = moved(frames[out][:, at], frames.shape[1], earlier[out])
+            off[one] += 100.0 * float(np.linalg.norm(frames[out] - there, axis=-1).sum()) / diagonal
+    best = min(off, key=lambda one: off[one])
+    return best, off[best] / frames[..., 0].size
+
+
 def regression_of(
     frames: Samples,
     faces: Array,
@@ -97,13 +121,17 @@ def regression_of(
     pose: PoseKind = "positions",
     regression: Regression = "kernel",
     skeleton: bool = False,
+    greedy: bool = False,
+    optimised: bool = False,
+    shared: bool = False,
 ) -> PoseRegression:
     """How the markers of a mesh are to be turned into poses; the reference edge joins the first two markers of `reference`.
 
     Raises ValueError where there are not two, or no marker beside them.
     """
+    bare = PoseRegression(None, regression, skeleton, greedy, SoftShapes() if optimised else None, shared)
     if pose == "positions":
-        return PoseRegression(None, regression, skeleton)
+        return bare
     names, at = list(markers), np.array(list(markers.values()), np.int64)
     if len(reference) < 2 or len(names) < 3:
         raise ValueError(
@@ -112,7 +140,7 @@ def regression_of(
     _, _, x = untrained(frames, markers, reference, heading)
     lead = (names.index(reference[0]), names.index(reference[1]))
     graph = marker_graph(x.reshape(len(x), -1, 3), frames, faces, at, lead, pose, [names.index(one) for one in limbs])
-    return PoseRegression(graph, regression, skeleton)
+    return replace(bare, graph=graph)
 
 
 def best_of(off: Mapping[Method, Samples]) -> Method:

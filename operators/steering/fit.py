@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import numpy as np
 
+from operators.steering.limb_paths import limb_paths, shared_weights
 from operators.steering.parts import blend_weights, edges_of, near_rigid_parts, nearest_of, seams_of
 from operators.steering.pose_parameters import MarkerGraph, backward
 from operators.steering.regression import Learned, Regression, learn
+from operators.steering.settling import Settling, SoftShapes
 from operators.steering.skeleton import joint_of, posed, quaternions, tree_of
 from operators.steering.soft import faded, pulls
+from operators.steering.turns import matrix, rigid
 from stream.chunk import Array, Samples, Times
 
 REACH = 0.024
@@ -48,11 +52,20 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class PoseRegression:
-    """How markers are turned into poses: what tells the pose (None: positions), the regression, and whether parts hang from one another."""
+    """How markers are turned into poses: what tells the pose (None: positions), the regression, and whether parts hang from one another;
+    whether they are placed by their borders, how their shapes are moved (None: not), and whether limbs share clusters."""
 
     graph: MarkerGraph | None = None
     regression: Regression = "kernel"
     skeleton: bool = False
+    greedy: bool = False
+    shapes: SoftShapes | None = None
+    shared: bool = False
+
+    @property
+    def settled(self) -> bool:
+        """Whether parts are brought to fit one another after they were predicted."""
+        return self.greedy or self.shapes is not None
 
 
 USUAL = PoseRegression()
@@ -69,6 +82,7 @@ class Steering:
     soft, most     (vertices, m), m  how much each vertex moves for what each marker's vertex is off by, and by what most of that; (0, 0)
                    where markers are no soft constraints
     graph          the graph by whose angles and lengths the markers tell the pose; None where their positions do
+    settling       what brings the parts to fit one another; None where they stay as predicted
     """
 
     markers: tuple[str, ...]
@@ -82,6 +96,7 @@ class Steering:
     soft: Samples = field(default_factory=lambda: np.zeros((0, 0)))
     most: float = 0.0
     graph: MarkerGraph | None = None
+    settling: Settling | None = None
 
     @property
     def width(self) -> int:
@@ -131,12 +146,16 @@ class Steering:
                     [posed(a, b, matrix(b[:6]), (part.above, part.own), roots) for a, b in zip(y, above, strict=True)]
                 )
             predicted.append(y)
-            for f in range(len(marks)):
-                shape = part.mean + (y[f, 9:] * np.sqrt(len(part.vertices)) @ part.modes).reshape(-1, 3)
-                made[f, part.vertices] += part.weights[:, None] * (shape @ matrix(y[f, :6]).T + y[f, 6:9])
-        for f, seen in enumerate(x.reshape(len(x), -1, 3) if len(self.soft) else ()):
+        for f, seen in enumerate(x.reshape(len(x), -1, 3)):
             far = max(part.learned.outside(told[f, part.features]) for part in self.parts)
-            made[f] += pulls(seen - made[f, self.vertices], self.soft, self.most, faded(far))
+            ys = [y[f] for y in predicted]
+            if self.settling:
+                ys = self.settling(ys, seen, faded(far))
+            for part, y in zip(self.parts, ys, strict=True):
+                shape = part.mean + (y[9:] * np.sqrt(len(part.vertices)) @ part.modes).reshape(-1, 3)
+                made[f, part.vertices] += part.weights[:, None] * (shape @ matrix(y[:6]).T + y[6:9])
+            if len(self.soft):
+                made[f] += pulls(seen - made[f, self.vertices], self.soft, self.most, faded(far))
         return turned(made, turns) + centre
 
 
@@ -155,22 +174,6 @@ def turned(points: Samples, turns: Samples) -> Samples:
     c, s = turns[:, :1], turns[:, 1:]
     x, y, z = points[..., 0], points[..., 1], points[..., 2]
     return np.stack([c * x + s * z, y, c * z - s * x], axis=-1)
-
-
-def matrix(six: Samples) -> Samples:
-    """The rotation matrix (3, 3) nearest to two columns (6,)."""
-    a = six[:3] / max(float(np.linalg.norm(six[:3])), 1e-12)
-    b = six[3:] - a * (a @ six[3:])
-    b = b / max(float(np.linalg.norm(b)), 1e-12)
-    return np.stack([a, b, np.cross(a, b)], axis=1)
-
-
-def rigid(a: Samples, b: Samples) -> tuple[Samples, Samples]:
-    """The rotation (3, 3) and translation (3,) that bring the points `a` (n, 3) onto `b` best: b ~ a R^T + t (Gower 1975)."""
-    ca, cb = a.mean(axis=0), b.mean(axis=0)
-    u, _, vt = np.linalg.svd((a - ca).T @ (b - cb))
-    turn = (u * [1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
-    return turn.T, cb - turn.T @ ca
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,23 +216,85 @@ def fit_steering(
     """
     bare, points, x = untrained(frames, markers, reference, heading, how, earlier)
     layout = layout or Layout.of(frames, faces, bare.vertices, count)
-    made, poses, names = list[Part](), list[Samples](), bare.markers
-    for k in range(int(layout.part.max()) + 1):
-        owner = names[int(np.bincount(layout.nearest[layout.part == k], minlength=len(names)).argmax())]
-        alone = owner in limbs and len(bare.own(owner)) > 0
-        features = bare.own(owner) if alone else np.arange(x.shape[1])
+    edges = np.concatenate([edges_of(faces), seams_of(frames)]) if how != USUAL else np.zeros((0, 2), np.int64)
+    made, poses, clusters = list[Part](), list[Samples](), list[int]()
+    for k, members in enumerate(_members(bare, layout, limbs, edges, points[0], shared=how.shared)):
         share = (layout.weights * (layout.parts == k)).sum(axis=1)
-        vertices = np.flatnonzero(share > 0.0)
-        part, pose = _part(points[:, vertices], vertices, share[vertices], modes, features)
-        made.append(part)
-        poses.append(pose)
+        there = share > 0.0
+        if how.settled:
+            there[edges[(layout.part[edges] == k).any(axis=1)]] = True
+        vertices = np.flatnonzero(there)
+        for features, weights in members:
+            part, pose = _part(points[:, vertices], vertices, (share * weights)[vertices], modes, features)
+            made.append(part)
+            poses.append(pose)
+            clusters.append(k)
     if how.skeleton:
-        edges = np.concatenate([edges_of(faces), seams_of(frames)])
         made, poses = hung(
             made, poses, int(layout.part[bare.vertices[bare.reference[0]]]), points, layout.part[edges], edges
         )
+        clusters = list(range(len(made)))
+    if how.settled:
+        diagonal = float(np.linalg.norm(np.ptp(points[0], axis=0)))
+        made, poses, settling = _settling(bare, made, poses, clusters, how, diagonal)
+        bare = replace(bare, settling=settling)
     learned = (learn(x[:, part.features], y, how.regression) for part, y in zip(made, poses, strict=True))
     return replace(bare, parts=tuple(replace(part, learned=one) for part, one in zip(made, learned, strict=True)))
+
+
+def _members(
+    bare: Steering, layout: Layout, limbs: Sequence[str], edges: Times, rest: Samples, *, shared: bool
+) -> list[list[tuple[Times, Samples | float]]]:
+    """For each cluster, by which of the features its part goes, and how much of it counts (v,): one part, or, of a `shared` one, one for
+    each limb."""
+    names, every = bare.markers, np.arange(bare.width)
+    count = int(layout.part.max()) + 1
+    ends = [int(bare.vertices[names.index(limb)]) for limb in limbs]
+    body = [int(v) for name, v in zip(names, bare.vertices, strict=True) if name not in limbs]
+    paths = limb_paths(layout.part, edges, rest, ends, body) if shared else [[] for _ in limbs]
+    found: list[list[tuple[Times, Samples | float]]] = []
+    for k in range(count):
+        on = [i for i, path in enumerate(paths) if k in path]
+        owner = names[int(np.bincount(layout.nearest[layout.part == k], minlength=len(names)).argmax())]
+        if len(on) > 1:
+            weights = shared_weights(layout.part, k, edges, rest, [paths[i] for i in on], [ends[i] for i in on])
+            found.append([(bare.own(limbs[i]), one) for i, one in zip(on, weights, strict=True)])
+            continue
+        owner = limbs[on[0]] if on else owner
+        alone = owner in limbs and len(bare.own(owner)) > 0
+        found.append([(bare.own(owner) if alone else every, 1.0)])
+    return found
+
+
+def _settling(
+    bare: Steering, parts: list[Part], poses: list[Samples], clusters: list[int], how: PoseRegression, diagonal: float
+) -> tuple[list[Part], list[Samples], Settling]:
+    """Parts, and what their regressions are to learn, in the order of the greedy alignment, and what holds them together.
+
+    Where shapes are moved and limbs are named, the body's are learned as the mean shape: the thesis has no prediction for them either.
+    """
+    if not how.skeleton:
+        names = [bare.alone(part) for part in parts]
+        touch = np.zeros((len(parts), len(parts)), np.int64)
+        for a, b in combinations(range(len(parts)), 2):
+            copies = clusters.count(clusters[a]) > 1 or clusters.count(clusters[b]) > 1
+            if clusters[a] != clusters[b] and not (
+                copies and None not in (names[a], names[b]) and names[a] != names[b]
+            ):
+                touch[a, b] = touch[b, a] = len(np.intersect1d(parts[a].vertices, parts[b].vertices))
+        order, _ = tree_of(touch, int(np.argmax([len(part.vertices) for part in parts])))
+        parts, poses, clusters = [parts[k] for k in order], [poses[k] for k in order], [clusters[k] for k in order]
+    limbs = [bare.alone(part) for part in parts]
+    spread = [pose[:, 9:].var(axis=0) for pose in poses]
+    settling = Settling.of(parts, clusters, limbs, bare.vertices, spread, how.greedy)
+    if how.shapes:
+        settling = settling.by(how.shapes, diagonal)
+        if any(limbs):
+            poses = [
+                pose if limb else np.hstack([pose[:, :9], np.zeros_like(pose[:, 9:])])
+                for pose, limb in zip(poses, limbs, strict=True)
+            ]
+    return parts, poses, settling
 
 
 def hung(

@@ -15,6 +15,7 @@ from operators.steering.assemble_kernel import add_part, columns, gather_marks, 
 from operators.steering.fit import Part, Steering
 from operators.steering.pose_parameters import tell_pose
 from operators.steering.regression import FAR
+from operators.steering.settling import ROUNDS, settle
 from operators.steering.skeleton import hang
 from operators.steering.soft import faded, pull_mesh
 from operators.steering.stored import KIND, from_model
@@ -44,10 +45,11 @@ class SteerMeshState:
 class _Steered(Operator[SteerMeshState]):
     """What does not change while samples come: the model, the columns of its markers, and room."""
 
-    __slots__ = ("columns", "learned", "room", "scale")
+    __slots__ = ("columns", "learned", "room", "scale", "together")
     learned: Steering
     columns: Times
     scale: float
+    together: Samples
     room: tuple[Samples, Samples, Samples, list[Samples], list[Samples]]
 
 
@@ -90,7 +92,9 @@ class SteerMesh(_Steered):
         object.__setattr__(self, "learned", learned)
         object.__setattr__(self, "columns", np.array(columns, np.int64))
         object.__setattr__(self, "scale", metres(unit))
-        predicted = [np.zeros(len(part.learned.mean)) for part in learned.parts]
+        together = np.zeros((len(learned.parts), max(len(part.learned.mean) for part in learned.parts)))
+        predicted = [room[: len(part.learned.mean)] for room, part in zip(together, learned.parts, strict=True)]
+        object.__setattr__(self, "together", together)
         middles = [part.learned.centres.mean(axis=0) for part in learned.parts]
         told = np.zeros(learned.width) if learned.graph else np.zeros(0)
         object.__setattr__(self, "room", (np.zeros(3 * m), told, np.zeros((3, 3)), predicted, middles))
@@ -170,6 +174,13 @@ class SteerMesh(_Steered):
                 columns(predicted[part.parent], turn)
                 sizes = np.array([len(parts[part.parent].vertices), len(part.vertices)])
                 hang(y, predicted[part.parent], turn, part.above, part.own, sizes)
+        if held := self.learned.settling:
+            fade = faded(float(s.outside[0]))
+            settle(
+                self.together, s.marks, fade, held.greedy, held.turns, held.begins, held.others, held.own, held.theirs, held.weights,
+                held.solve, held.most, ROUNDS,
+            )  # fmt: skip
+        for part, y in zip(parts, predicted, strict=True):
             add_part(y, part.vertices, part.weights, part.mean, _modes(part), turn, s.latest)
 
     @classmethod
@@ -196,5 +207,8 @@ def resting(model: Steering, count: int) -> Samples:
             sizes = np.array([len(model.parts[part.parent].vertices), len(part.vertices)])
             hang(y, predicted[part.parent], turn, part.above, part.own, sizes)
         predicted.append(y)
-        add_part(y, part.vertices, part.weights, part.mean, _modes(part), turn, made)
+    if model.settling:
+        predicted = model.settling(predicted, model.usual, 0.0)
+    for part, y in zip(model.parts, predicted, strict=True):
+        add_part(y, part.vertices, part.weights, part.mean, _modes(part), np.zeros((3, 3)), made)
     return made

@@ -10,11 +10,13 @@ import numpy as np
 from operators.steering.fit import Part, Steering
 from operators.steering.pose_parameters import MarkerGraph
 from operators.steering.regression import Learned
+from operators.steering.settling import Settling, SoftShapes
 from stream.chunk import Array
 from stream.mesh import Topology
 from stream.model import Model, ModelError
 
 KIND = "mesh"
+SETTLING = ("turns", "begins", "others", "own", "theirs", "weights", "spread", "solve")
 GRAPH = ("lead", "edges", "before", "lengths", "shares", "still")
 
 
@@ -41,6 +43,10 @@ def to_arrays(model: Steering, mesh: Topology, limbs: tuple[str, ...]) -> tuple[
         arrays |= {"soft": model.soft, "most": np.array([model.most])}
     if model.graph:
         arrays |= {f"graph.{name}": getattr(model.graph, name) for name in GRAPH}
+    if model.settling:
+        arrays |= {f"settling.{name}": np.asarray(getattr(model.settling, name)) for name in SETTLING}
+        soft = model.settling.shapes or SoftShapes(0.0, 0.0)
+        arrays["settling.how"] = np.array([float(model.settling.greedy), model.settling.most, soft.beta, soft.marked])
     for k, part in enumerate(model.parts):
         if part.parent >= 0:
             arrays |= {f"{k}.parent": np.array([part.parent]), f"{k}.above": part.above, f"{k}.own": part.own}
@@ -88,7 +94,31 @@ def from_model(model: Model) -> tuple[Steering, Topology]:
     ):
         raise ModelError(f"{model.path}: names vertices or markers that are not there")
     usual, spread = model.array("usual", (len(names), 3)), model.array("spread", (len(names), 3))
-    return Steering(names, vertices, reference, parts, usual, spread, facing, reach, soft, most, graph), mesh
+    settling = _settling(model, parts, len(names)) if "settling.own" in model.arrays else None
+    return Steering(names, vertices, reference, parts, usual, spread, facing, reach, soft, most, graph, settling), mesh
+
+
+def _settling(model: Model, parts: tuple[Part, ...], markers: int) -> Settling:
+    """Raises ModelError where parts are held together that are not there."""
+    p, k = len(parts), max(len(part.modes) for part in parts)
+    others, begins = (
+        model.array("settling.others", (None,), np.int64),
+        model.array("settling.begins", (p + 1,), np.int64),
+    )
+    n = len(others)
+    own, theirs = (model.array(f"settling.{name}", (n, 1 + k, 3)) for name in ("own", "theirs"))
+    solve = np.zeros((0, 0, 0))
+    if model.arrays["settling.solve"].size or not k:
+        solve = model.array("settling.solve", (p, k, k))
+    greedy, most, beta, marked = (float(one) for one in model.array("settling.how", (4,)))
+    shapes = SoftShapes(beta, marked) if len(solve) else None
+    if n and not (others.min() >= -markers and others.max() < p):
+        raise ModelError(f"{model.path}: holds parts to parts or markers that are not there")
+    if begins[0] or begins[-1] != n or (np.diff(begins) < 0).any():
+        raise ModelError(f"{model.path}: the rows that hold its parts together do not fit")
+    turns, weights = model.array("settling.turns", (p,), np.bool_), model.array("settling.weights", (n,))
+    spread = model.array("settling.spread", (p, k))
+    return Settling(bool(greedy), turns, begins, others, own, theirs, weights, spread, solve, most, shapes)
 
 
 def _part(model: Model, k: int) -> Part:

@@ -14,7 +14,8 @@ import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from operators.steering.fit import Part, Steering, rigid
+from operators.steering.fit import Part, Steering
+from operators.steering.turns import rigid
 from stream.chunk import Array, Samples
 from stream.html import table_html
 
@@ -35,8 +36,10 @@ def write_report(
     frames: Samples,
     faces: Array,
     train: Train,
+    asked: Mapping[str, object] = {},
 ) -> float:
-    """Write the page for `model`, made of `frames` (f, vertices, 3) as `how` says; `train` makes one of other frames in the same way.
+    """Write the page for `model`, made of `frames` (f, vertices, 3) as `how` says; `train` makes one of other frames in the same way;
+    `asked` are the options it was made with.
 
     Returns by how much the vertices are off in every fourth frame, left out of a training of the others (percent of the diagonal; with less
     than four frames: of the frames trained).
@@ -63,6 +66,7 @@ def write_report(
     body = [
         f"<h1>{escape(title)}</h1><p>{escape(told)}</p>",
         table_html(("way", "off in frames left out", ""), rows) if rows else "",
+        table_html(("option", "as"), [(name, str(value)) for name, value in asked.items()]) if asked else "",
         f"<h2>Parts</h2>{picture(frames[0], faces, colours)}",
         table_html(("part", "vertices", "follows", "width", "ridge", "its modes explain"), facts),
         f"<h2>Error of each vertex</h2><p>Dark: none; yellow: {np.percentile(errors, 99):.2f} % of the diagonal and more.</p>",

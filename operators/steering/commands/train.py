@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from stream.mesh import Topology
 
 MOST_FRAMES = 400
+ASSEMBLIES = {"alignment": ("placed", "greedy"), "shapes": ("predicted", "optimised"), "blend": ("borders", "shared")}
+"""How parts come to fit one another; the first of each is the default."""
 
 
 def mesh(
@@ -50,6 +52,25 @@ def mesh(
             "--skeleton", help="parts hang from one another by joints, turned by quaternions, as in the thesis"
         ),
     ] = False,
+    alignment: Annotated[
+        str,
+        typer.Option(
+            help="placed (each part by its own regression), or greedy: each next part against those already placed, by their border, as in "
+            "the thesis"
+        ),
+    ] = "placed",
+    shapes: Annotated[
+        str,
+        typer.Option(
+            help="predicted, or optimised: moved against neighbouring parts and markers, as in the thesis (9.14)"
+        ),
+    ] = "predicted",
+    blend: Annotated[
+        str,
+        typer.Option(
+            help="borders, or shared: a part that several limbs share follows each of them, and is blended, as in the thesis (9.16)"
+        ),
+    ] = "borders",
     performer: Annotated[
         File | None,
         typer.Option(help="a recording of the one who will steer: markers of the same names, on another body"),
@@ -77,9 +98,13 @@ def mesh(
     from operators.steering.stored import KIND, to_arrays
     from stream.model import write_model
 
-    _refuse(output, report, method, skeleton=skeleton, overwrite=overwrite)
+    asked = {"alignment": alignment, "shapes": shapes, "blend": blend}
+    parted = skeleton or any(asked[name] != known[0] for name, known in ASSEMBLIES.items())
+    _refuse(output, report, method, asked, skeleton=skeleton, parted=parted, overwrite=overwrite)
     frames, topology = _frames(recordings)
     said = _markers(markers, topology.vertices)
+    if blend == "shared" and not said["limbs"]:
+        raise KinegraphError(f"{markers}: --blend shared: names no limbs that could share a part")
     if said["limbs"] and method not in ("", "parts"):
         raise KinegraphError(
             f"{markers}: limbs move by themselves only where there are parts; leave out --method {method}"
@@ -87,14 +112,15 @@ def mesh(
     performed = _performed(performer, tuple(said["markers"])) if performer else None
     say(f"{len(frames)} frames of {topology.vertices} vertices; learning ...")
     given = (topology.faces, said["markers"], said["reference"], said["limbs"], parts, modes, said["heading"])
-    poses = _poses(frames, topology, markers, said, (pose, regression, skeleton))
-    model, how, off, pull = choose(frames, *given, "parts" if skeleton else method or None, how=poses)  # type: ignore[arg-type]
+    poses = _poses(frames, topology, markers, said, (pose, regression, skeleton), asked)
+    model, how, off, pull = choose(frames, *given, "parts" if parted else method or None, how=poses)  # type: ignore[arg-type]
     if report:
         from operators.steering.commands.report import write_report
 
         error = write_report(
             report, f"{output.name}: {topology.name or 'a mesh'}", model, how, off, frames, topology.faces,
             lambda rows: choose(rows, *given, how, pull, poses)[0],
+            {"method": how, "pose": pose, "regression": regression, "skeleton": skeleton, **asked, **_softly(model)},
         )  # fmt: skip
         say(f"{report}: off by {error:.3f} % of the mesh's diagonal in every fourth frame, left out")
     if performed is not None:
@@ -105,14 +131,25 @@ def mesh(
         "pose": pose,
         "regression": regression,
         "skeleton": skeleton,
+        **asked,
         "left_out": off,
+        "softly": _softly(model),
         "trained_on": [path.name for path in recordings],
     }
     write_model(output, KIND, {**header, **told, "performer": performer.name if performer else ""}, arrays)
     _tell(output, model, how, off, pull)
 
 
-def _refuse(output: File, report: File | None, method: str, *, skeleton: bool, overwrite: bool) -> None:
+def _refuse(
+    output: File,
+    report: File | None,
+    method: str,
+    asked: dict[str, str],
+    *,
+    skeleton: bool,
+    parted: bool,
+    overwrite: bool,
+) -> None:
     """Raises KinegraphError for files that are there and a method that is not."""
     from operators.steering.choose import METHODS
 
@@ -121,14 +158,36 @@ def _refuse(output: File, report: File | None, method: str, *, skeleton: bool, o
             raise KinegraphError(f"{place}: exists; choose another, or replace it with --overwrite")
     if method not in ("", *METHODS):
         raise KinegraphError(f"--method: there is no method {method!r}; {nearest(method, METHODS)}")
+    for name, known in ASSEMBLIES.items():
+        if asked[name] not in known:
+            raise KinegraphError(f"--{name}: there is no {name} {asked[name]!r}; {nearest(asked[name], known)}")
+    if skeleton and asked["blend"] == "shared":
+        raise KinegraphError(
+            "--blend shared: a part that is there for each limb cannot hang from one; leave out --skeleton"
+        )
     if skeleton and method not in ("", "parts"):
         raise KinegraphError(f"--skeleton: parts hang from one another; leave out --method {method}")
+    if parted and method not in ("", "parts"):
+        raise KinegraphError(
+            f"--method {method}: --alignment, --shapes and --blend say how parts come to fit; leave one of them out"
+        )
+
+
+def _softly(model: Steering) -> dict[str, float]:
+    """How shapes are moved against their neighbours and markers, for the header; {} where they stay as predicted."""
+    soft = model.settling.shapes if model.settling else None
+    return {"beta": soft.beta, "marked": soft.marked} if soft else {}
 
 
 def _tell(output: File, model: Steering, how: Method, off: dict[Method, float], pull: MarkerPull | None) -> None:
     """What was learned, and how far off each method was."""
     if len(model.soft) and pull:
         say(f"what markers are off by is taken back around them, {100 * pull.width:.0f} % of the diagonal far")
+    if model.settling and (soft := model.settling.shapes):
+        say(
+            f"shapes are moved against their neighbours and markers: beta ({100 * soft.beta:g} % of the diagonal)^2, a marker counts as "
+            f"{soft.marked:g} vertices"
+        )
     for name, error in off.items():
         say(
             f"{name}: off by {error:.3f} % of the mesh's diagonal in frames left out{', chosen' if name == how else ''}"
@@ -147,9 +206,14 @@ def _tell(output: File, model: Steering, how: Method, off: dict[Method, float], 
 
 
 def _poses(
-    frames: Samples, mesh: Topology, markers: File, said: dict[str, Any], options: tuple[str, str, bool]
+    frames: Samples,
+    mesh: Topology,
+    markers: File,
+    said: dict[str, Any],
+    options: tuple[str, str, bool],
+    assembly: dict[str, str],
 ) -> PoseRegression:
-    """What --pose, --regression and --skeleton ask for."""
+    """What --pose, --regression, --skeleton, --alignment, --shapes and --blend ask for."""
     from operators.steering.choose import regression_of
     from operators.steering.pose_parameters import POSES
     from operators.steering.regression import REGRESSIONS
@@ -160,7 +224,8 @@ def _poses(
             raise KinegraphError(f"--{name}: there is no {name} {asked!r}; {nearest(asked, known)}")
     given = said["markers"], said["reference"], said["limbs"], said["heading"]
     try:
-        return regression_of(frames, mesh.faces, *given, pose, regression, skeleton)  # type: ignore[arg-type]
+        other = [assembly[name] != known[0] for name, known in ASSEMBLIES.items()]
+        return regression_of(frames, mesh.faces, *given, pose, regression, skeleton, *other)  # type: ignore[arg-type]
     except ValueError as error:
         raise KinegraphError(f"{markers}: --pose {pose}: {error}") from None
 
