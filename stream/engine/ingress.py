@@ -86,6 +86,7 @@ class IngressPort:
     def __post_init__(self) -> None:
         self.awaited, self.watched = bool(self.edge.readers), self.runner.live
         self.may_join = self.runner.live and self.queue.policy == "block"
+        self.queue.owner = self
 
     @property
     def queue(self) -> BoundedQueue:
@@ -265,7 +266,6 @@ class Ingress:
         self.time = DataTime(self.ports, clock)
         self._start: StartBarrier[IngressPort] = StartBarrier(runners, [port.runner for port in self.time.followers])
         for port in self.ports:
-            port.queue.owner = port
             port.queue.arrival_of = clock.at
             port.queue.on_drop = _dropped(session_log, port.stream)
             port.runner.inline[port.output] = self.inline(port)
@@ -343,10 +343,7 @@ class Ingress:
         return sum(self.enter(port, *taken) for taken in port.queue.take_together())
 
     def enter(self, port: IngressPort, chunk: Chunk, arrival: int, joined: bool = False) -> int:
-        """A source's chunk enters the graph, as far as it is admitted, and all that it leads to is done: returns how many ns that took.
-
-        `joined`: it was made of several, in memory that the source does not know.
-        """
+        """A source's chunk, or several `joined`, enters the graph, as far as it is admitted: how many ns all that it leads to took."""
         if not self.time.followers or self.time.passes(port, chunk.until):
             return self._admit(port, chunk, arrival, joined)
         return sum(self._admit(*entry) for entry in self.time.entering(port, chunk, arrival))
@@ -438,9 +435,7 @@ class Ingress:
     @property
     def watermarks(self) -> dict[str, Any]:
         """Up to when each stream is complete."""
-        return {
-            port.stream: int(port.watermark) for port in self.ports
-        }  # a source may have said it in numpy's integers
+        return {port.stream: int(port.watermark) for port in self.ports}  # a source may have said it in numpy's
 
 
 def _dropped(session_log: SessionLog, stream: str) -> Callable[[int, int], None]:
