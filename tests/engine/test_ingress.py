@@ -83,7 +83,7 @@ save = Checkpoint.save
 
 NODES = """
 nodes:
-  board: {use: tests.engine.test_ingress.Untidy, seed: %d}
+  board: {use: tests.engine.test_ingress.Untidy, seed: %d, patience_s: 0}
   same: {use: parts.Identity, from: board}
   out: {use: parts.Collect, from: same, policy: block}
 """
@@ -238,8 +238,8 @@ BUSY, DONE = threading.Event(), threading.Event()
 
 BESIDE = """
 nodes:
-  board: {use: tests.engine.test_ingress.Flooding}
-  other: {use: tests.engine.test_ingress.Waking}
+  board: {use: tests.engine.test_ingress.Flooding, patience_s: 0}
+  other: {use: tests.engine.test_ingress.Waking, patience_s: 0}
   slow: {use: tests.engine.test_ingress.Slow, from: other}
   out: {use: parts.Collect, from: board, policy: block}
 record: [slow]
