@@ -41,7 +41,7 @@ from operators.segmentation.layout import (
     allocate,
 )
 from operators.segmentation.separation import gaps
-from operators.segmentation.symmetry import moves
+from operators.segmentation.symmetry import AT_ONCE, IN_TURN, moves, symmetry
 
 FRAMES = {
     "LAG": 30, "WINDOW": 200, "LEARN": 2, "QUIET": 4, "MASS": 6, "SETTLE": 20, "FIRM": 80, "BAND_LEAST": 3, "BAND_MOST": 3,
@@ -172,3 +172,16 @@ def test_whose_half_moves_more_is_the_sum_of_its_squared_steps_less_the_others()
     s = s._replace(mirrored=mirrored, firsts=np.array([1, 1, 0, 0]))
     steps = np.diff(x, axis=0)[9:29] ** 2
     assert np.isclose(moves(s, 10, 30), steps[:, left].sum() - steps[:, right].sum())
+
+
+def test_what_is_its_own_mirror_image_has_no_sides_that_take_turns_even_if_its_kind_had() -> None:
+    x = np.random.default_rng(7).normal(size=(40, 4))
+    s = memory(x)
+    mirrored = np.zeros((len(s.times), 4))
+    mirrored[:40] = x
+    s = s._replace(mirrored=mirrored)
+    for leads in (0.0, 2.0):
+        s.leads[0] = leads
+        assert symmetry(s, 0, 5, 35) == (AT_ONCE, -1)
+    mirrored[5:20], mirrored[20:35] = x[20:35], x[5:20]
+    assert symmetry(s, 0, 5, 35) == (IN_TURN, 20)
