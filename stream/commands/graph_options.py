@@ -9,7 +9,12 @@ import typer
 
 GraphFile: TypeAlias = Annotated[Path, typer.Argument(help="the graph, a YAML file", metavar="CONFIG")]
 Settings: TypeAlias = Annotated[
-    list[str] | None, typer.Option("--set", metavar="NODE.PARAMETER=VALUE", help="change a parameter of the graph")
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NODE.PARAMETER=VALUE",
+        help="change a parameter; NODE. may be left out where one node alone has it",
+    ),
 ]
 TrustedOnly: TypeAlias = Annotated[
     bool, typer.Option("--trusted-only", help="run installed code only, no files next to the graph")

@@ -16,7 +16,7 @@ from stream.errors import GraphError, blaming, nearest
 from stream.graph import Edge, Graph, RecordingOptions
 from stream.graph.draft import Draft, build_from, read_node
 from stream.graph.opening import open_nodes
-from stream.graph.overrides import override, rewrite
+from stream.graph.overrides import override, placed, rewrite
 from stream.graph.page_options import PageOptions
 from stream.graph.page_section import read_page
 from stream.graph.parts import import_from
@@ -54,6 +54,7 @@ class Settings:
 MOST_NODES = 1000
 """A graph with more is refused before any of them is made."""
 SECTIONS = ("session", "record", "recording", "page", "nodes")
+KEYS = (*(f.name for f in fields(Settings)), *SECTIONS)
 
 
 def load(
@@ -100,7 +101,9 @@ def load_text(
     """A graph from its text, as `load` does it; modules beside `path` can be named in it."""
     import_from(Path(path).parent if path else Path(), trusted_only=trusted_only)
     problems = Problems(path or name)
-    root = override(parse(text, path or name), overrides or {}, problems)
+    written = parse(text, path or name)
+    overrides = placed(written, overrides or {}, KEYS)
+    root = override(written, overrides, problems)
     graph = _Loading(root, problems, recorded).graph(name)
     graph.text, graph.path = (rewrite(text, overrides, root) if overrides else text), path
     if recorded is None:
@@ -175,15 +178,12 @@ class _Loading:
             self._problems.add(f"a graph is a mapping that holds 'nodes:', not {self._root.kind}", self._root)
             self._problems.stop()
         top = self._root.items()
-        known = [*(f.name for f in fields(Settings)), *SECTIONS]
         for key, at in top.items():
-            if key not in known:
+            if key not in KEYS:
                 nodes = ", ".join(sorted(top["nodes"].items())) if "nodes" in top else ""
                 of_node = f"a node's is set as NODE.{key}, with one of the nodes {nodes}"
-                self._problems.add(
-                    f"unknown key {key!r}; {of_node if at.origin and nodes else nearest(key, known)}", at
-                )
-        return {key: at for key, at in top.items() if key in known}
+                self._problems.add(f"unknown key {key!r}; {of_node if at.origin and nodes else nearest(key, KEYS)}", at)
+        return {key: at for key, at in top.items() if key in KEYS}
 
     def _section(self, top: Mapping[str, Located], key: str) -> dict[str, Located]:
         at = top.get(key)

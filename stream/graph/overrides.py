@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from typing import Any
 
 from ruamel.yaml import YAML
 
 from stream.errors import GraphError, KinegraphError, nearest
+from stream.graph.parts import find
 from stream.graph.problems import Problems
 from stream.graph.yaml_lines import Located, locate, parse
 
@@ -29,6 +31,26 @@ def read(settings: Iterable[str]) -> dict[str, Any]:
         except GraphError as error:
             raise KinegraphError(f"--set {setting}: {error}") from None
     return found
+
+
+def placed(root: Located, overrides: Mapping[str, Any], known: Iterable[str]) -> dict[str, Any]:
+    """The settings, those that name no node and are none of the graph's `known` keys as the one node's that has such a parameter."""
+    top = dict(root.items())
+    nodes = dict(top["nodes"].items()) if "nodes" in top else {}
+    found: dict[str, Any] = {}
+    for name, value in overrides.items():
+        takers = [] if "." in name or name in known else [node for node, at in nodes.items() if name in _parameters(at)]
+        found[f"{takers[0]}.{name}" if len(takers) == 1 else name] = value
+    return found
+
+
+def _parameters(node: Located) -> list[str]:
+    """The names of a node's parameters; none where its class cannot be had, which is told when it is made."""
+    use = dict(node.items()).get("use")
+    try:
+        return [one.name for one in fields(find(str(use.value)))] if use else []  # type: ignore[arg-type]
+    except KinegraphError:
+        return []
 
 
 def override(root: Located, overrides: Mapping[str, Any], problems: Problems) -> Located:

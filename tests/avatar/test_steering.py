@@ -174,6 +174,7 @@ def test_a_mesh_is_imported_trained_and_steered_by_commands(tmp_path: Path) -> N
         cli.call("train", [str(a) for a in arguments[1:]])
     for wrong, why in (
         ("markers: {a: 432}", "vertices 0 to 431"),
+        ("markers: {a: 7, b: 9, c: 7}", "markers 'c' and 'a' are both vertex 7"),
         ("markers: {a: 1}\nlimbs: [b]", "no marker 'b'"),
         ("a: 1", "must hold"),
     ):

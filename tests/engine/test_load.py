@@ -292,6 +292,15 @@ def test_a_setting_changes_no_other_node_that_shares_an_anchor() -> None:
         assert [loaded.nodes[name].part.order for name in "abc"] == [3, 4, 2]
 
 
+def test_a_setting_without_a_node_is_that_of_the_one_node_that_has_it() -> None:
+    graph = load_text(GOOD, overrides=overrides.read(["cutoff_hz=7", "name=other"]))
+    assert graph.nodes["low"].part.cutoff_hz == 7 and graph.name == "other"  # type: ignore[union-attr]
+    assert "cutoff_hz: 7" in graph.text and load_text(graph.text).nodes["low"].part == graph.nodes["low"].part
+    two = "nodes: {board: {use: graph_parts.Board}, a: {use: graph_parts.Low, from: board}, b: {use: graph_parts.Low, from: board}}"
+    (error,) = refused(two, overrides=overrides.read(["cutoff_hz=7"]))
+    assert "set as NODE.cutoff_hz, with one of the nodes a, b, board" in str(error)
+
+
 @pytest.mark.parametrize(
     ("setting", "words"),
     [

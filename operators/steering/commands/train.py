@@ -305,6 +305,8 @@ def _markers(path: File, vertices: int) -> dict[str, Any]:
     for name, vertex in said["markers"].items():
         if not isinstance(vertex, int) or isinstance(vertex, bool) or not 0 <= vertex < vertices:
             raise KinegraphError(f"{path}: markers.{name} is {vertex!r}; the mesh has vertices 0 to {vertices - 1}")
+        if other := next((n for n, v in said["markers"].items() if v == vertex and n != name), ""):
+            raise KinegraphError(f"{path}: markers {other!r} and {name!r} are both vertex {vertex}; give each its own")
     for key in ("reference", "limbs", "heading"):
         said.setdefault(key, [])
         for name in said[key]:
