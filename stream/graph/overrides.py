@@ -45,7 +45,7 @@ def placed(root: Located, overrides: Mapping[str, Any], known: Iterable[str]) ->
 
 
 def _parameters(node: Located) -> list[str]:
-    """The names of a node's parameters; none where its class cannot be had, which is told when it is made."""
+    """The names of a node's parameters; none where its class cannot be had, which the loader reports."""
     use = dict(node.items()).get("use")
     try:
         return [one.name for one in fields(find(str(use.value)))] if use else []  # type: ignore[arg-type]
