@@ -35,6 +35,8 @@ BURST, SPARE_NS = 32, 50_000
 GATHERED, GATHERED_NS, GATHERED_BYTES = 128, 2_000_000, 1 << 18
 """A live source that waits less than SPARE_NS a chunk for its device, over BURST chunks, has more at hand than is worked through one by
 one. Up to GATHERED chunks and GATHERED_BYTES are gathered on its thread, for at most GATHERED_NS, and enter as one."""
+PAUSES = 2
+"""A source that has waited longer this often in a row gathers no more: one pause may be of its thread, not of its device."""
 FOLLOWED_NS = 50_000_000
 """How far data may run ahead of what follows them: as far as they do in real time, where a value speaks every 50 ms."""
 
@@ -211,29 +213,32 @@ class Bursts:
     ports   of these sources
     """
 
-    __slots__ = ("_ready", "ports")
+    __slots__ = ("_lock", "_ready", "ports")
 
     def __init__(self, ready: ReadyQueue) -> None:
-        self._ready = ready
+        self._ready, self._lock = ready, Lock()
         self.ports: list[IngressPort] = []
 
     def begin(self, port: IngressPort, gather: Inline) -> None:
         """From now on `gather` takes what the source gives; the graph's thread is woken to look after it."""
-        port.gathers = True
-        port.runner.inline[port.output] = gather
-        if not any(port is other for other in self.ports):
-            self.ports.append(port)
-            self._ready.put(None)
+        with self._lock:
+            port.gathers = True
+            port.runner.inline[port.output] = gather
+            if not any(port is other for other in self.ports):
+                self.ports.append(port)
+                self._ready.put(None)
 
     def over(self) -> Iterator[IngressPort]:
-        """Those that have brought nothing for GATHERED_NS: they are to enter what they have gathered, and gather no more."""
+        """Those of which nothing has entered for GATHERED_NS, to enter what they have gathered; with nothing gathered, it is over."""
         quiet = time.monotonic() - GATHERED_NS / NS
         for port in self.ports[:]:
-            if port.last < quiet:
-                port.gathers = False
+            if port.last < quiet and port.queue.gathered:
                 yield port
-            if not port.gathers and not port.queue.gathered:
-                self.ports.remove(port)
+            elif port.last < quiet:
+                port.gathers = False
+            with self._lock:  # what a source has added meanwhile it takes back itself (`gather`)
+                if not port.gathers and not port.queue.gathered:
+                    self.ports.remove(port)
 
 
 class Ingress:
@@ -509,20 +514,22 @@ def _gathering(
 ) -> Inline:
     """What gathers a burst of chunks from `since` on, and takes them into the graph together; `take` takes them one by one afterwards."""
     runner, queue, turn = port.runner, port.queue, ingress.turn
-    gathered, limit = queue.gathered, queue.limit
+    gathered, limit, pauses = queue.gathered, queue.limit, 0
 
     def gather(chunk: Chunk, came: int) -> bool:
         many, size = len(gathered), chunk.data.nbytes
         if not port.gathers or not turn.open or runner.state != "running" or size > JOINED_BYTES or many >= limit:
             return cease(chunk, came)
         gathered.append((chunk, came))
-        if many + 1 >= GATHERED or (many + 1) * size >= GATHERED_BYTES or came >= since + GATHERED_NS:
+        if not port.gathers:
+            queue.leave_gathered()
+        elif many + 1 >= GATHERED or (many + 1) * size >= GATHERED_BYTES or came >= since + GATHERED_NS:
             enter(came)
         return True
 
     def enter(came: int) -> None:
         """What is gathered, and waits before it, enters where nobody else has the turn."""
-        nonlocal since
+        nonlocal since, pauses
         if not turn.lock.acquire(False):
             return
         many = queue.depth
@@ -535,7 +542,9 @@ def _gathering(
             slot.port = None
             turn.lock.release()
         session_log.lull()
-        port.gathers = came - since - worked < many * SPARE_NS
+        pauses = 0 if came - since - worked < many * SPARE_NS else pauses + 1
+        if pauses == PAUSES:
+            port.gathers = False
         since = came
 
     def cease(chunk: Chunk, came: int) -> bool:

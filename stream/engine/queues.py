@@ -87,13 +87,17 @@ class BoundedQueue:
     def put(self, chunk: Chunk, arrival: int = 0) -> None:
         """Leave a chunk, behind what is gathered; waits, drops or fails as the policy says where the queue is full."""
         if self.gathered:
-            with self._lock:
-                while self.gathered:
-                    earlier, came = self.gathered.popleft()
-                    self._leave(earlier, self.arrival_of(came))
+            self.leave_gathered()
         if len(self.waiting) >= self.limit and self._is_in_place_of_another(chunk, arrival):
             return
         self._leave(chunk, arrival)
+
+    def leave_gathered(self) -> None:
+        """What is gathered waits like any other chunk from now on."""
+        with self._lock:
+            while self.gathered:
+                earlier, came = self.gathered.popleft()
+                self._leave(earlier, self.arrival_of(came))
 
     def _leave(self, chunk: Chunk, arrival: int) -> None:
         self.waiting.append((chunk, arrival, self.index))  # one thread writes, so this needs no lock

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import sys
 import threading
+import time
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
+from queue import SimpleQueue
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +18,7 @@ import pytest
 from parts import START
 
 from stream.chunk import Array, Chunk, Specs, StreamSpec
-from stream.engine.ingress import Ingress, IngressPort
+from stream.engine.ingress import Bursts, GraphTurn, Ingress, IngressPort, _gathering
 from stream.engine.session import Session
 from stream.engine.status import Outcome
 from stream.engine.supervisor import Inline, not_inline
@@ -255,6 +259,54 @@ def test_what_waits_while_another_has_the_turn_enters_together(tmp_path: Path) -
         assert np.array_equal(recording.read("board")[1][:, 0], np.arange(200.0))
     assert np.array_equal(np.concatenate([c.data[:, 0] for c in parts.seen["out"]]), np.arange(200.0))
     assert len(entered) < 10
+
+
+class Gathered:
+    """A source's port in a session in which nobody else has the turn; `entered` says how many chunks entered together."""
+
+    def __init__(self) -> None:
+        self.queue = SimpleNamespace(gathered=deque(), limit=256)
+        self.runner: Any = SimpleNamespace(state="running", inline={})
+        self.queue.depth = 0
+        self.output, self.gathers, self.last = "out", True, time.monotonic()
+        self.turn, self.entered = GraphTurn(open=True), list[int]()
+        nothing: Any = SimpleNamespace(lull=lambda: None, port=None)
+        me: Any = self
+        self.gather = _gathering(me, me, lambda *_: True, 0, nothing, nothing, lambda _: None)
+
+    def enter_together(self, port: Any) -> int:
+        self.entered.append(len(self.queue.gathered))
+        self.queue.gathered.clear()
+        return 0
+
+    def give(self, *came: int) -> None:
+        chunk = Chunk(np.zeros(1, np.int64), np.zeros((1, 2)), 0)
+        for at in came:
+            self.queue.depth = len(self.queue.gathered) + 1
+            self.gather(chunk, at)
+
+
+def test_one_pause_of_a_sources_thread_does_not_end_a_burst() -> None:
+    port, ms = Gathered(), 10**6
+    port.give(*range(0, 128_000, 1000))
+    assert port.entered == [128] and port.gathers
+    port.give(20 * ms, *range(20 * ms + 1, 20 * ms + 129))
+    assert port.entered == [128, 1, 128] and port.gathers, "as its next chunks come at once"
+    port.give(40 * ms, 60 * ms)
+    assert port.entered == [128, 1, 128, 1, 1] and not port.gathers
+
+
+def test_a_burst_is_over_when_nothing_was_gathered_between_two_looks() -> None:
+    woken: Any = SimpleQueue()
+    port: Any = Gathered()
+    bursts = Bursts(woken)
+    bursts.begin(port, not_inline)
+    port.queue.gathered.append("a chunk")
+    assert list(bursts.over()) == [], "one has entered just now"
+    port.last -= 1.0
+    assert list(bursts.over()) == [port] and port.gathers
+    port.queue.gathered.clear()
+    assert list(bursts.over()) == [] and not port.gathers and bursts.ports == []
 
 
 def test_of_a_burst_before_a_failure_nothing_is_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
