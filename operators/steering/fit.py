@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from operators.steering.limb_paths import limb_paths, shared_weights
+from operators.steering.part import Part
 from operators.steering.parts import blend_weights, edges_of, near_rigid_parts, nearest_of, seams_of
 from operators.steering.pose_parameters import MarkerGraph, backward
 from operators.steering.regression import Learned, Regression, learn
@@ -27,27 +28,6 @@ KEPT = 1e-4
 
 NOTHING = Learned(*(np.zeros((0, 0)),) * 2, np.zeros(0), 1.0, 0.0, 0.0, 0.0)
 """Not learned yet."""
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """A near-rigid part: its vertices, their weights, mean shape about its centre (n, 3), modes (k, 3 n), size; and its regression.
-
-    features  which of all features it goes by
-    parent    the part from which it hangs; -1: none, it is placed by itself
-    above, own (1 + k, 3)  the virtual joint in the parent's frame and in its own, and how each mode moves it; (0, 3) without a parent
-    """
-
-    vertices: Times
-    weights: Samples
-    mean: Samples
-    modes: Samples
-    size: float
-    features: Times
-    learned: Learned
-    parent: int = -1
-    above: Samples = field(default_factory=lambda: np.zeros((0, 3)))
-    own: Samples = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from operators.steering.fit import KEPT, USUAL, Part, PoseRegression, Steering, untrained
+from operators.steering.fit import KEPT, USUAL, PoseRegression, Steering, untrained
+from operators.steering.part import Part
 from operators.steering.parts import along_surface, edges_of, seams_of
 from operators.steering.regression import learn
 from stream.chunk import Array, Samples

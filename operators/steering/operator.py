@@ -12,7 +12,8 @@ import numpy as np
 from operators.inputs.lengths import length_of, metres
 from operators.inputs.marker_columns import marker_columns
 from operators.steering.assemble_kernel import add_part, columns, gather_marks, predict, predict_linear, put
-from operators.steering.fit import Part, Steering
+from operators.steering.fit import Steering
+from operators.steering.part import Part
 from operators.steering.pose_parameters import tell_pose
 from operators.steering.regression import FAR
 from operators.steering.settling import ROUNDS, settle

@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from operators.steering.assemble_kernel import columns
+from operators.steering.part import Part
 from stream.chunk import Array, Samples, Times
 from stream.kernel import kernel
-
-if TYPE_CHECKING:
-    from operators.steering.fit import Part
 
 ROUNDS = 3
 """How often places and shapes take turns: the thesis's "few iterations"."""

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from operators.steering.fit import Part, Steering
+from operators.steering.fit import Steering
+from operators.steering.part import Part
 from operators.steering.pose_parameters import MarkerGraph
 from operators.steering.regression import Learned
 from operators.steering.settling import Settling, SoftShapes

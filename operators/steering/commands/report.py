@@ -14,7 +14,8 @@ import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from operators.steering.fit import Part, Steering
+from operators.steering.fit import Steering
+from operators.steering.part import Part
 from operators.steering.turns import rigid
 from stream.chunk import Array, Samples
 from stream.html import table_html

@@ -1,0 +1,31 @@
+"""One near-rigid part of a mesh, as it was learned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from operators.steering.regression import Learned
+from stream.chunk import Samples, Times
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A near-rigid part: its vertices, their weights, mean shape about its centre (n, 3), modes (k, 3 n), size; and its regression.
+
+    features  which of all features it goes by
+    parent    the part from which it hangs; -1: none, it is placed by itself
+    above, own (1 + k, 3)  the virtual joint in the parent's frame and in its own, and how each mode moves it; (0, 3) without a parent
+    """
+
+    vertices: Times
+    weights: Samples
+    mean: Samples
+    modes: Samples
+    size: float
+    features: Times
+    learned: Learned
+    parent: int = -1
+    above: Samples = field(default_factory=lambda: np.zeros((0, 3)))
+    own: Samples = field(default_factory=lambda: np.zeros((0, 3)))
