@@ -182,66 +182,106 @@ def settle(
     rounds: int,
 ) -> None:
     """Bring the predictions of all parts `y` (p, 9 + k) to fit, by a `Settling`; markers `marks` (m, 3) draw shapes by `share`."""
-    p, k = y.shape[0], y.shape[1] - 9
-    predicted = y[:, :].copy()
-    turns, found, mine, there, room = np.empty((p, 3, 3)), np.empty(k), np.empty(3), np.empty(3), np.empty(3)
+    p = y.shape[0]
+    predicted = y.copy()
+    turns, room = np.empty((p, 3, 3)), np.empty((3, 3))
     for a in range(p):
         columns(y[a], turns[a])
     shaped = rounds if solve.shape[0] else 0
     for again in range(shaped + 1):
         for a in range(1, p if greedy else 0):
-            n, mean, target = 0, np.zeros(3), np.zeros(3)
-            for row in range(begins[a], begins[a + 1]):
-                if 0 <= others[row] < a:
-                    point(own[row], y[a], mine)
-                    put_point(theirs[row], y[others[row]], turns[others[row]], room, there)
-                    n += 1
-                    mean += mine
-                    target += there
-            if n == 0:
-                continue
-            mean /= n
-            target /= n
-            if free[a] and n > 2:
-                spread = np.zeros((3, 3))
-                for row in range(begins[a], begins[a + 1]):
-                    if 0 <= others[row] < a:
-                        point(own[row], y[a], mine)
-                        put_point(theirs[row], y[others[row]], turns[others[row]], room, there)
-                        for i in range(3):
-                            for j in range(3):
-                                spread[i, j] += (mine[i] - mean[i]) * (there[j] - target[j])
-                u, _, vt = np.linalg.svd(spread)
-                sign = 1.0 if np.linalg.det(u) * np.linalg.det(vt) > 0.0 else -1.0
-                for i in range(3):
-                    for j in range(3):
-                        turns[a, i, j] = u[j, 0] * vt[0, i] + u[j, 1] * vt[1, i] + sign * u[j, 2] * vt[2, i]
-            for i in range(3):
-                y[a, i], y[a, 3 + i] = turns[a, i, 0], turns[a, i, 1]
-                y[a, 6 + i] = target[i] - (
-                    turns[a, i, 0] * mean[0] + turns[a, i, 1] * mean[1] + turns[a, i, 2] * mean[2]
-                )
+            place_by_border(a, y, turns, free[a], begins, others, own, theirs, room)
         for a in range(p if again < shaped else 0):
-            found[:] = 0.0
-            for row in range(begins[a], begins[a + 1]):
-                if others[row] >= 0:
-                    put_point(theirs[row], y[others[row]], turns[others[row]], room, there)
-                else:
-                    there[:] = marks[-1 - others[row]]
-                point(own[row], predicted[a], mine)
-                far = 0.0
+            shape_by_neighbours(
+                a, y, predicted[a], turns, marks, share, begins, others, own, theirs, weights, solve[a], most, room
+            )
+
+
+@kernel
+def place_by_border(
+    a: int,
+    y: Samples,
+    turns: Samples,
+    free: bool,
+    begins: Times,
+    others: Times,
+    own: Samples,
+    theirs: Samples,
+    room: Samples,
+) -> None:
+    """Move part `a` to its border with the parts placed before it, and turn it if it is `free` to be turned (9.4.1); `room` (3, 3)."""
+    mine, there, work = room[0], room[1], room[2]
+    n, mean, target = 0, np.zeros(3), np.zeros(3)
+    for row in range(begins[a], begins[a + 1]):
+        if 0 <= others[row] < a:
+            point(own[row], y[a], mine)
+            put_point(theirs[row], y[others[row]], turns[others[row]], work, there)
+            n += 1
+            mean += mine
+            target += there
+    if n == 0:
+        return
+    mean /= n
+    target /= n
+    if free and n > 2:
+        spread = np.zeros((3, 3))
+        for row in range(begins[a], begins[a + 1]):
+            if 0 <= others[row] < a:
+                point(own[row], y[a], mine)
+                put_point(theirs[row], y[others[row]], turns[others[row]], work, there)
                 for i in range(3):
-                    room[i] = -mine[i]
                     for j in range(3):
-                        room[i] += turns[a, j, i] * (there[j] - y[a, 6 + j])
-                    far += room[i] * room[i]
-                scale = weights[row]
-                if others[row] < 0:
-                    scale *= share * min(1.0, most / max(np.sqrt(far), 1e-12))
-                for m in range(k):
-                    for i in range(3):
-                        found[m] += scale * own[row, 1 + m, i] * room[i]
-            for m in range(k):
-                y[a, 9 + m] = predicted[a, 9 + m]
-                for q in range(k):
-                    y[a, 9 + m] += solve[a, m, q] * found[q]
+                        spread[i, j] += (mine[i] - mean[i]) * (there[j] - target[j])
+        u, _, vt = np.linalg.svd(spread)
+        sign = 1.0 if np.linalg.det(u) * np.linalg.det(vt) > 0.0 else -1.0
+        for i in range(3):
+            for j in range(3):
+                turns[a, i, j] = u[j, 0] * vt[0, i] + u[j, 1] * vt[1, i] + sign * u[j, 2] * vt[2, i]
+    for i in range(3):
+        y[a, i], y[a, 3 + i] = turns[a, i, 0], turns[a, i, 1]
+        y[a, 6 + i] = target[i] - (turns[a, i, 0] * mean[0] + turns[a, i, 1] * mean[1] + turns[a, i, 2] * mean[2])
+
+
+@kernel
+def shape_by_neighbours(
+    a: int,
+    y: Samples,
+    predicted: Samples,
+    turns: Samples,
+    marks: Samples,
+    share: float,
+    begins: Times,
+    others: Times,
+    own: Samples,
+    theirs: Samples,
+    weights: Samples,
+    solve: Samples,
+    most: float,
+    room: Samples,
+) -> None:
+    """Move the shape of part `a` from what was `predicted` (9 + k,) towards neighbours and markers (9.14); solve (k, k), room (3, 3)."""
+    mine, there, work = room[0], room[1], room[2]
+    k = y.shape[1] - 9
+    found = np.zeros(k)
+    for row in range(begins[a], begins[a + 1]):
+        if others[row] >= 0:
+            put_point(theirs[row], y[others[row]], turns[others[row]], work, there)
+        else:
+            there[:] = marks[-1 - others[row]]
+        point(own[row], predicted, mine)
+        far = 0.0
+        for i in range(3):
+            work[i] = -mine[i]
+            for j in range(3):
+                work[i] += turns[a, j, i] * (there[j] - y[a, 6 + j])
+            far += work[i] * work[i]
+        scale = weights[row]
+        if others[row] < 0:
+            scale *= share * min(1.0, most / max(np.sqrt(far), 1e-12))
+        for m in range(k):
+            for i in range(3):
+                found[m] += scale * own[row, 1 + m, i] * work[i]
+    for m in range(k):
+        y[a, 9 + m] = predicted[9 + m]
+        for q in range(k):
+            y[a, 9 + m] += solve[m, q] * found[q]

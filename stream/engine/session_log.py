@@ -202,7 +202,7 @@ class SessionLog:
         self.sequence += 1
         self.arrival = arrival
         if self.recorder:
-            self.recorder.write(number, chunk, arrival, self.sequence, kept=joined)
+            self.recorder.write(number, chunk, arrival, self.sequence, owned=joined)
 
     def lull(self) -> None:
         """The session has nothing to do just now: a good moment for the recorder's thread."""

@@ -55,13 +55,13 @@ class Gathering:
     def chunks(self) -> int:
         return len(self._table)
 
-    def add(self, chunk: Chunk, n: int, size: int, arrival: int, sequence: int, *, kept: bool = False) -> None:
+    def add(self, chunk: Chunk, n: int, size: int, arrival: int, sequence: int, *, owned: bool = False) -> None:
         """Take a further chunk of `n` samples and `size` bytes; raises ValueError or TypeError for one that is not of the stream's
-        spec. `kept`: nobody writes to its arrays any more."""
+        spec. `owned`: no source knows its memory, and nobody writes to it any more."""
         time, data = chunk.time, chunk.data
         if n != self._rows or data.shape != self._shape or data.dtype is not self._dtype or time.dtype is not INT:
             time, data = self._conformed(time, data)
-        if size < self._copies_below and not (kept and size >= HELD_BYTES):
+        if size < self._copies_below and not (owned and size >= HELD_BYTES):
             self._samples.append(data.tobytes())
         else:
             self._add_other(time, data, arrival)

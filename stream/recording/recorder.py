@@ -102,21 +102,21 @@ class Recorder:
         self._much = min(SPOOL_BYTES, self._share // 4)
         return len(self._slots) - 1
 
-    def write(self, stream: int, chunk: Chunk, arrival: int, sequence: int, *, kept: bool = False) -> None:
-        """Hand over a chunk: its arrival (ns of session time) and its place in the input log. An input is copied, unless its arrays are
-        `kept` as they are from now on; other arrays are never written again."""
+    def write(self, stream: int, chunk: Chunk, arrival: int, sequence: int, *, owned: bool = False) -> None:
+        """Hand over a chunk: its arrival (ns of session time) and its place in the input log. An input is copied, unless its memory is
+        the session's own (`owned`); other arrays are never written again."""
         slot, n = self._slots[stream], len(chunk.time)
         size = (0 if slot.kept == "outline" else chunk.data.nbytes) + OVERHEAD
         if size + 8 * n > MOST_AT_ONCE and n > 1:
             for piece in _pieces(chunk):
-                self.write(stream, piece, arrival, sequence, kept=kept)
+                self.write(stream, piece, arrival, sequence, owned=owned)
             return
         if slot.put - slot.got > self._much and not self._has_room(slot):
             slot.dropped += 1
             slot.missed += n
             return
         try:
-            self._rounds.add(slot, n, size, chunk, arrival, sequence, kept=kept)
+            self._rounds.add(slot, n, size, chunk, arrival, sequence, owned=owned)
         except (ValueError, TypeError) as error:
             slot.refused += 1
             log.error("a chunk could not be recorded", stream=slot.name, error=str(error))

@@ -41,10 +41,10 @@ class Rounds:
         self.newest = self.oldest = 0
 
     def add(
-        self, slot: RecorderSlot, n: int, size: int, chunk: Chunk, arrival: int, sequence: int, *, kept: bool = False
+        self, slot: RecorderSlot, n: int, size: int, chunk: Chunk, arrival: int, sequence: int, *, owned: bool = False
     ) -> None:
         """Join a chunk of `n` samples, which takes `size` bytes, to its stream's message; raises ValueError or TypeError where it is not of
-        its spec. Arrays that are `kept` as they are need no copy."""
+        its spec. Memory that is the session's own (`owned`) needs no copy."""
         with self._lock:
             if arrival > self.newest:
                 self.oldest = self.oldest or arrival
@@ -57,7 +57,7 @@ class Rounds:
             gathering = slot.gathering
             if gathering is None or slot.missed:
                 gathering = self._begun(slot)
-            gathering.add(chunk, n, size, arrival, sequence, kept=kept)
+            gathering.add(chunk, n, size, arrival, sequence, owned=owned)
             slot.put += size
             self.size += size
 

@@ -11,19 +11,19 @@ from devices.simulators.quadruped import marked, topology, walking
 from operators.steering.adapt import adapt
 from operators.steering.choose import regression_of
 from operators.steering.fit import Layout, Steering, fit_steering
-from operators.steering.operator import SteerMesh
 from operators.steering.pose_parameters import MarkerGraph, PoseKind, backward
 from operators.steering.regression import FAR, Regression, learn
 from operators.steering.skeleton import quaternions, tree_of, turn_of
 from operators.steering.stored import KIND, from_model, to_arrays
 from stream import cli
-from stream.chunk import Chunk, Samples, StreamSpec
+from stream.chunk import Samples
 from stream.errors import KinegraphError
 from stream.mesh import Topology
 from stream.model import ModelError, read_model, write_model
 from stream.operator import grid
 from stream.recording.series import Series, write_recording
 from tests.quadruped_model import LIMBS
+from tests.support.steered_mesh import steered
 
 NAMES, AT = tuple(marked()), np.array(list(marked().values()))
 FACES = topology().faces
@@ -55,13 +55,6 @@ def trained(
 ) -> Steering:
     how = regression_of(STRIDE, FACES, marked(), REFERENCE, limbs, (), pose, regression, skeleton)
     return fit_steering(STRIDE, FACES, marked(), REFERENCE, limbs, 8, 2, layout=LAYOUT, how=how)
-
-
-def steered(path: Path, marks: Samples, names: tuple[str, ...] = NAMES) -> Samples:
-    operator = SteerMesh(model=path)
-    operator.open({"in": StreamSpec((len(names), 3), rate_hz=30.0, channels=names, units=("m",))})
-    chunks = operator.process("in", Chunk(grid(30.0, len(marks)), marks.reshape(len(marks), -1), 0))
-    return next(chunk.data for port, chunk in chunks if port == "mesh")
 
 
 def arm(turn: float, bend: float) -> Samples:

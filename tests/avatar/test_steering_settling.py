@@ -13,19 +13,19 @@ from operators.steering.adapt import adapt
 from operators.steering.choose import choose
 from operators.steering.fit import Layout, PoseRegression, Steering, fit_steering
 from operators.steering.limb_paths import blended, limb_paths, shared_weights
-from operators.steering.operator import SteerMesh
 from operators.steering.parts import edges_of
 from operators.steering.settling import ROUNDS, STIFF, Settling, SoftShapes
 from operators.steering.stored import KIND, from_model, to_arrays
 from operators.steering.turns import matrix, rigid
 from stream import cli
-from stream.chunk import Chunk, Samples, StreamSpec
+from stream.chunk import Samples
 from stream.errors import KinegraphError
 from stream.mesh import Topology
 from stream.model import ModelError, read_model, write_model
 from stream.operator import grid
 from stream.recording.series import Series, write_recording
 from tests.quadruped_model import LIMBS
+from tests.support.steered_mesh import steered
 
 NAMES, AT = tuple(marked()), np.array(list(marked().values()))
 FACES = topology().faces
@@ -38,13 +38,6 @@ SOFT = SoftShapes(0.01, 3.0)
 
 def trained(how: PoseRegression, limbs: tuple[str, ...] = LIMBS, frames: Samples = STRIDE) -> Steering:
     return fit_steering(frames, FACES, marked(), REFERENCE, limbs, 8, 3, layout=LAYOUT, how=how)
-
-
-def steered(path: Path, marks: Samples, names: tuple[str, ...] = NAMES) -> Samples:
-    operator = SteerMesh(model=path)
-    operator.open({"in": StreamSpec((len(names), 3), rate_hz=30.0, channels=names, units=("m",))})
-    chunks = operator.process("in", Chunk(grid(30.0, len(marks)), marks.reshape(len(marks), -1), 0))
-    return next(chunk.data for port, chunk in chunks if port == "mesh")
 
 
 BAR = np.array([(31 * r + c, 31 * r + c + 1, 31 * r + c + 31) for r in range(2) for c in range(30)])

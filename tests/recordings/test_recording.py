@@ -294,18 +294,18 @@ def test_a_chunk_of_the_wrong_shape_is_reported_and_costs_nothing_else(tmp_path:
         assert recording.streams["board.markers"].samples > 0
 
 
-@pytest.mark.parametrize("kept", [False, True])
-def test_an_input_is_copied_unless_its_memory_stays_as_it_is(tmp_path: Path, kept: bool) -> None:
+@pytest.mark.parametrize("owned", [False, True])
+def test_an_input_is_copied_unless_its_memory_is_the_sessions_own(tmp_path: Path, owned: bool) -> None:
     spec = StreamSpec((8,), rate_hz=1000.0)
     samples = np.arange(1000 * 8, dtype=float).reshape(1000, 8)
     time = START + np.arange(1000) * 10**6
     with Recorder(tmp_path / "s", {}, RecordingOptions(gather_s=10.0), wait=True) as recorder:
         number = recorder.add_stream("board", spec, "input")
-        recorder.write(number, Chunk(time, samples, int(time[-1])), START, 0, kept=kept)
-        samples[0, 0] = -1.0  # what nobody may do with memory that is kept
+        recorder.write(number, Chunk(time, samples, int(time[-1])), START, 0, owned=owned)
+        samples[0, 0] = -1.0  # what nobody may do with the session's own memory
     with Recording.open(tmp_path / "s") as recording:
         recorded = recording.read("board")[1]
-    assert recorded[0, 0] == (-1.0 if kept else 0.0)
+    assert recorded[0, 0] == (-1.0 if owned else 0.0)
     assert np.array_equal(recorded[1:], samples[1:])
 
 
