@@ -278,4 +278,4 @@ def test_markers_whose_names_are_exchanged_give_a_mesh_of_the_kind_and_are_told(
     size = np.ptp(STRIDE, axis=1).max(axis=0)
     assert np.isfinite(found).all() and (np.ptp(found, axis=1) < 1.5 * size + 0.1).all(), "it explodes"
     usual = np.median(steered(STRIDE[:, NUMBERS])[1][:, 0])
-    assert np.median(quality[:, 0]) > max(1.0, 5 * usual), "nobody is told"
+    assert np.median(quality[:, 0]) > max(1.0, 5 * usual), "quality does not say it"

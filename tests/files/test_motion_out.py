@@ -267,7 +267,7 @@ def test_a_receiver_that_is_not_there_is_told_once_and_again_when_it_has_been_ba
                 time.sleep(0.001)
             return sum(one["log_level"] == "warning" for one in said)
 
-        assert warned(40) == 1, "each of a stream's samples is told of"
+        assert warned(40) == 1, "one warning, not one a sample"
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as back:
             back.bind(("127.0.0.1", port))
             assert warned(40) == 1
