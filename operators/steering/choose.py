@@ -1,4 +1,4 @@
-"""Parts, straight to the vertices, or the mean of both: whichever predicts frames best that were left out (thesis 9.3.3)."""
+"""Parts, straight to the vertices, the mean of both, or region by region: what predicts frames best that were left out (9.3.3)."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from stream.chunk import Array, Samples, Times
 
 Method: TypeAlias = Literal["parts", "straight", "both", "local"]
 METHODS: tuple[Method, ...] = get_args(Method)
-TRIED: tuple[Method, ...] = ("parts", "straight", "both")
-"""What is tried where no method is given."""
+TRIED: tuple[Method, ...] = ("parts", "straight", "both", "local")
+"""What is tried where no method is given; regions only by positions of markers, and by kernels, and for the body that they lie on."""
 FOLDS = 4
 
 
@@ -36,14 +36,16 @@ def choose(
     method: Method | None = None,
     pull: MarkerPull | None = None,
     how: PoseRegression = USUAL,
+    performed: bool = False,
 ) -> tuple[Steering, Method, dict[Method, float], MarkerPull | None]:
     """A model of a mesh's `frames` (f, vertices, 3), how it was made, what each way's vertices are off by, in percent of the mesh's
     diagonal, in frames left out, and how its markers pull.
 
     Every fourth frame is left out in turn, four times; only the borders of the parts are those of all frames. Limbs that move by
     themselves need parts, and so do fewer than eight frames; nothing is left out then, and no marker pulls. Of `method` and `pull`, what
-    is given is not chosen. The mean of both costs as much as both together; their errors differ, and so it is mostly better than either,
-    and taken where it is not clearly worse.
+    is given is not chosen; regions (`local`) are tried only where markers lie on this body: not where they are `performed`. The mean of
+    both costs as much as both together; their errors differ, and so it is mostly better than either, and taken where it is not clearly
+    worse.
     """
     at = np.array(list(markers.values()), np.int64)
     layout = None if method in ("straight", "local") else Layout.of(frames, faces, at, count)
@@ -53,7 +55,7 @@ def choose(
 
     def made(rows: Samples, way: Method, before: Samples = earlier) -> Steering:
         if way == "local":
-            return fit_local(rows, faces, markers, reference, heading, how, before)
+            return fit_local(rows, faces, markers, reference, heading)
         if way == "straight":
             return fit_straight(rows, markers, reference, heading, how, before)
         parts = fit_steering(rows, faces, markers, reference, limbs, count, modes, heading, layout, how, before)
@@ -73,14 +75,14 @@ def choose(
     apart = along_surface(at, edges, frames[0]) / diagonal
     if method and pull:
         return soft(made(frames, method), apart, pull), method, {}, pull
-    ways: tuple[Method, ...] = (method,) if method else TRIED
+    tried = TRIED if how == USUAL and not performed else TRIED[:-1]
+    ways: tuple[Method, ...] = (method,) if method else tried
     off = {way: np.zeros_like(frames) for way in ways}
     for fold in range(FOLDS):
         out = np.arange(len(frames)) % FOLDS == fold
         marks, there = frames[out][:, at], dict[Method, Samples]()
-        alone: tuple[Method, ...] = ("local",) if method == "local" else ("parts", "straight")
-        for way in alone:
-            if method in (None, way, "both"):
+        for way in tried:
+            if way != "both" and (method in (None, way) or (method == "both" and way != "local")):
                 there[way] = made(frames[~out], way, earlier[~out])(marks, frames.shape[1], earlier[out])
         if method in (None, "both"):
             there["both"] = (there["parts"] + there["straight"]) / 2

@@ -117,8 +117,10 @@ class Steering:
         told = self.pose(x, None if earlier is None else self.features(earlier)[0])
         made = np.zeros((len(marks), count, 3))
         predicted: list[Samples] = []
-        for part in self.parts:
-            y = part.learned(told[:, part.features])
+        seen_by = [self._seen(part, x, told) for part in self.parts]
+        for part, (own, placed) in zip(self.parts, seen_by, strict=True):
+            y = part.learned(own)
+            y = np.hstack([placed, y[:, 9:]]) if part.frame else y
             if part.parent >= 0:
                 above, sizes = predicted[part.parent], (len(self.parts[part.parent].vertices), len(part.vertices))
                 roots = (sizes[0] ** 0.5, sizes[1] ** 0.5)
@@ -127,7 +129,7 @@ class Steering:
                 )
             predicted.append(y)
         for f, seen in enumerate(x.reshape(len(x), -1, 3)):
-            far = max(part.learned.outside(told[f, part.features]) for part in self.parts)
+            far = max(part.learned.outside(own[f]) for part, (own, _) in zip(self.parts, seen_by, strict=True))
             ys = [y[f] for y in predicted]
             if self.settling:
                 ys = self.settling(ys, seen, faded(far))
@@ -137,6 +139,13 @@ class Steering:
             if len(self.soft):
                 made[f] += pulls(seen - made[f, self.vertices], self.soft, self.most, faded(far))
         return turned(made, turns) + centre
+
+    def _seen(self, part: Part, x: Samples, told: Samples) -> tuple[Samples, Samples]:
+        """What a part goes by, and, where it moves with a frame of markers, how that is turned and where (f, 9)."""
+        if part.frame is None:
+            return told[:, part.features], np.zeros((len(x), 0))
+        turns, middles, own = part.frame(x.reshape(len(x), -1, 3))
+        return own, np.hstack([turns[:, :, 0], turns[:, :, 1], middles])
 
 
 def headings(marks: Samples, facing: Samples) -> Samples:

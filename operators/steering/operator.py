@@ -13,8 +13,10 @@ from operators.inputs.lengths import length_of, metres
 from operators.inputs.marker_columns import marker_columns
 from operators.steering.assemble_kernel import add_part, columns, gather_marks, predict, predict_linear, put
 from operators.steering.fit import Steering
+from operators.steering.marker_frame import see_from
 from operators.steering.part import Part
 from operators.steering.pose_parameters import tell_pose
+from operators.steering.regions import Regions
 from operators.steering.regression import FAR
 from operators.steering.settling import ROUNDS, settle
 from operators.steering.skeleton import hang
@@ -46,11 +48,12 @@ class SteerMeshState:
 class _Steered(Operator[SteerMeshState]):
     """What does not change while samples come: the model, the columns of its markers, and room."""
 
-    __slots__ = ("columns", "learned", "room", "scale", "together")
+    __slots__ = ("columns", "learned", "regions", "room", "scale", "together")
     learned: Steering
     columns: Times
     scale: float
     together: Samples
+    regions: Regions | None
     room: tuple[Samples, Samples, Samples, list[Samples], list[Samples]]
 
 
@@ -96,6 +99,7 @@ class SteerMesh(_Steered):
         together = np.zeros((len(learned.parts), max(len(part.learned.mean) for part in learned.parts)))
         predicted = [room[: len(part.learned.mean)] for room, part in zip(together, learned.parts, strict=True)]
         object.__setattr__(self, "together", together)
+        object.__setattr__(self, "regions", Regions.of(learned.parts))
         middles = [part.learned.centres.mean(axis=0) for part in learned.parts]
         told = np.zeros(learned.width) if learned.graph else np.zeros(0)
         object.__setattr__(self, "room", (np.zeros(3 * m), told, np.zeros((3, 3)), predicted, middles))
@@ -126,7 +130,10 @@ class SteerMesh(_Steered):
             ):  # fmt: skip
                 s.outside[0] = 0.0
                 s.latest[:] = 0.0 if len(learned.facing) else s.centre
-                self._add_parts(self._told())
+                if self.regions:
+                    s.outside[0] = self.regions.add(s.marks, s.latest)
+                else:
+                    self._add_parts(self._told())
                 if len(learned.soft):
                     about = np.zeros(3) if len(learned.facing) else s.centre
                     share = faded(float(s.outside[0]))
@@ -203,6 +210,16 @@ def resting(model: Steering, count: int) -> Samples:
     made, predicted = np.zeros((count, 3)), list[Samples]()
     for part in model.parts:
         y, turn = part.learned.mean.copy(), np.zeros((3, 3))
+        if part.frame:
+            see_from(
+                model.usual,
+                part.frame.weights,
+                part.frame.usual,
+                part.frame.shares,
+                y[:9],
+                np.zeros(model.usual.size),
+                np.zeros((11, 4)),
+            )
         if part.parent >= 0:
             columns(predicted[part.parent], turn)
             sizes = np.array([len(model.parts[part.parent].vertices), len(part.vertices)])

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from operators.steering.marker_frame import MarkerFrame
 from operators.steering.regression import Learned
 from stream.chunk import Samples, Times
 
@@ -17,6 +18,7 @@ class Part:
     features  which of all features it goes by
     parent    the part from which it hangs; -1: none, it is placed by itself
     above, own (1 + k, 3)  the virtual joint in the parent's frame and in its own, and how each mode moves it; (0, 3) without a parent
+    frame     what the part moves with, and sees its markers from, where its place is not learned
     """
 
     vertices: Times
@@ -29,3 +31,4 @@ class Part:
     parent: int = -1
     above: Samples = field(default_factory=lambda: np.zeros((0, 3)))
     own: Samples = field(default_factory=lambda: np.zeros((0, 3)))
+    frame: MarkerFrame | None = None

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from operators.steering.fit import Steering
+from operators.steering.marker_frame import MarkerFrame
 from operators.steering.part import Part
 from operators.steering.pose_parameters import MarkerGraph
+from operators.steering.regions import Regions
 from operators.steering.regression import Learned
 from operators.steering.settling import Settling, SoftShapes
 from stream.chunk import Array
@@ -18,6 +20,7 @@ from stream.model import Model, ModelError
 
 KIND = "mesh"
 SETTLING = ("turns", "begins", "others", "own", "theirs", "weights", "spread", "solve")
+FRAME = ("weights", "usual", "shares")
 GRAPH = ("lead", "edges", "before", "lengths", "shares", "still")
 
 
@@ -51,6 +54,8 @@ def to_arrays(model: Steering, mesh: Topology, limbs: tuple[str, ...]) -> tuple[
     for k, part in enumerate(model.parts):
         if part.parent >= 0:
             arrays |= {f"{k}.parent": np.array([part.parent]), f"{k}.above": part.above, f"{k}.own": part.own}
+        if part.frame:
+            arrays |= {f"{k}.frame.{name}": getattr(part.frame, name) for name in FRAME}
         arrays |= {f"{k}.{name}": getattr(part, name) for name in ("vertices", "weights", "mean", "modes", "features")}
         arrays |= {f"{k}.{name}": getattr(part.learned, name) for name in ("centres", "scale")}
         arrays |= {
@@ -75,8 +80,10 @@ def from_model(model: Model) -> tuple[Steering, Topology]:
     if not isinstance(how_many := model.header.get("parts"), int):
         raise ModelError(f"{model.path}: does not say how many parts it has")
     graph = _graph(model, len(names)) if "graph.edges" in model.arrays else None
-    parts = tuple(_part(model, k) for k in range(how_many))
+    parts = tuple(_part(model, k, len(names)) for k in range(how_many))
     _hanging(model, parts)
+    if any(part.frame for part in parts) and (Regions.of(parts) is None or graph):
+        raise ModelError(f"{model.path}: some of its regions do not move with its markers as the others do")
     facing, reach = np.zeros(0), 1.0
     if "facing" in model.arrays:
         facing, reach = model.array("facing", (None,)), float(model.array("reach", (1,))[0])
@@ -122,7 +129,7 @@ def _settling(model: Model, parts: tuple[Part, ...], markers: int) -> Settling:
     return Settling(bool(greedy), turns, begins, others, own, theirs, weights, spread, solve, most, shapes)
 
 
-def _part(model: Model, k: int) -> Part:
+def _part(model: Model, k: int, markers: int) -> Part:
     vertices = model.array(f"{k}.vertices", (None,), np.int64)
     n = len(vertices)
     modes = model.array(f"{k}.modes", (None, 3 * n))
@@ -133,12 +140,21 @@ def _part(model: Model, k: int) -> Part:
     rows = len(features) if scale < 0.0 else len(centres)
     learned = Learned(centres, model.array(f"{k}.ridge", (rows, len(usual))), usual, scale, 0.0, 0.0, 0.0)
     weights, mean = model.array(f"{k}.weights", (n,)), model.array(f"{k}.mean", (n, 3))
-    part = Part(vertices, weights, mean, modes, 1.0, features, learned)
+    part = Part(vertices, weights, mean, modes, 1.0, features, learned, frame=_frame(model, k, markers))
+    if part.frame and (scale < 0.0 or not np.array_equal(features, np.arange(3 * markers))):
+        raise ModelError(f"{model.path}: part {k} does not go by what its frame sees")
     if f"{k}.parent" not in model.arrays:
         return part
     parent = int(model.array(f"{k}.parent", (1,), np.int64)[0])
     above, own = model.array(f"{k}.above", (None, 3)), model.array(f"{k}.own", (1 + len(modes), 3))
     return replace(part, parent=parent, above=above, own=own)
+
+
+def _frame(model: Model, k: int, markers: int) -> MarkerFrame | None:
+    if f"{k}.frame.weights" not in model.arrays:
+        return None
+    weights, shares = (model.array(f"{k}.frame.{name}", (markers,)) for name in ("weights", "shares"))
+    return MarkerFrame(weights, model.array(f"{k}.frame.usual", (markers, 3)), shares)
 
 
 def _hanging(model: Model, parts: tuple[Part, ...]) -> None:

@@ -7,13 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from devices.simulators.quadruped import LEGS, marked, topology, walking
 from operators.steering.adapt import adapt, limb_frames, matched, nearest_frames
 from operators.steering.choose import best_of, choose
 from operators.steering.fit import Steering, fit_steering, fit_straight
+from operators.steering.marker_frame import MarkerFrame, see_from
 from operators.steering.operator import SteerMesh
-from operators.steering.stored import KIND, to_arrays
+from operators.steering.stored import KIND, from_model, to_arrays
 from stream import cli
 from stream.chunk import Chunk, Samples, StreamSpec
 from stream.errors import KinegraphError
@@ -82,7 +84,7 @@ def test_the_way_is_chosen_by_frames_left_out() -> None:
     faces = np.array([(20 * r + c, 20 * r + c + 1, 20 * r + c + 20) for r in range(19) for c in range(19)])
     marks = {"a": 0, "b": 19, "c": 380, "d": 399, "e": 190, "f": 210}
     _, way, off, pull = choose(sheet, faces, marks, tuple(marks), count=5)
-    assert way in ("straight", "both") and off["straight"] < off["parts"]
+    assert way != "parts" and off["local"] < off["straight"] < off["parts"]
     model, way, off, pull = choose(STRIDE, FACES, marked(), REFERENCE, LIMBS)
     assert way == "parts" and not off and pull is None and len(model.parts) > 5
 
@@ -100,18 +102,42 @@ def test_both_is_the_mean_and_taken_where_it_is_not_clearly_worse(tmp_path: Path
     assert best_of(alike) == "both" and best_of({**alike, "straight": frames - 0.1}) == "straight"
 
 
-def test_regions_go_by_their_nearest_markers_and_the_operator_does_as_the_reference(tmp_path: Path) -> None:
+def test_regions_see_their_markers_and_the_operator_does_as_the_reference(tmp_path: Path) -> None:
     model, way, off, _ = choose(STRIDE[::2], FACES, marked(), REFERENCE, method="local")
-    assert way == "local" and list(off) == ["local"] and len(model.parts) == len(AT)
+    assert way == "local" and list(off) == ["local"] and len(AT) < len(model.parts) <= 26
     shares = np.zeros(432)
     for part in model.parts:
         shares[part.vertices] += part.weights
     assert np.allclose(shares, 1.0)
-    assert any(len(part.features) < model.width for part in model.parts)
     header, arrays = to_arrays(model, topology(), ())
     write_model(tmp_path / "m.npz", KIND, header, arrays)
-    assert np.allclose(steered(tmp_path / "m.npz", STRIDE[:, AT]), model(STRIDE[:, AT], 432), atol=1e-9)
+    stored, wanted = from_model(read_model(tmp_path / "m.npz", KIND))[0], model.parts[0].frame
+    assert wanted and stored.parts[0].frame and np.array_equal(stored.parts[0].frame.shares, wanted.shares)
+    assert np.allclose(steered(tmp_path / "m.npz", STRIDE[:, AT]), model(STRIDE[:, AT], 432), atol=1e-6)
     assert np.linalg.norm(model(STRIDE[1::2, AT], 432) - STRIDE[1::2], axis=-1).mean() < 0.01
+
+
+def test_a_region_is_known_again_however_the_whole_body_is_turned() -> None:
+    """Without a heading, and turned about an axis that no training frame was turned about."""
+    model = choose(STRIDE[::2], FACES, marked(), REFERENCE, method="local", pull=None)[0]
+    tilt, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))
+    tilt *= np.sign(np.linalg.det(tilt))
+    about = STRIDE - STRIDE[:, AT][:, model.reference].mean(axis=1, keepdims=True)
+    made, usual = unconstrained(model)((about @ tilt)[:, AT], 432), unconstrained(model)(about[:, AT], 432)
+    assert np.allclose(made, usual @ tilt, atol=1e-9)
+
+
+def test_a_frame_of_markers_is_the_motion_that_brings_their_usual_places_nearest() -> None:
+    rng = np.random.default_rng(2)
+    seen, weights = rng.normal(size=(5, 6, 3)), rng.uniform(0.1, 1.0, 6)
+    frame = MarkerFrame.of(seen, weights, np.ones(6))
+    turns, middles, told = frame(seen)
+    for f in range(5):
+        fitted, _ = Rotation.align_vectors(seen[f] - middles[f], frame.usual, weights)
+        assert np.allclose(turns[f], fitted.as_matrix())
+        pose, own = np.zeros(9), np.zeros(18)
+        see_from(seen[f], frame.weights, frame.usual, frame.shares, pose, own, np.zeros((11, 4)))
+        assert np.allclose(pose, [*turns[f, :, 0], *turns[f, :, 1], *middles[f]]) and np.allclose(own, told[f])
 
 
 def unconstrained(model: Steering) -> Steering:
@@ -220,9 +246,14 @@ def test_the_command_takes_a_performer_and_says_what_is_wrong(tmp_path: Path) ->
         (("--performer", tmp_path / "mesh.mcap"), "no stream holds all markers"),
         (("--method", "strait"), "did you mean 'straight'|straight"),
         (("--method", "straight"), "limbs move by themselves"),
+        (("--method", "local", "--performer", tmp_path / "walk.mcap"), "limbs move by themselves"),
     ):
         with pytest.raises(KinegraphError, match=why):
             cli.call("train", [str(a) for a in (*train[1:], "--overwrite", *more)])
+    (tmp_path / "m.yaml").write_text(text)
+    for more in (("--performer", tmp_path / "walk.mcap"), ("--pose", "angles"), ("--regression", "linear")):
+        with pytest.raises(KinegraphError, match="move with the markers that lie on them"):
+            cli.call("train", [str(a) for a in (*train[1:], "--overwrite", "--method", "local", *more)])
     (tmp_path / "m.yaml").write_text(f"{text}heading: [croup]\n")
     with pytest.raises(KinegraphError, match="two markers"):
         cli.call("train", [str(a) for a in (*train[1:], "--overwrite")])

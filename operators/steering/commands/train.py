@@ -34,8 +34,8 @@ def mesh(
     method: Annotated[
         str,
         typer.Option(
-            help="parts, straight (from markers to vertices), both (their mean) [default: what predicts frames left out best], or local "
-            "(straight, each region by the nearest markers)"
+            help="parts, straight (from markers to vertices), both (their mean), or local (straight, each region as seen from the markers "
+            "near it) [default: what predicts frames left out best]"
         ),
     ] = "",
     pose: Annotated[
@@ -109,11 +109,17 @@ def mesh(
         raise KinegraphError(
             f"{markers}: limbs move by themselves only where there are parts; leave out --method {method}"
         )
+    if method == "local" and (performer or (pose, regression) != ("positions", "kernel")):
+        raise KinegraphError(
+            "--method local: regions move with the markers that lie on them: by positions and kernels, and with no --performer; leave "
+            "--method out"
+        )
     performed = _performed(performer, tuple(said["markers"])) if performer else None
     say(f"{len(frames)} frames of {topology.vertices} vertices; learning ...")
     given = (topology.faces, said["markers"], said["reference"], said["limbs"], parts, modes, said["heading"])
     poses = _poses(frames, topology, markers, said, (pose, regression, skeleton), asked)
-    model, how, off, pull = choose(frames, *given, "parts" if parted else method or None, how=poses)  # type: ignore[arg-type]
+    way, other_body = ("parts" if parted else method or None), performer is not None
+    model, how, off, pull = choose(frames, *given, way, how=poses, performed=other_body)  # type: ignore[arg-type]
     if report:
         from operators.steering.commands.report import write_report
 
@@ -195,11 +201,14 @@ def _tell(output: File, model: Steering, how: Method, off: dict[Method, float], 
     if how == "straight":
         say(f"{output}: straight to the vertices, {len(model.parts[0].modes)} components, {len(model.markers)} markers")
         return
+    if how == "local":
+        say(f"{output}: straight to the vertices, in {len(model.parts)} regions, {len(model.markers)} markers")
+        return
     near_rigid = model.parts[:-1] if how == "both" else model.parts
     said_too = ", and half of it straight to the vertices" if how == "both" else ""
     say(f"{output}: {len(near_rigid)} parts, {len(model.markers)} markers{said_too}")
     for k, part in enumerate(near_rigid):
-        alone = model.alone(part) or ("all markers" if len(part.features) == model.width else "the nearest markers")
+        alone = model.alone(part) or "all markers"
         say(
             f"  part {k}: {len(part.vertices)} vertices, by {alone}, width {part.learned.width:g}, ridge {part.learned.ridge:g}"
         )
