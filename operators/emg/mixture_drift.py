@@ -19,7 +19,7 @@ from operators.emg.mixtures import PeakMixtures, limb_of_groups, muscle_groups, 
 from operators.emg.moved import FIRST, STORED, Alarm, Moved
 from operators.emg.peak_window import PeakWindow
 from operators.emg.refit import Fitting, Refit
-from operators.gait.cycle import MAXIMUM, Expected, check_cycles, some_cycles
+from operators.gait.cycle import MAXIMUM, Expected, check_named_cycles, some_cycles
 from operators.gait.stage_change import StageUnderWay
 from stream.chunk import NS, Array, Chunk, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
@@ -108,7 +108,7 @@ class MixtureDrift(Operator[MixtureDriftState]):
     reference: str = param("", help="a stored reference; empty: none")
 
     def open(self, specs: Specs) -> Specs:
-        spec = check_cycles(specs)
+        spec = check_named_cycles(specs)
         mixture = specs["mixture"]
         if specs["maxima"].dtype != MAXIMUM:
             raise InputError("maxima", specs["maxima"].describe(), "`maxima` of operators.gait.cycles.Cycles")

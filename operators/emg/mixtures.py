@@ -10,7 +10,7 @@ import numpy as np
 from operators.emg.mixture_events import MIXTURE, MIXTURE_UNITS, MODE, WHEN, mode_units
 from operators.emg.peak_window import PeakWindow
 from operators.emg.refit import UNKNOWN, Fitting, Refit, highest_apart
-from operators.gait.cycle import MAXIMUM, Closing, Expected, check_cycles, some_cycles
+from operators.gait.cycle import MAXIMUM, Closing, Expected, check_named_cycles, some_cycles
 from operators.gait.limbs import limbs_of
 from stream.chunk import FOREVER, NEVER, Array, Chunk, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
@@ -96,7 +96,7 @@ class PeakMixtures(Operator[MixturesState]):
         )  # fmt: skip
 
     def open(self, specs: Specs) -> Specs:
-        spec = check_cycles(specs)
+        spec = check_named_cycles(specs)
         if specs["maxima"].dtype != MAXIMUM:
             raise InputError("maxima", specs["maxima"].describe(), "`maxima` of operators.gait.cycles.Cycles")
         if "pace" in specs and specs["pace"].rate_hz is None:

@@ -153,6 +153,14 @@ def check_cycles(specs: Specs) -> StreamSpec:
     return cycles
 
 
+def check_named_cycles(specs: Specs) -> StreamSpec:
+    """As `check_cycles`, for what tells channels apart by their names. Raises InputError."""
+    cycles = check_cycles(specs)
+    if not cycles.channels:
+        raise InputError("cycles", f"{cycles.describe()} without channel names", "cycles of channels that have names")
+    return cycles
+
+
 def some_cycles(count: int, muscles: int, seed: int) -> dict[str, tuple[StreamSpec, Array, Array]]:
     """Made-up inputs `closed` and `cycles` for trying operators on: every fifth cycle is rejected, one muscle is missing once, the second
     cycle is taken back with the fourth, and the third comes again, without its first muscle, with the seventh."""

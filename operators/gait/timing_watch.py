@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from operators.alarm import ALARM, ALARM_UNITS, ON, OVER, FoundAlarms, alarm_chunk
-from operators.gait.cycle import POINTS, Expected, check_cycles, longest_cycle_s, some_cycles
+from operators.gait.cycle import POINTS, Expected, check_named_cycles, longest_cycle_s, some_cycles
 from operators.gait.limbs import Belonging
 from operators.gait.stage_change import StageUnderWay
 from operators.gait.textbook import WORKS_PCT, likeness, muscle_called, side_called, textbook_pattern
@@ -101,7 +101,7 @@ class TimingWatch(Operator[TimingWatchState]):
     subject: str = param("contacts", help="what the alarms about contacts are about, where limbs have no names")
 
     def open(self, specs: Specs) -> Specs:
-        spec = check_cycles(specs)
+        spec = check_named_cycles(specs)
         m, limbs, longest_s = spec.shape[1], Belonging.of(spec), longest_cycle_s(specs["closed"])
         ways, known = max(1, len(limbs.names)), self._known(spec, len(limbs.names))
         self.hold(
