@@ -1,9 +1,9 @@
 """`python -m tests.mutation --seed 1`: random small changes to operators/ and stream/; does a test notice each of them?
 
-A mutant turns one comparison, sum, number or truth value around, in a copy of the tree. Its module's tests run against it (those nearest
-to it in the imports, and the laws on its operators), for at most a minute of processor time, however busy the machine is. Survivors are
-listed; exit code 1 if fewer than nine in ten were noticed. A survivor that changes nothing that anyone could see is named in
-equivalent_mutants.txt, with the reason.
+A mutant turns one comparison, sum, number or truth value around, in a copy of the tree. Its module's tests run against it (the golden
+answers of the operators that it is part of, the tests nearest to it in the imports, and the laws on its operators), for at most a minute of
+processor time, however busy the machine is. Survivors are listed; exit code 1 if fewer than nine in ten were noticed. A survivor that
+changes nothing that anyone could see is named in equivalent_mutants.txt, with the reason.
 
 In pieces: `--skip 10 --count 20` tries the second ten, and `--tree FOLDER` keeps the copy, so that the next piece finds its kernels
 compiled.
@@ -31,7 +31,7 @@ from threading import Timer
 from xml.etree import ElementTree
 
 from stream.graph.parts import catalogue
-from tests.laws.module_tests import own_tests
+from tests.laws.module_tests import own_operators, own_tests
 
 HOUSE = Path(__file__).resolve().parent.parent
 COPIED = (
@@ -50,8 +50,12 @@ COPIED = (
 EQUIVALENT = Path(__file__).with_name("equivalent_mutants.txt")
 LEAST = 0.9
 """The share of mutants that must be noticed."""
+HANGS_S = 15
+"""A test that is still running so long after the time for tests was up has been hung by the mutant."""
 WAITS = 10
 """Tests that wait rather than work are ended after so many times the processor time that they may take."""
+INTERRUPTED = 2
+"""How pytest ends where it began no other test."""
 OPERATORS: dict[type[ast.AST], type[ast.AST]] = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
     ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
@@ -163,7 +167,7 @@ def tried(mutant: Mutant, tree: Path, seconds: float, broken: set[str]) -> tuple
         if not _first_failure([failed], tree, seconds, broken):
             return "noticed", took_s
         if "::" not in failed[0]:
-            return "survived", took_s  # these tests take longer than that, with the mutant and without
+            return "survived", took_s  # one of these tests takes longer than that, with the mutant and without
         broken.add(failed[0])
 
 
@@ -180,19 +184,26 @@ def _first_failure(runs: list[list[str]], tree: Path, seconds: float, broken: se
 
 
 def _runs(path: str) -> list[list[str]]:
-    """The arguments of pytest for the tests of a module: its own first, then the laws on the operators in it."""
+    """The arguments of pytest for the tests of a module: golden answers first, then its own, then the laws on the operators in it."""
     module = path.removesuffix(".py").replace("/", ".").removesuffix(".__init__")
+    found = {use: part.__module__ for use, part in catalogue(("operators",))[0].items()}
+    golden = [
+        f"tests/laws/test_golden_answers.py::test_it_answers_as_it_did[{use}]" for use in own_operators(module, found)
+    ]
     own = own_tests(module)
-    uses = [use for use, part in catalogue(("operators",))[0].items() if part.__module__ == module]
+    uses = [use for use, home in found.items() if home == module]
     laws = [["tests/laws/test_laws.py", "-k", " or ".join(f"{use}-" for use in uses)]] if uses else []
-    return [*([own] if own else []), *laws]
+    return [*([golden] if golden else []), *([own] if own else []), *laws]
 
 
 def _run(arguments: list[str], tree: Path, seconds: float) -> tuple[list[str], float]:
     """Run these tests; returns the arguments for the one that failed (for all, if they took too long), or none, and the processor time."""
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "--junitxml=junit.xml", "-p", "no:cacheprovider", *arguments]
-    limited = ["/bin/sh", "-c", f'ulimit -t {ceil(seconds)} && exec "$@"', "sh", *command]
-    environment = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
+    options = ["-x", "-q", "--junitxml=junit.xml", "-p", "no:cacheprovider", "-p", "tests.support.stop_in_time"]
+    command = [sys.executable, "-m", "pytest", *options, *arguments]
+    limited = ["/bin/sh", "-c", f'ulimit -t {ceil(seconds) + HANGS_S} && exec "$@"', "sh", *command]
+    environment = {
+        **os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1", "KINEGRAPH_STOP_S": str(seconds)
+    }  # fmt: skip
     running = subprocess.Popen(
         limited, cwd=tree, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
     )
@@ -210,10 +221,12 @@ def _judged(arguments: list[str], tree: Path, code: int) -> list[str]:
         return arguments
     if code in (0, 5):
         return []
-    for case in ElementTree.parse(tree / "junit.xml").iter("testcase"):
-        if case.get("classname") and (case.find("failure") is not None or case.find("error") is not None):
+    cases = [*ElementTree.parse(tree / "junit.xml").iter("testcase")]
+    failed = [case for case in cases if case.find("failure") is not None or case.find("error") is not None]
+    for case in failed:
+        if case.get("classname"):
             return [f"{str(case.get('classname')).replace('.', '/')}.py::{case.get('name')}"]
-    return [*arguments, "--collect-only"]
+    return [] if code == INTERRUPTED and not failed else [*arguments, "--collect-only"]
 
 
 def copy_to(place: Path) -> Path:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import ast
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 
 HOUSE = Path(__file__).resolve().parents[2]
 OURS = ("stream", "devices", "operators", "tests")
-MOST = 6
+MOST = 10
 """At most so many test files for one module: the nearest first, among these the ones with the fewest imports of their own."""
 FARTHEST = 6
 """Imports between a test and what it tests."""
-EVERYTHING = ("test_laws", "test_architecture", "test_face", "test_docs", "test_installed")
+OPERATORS = 3
+"""The golden answers of at most so many operators are asked for a module: of those that reach it by the fewest imports."""
+EVERYTHING = ("test_laws", "test_golden_answers", "test_architecture", "test_face", "test_docs", "test_installed")
 """Tests of all modules at once are none's own."""
 CALLS = ("kinegraph", "call")
 """What tests call with the words of a command."""
@@ -32,6 +34,17 @@ def own_tests(module: str) -> list[str]:
             break
         reached |= {other for other, path in _modules().items() if reached & _imports(path)}
     return [str(p.relative_to(HOUSE)) for p in near[:MOST]]
+
+
+def own_operators(module: str, found: Mapping[str, str]) -> list[str]:
+    """The operators (by `use`, with the module of each in `found`) that a module is part of: those in it, else those nearest to it."""
+    reached, near = {module}, list[str]()
+    for _ in range(FARTHEST):
+        near += sorted(use for use, home in found.items() if home in reached and use not in near)
+        if near:
+            break
+        reached |= {other for other, path in _modules().items() if reached & _imports(path)}
+    return near[:OPERATORS]
 
 
 @cache

@@ -1,0 +1,313 @@
+"""`python -m tests.golden --write [WORDS]`: renew the golden answers of the operators in whose path one of the words stands (of all: none).
+
+A golden answer is a summary of what an operator gives: on the samples of its `cases`, on the same with gaps and bad values, with each
+parameter turned to another value, and what it answers to parameters and streams that it may refuse. One file an operator, in
+tests/laws/golden; one line an answer. `tests/laws/test_golden_answers.py` compares. Without `--write` nothing is written; either way it
+prints which answers changed, and how: give the reason in the commit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import re
+import sys
+import time
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import fields, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from stream.chunk import FOREVER, Array, Specs, StreamSpec
+from stream.conformance.broken import Broken
+from stream.conformance.case_samples import Tapes, tapes_of, with_faults
+from stream.conformance.cut import Delivery, steps, whole
+from stream.conformance.play import Output, Player
+from stream.errors import KinegraphError
+from stream.graph.parts import catalogue, find
+from stream.operator import Case, Operator
+
+ANSWERS = Path(__file__).parent / "laws" / "golden"
+FAULTS = 6
+"""On so many drawings of gaps and bad values each case is tried."""
+WIDTH = 8
+"""Numbers of a sample that are summed up one by one; of more, every eighth goes to the same sum."""
+RELATIVE = 2e-6
+"""How far a sum may be off, relative to the root mean square of what is summed: processors round functions differently."""
+PROBES, LARGE, HUGE = (-1, 0, 0.5), 1000, 1_000_000_000
+"""Given to every parameter that is a number: which of them are refused, and in which words. Huge ones only where there is a bound, since
+a window of 30 years is refused by one machine's memory and not by another's."""
+MOST = 20
+"""So many changes of one operator are printed."""
+SAME = "as: "
+"""Stands in the file before the name of another answer."""
+
+Answers = dict[str, str]
+"""By what was asked, the summary."""
+
+
+def answers(use: str) -> Answers:
+    """All golden answers of an operator, by their names."""
+    cls = find(use)
+    assert issubclass(cls, Operator)
+    found: Answers = {}
+    for k, case in enumerate(cls.cases()):
+        for name, ask in _asked(case, first=k == 0):
+            for part, text in _caught(ask).items():
+                found[f"{k} {name} {part}".strip()] = text
+    return found
+
+
+def _asked(case: Case, *, first: bool) -> Iterator[tuple[str, Callable[[], Answers]]]:
+    """Each question on a case; some are asked on the first one only."""
+    tapes = tapes_of(case)
+    size = max(1, max(len(t) for t in tapes.values()) // 20)
+    yield "plain", lambda: _played(case, steps(tapes, size))
+    yield "opened", lambda: _opened(case.operator, {port: t.spec for port, t in tapes.items()})
+    for k, faulty in enumerate(_faulty(tapes)):
+        yield f"fault-{k}", partial(_played, case, whole(faulty))
+    if not first:
+        return
+    for port, tape in tapes.items():
+        for name, spec in _other_specs(tape.spec):
+            specs = {p: spec if p == port else t.spec for p, t in tapes.items()}
+            yield f"{port}-{name}", partial(_opened, case.operator, specs)
+    for field, value in _turned(case.operator):
+        yield f"{field}={value!r}", partial(_played_with, case, {field: value}, tapes)
+        for faulty in _faulty(tapes)[:1]:
+            yield f"{field}={value!r} fault-0", partial(_played_with, case, {field: value}, faulty)
+    for field, value in _probed(case.operator):
+        yield f"{field}?{value!r}", partial(_given, case, {field: value})
+
+
+def _faulty(tapes: Tapes) -> list[Tapes]:
+    """The samples with at least two faults, drawn some times."""
+    drawn = (with_faults(random.Random(seed).randint, tapes, 2.0) for seed in range(50))
+    return [faulty for faulty, told in drawn if len(told) > 1][:FAULTS]
+
+
+def _caught(ask: Callable[[], Answers]) -> Answers:
+    try:
+        return ask()
+    except (KinegraphError, Broken) as error:
+        return {"": f"{type(error).__name__}: {_rounded(str(error))}"}
+    except Exception as error:  # noqa: BLE001  no operator should; but where one does, that is its answer
+        return {"": type(error).__name__}
+
+
+def _played(case: Case, delivery: Delivery) -> Answers:
+    player = Player(case).play(delivery)
+    return {name: " ".join(_summary(output)) for name, output in player.outputs.items()} or {"": "runs"}
+
+
+def _played_with(case: Case, changes: dict[str, Any], tapes: Tapes) -> Answers:
+    return _played(replace(case, operator=_other(case.operator, changes)), whole(tapes))
+
+
+def _given(case: Case, changes: dict[str, Any]) -> Answers:
+    operator = _other(case.operator, changes)
+    operator.open({port: spec for port, (spec, _, _) in case.inputs.items()})
+    return {"": "is accepted"}
+
+
+def _other(operator: Operator[Any], changes: dict[str, Any]) -> Operator[Any]:
+    return replace(operator, **changes)  # type: ignore[type-var]
+
+
+def _opened(operator: Operator[Any], specs: Specs) -> Answers:
+    fresh = operator.fresh()
+    out = fresh.open(dict(specs))
+    delays = f"delay {fresh.delay_s!r} decision {dict(sorted(fresh.decision_s.items()))}"
+    return {"": _rounded(delays), **{name: _rounded(repr(spec.to_json())) for name, spec in out.items()}}
+
+
+def _rounded(text: str) -> str:
+    """On one line, with long numbers cut to nine digits."""
+    return " ".join(re.sub(r"\d+\.\d{9,}(e[-+]?\d+)?", lambda m: f"{float(m[0]):.9g}", text).split())
+
+
+def _other_specs(spec: StreamSpec) -> Iterator[tuple[str, StreamSpec]]:
+    """The same stream as something else, which an operator may refuse, or answer otherwise."""
+    yield "irregular", spec.derive(rate_hz=None)
+    yield "rate", spec.derive(rate_hz=2.0 * (spec.rate_hz or 5.0))
+    yield "slow", spec.derive(rate_hz=0.5)
+    yield "unit", spec.derive(units=("furlong",))
+    if not spec.is_event:
+        yield "int16", spec.derive(dtype=np.dtype(np.int16))
+        yield "nameless", spec.derive(channels=(), units=spec.units[:1])
+        yield "frame", spec.derive(shape=(*spec.shape, 2), channels=(), units=spec.units[:1])
+        event = np.dtype([("onset", np.int64), ("name", "S8")])
+        yield "event", StreamSpec((), event)
+    if spec.is_signal:
+        units = spec.units if len(spec.units) == 1 else ()
+        yield "one", spec.derive(shape=(1,), channels=spec.channels[:1], units=units or spec.units[:1])
+        yield "none", spec.derive(shape=(0,), channels=(), units=spec.units[:1])
+
+
+def _hints(operator: Operator[Any]) -> dict[str, Any]:
+    try:
+        return get_type_hints(type(operator))
+    except NameError:
+        return {}
+
+
+def _turned(operator: Operator[Any]) -> Iterator[tuple[str, Any]]:
+    """Each parameter at another value, where what it may be is known."""
+    for f in fields(operator):  # type: ignore[arg-type]
+        value = getattr(operator, f.name)
+        if isinstance(value, bool):
+            yield f.name, not value
+        elif isinstance(value, int):
+            yield f.name, value + 1
+        elif isinstance(value, float):
+            yield f.name, value * 1.25
+        elif value is None:
+            yield from ((f.name, given) for given in (2, 0.5))
+        hint = _hints(operator).get(f.name)
+        choices = get_args(hint) if get_origin(hint) is Literal else ()
+        yield from ((f.name, choice) for choice in choices if choice != value)
+
+
+def _probed(operator: Operator[Any]) -> Iterator[tuple[str, Any]]:
+    for f in fields(operator):  # type: ignore[arg-type]
+        value = getattr(operator, f.name)
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            bounded = f.metadata.get("kinegraph", {}).keys() & {"below", "most"}
+            yield from ((f.name, probe) for probe in (*PROBES, HUGE if bounded else LARGE))
+        elif isinstance(value, tuple) or value is None:
+            yield from ((f.name, probe) for probe in ((), ("nobody",), -1.0))
+        elif isinstance(value, str):
+            yield from ((f.name, probe) for probe in ("", "nobody"))
+
+
+def _summary(output: Output) -> Iterator[str]:
+    """How many samples and chunks there were, where samples are missing; then sums over stamps, ends of chunks and every number."""
+    times, data = output.time, output.data
+    lost = np.asarray(output.lost, np.int64)
+    yield f"n={len(times)} lost={int(lost.clip(0).sum())}/{int((lost < 0).sum())}"
+    if len(times):
+        yield f"from={int(times[0])}"
+        yield f"time={_sums(times - times[0])}"
+        yield f"lost-at={_sums(lost)}"
+    until = np.array([chunk.until for chunk, *_ in output.kept if abs(chunk.until) < FOREVER - 1], np.int64)
+    if len(until):
+        yield f"until={len(output.kept)}:{_sums(until - (times[0] if len(times) else until[0]))}"
+    for name, column in _columns(data):
+        yield f"{name}={_sums(column)}" if column.dtype.kind in "biuf" else f"{name}=#{_digest(column)}"
+
+
+def _columns(data: Array) -> Iterator[tuple[str, Array]]:
+    if data.dtype.names:
+        for name in data.dtype.names:
+            for part, column in _columns(data[name]):
+                yield f"{name}{part}", column
+        return
+    flat = data.reshape(len(data), -1) if len(data) else data.reshape(0, int(np.prod(data.shape[1:])))
+    for k in range(min(WIDTH, flat.shape[1])):
+        yield f".{k}" if flat.shape[1] > 1 else "", flat[:, k::WIDTH].reshape(-1)
+
+
+def _digest(column: Array) -> int:
+    return zlib.crc32(column.tobytes())
+
+
+def _sums(column: Array) -> str:
+    """How many numbers are not finite, their root mean square, and two sums of them with weights that know places apart, over the root."""
+    values = column.astype(np.float64)
+    good = np.isfinite(values)
+    odd = int((~good).sum())
+    places = np.flatnonzero(good) + 1.0
+    values = values[good]
+    if not len(values):
+        return f"{odd}"
+    scale = float(np.abs(values).max()) or 1.0
+    rms = scale * float(np.sqrt(np.mean((values / scale) ** 2)))
+    weights = ((places * 0.6180339887498949) % 1.0 + 0.5, (places * 0.7548776662466927) % 1.0 - 0.5)
+    sums = [float(np.sum(w * values) / np.sqrt(len(values))) for w in weights]
+    return ",".join([f"{odd}", *(f"{v:.9g}" for v in (rms, *sums))])
+
+
+def alike(one: str, other: str) -> bool:
+    """Whether two summaries say the same; sums may differ by what processors differ by."""
+    if one == other:
+        return True
+    first, second = one.split(" "), other.split(" ")
+    return len(first) == len(second) and all(a == b or _near(a, b) for a, b in zip(first, second, strict=True))
+
+
+def _near(one: str, other: str) -> bool:
+    (name, _, a), (same, _, b) = one.rpartition("="), other.rpartition("=")
+    first, second = a.replace(":", ",").split(","), b.replace(":", ",").split(",")
+    if name != same or len(first) != len(second) or len(first) < 4 or first[:-3] != second[:-3]:
+        return False
+    x, y = np.array([first[-3:], second[-3:]], np.float64)
+    return bool((np.abs(x - y) <= RELATIVE * max(x[0], y[0])).all())
+
+
+def read(use: str) -> Answers:
+    path = ANSWERS / f"{use}.txt"
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    kept: Answers = {}
+    for name, _, text in (line.partition(" | ") for line in lines):
+        kept[name] = kept[text.removeprefix(SAME)] if text.startswith(SAME) else text
+    return kept
+
+
+def write(use: str, found: Answers) -> None:
+    ANSWERS.mkdir(exist_ok=True)
+    first: dict[str, str] = {}
+    lines = []
+    for name, text in found.items():
+        lines.append(f"{name} | {SAME + first[text] if text in first and len(text) > len(SAME + name) else text}\n")
+        first.setdefault(text, name)
+    (ANSWERS / f"{use}.txt").write_text("".join(lines), encoding="utf-8")
+
+
+def changes(kept: Answers, found: Answers) -> list[str]:
+    """What differs, in words, one line an answer."""
+    told = []
+    for name in [*kept, *(n for n in found if n not in kept)]:
+        old, new = kept.get(name, "nothing"), found.get(name, "nothing")
+        if not alike(old, new):
+            told.append(f"{name}: {_where(old, new)}")
+    return told
+
+
+def _where(old: str, new: str) -> str:
+    parts = [(a, b) for a, b in zip(old.split(" "), new.split(" "), strict=False) if a != b and not _near(a, b)]
+    return f"{parts[0][0]} was, {parts[0][1]} is" if "=" in old and parts else f"{old} -- was, is -- {new}"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.golden", description=__doc__)
+    parser.add_argument(
+        "words", nargs="*", help="operators in whose path one of these stands; all, where none is given"
+    )
+    parser.add_argument("--write", action="store_true", help="keep the answers that are given now")
+    given = parser.parse_args()
+    uses = [use for use in catalogue(("operators",))[0] if not given.words or any(w in use for w in given.words)]
+    differing = 0
+    for use in uses:
+        began = time.process_time()
+        found = answers(use)
+        told = changes(read(use), found)
+        differing += len(told)
+        seconds = time.process_time() - began
+        print(
+            f"{use}: {len(found)} answers in {seconds:.1f} s, {len(told)} changed", *told[:MOST], sep="\n  ", flush=True
+        )
+        if given.write and told:
+            write(use, found)
+    for stray in [p for p in ANSWERS.glob("*.txt") if p.stem not in catalogue(("operators",))[0]]:
+        print(f"{stray}: no operator has this name")
+        if given.write:
+            stray.unlink()
+    return 0 if given.write or not differing else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
