@@ -19,7 +19,7 @@ from bench import batch
 from bench.bundling import bundling
 from bench.motion import RATE, Series, events, kinect, poses, regular, segment
 from bench.report import Goal, Section, marks, publish, whole
-from bench.segmentation_speed import speed
+from bench.segmentation_speed import many_exemplars, speed
 from bench.sides import sides
 from bench.surrogates import surrogates
 from operators.emg.envelope import Envelope
@@ -155,12 +155,13 @@ def left_out(shares: dict[float, list[float]]) -> str:
     return text + ", ".join(f"{share:g}: {np.mean(scores):.2f}" for share, scores in shares.items()) + "."
 
 
-def joined(poses: list[tuple[Series, Truth]], seed: int, draws: int = 24) -> list[int]:
-    """Errors of counting: three recordings, cut to 3 to 8 repetitions each, joined in random order."""
-    rng, errors = np.random.default_rng(seed), []
+def joined(poses: list[tuple[Series, Truth]], seed: int, draws: int = 72) -> list[list[int]]:
+    """Errors of counting, by recording: three recordings, cut to 3 to 8 repetitions each, joined in random order."""
+    rng, errors = np.random.default_rng(seed), [list[int]() for _ in poses]
     for _ in range(draws):
         pieces, counts = [], []
-        for k in rng.choice(len(poses), 3, replace=False):
+        chosen = rng.choice(len(poses), 3, replace=False)
+        for k in chosen:
             pose, truth = poses[k]
             count = int(rng.integers(3, 9))
             first = int(rng.integers(0, len(truth.keys) - count + 1))
@@ -173,10 +174,8 @@ def joined(poses: list[tuple[Series, Truth]], seed: int, draws: int = 24) -> lis
         found = segment(regular(np.concatenate(pieces)).through(Stack()))
         middle = found.primitives.mean(1)[found.repetition > 0]
         ends = np.cumsum([len(piece) for piece in pieces]) / RATE
-        errors += [
-            abs(int(((middle >= end - len(p) / RATE) & (middle < end)).sum()) - c)
-            for end, p, c in zip(ends, pieces, counts, strict=True)
-        ]
+        for k, end, p, c in zip(chosen, ends, pieces, counts, strict=True):
+            errors[k].append(abs(int(((middle >= end - len(p) / RATE) & (middle < end)).sum()) - c))
     return errors
 
 
@@ -184,8 +183,8 @@ def repetitions(folder: Path) -> Section:
     """Kinect recordings of ten repetitions or so, counted, and where the annotated moment stands in them."""
     names = [path.stem for path in sorted(folder.glob("msrc12/*.npz"))]
     recorded = [(kinect(path), read_truth(path)) for path in sorted(folder.glob("msrc12/*.npz"))]
-    rows, scores, others = [], [], []
-    for name, (pose, truth) in zip(names, recorded, strict=True):
+    rows, scores, others, counted = [], [], [], joined(recorded, 0)
+    for name, (pose, truth), missed in zip(names, recorded, counted, strict=True):
         features = pose.through(Stack())
         found = segment(features)
         whole_ = in_batch(features, batch.distances(features.data), found.radius)
@@ -195,8 +194,11 @@ def repetitions(folder: Path) -> Section:
         bouts = len(events(features, Segment())["bout"])
         counts = [len(truth.keys), (found.repetition > 0).sum(), bouts, (whole_.repetition > 0).sum()]
         places = [made.key_place, made.key_sd, other.key_sd]
-        rows.append([name, *map(str, counts), *(f"{v:.2f}" for v in places)])
-    errors = np.array(joined(recorded, 0))
+        close = f"{sum(error <= 1 for error in missed)} of {len(missed)}"
+        with np.load(folder / "msrc12" / f"{name}.npz") as found_in:
+            gesture = str(found_in["tag_name"][0]).split(maxsplit=1)[1].lower()
+        rows.append([name, gesture, *map(str, counts), close, *(f"{v:.2f}" for v in places)])
+    errors = np.concatenate(counted)
     within, pieces = float(np.mean([s.within_1 for s in scores])), float(np.mean(errors <= 1))
     note = (
         f"Counted within 1: {within:.0%} of {len(scores)} recordings (batch: {np.mean([s.within_1 for s in others]):.0%}); "
@@ -214,10 +216,12 @@ def repetitions(folder: Path) -> Section:
     ]
     head = [
         "MSRC-12",
+        "gesture",
         "annotated",
         "counted",
         "in bouts",
         "counted, batch",
+        "pieces within 1",
         "key point's place",
         "its circular sd",
         "circular sd, batch",
@@ -265,7 +269,9 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="no best radii, short windows, no other libraries")
     parser.add_argument("--write", action="store_true", help="write goals and tables into docs/segmentation-figures.md")
     given = parser.parse_args()
-    sections = [speed(quick=given.quick)] if given.speed else accuracy(quick=given.quick)
+    sections = (
+        [speed(quick=given.quick), many_exemplars(quick=given.quick)] if given.speed else accuracy(quick=given.quick)
+    )
     name = "bench.segmentation" + (" --speed" if given.speed else "")
     print(whole(sections, f"By `python -m {name}`."))
     if given.write:

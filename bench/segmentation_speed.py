@@ -1,4 +1,4 @@
-"""How long a frame takes to segment, beside stumpy's FLOSS and claspy's streaming ClaSP; in the thread's own time, without other work's."""
+"""How long a frame takes to segment, beside stumpy's FLOSS and claspy's streaming ClaSP, and an activity to be recognised; thread time."""
 
 from __future__ import annotations
 
@@ -19,6 +19,10 @@ from bench.report import Goal, Section
 from operators.features.bundle import Bundle
 from operators.features.stack import Stack
 from operators.segmentation import Segment
+from operators.segmentation.clusters import fit, keep, recognise
+from operators.segmentation.distances import insert
+from operators.segmentation.exemplars import candidates
+from operators.segmentation.layout import RADIUS
 from stream.chunk import Array, Chunk, StreamSpec
 from stream.operator import Operator, grid
 
@@ -26,6 +30,8 @@ CHANNELS, WINDOW_S, FRAMES, CYCLE = 15, 600.0, 9000, 31
 """Channels, stacked to 75 features; the window that is filled before anything is timed; frames timed; frames of a cycle of the stream."""
 PEERS = {"stumpy": ("stumpy's FLOSS", ["stumpy"]), "claspy": ("claspy's streaming ClaSP", ["claspy"])}
 PEER_FRAMES = 2000
+KEPT = (1, 8, 24, 64, 128)
+"""How many exemplars are kept when an activity is looked up."""
 
 
 def speed(*, quick: bool = False) -> Section:
@@ -83,6 +89,56 @@ def ours(x: Array, window_s: float, *, bundle: bool) -> tuple[Array, int]:
             made = [out for chunk in made for out in chunks(operator.process("in", chunk))]
         took[i] = (time.thread_time_ns() - begun) / 1e6
     return took, sum(operator.memory_bytes for operator in operators)
+
+
+def many_exemplars(*, quick: bool = False) -> Section:
+    """How long it takes to find the exemplar that a new activity is like, with and without the index over their frames."""
+    rows = []
+    for count in (1, 8) if quick else KEPT:
+        took = np.array([recognition(count, seed) for seed in range(2 if quick else 9)])
+        rows.append([str(count), *(f"{v:.2f}" for v in np.median(took, axis=0))])
+    head = ["exemplars kept", "looked up, ms", "that may match", "all warped, ms"]
+    title = f"The exemplar that a new activity is like, among cycles of 50 to 59 frames of {5 * CHANNELS} features"
+    return Section(
+        title, head, rows, ["Medians of nine draws, in the thread's own time. Both ways give the same exemplar."]
+    )
+
+
+def recognition(count: int, seed: int) -> tuple[float, int, float]:
+    """Milliseconds by `recognise`; how many exemplars may match; milliseconds in which every one of them is warped."""
+    rng, frames = np.random.default_rng(seed), 0
+    operator = Segment()
+    operator.open({"in": StreamSpec((5 * CHANNELS,), rate_hz=RATE)})
+    memory = operator.state.memory.with_room(8)
+    memory.values[RADIUS] = 0.475 * np.sqrt(8.0)
+    last = np.empty((0, 5 * CHANNELS))
+    for kind in range(count):
+        last = cycle(seed, kind)
+        for row in last:
+            frames = insert(memory, row, 0) + 1
+        keep(memory, frames - len(last), len(last))
+    again = np.concatenate([cycle(seed, count // 2)] * 2)
+    for row in again + 0.1 * rng.normal(size=again.shape):
+        frames = insert(memory, row, 0) + 1
+    first, length = frames - len(again), len(again) // 2
+    recognise(memory, first, frames - 1, length)
+    begun = time.thread_time_ns()
+    slot, _ = recognise(memory, first, frames - 1, length)
+    between = time.thread_time_ns()
+    far = [fit(memory, k, first, frames - 1, False)[0] for k in range(count)]
+    warped = time.thread_time_ns()
+    if slot != int(np.argmin(far)):
+        raise RuntimeError("the index left out an exemplar that is nearer")
+    return (between - begun) / 1e6, int(candidates(memory, first, frames - 1).sum()), (warped - between) / 1e6
+
+
+def cycle(seed: int, kind: int) -> Array:
+    """One cycle of a kind (frames, features)."""
+    length = 50 + kind % 10
+    turn = np.arange(length) * (2 * np.pi / length)
+    mix = np.random.default_rng((seed, kind)).normal(size=(4, 5 * CHANNELS))
+    x: Array = np.stack([np.sin(turn), np.cos(turn), np.sin(2 * turn), np.cos(2 * turn)], 1) @ mix
+    return x
 
 
 def figures(ms: Array) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from operators.segmentation.cycles import GAIN, advance, columns, travel
+from operators.segmentation.exemplars import candidates, store, vacate
 from operators.segmentation.layout import (
     CLOCK,
     NEXT_CLUSTER,
@@ -40,9 +41,10 @@ def fit(s: Memory, slot: int, first: int, last: int, whole: bool) -> tuple[float
 def recognise(s: Memory, first: int, last: int, length: int) -> tuple[int, int]:
     """The known exemplar that fits best into frames first..last, which hold a cycle of `length` frames, and where; -1: none does."""
     best, found, met = s.values[RADIUS], -1, first
+    may = candidates(s, first, last)
     for slot in range(s.clusters.shape[0]):
         size = s.clusters[slot, SIZE]
-        if s.clusters[slot, NUMBER] >= 0 and size * 3 <= length * 4 and length * 3 <= size * 4:
+        if may[slot] and s.clusters[slot, NUMBER] >= 0 and size * 3 <= length * 4 and length * 3 <= size * 4:
             mean, start = fit(s, slot, first, last, False)
             if mean < best:
                 best, found, met = mean, slot, start
@@ -51,20 +53,10 @@ def recognise(s: Memory, first: int, last: int, length: int) -> tuple[int, int]:
 
 @kernel
 def keep(s: Memory, first: int, length: int) -> int:
-    """`length` frames from `first` on are the exemplar of a new cluster; its slot. The one that was not used for longest makes room."""
-    slot = 0
-    for k in range(s.clusters.shape[0]):
-        if s.clusters[k, NUMBER] < 0:
-            slot = k
-            break
-        if s.clusters[k, USED] < s.clusters[slot, USED]:
-            slot = k
-    ring = s.times.shape[0]
-    for d in range(s.frames.shape[0]):
-        for c in range(length):
-            s.exemplars[slot, d, c] = s.frames[d, (first + c) % ring]
+    """`length` frames from `first` on are the exemplar of a new cluster; its slot. Those that were not used for longest make room."""
+    slot = vacate(s, length)
+    store(s, slot, first, length)
     s.clusters[slot, NUMBER] = s.books[NEXT_CLUSTER]
-    s.clusters[slot, SIZE] = length
     s.leads[slot] = 0.0
     s.travels[slot] = travel(s, first, first + length - 1, length)
     s.books[NEXT_CLUSTER] += 1
@@ -88,5 +80,7 @@ def alike(s: Memory, slot: int, first: int, last: int) -> int:
         if other == slot or s.clusters[other, NUMBER] < 0 or size > 2 * length or length > 2 * size:
             continue
         s.books[TURN] = other + 1
+        if not candidates(s, first, last)[other]:
+            return -1
         return other if fit(s, other, first, last, True)[0] <= s.values[RADIUS] else -1
     return -1

@@ -8,6 +8,7 @@ import numpy as np
 
 from operators.segmentation.distances import scaled
 from operators.segmentation.layout import (
+    AT,
     BAND,
     BEST,
     BEST_END,
@@ -125,14 +126,16 @@ def first_dip(s: Memory, last: int, last_chance: bool) -> tuple[int, bool]:
 def columns(s: Memory, i: int, slot: int, length: int) -> None:
     """Distances of frame `i` to the exemplar's frames, into `scratch`."""
     out, common = s.scratch, s.common
-    ring = s.times.shape[0]
+    ring, room = s.times.shape[0], s.exemplars.shape[1]
     for c in range(length):
         out[c] = common[c] = 0.0
+    at = s.clusters[slot, AT] % room
+    before = min(length, room - at)
     for d in range(s.frames.shape[0]):
         v = s.frames[d, i % ring]
-        line = s.exemplars[slot, d]
+        line = s.exemplars[d]
         for c in range(length):
-            apart = v - line[c]
+            apart = v - line[at + c if c < before else c - before]
             if not math.isnan(apart):
                 out[c] += apart * apart
                 common[c] += 1.0

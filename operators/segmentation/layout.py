@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from operators.neighbours.layout import Floats
+from operators.neighbours.layout import allocate as index_of
 from stream.chunk import Array, Samples, Times
 
 NAMES = [
@@ -18,6 +20,7 @@ NAMES = [
     "CLUSTER", "NEXT_CLUSTER", "CLOCK", "TURN", "EVENTS", "TOLD", "NOW", "PRESENT", "PATCHY",
     "RECENT", "RESTED", "REST_FROM", "REST_TO", "PEAK_AT", "BELIEVED", "BELIEVED_OF", "LIKE",
     "TRANSITION", "RESUMED", "HELD", "HELD_FIRST", "HELD_LAST", "HELD_AT", "HELD_TO", "HELD_CYCLES", "HELD_CLUSTER", "HELD_HOW",
+    "KEPT",
 ]  # fmt: skip
 (
     LAG, WINDOW, LEARN, QUIET, MASS, SETTLE, FIRM, BAND_LEAST, BAND_MOST, EVERY, REST, FIXED,
@@ -28,6 +31,7 @@ NAMES = [
     CLUSTER, NEXT_CLUSTER, CLOCK, TURN, EVENTS, TOLD, NOW, PRESENT, PATCHY,
     RECENT, RESTED, REST_FROM, REST_TO, PEAK_AT, BELIEVED, BELIEVED_OF, LIKE,
     TRANSITION, RESUMED, HELD, HELD_FIRST, HELD_LAST, HELD_AT, HELD_TO, HELD_CYCLES, HELD_CLUSTER, HELD_HOW,
+    KEPT,
 ) = range(len(NAMES))  # fmt: skip
 """
 LAG                       longest cycle, and how far back neighbours are looked for, in frames; as all down to REST
@@ -83,6 +87,7 @@ RESUMED                   the first frame after the last rest that was longer
 HELD                      whether an activity has ended whose end is decided with the next one's start
 HELD_FIRST, HELD_LAST     its first and last frame, as far as it is known; HELD_AT, HELD_TO: their stamps
 HELD_CYCLES, HELD_CLUSTER its repetitions and cluster; HELD_HOW: the last number of its event
+KEPT                      frames of exemplars entered so far, those moved on counted again
 """
 SEARCH, TRACK = 0, 1
 (
@@ -106,10 +111,14 @@ TRAVELS = 0.5
 EVENT_WIDTH = 8
 """A row of the table of events: kind, stamp of the decision, then what the kind has; see operator.py."""
 
-NUMBER, SIZE, USED = range(3)
+NUMBER, SIZE, USED, AT, WHOLE = range(5)
 """Columns of `clusters`."""
 
-MOST_CLUSTERS = 24
+MOST_CLUSTERS = 256
+LONGEST_EXEMPLARS = 24
+"""At most MOST_CLUSTERS exemplars are kept, and no more of their frames than LONGEST_EXEMPLARS of LAG frames have."""
+RING = 32
+"""The ring that holds them, in LAG frames: a third longer, so that few have to be moved on when it goes round."""
 
 NEVER_KNOWN = -(1 << 60)
 
@@ -127,8 +136,10 @@ class Memory(NamedTuple):
     cost       (2, LAG + 1)        of the best path that ends at each column of the exemplar, of the frame before and of this one
     begin      (2, LAG + 1)        the frame where that path starts
     scratch    (LAG + 1,)          distances of a frame to the exemplar's
-    exemplars  (clusters, features, LAG)
-    clusters   (clusters, 3)       number (-1: free), length, last use
+    exemplars  (features, RING LAG)  frames of exemplars, by the number with which they were entered, modulo the ring
+    owners     (RING LAG,)         the cluster of each, unless it has left since or was moved on
+    lookup, lookup_books           these frames in an index: the two arrays of operators/neighbours
+    clusters   (clusters, 5)       number (-1: free), length, last use; the number of its first frame; whether all its features are known
     mirrored   (ring, features)    mirror images of frames, by number modulo ring; NaN: not known. (0, features) where there are none
     firsts     (features,)         1: the first of a pair that changes places in the mirror
     leads      (clusters,)         how much more the firsts have moved in the first steps of a cluster's cycles than in the second ones
@@ -152,6 +163,9 @@ class Memory(NamedTuple):
     begin: Times
     scratch: Samples
     exemplars: Samples
+    owners: Times
+    lookup: Floats
+    lookup_books: Times
     clusters: Times
     mirrored: Samples
     firsts: Times
@@ -182,6 +196,9 @@ class Remembered:
     begin: Times
     scratch: Samples
     exemplars: Samples
+    owners: Times
+    lookup: Floats
+    lookup_books: Times
     clusters: Times
     mirrored: Samples
     firsts: Times
@@ -219,8 +236,9 @@ def allocate(
     books[BAND] = frames["BAND_MOST"]
     books[[BEST_START, BEST_END]] = -1
     books[PATCHY] = NEVER_KNOWN
-    clusters = np.zeros((MOST_CLUSTERS, 3), np.int64)
+    clusters = np.zeros((MOST_CLUSTERS, 5), np.int64)
     clusters[:, NUMBER] = -1
+    index = index_of(width, RING * lag, 0)
     values = np.zeros(EARLY_RADIUS + 1)
     values[[BEST, PRICE]] = np.inf
     values[[FACTOR, STILL_SHARE, TRAVEL_SHARE]] = factor, STILL, TRAVELS
@@ -236,7 +254,10 @@ def allocate(
         cost=np.full((2, lag + 1), np.inf),
         begin=np.full((2, lag + 1), -1, np.int64),
         scratch=np.zeros(lag + 1),
-        exemplars=np.zeros((MOST_CLUSTERS, width, lag)),
+        exemplars=np.zeros((width, RING * lag)),
+        owners=np.zeros(RING * lag, np.int64),
+        lookup=index.floats,
+        lookup_books=index.books,
         clusters=clusters,
         mirrored=np.full((0 if firsts is None else ring, width), np.nan),
         firsts=np.zeros(width, np.int64) if firsts is None else firsts,

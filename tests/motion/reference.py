@@ -14,7 +14,8 @@ import numpy as np
 Event = tuple[Any, ...]
 KNOWN, SHARED, FAR, STILL, TRAVELS = 2, 4, 100.0, 0.12, 0.5
 SURE, STRAYS, SAME, HOLE = 3, 4.0, 0.4, 8
-DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 0.8, 1.25, 64, 24
+DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 0.8, 1.25, 64, 256
+LONGEST_EXEMPLARS = 24
 CHANCE, SMALLER = 0.7, 0.8
 
 
@@ -849,8 +850,13 @@ class Reference:
         return found, met
 
     def keep(self, first: int, length: int) -> int:
-        empty = [slot for slot, exemplar in enumerate(self.exemplars) if exemplar is None]
-        slot = empty[0] if empty else min(range(MOST_CLUSTERS), key=lambda k: self.exemplars[k].used)  # type: ignore[union-attr]
+        while True:
+            kept = {slot: exemplar for slot, exemplar in enumerate(self.exemplars) if exemplar}
+            frames_kept = sum(len(exemplar.frames) for exemplar in kept.values())
+            if len(kept) < MOST_CLUSTERS and frames_kept + length <= LONGEST_EXEMPLARS * self.p["LAG"]:
+                break
+            self.exemplars[min(kept, key=lambda k: kept[k].used)] = None
+        slot = self.exemplars.index(None)
         frames = self.x[first : first + length].copy()
         self.exemplars[slot] = Exemplar(self.clusters, frames, travel=self.travel(first, first + length - 1, length))
         self.clusters += 1

@@ -1,0 +1,137 @@
+"""Exemplars: which of them can match at all, by the index; how many are kept, and which make room."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from operators.segmentation import Segment
+from operators.segmentation.clusters import fit, keep, recognise
+from operators.segmentation.distances import insert
+from operators.segmentation.exemplars import candidates, copied
+from operators.segmentation.layout import (
+    LAG,
+    LONGEST_EXEMPLARS,
+    MOST_CLUSTERS,
+    NUMBER,
+    RADIUS,
+    SIZE,
+    USED,
+    Memory,
+    allocate,
+)
+from tests.motion.test_segmentation import QUICK, played
+
+FRAMES = {
+    "LAG": 30, "WINDOW": 200, "LEARN": 2, "QUIET": 4, "MASS": 6, "SETTLE": 20, "FIRM": 80, "BAND_LEAST": 3, "BAND_MOST": 3,
+    "EVERY": 5, "REST": 5, "TRANSITION": 10,
+}  # fmt: skip
+
+
+def exercise(kind: int, length: int, times: int = 1, width: int = 4) -> Any:
+    turn = np.arange(times * length) * 2 * np.pi / length
+    mix = np.random.default_rng(kind).normal(size=(4, width))
+    return np.stack([np.sin(turn), np.cos(turn), np.sin(2 * turn), np.cos(2 * turn)], 1) @ mix
+
+
+def seen(made: Memory, x: Any) -> int:
+    """Frames x (n, features) come; the number of the next one."""
+    for row in x:
+        number = insert(made, row, 0)
+    return int(number) + 1
+
+
+def living(s: Memory) -> list[int]:
+    return [k for k in range(MOST_CLUSTERS) if s.clusters[k, NUMBER] >= 0]
+
+
+def fitting(s: Memory, first: int, last: int, length: int) -> tuple[int, int]:
+    """`recognise` in plain words: every exemplar of about this length is warped."""
+    best, found, met = s.values[RADIUS], -1, first
+    for slot in living(s):
+        size = s.clusters[slot, SIZE]
+        if size * 3 <= length * 4 and length * 3 <= size * 4:
+            mean, start = fit(s, slot, first, last, False)
+            if mean < best:
+                best, found, met = mean, slot, start
+    return found, met
+
+
+def holed(x: Any, kind: str) -> Any:
+    rng = np.random.default_rng(4)
+    if kind == "values":
+        return np.where(rng.random(x.shape) < 0.05, np.nan, x)
+    if kind == "a feature":
+        return np.concatenate([x[:, :3], np.full((len(x), 1), np.nan)], 1)
+    return {"far from zero": x + 1e6, "beyond float32": x * 1e30, "tiny": x * 1e-25}.get(kind, x)
+
+
+@pytest.mark.parametrize("radius", [0.05, 0.3, 1.0])
+@pytest.mark.parametrize("kind", ["as it is", "values", "a feature", "far from zero", "beyond float32", "tiny"])
+def test_what_the_index_leaves_out_would_not_have_matched(kind: str, radius: float) -> None:
+    rng = np.random.default_rng(2)
+    made = allocate(4, FRAMES, radius * {"beyond float32": 1e30, "tiny": 1e-25}.get(kind, 1.0), 0.5).with_room(64)
+    met = []
+    for i in range(120):
+        number, length = int(rng.integers(0, 60)), int(rng.integers(12, 30))
+        end = seen(made, holed(exercise(number, length, 2) + 0.1 * rng.normal(size=(2 * length, 4)), kind))
+        first, last = end - 2 * length, end - 1
+        found = recognise(made, first, last, length)
+        assert found == fitting(made, first, last, length)
+        may = candidates(made, first, last)
+        whole = [slot for slot in living(made) if not may[slot]]
+        assert all(fit(made, slot, first, last, False)[0] > made.values[RADIUS] for slot in whole)
+        met.append(found[0] >= 0)
+        if found[0] < 0:
+            keep(made, first, length)
+        else:
+            made.clusters[found[0], USED] = made.clusters[:, USED].max() + 1
+        if i == 60:
+            made.clusters[rng.integers(0, MOST_CLUSTERS, 9), NUMBER] = -1
+    assert radius < 1.0 or any(met)
+
+
+def test_few_exemplars_are_warped_where_few_can_match() -> None:
+    made = allocate(4, FRAMES, 0.1, 0.5).with_room(64)
+    for kind in range(40):
+        end = seen(made, exercise(kind, 15))
+        keep(made, end - 15, 15)
+    end = seen(made, exercise(7, 15, 2))
+    may = candidates(made, end - 30, end - 1)
+    assert may[7] and may.sum() <= 10
+
+
+def test_as_many_are_kept_as_the_longest_have_frames_and_what_they_hold_does_not_change() -> None:
+    made = allocate(4, FRAMES, 0.1, 0.5).with_room(64)
+    lengths = np.random.default_rng(1).integers(5, 30, 400)
+    held: dict[int, Any] = {}
+    for kind, length in enumerate(lengths):
+        x = exercise(kind, int(length))
+        end = seen(made, x)
+        slot = keep(made, end - len(x), len(x))
+        held[slot] = x
+        kept = living(made)
+        frames = made.clusters[kept, SIZE].sum()
+        assert frames <= LONGEST_EXEMPLARS * made.books[LAG] < frames + 30 or len(kept) == kind + 1
+        for k in kept:
+            assert np.array_equal(copied(made, k), held[k].T)
+    newest = made.clusters[made.clusters[:, NUMBER] >= 0, NUMBER]
+    assert newest.max() == 399 and newest.min() == 400 - len(newest), "those used longest ago made room"
+
+
+def test_no_more_than_the_most_are_kept() -> None:
+    made = allocate(4, {**FRAMES, "LAG": 80}, 0.1, 0.5).with_room(64)
+    for kind in range(MOST_CLUSTERS + 5):
+        end = seen(made, exercise(kind, 6))
+        keep(made, end - 6, 6)
+    assert sorted(made.clusters[:, NUMBER]) == list(range(5, MOST_CLUSTERS + 5))
+
+
+def test_an_exercise_is_known_again_after_thirty_others() -> None:
+    kinds = [*range(31), 0]
+    places = np.random.default_rng(1).normal(size=(31, 16)) * 3.0
+    x = np.concatenate([exercise(kind, 20 + kind % 5, 5, 16) + places[kind] for kind in kinds])
+    events, _ = played(Segment(**QUICK), x + 0.02 * np.random.default_rng(0).normal(size=x.shape))
+    assert events["activity"]["cluster"][events["activity"]["repeats"]].tolist() == kinds
