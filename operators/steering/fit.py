@@ -140,6 +140,17 @@ class Steering:
                 made[f] += pulls(seen - made[f, self.vertices], self.soft, self.most, faded(far))
         return turned(made, turns) + centre
 
+    def outside(self, marks: Samples, enough: float = np.inf) -> float:
+        """How far markers (1, m, 3) that stand still are from the training, in kernel widths, the largest of all parts; or the first that
+        is larger than `enough`."""
+        x = self.features(marks)[0]
+        told, far = self.pose(x), 0.0
+        for part in self.parts:
+            far = max(far, part.learned.outside(self._seen(part, x, told)[0][0]))
+            if far > enough:
+                break
+        return far
+
     def _seen(self, part: Part, x: Samples, told: Samples) -> tuple[Samples, Samples]:
         """What a part goes by, and, where it moves with a frame of markers, how that is turned and where (f, 9)."""
         if part.frame is None:

@@ -25,7 +25,7 @@ STEADY, AFAR = 0.1, 1e-3
 SEEN, BESIDE = (0.15, 0.3), 0.05
 """How far along the surface markers count for how a region is bent, which is chosen; and what those farther off count."""
 MODES = 10
-"""A region bends in at most so many ways."""
+"""Shape modes of a region, at most."""
 
 
 def fit_local(

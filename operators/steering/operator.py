@@ -12,6 +12,7 @@ import numpy as np
 from operators.inputs.lengths import length_of, metres
 from operators.inputs.marker_columns import marker_columns
 from operators.steering.assemble_kernel import add_part, columns, gather_marks, predict, predict_linear, put
+from operators.steering.exchanged import NAMED, ExchangedNames
 from operators.steering.fit import Steering
 from operators.steering.marker_frame import see_from
 from operators.steering.part import Part
@@ -33,7 +34,8 @@ QUADRUPED = Path(__file__).with_name("quadruped.npz")
 @dataclass(slots=True)
 class SteerMeshState:
     """known (m,): which markers have been seen; marks (m, 3) from the centre (3,) of the references, turned back by the heading (2,);
-    latest (v, 3), the newest mesh; earlier (m, 3), the marks of the sample before; begun (1,), whether there was one."""
+    latest (v, 3), the newest mesh; earlier (m, 3), the marks of the sample before; begun (1,), whether there was one; names:
+    of which markers the names seem to be exchanged."""
 
     known: Array
     marks: Samples
@@ -43,6 +45,7 @@ class SteerMeshState:
     outside: Samples
     earlier: Samples
     begun: Array
+    names: ExchangedNames
 
 
 class _Steered(Operator[SteerMeshState]):
@@ -64,6 +67,8 @@ class SteerMesh(_Steered):
     mesh      its vertices (vertices, 3) m, with the triangles in the spec
     quality   how far the markers are from all poses of the training, in kernel widths (the largest of all parts): beyond some 3 the mesh
               goes back to its mean pose, rather than anywhere else
+    names     an event when two markers seem to bear each other's names: exchanging them would bring the markers back to the training, in
+              ten samples one after the other; and one when that is cured
 
     Where the model says which way its markers face, the mesh turns with them about the vertical, y. The input has the model's markers by
     their names; `markers` names others in their place. A marker that is not seen has moved with the reference markers since it was;
@@ -78,7 +83,7 @@ class SteerMesh(_Steered):
     """
 
     takes = "finite"
-    outputs: ClassVar[tuple[str, ...]] = ("mesh", "quality")
+    outputs: ClassVar[tuple[str, ...]] = ("mesh", "quality", "names")
 
     model: Path | None = param(
         None, help="what `kinegraph train mesh` has made; left out: a simple quadruped, to try things with"
@@ -113,16 +118,23 @@ class SteerMesh(_Steered):
                 np.zeros(1),
                 np.zeros((m, 3)),
                 np.zeros(1, np.bool_),
+                ExchangedNames.none(),
             )
         )
         meta = {key: value for key, value in spec.meta.items() if key != "skeleton"}
         quality = StreamSpec((1,), rate_hz=spec.rate_hz, channels=("outside",), settling_s=spec.settling_s, meta=meta)
-        return {"mesh": mesh.spec(spec.rate_hz, settling_s=spec.settling_s, meta=meta), "quality": quality}
+        names = StreamSpec((), NAMED, units=("ns", "", "", ""), meta=meta)
+        return {
+            "mesh": mesh.spec(spec.rate_hz, settling_s=spec.settling_s, meta=meta),
+            "quality": quality,
+            "names": names,
+        }
 
     def process(self, port: str, chunk: Chunk) -> Sequence[tuple[str, Chunk]]:
         s, n = self.state, len(chunk.time)
         x = self.room[0]
         made, quality = np.empty((n, *s.latest.shape)), np.empty((n, 1))
+        told: list[tuple[int, str, str, str]] = []
         learned = self.learned
         for i in range(n):
             if gather_marks(
@@ -150,9 +162,18 @@ class SteerMesh(_Steered):
                 if len(learned.facing):
                     put(s.centre, s.heading, learned.reach, s.latest)
             made[i], quality[i] = s.latest, s.outside
+            marks = self.scale * chunk.data[i][self.columns]
+            if np.isfinite(marks).all() and (
+                said := s.names.see(learned, marks, float(s.outside[0]), int(chunk.time[i]))
+            ):
+                told.append(said)
         return [
             ("mesh", Chunk(chunk.time, made, chunk.until, chunk.lost)),
             ("quality", Chunk(chunk.time, quality, chunk.until, chunk.lost)),
+            (
+                "names",
+                Chunk(np.array([row[0] for row in told], np.int64), np.array(told, NAMED), chunk.until, chunk.lost),
+            ),
         ]
 
     def _told(self) -> Samples:
@@ -198,7 +219,7 @@ class SteerMesh(_Steered):
         rows = rng.normal(0.0, 0.02, (60, 6, 3)).cumsum(axis=0) + from_model(read_model(QUADRUPED, KIND))[0].usual
         rows[20:25, 1] = np.nan
         spec = StreamSpec((6, 3), rate_hz=30.0, channels=names, units=("m",))
-        return [Case(cls(), {"in": (spec, grid(30.0, 60), rows)}, least=120)]
+        return [Case(cls(), {"in": (spec, grid(30.0, 60), rows.reshape(60, -1))}, least=120)]
 
 
 def _modes(part: Part) -> Samples:

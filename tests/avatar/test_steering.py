@@ -34,7 +34,7 @@ def steered(marks: Samples, names: tuple[str, ...] = NAMES, **parameters: object
     chunks = operator.process(
         "in", Chunk(grid(30.0, len(marks)), np.ascontiguousarray(marks.reshape(len(marks), -1)), 0)
     )
-    mesh, quality = (chunk.data for _, chunk in chunks)
+    mesh, quality, _ = (chunk.data for _, chunk in chunks)
     return mesh, quality
 
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from devices.simulators.quadruped import LEGS, marked, topology, walking
 from operators.steering.adapt import adapt, limb_frames, matched, nearest_frames
-from operators.steering.choose import best_of, choose
+from operators.steering.choose import Method, best_of, choose
 from operators.steering.fit import Steering, fit_steering, fit_straight
 from operators.steering.marker_frame import MarkerFrame, see_from
 from operators.steering.operator import SteerMesh
@@ -275,8 +275,34 @@ def test_markers_that_are_exchanged_are_far_from_the_training() -> None:
     swapped = marks[:, [1, 0, 2, 3, 5, 4]]
     rows = np.concatenate([marks, swapped]).reshape(48, -1)
     made = operator.process("in", Chunk(grid(30.0, 48), rows, 0))
-    mesh, quality = (chunk.data for _, chunk in made)
+    mesh, quality = (chunk.data for port, chunk in made if port != "names")
     assert np.isfinite(mesh).all() and 10 * quality[:24].max() < quality[24:].min()
+
+
+@pytest.mark.parametrize("pair", [(0, 1), (2, 5), (1, 3)])
+@pytest.mark.parametrize("way", ["parts", "local"])
+def test_two_markers_that_bear_each_others_names_are_named_once_and_again_when_cured(
+    pair: tuple[int, int], way: Method, tmp_path: Path
+) -> None:
+    model = choose(STRIDE[::2], FACES, marked(), REFERENCE, method=way)[0]
+    write_model(tmp_path / "m.npz", KIND, *to_arrays(model, topology(), ()))
+    order = np.arange(6)
+    order[list(pair)] = pair[::-1]
+    marks = STRIDE[np.arange(240) % 24][:, AT]
+    marks[30:150] = marks[30:150][:, order]
+    marks[50] = np.nan
+    for size in (1, 240):
+        operator = SteerMesh(model=tmp_path / "m.npz")
+        operator.open({"in": StreamSpec((6, 3), rate_hz=30.0, channels=NAMES, units=("m",))})
+        told = []
+        for begin in range(0, 240, size):
+            chunk = Chunk(grid(30.0, 240)[begin : begin + size], marks[begin : begin + size].reshape(size, -1), 0)
+            told += [
+                row for port, made in operator.process("in", chunk) if port == "names" for row in made.data.tolist()
+            ]
+        times = [int(grid(30.0, 240).searchsorted(row[0])) for row in told]
+        assert [row[1:] for row in told] == [(what, NAMES[pair[0]], NAMES[pair[1]]) for what in ("exchanged", "cured")]
+        assert 30 + 9 <= times[0] < 110 and 150 < times[1] <= 181
 
 
 def test_one_frame_is_too_few_to_learn_from(tmp_path: Path) -> None:
