@@ -7,7 +7,7 @@ steering-actors.png and steering-transfer.png, and prints what they show in numb
 from __future__ import annotations
 
 import argparse
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,10 @@ import numpy as np
 from bench.pose import sequences
 from bench.steering import HOOVES, markers_of
 from operators.steering.actors import Actors
-from operators.steering.adapt import about, adapt
+from operators.steering.adapt import PAIRINGS, RANGES, Pairing, Ranges, about, adapt
+from operators.steering.choose import regression_of
 from operators.steering.fit import Steering, fit_steering, headings, turned
+from operators.steering.pose_parameters import MarkerGraph
 from stream.chunk import Array, Chunk, Samples, StreamSpec
 from stream.humanoid import BONES, PARENTS
 from stream.joint_tree import JointTree, joints_of
@@ -39,8 +41,12 @@ SHOWN = 6
 
 def fitted(frames: Samples, faces: Array) -> Steering:
     """The horse, each leg by its own hoof."""
+    return fit_steering(frames, faces, marked(frames), REFERENCE, HOOVES, heading=HEADING)
+
+
+def marked(frames: Samples) -> dict[str, int]:
     every = markers_of(frames[0])
-    return fit_steering(frames, faces, {name: every[name] for name in MARKERS}, REFERENCE, HOOVES, heading=HEADING)
+    return {name: every[name] for name in MARKERS}
 
 
 def follows(made: Samples, meant: Samples) -> float:
@@ -162,14 +168,21 @@ def height(model: Steering, frames: Samples) -> float:
     return float(frames[:, model.vertices[model.reference], 1].mean())
 
 
-def transferred(model: Steering, frames: Samples, dog: Samples) -> tuple[Samples, Samples, Samples]:
+def transferred(
+    model: Steering,
+    frames: Samples,
+    dog: Samples,
+    ranges: Ranges = "positions",
+    pairing: Pairing = "nearest",
+    graph: MarkerGraph | None = None,
+) -> tuple[Samples, Samples, Samples]:
     """Joints, markers and horse (n, ..., 3) of a gait, on the spot and facing as the horse, in frames that the model was not fitted to."""
     every = dog[::2].astype(float)
     marks = every[:, list(DOG.values())]
     hips = marks[:, model.markers.index("croup"), [0, 2]]
     went = np.linalg.norm(hips[LEARNED + PLAYED :] - hips[: -LEARNED - PLAYED], axis=1)
     begin = int(went.argmax())
-    adapted = adapt(model, frames[:, model.vertices], marks[begin : begin + LEARNED])
+    adapted = adapt(model, frames[:, model.vertices], marks[begin : begin + LEARNED], (), ranges, pairing, graph)
     shown = slice(begin + LEARNED, begin + LEARNED + PLAYED)
     horse = adapted(marks[shown], frames.shape[1])
     spot = about(adapted, horse[:, model.vertices], adapted.facing)
@@ -205,6 +218,11 @@ def main() -> None:
         given.docs / "steering-actors.png", people, steered + np.array([0.0, height(model, frames), 0.0]), faces
     )
     dog = np.load(given.data / "steering" / "dog_mocap_joints.npz")
+    graph = regression_of(frames, faces, marked(frames), REFERENCE, HOOVES, HEADING, "angles").graph
+    for ranges, pairing in product(RANGES, PAIRINGS):
+        for name in GAITS:
+            print(f"{name}, ranges of {ranges}, pairing by {pairing}:")
+            transferred(model, frames, dog[name], ranges, pairing, graph)
     rows = [(name.replace("_", ": "), *transferred(model, frames, dog[name])) for name in GAITS]
     picture_transfer(given.docs / "steering-transfer.png", frames, faces, rows)
 

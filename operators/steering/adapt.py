@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
 from operators.steering.fit import Steering, headings, turned
+from operators.steering.graph_ranges import graph_matched, limb_angles
+from operators.steering.pose_parameters import MarkerGraph
 from operators.steering.regression import Regression, learn
 from stream.chunk import Samples, Times
 
+Ranges: TypeAlias = Literal["positions", "graph"]
+RANGES: tuple[Ranges, ...] = get_args(Ranges)
+Pairing: TypeAlias = Literal["nearest", "swing"]
+PAIRINGS: tuple[Pairing, ...] = get_args(Pairing)
 MOST_FRAMES = 300
 NEAR = 3.0
 """No performed marker is taken to lie farther than this many standard deviations from its mean."""
@@ -19,9 +26,10 @@ NEAR = 3.0
 def limb_frames(performed: Samples, mesh: Samples) -> Times:
     """For each performed frame the mesh's frame whose angle changes most alike (equation 9.9): (n,) for angles (n,) and (f,).
 
-    Angles are in rad, their changes are backward differences; a change in the other direction costs a standard deviation of `performed`.
+    Angles are in rad, their changes are forward differences, the last as the one before; a change in the other direction
+    costs a standard deviation of `performed`.
     """
-    a, b = _change(performed)[:, None], _change(mesh)[None]
+    a, b = _ahead(performed)[:, None], _ahead(mesh)[None]
     cost = np.abs(a - b) + 0.5 * float(performed.std()) * (1.0 - np.sign(a * b))
     return np.asarray(cost.argmin(axis=1), np.int64)
 
@@ -39,7 +47,15 @@ def matched(performed: Samples, mesh: Samples) -> Samples:
     return np.asarray(mesh.mean(axis=0) + z * mesh.std(axis=0))
 
 
-def adapt(model: Steering, mesh: Samples, performed: Samples, heading: Sequence[str] = ()) -> Steering:
+def adapt(
+    model: Steering,
+    mesh: Samples,
+    performed: Samples,
+    heading: Sequence[str] = (),
+    ranges: Ranges = "positions",
+    pairing: Pairing = "nearest",
+    graph: MarkerGraph | None = None,
+) -> Steering:
     """`model` for the markers of a performer: where these were in `performed` (n, m, 3), the mesh is as in the frame that fits them.
 
     mesh      (f, m, 3)  the marked vertices in the frames that `model` was learned from
@@ -48,6 +64,11 @@ def adapt(model: Steering, mesh: Samples, performed: Samples, heading: Sequence[
     The performed markers are brought into the ranges of the mesh's; then a part that follows one limb takes the frame in which this limb
     is nearest and swings in the same direction, and any other part the frame nearest in all markers. 9.9 as printed compares changes
     alone, which several frames of a stride share; so the sum of its cost and of the distance is taken, both in standard deviations.
+    With the `pairing` of `swing` the limb's frames are those of 9.9 alone, by the angles of a `graph`, as printed.
+
+    Of `ranges` positions are axes of each marker; `graph` are the angles and lengths of a `graph` of the mesh's markers, from which places
+    follow by inverse kinematics, as in the thesis.
+
     Distances that the performer covers are scaled by the mean distance of the markers from their reference.
     """
     if len(performed) > MOST_FRAMES:
@@ -60,13 +81,20 @@ def adapt(model: Steering, mesh: Samples, performed: Samples, heading: Sequence[
     x_mesh = model.features(mesh)[0]
     seen, theirs = about(model, performed, facing), about(model, mesh, facing)
     ranged = matched(seen, theirs)
+    if graph and ranges == "graph":
+        ranged = graph_matched(graph, seen, theirs, model.reference)
     x_mesh = model.pose(x_mesh)
     model = replace(model, graph=model.graph.of(seen) if model.graph else None)
     x, whole = model.pose(seen.reshape(len(seen), -1)), nearest_frames(ranged, theirs)
     parts = []
     for part in model.parts:
         limb = model.alone(part)
-        frames = _of_limb(ranged, theirs, model.markers.index(limb)) if limb else whole
+        frames = whole
+        if limb and graph and pairing == "swing":
+            one, other = (limb_angles(graph, marks, model.markers.index(limb)) for marks in (ranged, theirs))
+            frames = limb_frames(one, other)
+        elif limb:
+            frames = _of_limb(ranged, theirs, model.markers.index(limb))
         regression: Regression = "linear" if part.learned.linear else "kernel"
         learned = learn(x[:, part.features], part.learned(x_mesh[frames][:, part.features]), regression)
         parts.append(replace(part, learned=learned))
@@ -100,6 +128,14 @@ def _angle(limb: Samples) -> Samples:
     along = np.linalg.svd(flat, full_matrices=False)[2][0]
     along = along * np.sign(along[np.abs(along).argmax()])
     return np.asarray(np.arctan2(flat @ along, np.maximum(-limb[:, 1], 1e-9)))
+
+
+def _ahead(angle: Samples) -> Samples:
+    """Forward differences, the last as the one before."""
+    change = np.diff(angle, append=angle[-1:])
+    if len(change) > 1:
+        change[-1] = change[-2]
+    return change
 
 
 def _change(angle: Samples) -> Samples:

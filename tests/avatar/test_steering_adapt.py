@@ -11,10 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from devices.simulators.quadruped import LEGS, marked, topology, walking
 from operators.steering.adapt import adapt, limb_frames, matched, nearest_frames
-from operators.steering.choose import Method, best_of, choose
+from operators.steering.choose import Method, best_of, choose, regression_of
 from operators.steering.fit import Steering, fit_steering, fit_straight
+from operators.steering.graph_ranges import graph_matched
 from operators.steering.marker_frame import MarkerFrame, see_from
 from operators.steering.operator import SteerMesh
+from operators.steering.pose_parameters import MarkerGraph
+from operators.steering.regression import learn
 from operators.steering.stored import KIND, from_model, to_arrays
 from stream import cli
 from stream.chunk import Chunk, Samples, StreamSpec
@@ -170,8 +173,7 @@ def test_a_marker_far_off_pulls_no_farther_than_it_was_off_in_training(tmp_path:
 def test_frames_are_paired_as_the_equations_say() -> None:
     rng = np.random.default_rng(3)
     a, b = rng.normal(size=15), rng.normal(size=9)
-    da, db = np.diff(a, prepend=a[0]), np.diff(b, prepend=b[0])
-    da[0], db[0] = da[1], db[1]
+    da, db = np.append(np.diff(a), a[-1] - a[-2]), np.append(np.diff(b), b[-1] - b[-2])
     cost = [[abs(m - v) + a.std() / 2 * (1 - np.sign(m * v)) for v in db] for m in da]
     assert limb_frames(a, b).tolist() == np.argmin(cost, axis=1).tolist()
     p, v = rng.normal(size=(6, 4, 3)), rng.normal(size=(5, 4, 3))
@@ -184,6 +186,67 @@ def test_ranges_of_motion_get_the_meshs_means_and_variances() -> None:
     performed, mesh = rng.normal(2.0, 0.1, (400, 3, 3)).clip(1.75, 2.25), rng.normal(-1.0, [0.5, 1.0, 2.0], (300, 3, 3))
     made = matched(performed, mesh)
     assert np.allclose(made.mean(axis=0), mesh.mean(axis=0)) and np.allclose(made.std(axis=0), mesh.std(axis=0))
+
+
+def graph_of(names: tuple[str, ...]) -> MarkerGraph:
+    graph = regression_of(STRIDE, FACES, marked(), REFERENCE, names, pose="angles").graph
+    assert graph
+    return graph
+
+
+@pytest.mark.parametrize("names", [LIMBS, ()], ids=["limbs from the body", "limbs that go on from one another"])
+def test_angles_and_lengths_get_the_meshs_means_and_variances_and_places_meet_them(names: tuple[str, ...]) -> None:
+    """In plain trigonometry: every edge's angle to the one before it and its length, of the markers that came out."""
+    graph, reference = graph_of(names), np.array([NAMES.index(n) for n in REFERENCE])
+    performed = np.random.default_rng(5).normal(0.0, 0.02, (60, 6, 3)) + 0.4 * STRIDE[0, AT] * [1.0, 0.8, 1.2]
+    made = graph_matched(graph, performed, STRIDE[:, AT], reference)
+    assert np.allclose(made[:, reference].mean(axis=1), 0.0)
+
+    def told(marks: Samples) -> Samples:
+        rows = []
+        for frame in marks:
+            lead = frame[graph.lead[1]] - frame[graph.lead[0]]
+            edges = [frame[j] - frame[i] for i, j in graph.edges]
+            befores = [lead if b < 0 else edges[b] for b in graph.before]
+            turns = [
+                np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1))
+                for a, b in zip(edges, befores, strict=True)
+            ]
+            rows.append([*turns, *(np.linalg.norm(edge) for edge in edges), np.linalg.norm(lead)])
+        return np.array(rows)
+
+    a, b, c = told(performed), told(STRIDE[:, AT]), told(made)
+    wanted = b.mean(axis=0) + np.clip((a - a.mean(axis=0)) / a.std(axis=0), -3, 3) * b.std(axis=0)
+    k = len(graph.edges)
+    wanted[:, :k] = np.clip(wanted[:, :k], 0.0, np.pi)
+    wanted[:, k:] = np.maximum(wanted[:, k:], b[:, k:].min(axis=0))
+    assert np.allclose(c, wanted, atol=1e-7)
+    same = graph_matched(graph, STRIDE[:, AT], STRIDE[:, AT], reference)
+    assert np.allclose(same, STRIDE[:, AT] - STRIDE[:, AT][:, reference].mean(axis=1, keepdims=True), atol=1e-9)
+
+
+def test_by_the_swing_alone_a_limbs_frames_are_those_of_the_equation() -> None:
+    model, graph = fit_steering(STRIDE, FACES, marked(), REFERENCE, LIMBS), graph_of(LIMBS)
+    performed = 0.4 * pacing(np.arange(50) / 30)
+    adapted = adapt(model, STRIDE[:, AT], performed, ranges="graph", pairing="swing", graph=graph)
+    reference = np.array([NAMES.index(n) for n in REFERENCE])
+    ranged = graph_matched(graph, performed, STRIDE[:, AT], reference)
+    part, made = next((a, b) for a, b in zip(model.parts, adapted.parts, strict=True) if model.alone(a) == "hoof_hl")
+    end, start = NAMES.index("hoof_hl"), int(graph.edges[graph.path(NAMES.index("hoof_hl"))[0], 0])
+
+    def theta(marks: Samples) -> Samples:
+        first, limb = marks[:, graph.lead[1]] - marks[:, graph.lead[0]], marks[:, end] - marks[:, start]
+        return np.arccos((first * limb).sum(-1) / np.linalg.norm(first, axis=-1) / np.linalg.norm(limb, axis=-1))
+
+    m, v = theta(ranged), theta(STRIDE[:, AT])
+    ahead = [np.append(np.diff(one), one[-1] - one[-2]) for one in (m, v)]
+    frames = [
+        min(range(24), key=lambda i: abs(d - ahead[1][i]) + m.std() / 2 * (1 - np.sign(d * ahead[1][i])))
+        for d in ahead[0]
+    ]
+    x_mesh, x = model.features(STRIDE[:, AT])[0], model.features(performed)[0]
+    wanted = learn(x[:, part.features], part.learned(x_mesh[frames][:, part.features]))
+    assert np.allclose(made.learned.weights, wanted.weights)
 
 
 @pytest.mark.parametrize("size", [0.4, 1.0, 2.5])
@@ -240,12 +303,19 @@ def test_the_command_takes_a_performer_and_says_what_is_wrong(tmp_path: Path) ->
     train = ("train", "mesh", tmp_path / "mesh.mcap", "-o", tmp_path / "m.npz", "--markers", tmp_path / "m.yaml")
     kinegraph(*train, "--performer", tmp_path / "walk.mcap")
     assert read_model(tmp_path / "m.npz", KIND).header["performer"] == "walk.mcap"
+    kinegraph(*train, "--performer", tmp_path / "walk.mcap", "--ranges", "graph", "--pairing", "swing", "--overwrite")
+    header = read_model(tmp_path / "m.npz", KIND).header
+    assert (header["ranges"], header["pairing"]) == ("graph", "swing")
+    kinegraph(*train, "--performer", tmp_path / "walk.mcap", "--overwrite")
     made = steered(tmp_path / "m.npz", 0.4 * marks)
     assert np.isfinite(made).all() and np.ptp(made[:, AT[0], 2]) > 0.1
     for more, why in (
         (("--performer", tmp_path / "mesh.mcap"), "no stream holds all markers"),
         (("--method", "strait"), "did you mean 'straight'|straight"),
         (("--method", "straight"), "limbs move by themselves"),
+        (("--ranges", "graph"), "--ranges graph: is for a performer"),
+        (("--pairing", "swing"), "--pairing swing: is for a performer"),
+        (("--ranges", "graphs"), "did you mean 'graph'|graph"),
         (("--method", "local", "--performer", tmp_path / "walk.mcap"), "limbs move by themselves"),
     ):
         with pytest.raises(KinegraphError, match=why):

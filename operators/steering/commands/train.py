@@ -13,6 +13,7 @@ from stream.plain import say
 if TYPE_CHECKING:
     from operators.steering.choose import Method
     from operators.steering.fit import PoseRegression, Steering
+    from operators.steering.pose_parameters import MarkerGraph
     from operators.steering.soft import MarkerPull
     from stream.chunk import Samples
     from stream.mesh import Topology
@@ -75,6 +76,20 @@ def mesh(
         File | None,
         typer.Option(help="a recording of the one who will steer: markers of the same names, on another body"),
     ] = None,
+    ranges: Annotated[
+        str,
+        typer.Option(
+            help="with --performer: ranges of motion are made equal of positions (each marker's axes), or, as in the thesis, of the graph "
+            "of markers (angles and lengths; places by inverse kinematics)"
+        ),
+    ] = "positions",
+    pairing: Annotated[
+        str,
+        typer.Option(
+            help="with --performer: a limb's frames are paired by place and swing (nearest), or by the swing alone, as the thesis prints "
+            "it (swing; 9.9)"
+        ),
+    ] = "nearest",
     report: Annotated[
         File | None, typer.Option(help="a page (.html) with pictures: parts, each vertex's error, shape modes")
     ] = None,
@@ -91,7 +106,7 @@ def mesh(
     heading: [croup, withers]         # optional: the mesh faces from the one to the other, and turns with them (y is up)
 
     With --performer the mesh follows somebody of other proportions: frames are paired by the swing and place of each limb, in ranges of
-    motion made equal. The model is used by operators.steering.operator.SteerMesh.
+    motion made equal; --ranges and --pairing say how. The model is used by operators.steering.operator.SteerMesh.
     """
     from operators.steering.adapt import adapt
     from operators.steering.choose import choose
@@ -114,6 +129,9 @@ def mesh(
             "--method local: regions move with the markers that lie on them: by positions and kernels, and with no --performer; leave "
             "--method out"
         )
+    graph = _body_graph(
+        frames, topology, markers, said, {"ranges": ranges, "pairing": pairing}, performer=performer is not None
+    )
     performed = _performed(performer, tuple(said["markers"])) if performer else None
     say(f"{len(frames)} frames of {topology.vertices} vertices; learning ...")
     given = (topology.faces, said["markers"], said["reference"], said["limbs"], parts, modes, said["heading"])
@@ -130,7 +148,7 @@ def mesh(
         )  # fmt: skip
         say(f"{report}: off by {error:.3f} % of the mesh's diagonal in every fourth frame, left out")
     if performed is not None:
-        model = adapt(model, frames[:, model.vertices], performed, said["heading"])
+        model = adapt(model, frames[:, model.vertices], performed, said["heading"], ranges, pairing, graph)  # type: ignore[arg-type]
     header, arrays = to_arrays(model, topology, tuple(said["limbs"]))
     told = {
         "method": how,
@@ -138,6 +156,7 @@ def mesh(
         "regression": regression,
         "skeleton": skeleton,
         **asked,
+        **({"ranges": ranges, "pairing": pairing} if performer else {}),
         "left_out": off,
         "softly": _softly(model),
         "trained_on": [path.name for path in recordings],
@@ -237,6 +256,35 @@ def _poses(
         return regression_of(frames, mesh.faces, *given, pose, regression, skeleton, *other)  # type: ignore[arg-type]
     except ValueError as error:
         raise KinegraphError(f"{markers}: --pose {pose}: {error}") from None
+
+
+def _body_graph(
+    frames: Samples, mesh: Topology, markers: File, said: dict[str, Any], asked: dict[str, str], *, performer: bool
+) -> MarkerGraph | None:
+    """The graph that --ranges graph and --pairing swing go by; None where neither is asked for."""
+    from operators.steering.adapt import PAIRINGS, RANGES
+    from operators.steering.choose import regression_of
+
+    for name, known in (("ranges", RANGES), ("pairing", PAIRINGS)):
+        if asked[name] not in known:
+            raise KinegraphError(f"--{name}: there is no {name} {asked[name]!r}; {nearest(asked[name], known)}")
+    one = next(
+        (
+            f"--{name} {asked[name]}"
+            for name, usual in (("ranges", "positions"), ("pairing", "nearest"))
+            if asked[name] != usual
+        ),
+        "",
+    )
+    if not one:
+        return None
+    if not performer:
+        raise KinegraphError(f"{one}: is for a performer of another body; give --performer, or leave it out")
+    given = said["markers"], said["reference"], said["limbs"], said["heading"]
+    try:
+        return regression_of(frames, mesh.faces, *given, "angles").graph
+    except ValueError as error:
+        raise KinegraphError(f"{markers}: {one}: {error}") from None
 
 
 def _frames(recordings: list[File]) -> tuple[Samples, Topology]:
