@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
@@ -11,6 +12,7 @@ import structlog
 from numpy.typing import NDArray
 
 from operators.body.background_kernel import cut_out
+from operators.body.camera_moved import disagreement, people_cut_out
 from operators.body.floor import FLOOR, floor_of
 from operators.body.names import camera_of
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec
@@ -21,6 +23,15 @@ from stream.require import regular
 
 log = structlog.get_logger(__name__)
 
+SUSPECT = 2
+"""Frames in a row that disagree with the background until the camera is suspected of having been moved."""
+AGAIN_S = 0.1
+"""The camera must rest for this long before its new view is a background."""
+AT_REST = 0.08
+"""In a camera at rest no more of the frame changes within that time: people move in it."""
+MOSTLY = 0.8
+"""Nobody covers this much of the frame: the camera was moved towards something."""
+
 
 @dataclass(slots=True)
 class BackgroundState:
@@ -30,8 +41,13 @@ class BackgroundState:
     streak    (h, w)  frames in a row in which a pixel was farther than its background (1..), or as near as the frame before (-1..)
     front     (h, w)  where a pixel's streak began, in mm
     frames    how many were seen since the background was begun
-    moved     frames in a row in which enough is farther away to mean that the camera moved
+    enough    how many of them make a background, and
+    again     whether it is not the first one
+    moved     frames in a row that disagree with it enough for the camera to have been moved
     told      whether the floor was
+    earlier   (h, w)  the background of the view before, which may come back
+    shown     (2, h, w)  what stood before the background lately, and up to a second earlier
+    turned    whether the people stand on a floor at the top of the image
     """
 
     rate_hz: float
@@ -40,8 +56,13 @@ class BackgroundState:
     streak: NDArray[np.int32]
     front: NDArray[np.float32]
     frames: int
+    enough: int
+    again: bool
     moved: int
     told: bool
+    earlier: NDArray[np.float32]
+    shown: NDArray[np.uint16]
+    turned: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +74,11 @@ class Background(Operator[BackgroundState]):
            the share of the background that lies on it
 
     The background is what was farthest at each pixel: who stands there at the start is part of it until they step aside. What is put down
-    becomes background after `absorb_s`; people do not stand so still. When more than `moved_share` of the frame lies behind the background
-    for a second, the camera was moved: the background is learned again, and nothing is given out for `learn_s`.
+    becomes background after `absorb_s`; people do not stand so still. When more than `moved_share` of the frame lies behind the
+    background, half of that behind and as much before it, or four fifths before it, the camera may have been moved. Nothing is given out
+    until its old view is back or a new one has rested for a tenth of a second. People who then stand by themselves in the new view, as high
+    and with as much surface as those seen before, are cut out of its background; others are part of it, as at the start. If they stand on
+    a floor at the top of the image, the camera was turned over: nothing is given out until it is turned back.
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("out", "floor")
@@ -77,9 +101,14 @@ class Background(Operator[BackgroundState]):
             raise InputError("in", spec.describe(), "depth frames (height, width) uint16 in mm")
         rate = regular(spec)
         camera = camera_of(spec) or (np.nan,) * 4
-        zeros = np.zeros(spec.shape, np.float32)
-        streak = np.zeros(spec.shape, np.int32)
-        self.hold(BackgroundState(rate, np.array(camera), zeros, streak, zeros.copy(), 0, 0, False))
+        behind, earlier, front = np.zeros((3, *spec.shape), np.float32)
+        streak, shown = np.zeros(spec.shape, np.int32), np.zeros((2, *spec.shape), np.uint16)
+        enough = math.ceil(self.learn_s * rate)
+        self.hold(
+            BackgroundState(
+                rate, np.array(camera), behind, streak, front, 0, enough, False, 0, False, earlier, shown, False
+            )
+        )
         out = spec.derive(settling_s=spec.settling_s + self.learn_s)
         return {"out": out, "floor": StreamSpec((), FLOOR, units=("ns", "", "m", ""), meta=dict(spec.meta))}
 
@@ -89,12 +118,18 @@ class Background(Operator[BackgroundState]):
         floors: list[Array] = []
         absorb = max(1, round(self.absorb_s * s.rate_hz))
         for i, time in enumerate(chunk.time.tolist()):
-            self._count(
-                cut_out(chunk.data[i], s.behind, s.streak, s.front, self.least_mm, self.least_share, absorb, out[i])
-            )
-            if s.frames < self.learn_s * s.rate_hz:
+            frame = chunk.data[i]
+            self._watch(frame)
+            cut_out(frame, s.behind, s.streak, s.front, self.least_mm, self.least_share, absorb, out[i])
+            s.frames += 1
+            if s.again and s.frames == s.enough:
+                self._settle(frame, out[i])
+            if s.frames < s.enough or s.turned:
                 out[i] = 0
-            elif not s.told:
+                continue
+            if s.frames % max(1, round(s.rate_hz)) == 0 and not s.moved:
+                s.shown[1], s.shown[0] = s.shown[0], out[i]
+            if not s.told:
                 s.told = True
                 floors += floor_of(s.behind, s.camera, time, upside_down=self.upside_down)
         found = np.array(floors, FLOOR)
@@ -103,15 +138,52 @@ class Background(Operator[BackgroundState]):
             ("floor", Chunk(found["onset"].copy(), found, chunk.until, 0)),
         ]
 
-    def _count(self, farther: float) -> None:
-        """One frame more; from the beginning again where the camera was moved."""
+    def _watch(self, frame: Array) -> None:
+        """Before a frame is taken: begin a new background where the camera was moved, go back to the old one where it shows that again."""
         s = self.state
-        s.frames += 1
-        s.moved = s.moved + 1 if farther > self.moved_share and s.frames > self.learn_s * s.rate_hz else 0
-        if s.moved >= s.rate_hz:
-            log.warning("the depth camera was moved; its background is learned again")
-            s.behind[:], s.streak[:], s.front[:] = 0.0, 0, 0.0
-            s.frames, s.moved, s.told = 0, 0, False
+        if not s.again and s.frames < s.enough:
+            return
+        farther, nearer = disagreement(frame, s.behind, self.least_mm, self.least_share)
+        if s.frames < s.enough:
+            if not self._back(frame) and farther + nearer > AT_REST:
+                self._begin()
+            return
+        young = s.again and s.frames < s.enough + s.rate_hz
+        most = AT_REST if young else self.moved_share
+        s.moved = s.moved + 1 if farther > most or nearer > MOSTLY or min(farther, nearer) > most / 2 else 0
+        if s.moved >= SUSPECT and not self._back(frame):
+            if not young:
+                log.warning("the depth camera was moved; its background is learned again")
+                s.earlier[:] = s.behind
+            self._begin()
+
+    def _back(self, frame: Array) -> bool:
+        """Go back to the background of the view before if a frame shows that."""
+        s = self.state
+        if not s.earlier.any():
+            return False
+        farther, nearer = disagreement(frame, s.earlier, self.least_mm, self.least_share)
+        if farther > self.moved_share / 2 or nearer > MOSTLY:
+            return False
+        s.behind[:], s.streak[:], s.front[:], s.earlier[:] = s.earlier, 0, 0.0, 0.0
+        s.frames, s.moved, s.turned = s.enough + round(s.rate_hz), 0, False
+        return True
+
+    def _begin(self) -> None:
+        s = self.state
+        s.behind[:], s.streak[:], s.front[:] = 0.0, 0, 0.0
+        s.frames, s.enough, s.again = 0, max(2, round(AGAIN_S * s.rate_hz)), True
+        s.moved, s.told = 0, False
+
+    def _settle(self, frame: Array, out: Array) -> None:
+        """A new background is complete: the people are cut out of it and given out."""
+        s = self.state
+        old = s.shown[int(s.shown.any(axis=(1, 2)).all())]
+        cut, s.turned = people_cut_out(s.behind, s.camera, old, upside_down=self.upside_down)
+        if s.turned:
+            log.warning("the depth camera was turned over: nobody is seen until it is turned back")
+        if cut:
+            cut_out(frame, s.behind, s.streak, s.front, self.least_mm, self.least_share, 1 << 30, out)
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

@@ -81,6 +81,30 @@ def overlaps(parts: NDArray[np.int32], labels: NDArray[np.uint8], out: NDArray[n
 
 
 @kernel(nogil=True)
+def ahead_at_border(
+    frame: NDArray[np.uint16],
+    parts: NDArray[np.int32],
+    depths: NDArray[np.uint16],
+    leap: float,
+    ahead: NDArray[np.int64],
+) -> None:
+    """How many pixels of a part are nearer by `leap` than what was there before, into `ahead` (parts + 1,); 0 if it is off the border.
+
+    `depths` (h, w) are of the people in the frame before, 0 elsewhere.
+    """
+    h, w = frame.shape
+    at_border = np.zeros(len(ahead), np.bool_)
+    for y in range(h):
+        for x in range(w):
+            k = parts[y, x]
+            at_border[k] |= y == 0 or x == 0 or y == h - 1 or x == w - 1
+            ahead[k] += float(frame[y, x]) + leap < float(depths[y, x])
+    for k in range(len(ahead)):
+        if not at_border[k]:
+            ahead[k] = 0
+
+
+@kernel(nogil=True)
 def share_out(
     frame: NDArray[np.uint16],
     parts: NDArray[np.int32],

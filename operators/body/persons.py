@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.body.components import components, measure, only, overlaps, share_out
+from operators.body.components import ahead_at_border, components, measure, only, overlaps, share_out
 from operators.body.names import camera_of
 from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError
@@ -22,12 +22,15 @@ PERSON = np.dtype(
 """At `onset` `person` (1, 2, ...) fills `box` (first row and column, rows, columns) and `pixels`; the middle is at `place` (m)."""
 MOST_PARTS = 64
 FORGET_S = 3.0
+LEAP_MM = 500.0
+"""What comes from the image's border and is this much nearer than the person was there is something else that hides the person."""
 
 
 @dataclass(slots=True)
 class PersonsState:
     """
     labels    (h, w)     who was where in the newest frame: 0 nobody, 1, 2, ...
+    depths    (h, w)     their depths in mm
     places    (most, 4)  of everyone: middle in pixels and mm (x, y, depth), and of how many pixels; NaN: not there
     seen      (most,)    stamp at which everyone was seen last
     followed  who is followed; 0: nobody
@@ -35,6 +38,7 @@ class PersonsState:
 
     camera: Samples
     labels: NDArray[np.uint8]
+    depths: NDArray[np.uint16]
     places: Samples
     seen: NDArray[np.int64]
     followed: int
@@ -50,8 +54,9 @@ class Persons(Operator[PersonsState]):
 
     Pixels side by side whose depths differ by less than `apart_mm` are one thing; things of less than `least_share` of the frame are none,
     unless they touch somebody's box: a forearm before the trunk. People keep their numbers by the pixels they share with the frame before,
-    and where they touch, each pixel is the nearer one's. Whoever was away for 3 s gives up the number. `person` says who is followed: a
-    number, or 0: the largest, who is followed until gone.
+    and where they touch, each pixel is the nearer one's. What reaches to the image's border and is half a metre before where the person
+    just was, a table that is pushed into the picture, is not the person's but the next one's. Whoever was away for 3 s gives up the
+    number. `person` says who is followed: a number, or 0: the largest, who is followed until gone.
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("out", "labels", "persons")
@@ -67,7 +72,11 @@ class Persons(Operator[PersonsState]):
             raise InputError("in", spec.describe(), "depth frames (height, width) uint16 in mm, 0 where nobody is")
         camera = camera_of(spec) or (np.nan,) * 4
         places, seen = np.full((self.most, 4), np.nan), np.zeros(self.most, np.int64)
-        self.hold(PersonsState(np.array(camera), np.zeros(spec.shape, np.uint8), places, seen, 0))
+        self.hold(
+            PersonsState(
+                np.array(camera), np.zeros(spec.shape, np.uint8), np.zeros(spec.shape, np.uint16), places, seen, 0
+            )
+        )
         labels = spec.derive(dtype=np.dtype(np.uint8), units=("",))
         units = ("ns", "", "px", "px", "m")
         return {"out": spec, "labels": labels, "persons": StreamSpec((), PERSON, units=units, meta=dict(spec.meta))}
@@ -98,6 +107,9 @@ class Persons(Operator[PersonsState]):
         count = components(frame, self.apart_mm, max(4, least // 12), parts, sizes, middles)
         shared = np.zeros((count + 1, self.most + 1), np.int64)
         overlaps(parts, s.labels, shared)
+        ahead = np.zeros(count + 1, np.int64)
+        ahead_at_border(frame, parts, s.depths, LEAP_MM, ahead)
+        shared[ahead > 0.5 * shared[:, 1:].sum(axis=1), 1:] = 0
         owners = self._owners(time, count, sizes, shared, least)
         self._attach(owners, count, middles)
         share_out(frame, parts, owners, s.places, labels)
@@ -135,7 +147,7 @@ class Persons(Operator[PersonsState]):
     def _measured(self, time: int, frame: Array, labels: NDArray[np.uint8]) -> list[Array]:
         """Remember everyone's place; the events of a frame."""
         s, told, rows = self.state, [], np.empty((self.most + 1, 8), np.int64)
-        s.labels[:] = labels
+        s.labels[:], s.depths[:] = labels, np.where(labels, frame, 0)
         measure(frame, labels, rows)
         for who, (pixels, across, down, top, bottom, left, right, twice) in enumerate(rows[1:].tolist(), 1):
             if not pixels:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
 
+from devices.simulators import rendered_performer
 from devices.simulators.rendered_performer import EMPTY_S, POINTS, RenderedPerformer, camera_of
 from operators.body.background import Background
 from operators.body.markers import Markers
@@ -84,6 +86,68 @@ def test_a_camera_that_was_moved_learns_again_and_gives_nothing_meanwhile() -> N
     assert background.state.behind.min() == pytest.approx(6000, abs=1)
 
 
+def seen_from(height_m: float, away_m: float, wall_m: float, first: int, n: int) -> np.ndarray:
+    """The rendered performer from another place."""
+    with mock.patch.multiple(rendered_performer, HEIGHT_M=height_m, AWAY_M=away_m, WALL_M=wall_m):
+        performer = RenderedPerformer(WIDTH, HEIGHT)
+        return np.stack([performer.frame(k, k / RATE) for k in range(first, first + n)])
+
+
+def pixels_of(made: dict[str, list[Chunk]]) -> np.ndarray:
+    return np.array([(chunk.data > 0).sum() for chunk in made["out"]])
+
+
+def test_who_stands_before_a_camera_that_is_moved_is_given_out_again_at_once() -> None:
+    background = Background()
+    background.open({"in": DEPTH})
+    before = pixels_of(feed(background, "in", seen_from(1.05, 2.7, 4.2, 0, 135)))[-1]
+    after = pixels_of(feed(background, "in", seen_from(1.25, 2.4, 3.6, 135, 90), 135))
+    assert (after[5:] > 0.7 * before).all() and (after[5:] < 2.0 * before).all()
+    back = pixels_of(feed(background, "in", seen_from(1.05, 2.7, 4.2, 225, 30), 225))
+    assert (back[5:] > 0.7 * before).all() and (back[5:] < 1.5 * before).all()
+
+
+@pytest.mark.parametrize("frames", [15, 45])
+def test_a_camera_that_moves_slowly_leaves_no_ghosts_of_the_room(frames: int) -> None:
+    background = Background()
+    background.open({"in": DEPTH})
+    before = pixels_of(feed(background, "in", seen_from(1.05, 2.7, 4.2, 0, 135)))[-1]
+    for k in range(frames):
+        share = (k + 1) / frames
+        feed(background, "in", seen_from(1.05 + 0.2 * share, 2.7 - 0.3 * share, 4.2 - 0.6 * share, 135 + k, 1), 135 + k)
+    after = pixels_of(feed(background, "in", seen_from(1.25, 2.4, 3.6, 135 + frames, 40), 135 + frames))
+    assert (after[5:] > 0.7 * before).all() and (after[5:] < 2.0 * before).all()
+
+
+def test_a_chair_in_the_new_view_is_no_person() -> None:
+    """Nobody stood there before: whatever is in the new view is its background."""
+    background = Background()
+    background.open({"in": DEPTH})
+    feed(background, "in", room(45))
+    after = pixels_of(feed(background, "in", seen_from(1.25, 2.4, 3.6, 135, 10), 45))
+    assert (after[3:] < 400).all(), "only what moves since"
+
+
+def test_a_camera_that_is_turned_over_gives_nothing_until_it_is_turned_back(capsys: Any) -> None:
+    background = Background()
+    background.open({"in": DEPTH})
+    upright = seen_from(1.05, 2.7, 4.2, 0, 200)
+    feed(background, "in", upright[:135])
+    over = pixels_of(feed(background, "in", np.ascontiguousarray(upright[135:180, ::-1, ::-1]), 135))
+    assert not over[2:].any()
+    assert "turned over" in capsys.readouterr().out
+    assert (pixels_of(feed(background, "in", upright[180:], 180))[3:] > 500).all()
+
+
+def test_a_glitch_of_two_frames_changes_no_background() -> None:
+    background = Background()
+    background.open({"in": DEPTH})
+    frames = seen_from(1.05, 2.7, 4.2, 0, 200)
+    before = pixels_of(feed(background, "in", frames[:135]))[-1]
+    feed(background, "in", np.full((2, HEIGHT, WIDTH), 60000, np.uint16), 135)
+    assert (pixels_of(feed(background, "in", frames[137:], 137))[1:] > 0.7 * before).all()
+
+
 @pytest.mark.parametrize("frame", [np.zeros((HEIGHT, WIDTH), np.uint16), np.full((HEIGHT, WIDTH), 65535, np.uint16)])
 def test_frames_without_depth_invent_nobody(frame: np.ndarray) -> None:
     background, persons = Background(), Persons()
@@ -117,6 +181,17 @@ def test_an_arm_before_the_trunk_is_its_own_persons() -> None:
     made = feed(persons, "in", frames)
     assert {*np.concatenate([chunk.data for chunk in made["persons"]])["person"].tolist()} == {1}
     assert (made["out"][-1].data[0][45:65, 70:80] == 1600).all()
+
+
+def test_a_table_that_is_pushed_before_somebody_is_not_the_person() -> None:
+    persons = Persons()
+    persons.open({"in": DEPTH})
+    frames = np.zeros((20, HEIGHT, WIDTH), np.uint16)
+    frames[:, 20:115, 60:90] = 2600
+    frames[5:, 60:, :] = 1300
+    newest = feed(persons, "in", frames)["out"][-1].data[0]
+    assert (newest[20:60, 60:90] == 2600).all()
+    assert not newest[60:].any()
 
 
 def standing(facing: float = -1.0) -> np.ndarray:
