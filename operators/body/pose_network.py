@@ -13,6 +13,7 @@ import structlog
 
 from operators.body.crop import Image, crop, refine
 from operators.body.facing import CELLS, facing_of, shape_of, weights
+from operators.body.in_step import InStep
 from operators.body.names import LANDMARKS, SEEN, camera_of
 from operators.body.network import POINTS, SIZE, Raw, look, model_path
 from operators.body.pairing import Pairing
@@ -39,12 +40,14 @@ class PoseNetworkState:
     """
     model     the network's file; "": there is none
     pairing   frames that wait for their partner
+    in_step   whether images are of the time that their stamps say
     square    (4,)  where to look next: x, y, side, turn; NaN: in the person's box
     last      stamp of the newest frame
     """
 
     model: str
     pairing: Pairing
+    in_step: InStep
     square: Samples
     last: int
 
@@ -56,9 +59,10 @@ class PoseNetwork(Operator[PoseNetworkState]):
     BlazePose full (Apache-2.0; `kinegraph fetch pose-model`) by LiteRT, on colour, grey or infrared, some 10 ms a frame: put it on a
     `worker`. It looks where the depth says that the person is, so no frame is spent on finding people. One sample comes out for every
     frame of depth, NaN where nobody is seen or no image was taken within `apart_s`. It can be recorded where images are not, and
-    everything after it computed from it again. It is not what the network says alone: the depth at every landmark and where the body's
-    shape faces are in it. With `needed: false` a graph runs where the network or its runtime is missing, too: every sample is then as if
-    nobody were seen, and the log says once what would have to be done.
+    everything after it computed from it again. Images that show another moment than their stamps say, by 50 ms or more, are found out by
+    the outline that moves in them and in the depth, within seconds; they are left alone, and the log says so. It is not what the network
+    says alone: the depth at every landmark and where the body's shape faces are in it. With `needed: false` a graph runs where the network
+    or its runtime is missing, too: every sample is then as if nobody were seen, and the log says once what would have to be done.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("image", "person")
@@ -83,7 +87,8 @@ class PoseNetwork(Operator[PoseNetworkState]):
         if camera_of(person) is None:
             raise InputError("person", "a stream of unknown geometry", "one whose spec says `camera`: fx, fy, cx, cy")
         model = FIGURE if self.model == FIGURE else self._found()
-        self.hold(PoseNetworkState(model, Pairing.within(self.apart_s, image, person), np.full(4, np.nan), 0))
+        pairing = Pairing.within(self.apart_s, image, person)
+        self.hold(PoseNetworkState(model, pairing, InStep.for_frames(person), np.full(4, np.nan), 0))
         meta = {**person.meta, "landmarks": list(LANDMARKS)}
         settling_s = max(image.settling_s, person.settling_s)
         spec = StreamSpec((), SEEN, rate_hz=person.rate_hz, units=("px, m", "", ""), settling_s=settling_s, meta=meta)
@@ -115,6 +120,8 @@ class PoseNetwork(Operator[PoseNetworkState]):
             if time - self.state.last > self.reset_gap_s * NS:
                 self.state.square[:] = np.nan
             self.state.last = time
+            if image is not None and not self.state.in_step.watch(time, depth, image):
+                image = None
             self._look(depth, image, out[i : i + 1])
         limit = self.state.pairing.limit(until)
         lost = np.array([pair[1] for pair in pairs], np.int64)
