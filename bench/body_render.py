@@ -132,8 +132,8 @@ class Studio:
             np.stack([f[0] for f in frames]), np.stack([f[1] for f in frames]), empty, truth_of(self.names, *seen)
         )
 
-    def frame(self, rotations: Any, joints: Any, random: np.random.Generator) -> tuple[Any, Any]:
-        """Depth and infrared of one pose."""
+    def skin(self, rotations: Any, joints: Any) -> NDArray[np.float64]:
+        """The mesh (13380, 3) in one pose."""
         body = self.body
         skin, weights = body["vertices"].astype(float), body["weight"].astype(float)
         moved = np.zeros_like(skin)
@@ -141,6 +141,11 @@ class Studio:
             j = body["weight_index"][:, k]
             here = np.einsum("nij,nj->ni", rotations[j], skin - body["head"][j]) + joints[j]
             moved += weights[:, k : k + 1] / weights.sum(1, keepdims=True) * here
+        return moved
+
+    def frame(self, rotations: Any, joints: Any, random: np.random.Generator) -> tuple[Any, Any]:
+        """Depth and infrared of one pose."""
+        body, moved = self.body, self.skin(rotations, joints)
         depth, light = np.zeros((HEIGHT, WIDTH)), np.zeros((HEIGHT, WIDTH))
         draw((moved - self.place) @ self.axes.T, body["faces"], CAMERA, depth, light)
         there = (depth > 0) & (depth < self.room)
