@@ -8,15 +8,15 @@ from typing import ClassVar
 import numpy as np
 
 from devices.cameras.intrinsics import lens
-from devices.simulators.paced import paced
+from devices.simulators.paced import PacedSource
 from devices.simulators.rendered_performer import POINTS, RenderedPerformer, camera_of
 from stream.chunk import NS, Array, Chunk, Specs, StreamSpec
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed
 
 
 @dataclass(frozen=True, slots=True)
-class BeforeCamera(Source):
+class BeforeCamera(PacedSource):
     """Someone who stands, walks on the spot and moves the arms before a depth camera, after two seconds of an empty room.
 
     depth   (height, width) uint16 mm, 0: no measurement
@@ -32,12 +32,6 @@ class BeforeCamera(Source):
     height: int = param(200, least=48, most=1024, help="rows")
     fps: float = param(30.0, above=1.0, most=120.0, help="frames per second")
     seed: int = param(0, least=0, help="another seed, other noise")
-    duration_s: float = param(0.0, least=0.0, help="how long; 0: until stopped")
-    realtime: bool = param(True, help="false: as fast as the graph takes it")
-
-    @property
-    def live(self) -> bool:
-        return self.realtime
 
     @property
     def chunk_s(self) -> float:
@@ -59,7 +53,7 @@ class BeforeCamera(Source):
     def read(self, feed: Feed) -> None:
         performer = RenderedPerformer(self.width, self.height, seed=self.seed)
         drawn = self._drawn(performer, 0)
-        for frame, stamp in paced(feed, self.fps, self.duration_s, self.realtime):
+        for frame, stamp in self.frames(feed, self.fps):
             for output, data in drawn.items():
                 feed.emit(Chunk(np.array([stamp]), data[None], stamp), output)
             if self.realtime and feed.wait(max(0.0, stamp / NS + 0.5 / self.fps - feed.now() / NS)):

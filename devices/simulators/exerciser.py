@@ -9,10 +9,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from devices.simulators.paced import PacedSource
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
 from stream.errors import ParameterError
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed
 
 JOINTS = (
     "hip_center", "spine", "shoulder_center", "head", "shoulder_l", "elbow_l", "wrist_l", "hand_l", "shoulder_r", "elbow_r",
@@ -25,7 +26,7 @@ TAKES_S = {"arms": 1.8, "squat": 2.2, "knees": 1.6, "wave": 1.2}
 
 
 @dataclass(frozen=True, slots=True)
-class Exerciser(Source):
+class Exerciser(PacedSource):
     """Someone faces a camera and does exercises in turn, each some times, and stands for a moment before each.
 
     joints  (20, 3) float64, m, in the camera's view: x to its right, y up, z away from it; irregular, some 30 Hz, as a Kinect's
@@ -45,11 +46,6 @@ class Exerciser(Source):
     jitter_ms: float = param(3.0, least=0.0, most=15.0, help="of the frames' times, either way")
     seed: int = param(0, least=0, help="another seed, other tempos and noise")
     duration_s: float = param(60.0, least=0, help="how long; 0: until stopped")
-    realtime: bool = param(True, help="false: as fast as the graph takes it")
-
-    @property
-    def live(self) -> bool:
-        return self.realtime
 
     @property
     def chunk_s(self) -> float:

@@ -7,12 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from devices.simulators.paced import paced
+from devices.simulators.paced import FrameSource
 from stream.chunk import Chunk, Samples, Specs, StreamSpec
 from stream.humanoid import BONES, usual_body
 from stream.joint_tree import joints_of
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed
 
 MARKED = {
     "hip": "UpperLeg",
@@ -33,7 +33,7 @@ PART_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Performer(Source):
+class Performer(FrameSource):
     """Someone before a camera, standing, waving, walking on the spot and squatting in turn; y up, facing z.
 
     markers  (13, 3) float64, m: hips, knees, ankles, shoulders, elbows, wrists, head; NaN where one is hidden
@@ -44,20 +44,9 @@ class Performer(Source):
 
     outputs: ClassVar[tuple[str, ...]] = ("markers", "pose")
 
-    rate_hz: float = param(30.0, above=1.0, most=240.0, help="frames per second")
     noise_mm: float = param(5.0, least=0.0, help="standard deviation of every coordinate")
     hides: bool = param(True, help="the left hand goes behind the back now and then")
     seed: int = param(0, least=0, help="another seed, other noise")
-    duration_s: float = param(0.0, least=0.0, help="how long; 0: until stopped")
-    realtime: bool = param(True, help="false: as fast as the graph takes it")
-
-    @property
-    def live(self) -> bool:
-        return self.realtime
-
-    @property
-    def chunk_s(self) -> float:
-        return 1 / self.rate_hz
 
     def specs(self) -> Specs:
         made = {"simulated": True}
@@ -68,7 +57,7 @@ class Performer(Source):
         true_pose(0.0)
 
     def read(self, feed: Feed) -> None:
-        for frame, stamp in paced(feed, self.rate_hz, self.duration_s, self.realtime):
+        for frame, stamp in self.frames(feed, self.rate_hz):
             pose = true_pose(frame / self.rate_hz)
             at = np.array([stamp])
             feed.emit(Chunk(at, self.markers(frame, pose)[None], stamp), "markers")

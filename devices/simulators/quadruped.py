@@ -7,11 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from devices.simulators.paced import paced
+from devices.simulators.paced import FrameSource
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec
 from stream.mesh import Topology
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed
 
 AROUND, ALONG = 8, 9
 LEGS = {"fl": (0.16, 0.45, 0.0), "fr": (-0.16, 0.45, 0.5), "hl": (0.16, -0.45, 0.75), "hr": (-0.16, -0.45, 0.25)}
@@ -72,7 +72,7 @@ def marked() -> dict[str, int]:
 
 
 @dataclass(frozen=True, slots=True)
-class Quadruped(Source):
+class Quadruped(FrameSource):
     """A mesh that walks on the spot, and its markers.
 
     mesh     (432, 3) float64, m   markers  (6, 3) float64, m: four hooves, withers, croup
@@ -80,18 +80,7 @@ class Quadruped(Source):
 
     outputs: ClassVar[tuple[str, ...]] = ("mesh", "markers")
 
-    rate_hz: float = param(30.0, above=1.0, most=240.0, help="frames per second")
     stride_s: float = param(1.2, above=0.2, help="how long a stride takes")
-    duration_s: float = param(0.0, least=0.0, help="how long; 0: until stopped")
-    realtime: bool = param(True, help="false: as fast as the graph takes it")
-
-    @property
-    def live(self) -> bool:
-        return self.realtime
-
-    @property
-    def chunk_s(self) -> float:
-        return 1 / self.rate_hz
 
     def specs(self) -> Specs:
         made = {"simulated": True}
@@ -101,7 +90,7 @@ class Quadruped(Source):
 
     def read(self, feed: Feed) -> None:
         numbers = list(marked().values())
-        for frame, stamp in paced(feed, self.rate_hz, self.duration_s, self.realtime):
+        for frame, stamp in self.frames(feed, self.rate_hz):
             mesh = walking((frame / self.rate_hz / self.stride_s) % 1.0)
             at = np.array([stamp])
             feed.emit(Chunk(at, mesh[None], stamp), "mesh")
@@ -109,34 +98,23 @@ class Quadruped(Source):
 
 
 @dataclass(frozen=True, slots=True)
-class TwoActors(Source):
+class TwoActors(FrameSource):
     """Two people who walk on the spot, each with a marker on the hips and one on each foot: NaN while the second one is away.
 
     out  (6, 3) float64, m: first.hip, first.foot_l, first.foot_r, second.hip, second.foot_l, second.foot_r; y up, z forwards
     """
 
-    rate_hz: float = param(30.0, above=1.0, most=240.0, help="frames per second")
     stride_s: tuple[float, float] = param((1.1, 1.3), help="how long a stride of each takes")
     leaves_s: float = param(0.0, least=0.0, help="when the second one leaves, for 3 s; 0: never")
     noise_mm: float = param(5.0, least=0.0, help="standard deviation of every coordinate")
     seed: int = param(0, least=0, help="another seed, other noise")
-    duration_s: float = param(0.0, least=0.0, help="how long; 0: until stopped")
-    realtime: bool = param(True, help="false: as fast as the graph takes it")
-
-    @property
-    def live(self) -> bool:
-        return self.realtime
-
-    @property
-    def chunk_s(self) -> float:
-        return 1 / self.rate_hz
 
     def specs(self) -> Specs:
         spec = StreamSpec((6, 3), rate_hz=self.rate_hz, channels=ACTOR_PARTS, units=("m",), meta={"simulated": True})
         return {"out": spec}
 
     def read(self, feed: Feed) -> None:
-        for frame, stamp in paced(feed, self.rate_hz, self.duration_s, self.realtime):
+        for frame, stamp in self.frames(feed, self.rate_hz):
             feed.emit(Chunk(np.array([stamp]), self.markers(frame)[None], stamp))
 
     def markers(self, frame: int) -> Samples:

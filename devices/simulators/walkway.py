@@ -8,10 +8,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from devices.simulators.paced import PacedSource
 from devices.simulators.treadmill.signal import Indices, Signal, Walker
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed
 
 MUSCLES = ("LTA", "LMG", "RTA", "RMG")
 MARKERS = ("LHIP", "LKNE", "LANK", "LTOE", "RHIP", "RKNE", "RANK", "RTOE")
@@ -22,7 +23,7 @@ _STEP_MM = 330.0
 
 
 @dataclass(frozen=True, slots=True)
-class Walkway(Source):
+class Walkway(PacedSource):
     """Someone walks along y, with surface EMG on both shins and calves and markers on hips, knees, ankles and toes.
 
     emg      (4,) float64, mV, 1000 Hz: LTA LMG RTA RMG (tibialis anterior, gastrocnemius medialis)
@@ -38,11 +39,6 @@ class Walkway(Source):
     cadence_per_min: float = param(55.0, least=30, most=90, help="strides per minute")
     seed: int = param(0, least=0, help="another seed, another walk")
     duration_s: float = param(20.0, least=0, help="how long; 0: until stopped")
-    realtime: bool = param(True, help="false: as fast as the graph takes it")
-
-    @property
-    def live(self) -> bool:
-        return self.realtime
 
     @property
     def chunk_s(self) -> float:

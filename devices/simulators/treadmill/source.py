@@ -10,13 +10,14 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.simulators.paced import PacedSource
 from devices.simulators.treadmill.both_legs import LEGS, BothLegs, plates
 from devices.simulators.treadmill.faults import Fault, Faults
 from devices.simulators.treadmill.signal import BURSTS, NAMES, Indices, Signal, Walker
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError, nearest
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed
 
 CONTACT = np.dtype([("onset", "<i8")])
 LIMB_CONTACT = np.dtype([("onset", "<i8"), ("limb", "<U16")])
@@ -33,7 +34,7 @@ class BeltSpeed:
 
 
 @dataclass(frozen=True, slots=True)
-class Treadmill(Source):
+class Treadmill(PacedSource):
     """Someone walks on a treadmill, with surface EMG on the right leg, a footswitch and a force plate.
 
     emg         (muscles,) float64, uV, at `rate_hz`: noise with a muscle's spectrum, louder and softer with the gait's phase
@@ -70,15 +71,9 @@ class Treadmill(Source):
     jitter_percent: float = param(2.0, least=0, most=5, help="standard deviation of a cycle's duration")
     noise_uv: float = param(2.0, least=0, help="baseline noise of every channel, rms")
     seed: int = param(0, least=0, help="another seed, another walk")
-    duration_s: float = param(0.0, least=0, help="how long; 0: until stopped")
     chunk_ms: float = param(10.0, above=0, most=1000, help="how much arrives at a time")
-    realtime: bool = param(True, help="false: as fast as the graph takes it")
     start: str = param("", help="stamp of the first sample, e.g. 2026-01-31T09:00:00Z; left out: when reading begins")
     faults: tuple[Fault, ...] = param((), help="what goes wrong, and when")
-
-    @property
-    def live(self) -> bool:
-        return self.realtime
 
     @property
     def chunk_s(self) -> float:
