@@ -235,8 +235,8 @@ def test_a_table_of_nights_names_who_slept_where_it_is_known(tmp_path: Path) -> 
     table = tmp_path / "nights.csv"
     table.write_text("estimate,reference,person,offset_s\na.csv,b.csv,Kim,\nc.csv,d.csv,,-2.5\n")
     assert _rows(table) == [
-        (tmp_path / "a.csv", tmp_path / "b.csv", "Kim", 0.0),
-        (tmp_path / "c.csv", tmp_path / "d.csv", "", -2.5),
+        (tmp_path / "a.csv", (tmp_path / "b.csv", "Kim", 0.0)),
+        (tmp_path / "c.csv", (tmp_path / "d.csv", "", -2.5)),
     ]
 
 

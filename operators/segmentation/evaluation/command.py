@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from math import isfinite
 from pathlib import Path as File
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -79,7 +79,7 @@ def segmentation(
     wanted = _wanted(result, truth, table, offset)
     scores: dict[str, Scores] = {}
     groups: dict[str, dict[str, Scores]] = {}
-    for name, settings, made, annotated, late in wanted:
+    for name, settings, made, (annotated, late) in wanted:
         found, known = read_found(made, node, features), read_truth(annotated, late)
         _meet(made, found, annotated, known)
         scores[name] = groups.setdefault(settings, {})[name] = score(found, known)
@@ -95,43 +95,21 @@ def segmentation(
         say(str(output))
 
 
-Wanted: TypeAlias = tuple[str, str, File, File, float]
-"""A name, the settings of a batch's job, the result, its truth, and seconds that are added to that."""
+def _wanted(
+    result: File | None, truth: File | None, table: File | None, offset: float
+) -> list[tuple[str, str, File, tuple[File, float]]]:
+    """What is to be compared with what: a name, the settings of a batch's job, the result; its truth, and seconds added to that."""
+    from stream.batch.evaluated import compared
 
-
-def _wanted(result: File | None, truth: File | None, table: File | None, offset: float) -> list[Wanted]:
-    """What is to be compared with what. Raises KinegraphError."""
-    from stream.batch.sessions import (
-        is_results,
-        matched,
-        named_in,
-        open_session,
-        recording_name,
-        sessions_at,
-        settings_of,
-        short_name,
+    return compared(
+        result,
+        (truth, offset) if truth else None,
+        table,
+        _rows,
+        words=("RESULT", "TRUTH", "--table"),
+        holds=("recordings", "which truth is whose"),
+        names=_names,
     )
-
-    if result is None or not is_results(result):
-        if (table is None) == (result is None) or (result is None) != (truth is None):
-            raise KinegraphError("give RESULT and TRUTH, or --table TABLE.csv")
-        rows = _rows(table) if table else [(File(str(result)), File(str(truth)), offset)]
-        names = _names([made for made, _, _ in rows])
-        return [(name, "", *row) for name, row in zip(names, rows, strict=True)]
-    if (table is None) == (truth is None):
-        raise KinegraphError(
-            f"{result}: results of a batch; give TRUTH for its one recording, or --table TABLE.csv for several"
-        )
-    if table:
-        of = {named_in(table, made): (annotated, late) for made, annotated, late in _rows(table)}
-    else:
-        names = sorted({recording_name(open_session(path)) for path in sessions_at([result])})
-        if len(names) > 1:
-            raise KinegraphError(f"{result}: holds {len(names)} recordings; --table says which truth is whose")
-        of = {names[0]: (File(str(truth)), offset)}
-    return [
-        (short_name(entry), ", ".join(settings_of(entry)), path, *told) for path, entry, told in matched(result, of)
-    ]
 
 
 def _meet(made: File, found: Found, annotated: File, known: Truth) -> None:
@@ -188,14 +166,15 @@ def _save(folder: File, name: str, overwrite: bool) -> None:
         raise KinegraphError(f"{folder}: cannot be made: {error.strerror or error}") from None
 
 
-def _rows(table: File) -> list[tuple[File, File, float]]:
+def _rows(table: File) -> list[tuple[File, tuple[File, float]]]:
     """The recordings that a table names; files are looked for beside it."""
     made = []
     for line, row in read_records(table):
         try:
-            made.append((table.parent / row["result"], table.parent / row["truth"], float(row.get("offset_s") or 0.0)))
-            if not isfinite(made[-1][2]):
+            offset_s = float(row.get("offset_s") or 0.0)
+            if not isfinite(offset_s):
                 raise ValueError
+            made.append((table.parent / row["result"], (table.parent / row["truth"], offset_s)))
         except (KeyError, TypeError, ValueError):
             raise KinegraphError(
                 f"{table}: line {line}: must name result and truth, and if needed offset_s (a number)"

@@ -70,7 +70,7 @@ def sleep(
     groups: dict[str, list[Pair]] = {}
     wanted = _wanted(estimate, reference, nights, offset)
     told = _study(wanted, report, study, overwrite)
-    for name, settings, e, r, person, late in wanted:
+    for name, settings, e, (r, person, late) in wanted:
         pairs.append(_pair(name, e, r, person, late, stream, epoch_s))
         groups.setdefault(settings, []).append(pairs[-1])
     console = Screen()
@@ -87,42 +87,23 @@ def sleep(
         _report(pairs, wanted, told, nights, report)
 
 
-Wanted: TypeAlias = tuple[str, str, File, File, str, float]
-"""A name, the settings of a batch's job, estimate, reference, who slept, and seconds that are added to the reference's times."""
+Wanted: TypeAlias = tuple[str, str, File, tuple[File, str, float]]
+"""A name, the settings of a batch's job, the estimate; the reference, who slept, and seconds that are added to the reference's times."""
 
 
 def _wanted(estimate: File | None, reference: File | None, nights: File | None, offset: float) -> list[Wanted]:
     """What is to be compared with what. Raises KinegraphError."""
-    from stream.batch.sessions import (
-        is_results,
-        matched,
-        named_in,
-        open_session,
-        recording_name,
-        sessions_at,
-        settings_of,
-        short_name,
-    )
+    from stream.batch.evaluated import compared
 
-    if estimate is None or not is_results(estimate):
-        if (nights is None) == (estimate is None) or (estimate is None) != (reference is None):
-            raise KinegraphError("give ESTIMATE and REFERENCE, or --nights TABLE.csv")
-        rows = _rows(nights) if nights else [(File(str(estimate)), File(str(reference)), "", offset)]
-        return [(e.stem, "", e, r, person, late) for e, r, person, late in rows]
-    if (nights is None) == (reference is None):
-        raise KinegraphError(
-            f"{estimate}: results of a batch; give REFERENCE for its one night, or --nights TABLE.csv for several"
-        )
-    if nights:
-        of = {named_in(nights, e): (r, person, late) for e, r, person, late in _rows(nights)}
-    else:
-        names = sorted({recording_name(open_session(path)) for path in sessions_at([estimate])})
-        if len(names) > 1:
-            raise KinegraphError(f"{estimate}: holds {len(names)} nights; --nights says which reference is whose")
-        of = {names[0]: (File(str(reference)), "", offset)}
-    return [
-        (short_name(entry), ", ".join(settings_of(entry)), path, *told) for path, entry, told in matched(estimate, of)
-    ]
+    return compared(
+        estimate,
+        (reference, "", offset) if reference else None,
+        nights,
+        _rows,
+        words=("ESTIMATE", "REFERENCE", "--nights"),
+        holds=("nights", "which reference is whose"),
+        names=lambda paths: [path.stem for path in paths],
+    )
 
 
 def _pair(
@@ -143,7 +124,7 @@ def _pair(
     return pair(name, person or name, found, truth, offset_s)
 
 
-def _rows(table: File) -> list[tuple[File, File, str, float]]:
+def _rows(table: File) -> list[tuple[File, tuple[File, str, float]]]:
     """The nights that a table names; files are looked for beside it."""
     made = []
     for line, row in read_records(table):
@@ -152,9 +133,8 @@ def _rows(table: File) -> list[tuple[File, File, str, float]]:
             continue
         try:
             offset_s = float(row.get("offset_s") or 0.0)
-            made.append(
-                (table.parent / row["estimate"], table.parent / row["reference"], row.get("person") or "", offset_s)
-            )
+            told = table.parent / row["reference"], row.get("person") or "", offset_s
+            made.append((table.parent / row["estimate"], told))
         except (KeyError, TypeError, ValueError):
             raise KinegraphError(
                 f"{table}, line {line}: must name estimate and reference, and if needed person and offset_s (a number)"
@@ -186,7 +166,7 @@ def _report(pairs: list[Pair], wanted: list[Wanted], told: dict[str, str], night
 
     rows = [row for _, row in read_records(nights)] if nights else []
     left_out = [(row.get("estimate") or "", why) for row in rows if (why := (row.get("exclude") or "").strip())]
-    for path in write_report(Evaluated(pairs, told, [one[-1] for one in wanted], left_out), folder):
+    for path in write_report(Evaluated(pairs, told, [one[-1][-1] for one in wanted], left_out), folder):
         say(str(path))
 
 
