@@ -253,9 +253,9 @@ class SampleWise(Operator[S]):
 RESET = "a longer gap resets the state; up to it, samples on both sides are neighbours"
 
 
-def reset_gap(default: float, help: str = RESET, *, most: float | None = None) -> Any:
-    """The parameter `reset_gap_s`, by which an operator says after which gaps it forgets what was before."""
-    return param(default, least=0.0, most=most, help=help)
+def reset_gap(default: float, help: str = RESET, *, above: float | None = None, most: float | None = None) -> Any:
+    """The parameter `reset_gap_s`, by which an operator says after which gaps it forgets what was before; 0 may be given unless `above`."""
+    return param(default, above=above, least=0.0 if above is None else None, most=most, help=help)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

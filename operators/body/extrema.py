@@ -16,6 +16,7 @@ from operators.body.geodesic_kernel import area_around, extrema_of, middle_of, s
 from operators.body.names import MARKERS, camera_of, markers_specs
 from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError
+from stream.filter import reset_gap
 from stream.operator import Case, Operator, grid
 from stream.params import param
 
@@ -90,7 +91,7 @@ class Extrema(Operator[ExtremaState]):
 
     height_m: float = param(1.75, above=0.5, most=2.5, help="the person's height: all lengths go with it")
     apart_m: float = param(0.10, above=0.01, most=0.5, help="pixels side by side are one surface if they are nearer")
-    reset_gap_s: float = param(0.5, above=0.0, help="after so long without a person nothing is remembered")
+    reset_gap_s: float = reset_gap(0.5, "after so long without a person nothing is remembered", above=0.0)
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]

@@ -13,6 +13,7 @@ from operators.body.names import MARKERS, OTHER_SIDE, SEEN, TAKEN, camera_of, ma
 from operators.body.placing import INSIDE, LENGTHS, placed, unturned
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError
+from stream.filter import reset_gap
 from stream.operator import Case, Operator, grid
 from stream.params import param
 
@@ -56,7 +57,7 @@ class Markers(Operator[MarkersState]):
     presence: float = param(
         0.5, least=0.0, most=1.0, help="a frame in which the network is less sure that there is a person gives none"
     )
-    reset_gap_s: float = param(0.5, above=0.0, help="after so long without a person the heading is forgotten")
+    reset_gap_s: float = reset_gap(0.5, "after so long without a person the heading is forgotten", above=0.0)
     forget_s: float = param(
         5.0, above=0.0, help="after so long without a person the lengths of bones are: another one may come"
     )

@@ -20,6 +20,7 @@ from operators.body.pairing import Pairing
 from operators.body.probe import box_of, probe
 from stream.chunk import FOREVER, NS, Array, Chunk, Samples, Specs, StreamSpec, empty
 from stream.errors import InputError, ParameterError
+from stream.filter import reset_gap
 from stream.operator import Case, Operator, grid
 from stream.params import param
 
@@ -71,8 +72,8 @@ class PoseNetwork(Operator[PoseNetworkState]):
     model: str = param("", help="the network's file; left out: the one that `kinegraph fetch pose-model` brings")
     needed: bool = param(True, help="false: without the network nobody is seen, and the graph runs on")
     apart_s: float = param(0.02, above=0.0, most=1.0, help="an image and a depth frame further apart are no pair")
-    reset_gap_s: float = param(
-        0.5, above=0.0, help="after a longer gap the person is looked for in the box of the depth again"
+    reset_gap_s: float = reset_gap(
+        0.5, "after a longer gap the person is looked for in the box of the depth again", above=0.0
     )
 
     def open(self, specs: Specs) -> Specs:

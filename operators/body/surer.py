@@ -13,6 +13,7 @@ from operators.body.bones import possible
 from operators.body.names import MARKERS
 from stream.chunk import Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError, ParameterError
+from stream.finite import only_finite
 from stream.operator import Case, Operator, grid
 from stream.params import param
 
@@ -66,9 +67,9 @@ class Surer(Operator[SurerState]):
         s = self.state
         if port == "second":
             if len(chunk):
-                s.newest[:], s.at = np.where(np.isfinite(chunk.data[-1]), chunk.data[-1], np.nan), int(chunk.time[-1])
+                s.newest[:], s.at = only_finite(chunk.data[-1]), int(chunk.time[-1])
             return None
-        out = np.where(np.isfinite(chunk.data), chunk.data, np.nan).astype(chunk.data.dtype)
+        out = only_finite(chunk.data).astype(chunk.data.dtype)
         for i, time in enumerate(chunk.time.tolist()):
             sees = int(np.isfinite(chunk.data[i]).all(axis=1).sum()) >= self.least
             s.streak = s.streak + 1 if sees != s.first else 0

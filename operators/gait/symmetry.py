@@ -15,6 +15,7 @@ from operators.gait.running_curve import RunningCurve
 from operators.gait.statistics import STATISTICS
 from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
+from stream.finite import only_finite
 from stream.operator import Case, Operator
 from stream.params import param
 
@@ -220,7 +221,7 @@ class LimbSymmetry(Operator[SymmetryState]):
         first, second = s.values[0, j], s.values[1, k]
         with np.errstate(invalid="ignore", divide="ignore"):
             index = 200 * (second - first) / (first + second)
-        index = np.where(np.isfinite(index), index, np.nan)
+        index = only_finite(index)
         s.indices[k] = index
         s.session.add(index[None])
         count, mean, sd = s.session.count, s.session.centre()[0], s.session.sd()[0]
