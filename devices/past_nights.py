@@ -61,10 +61,10 @@ class PastNights(Source):
         return {"out": StreamSpec((), PAST_NIGHT, units=night), "weeks": StreamSpec((), PAST_WEEK, units=week)}
 
     def read(self, feed: Feed) -> None:
-        shelf, specs, looked = Shelf(Path(self.path), self.sleeper, self.evenings), self.specs(), 0
+        folder, specs, looked = NightsFolder(Path(self.path), self.sleeper, self.evenings), self.specs(), 0
         feed.ready()
         while not feed.stopped:
-            news = shelf.look() if not looked else {}
+            news = folder.look() if not looked else {}
             looked = (looked + 1) % round(EVERY_S / QUIET_S)
             now = feed.now()
             for name, spec in specs.items():
@@ -77,7 +77,7 @@ class PastNights(Source):
 
 
 @dataclass(slots=True)
-class Shelf:
+class NightsFolder:
     """A folder of nights as it was looked at last.
 
     read    per folder: what its files' stamps were, and the row

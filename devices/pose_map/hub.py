@@ -28,11 +28,11 @@ class MapVisitor(Looking):
 
     def __init__(self, first: list[bytes]) -> None:
         super().__init__()
-        self.outbox = first
+        self.waiting = first
         self.news.set()
 
     def give(self, message: bytes) -> None:
-        self.outbox.append(message)
+        self.waiting.append(message)
         self.news.set()
 
 
@@ -70,7 +70,7 @@ class MapHub:
 
     def news_for(self, client: Looking) -> list[bytes]:
         assert isinstance(client, MapVisitor)
-        made, client.outbox = client.outbox, []
+        made, client.waiting = client.waiting, []
         return made
 
     def take(self, client: Looking, asked: Wanted) -> None:

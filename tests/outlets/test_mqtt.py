@@ -19,7 +19,7 @@ from devices.mqtt import MqttSwitch
 from devices.mqtt.link import FIRST_PAUSE_S, Broker
 from devices.outlets.mqtt import MqttOutlet
 from devices.outlets.mqtt.discovery import Device, Entity
-from devices.outlets.mqtt.outbox import MOST_LETTERS, Outbox, OutboxState
+from devices.outlets.mqtt.message_queue import MOST_MESSAGES, MessageQueue, MessageQueueState
 from devices.outlets.mqtt.sent_events import SentEvents
 from stream.chunk import FOREVER, NS, Chunk, StreamSpec, empty, utc
 from stream.errors import KinegraphError, ParameterError
@@ -190,25 +190,25 @@ def test_a_new_session_owes_nothing_to_the_former_ones(tmp_path: Path) -> None:
         for _ in range(2):
             with running(outlet(mosquitto.port, tmp_path / "sent.json")) as made:
                 made.process("scorer", epochs(0, 1))
-                eventually(lambda made=made: bool(made.runtime.outbox and made.runtime.outbox.empty))
+                eventually(lambda made=made: bool(made.runtime.messages and made.runtime.messages.empty))
         client.wait(lambda: told(client) == [0, 1, 0, 1])
 
 
-def test_an_outbox_is_bounded_and_survives_in_a_checkpoint() -> None:
+def test_a_message_queue_is_bounded_and_survives_in_a_checkpoint() -> None:
     said: list[str] = []
-    outbox = Outbox(OutboxState("s"), lambda topic, text, retain: None)
-    for key in range(MOST_LETTERS + 10):
-        outbox.post("t", key, f"letter {key}")
-    assert outbox.dropped == 10
-    again = Outbox(outbox.keep(), lambda topic, text, retain: said.append(text) or len(said))
+    messages = MessageQueue(MessageQueueState("s"), lambda topic, text, retain: None)
+    for key in range(MOST_MESSAGES + 10):
+        messages.post("t", key, f"message {key}")
+    assert messages.dropped == 10
+    again = MessageQueue(messages.keep(), lambda topic, text, retain: said.append(text) or len(said))
     again.open()
-    assert said[0] == "letter 10" and len(said) == 16  # at most so many are under way
+    assert said[0] == "message 10" and len(said) == 16  # at most so many are under way
     again.delivered(1)
     assert len(said) == 17
-    again.remembered("t", json.dumps({"session": "s", "key": MOST_LETTERS}))
-    assert said[-1] != f"letter {MOST_LETTERS}" and json.loads(again.keep().arrived) == {"t": MOST_LETTERS}
-    again.remembered("t", json.dumps({"session": "another", "key": MOST_LETTERS + 9}))
-    assert json.loads(again.keep().arrived) == {"t": MOST_LETTERS}
+    again.remembered("t", json.dumps({"session": "s", "key": MOST_MESSAGES}))
+    assert said[-1] != f"message {MOST_MESSAGES}" and json.loads(again.keep().arrived) == {"t": MOST_MESSAGES}
+    again.remembered("t", json.dumps({"session": "another", "key": MOST_MESSAGES + 9}))
+    assert json.loads(again.keep().arrived) == {"t": MOST_MESSAGES}
 
 
 def test_a_switch_is_switched_and_remembers(tmp_path: Path) -> None:
@@ -364,8 +364,8 @@ def test_a_broker_that_never_answers_holds_nobody_up() -> None:
         with running(made):
             for k in range(500):
                 made.process("scorer", epochs(k))
-            assert made.runtime.outbox and not made.runtime.outbox.empty
-            assert len(json.loads("[" + ",".join(OutboxState(**_texts(made)).letters.splitlines()) + "]")) == 500
+            assert made.runtime.messages and not made.runtime.messages.empty
+            assert len(json.loads("[" + ",".join(MessageQueueState(**_texts(made)).messages.splitlines()) + "]")) == 500
 
 
 def _texts(made: MqttOutlet) -> dict[str, str]:

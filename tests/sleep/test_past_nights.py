@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.past_nights import BINS, PastNights, Shelf
+from devices.past_nights import BINS, NightsFolder, PastNights
 from tests.sleep.test_nights_weeks import fortnight, logged
 from tests.support.browser import needs_browser
 from tests.support.live_browser import LiveBrowser, live_browser
@@ -35,8 +35,8 @@ LEFT, HEAD, LINE = 92, 18, 14
 
 
 def test_every_night_and_every_week_once_and_again_what_changes(fortnight: Path) -> None:
-    shelf = Shelf(fortnight, "", 100)
-    first = shelf.look()
+    nights = NightsFolder(fortnight, "", 100)
+    first = nights.look()
     names, kinds, days = ([row[i] for row in first["out"]] for i in (0, 2, 9))
     assert len(names) == len(set(names)) == 14 and kinds.count("night") == 13 and kinds.count("nap") == 1
     assert all(len(day) == BINS for day in days)
@@ -49,28 +49,28 @@ def test_every_night_and_every_week_once_and_again_what_changes(fortnight: Path)
     assert weeks["2026-W45"]["asleep"] == 450 and abs(weeks["2026-W45"]["jet_lag"] - 2) < 0.01
     assert math.isfinite(weeks["2026-W45"]["regularity"])
 
-    assert shelf.look() == {"out": [], "weeks": []}
+    assert nights.look() == {"out": [], "weeks": []}
     logged(fortnight, "2026-11-16T23:00", "ss??")
-    later = shelf.look()
+    later = nights.look()
     assert [(row[0], row[9].strip()) for row in later["out"]] == [("2026-11-16", "s" * 12 + "?" * 12)]
     assert [row[0] for row in later["weeks"]] == ["2026-W47"]
     shutil.rmtree(fortnight / "2026-11-16")
-    assert [(row[0], row[2]) for row in shelf.look()["out"]] == [("2026-11-16", "deleted")]
-    assert shelf.look() == {"out": [], "weeks": []}
+    assert [(row[0], row[2]) for row in nights.look()["out"]] == [("2026-11-16", "deleted")]
+    assert nights.look() == {"out": [], "weeks": []}
 
 
 def test_a_night_that_cannot_be_read_is_told_of_once(fortnight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def told() -> list[str]:
         return [line for line in capsys.readouterr().out.splitlines() if "left out" in line]
 
-    shelf = Shelf(fortnight, "", 100)
+    nights = NightsFolder(fortnight, "", 100)
     (fortnight / "2026-11-03" / "epochs.csv").write_text("onset\nnonsense\n")
     (fortnight / "2026-11-04" / "night.json").write_text("{")
     (fortnight / "2026-11-05" / "night.json").unlink()
-    assert len(shelf.look()["out"]) == 11 and not told(), "a night that has just begun may not be whole yet"
-    shelf.look()
+    assert len(nights.look()["out"]) == 11 and not told(), "a night that has just begun may not be whole yet"
+    nights.look()
     assert [day for line in told() for day in ("03", "04", "05") if f"2026-11-{day}" in line] == ["03", "04", "05"]
-    shelf.look()
+    nights.look()
     assert not told()
 
 
@@ -79,9 +79,9 @@ def test_other_sleepers_older_nights_and_damaged_ones_are_left_out(tmp_path: Pat
         logged(tmp_path, f"2026-11-0{day}T23:00", "ss", sleeper="left" if day != 3 else "right")
     broken = logged(tmp_path, "2026-11-05T23:00", "ss", sleeper="left")
     (broken / "epochs.csv").write_text("onset\nnonsense\n")
-    assert [row[0] for row in Shelf(tmp_path, "left", 100).look()["out"]] == ["2026-11-02", "2026-11-04"]
-    assert [row[0] for row in Shelf(tmp_path, "left", 2).look()["out"]] == ["2026-11-04"]
-    assert Shelf(tmp_path / "none", "", 2).look() == {"out": [], "weeks": []}
+    assert [row[0] for row in NightsFolder(tmp_path, "left", 100).look()["out"]] == ["2026-11-02", "2026-11-04"]
+    assert [row[0] for row in NightsFolder(tmp_path, "left", 2).look()["out"]] == ["2026-11-04"]
+    assert NightsFolder(tmp_path / "none", "", 2).look() == {"out": [], "weeks": []}
 
 
 # in a browser --------------------------------------------------------------------------------------------------------

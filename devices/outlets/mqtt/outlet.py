@@ -19,7 +19,7 @@ from devices.outlets.claim import check_path
 from devices.outlets.mqtt.discovery import Device, Entity, Topics, announcement
 from devices.outlets.mqtt.entity_states import EntityStates
 from devices.outlets.mqtt.fields import check_field, check_where, stream_of
-from devices.outlets.mqtt.outbox import Outbox, OutboxState
+from devices.outlets.mqtt.message_queue import MessageQueue, MessageQueueState
 from devices.outlets.mqtt.report_news import NAME, ReportNews, ReportWatch, report_announcement
 from devices.outlets.mqtt.sent_events import SentEvents
 from stream.chunk import NEVER, Array, Chunk, Specs
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from stream.clock import SessionClock
 
 FAREWELL_S, KNOCK_S, LAST_TRY_S = 2.0, 5.0, 20.0
-"""At the end: how long the last states are given to arrive; how long a broker to answer, if letters wait; how long these to arrive."""
+"""At the end: how long the last states are given to arrive; how long a broker to answer, if messages wait; how long these to arrive."""
 
 log = structlog.get_logger(__name__)
 
@@ -45,7 +45,7 @@ class MqttRuntime:
         self.specs = specs
         self.states = EntityStates(entities, specs)
         self.link: BrokerConnection | None = None
-        self.outbox: Outbox | None = None
+        self.messages: MessageQueue | None = None
         self.live_from = NEVER
         """What a resumed session works through a second time lies before this."""
         self.mark = ""
@@ -53,7 +53,7 @@ class MqttRuntime:
 
 
 @dataclass(frozen=True, slots=True)
-class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
+class MqttOutlet(Outlet[MessageQueueState, MqttRuntime]):
     """Fields of events, and channels of signals, as sensors in Home Assistant or for any MQTT client.
 
     `entities` says by name what is reported; states are retained, unknown ones are "None". Home Assistant learns of the entities by its
@@ -102,7 +102,7 @@ class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
             check_where(spec, entity.where, f"entities.{name}.where")
         for i, history in enumerate(self.history):
             history.check(specs, f"history[{i}]")
-        self.hold(OutboxState(""), MqttRuntime(specs, self.entities))
+        self.hold(MessageQueueState(""), MqttRuntime(specs, self.entities))
         return {}
 
     def keep_time(self, clock: SessionClock) -> None:
@@ -116,74 +116,74 @@ class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
         ledger = Path(self.ledger).absolute() if self.ledger else None
         if ledger:
             private_folder(ledger.parent)
-        runtime.outbox = Outbox(self.state, self._say, ledger)
+        runtime.messages = MessageQueue(self.state, self._say, ledger)
         for history in self.history:
             if history.log:
                 topic = self._topics.history(history.of)
-                for key, text in history.logged_after(runtime.outbox.newest(topic), self.state.session):
-                    runtime.outbox.post(topic, key, text)
+                for key, text in history.logged_after(runtime.messages.newest(topic), self.state.session):
+                    runtime.messages.post(topic, key, text)
         runtime.reports = ReportWatch(self.report, self._topics) if self.report else None
         topics, histories = self._topics, [self._topics.history(h.of) for h in self.history]
         heard = [*([topics.birth] if self.discovery else []), *([topics.mark(), *histories] if histories else [])]
         runtime.link = BrokerConnection(
             self.broker, f"kinegraph-{self.device.id}-{socket.gethostname()}-{os.getpid()}", topics.availability(), heard,
-            joined=self._joined, heard=self._heard, delivered=runtime.outbox.delivered, left=runtime.outbox.shut,
+            joined=self._joined, heard=self._heard, delivered=runtime.messages.delivered, left=runtime.messages.shut,
         )  # fmt: skip
         runtime.link.start()
 
     def process(self, port: str, chunk: Chunk) -> None:
         runtime = self.runtime
-        if runtime.outbox is None:
+        if runtime.messages is None:
             return
         for name, text in runtime.states.changed(port, chunk):
-            runtime.outbox.state(self._topics.state(name), text)
+            runtime.messages.state(self._topics.state(name), text)
         for history in self.history:
             if history.of == port and len(chunk):
                 for key, text in history.chosen(chunk, runtime.specs[port], self.state.session):
-                    runtime.outbox.post(self._topics.history(port), key, text)
+                    runtime.messages.post(self._topics.history(port), key, text)
         self._tell_report()
         if chunk.until >= runtime.live_from:
-            runtime.outbox.flush()
+            runtime.messages.flush()
 
     def close(self) -> None:
         runtime = self.runtime
         link = runtime.link
-        if link is None or runtime.outbox is None:
+        if link is None or runtime.messages is None:
             return
         self._tell_report(now=True)
-        runtime.outbox.flush()
-        self._wait_for_the_last(link, runtime.outbox)
+        runtime.messages.flush()
+        self._wait_for_the_last(link, runtime.messages)
         runtime.link = None
         link.stop()
-        if undelivered := runtime.outbox.waiting + runtime.outbox.dropped:
+        if undelivered := runtime.messages.waiting + runtime.messages.dropped:
             broker = f"{self.broker.host}:{self.broker.port}"
             kept = " (the log has those of the night)" if any(h.log for h in self.history) else ""
             log.warning(
                 f"the MQTT broker did not get these events, and will not{kept}", events=undelivered, broker=broker
             )
 
-    def _wait_for_the_last(self, link: BrokerConnection, outbox: Outbox) -> None:
-        """Letters are given a bounded time as long as the broker takes them; one that is away is tried once more, at once."""
+    def _wait_for_the_last(self, link: BrokerConnection, queue: MessageQueue) -> None:
+        """Messages are given a bounded time as long as the broker takes them; one that is away is tried once more, at once."""
         began, failures = time.monotonic(), link.failures
-        if outbox.waiting:
+        if queue.waiting:
             link.hasten()
-        while not outbox.empty:
-            letters, passed = outbox.waiting, time.monotonic() - began
-            reachable = link.there or (letters and link.failures == failures)
-            limit_s = FAREWELL_S if not letters else LAST_TRY_S if link.there else KNOCK_S
+        while not queue.empty:
+            waiting, passed = queue.waiting, time.monotonic() - began
+            reachable = link.there or (waiting and link.failures == failures)
+            limit_s = FAREWELL_S if not waiting else LAST_TRY_S if link.there else KNOCK_S
             if not reachable or passed > limit_s:
                 return
             time.sleep(0.01)
 
     def snapshot(self) -> dict[str, Array]:
-        return pack(self.runtime.outbox.keep() if self.runtime.outbox else self.state)
+        return pack(self.runtime.messages.keep() if self.runtime.messages else self.state)
 
     def _tell_report(self, *, now: bool = False) -> None:
         """Announce a new report."""
         runtime = self.runtime
         for topic, text in runtime.reports.look(now=now) if runtime.reports else ():
-            assert runtime.outbox
-            runtime.outbox.state(topic, text)
+            assert runtime.messages
+            runtime.messages.state(topic, text)
 
     # the link's thread ---------------------------------------------------------------------------------------------------
 
@@ -202,21 +202,21 @@ class MqttOutlet(Outlet[OutboxState, MqttRuntime]):
             self.runtime.mark = uuid.uuid4().hex
             if self.runtime.link:
                 self.runtime.link.say(self._topics.mark(), self.runtime.mark)
-        elif self.runtime.outbox:
-            self.runtime.outbox.open()
+        elif self.runtime.messages:
+            self.runtime.messages.open()
 
     def _heard(self, topic: str, text: str, retained: bool) -> None:
-        outbox = self.runtime.outbox
-        assert outbox
+        messages = self.runtime.messages
+        assert messages
         if topic == self._topics.mark():
             if text == self.runtime.mark:
-                outbox.open()
+                messages.open()
         elif topic == self._topics.birth:
             if text == "online" and not retained:
                 self._announce()
-                outbox.repeat()
+                messages.repeat()
         else:
-            outbox.remembered(topic, text)
+            messages.remembered(topic, text)
 
     def _announce(self) -> None:
         if self.discovery:

@@ -1,4 +1,4 @@
-"""What waits for the broker: the newest state of every topic, and letters, each of which arrives once and in order.
+"""What waits for the broker: the newest state of every topic, and messages, each of which arrives once and in order.
 
 Nothing here knows a network. `flush` hands out what may be said now; `delivered` and `remembered` say what has arrived.
 """
@@ -18,7 +18,7 @@ import structlog
 
 from stream.complete import write_complete
 
-MOST_LETTERS = 6000
+MOST_MESSAGES = 6000
 """Two days of epochs. Beyond, the oldest are dropped and counted."""
 IN_FLIGHT = 16
 TOGETHER_S = 1.0
@@ -27,7 +27,7 @@ log = structlog.get_logger(__name__)
 
 
 @dataclass(slots=True)
-class Letter:
+class QueuedMessage:
     """One message that must arrive once. `number`: how the connection calls it; None: not handed out."""
 
     topic: str
@@ -37,19 +37,19 @@ class Letter:
 
 
 @dataclass(slots=True)
-class OutboxState:
+class MessageQueueState:
     """What survives a killed process.
 
     arrived   per topic the newest key that has arrived, as JSON
-    letters   those that wait, a line each
+    messages   those that wait, a line each
     """
 
     session: str
     arrived: str = "{}"
-    letters: str = ""
+    messages: str = ""
 
 
-class Outbox:
+class MessageQueue:
     """Filled by one thread, emptied by another.
 
     say      hands a message to the connection: (topic, text, retain) -> its number, or None if there is no connection
@@ -57,21 +57,21 @@ class Outbox:
     """
 
     def __init__(
-        self, state: OutboxState, say: Callable[[str, str, bool], int | None], ledger: Path | None = None
+        self, state: MessageQueueState, say: Callable[[str, str, bool], int | None], ledger: Path | None = None
     ) -> None:
         self._session, self._say, self._ledger = state.session, say, ledger
         self._lock = threading.RLock()
         self._states: dict[str, str] = {}
         self._unsaid: dict[str, None] = {}
         """Topics whose newest state was not handed out yet, in order."""
-        self._letters: deque[Letter] = deque()
+        self._messages: deque[QueuedMessage] = deque()
         self._posted: dict[str, int] = {}
         self._arrived: dict[str, int] = json.loads(state.arrived)
         self._ready = self._unwritten = False
         self._written_at = 0.0
         self.dropped = 0
         self._read_ledger()
-        for line in state.letters.splitlines():
+        for line in state.messages.splitlines():
             topic, key, text = json.loads(line)
             self.post(topic, key, text)
 
@@ -82,17 +82,17 @@ class Outbox:
             self._unsaid[topic] = None
 
     def post(self, topic: str, key: int, text: str) -> None:
-        """A letter. One whose key is not newer than what has arrived, or waits, on its topic was sent before: it is left out."""
+        """A message. One whose key is not newer than what has arrived, or waits, on its topic was sent before: it is left out."""
         with self._lock:
             if key <= self.newest(topic):
                 return
             self._posted[topic] = key
-            if len(self._letters) >= MOST_LETTERS:
-                self._letters.popleft()
+            if len(self._messages) >= MOST_MESSAGES:
+                self._messages.popleft()
                 self.dropped += 1
                 if self.dropped == 1:
                     log.error("no MQTT broker for too long: the oldest epochs are dropped (the night's log has them)")
-            self._letters.append(Letter(topic, key, text))
+            self._messages.append(QueuedMessage(topic, key, text))
 
     def newest(self, topic: str) -> int:
         """The newest key that has arrived or waits; -1 if there is none."""
@@ -110,8 +110,8 @@ class Outbox:
         """The connection is lost: what was on its way is said again, unless the broker turns out to have it."""
         with self._lock:
             self._ready = False
-            for letter in self._letters:
-                letter.number = None
+            for message in self._messages:
+                message.number = None
 
     def repeat(self) -> None:
         """Say every state again."""
@@ -128,18 +128,18 @@ class Outbox:
                 if self._say(topic, self._states[topic], True) is None:
                     return
                 del self._unsaid[topic]
-            for letter in islice(self._letters, IN_FLIGHT):
-                if letter.number is None:
-                    letter.number = self._say(letter.topic, letter.text, True)
-                    if letter.number is None:
+            for message in islice(self._messages, IN_FLIGHT):
+                if message.number is None:
+                    message.number = self._say(message.topic, message.text, True)
+                    if message.number is None:
                         return
 
     def delivered(self, number: int) -> None:
         """The broker has confirmed a message."""
         with self._lock:
-            for letter in self._letters:
-                if letter.number == number:
-                    self._has_arrived(letter.topic, letter.key)
+            for message in self._messages:
+                if message.number == number:
+                    self._has_arrived(message.topic, message.key)
                     break
             else:
                 return
@@ -147,7 +147,7 @@ class Outbox:
         self._write_ledger()
 
     def remembered(self, topic: str, text: str) -> None:
-        """What the broker kept as a topic's last letter; another session's says nothing about this one."""
+        """What the broker kept as a topic's last message; another session's says nothing about this one."""
         try:
             told = json.loads(text)
             if told["session"] != self._session:
@@ -163,25 +163,25 @@ class Outbox:
     @property
     def empty(self) -> bool:
         with self._lock:
-            return not self._letters and not self._unsaid
+            return not self._messages and not self._unsaid
 
     @property
     def waiting(self) -> int:
-        """How many letters have not arrived."""
+        """How many messages have not arrived."""
         with self._lock:
-            return len(self._letters)
+            return len(self._messages)
 
-    def keep(self) -> OutboxState:
+    def keep(self) -> MessageQueueState:
         """What a checkpoint needs."""
         with self._lock:
-            letters = "\n".join(json.dumps([x.topic, x.key, x.text]) for x in self._letters)
-            return OutboxState(self._session, json.dumps(self._arrived), letters)
+            messages = "\n".join(json.dumps([x.topic, x.key, x.text]) for x in self._messages)
+            return MessageQueueState(self._session, json.dumps(self._arrived), messages)
 
     def _has_arrived(self, topic: str, key: int) -> None:
         if key <= self._arrived.get(topic, -1):
             return
         self._arrived[topic] = key
-        self._letters = deque(x for x in self._letters if x.topic != topic or x.key > key)
+        self._messages = deque(x for x in self._messages if x.topic != topic or x.key > key)
         self._unwritten = True
 
     def _read_ledger(self) -> None:
@@ -196,9 +196,9 @@ class Outbox:
             log.warning("what was sent before cannot be read", path=str(self._ledger), error=str(error))
 
     def _write_ledger(self) -> None:
-        """Outside the lock: a disk may be slow. While many letters are on their way, once a second is enough."""
+        """Outside the lock: a disk may be slow. While many messages are on their way, once a second is enough."""
         now = time.monotonic()
-        if self._ledger is None or not self._unwritten or (self._letters and now < self._written_at + TOGETHER_S):
+        if self._ledger is None or not self._unwritten or (self._messages and now < self._written_at + TOGETHER_S):
             return
         self._unwritten, self._written_at = False, now
         told = {"session": self._session, "arrived": dict(self._arrived)}
