@@ -17,17 +17,10 @@ from devices.transport.transport import Transport
 from stream.chunk import NS, Specs, StreamSpec
 from stream.errors import ParameterError
 from stream.params import param
-from stream.source import Feed
+from stream.source import Feed, outputs_by_parameters
 
 BY_MESSAGE = ("udp://", "zmq+")
 """Ports of which each read is one message, and to which nothing can be sent."""
-
-
-class _Outputs:
-    """The outputs of a class whose instances have those that they declare."""
-
-    def __get__(self, instance: Binary | None, owner: type) -> tuple[str, ...]:
-        return () if instance is None else (*(f.name for f in instance.frames if f.channels), "timing")
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +34,6 @@ class Binary(SerialSource):
     Stamps follow the device's time, which a frame brings itself or has from the last frame that brought one; else the frame's counter
     (with its `rate_hz`); else the arrival. Missing frames are known from the counter, or, with `rate_hz`, from steps of the device's time.
     """
-
-    outputs = _Outputs()
 
     port: str = param(
         help="/dev/serial/by-id/NAME, COM3, tcp://host:port, ble://DEVICE/NOTIFY[/WRITE] (UUIDs); udp://127.0.0.1:PORT to listen at, "
@@ -66,6 +57,10 @@ class Binary(SerialSource):
     )
     rate_mismatch: Policy = param("fail", help=POLICY_HELP)
     gather_s: float | None = param(None, least=0, most=0.1, help=f"of udp:// ports: {GATHER_HELP}")
+
+    @outputs_by_parameters()
+    def outputs(self) -> tuple[str, ...]:
+        return (*(f.name for f in self.frames if f.channels), "timing")
 
     @property
     def chunk_s(self) -> float:

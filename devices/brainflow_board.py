@@ -20,7 +20,7 @@ from stream.chunk import Array, Chunk, Specs, StreamSpec, Times
 from stream.errors import DeviceError, ParameterError, nearest
 from stream.optional import optional
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed, Source, outputs_by_parameters
 
 POLL_S = 0.01
 PRESETS = {"default": 0, "auxiliary": 1, "ancillary": 2}
@@ -36,13 +36,6 @@ def library() -> Any:
     return optional("brainflow.board_shim", "a board of BrainFlow's", "pip install 'kinegraph[boards]'", DeviceError)
 
 
-class _Outputs:
-    """The outputs: `markers` is there only in the board's own stream."""
-
-    def __get__(self, instance: BrainflowBoard | None, owner: type) -> tuple[str, ...]:
-        return ("out", "markers", "timing") if instance is None or instance.preset == "default" else ("out", "timing")
-
-
 @dataclass(frozen=True, slots=True)
 class BrainflowBoard(Source):
     """A board through BrainFlow: OpenBCI, Muse, g.tec, BrainBit, ANT, and its synthetic and playback boards. A preset is a node.
@@ -55,8 +48,6 @@ class BrainflowBoard(Source):
     BrainFlow hands over rows in bursts, with the time of their arrival; stamps come from counting rows, or from the package number where
     it counts them (Cyton, synthetic), which also tells losses. A playback does not repeat the markers of its file.
     """
-
-    outputs = _Outputs()
 
     board: str = param(help="BrainFlow's name of the board (CYTON_BOARD, MUSE_2_BOARD, SYNTHETIC_BOARD) or its number")
     kinds: tuple[str, ...] = param((), help="kinds of channel: eeg, emg, accel, ...; left out: all that the board has")
@@ -73,6 +64,10 @@ class BrainflowBoard(Source):
     latency_s: float = param(
         0.0, least=0, most=1, help="the constant delay from the measurement to BrainFlow, if you know it"
     )
+
+    @outputs_by_parameters("out", "markers", "timing")
+    def outputs(self) -> tuple[str, ...]:
+        return ("out", "markers", "timing") if self.preset == "default" else ("out", "timing")
 
     def number(self, name: str, parameter: str) -> int:
         """A board's number; raises ParameterError."""

@@ -23,7 +23,7 @@ from devices.protocols.natnet_numbers import HEAD
 from stream.chunk import NS, Chunk, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed, Source, outputs_by_parameters
 
 ANSWER_S, ASK_S = 3.0, 0.5
 KEEP_ALIVE_S = 1.0
@@ -32,20 +32,6 @@ READ_S = 0.1
 MOST = 65536
 LATEST_NS = 1 << 62
 """A server's time beyond is garbled; such are left out before they are counted with."""
-
-
-class _Outputs:
-    """The outputs of a class whose instances have those that are wanted."""
-
-    def __get__(self, instance: NatNet | None, owner: type) -> tuple[str, ...]:
-        if instance is None:
-            return "bodies", "rotations", "timing"
-        return (
-            *(("bodies", "rotations") if instance.bodies else ()),
-            *(("markers",) if instance.markers else ()),
-            *(("analog",) if instance.analog else ()),
-            "timing",
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +49,6 @@ class NatNet(Source):
     and missing frames are known from their number. Where the server says so it is heard by multicast, else by unicast.
     """
 
-    outputs = _Outputs()
-
     server: str = param("127.0.0.1", help="the computer on which Motive runs")
     bodies: tuple[str, ...] = param((), help="rigid bodies and bones, as Motive names them")
     markers: tuple[str, ...] = param((), help="labelled markers: Body:1, Body:2, ...")
@@ -77,6 +61,15 @@ class NatNet(Source):
     latency_s: float = param(
         0.0, least=0, most=1, help="the constant delay from the exposure to the arrival, if you know it"
     )
+
+    @outputs_by_parameters("bodies", "rotations", "timing")
+    def outputs(self) -> tuple[str, ...]:
+        return (
+            *(("bodies", "rotations") if self.bodies else ()),
+            *(("markers",) if self.markers else ()),
+            *(("analog",) if self.analog else ()),
+            "timing",
+        )
 
     @property
     def chunk_s(self) -> float:

@@ -19,7 +19,7 @@ from devices.transport.datagrams import GATHER_HELP, UdpTransport, gathered_s
 from stream.chunk import Specs, StreamSpec
 from stream.errors import ParameterError
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed, Source, outputs_by_parameters
 
 WAIT_S = 0.1
 
@@ -59,13 +59,6 @@ class OscStream:
         return any(a.role != "data" for a in self.arguments)
 
 
-class _Outputs:
-    """The outputs of a class whose instances have those that they declare."""
-
-    def __get__(self, instance: OscInlet | None, owner: type) -> tuple[str, ...]:
-        return () if instance is None else (*(s.name for s in instance.streams), "timing")
-
-
 @dataclass(frozen=True, slots=True)
 class OscInlet(Source):
     """Numbers that any program sends by OSC over UDP (phones, Max, TouchDesigner, game engines).
@@ -77,8 +70,6 @@ class OscInlet(Source):
     messages: only a counter or a time tells. A message of another shape is counted and left out.
     """
 
-    outputs = _Outputs()
-
     streams: tuple[OscStream, ...] = param(help="what is taken")
     host: str = param("127.0.0.1", help="the address that is listened on; 0.0.0.0: all, for senders on other machines")
     port: int = param(9000, least=1, most=65535, help="the UDP port that is listened on")
@@ -87,6 +78,10 @@ class OscInlet(Source):
         0.0, least=0, most=1, help="the constant delay from the measurement to its arrival, if you know it"
     )
     gather_s: float | None = param(None, least=0, most=0.1, help=GATHER_HELP)
+
+    @outputs_by_parameters()
+    def outputs(self) -> tuple[str, ...]:
+        return (*(s.name for s in self.streams), "timing")
 
     @property
     def chunk_s(self) -> float:

@@ -26,25 +26,10 @@ from devices.transport.transport import TcpTransport
 from stream.chunk import Samples, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError, nearest
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed, Source, outputs_by_parameters
 
 ANSWER_S = 3.0
 SAME_RATE = 0.01
-
-
-class _Outputs:
-    """The outputs of a class whose instances have those that are wanted."""
-
-    def __get__(self, instance: Qualisys | None, owner: type) -> tuple[str, ...]:
-        if instance is None:
-            return "markers", "timing"
-        wanted = (
-            (instance.markers, ("markers",)),
-            (instance.bodies, ("bodies", "rotations")),
-            (instance.segments, ("segments", "segment_rotations")),
-            (instance.analog, ("analog",)),
-        )
-        return (*(output for given, outputs in wanted if given for output in outputs), "timing")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +48,6 @@ class Qualisys(Source):
     own, and come in bursts. Source: Qualisys' protocol documentation 1.20.
     """
 
-    outputs = _Outputs()
-
     server: str = param("127.0.0.1", help="the computer on which QTM runs")
     markers: tuple[str, ...] = param((), help="labelled markers, as QTM names them")
     bodies: tuple[str, ...] = param((), help="rigid bodies, as QTM names them")
@@ -79,6 +62,16 @@ class Qualisys(Source):
     latency_s: float = param(
         0.0, least=0, most=1, help="the constant delay from the exposure to the arrival, if you know it"
     )
+
+    @outputs_by_parameters("markers", "timing")
+    def outputs(self) -> tuple[str, ...]:
+        wanted = (
+            (self.markers, ("markers",)),
+            (self.bodies, ("bodies", "rotations")),
+            (self.segments, ("segments", "segment_rotations")),
+            (self.analog, ("analog",)),
+        )
+        return (*(output for given, outputs in wanted if given for output in outputs), "timing")
 
     @property
     def chunk_s(self) -> float:

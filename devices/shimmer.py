@@ -25,7 +25,7 @@ from devices.transport.transport import Transport
 from stream.chunk import NS, Samples, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
-from stream.source import Feed
+from stream.source import Feed, outputs_by_parameters
 
 Sensor = Literal["acceleration", "wide_acceleration", "angular_velocity", "emg", "ecg"]
 MOTION: dict[str, tuple[tuple[str, ...], str]] = {
@@ -46,16 +46,6 @@ LOW_BATTERY_V = 3.6
 log = structlog.get_logger(__name__)
 
 
-class _Outputs:
-    """The outputs of a class whose instances have those that were asked for."""
-
-    def __get__(self, instance: Shimmer | None, owner: type) -> tuple[str, ...]:
-        if instance is None:
-            return ("motion", "exg", "timing")
-        asked = ["motion"] * bool(instance.motion) + ["exg"] * bool(instance.purpose)
-        return (*asked, "timing")
-
-
 @dataclass(frozen=True, slots=True)
 class Shimmer(SerialSource):
     """A Shimmer3 that sends what `sensors` asks for at `rate_hz`.
@@ -69,8 +59,6 @@ class Shimmer(SerialSource):
     changed on the way shows only if it is the time's. Rates are 32768 Hz divided by a whole number; the nearest to `rate_hz` is taken.
     """
 
-    outputs = _Outputs()
-
     port: str = param(help="/dev/rfcomm0 or COM3; `kinegraph devices` lists serial ports")
     sensors: tuple[Sensor, ...] = param(
         ("acceleration", "angular_velocity"),
@@ -83,6 +71,11 @@ class Shimmer(SerialSource):
         0.0, least=0, most=1, help="the constant delay from the measurement to the port, if you know it"
     )
     rate_mismatch: Policy = param("fail", help=POLICY_HELP)
+
+    @outputs_by_parameters("motion", "exg", "timing")
+    def outputs(self) -> tuple[str, ...]:
+        asked = ["motion"] * bool(self.motion) + ["exg"] * bool(self.purpose)
+        return (*asked, "timing")
 
     @property
     def chunk_s(self) -> float:

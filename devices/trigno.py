@@ -21,7 +21,7 @@ from devices.transport.transport import TcpTransport, Transport
 from stream.chunk import Chunk, Samples, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed, Source, outputs_by_parameters
 
 ANSWER_S = 3.0
 ASIDE_S = 1.0
@@ -45,13 +45,6 @@ class TrignoSensor:
         return self.name or f"emg{self.sensor}" + (f".{self.channel}" if self.channel > 1 else "")
 
 
-class _Outputs:
-    """The outputs of a class whose instances have the auxiliary one only where it is wanted."""
-
-    def __get__(self, instance: Trigno | None, owner: type) -> tuple[str, ...]:
-        return ("emg", "aux", "timing") if instance is None or instance.aux else ("emg", "timing")
-
-
 @dataclass(frozen=True, slots=True)
 class Trigno(Source):
     """Sensors of a Delsys Trigno, which its SDK server sends over TCP.
@@ -64,8 +57,6 @@ class Trigno(Source):
     Samples carry no counter and no time: they are counted, and the count is mapped onto session time. TCP loses none; what the radio lost
     the base station fills in without a word. Where the count goes astray by more than 0.1 s, an unknown number is marked as lost.
     """
-
-    outputs = _Outputs()
 
     port: str = param(
         help="the server's command port, tcp://127.0.0.1:50040 on its own machine; data ports lie behind it"
@@ -81,6 +72,10 @@ class Trigno(Source):
         help="the constant delay from the electrode to the port, if you know it (Delsys states 48 ms)",
     )
     rate_mismatch: Policy = param("fail", help=POLICY_HELP)
+
+    @outputs_by_parameters("emg", "aux", "timing")
+    def outputs(self) -> tuple[str, ...]:
+        return ("emg", "aux", "timing") if self.aux else ("emg", "timing")
 
     @property
     def chunk_s(self) -> float:

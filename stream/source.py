@@ -6,7 +6,7 @@ of the graph goes on; so `read` opens the device, reads until told to stop, and 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
@@ -16,6 +16,26 @@ from stream.params import check
 
 if TYPE_CHECKING:
     from stream.impedance import Impedance
+
+
+class outputs_by_parameters:
+    """For a source whose parameters decide which outputs there are: `outputs` is then a method that gives those of an instance.
+
+        @outputs_by_parameters("depth", "timing")
+        def outputs(self) -> tuple[str, ...]: ...
+
+    The class itself has those that are named here.
+    """
+
+    def __init__(self, *usual: str) -> None:
+        self.usual = usual
+
+    def __call__(self, those_of: Callable[[Any], tuple[str, ...]]) -> Self:
+        self.those_of = those_of
+        return self
+
+    def __get__(self, instance: Any, owner: type) -> tuple[str, ...]:
+        return self.usual if instance is None else self.those_of(instance)
 
 
 class Feed(Protocol):

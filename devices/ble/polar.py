@@ -19,27 +19,12 @@ from devices.protocols.polar_pmd import ACC, ECG, PmdDecoder, PmdFrame
 from stream.chunk import NS, Chunk, Specs, StreamSpec, Times
 from stream.errors import DeviceError
 from stream.params import param
-from stream.source import Feed
+from stream.source import Feed, outputs_by_parameters
 
 ECG_HZ = 130.0
 ANSWER_S = 5.0
 FOLLOWS = 0.5
 """A frame whose time is off by less than this many frames follows the one before: its samples lie evenly between the two."""
-
-
-class _Outputs:
-    """The outputs of a class whose instances have those that are wanted."""
-
-    def __get__(self, instance: Polar | None, owner: type) -> tuple[str, ...]:
-        if instance is None:
-            return "ecg", "timing"
-        wanted = (
-            instance.ecg and "ecg",
-            instance.acceleration_hz and "acceleration",
-            instance.heart and "rate",
-            instance.heart and "beats",
-        )
-        return (*(str(name) for name in wanted if name), "timing")
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +40,6 @@ class Polar(BleSource):
     that time. Measuring is stopped at the end, whatever happens: a belt that is not told to stop stays on until its battery is empty.
     """
 
-    outputs = _Outputs()
     services = (heart_rate.SERVICE,)
 
     device: str = param("Polar H10", help=DEVICE_HELP)
@@ -67,6 +51,16 @@ class Polar(BleSource):
     latency_s: float = param(
         0.0, least=0, most=1, help="the constant delay from the measurement to its arrival, if you know it"
     )
+
+    @outputs_by_parameters("ecg", "timing")
+    def outputs(self) -> tuple[str, ...]:
+        wanted = (
+            self.ecg and "ecg",
+            self.acceleration_hz and "acceleration",
+            self.heart and "rate",
+            self.heart and "beats",
+        )
+        return (*(str(name) for name in wanted if name), "timing")
 
     @property
     def chunk_s(self) -> float:

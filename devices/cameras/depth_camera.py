@@ -20,7 +20,7 @@ from devices.clocks.timing import timing_chunk, timing_spec
 from stream.chunk import Array, Chunk, Specs, StreamSpec
 from stream.errors import DeviceError
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed, Source, outputs_by_parameters
 
 FIRST_FRAME_S = 15.0
 USUAL_FOCAL = 0.80
@@ -50,18 +50,10 @@ class OpenCamera(Protocol):
         """The next frame; None: none came. Raises DeviceError when the camera is gone, EOFError at a recording's end."""
 
 
-class _Outputs:
-    """The outputs of a class whose instances have images only where they are wanted."""
-
-    def __get__(self, instance: DepthCamera | None, owner: type) -> tuple[str, ...]:
-        return ("depth", "timing") if instance is None else ("depth", *filter(None, (instance.image,)), "timing")
-
-
 @dataclass(frozen=True, slots=True)
 class DepthCamera(Source):
     """What a graph says of any of these cameras; each has a class of its own."""
 
-    outputs = _Outputs()
     maker: ClassVar[str] = ""
     rectified: ClassVar[bool] = False
     """Whether its frames are free of distortion as they come."""
@@ -83,6 +75,10 @@ class DepthCamera(Source):
     recording: Path | None = param(None, help="a recording of the maker's own to play in place of a camera")
     lost_after_s: float = param(5.0, above=0, help="after how long without a frame it is opened again")
     latency_s: float = param(0.0, least=0, most=1, help="how long before its stamp a frame really was taken")
+
+    @outputs_by_parameters("depth", "timing")
+    def outputs(self) -> tuple[str, ...]:
+        return "depth", *filter(None, (self.image,)), "timing"
 
     @property
     def live(self) -> bool:

@@ -13,14 +13,7 @@ from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Specs, StreamSpec
 from stream.errors import ParameterError, RecordingError, nearest
 from stream.params import param
 from stream.recording import Recording
-from stream.source import Feed, Source
-
-
-class _OutputsOfFile:
-    """The outputs of a class whose instances have those that their recording holds."""
-
-    def __get__(self, instance: RecordedStreams | None, owner: type[RecordedStreams]) -> tuple[str, ...]:
-        return tuple(instance.specs()) if instance is not None else ()
+from stream.source import Feed, Source, outputs_by_parameters
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,14 +26,16 @@ class RecordedStreams(Source):
     the last one does. Delay: none; a chunk is given when its time has come.
     """
 
-    outputs = _OutputsOfFile()
-
     path: str = param(help="the recording: what `kinegraph import` or a session wrote")
     of: str = param("", help="what streams' names begin with, before a dot; left out: what they all begin with")
     streams: Mapping[str, str] | None = param(None, help="outputs by name, and the stream that each of them is")
     speed: float = param(
         1.0, least=0.0, help="how many times as fast as it was recorded; 0: as fast as the graph takes it"
     )
+
+    @outputs_by_parameters()
+    def outputs(self) -> tuple[str, ...]:
+        return tuple(self.specs())
 
     def __post_init__(self) -> None:
         Source.__post_init__(self)

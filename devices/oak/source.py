@@ -23,7 +23,7 @@ from devices.oak.network import apart_s
 from stream.chunk import NS, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
-from stream.source import Feed, Source
+from stream.source import Feed, Source, outputs_by_parameters
 
 FIRST_FRAME_S = 20.0
 """How long a camera may take from being opened to its first frame: its program is sent to it first."""
@@ -37,16 +37,6 @@ USUAL_FOCAL = 0.70
 MOTION = ("ax", "ay", "az", "gx", "gy", "gz")
 
 log = structlog.get_logger(__name__)
-
-
-class _Outputs:
-    """The outputs of a class whose instances have images, markers and an inertial one only where they are wanted."""
-
-    def __get__(self, instance: Oak | None, owner: type) -> tuple[str, ...]:
-        if instance is None:
-            return "depth", "timing"
-        points = ("markers", "confidence") if instance.network else ()
-        return "depth", *filter(None, (instance.image, *points, "imu" if instance.imu_hz else "")), "timing"
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +65,6 @@ class Oak(Source):
     `projector` and `flood` are set once the pipeline runs, and again whenever the camera has come back: it forgets them. A camera that
     lacks what is asked for goes on without it; that is logged, and counted as a problem.
     """
-
-    outputs = _Outputs()
 
     device: str = param("", help="which camera: its id, IP address or USB port; left out: the first that is found")
     depth: Literal["stereo", "tof"] = param(
@@ -109,6 +97,11 @@ class Oak(Source):
     lost_after_s: float = param(5.0, above=0, help="after how long without a frame it is opened again")
     reconnect_s: float = param(30.0, above=0, help="how long depthai may try to reach a camera that was unplugged")
     latency_s: float = param(0.0, least=0, most=1, help="how long before its stamp a frame really was taken")
+
+    @outputs_by_parameters("depth", "timing")
+    def outputs(self) -> tuple[str, ...]:
+        points = ("markers", "confidence") if self.network else ()
+        return "depth", *filter(None, (self.image, *points, "imu" if self.imu_hz else "")), "timing"
 
     @property
     def chunk_s(self) -> float:
@@ -174,10 +167,10 @@ class Oak(Source):
         dai, link = library(), CameraLink()
         with self.open(dai, link) as camera:
             feed.identify("OAK", **camera.identity)
-            _Reading(dai, self, camera, link, feed).run()
+            _CameraReading(dai, self, camera, link, feed).run()
 
 
-class _Reading:
+class _CameraReading:
     """One opening of a camera: frames and inertial packets are passed on as they come."""
 
     def __init__(self, dai: Any, of: Oak, camera: Camera, link: CameraLink, feed: Feed) -> None:

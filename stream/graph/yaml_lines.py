@@ -94,10 +94,10 @@ def parse(text: str, path: str) -> Located:
         raise GraphError(NESTED, path=path) from None
     if root is None:
         return Located(None, 1)
-    return _Reading(yaml, path).value(root, root.start_mark.line + 1)
+    return _YamlReading(yaml, path).value(root, root.start_mark.line + 1)
 
 
-class _Reading:
+class _YamlReading:
     """One pass over composed nodes."""
 
     def __init__(self, yaml: YAML, path: str) -> None:
