@@ -1,9 +1,9 @@
 """`python -m tests.golden --write [WORDS]`: renew the golden answers of the operators in whose path one of the words stands (of all: none).
 
-A golden answer is a summary of what an operator gives: on the samples of its `cases`, on the same with gaps and bad values, with each
-parameter turned to another value, and what it answers to parameters and streams that it may refuse. One file an operator, in
-tests/laws/golden; one line an answer. `tests/laws/test_golden_answers.py` compares. Without `--write` nothing is written; either way it
-prints which answers changed, and how: give the reason in the commit.
+A golden answer is a summary of what an operator gives: on the samples of its `cases`, on the same with gaps and bad values, rounded,
+standing still, louder and backwards, with each parameter turned to another value; and what it answers to parameters and streams that it may
+refuse. One file an operator, in tests/laws/golden; one line an answer. `tests/laws/test_golden_answers.py` compares. Without `--write`
+nothing is written; either way it prints which answers changed, and how: give the reason in the commit.
 """
 
 from __future__ import annotations
@@ -24,16 +24,19 @@ import numpy as np
 
 from stream.chunk import FOREVER, Array, Specs, StreamSpec
 from stream.conformance.broken import Broken
-from stream.conformance.case_samples import Tapes, tapes_of, with_faults
+from stream.conformance.case_samples import Tapes, repeat, tapes_of, with_faults
 from stream.conformance.cut import Delivery, steps, whole
 from stream.conformance.play import Output, Player
 from stream.errors import KinegraphError
 from stream.graph.parts import catalogue, find
 from stream.operator import Case, Operator
 
+HOUSE = Path(__file__).resolve().parent.parent
 ANSWERS = Path(__file__).parent / "laws" / "golden"
 FAULTS = 6
 """On so many drawings of gaps and bad values each case is tried."""
+MANY_BYTES = 4_000_000
+"""What is more than this is not tried three times in a row."""
 WIDTH = 8
 """Numbers of a sample that are summed up one by one; of more, every eighth goes to the same sum."""
 RELATIVE = 2e-6
@@ -70,6 +73,8 @@ def _asked(case: Case, *, first: bool) -> Iterator[tuple[str, Callable[[], Answe
     yield "opened", lambda: _opened(case.operator, {port: t.spec for port, t in tapes.items()})
     for k, faulty in enumerate(_faulty(tapes)):
         yield f"fault-{k}", partial(_played, case, whole(faulty))
+    for name, other in _otherwise(tapes):
+        yield name, partial(_played, case, whole(other))
     if not first:
         return
     for port, tape in tapes.items():
@@ -78,6 +83,7 @@ def _asked(case: Case, *, first: bool) -> Iterator[tuple[str, Callable[[], Answe
             yield f"{port}-{name}", partial(_opened, case.operator, specs)
     for field, value in _turned(case.operator):
         yield f"{field}={value!r}", partial(_played_with, case, {field: value}, tapes)
+        yield f"{field}={value!r} rounded", partial(_played_with, case, {field: value}, _with_data(tapes, _rounded_off))
         for faulty in _faulty(tapes)[:1]:
             yield f"{field}={value!r} fault-0", partial(_played_with, case, {field: value}, faulty)
     for field, value in _probed(case.operator):
@@ -88,6 +94,33 @@ def _faulty(tapes: Tapes) -> list[Tapes]:
     """The samples with at least two faults, drawn some times."""
     drawn = (with_faults(random.Random(seed).randint, tapes, 2.0) for seed in range(50))
     return [faulty for faulty, told in drawn if len(told) > 1][:FAULTS]
+
+
+def _otherwise(tapes: Tapes) -> Iterator[tuple[str, Tapes]]:
+    """Other samples at the same times: on which two numbers are often equal, or which lie where those of the case do not."""
+    yield "rounded", _with_data(tapes, _rounded_off)
+    yield "steps", _with_data(tapes, lambda x: np.repeat(x[::3], 3, axis=0)[: len(x)])
+    yield "still", _with_data(tapes, lambda x: np.repeat(x[:1], len(x), axis=0))
+    yield "none", _with_data(tapes, np.zeros_like)
+    yield "small", _with_data(tapes, lambda x: (x * 0.1).astype(x.dtype))
+    yield "large", _with_data(tapes, lambda x: (x * 5).astype(x.dtype))
+    yield "back", _with_data(tapes, lambda x: np.ascontiguousarray(x[::-1]))
+    if sum(tape.data.nbytes for tape in tapes.values()) < MANY_BYTES:
+        yield "again", repeat(tapes, 3)
+
+
+def _with_data(tapes: Tapes, other: Callable[[Array], Array]) -> Tapes:
+    return {
+        port: tape if tape.spec.is_event or not len(tape) else replace(tape, data=other(tape.data))
+        for port, tape in tapes.items()
+    }
+
+
+def _rounded_off(data: Array) -> Array:
+    """To one or two digits, so that numbers are often equal to each other and to thresholds."""
+    size = float(np.nanstd(data.astype(np.float64)))
+    step = 0.5 * 10.0 ** np.floor(np.log10(size)) if 0.0 < size < np.inf else 1.0
+    return (np.round(data / step) * step).astype(data.dtype)
 
 
 def _caught(ask: Callable[[], Answers]) -> Answers:
@@ -126,7 +159,8 @@ def _opened(operator: Operator[Any], specs: Specs) -> Answers:
 
 
 def _rounded(text: str) -> str:
-    """On one line, with long numbers cut to nine digits."""
+    """On one line, with long numbers cut to nine digits, and paths from the root of the tree."""
+    text = text.replace(f"{HOUSE}/", "")
     return " ".join(re.sub(r"\d+\.\d{9,}(e[-+]?\d+)?", lambda m: f"{float(m[0]):.9g}", text).split())
 
 
@@ -162,9 +196,9 @@ def _turned(operator: Operator[Any]) -> Iterator[tuple[str, Any]]:
         if isinstance(value, bool):
             yield f.name, not value
         elif isinstance(value, int):
-            yield f.name, value + 1
+            yield from ((f.name, given) for given in {value + 1, value // 2})
         elif isinstance(value, float):
-            yield f.name, value * 1.25
+            yield from ((f.name, given) for given in {value * 1.25, value * 0.5})
         elif value is None:
             yield from ((f.name, given) for given in (2, 0.5))
         hint = _hints(operator).get(f.name)
@@ -216,7 +250,7 @@ def _digest(column: Array) -> int:
 
 
 def _sums(column: Array) -> str:
-    """How many numbers are not finite, their root mean square, and two sums of them with weights that know places apart, over the root."""
+    """How many numbers are not finite, their root mean square, and a sum of them with weights that tell places apart."""
     values = column.astype(np.float64)
     good = np.isfinite(values)
     odd = int((~good).sum())
@@ -226,9 +260,8 @@ def _sums(column: Array) -> str:
         return f"{odd}"
     scale = float(np.abs(values).max()) or 1.0
     rms = scale * float(np.sqrt(np.mean((values / scale) ** 2)))
-    weights = ((places * 0.6180339887498949) % 1.0 + 0.5, (places * 0.7548776662466927) % 1.0 - 0.5)
-    sums = [float(np.sum(w * values) / np.sqrt(len(values))) for w in weights]
-    return ",".join([f"{odd}", *(f"{v:.9g}" for v in (rms, *sums))])
+    weighted = float(np.sum(((places * 0.6180339887498949) % 1.0 + 0.25) * values) / np.sqrt(len(values)))
+    return f"{odd},{rms:.8g},{weighted:.8g}"
 
 
 def alike(one: str, other: str) -> bool:
@@ -242,9 +275,9 @@ def alike(one: str, other: str) -> bool:
 def _near(one: str, other: str) -> bool:
     (name, _, a), (same, _, b) = one.rpartition("="), other.rpartition("=")
     first, second = a.replace(":", ",").split(","), b.replace(":", ",").split(",")
-    if name != same or len(first) != len(second) or len(first) < 4 or first[:-3] != second[:-3]:
+    if name != same or len(first) != len(second) or len(first) < 3 or first[:-2] != second[:-2]:
         return False
-    x, y = np.array([first[-3:], second[-3:]], np.float64)
+    x, y = np.array([first[-2:], second[-2:]], np.float64)
     return bool((np.abs(x - y) <= RELATIVE * max(x[0], y[0])).all())
 
 

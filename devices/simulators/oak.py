@@ -335,7 +335,7 @@ def _node_class() -> type[Any]:
     """The host node; its class can only be made when depthai is there."""
     dai = library()
 
-    class Node(dai.node.ThreadedHostNode):  # type: ignore[misc, name-defined]
+    class SimulatedOakNode(dai.node.ThreadedHostNode):  # type: ignore[misc, name-defined]
         """Calls `shown.step` some hundred times a second, in depthai's own thread."""
 
         def __init__(self) -> None:
@@ -349,7 +349,7 @@ def _node_class() -> type[Any]:
                     self.shown.step(self)
                     time.sleep(TICK_S)
 
-    return Node
+    return SimulatedOakNode
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ PACKAGES = ("stream", "devices", "operators")
 MAY_IMPORT = {"stream": {"stream"}, "devices": {"devices", "stream"}, "operators": {"operators", "stream"}}
 VAGUE = {"utils", "util", "common", "base", "helpers", "helper", "manager", "misc", "core", "tools"}
 MACHINE = re.compile(r"\.\./shared|/work/|/root/|/home/[a-z]|/Users/|C:\\\\Users")
-TEXTS = {".py", ".md", ".yaml", ".yml", ".toml", ".j2", ".html", ".js", ".css", ".json", ".cfg", ""}
+TEXTS = {".py", ".md", ".txt", ".yaml", ".yml", ".toml", ".j2", ".html", ".js", ".css", ".json", ".cfg", ""}
 UNITS = re.compile(r"_(hz|s|ms|ns|min|per_min|uV|mV|V|N|m|mm|cm|g|kg|deg|rad|percent|pct|dB|samples|bytes|mb|kib)$")
 
 
@@ -206,6 +206,19 @@ def test_the_engines_floors() -> None:
 
 def test_no_module_imports_itself_by_way_of_others() -> None:
     assert circles() == []
+
+
+def test_a_class_has_one_name_in_the_tree() -> None:
+    names = [
+        node.name for path in MODULES.values() for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef)
+    ]  # fmt: skip
+    assert sorted({name for name in names if names.count(name) > 1}) == []
+
+
+def test_reset_gap_s_is_declared_in_one_place() -> None:
+    texts = {path: path.read_text(encoding="utf-8") for path in MODULES.values()}
+    assert not [path for path, text in texts.items() if re.search(r"reset_gap_s(: float)? = param\(", text)]
 
 
 def test_the_engine_stays_small() -> None:

@@ -58,4 +58,4 @@ def test_sums_know_each_number_its_place_and_its_channel() -> None:
 def test_other_words_and_other_counts_are_changes() -> None:
     assert changes({"0 a": "n=3 lost=0/0"}, {"0 a": "n=4 lost=0/0"}) == ["0 a: n=3 was, n=4 is"]
     assert changes({"0 a?-1": "is accepted"}, {}) == ["0 a?-1: is accepted -- was, is -- nothing"]
-    assert not changes({"0 a": "v=0,1.00000001,2,3"}, {"0 a": "v=0,1.00000002,2,3"})
+    assert not changes({"0 a": "v=0,1.00000001,2"}, {"0 a": "v=0,1.00000002,2"})
