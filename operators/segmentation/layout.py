@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import make_dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -181,45 +181,26 @@ class Memory(NamedTuple):
     ratings: Samples
 
 
-@dataclass(slots=True)
 class Remembered:
-    """`Memory` as a state: the same arrays by the same names."""
+    """`Memory` as a state: a slotted dataclass of the same arrays by the same names, without the tables that are no part of it."""
 
-    frames: Samples
+    __slots__ = ()
     known: Times
-    common: Samples
-    times: Times
-    rows: Samples
-    near: Array
-    sums: Samples
-    cost: Samples
-    begin: Times
-    scratch: Samples
-    exemplars: Samples
-    owners: Times
-    lookup: Floats
-    lookup_books: Times
-    clusters: Times
-    mirrored: Samples
-    firsts: Times
-    leads: Samples
-    recent: Samples
-    recent_at: Times
-    moves: Samples
-    travels: Samples
-    kinds: Times
     books: Times
-    values: Samples
 
     def with_room(self, rows: int) -> Memory:
         """The arrays, and a table with room for `rows` events."""
-        kept = [getattr(self, f.name) for f in fields(self)]
+        kept = [getattr(self, name) for name in REMEMBERED]
         return Memory(*kept, *[np.empty((rows, EVENT_WIDTH), np.int64), np.empty(rows)])
 
     def told(self, memory: Memory) -> tuple[Times, Samples]:
         """The events that the last call wrote, and their ratings."""
         made = int(self.books[EVENTS])
         return memory.events[:made], memory.ratings[:made]
+
+
+REMEMBERED = [name for name in Memory._fields if name not in ("events", "ratings")]
+_MemoryState = make_dataclass("_MemoryState", [(name, Array) for name in REMEMBERED], bases=(Remembered,), slots=True)
 
 
 def allocate(
@@ -243,7 +224,7 @@ def allocate(
     values[[BEST, PRICE]] = np.inf
     values[[FACTOR, STILL_SHARE, TRAVEL_SHARE]] = factor, STILL, TRAVELS
     values[RADIUS] = 0.0 if radius is None else radius
-    return Remembered(
+    made: Remembered = _MemoryState(
         frames=np.zeros((width, 2 * ring)),
         known=np.full(width, NEVER_KNOWN),
         common=np.zeros(lag + 1),
@@ -270,3 +251,4 @@ def allocate(
         books=books,
         values=values,
     )
+    return made
