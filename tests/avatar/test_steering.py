@@ -17,9 +17,11 @@ from operators.steering.stored import KIND, from_model
 from stream import cli
 from stream.chunk import Chunk, Samples, StreamSpec
 from stream.errors import InputError, KinegraphError, ParameterError
+from stream.mesh import Topology
 from stream.model import ModelError, read_model, write_model
 from stream.operator import grid
 from stream.recording import Recording
+from stream.recording.series import Series, write_recording
 from tests.quadruped_model import LIMBS, made
 
 NAMES = tuple(marked())
@@ -217,6 +219,21 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
         write_model(tmp_path / "bad.npz", KIND, header, {**arrays, name: value})
         with pytest.raises(ModelError):
             SteerMesh(model=tmp_path / "bad.npz").open({"in": StreamSpec((6, 3), channels=NAMES, units=("m",))})
+
+
+def test_a_model_of_something_else_and_a_recording_of_another_mesh_are_refused(tmp_path: Path) -> None:
+    header, arrays = made()
+    write_model(tmp_path / "pose.npz", "pose", header, arrays)
+    with pytest.raises(ModelError, match=r"pose\.npz.*(pose|mesh)"):
+        SteerMesh(model=tmp_path / "pose.npz").open({"in": StreamSpec((6, 3), channels=NAMES, units=("m",))})
+    other = Topology(432, topology().faces[:-1], "other")
+    for name, mesh in (("a", topology()), ("b", other)):
+        series = Series("mesh", mesh.spec(24.0), grid(24.0, 8), STRIDE[:8])
+        write_recording(tmp_path / f"{name}.mcap", [series], {})
+    (tmp_path / "m.yaml").write_text("markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}")
+    arguments = [tmp_path / "a.mcap", tmp_path / "b.mcap", "--markers", tmp_path / "m.yaml", "-o", tmp_path / "m.npz"]
+    with pytest.raises(KinegraphError, match=r"b\.mcap: mesh is another mesh than the one before"):
+        cli.call("train", ["mesh", *map(str, arguments)])
 
 
 @pytest.mark.parametrize(("config", "source"), [("steer_mesh", "animal"), ("steer_horse", "people")])

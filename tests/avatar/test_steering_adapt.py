@@ -22,7 +22,7 @@ from operators.steering.stored import KIND, from_model, to_arrays
 from stream import cli
 from stream.chunk import Chunk, Samples, StreamSpec
 from stream.errors import KinegraphError
-from stream.model import read_model, write_model
+from stream.model import ModelError, read_model, write_model
 from stream.operator import grid
 from stream.recording.series import Series, write_recording
 from tests.quadruped_model import LIMBS
@@ -114,10 +114,26 @@ def test_regions_see_their_markers_and_the_operator_does_as_the_reference(tmp_pa
     assert np.allclose(shares, 1.0)
     header, arrays = to_arrays(model, topology(), ())
     write_model(tmp_path / "m.npz", KIND, header, arrays)
+    for name, value in (("0.frame.weights", None), ("3.frame.usual", np.zeros((5, 3))), ("0.features", np.arange(17))):
+        damaged = {k: v for k, v in {**arrays, name: value}.items() if v is not None}
+        write_model(tmp_path / "bad.npz", KIND, header, damaged)
+        with pytest.raises(ModelError):
+            from_model(read_model(tmp_path / "bad.npz", KIND))
     stored, wanted = from_model(read_model(tmp_path / "m.npz", KIND))[0], model.parts[0].frame
     assert wanted and stored.parts[0].frame and np.array_equal(stored.parts[0].frame.shares, wanted.shares)
     assert np.allclose(steered(tmp_path / "m.npz", STRIDE[:, AT]), model(STRIDE[:, AT], 432), atol=1e-6)
     assert np.linalg.norm(model(STRIDE[1::2, AT], 432) - STRIDE[1::2], axis=-1).mean() < 0.01
+
+
+def test_regions_far_beyond_the_training_stay_where_their_markers_are_and_say_so(tmp_path: Path) -> None:
+    model = choose(STRIDE[::2], FACES, marked(), REFERENCE, method="local")[0]
+    write_model(tmp_path / "m.npz", KIND, *to_arrays(model, topology(), ()))
+    marks = STRIDE[:20, AT] * np.linspace(1.0, 10.0, 20)[:, None, None]
+    operator = SteerMesh(model=tmp_path / "m.npz")
+    operator.open({"in": StreamSpec((len(NAMES), 3), rate_hz=30.0, channels=NAMES, units=("m",))})
+    made = {port: one.data for port, one in operator.process("in", Chunk(grid(30.0, 20), marks.reshape(20, -1), 0))}
+    low, high = marks.min(axis=1, keepdims=True) - 1.0, marks.max(axis=1, keepdims=True) + 1.0
+    assert ((made["mesh"] >= low) & (made["mesh"] <= high)).all() and made["quality"][-1, 0] > 3.0
 
 
 def test_a_region_is_known_again_however_the_whole_body_is_turned() -> None:

@@ -261,3 +261,16 @@ def test_models_whose_parts_are_held_by_what_is_not_there_are_refused(tmp_path: 
         write_model(tmp_path / "bad.npz", KIND, header, {**arrays, name: value})
         with pytest.raises(ModelError):
             from_model(read_model(tmp_path / "bad.npz", KIND))
+
+
+@pytest.mark.parametrize("limbs", [(), LIMBS], ids=["by all markers", "limbs alone"])
+@pytest.mark.parametrize(("greedy", "soft"), [(True, None), (False, SOFT), (True, SOFT)])
+def test_a_virtual_skeleton_can_be_settled_too(
+    greedy: bool, soft: SoftShapes | None, limbs: tuple[str, ...], tmp_path: Path
+) -> None:
+    model = trained(PoseRegression(skeleton=True, greedy=greedy, shapes=soft), limbs)
+    assert model.settling and any(part.parent >= 0 for part in model.parts)
+    write_model(tmp_path / "m.npz", KIND, *to_arrays(model, topology(), limbs))
+    made = model(STRIDE[:, AT], 432)
+    assert np.allclose(steered(tmp_path / "m.npz", STRIDE[:, AT]), made, atol=1e-9)
+    assert np.linalg.norm(made - STRIDE, axis=-1).mean() < 0.01 * DIAGONAL
