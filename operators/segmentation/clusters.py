@@ -80,7 +80,5 @@ def alike(s: Memory, slot: int, first: int, last: int) -> int:
         if other == slot or s.clusters[other, NUMBER] < 0 or size > 2 * length or length > 2 * size:
             continue
         s.books[TURN] = other + 1
-        if not candidates(s, first, last)[other]:
-            return -1
         return other if fit(s, other, first, last, True)[0] <= s.values[RADIUS] else -1
     return -1
