@@ -34,7 +34,12 @@ BONE_SHARE = 0.25
 """A bone may differ this much from its length before its outer end is moved."""
 TWINS_M, FARTHER_M = 0.10, 0.05
 """Left and right landmarks that are nearer to each other in the image hide one another; farther away by less is not farther away."""
+COVERED = np.array([(13, 15), (14, 16), (25, 28), (26, 27)])
+"""Elbows and what may be before them, their own fists; knees, and the other side's ankles."""
 LIMBS = np.array([11, 12, 13, 14, 15, 16, 23, 24, 25, 26, 27, 28])
+LEGS = np.arange(25, 33)
+WIDE, CLEAR, ASTRAY = 0.5, 0.15, -0.5
+"""From these shares of the trunk on legs are wide apart, and hips seen clearly; legs that go on worse than this are the other way round."""
 WORD = np.array([0.3, 0.0, -0.3])
 """What speaks for the three readings of a frame, before anything is compared: as given, a back taken for a front, exchanged."""
 ALIKE, SLACK_PX, SHARP, LEAST_BROKEN = 1.0, 2.0, 3.0, 0.003
@@ -72,7 +77,7 @@ def unturned(
     if memory[2] == 0.0:
         memory[0], memory[1], memory[2], memory[3] = facing[0], facing[1], 1.0, 0.0
         before[:] = math.nan
-    going_on = _going_on(points, other_side, before)
+    going_on = _going_on(points, LIMBS, other_side, before)
     best, scores = 0, np.empty(3)
     for c in range(3):
         scores[c] = readings[c, 0] * memory[0] + readings[c, 1] * memory[1] + WORD[c]
@@ -100,8 +105,38 @@ def unturned(
         out[k] = points[other_side[k] if best else k]
         if best == 1:
             out[k, 7] = -out[k, 7]
-        before[k] = out[k, :2]
+    if odds >= 0.0 and _legs_exchanged(out, other_side, before):
+        _exchange_legs(out)
+    before[:] = out[:, :2]
     return best
+
+
+@kernel
+def _legs_exchanged(points: Samples, other_side: NDArray[np.int64], before: Samples) -> bool:
+    """Whether legs, wide apart in the image, are the other way round than the hips, or, where these show no side, than before.
+
+    Seen from behind, the network exchanges legs and trunk each by itself. In 11 000 frames of motion capture ankles never cross by 10 cm.
+    """
+    hips, knees, ankles = (
+        points[23, 0] - points[24, 0],
+        points[25, 0] - points[26, 0],
+        points[27, 0] - points[28, 0],
+    )
+    trunk, legs = 0.0, 0.0
+    for i in range(2):
+        trunk += (points[11, i] + points[12, i] - points[23, i] - points[24, i]) ** 2 / 4
+        legs += (points[27, i] + points[28, i] - points[23, i] - points[24, i]) ** 2 / 4
+    size = max(math.sqrt(trunk), math.sqrt(legs) / 2)
+    if ankles * knees <= 0.0 or abs(ankles) < WIDE * size or abs(knees) < CLEAR * size:
+        return False
+    return hips * ankles < 0.0 if abs(hips) > CLEAR * size else _going_on(points, LEGS, other_side, before) < ASTRAY
+
+
+@kernel
+def _exchange_legs(points: Samples) -> None:
+    for k in range(LEGS[0], LEGS[-1], 2):
+        for i in range(points.shape[1]):
+            points[k, i], points[k + 1, i] = points[k + 1, i], points[k, i]
 
 
 @kernel
@@ -127,10 +162,10 @@ def _deeper(points: Samples) -> float:
 
 
 @kernel
-def _going_on(points: Samples, other_side: NDArray[np.int64], before: Samples) -> float:
-    """From -1 to 1: how much better `points` as given go on in the image from `before` (34, 2) than with left and right exchanged."""
+def _going_on(points: Samples, which: NDArray[np.int64], other_side: NDArray[np.int64], before: Samples) -> float:
+    """From -1 to 1: how much better `which` of `points` go on in the image from `before` (34, 2) than with left and right exchanged."""
     better, apart = 0.0, 1e-9
-    for k in LIMBS:
+    for k in which:
         o = other_side[k]
         if math.isnan(before[k, 0]) or math.isnan(before[o, 0]):
             continue
@@ -179,12 +214,18 @@ def placed(
 
 @kernel
 def _without_hidden(points: Samples, camera: Samples) -> Samples:
-    """`points` (34, 8) without the depths that belong to something before the landmark: to the other side's limb, at the same pixels.
+    """`points` (34, 8) without the depths that belong to something before the landmark, at the same pixels: to another part of a limb.
 
     Of a left and a right landmark within TWINS_M of each other in the image at the same depth, the one that the network sees less of and
     takes for the farther one is hidden.
     """
     out = points.copy()
+    for i in range(COVERED.shape[0]):
+        k, cover = COVERED[i]
+        across, down = points[k, 0] - points[cover, 0], points[k, 1] - points[cover, 1]
+        behind = points[k, 7] > points[cover, 7] + FARTHER_M and points[k, 2] - points[cover, 2] < FARTHER_M
+        if behind and math.hypot(across, down) * points[cover, 2] < TWINS_M * camera[0]:
+            out[k, 2] = math.nan
     for k in range(11, 33):
         twin = k + 1 if k % 2 else k - 1
         if points[k, 7] < points[twin, 7] + FARTHER_M or points[k, 3] > points[twin, 3]:

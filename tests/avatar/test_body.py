@@ -295,6 +295,38 @@ def test_an_ankle_hidden_behind_the_other_one_is_not_where_that_is() -> None:
     assert doubt[[27, 28], 0].tolist() == [1.0, 0.0]
 
 
+@pytest.mark.parametrize(
+    ("joint", "cover"), [(13, 15), (26, 27)], ids=["elbow behind its fist", "knee behind the other ankle"]
+)
+def test_a_joint_behind_an_end_of_a_limb_has_not_its_depth(joint: int, cover: int) -> None:
+    """A punch at the camera, or a heel pulled up before the other knee: at the joint's pixels the depth is that of what is before it."""
+    seen, camera = standing()["points"][0], np.array([285.6, 285.6, 159.5, 119.5])
+    seen[cover, :2] = seen[joint, :2] + 3.0
+    seen[cover, 7], seen[cover, 2] = -0.18, 2.32 - INSIDE[cover]
+    seen[joint, 2] = 2.32 - INSIDE[joint]
+    places, doubt = np.empty((34, 3)), np.empty((34, 2))
+    placed(seen, camera, LENGTHS.copy(), np.zeros(len(LENGTHS)), places, doubt)
+    assert doubt[joint, 0] == 1.0
+    assert places[joint, 2] == pytest.approx(2.5, abs=0.1)
+
+
+@pytest.mark.parametrize("narrow", [False, True], ids=["by the hips", "by the frame before"])
+def test_legs_that_are_exchanged_apart_from_the_trunk_are_put_right(narrow: bool) -> None:
+    """Behind a jumping jack's back the network exchanges the legs and not the arms, for frames on end."""
+    back, memory, pixels, out = standing(1.0), np.zeros(4), np.full((34, 2), np.nan), np.empty((34, 8))
+    truth = back["points"][0].copy()
+    for k in range(25, 33):
+        truth[k, 0] = 159.5 - (30.0 if k % 2 else -30.0)
+    if narrow:
+        truth[[23, 24], 0] = 159.5 - np.array([1.0, -1.0])
+    wrong = truth.copy()
+    wrong[25:33] = truth[[26, 25, 28, 27, 30, 29, 32, 31]]
+    for k in range(20):
+        unturned(truth if k < 10 else wrong, back["facing"][0].copy(), OTHER_SIDE, memory, pixels, out)
+        assert out[27, 0] < out[28, 0] and out[25, 0] < out[26, 0], f"frame {k}: the left leg is on the camera's right"
+        assert out[13, 0] < out[14, 0]
+
+
 def test_markers_that_leap_are_missing_and_come_back() -> None:
     markers = Markers()
     markers.open({"in": CLIP})
