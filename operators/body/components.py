@@ -97,7 +97,10 @@ def ahead_at_border(
     for y in range(h):
         for x in range(w):
             k = parts[y, x]
-            at_border[k] |= y == 0 or x == 0 or y == h - 1 or x == w - 1
+            if k == 0:
+                continue
+            if y == 0 or x == 0 or y == h - 1 or x == w - 1:
+                at_border[k] = True
             ahead[k] += float(frame[y, x]) + leap < float(depths[y, x])
     for k in range(len(ahead)):
         if not at_border[k]:

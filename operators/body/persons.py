@@ -147,7 +147,8 @@ class Persons(Operator[PersonsState]):
     def _measured(self, time: int, frame: Array, labels: NDArray[np.uint8]) -> list[Array]:
         """Remember everyone's place; the events of a frame."""
         s, told, rows = self.state, [], np.empty((self.most + 1, 8), np.int64)
-        s.labels[:], s.depths[:] = labels, np.where(labels, frame, 0)
+        s.labels[:] = labels
+        np.multiply(frame, labels > 0, out=s.depths)
         measure(frame, labels, rows)
         for who, (pixels, across, down, top, bottom, left, right, twice) in enumerate(rows[1:].tolist(), 1):
             if not pixels:
