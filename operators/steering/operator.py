@@ -163,9 +163,8 @@ class SteerMesh(_Steered):
                     put(s.centre, s.heading, learned.reach, s.latest)
             made[i], quality[i] = s.latest, s.outside
             marks = self.scale * chunk.data[i][self.columns]
-            if np.isfinite(marks).all() and (
-                said := s.names.see(learned, marks, float(s.outside[0]), int(chunk.time[i]))
-            ):
+            seen, far, now = bool(np.isfinite(marks).all()), float(s.outside[0]), int(chunk.time[i])
+            if seen and (said := s.names.see(learned, marks, far, now, self.regions)):
                 told.append(said)
         return [
             ("mesh", Chunk(chunk.time, made, chunk.until, chunk.lost)),

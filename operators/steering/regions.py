@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.steering.assemble_kernel import columns, predict
+from operators.steering.assemble_kernel import apart, columns, predict
 from operators.steering.marker_frame import see_from
 from operators.steering.part import Part
 from stream.chunk import Array, Samples, Times
@@ -69,6 +69,33 @@ class Regions:
                 one.scales, out,
             )
         )  # fmt: skip
+
+    def outside(self, marks: Samples, enough: float) -> float:
+        """How far a sample's markers (m, 3) are from the training, the largest of all regions; or the first larger than `enough`."""
+        return float(regions_outside(marks, *self.frames, self.centres, self.scales, enough))
+
+
+@kernel
+def regions_outside(
+    marks: Samples, counts: Samples, places: Samples, shares: Samples, centres: Samples, scales: Samples, enough: float
+) -> float:
+    """`Regions.outside`."""
+    told, room, pose, every = (
+        np.empty(3 * marks.shape[0]),
+        np.empty((11, 4)),
+        np.empty(9),
+        np.arange(3 * marks.shape[0]),
+    )
+    far = 0.0
+    for r in range(counts.shape[0]):
+        see_from(marks, counts[r], places[r], shares[r], pose, told, room)
+        least = math.inf
+        for f in range(centres.shape[1]):
+            least = min(least, apart(told, every, centres[r, f]))
+        far = max(far, math.sqrt(2.0 * scales[r] * least))
+        if far > enough:
+            break
+    return far
 
 
 @kernel

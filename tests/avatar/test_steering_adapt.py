@@ -17,6 +17,7 @@ from operators.steering.graph_ranges import graph_matched
 from operators.steering.marker_frame import MarkerFrame, see_from
 from operators.steering.operator import SteerMesh
 from operators.steering.pose_parameters import MarkerGraph
+from operators.steering.regions import Regions
 from operators.steering.regression import learn
 from operators.steering.stored import KIND, from_model, to_arrays
 from stream import cli
@@ -119,6 +120,11 @@ def test_regions_see_their_markers_and_the_operator_does_as_the_reference(tmp_pa
         write_model(tmp_path / "bad.npz", KIND, header, damaged)
         with pytest.raises(ModelError):
             from_model(read_model(tmp_path / "bad.npz", KIND))
+    regions = Regions.of(model.parts)
+    for frame in model.features(STRIDE[:, AT] * 1.3)[0]:
+        far = max(part.learned.outside(model._seen(part, frame[None], frame[None])[0][0]) for part in model.parts)
+        assert regions and np.isclose(regions.outside(frame.reshape(-1, 3), np.inf), far)
+        assert regions.outside(frame.reshape(-1, 3), far / 2) > far / 2
     stored, wanted = from_model(read_model(tmp_path / "m.npz", KIND))[0], model.parts[0].frame
     assert wanted and stored.parts[0].frame and np.array_equal(stored.parts[0].frame.shares, wanted.shares)
     assert np.allclose(steered(tmp_path / "m.npz", STRIDE[:, AT]), model(STRIDE[:, AT], 432), atol=1e-6)
