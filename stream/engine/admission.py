@@ -1,6 +1,6 @@
 """What may enter the graph: every rule about a source's chunk, as functions of the chunk and a few numbers, without thread or clock.
 
-`is_sound` tells a chunk to which nothing needs to be done; else `conform` puts it into the arrays that its spec declares and `ordered`
+`soundness` tells a chunk to which nothing needs to be done; else `conform` puts it into the arrays that its spec declares and `ordered`
 refuses time that runs backwards. `admit` decides lateness, gaps and the watermark, `followed` gives background sources the data's time
 where no source is live, and `on_full` says what a full queue does. Whichever
 way a chunk takes into the graph (`stream.engine.ingress`), inline on its source's thread or through a queue, these are what it passes.
@@ -8,7 +8,7 @@ way a chunk takes into the graph (`stream.engine.ingress`), inline on its source
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import Enum
 
 import msgspec
@@ -42,15 +42,28 @@ class Verdict(msgspec.Struct, gc=False):
 NOTHING_NEW = Verdict(None)
 
 
-def is_sound(spec: StreamSpec, chunk: Chunk) -> bool:
-    """Whether a source's chunk is as it should be in every respect: `conform` and `ordered` would give it back as it is."""
-    time, data = chunk.time, chunk.data
-    if time.__class__ is not np.ndarray or data.__class__ is not np.ndarray:
-        return False
-    if time.dtype is not STAMP or data.dtype is not spec.dtype or data.shape != (len(time), *spec.shape):
-        return False
-    until = chunk.until
-    return time.flags.carray and -1 <= chunk.lost <= MOST_LOST and -END < until < END and _is_ordered(time, until)
+def soundness(spec: StreamSpec) -> Callable[[Chunk], bool]:
+    """What tells whether a source's chunk is as it should be in every respect: `conform` and `ordered` would give it back as it is.
+
+    It is asked of every chunk, so it remembers the shape that the last one had, and few names are looked up.
+    """
+    array, dtype, tail, shape, rows = np.ndarray, spec.dtype, spec.shape, spec.shape, -1
+
+    def is_sound(chunk: Chunk) -> bool:
+        nonlocal shape, rows
+        time, data, until = chunk.time, chunk.data, chunk.until
+        if time.__class__ is not array or data.__class__ is not array:
+            return False
+        if time.dtype is not STAMP or data.dtype is not dtype:
+            return False
+        n = len(time)
+        if n != rows or data.shape != shape:
+            if data.shape != (n, *tail):
+                return False
+            shape, rows = data.shape, n
+        return time.flags.carray and -1 <= chunk.lost <= MOST_LOST and -END < until < END and _is_ordered(time, until)
+
+    return is_sound
 
 
 def conform(spec: StreamSpec, chunk: Chunk) -> Chunk:
@@ -133,9 +146,10 @@ def joins(until: int, chunk: Chunk) -> bool:
     """Whether a chunk may enter together with those before it, complete up to `until`: no answer depends on how samples come in chunks, and
     what each chunk costs is so paid once for all. Not where something is said between them: a gap, a sample that comes too late, that none
     came, the end."""
-    if chunk.lost or not len(chunk.time) or chunk.data.nbytes > JOINED_BYTES:
+    time = chunk.time
+    if chunk.lost or not len(time) or chunk.data.nbytes > JOINED_BYTES:
         return False
-    return bool(chunk.time.item(0) > until) and chunk.until < END
+    return time.item(0) > until and chunk.until < END
 
 
 def join(chunks: Sequence[Chunk]) -> Chunk:

@@ -109,13 +109,13 @@ class BoundedQueue:
         """All that waits and is gathered now, in its order, each with its arrival: what may enter together (`admission.joins`) as one, and
         whether it is."""
         together: list[Chunk] = []
-        arrival = 0
+        arrival = until = 0
         for chunk, at in self._take_all():
-            if together and (len(together) == MOST_TOGETHER or not joins(together[-1].until, chunk)):
+            if together and (len(together) == MOST_TOGETHER or not joins(until, chunk)):
                 yield join(together), arrival, len(together) > 1
                 together = []
             together.append(chunk)
-            arrival = at
+            arrival, until = at, chunk.until
         if together:
             yield join(together), arrival, len(together) > 1
 
@@ -126,12 +126,10 @@ class BoundedQueue:
         with self._lock:  # so that its writer moves none of them into the queue meanwhile; what it gathers further is left to the next time
             if self.waiting or not self.gathered:
                 return items
-            many = len(self.gathered)
-            offset = self.arrival_of(came := self.gathered[0][1]) - came
-            for _ in range(many):
-                chunk, came = self.gathered.popleft()
-                items.append((chunk, came + offset))
-        return items
+            take = self.gathered.popleft
+            gathered = [take() for _ in range(len(self.gathered))]
+        offset = self.arrival_of(gathered[0][1]) - gathered[0][1]
+        return items + [(chunk, came + offset) for chunk, came in gathered]
 
     def take(self) -> tuple[Chunk, int] | None:
         """The oldest chunk and its arrival, with the drops before it added to its `lost`; None where nothing waits."""

@@ -28,6 +28,8 @@ QUIET = {"device", "source ended", "session resumed", "source reopened"}
 """Reports that are news, not warnings."""
 LOSSES = {"late samples dropped", "source queue dropped", DROPPED}
 """Reports that may come with every chunk."""
+SETTLE_S = 0.2
+"""Beyond this, a slow disk holds up the start no longer."""
 TOLD_EVERY_S = 10.0
 """On the screen, a stream's or queue's losses are reported at once, and then this often; the recording keeps each."""
 
@@ -135,6 +137,7 @@ class SessionLog:
         self.arrival = 0
         self.recorder: Recorder | None = None
         self._checkpoints: CheckpointWriter | None = None
+        self._begun = prior is not None
         self._losses: dict[tuple[str, str], Loss] = {}
         self._losing = Lock()
 
@@ -239,12 +242,16 @@ class SessionLog:
         return self._checkpoints is not None and not self._checkpoints.busy
 
     def checkpoint(self, promised: dict[str, int], indices: dict[str, int], pipeline: Pipeline) -> None:
-        """Keep the state as it is now; it is copied here and written in the background."""
+        """Keep the state as it is now; it is copied here and written in the background. The first one is waited for, for a moment at
+        most: nobody opens files beside the first samples then."""
         assert self._checkpoints
         now, graph = self._clock.now(), fingerprint(self._graph.text)
         kept = Checkpoint(self.sequence, now, graph, promised, indices, pipeline.snapshot())
         part = self.recorder.part if self.recorder and self._graph.recording.rolling else 0
         self._checkpoints.write(kept, lambda: self._forget(part))
+        if not self._begun:
+            self._begun = True
+            self._checkpoints.wait(SETTLE_S)
 
     def _forget(self, part: int) -> None:
         """Delete the files before a part: a checkpoint on the disk knows what they hold. Raises OSError."""

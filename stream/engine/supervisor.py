@@ -11,9 +11,9 @@ from typing import Generic, Literal, TypeAlias, TypeVar
 
 import structlog
 
-from stream.chunk import FOREVER, NS, Chunk, StreamSpec, empty, utc
+from stream.chunk import FOREVER, NS, Chunk, empty, utc
 from stream.clock import SessionClock
-from stream.engine.admission import conform, is_sound, ordered
+from stream.engine.admission import conform, ordered, soundness
 from stream.engine.queues import BoundedQueue, ReadyQueue
 from stream.errors import DeviceError, KinegraphError, RunError, blaming, explain, nearest
 from stream.graph import Edge, Node
@@ -123,7 +123,9 @@ class _Feed:
             raise _StopReadingError
         runner = self._runner
         now = time.monotonic_ns()
-        chunk = runner.checked(chunk, output)
+        sound = runner.sound.get(output)
+        if sound is None or not sound(chunk):
+            chunk = runner.mended(chunk, output)
         if self._unmarked and len(chunk.time) and output in self._unmarked:
             self._unmarked.discard(output)
             chunk.lost = chunk.lost or -1
@@ -141,6 +143,7 @@ class Runner:
 
     queues     per output, the queue to the graph's thread
     inline     per output, the way into the graph without it
+    sound      per output, what tells whether a chunk can be taken as it is
     awaited    whether anybody waits for what this source says
     now        session time, as the source sees it
     live       whether what it gives is gone if nobody reads it
@@ -164,6 +167,7 @@ class Runner:
             for output in node.specs
         }
         self.inline: dict[str, Inline] = dict.fromkeys(node.specs, not_inline)
+        self.sound = {output: soundness(spec) for output, spec in node.specs.items()}
         self.awaited = True
         self.now: Callable[[], int] = clock.now
         self.mailbox: SimpleQueue[str | None] = SimpleQueue()
@@ -259,18 +263,14 @@ class Runner:
         self.ready = True
         self.on("alive")
 
-    def checked(self, chunk: Chunk, output: str) -> Chunk:
-        """The chunk as the graph takes it: declared shape and dtype, times in order. Raises DeviceError, or PromiseError for times that
-        cannot be."""
+    def mended(self, chunk: Chunk, output: str) -> Chunk:
+        """A chunk that is not sound, as the graph can take it: declared shape and dtype, times in order. Raises DeviceError, or
+        PromiseError for times that cannot be."""
         spec = self.node.specs.get(output)
         if spec is None:
             raise DeviceError(
                 f"source {self.node.name!r} gave samples for an output {output!r}, which it has not: {nearest(output, self.node.specs)}"
             )
-        return chunk if is_sound(spec, chunk) else self._mended(spec, chunk, output)
-
-    def _mended(self, spec: StreamSpec, chunk: Chunk, output: str) -> Chunk:
-        """A chunk that is not sound, as the graph can take it."""
         chunk = conform(spec, chunk)
         time, data = chunk.time, chunk.data
         if data.shape != (len(time), *spec.shape):

@@ -17,7 +17,7 @@ import numpy as np
 import structlog
 
 from stream.chunk import FOREVER, NS, Chunk, Specs, StreamSpec, empty
-from stream.engine.admission import is_sound
+from stream.engine.admission import soundness
 from stream.engine.edge import CallSlot
 from stream.engine.merge import Merge
 from stream.engine.pipeline import Pipeline, Stage
@@ -52,7 +52,7 @@ def warm_up(pipeline: Pipeline, stopped: Callable[[], bool] = bool) -> None:
     timing = Timing()
     timing.durations.append(1)
     timing.read()
-    is_sound(StreamSpec(()), empty(StreamSpec(()), NS))
+    soundness(StreamSpec(()))(empty(StreamSpec(()), NS))
     seen: set[type[Any]] = set()
     graph = pipeline.graph
     for node in graph.nodes.values():

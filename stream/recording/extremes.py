@@ -14,7 +14,7 @@ Rows: TypeAlias = NDArray[np.float32]
 NAN = np.float32(np.nan)
 
 
-@kernel(nogil=True)
+@kernel
 def runs(time: Times, width: int) -> int:
     """How many runs of stamps (n,) lie in one piece each, where piece k lasts from k to k + 1 times `width`."""
     count, last = 0, 0
@@ -51,7 +51,7 @@ def extremes(data: Array, time: Times, width: int, pieces: Times, low: Rows, hig
                     high[k, c] = v
 
 
-@kernel(nogil=True)
+@kernel
 def torn(rows: Times, time: Times, before: int, longest: int, gaps: Times) -> int:
     """Where samples are missing: behind a step longer than `longest`, and before a chunk that says so.
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import errno
 import os
+import struct
 from collections import deque
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, cast
 
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
 from stream.chunk import StreamSpec
@@ -33,13 +36,20 @@ from stream.recording.image import CHUNKS, SCHEMA, descriptor
 
 PIECE = 1 << 20
 """Bytes per write call."""
+CHUNK_BYTES, LIVE_CHUNK_BYTES = 1 << 20, 2 << 20
+"""Messages with more bytes are compressed at once, without waiting for the next `save`. Beside a live session less often, for each time
+that the recorder's thread lets the interpreter go, to compress, and takes it back, holds the session up for a fraction of a millisecond."""
+RECORD = struct.Struct("<BQ").pack
+"""How a record begins: its opcode, and how many bytes follow."""
 
 
 class FileSegment:
     """A file in which every byte up to the last `save` that returned is whole messages; a `save` that raised can be tried again."""
 
-    def __init__(self, path: Path, number: int, header: dict[str, Any], compression: CompressionType) -> None:
-        """Creates the file; raises OSError if that cannot be, FileExistsError if it is there."""
+    def __init__(
+        self, path: Path, number: int, header: dict[str, Any], compression: CompressionType, *, live: bool = False
+    ) -> None:
+        """Creates the file, of a `live` session or not; raises OSError if that cannot be, FileExistsError if it is there."""
         self.path = path
         self.number = number
         self.saved = 0
@@ -48,7 +58,8 @@ class FileSegment:
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), PRIVATE)
         self._written = 0
         self._finished = False
-        self._writer = Writer(cast("IO[bytes]", self._spool), compression=compression)
+        self._writer = Writer(cast("IO[bytes]", self._spool), LIVE_CHUNK_BYTES if live else CHUNK_BYTES, compression)
+        _join_once(self._writer)
         self._writer.start(PROFILE)
         self._writer.add_metadata(HEADER, {"format": str(FORMAT), "part": str(number), "header": dump(header).decode()})
         self._json = {
@@ -118,6 +129,45 @@ class FileSegment:
             os.close(self._file)
             if not self.saved:
                 self.path.unlink(missing_ok=True)
+
+
+class _Records(RecordBuilder):
+    """Records while they are made: pieces that are joined once, where the library's own copies each into a buffer that grows."""
+
+    def __init__(self) -> None:
+        self._pieces: list[bytes] = []
+        self._begun: tuple[int, int, Opcode] | None = None
+        self._size = 0
+
+    @property
+    def count(self) -> int:
+        return self._size
+
+    def start_record(self, opcode: Opcode) -> None:
+        self.write(RECORD(opcode, 0))
+        self._begun = len(self._pieces) - 1, self._size, opcode
+
+    def finish_record(self) -> None:
+        assert self._begun
+        place, start, opcode = self._begun
+        self._pieces[place] = RECORD(opcode, self._size - start)
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        self._pieces.append(bytes(data))  # of bytes no copy
+        self._size += len(data)
+
+    def end(self) -> bytes:
+        whole = b"".join(self._pieces)
+        self._pieces, self._size = [], 0
+        return whole
+
+
+def _join_once(writer: Writer) -> None:
+    """Have the library's writer make its records as `_Records` do; one of another version that is built otherwise stays as it is."""
+    chunk = getattr(writer, "_Writer__chunk_builder", None)
+    if hasattr(writer, "_Writer__record_builder") and hasattr(chunk, "record_writer"):
+        vars(writer)["_Writer__record_builder"] = _Records()
+        chunk.record_writer = _Records()  # type: ignore[union-attr]
 
 
 class _Spool:

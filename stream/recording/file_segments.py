@@ -53,7 +53,7 @@ class FileSegments:
     ) -> None:
         """`number` is that of the first part to be written; a `live` session's parts end after `MOST_S`."""
         self._path, self._number, self._header, self._options = path, number, header, options
-        self._longest = MOST_S if live else inf
+        self._live, self._longest = live, MOST_S if live else inf
         self._topics = [Topic(LOG), Topic(METRICS)]
         self._part: FileSegment | None = None
         self._declared = self._saves = 0
@@ -143,6 +143,7 @@ class FileSegments:
             self._number,
             self._header,
             CompressionType.LZ4 if frames else CompressionType.ZSTD,
+            live=self._live,
         )
         self._part, self._declared, self._saves = part, 0, 0
         for topic in self._topics:
