@@ -2,20 +2,18 @@
 
 `soundness` tells a chunk to which nothing needs to be done; else `conform` puts it into the arrays that its spec declares and `ordered`
 refuses time that runs backwards. `admit` decides lateness, gaps and the watermark, `followed` gives background sources the data's time
-where no source is live, and `on_full` says what a full queue does. Whichever
-way a chunk takes into the graph (`stream.engine.ingress`), inline on its source's thread or through a queue, these are what it passes.
+where no source is live. Whichever way a chunk takes into the graph (`stream.engine.ingress`), inline on its source's thread or through a
+queue, these are what it passes; what a full queue does is `stream.backpressure`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from enum import Enum
 
 import msgspec
 import numpy as np
 
 from stream.chunk import FOREVER, NS, STAMP, Chunk, StreamSpec, Times, add_lost
-from stream.graph import Policy
 from stream.kernel import kernel
 from stream.promise import END, MOST_LOST
 
@@ -162,21 +160,3 @@ def join(chunks: Sequence[Chunk]) -> Chunk:
         data = np.concatenate([chunk.data for chunk in chunks], dtype=chunks[0].data.dtype)
     time = np.frombuffer(bytearray().join([chunk.time for chunk in chunks]), STAMP)  # type: ignore[misc]
     return Chunk(time, data.reshape(-1, *chunks[0].data.shape[1:]), chunks[-1].until, chunks[0].lost)
-
-
-class Full(Enum):
-    """What a writer does at a full queue."""
-
-    WAIT = "wait"
-    DROP_OLDEST = "drop the oldest"
-    FAIL = "fail"
-    PASS = "pass"
-
-
-def on_full(policy: Policy, *, closed: bool) -> Full:
-    """Backpressure: what a policy means where the queue is full. Once it is closed, nobody waits and nothing is dropped any more."""
-    if policy == "fail":
-        return Full.FAIL
-    if closed:
-        return Full.PASS
-    return Full.DROP_OLDEST if policy == "drop_oldest" else Full.WAIT

@@ -15,10 +15,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from stream.backpressure import POLICIES, Policy
 from stream.chunk import NEVER, Chunk, add_lost
-from stream.engine.admission import Full, join, joins, on_full
-from stream.errors import RunError
-from stream.graph import Policy
+from stream.engine.admission import join, joins
 
 ReadyQueue: TypeAlias = "SimpleQueue[BoundedQueue | threading.Event | None]"
 """Holds queues that have a chunk, events to set when everything before them is done, and None to wake the thread."""
@@ -32,7 +31,7 @@ class BoundedQueue:
 
     name      what is waiting, for people: "board.emg", or "camera -> blocks"
     limit     how many chunks may wait
-    policy    what a full queue does: `block` its writer, `drop_oldest`, or `fail`
+    policy    what a full queue does (`stream.backpressure`)
     on_drop   told (first, n) of every drop: the dropped samples' running index in this queue and their number
     waiting   what waits: chunks, their arrivals, and the running index of their first samples
     gathered  what came after that, which its writer keeps for a moment to take it on together: chunks, and when they came
@@ -88,7 +87,7 @@ class BoundedQueue:
         """Leave a chunk, behind what is gathered; waits, drops or fails as the policy says where the queue is full."""
         if self.gathered:
             self.leave_gathered()
-        if len(self.waiting) >= self.limit and self._is_in_place_of_another(chunk, arrival):
+        if len(self.waiting) >= self.limit and POLICIES[self.policy](self, chunk, arrival):
             return
         self._leave(chunk, arrival)
 
@@ -155,20 +154,14 @@ class BoundedQueue:
         """How many chunks wait now."""
         return len(self.waiting) + len(self.gathered)
 
-    def _is_in_place_of_another(self, chunk: Chunk, arrival: int) -> bool:
-        """What the policy says of a full queue; whether the chunk waits now, in the place of an older one that was dropped for it."""
-        full = on_full(self.policy, closed=self.closed)
-        if full is Full.FAIL:
-            raise RunError(f"the queue of {self.name} is full ({self.limit} chunks) and its policy is 'fail'")
-        if full is Full.DROP_OLDEST:
-            return self._replace(chunk, arrival)
-        while full is Full.WAIT and len(self.waiting) >= self.limit and not self.closed:
+    def wait_for_room(self) -> None:
+        """Hold up the writer until there is room, or the queue is closed."""
+        while len(self.waiting) >= self.limit and not self.closed:
             self._room.clear()
             if len(self.waiting) >= self.limit:
                 self._room.wait(0.5)
-        return False
 
-    def _replace(self, chunk: Chunk, arrival: int) -> bool:
+    def replace_oldest(self, chunk: Chunk, arrival: int) -> bool:
         """Drop the oldest for this one, which needs no further entry: so a ready queue never holds more than what waits, however long its
         thread is behind. False where there is room by now."""
         with self._lock:

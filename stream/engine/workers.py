@@ -13,12 +13,13 @@ from dataclasses import dataclass
 from queue import SimpleQueue
 from time import perf_counter_ns
 
+from stream.backpressure import Policy
 from stream.chunk import NS, Chunk
 from stream.engine.edge import CallSlot, InputPort, Push, given
 from stream.engine.pipeline import Stage
 from stream.engine.queues import BoundedQueue, Drops, ReadyQueue
 from stream.errors import RunError
-from stream.graph import Edge, Policy
+from stream.graph import Edge
 
 UNLIMITED = 1 << 62
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
 
+from stream.backpressure import Policy
 from stream.chunk import Specs, StreamSpec
 from stream.graph.page_options import PageOptions
 from stream.operator import Operator
@@ -13,7 +14,6 @@ from stream.params import param
 from stream.source import Source
 
 T = TypeVar("T")
-Policy = Literal["block", "drop_oldest", "fail"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stream.backpressure import POLICIES, Policy
 from stream.chunk import FOREVER, NEVER, NS, Chunk, StreamSpec
-from stream.engine.admission import Full, admit, conform, followed, join, on_full, ordered, soundness
+from stream.engine.admission import admit, conform, followed, join, ordered, soundness
 from stream.engine.supervisor import TRANSITIONS
+from stream.errors import RunError
 from stream.promise import impossible
 
 SPEC = StreamSpec((1,), rate_hz=1000.0)
@@ -151,18 +153,45 @@ def test_what_is_sound_needs_nothing(stamps: list[int], until: int, lost: int) -
         assert conform(SPEC, made) is made and ordered(made) == (made, 0) and not impossible(made)
 
 
+class Before:
+    """A full queue that notes what a policy has it do."""
+
+    name, limit = "board.out", 3
+
+    def __init__(self, closed: bool) -> None:
+        self.closed = closed
+        self.done: list[str] = []
+
+    def wait_for_room(self) -> None:
+        self.done.append("waited")
+
+    def replace_oldest(self, chunk: Chunk, arrival: int) -> bool:
+        self.done.append(f"dropped the oldest for {told(chunk)} of {arrival}")
+        return True
+
+
 @pytest.mark.parametrize(
-    ("policy", "closed", "does"),
+    ("policy", "closed", "does", "in_place_of_another"),
     [
-        ("block", False, Full.WAIT),
-        ("block", True, Full.PASS),
-        ("drop_oldest", False, Full.DROP_OLDEST),
-        ("drop_oldest", True, Full.PASS),
-        ("fail", False, Full.FAIL),
+        ("block", False, ["waited"], False),
+        ("block", True, ["waited"], False),  # which a closed queue does not
+        ("drop_oldest", False, ["dropped the oldest for ([1], [1.0], 1, 0) of 7"], True),
+        ("drop_oldest", True, [], False),
     ],
 )
-def test_backpressure(policy: Any, closed: bool, does: Full) -> None:
-    assert on_full(policy, closed=closed) is does
+def test_backpressure(policy: Policy, closed: bool, does: list[str], in_place_of_another: bool) -> None:
+    queue = Before(closed)
+    assert POLICIES[policy](queue, chunk([1], 1), 7) is in_place_of_another
+    assert queue.done == does
+
+
+def test_a_full_queue_whose_policy_is_to_fail() -> None:
+    with pytest.raises(RunError, match=r"the queue of board\.out is full \(3 chunks\) and its policy is 'fail'"):
+        POLICIES["fail"](Before(closed=False), chunk([1], 1), 7)
+
+
+def test_every_policy_that_a_graph_may_say_is_there() -> None:
+    assert POLICIES.keys() == set(get_args(Policy))
 
 
 def test_every_state_of_a_source_leads_to_an_end() -> None:

@@ -1,0 +1,50 @@
+"""Backpressure: what happens to a chunk that comes to a full queue. Every policy is here, a function and its name; what graphs may say, its
+check and its messages follow from these."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal, Protocol, TypeAlias
+
+from stream.chunk import Chunk
+from stream.errors import RunError
+
+Policy = Literal["block", "drop_oldest", "fail"]
+"""What a graph may say."""
+
+
+class FullQueue(Protocol):
+    """What a policy may do with the queue before which it stands.
+
+    closed   nobody reads from it in earnest any more: nobody waits and nothing is dropped
+    """
+
+    name: str
+    limit: int
+    closed: bool
+
+    def wait_for_room(self) -> None:
+        """Hold up the writer until there is room, or the queue is closed."""
+
+    def replace_oldest(self, chunk: Chunk, arrival: int) -> bool:
+        """Drop the oldest chunk for this one, counted and marked in the next that is taken; False where there is room by now."""
+
+
+OnFull: TypeAlias = Callable[[FullQueue, Chunk, int], bool]
+"""Told of a chunk and its arrival; returns whether the chunk waits now in the place of another. If not, it is left behind the others."""
+
+
+def block(queue: FullQueue, chunk: Chunk, arrival: int) -> bool:
+    queue.wait_for_room()
+    return False
+
+
+def drop_oldest(queue: FullQueue, chunk: Chunk, arrival: int) -> bool:
+    return not queue.closed and queue.replace_oldest(chunk, arrival)
+
+
+def fail(queue: FullQueue, chunk: Chunk, arrival: int) -> bool:
+    raise RunError(f"the queue of {queue.name} is full ({queue.limit} chunks) and its policy is 'fail'")
+
+
+POLICIES: dict[Policy, OnFull] = {"block": block, "drop_oldest": drop_oldest, "fail": fail}
