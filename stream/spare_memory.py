@@ -12,7 +12,7 @@ from functools import cache
 
 M_MMAP_THRESHOLD, LARGE = -3, 4 << 20
 """Its name for the size (bytes) from which a piece is mapped by itself, and goes back to the system once freed; larger than a frame."""
-M_TRIM_THRESHOLD, HELD = -1, 8 << 20
+M_TRIM_THRESHOLD, HELD = -1, 24 << 20
 """Its name for the free bytes at the heap's end that stay until the next look; with fewer, each message would ask for pages again."""
 KEPT = 128 << 10
 """Bytes at the heap's end that stay, so that the next messages find some."""

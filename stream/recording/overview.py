@@ -67,9 +67,9 @@ class OverviewWriter:
         self._open: tuple[int, Rows, Rows] | None = None
         self._before: int | None = None
         self._gaps: list[tuple[int, int]] = []
-        nothing = np.empty(0, np.int64)
-        self._extremes(np.frombuffer(b"", spec.dtype).reshape(0, self._channels), np.frombuffer(b"", np.int64))
-        torn(np.empty((0, COLUMNS), np.int64), nothing, 0, 0, np.empty((0, 2), np.int64))
+        nothing = np.frombuffer(b"", np.int64)
+        self._extremes(np.frombuffer(b"", spec.dtype).reshape(0, self._channels), nothing)
+        torn(nothing.reshape(0, COLUMNS), nothing, 0, 0, np.empty((0, 2), np.int64))
 
     def add(self, body: bytes | memoryview) -> None:
         """Take the samples of a message."""
@@ -108,7 +108,7 @@ class OverviewWriter:
     def _note_gaps(self, rows: Times, times: Times) -> None:
         before = int(times[0]) if self._before is None else self._before
         gaps = np.empty((MOST_GAPS - len(self._gaps), 2), np.int64)
-        found = self._find_torn(rows.astype(np.int64), times.astype(np.int64), before, 2 * self._spec.period_ns, gaps)
+        found = self._find_torn(rows, times, before, 2 * self._spec.period_ns, gaps)
         self._gaps += [(begin, end) for begin, end in gaps[:found].tolist()]
         self._before = int(times[-1])
 
