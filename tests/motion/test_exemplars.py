@@ -23,11 +23,7 @@ from operators.segmentation.layout import (
     allocate,
 )
 from tests.motion.test_segmentation import QUICK, played
-
-FRAMES = {
-    "LAG": 30, "WINDOW": 200, "LEARN": 2, "QUIET": 4, "MASS": 6, "SETTLE": 20, "FIRM": 80, "BAND_LEAST": 3, "BAND_MOST": 3,
-    "EVERY": 5, "REST": 5, "TRANSITION": 10,
-}  # fmt: skip
+from tests.motion.test_segmentation_kernels import FRAMES
 
 
 def exercise(kind: int, length: int, times: int = 1, width: int = 4) -> Any:

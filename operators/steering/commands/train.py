@@ -114,53 +114,34 @@ def mesh(
     from stream.model import write_model
 
     asked = {"alignment": alignment, "shapes": shapes, "blend": blend}
+    ways = {"pose": pose, "regression": regression, "skeleton": skeleton, **asked}
+    to_other = {"ranges": ranges, "pairing": pairing}
     parted = skeleton or any(asked[name] != known[0] for name, known in ASSEMBLIES.items())
     _refuse(output, report, method, asked, skeleton=skeleton, parted=parted, overwrite=overwrite)
     frames, topology = _frames(recordings)
     said = _markers(markers, topology.vertices)
-    if blend == "shared" and not said["limbs"]:
-        raise KinegraphError(f"{markers}: --blend shared: names no limbs that could share a part")
-    if said["limbs"] and method not in ("", "parts"):
-        raise KinegraphError(
-            f"{markers}: limbs move by themselves only where there are parts; leave out --method {method}"
-        )
-    if method == "local" and (performer or (pose, regression) != ("positions", "kernel")):
-        raise KinegraphError(
-            "--method local: regions move with the markers that lie on them: by positions and kernels, and with no --performer; leave "
-            "--method out"
-        )
-    graph = _body_graph(
-        frames, topology, markers, said, {"ranges": ranges, "pairing": pairing}, performer=performer is not None
-    )
+    _refuse_method(method, markers, said, ways, performed=performer is not None)
+    graph = _body_graph(frames, topology, markers, said, to_other, performer=performer is not None)
     performed = _performed(performer, tuple(said["markers"])) if performer else None
     say(f"{len(frames)} frames of {topology.vertices} vertices; learning ...")
     given = (topology.faces, said["markers"], said["reference"], said["limbs"], parts, modes, said["heading"])
     poses = _poses(frames, topology, markers, said, (pose, regression, skeleton), asked)
     way, other_body = ("parts" if parted else method or None), performer is not None
     model, how, off, pull = choose(frames, *given, way, how=poses, performed=other_body)  # type: ignore[arg-type]
+    told = {"method": how, **ways}
     if report:
         from operators.steering.commands.report import write_report
 
         error = write_report(
             report, f"{output.name}: {topology.name or 'a mesh'}", model, how, off, frames, topology.faces,
-            lambda rows: choose(rows, *given, how, pull, poses)[0],
-            {"method": how, "pose": pose, "regression": regression, "skeleton": skeleton, **asked, **_softly(model)},
+            lambda rows: choose(rows, *given, how, pull, poses)[0], {**told, **_softly(model)},
         )  # fmt: skip
         say(f"{report}: off by {error:.3f} % of the mesh's diagonal in every fourth frame, left out")
     if performed is not None:
         model = adapt(model, frames[:, model.vertices], performed, said["heading"], ranges, pairing, graph)  # type: ignore[arg-type]
+        told |= to_other
     header, arrays = to_arrays(model, topology, tuple(said["limbs"]))
-    told = {
-        "method": how,
-        "pose": pose,
-        "regression": regression,
-        "skeleton": skeleton,
-        **asked,
-        **({"ranges": ranges, "pairing": pairing} if performer else {}),
-        "left_out": off,
-        "softly": _softly(model),
-        "trained_on": [path.name for path in recordings],
-    }
+    told |= {"left_out": off, "softly": _softly(model), "trained_on": [path.name for path in recordings]}
     write_model(output, KIND, {**header, **told, "performer": performer.name if performer else ""}, arrays)
     _tell(output, model, how, off, pull)
 
@@ -202,6 +183,21 @@ def _softly(model: Steering) -> dict[str, float]:
     """How shapes are moved against their neighbours and markers, for the header; {} where they stay as predicted."""
     soft = model.settling.shapes if model.settling else None
     return {"beta": soft.beta, "marked": soft.marked} if soft else {}
+
+
+def _refuse_method(method: str, markers: File, said: dict[str, Any], ways: dict[str, Any], *, performed: bool) -> None:
+    """What cannot be asked for with these markers. Raises KinegraphError."""
+    if ways["blend"] == "shared" and not said["limbs"]:
+        raise KinegraphError(f"{markers}: --blend shared: names no limbs that could share a part")
+    if said["limbs"] and method not in ("", "parts"):
+        raise KinegraphError(
+            f"{markers}: limbs move by themselves only where there are parts; leave out --method {method}"
+        )
+    if method == "local" and (performed or (ways["pose"], ways["regression"]) != ("positions", "kernel")):
+        raise KinegraphError(
+            "--method local: regions move with the markers that lie on them: by positions and kernels, and with no --performer; leave "
+            "--method out"
+        )
 
 
 def _tell(output: File, model: Steering, how: Method, off: dict[Method, float], pull: MarkerPull | None) -> None:
@@ -268,14 +264,8 @@ def _body_graph(
     for name, known in (("ranges", RANGES), ("pairing", PAIRINGS)):
         if asked[name] not in known:
             raise KinegraphError(f"--{name}: there is no {name} {asked[name]!r}; {nearest(asked[name], known)}")
-    one = next(
-        (
-            f"--{name} {asked[name]}"
-            for name, usual in (("ranges", "positions"), ("pairing", "nearest"))
-            if asked[name] != usual
-        ),
-        "",
-    )
+    usual = {"ranges": "positions", "pairing": "nearest"}
+    one = next((f"--{name} {asked[name]}" for name in usual if asked[name] != usual[name]), "")
     if not one:
         return None
     if not performer:
