@@ -269,7 +269,7 @@ def _body_graph(
     if not one:
         return None
     if not performer:
-        raise KinegraphError(f"{one}: is for a performer of another body; give --performer, or leave it out")
+        raise KinegraphError(f"{one}: only for a performer of another body; give --performer, or leave it out")
     given = said["markers"], said["reference"], said["limbs"], said["heading"]
     try:
         return regression_of(frames, mesh.faces, *given, "angles").graph
