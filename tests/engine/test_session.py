@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from stream.chunk import NS, Chunk, empty
+from stream.engine import session_log
 from stream.engine.pipeline import Pipeline
 from stream.engine.session import Session
 from stream.engine.status import Outcome
@@ -23,6 +25,8 @@ from stream.errors import DeviceError, GraphError, RecordingError, RunError
 from stream.graph import Graph
 from stream.graph.load import load_text
 from stream.recording import Recording
+from stream.recording.checkpoint import NAME as CHECKPOINT
+from stream.source import Feed
 from tests.support import SUPPORT
 
 opened: list[Recording] = []
@@ -91,6 +95,33 @@ def test_a_session_that_is_refused_leaves_no_thread(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="holds a recording already"):
         run(CHAIN % "", tmp_path / "s")
     assert parts.threads() <= before
+
+
+@pytest.mark.parametrize("slow", [False, True])
+def test_the_recording_is_on_the_disk_before_the_first_sample(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, slow: bool
+) -> None:
+    """With what a resumed session would begin from; but a disk that is slow does not hold up the start."""
+    folder, there = tmp_path / "s", []
+    read, sync = parts.Counting.read, os.fsync
+
+    def noted(board: parts.Counting, feed: Feed) -> None:
+        there.append((folder / CHECKPOINT).exists())
+        read(board, feed)
+
+    monkeypatch.setattr(parts.Counting, "read", noted)
+
+    def slowly(file: int) -> None:
+        time.sleep(2.0)
+        sync(file)
+
+    if slow:
+        monkeypatch.setattr(os, "fsync", slowly)
+    else:
+        monkeypatch.setattr(session_log, "SETTLE_S", 30.0)  # the test's machine may be busy
+    assert run(CHAIN % "", folder).exit_code == 0
+    assert there == [not slow]
+    assert recorded(folder).streams["board"].samples == 5000
 
 
 def test_a_queue_that_drops_counts_and_marks_every_sample(tmp_path: Path) -> None:
