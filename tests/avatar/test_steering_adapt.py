@@ -335,8 +335,8 @@ def test_the_command_takes_a_performer_and_says_what_is_wrong(tmp_path: Path) ->
         (("--performer", tmp_path / "mesh.mcap"), "no stream holds all markers"),
         (("--method", "strait"), "did you mean 'straight'|straight"),
         (("--method", "straight"), "limbs move by themselves"),
-        (("--ranges", "graph"), "--ranges graph: is for a performer"),
-        (("--pairing", "swing"), "--pairing swing: is for a performer"),
+        (("--ranges", "graph"), "--ranges graph: only for a performer"),
+        (("--pairing", "swing"), "--pairing swing: only for a performer"),
         (("--ranges", "graphs"), "did you mean 'graph'|graph"),
         (("--method", "local", "--performer", tmp_path / "walk.mcap"), "limbs move by themselves"),
     ):
