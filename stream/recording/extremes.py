@@ -25,7 +25,7 @@ def runs(time: Times, width: int) -> int:
     return count
 
 
-@kernel(nogil=True)
+@kernel
 def extremes(data: Array, time: Times, width: int, pieces: Times, low: Rows, high: Rows) -> None:
     """The least and the greatest finite value of each of the `runs`; NaN where there is none. What float32 cannot hold is not finite.
 

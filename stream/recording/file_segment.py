@@ -6,7 +6,8 @@ import errno
 import os
 import struct
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from itertools import islice
 from pathlib import Path
 from typing import IO, Any, cast
 
@@ -35,7 +36,9 @@ from stream.recording.format import (
 from stream.recording.image import CHUNKS, SCHEMA, descriptor
 
 PIECE = 1 << 20
-"""Bytes per write call."""
+"""A write call takes pieces until they have this many bytes."""
+TOGETHER, MOST_PIECES = hasattr(os, "writev"), 64
+"""Whether the system takes several pieces in one call, and how many: between two calls other threads take the interpreter."""
 CHUNK_BYTES, LIVE_CHUNK_BYTES = 1 << 20, 2 << 20
 """Messages with more bytes are compressed at once, without waiting for the next `save`. Beside a live session less often, for each time
 that the recorder's thread lets the interpreter go, to compress, and takes it back, holds the session up for a fraction of a millisecond."""
@@ -100,8 +103,8 @@ class FileSegment:
     def save(self, *, sync: bool = False) -> None:
         """Write everything so far. Raises OSError as the disk gives it; what it did not take is kept for the next try."""
         self._writer.flush()  # type: ignore[no-untyped-call]
-        for piece in self._spool.pieces():
-            n = os.write(self._file, piece)
+        while pieces := self._spool.pieces():
+            n = os.writev(self._file, pieces) if TOGETHER else os.write(self._file, pieces[0])
             self._spool.drop(n)
             self._written += n
         self.saved = self._written
@@ -187,17 +190,25 @@ class _Spool:
             self.size += len(data)
         return len(data)
 
-    def pieces(self) -> Iterator[memoryview]:
-        """What waits, in order, at most PIECE bytes at a time, from where `drop` has come to."""
-        while self._waiting:
-            yield self._waiting[0][:PIECE]
+    def pieces(self) -> list[memoryview]:
+        """What is to be written next, in order; nothing waits: []."""
+        found: list[memoryview] = []
+        size = 0
+        for piece in islice(self._waiting, MOST_PIECES):
+            found.append(piece[: PIECE - size])
+            size += len(found[-1])
+            if size == PIECE:
+                break
+        return found
 
     def drop(self, n: int) -> None:
-        """The first `n` bytes of the first piece are written."""
-        first = self._waiting.popleft()
-        if n < len(first):
-            self._waiting.appendleft(first[n:])
+        """The first `n` bytes are written."""
         self.size -= n
+        while n:
+            first = self._waiting.popleft()
+            if n < len(first):
+                self._waiting.appendleft(first[n:])
+            n -= min(n, len(first))
 
     def flush(self) -> None:
         """What is pending goes to the disk by `FileSegment.save` only."""

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,24 +14,14 @@ import pytest
 from stream.chunk import NS, Chunk, StreamSpec
 from stream.graph import RecordingOptions
 from stream.recording import Recorder, Recording
-from stream.recording import file_segment as part_module
 from tests.support.command_line import QUIET, Command, refused
+from tests.support.disks import Disk
 
 
 @pytest.fixture
 def full_disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The recorder's disk takes 20 KB."""
-    room, write = 20_000, os.write
-
-    def take(file: int, data: Any) -> int:
-        nonlocal room
-        if room <= 0:
-            raise OSError(28, "No space left on device")
-        n = write(file, data[:room])
-        room -= n
-        return n
-
-    monkeypatch.setattr(part_module.os, "write", take)
+    Disk(20_000).put_in(monkeypatch)
     for module in ("recorder", "record_writer"):
         monkeypatch.setattr(f"stream.recording.{module}.GRACE_S", 0.2)
     yield

@@ -19,9 +19,9 @@ from stream.errors import RecordingError
 from stream.graph import RecordingOptions
 from stream.operator import grid
 from stream.recording import Recorder, Recording
-from stream.recording import file_segment as part_module
 from stream.recording.quota import keep_quota
 from tests.recordings.test_recording import START, assert_recorded, record, same, session
+from tests.support.disks import Disk
 
 COUNTED = StreamSpec((8,), rate_hz=1000.0)
 """A stream whose first channel is the sample's number."""
@@ -68,27 +68,9 @@ def assert_holes_are_told(recording: Recording, dropped_chunks: int, n: int = 50
     assert stream.samples + stream.dropped == stream.end == recording.last_samples("board")
 
 
-class Disk:
-    """os.write as a disk with so much room gives it."""
-
-    def __init__(self, room: float, error: int = errno.ENOSPC, delay_s: float = 0.0) -> None:
-        self.room, self.error, self.delay_s = room, error, delay_s
-        self.real = os.write
-
-    def write(self, file: int, data: Any) -> int:
-        time.sleep(self.delay_s)
-        if self.room <= 0:
-            raise OSError(self.error, os.strerror(self.error))
-        n = self.real(file, data[: int(min(len(data), self.room))])
-        self.room -= n
-        return n
-
-
 @pytest.fixture
 def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
-    made = Disk(float("inf"))
-    monkeypatch.setattr(part_module.os, "write", made.write)
-    return made
+    return Disk().put_in(monkeypatch)
 
 
 def test_what_is_behind_counts_from_the_first_chunk(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ def fill_disk(full: Path) -> None:
 
         return take
 
-    os.write, os.pwrite = guarded(os.write), guarded(os.pwrite)
+    os.write, os.writev, os.pwrite = guarded(os.write), guarded(os.writev), guarded(os.pwrite)
 
 
 def set_clock(switch: Path, asleep: Path) -> None:
