@@ -1,7 +1,8 @@
 """`python -m bench.avatar_hour`: an hour of the shipped `avatar` at 30 frames a second: whether memory grows, and calibration drifts.
 
 The rendered performer stands in the camera's place and is drawn as fast as the graph takes him, so that an hour of frames takes some
-minutes; depth alone, or with `--network` the network too. Every tenth of the hour: resident memory of the session, the mean distance of
+minutes; depth alone, or with `--network` the network too. With `--real-time` the frames come at 30 a second, and those for which there is
+no time are left out, as before a camera. Every tenth of the hour: resident memory of the session, the mean distance of
 its joints from the true ones, by how much the body stands too high and is turned, and how far a bone's length is from that of the first
 frame.
 """
@@ -36,12 +37,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.avatar_hour", description=__doc__)
     parser.add_argument("--seconds", type=float, default=3600.0)
     parser.add_argument("--network", action="store_true", help="with the network, which takes an hour's half or more")
+    parser.add_argument("--real-time", action="store_true", help="30 frames a second, as a camera gives them")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         config = rendered_config(Path(name), alone=not given.network)
         text = config.read_text(encoding="utf-8").replace("avatar.prompt]", "avatar.prompt, pose.joints]", 1)
-        faster = f"BeforeCamera\n    realtime: false\n    duration_s: {given.seconds:g}\n"
-        config.write_text(text.replace("BeforeCamera\n", faster, 1).replace("drop_oldest", "block"), encoding="utf-8")
+        pace = f"BeforeCamera\n    realtime: {str(given.real_time).lower()}\n    duration_s: {given.seconds:g}\n"
+        text = text.replace("BeforeCamera\n", pace, 1)
+        config.write_text(text if given.real_time else text.replace("drop_oldest", "block"), encoding="utf-8")
         began = time.monotonic()
         held = watched(config, Path(name) / "run")
         took = time.monotonic() - began

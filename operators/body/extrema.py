@@ -12,7 +12,15 @@ import numpy as np
 
 from operators.body.bones import possible
 from operators.body.facing import CELLS, facing_of, shape_of, weights
-from operators.body.geodesic_kernel import area_around, extrema_of, middle_of, surface_at, surface_of, walk_back
+from operators.body.geodesic_kernel import (
+    area_around,
+    extrema_of,
+    middle_of,
+    place_between,
+    surface_at,
+    surface_of,
+    walk_back,
+)
 from operators.body.names import MARKERS, camera_of, markers_specs
 from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError
@@ -39,6 +47,8 @@ ORDERS = np.array(list(permutations(range(MOST_ENDS + 1), len(ENDS))))
 """Every way to give the ends to what was found; the last number: it is none of them."""
 INSIDE = {"shoulder": (0.08, 0.08), "hip": (0.11, 0.04)}
 """How far inside the trunk its middle is there (m, for 1.75 m): seen from the front, and how much farther from the side."""
+HIPS_AT, WAYS = 0.42, (1.3, 2.6)
+"""The hips lie so far along the way from head to foot, as a share of it; and how long such a way is (m, for 1.75 m)."""
 NEAR_AXIS_M = 0.10
 """The trunk's surface is what is seen within this distance of its axis."""
 ROUND_M, UNLIKE = 0.18, 0.4
@@ -81,8 +91,9 @@ class Extrema(Operator[ExtremaState]):
     confidence  (20,)    0 to 1
 
     Head, hands and feet are the points farthest along the body's surface from its middle, told apart by where they were and where they
-    usually are; wrists, elbows, ankles and knees lie on the way back from them. Shoulders and hips are where they usually are below the
-    head, across where the body's shape faces. Hands before the trunk are not found, and are missing. Nose, ears and heels always are.
+    usually are; wrists, elbows, ankles and knees lie on the way back from them. What something nearer cuts off, as a raised arm the head,
+    is joined by the shortest way across. Shoulders and hips are where they usually are below the head, on the ways from it to the feet,
+    across where the body's shape faces. Hands before the trunk are not found, and are missing. Nose, ears and heels always are.
     Much coarser than the network: what there is where it cannot be used.
     """
 
@@ -131,13 +142,16 @@ class Extrema(Operator[ExtremaState]):
         at = points.reshape(-1, 3)[found[:count]]
         middle *= 1.0 + INSIDE["hip"][0] * size / middle[2]
         areas = np.array([area_around(points, place, ROUND_M * size, s.camera / step) for place in at]) / size**2
-        for end, k in enumerate(self._named(time, at, areas, middle, size)):
+        named = self._named(time, at, areas, middle, size)
+        for end, k in enumerate(named):
             if k < 0:
                 continue
             doubtful = math.dist(s.before[end], at[k]) > LEAP_M if s.seen[end] else False
             s.before[end], s.seen[end] = at[k], time
             self._joints(end, points, parent, int(found[k]), 0.4 if doubtful else 0.7, size, out, confidence)
-        self._trunk(size, points, middle, self._across(size, points, middle, out), out, confidence)
+        across = self._across(size, points, middle, out)
+        ends = [int(found[k]) if k >= 0 else -1 for k in named]
+        self._trunk(size, points, hips_between(size, points, parent, ends, middle), across, out, confidence)
         confidence[~possible(size, out)] = 0.0
         out[confidence < 0.5] = np.nan
 
@@ -188,7 +202,7 @@ class Extrema(Operator[ExtremaState]):
         """The markers on the way back from an end."""
         place = np.empty(3)
         for along, name, inside in JOINTS[end]:
-            if walk_back(points, parent, pixel, along * size, place):
+            if walk_back(points, parent, pixel, along * size, self.apart_m, place):
                 k = MARKERS.index(name)
                 out[k], trust[k] = place * (1.0 + inside / place[2]), sure
 
@@ -213,14 +227,12 @@ class Extrema(Operator[ExtremaState]):
             )  # what has been seen of it is kept against a shape that is not sure
         return left
 
-    def _trunk(
-        self, size: float, points: Samples, middle: Samples, left: Samples, out: Samples, trust: Samples
-    ) -> None:
-        """Shoulders and hips: below the head, towards the body's middle, across where the body faces, inside what is seen there."""
+    def _trunk(self, size: float, points: Samples, hips: Samples, left: Samples, out: Samples, trust: Samples) -> None:
+        """Shoulders and hips: below the head, towards `hips` (3,), across where the body faces, inside what is seen there."""
         head = MARKERS.index("head")
         if not trust[head]:
             return
-        down = middle - out[head]
+        down = hips - out[head]
         length = float(np.linalg.norm(down))
         down = down / length if 0.3 * size < length < 1.1 * size else np.array([0.0, 1.0, 0.0])
         for name, below, half in (("shoulder", 0.25, 0.18), ("hip", 0.72, 0.10)):
@@ -249,6 +261,20 @@ class Extrema(Operator[ExtremaState]):
         meta = {"camera": {"fx": 60.0, "fy": 60.0, "cx": 23.5, "cy": 29.5}}
         spec = StreamSpec((60, 48), np.dtype(np.uint16), rate_hz=30.0, units=("mm",), meta=meta)
         return [Case(cls(), {"in": (spec, grid(30.0, n), frames)}, least=2 * n)]
+
+
+def hips_between(size: float, points: Samples, parent: Array, ends: Sequence[int], middle: Samples) -> Samples:
+    """About where the hips are (3,): on the ways from the head to the feet, or the body's `middle` where neither way is possible.
+
+    `ends` are the pixels of ENDS, -1 where one was not found. When somebody bends or crouches, the middle is far from the hips.
+    """
+    place, ways = np.empty(3), list[Samples]()
+    for foot in ends[3:]:
+        if min(ends[0], foot) >= 0:
+            long = place_between(points, parent, ends[0], foot, HIPS_AT, place)
+            if WAYS[0] * size < long < WAYS[1] * size:
+                ways.append(place * (1.0 + INSIDE["hip"][0] * size / place[2]))
+    return np.mean(ways, axis=0) if ways else middle
 
 
 def unlike(area: float) -> Samples:

@@ -1,0 +1,104 @@
+"""Ends of limbs that something nearer cuts off, noise beside a body, and where the hips are on the way from head to foot."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from operators.body.extrema import Extrema, hips_between
+from operators.body.geodesic_kernel import extrema_of, middle_of, place_between, walk_back
+from operators.body.names import MARKERS
+from stream.chunk import Array, Chunk, Samples, StreamSpec
+from stream.operator import grid
+
+CAMERA = (60.0, 60.0, 23.5, 29.5)
+APART_M = 0.1
+ENDS = 4
+
+
+def figure() -> Array:
+    """Somebody who stands 2 m away with the feet apart, and holds an arm before the neck: depth (60, 48) in mm."""
+    depth = np.zeros((60, 48), np.uint16)
+    depth[3:12, 20:28] = 2000
+    depth[12:34, 16:32] = 2000
+    depth[34:58, 15:21] = depth[34:58, 27:33] = 2000
+    depth[10:16, 14:34] = 1800
+    depth[12:30, 32:36] = (1800 + 11 * np.arange(18))[:, None]
+    return depth
+
+
+def surface(depth: Array) -> Samples:
+    points = np.full((*depth.shape, 3), np.nan)
+    z = depth / 1000.0
+    y, x = np.nonzero(depth)
+    points[y, x] = np.stack([(x - CAMERA[2]) / CAMERA[0] * z[y, x], (y - CAMERA[3]) / CAMERA[1] * z[y, x], z[y, x]], 1)
+    return points
+
+
+def searched(points: Samples) -> tuple[list[tuple[int, int]], Array, Array]:
+    """Rows and columns of the ends; the distances, the ways back."""
+    pixels, middle = points.shape[0] * points.shape[1], np.empty(3)
+    distance, parent, found = np.empty(pixels), np.empty(pixels, np.int64), np.empty(ENDS, np.int64)
+    count = extrema_of(points, middle_of(points, middle), APART_M, distance, parent, found, 0.2)
+    return [divmod(int(k), points.shape[1]) for k in found[:count]], distance, parent
+
+
+def test_a_head_that_an_arm_cuts_off_is_an_end() -> None:
+    ends, _, _ = searched(surface(figure()))
+    assert any(row < 6 for row, _ in ends), "nothing above the arm is found"
+
+
+def test_a_few_pixels_beside_the_body_are_none() -> None:
+    depth = figure()
+    depth[20:22, 38:41] = 2000
+    points = surface(depth)
+    ends, distance, _ = searched(points)
+    assert all(column < 37 for _, column in ends)
+    assert np.isnan(points[20:22, 38:41]).all() and np.isinf(distance.reshape(60, 48)[20:22, 38:41]).all()
+
+
+def test_a_way_back_does_not_lead_over_a_leap() -> None:
+    points = np.zeros((1, 6, 3))
+    points[0, :, 0] = (0.0, 0.05, 0.10, 0.40, 0.45, 0.50)
+    parent, out = np.array([-1, 0, 1, 2, 3, 4]), np.empty(3)
+    assert walk_back(points, parent, 5, 0.08, APART_M, out) and out[0] == 0.40
+    assert not walk_back(points, parent, 5, 0.15, APART_M, out)
+
+
+@pytest.mark.parametrize(("share", "place"), [(0.0, 0.0), (0.3, 0.3), (0.5, 0.5), (1.0, 1.0)])
+def test_a_share_of_the_way_between_two_ends(share: float, place: float) -> None:
+    """Pixels in a row; both ways lead to a pixel that lies aside, by the same one."""
+    points = np.zeros((1, 12, 3))
+    points[0, :11, 0], points[0, 11] = np.linspace(0.0, 1.0, 11), (0.4, 0.3, 0.0)
+    parent = np.array([1, 2, 3, 4, 11, 4, 5, 6, 7, 8, 9, -1])
+    out = np.empty(3)
+    assert place_between(points, parent, 0, 10, share, out) == pytest.approx(1.0)
+    assert out[0] == pytest.approx(place)
+
+
+def test_ends_whose_ways_do_not_meet_have_nothing_between() -> None:
+    assert place_between(np.zeros((1, 4, 3)), np.array([1, -1, 3, -1]), 0, 2, 0.5, np.empty(3)) == 0.0
+
+
+def test_who_sits_back_on_bent_legs_has_the_hips_at_the_seat() -> None:
+    """Head and trunk lean forward over feet that stand in front: the seat is the corner between them, the middle is not."""
+    corner = np.array([(0.3, -0.6, 2.0), (-0.3, 0.0, 2.0), (0.25, 0.1, 2.0), (0.0, 0.7, 2.0)])
+    way = np.concatenate([np.linspace(a, b, 41) for a, b in pairwise(corner)])
+    points, parent = np.ascontiguousarray(way)[None], np.arange(-1, len(way) - 1)
+    middle = np.array([0.1, 0.05, 2.0])
+    hips = hips_between(1.0, points, parent, [len(way) - 1, -1, -1, 0, -1], middle)
+    assert np.linalg.norm(hips[:2] - [-0.3, 0.0]) < 0.35 < np.linalg.norm(middle[:2] - [-0.3, 0.0])
+    np.testing.assert_array_equal(hips_between(1.0, points, parent, [-1, -1, -1, 0, -1], middle), middle)
+
+
+def test_depth_alone_sees_a_head_above_an_arm() -> None:
+    meta = {"camera": dict(zip(("fx", "fy", "cx", "cy"), CAMERA, strict=True))}
+    extrema = Extrema()
+    extrema.open({"in": StreamSpec((60, 48), np.dtype(np.uint16), rate_hz=30.0, units=("mm",), meta=meta)})
+    times = grid(30.0, 3)
+    made = dict(extrema.process("in", Chunk(times, np.repeat(figure()[None], 3, 0), int(times[-1]))))
+    heads = made["out"].data[:, MARKERS.index("head")]
+    assert np.isfinite(heads).all(), "the head is not seen"
+    assert (heads[:, 1] < -0.6).all(), "the arm is taken for the head"
