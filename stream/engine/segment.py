@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from stream.chunk import FOREVER, STAMP, Chunk
+from stream.chunk import FOREVER, STAMP, Array, Chunk, Times
 from stream.engine.edge import InputPort, LiveEdge, Push, failure
 from stream.engine.row import Row, step_of
 from stream.errors import asked_to_end
@@ -83,7 +83,7 @@ class CompiledSegment:
             if row := span.row:
                 names[f"stray{i}"] = partial(self._stray, span)
                 names |= {f"row{i}": row, f"run{i}": row.run, f"table{i}": row.table, f"rows{i}": row.rows}
-        names |= {f"push{k}": push for k, push in enumerate(self.edges[-1].readers)}
+        names |= {f"push{k}": push for k, push in enumerate(self.edges[-1].readers)} | {"taken_back": taken_back}
         exec(compile("\n".join(self._code.lines), f"<segment behind {edge.origin}>", "exec"), names)
         self.send: Push = names["send"]
 
@@ -194,9 +194,15 @@ class Code:
         ]
 
     def _called(self, i: int, span: Span, a: int) -> list[str]:
-        """The call itself; an operator from outside is given views that it cannot write to."""
+        """The call itself; an operator from outside is given arrays that it cannot write to: views, or those lent to it."""
         if span.ports[0].is_ours:
             return [f"given = process{i}(port{i}, c{a})"]
+        if self._lends(i - 1):
+            return [
+                f"given = process{i}(port{i}, c{a})",
+                "if given.__class__ is Chunk and (given.time is stamps or given.data is out):",
+                "    given = taken_back(given, stamps, out)",
+            ]
         return [
             f"if c{a}.data is not slot.data or c{a}.time is not slot.time:",
             f"    slot.show(c{a})",
@@ -224,6 +230,13 @@ class Code:
             *carried,
             "else:",
         ]
+
+    def _lends(self, i: int) -> bool:
+        """Whether the arrays that come out of span `i` are made for an operator from outside alone: a row's, which nobody else sees."""
+        row = self.spans[i].row if i >= 0 else None
+        next_one = self.spans[i + 1].ports[0] if i + 1 < len(self.spans) else None
+        alone = not self.edges[self.spans[i].after].observers
+        return row is not None and row.moves and next_one is not None and not next_one.is_ours and alone
 
     def _row(self, i: int, span: Span, row: Row, *, timed: bool) -> list[str]:
         """The call of a row, unless something about the chunk is unusual: then its first operator is called, and so on from there."""
@@ -255,6 +268,7 @@ class Code:
             f"if edge{b}.owed:",
             *(f"    {line}" for line in noted),
             f"    return carry{b}(c{b}, {end})",
+            *(["out.setflags(False)", "stamps.setflags(False)"] if self._lends(i) else []),
             f"p{b} = edge{b}.told",
             f"edge{b}.told = c{b}.until",
         ]
@@ -302,6 +316,12 @@ class Code:
         times = ", ".join(f"t{k}" for k in range(i + 2))
         noted = [f"note{i}(({times}))"] if any(span.row is None for span in self.spans[: i + 1]) else []
         return [*noted, f"due = t{i + 1} + {REST} * (t{i + 1} - t0)"]
+
+
+def taken_back(given: Chunk, time: Times, data: Array) -> Chunk:
+    """What an operator has made of arrays that were lent to it, with arrays of its own: it may have kept those."""
+    made = data.copy() if given.data is data else given.data
+    return Chunk(time.copy() if given.time is time else given.time, made, given.until, given.lost)
 
 
 def _in_a_row(edge: LiveEdge) -> tuple[list[InputPort], list[LiveEdge]]:

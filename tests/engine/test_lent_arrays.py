@@ -1,0 +1,92 @@
+"""Arrays that come out of compiled rows, given to an operator from outside: it cannot write to them, and may do with them what it will."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import parts
+import pytest
+
+from stream.chunk import Array, Chunk
+from stream.engine import row
+from stream.engine.pipeline import Pipeline
+from stream.errors import RunError
+from stream.graph.load import load_text
+from stream.operator import Emitted
+from stream.params import param
+
+pytestmark = pytest.mark.skipif(not row.POSSIBLE, reason="this system has no rows")
+
+GRAPH = """
+nodes:
+  board: {use: devices.simulators.treadmill.Treadmill, realtime: false}
+  rectify: {use: operators.rectify.Rectify, from: board.emg}
+  lowpass: {use: operators.iir.Lowpass, from: rectify, cutoff_hz: 20}
+  guest: {use: tests.engine.test_lent_arrays.Guest, from: lowpass, how: %s}
+  mean: {use: operators.moving.MovingMean, from: guest, window_s: 0.05}
+  scale: {use: operators.scale.Scale, from: mean, gain: 0.5}
+"""
+START = 10**18
+kept: list[Chunk] = []
+
+
+@dataclass(frozen=True, slots=True)
+class Guest(parts.Identity):
+    """From outside; keeps all that it was given."""
+
+    how: str = param("")
+
+    def process(self, port: str, chunk: Chunk) -> Emitted:
+        if len(chunk) and chunk.time[0] >= START:
+            kept.append(chunk)
+            if self.how == "writes" and len(kept) == 30:
+                chunk.data[:] = 0.0
+            if self.how == "writes later" and len(kept) == 30:
+                kept[3].data[:] = 0.0
+        given: dict[str, Emitted] = {
+            "the chunk": chunk,
+            "its arrays": Chunk(chunk.time, chunk.data, chunk.until, chunk.lost),
+            "its samples": Chunk(chunk.time.copy(), chunk.data, chunk.until, chunk.lost),
+            "its stamps": Chunk(chunk.time, chunk.data.copy(), chunk.until, chunk.lost),
+            "a list": [("out", chunk)],
+        }
+        return given.get(self.how, chunk)
+
+
+def answers(how: str, monkeypatch: pytest.MonkeyPatch, *, rows: bool) -> tuple[Array, Array]:
+    monkeypatch.setattr(row, "POSSIBLE", rows)
+    made = Pipeline(load_text(GRAPH % how, path=__file__))
+    out: list[Chunk] = []
+    made.edges["scale"].observers.append(out.append)
+    made.compile()
+    spans = [span for segment in made.segments for span in segment.spans if span.row]
+    assert len(spans) == (2 if rows else 0)
+    kept.clear()
+    random = np.random.default_rng(3)
+    for i in range(60):
+        time = START + np.arange(i * 10, i * 10 + 10) * 10**6
+        data = random.normal(size=(10, made.entries["board.emg"].spec.shape[0]))
+        made.feed("board.emg", Chunk(time, data, int(time[-1]), 7 if i % 20 == 9 else 0))
+    return np.concatenate([chunk.time for chunk in out]), np.concatenate([chunk.data for chunk in out])
+
+
+@pytest.mark.parametrize("how", ["the chunk", "its arrays", "its samples", "its stamps", "a list"])
+def test_an_operator_from_outside_may_keep_what_it_is_given_and_give_it_on(
+    how: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = answers(how, monkeypatch, rows=False)
+    taken = [(chunk.time.copy(), chunk.data.copy()) for chunk in kept]
+    lent = answers(how, monkeypatch, rows=True)
+    assert all(np.array_equal(one, other) for one, other in zip(plain, lent, strict=True))
+    assert not any(chunk.time.flags.writeable or chunk.data.flags.writeable for chunk in kept)
+    for (time, data), chunk in zip(taken, kept, strict=True):
+        assert np.array_equal(time, chunk.time) and np.array_equal(data, chunk.data)
+
+
+@pytest.mark.parametrize("how", ["writes", "writes later"])
+@pytest.mark.parametrize("rows", [False, True])
+def test_it_cannot_write_to_it_now_or_later(how: str, rows: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(RunError, match=r"node 'guest': .* is read-only"):
+        answers(how, monkeypatch, rows=rows)
+    assert len(kept) == 30
