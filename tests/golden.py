@@ -264,21 +264,23 @@ def _sums(column: Array) -> str:
     return f"{odd},{rms:.8g},{weighted:.8g}"
 
 
-def alike(one: str, other: str) -> bool:
+def alike(one: str, other: str, relative: float = RELATIVE) -> bool:
     """Whether two summaries say the same; sums may differ by what processors differ by."""
     if one == other:
         return True
     first, second = one.split(" "), other.split(" ")
-    return len(first) == len(second) and all(a == b or _near(a, b) for a, b in zip(first, second, strict=True))
+    return len(first) == len(second) and all(
+        a == b or _near(a, b, relative) for a, b in zip(first, second, strict=True)
+    )
 
 
-def _near(one: str, other: str) -> bool:
+def _near(one: str, other: str, relative: float = RELATIVE) -> bool:
     (name, _, a), (same, _, b) = one.rpartition("="), other.rpartition("=")
     first, second = a.replace(":", ",").split(","), b.replace(":", ",").split(",")
     if name != same or len(first) != len(second) or len(first) < 3 or first[:-2] != second[:-2]:
         return False
     x, y = np.array([first[-2:], second[-2:]], np.float64)
-    return bool((np.abs(x - y) <= RELATIVE * max(x[0], y[0])).all())
+    return bool((np.abs(x - y) <= relative * max(x[0], y[0])).all())
 
 
 def read(use: str) -> Answers:

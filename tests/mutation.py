@@ -1,9 +1,9 @@
 """`python -m tests.mutation --seed 1`: random small changes to operators/ and stream/; does a test notice each of them?
 
 A mutant turns one comparison, sum, number or truth value around, in a copy of the tree. Its module's tests run against it (the golden
-answers of the operators that it is part of, the tests nearest to it in the imports, and the laws on its operators), for at most a minute of
-processor time, however busy the machine is. Survivors are listed; exit code 1 if fewer than nine in ten were noticed. A survivor that
-changes nothing that anyone could see is named in equivalent_mutants.txt, with the reason.
+answers of the operators and commands that it is part of, the tests nearest to it in the imports, and the laws on its operators), for at
+most a minute of processor time, however busy the machine is. Survivors are listed; exit code 1 if fewer than nine in ten were noticed. A
+survivor that changes nothing that anyone could see is named in equivalent_mutants.txt, with the reason.
 
 In pieces: `--skip 10 --count 20` tries the second ten, and `--tree FOLDER` keeps the copy, so that the next piece finds its kernels
 compiled.
@@ -31,7 +31,8 @@ from threading import Timer
 from xml.etree import ElementTree
 
 from stream.graph.parts import catalogue
-from tests.laws.module_tests import own_operators, own_tests
+from tests.golden_commands import SCENES
+from tests.laws.module_tests import own_commands, own_operators, own_tests
 
 HOUSE = Path(__file__).resolve().parent.parent
 COPIED = (
@@ -184,16 +185,20 @@ def _first_failure(runs: list[list[str]], tree: Path, seconds: float, broken: se
 
 
 def _runs(path: str) -> list[list[str]]:
-    """The arguments of pytest for the tests of a module: golden answers first, then its own, then the laws on the operators in it."""
+    """The arguments of pytest for the tests of a module: golden answers of operators and commands, its own, the laws on operators in it."""
     module = path.removesuffix(".py").replace("/", ".").removesuffix(".__init__")
     found = {use: part.__module__ for use, part in catalogue(("operators",))[0].items()}
     golden = [
         f"tests/laws/test_golden_answers.py::test_it_answers_as_it_did[{use}]" for use in own_operators(module, found)
     ]
+    commands = [
+        f"tests/laws/test_golden_commands.py::test_it_answers_as_it_did[{name}]"
+        for name in own_commands(module, {name: home for name, (home, _) in SCENES.items()})
+    ]
     own = own_tests(module)
     uses = [use for use, home in found.items() if home == module]
     laws = [["tests/laws/test_laws.py", "-k", " or ".join(f"{use}-" for use in uses)]] if uses else []
-    return [*([golden] if golden else []), *([own] if own else []), *laws]
+    return [*([golden] if golden else []), *([commands] if commands else []), *([own] if own else []), *laws]
 
 
 def _run(arguments: list[str], tree: Path, seconds: float) -> tuple[list[str], float]:

@@ -16,7 +16,19 @@ FARTHEST = 6
 """Imports between a test and what it tests."""
 OPERATORS = 3
 """The golden answers of at most so many operators are asked for a module: of those that reach it by the fewest imports."""
-EVERYTHING = ("test_laws", "test_golden_answers", "test_architecture", "test_face", "test_docs", "test_installed")
+SAMPLE = ("operators.gate.Gate", "operators.iir.Lowpass")
+"""Whose golden answers are asked for a module that is part of no operator, but of how answers are made."""
+COMMANDS = 2
+"""The same for golden answers of commands."""
+EVERYTHING = (
+    "test_laws",
+    "test_golden_answers",
+    "test_golden_commands",
+    "test_architecture",
+    "test_face",
+    "test_docs",
+    "test_installed",
+)
 """Tests of all modules at once are none's own."""
 CALLS = ("kinegraph", "call")
 """What tests call with the words of a command."""
@@ -38,13 +50,33 @@ def own_tests(module: str) -> list[str]:
 
 def own_operators(module: str, found: Mapping[str, str]) -> list[str]:
     """The operators (by `use`, with the module of each in `found`) that a module is part of: those in it, else those nearest to it."""
-    reached, near = {module}, list[str]()
+    return _nearest(module, found)[:OPERATORS] or [use for use in SAMPLE if module in _trial()]
+
+
+def own_commands(module: str, found: Mapping[str, str]) -> list[str]:
+    """The same for golden answers of commands, by their names, with the command's module of each in `found`."""
+    return _nearest(module, found)[:COMMANDS]
+
+
+def _nearest(module: str, found: Mapping[str, str]) -> list[str]:
+    """Those whose module reaches this one by the fewest imports."""
+    reached = {module}
     for _ in range(FARTHEST):
-        near += sorted(use for use, home in found.items() if home in reached and use not in near)
+        near = sorted(name for name, home in found.items() if home in reached)
         if near:
-            break
+            return near
         reached |= {other for other, path in _modules().items() if reached & _imports(path)}
-    return near[:OPERATORS]
+    return []
+
+
+@cache
+def _trial() -> frozenset[str]:
+    """The modules that operators are tried with, directly or not."""
+    reached, new = set[str](), _imports(HOUSE / "tests" / "golden.py")
+    while new:
+        reached |= new
+        new = frozenset[str]().union(*(_imports(_modules()[m]) for m in new if m in _modules())) - reached
+    return frozenset(reached)
 
 
 @cache

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests import mutation
-from tests.laws.module_tests import own_tests
+from tests.laws.module_tests import SAMPLE, own_commands, own_operators, own_tests
 from tests.mutation import HOUSE, Mutant, drawn, mutants, told
 
 SOURCE = '''"""Not 1 + 1."""
@@ -60,6 +60,15 @@ def test_the_same_seed_draws_the_same_mutants() -> None:
 def test_a_module_is_tried_by_its_own_tests(module: str, first: str) -> None:
     assert first in own_tests(module)
     assert all((HOUSE / path).exists() for path in own_tests(module))
+
+
+def test_a_module_is_tried_by_golden_answers_of_what_it_is_part_of() -> None:
+    found = {"operators.iir.Lowpass": "operators.iir", "operators.emg.Envelope": "operators.emg.envelope"}
+    assert own_operators("operators.emg.envelope_kernel", found) == ["operators.emg.Envelope"]
+    assert own_operators("stream.conformance.play", found) == list(SAMPLE)
+    assert not own_operators("stream.commands.info", found)
+    commands = {"train-mesh": "operators.steering.commands.train", "train-map": "operators.pose_map.commands.train"}
+    assert own_commands("operators.steering.fit", commands) == ["train-mesh"]
 
 
 def test_nine_in_ten_must_be_noticed_of_those_that_change_anything(capsys: pytest.CaptureFixture[str]) -> None:
