@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import gzip
 import math
-import sys
 import threading
 import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import IO
 
@@ -22,14 +21,9 @@ import lz4.frame
 import numpy as np
 import zstandard
 
-from stream.ceiling import writable
+from stream.ceiling import limited
 from stream.chunk import Array
 from stream.errors import KinegraphError, RecordingError
-
-try:
-    import resource
-except ImportError:  # Windows
-    resource = None  # type: ignore[assignment]
 
 LEAST = 64 << 20
 """Bytes that any piece of a file may unpack to, however small it is."""
@@ -171,21 +165,11 @@ def reading(path: Path, kind: str, error: type[KinegraphError] = RecordingError)
         raise error(f"{path}: cannot be read as {kind}; it is damaged, or none ({_short(failed)})") from None
 
 
-@contextmanager
-def _ceiling(path: Path) -> Iterator[None]:
+def _ceiling(path: Path) -> AbstractContextManager[None]:
     """Within: a command that does nothing else gets no more memory than a file of this size may take, whatever a library asks for."""
-    if resource is None or not sys.platform.startswith("linux") or threading.active_count() > 1 or not path.is_file():
-        yield
-        return
-    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    if soft != resource.RLIM_INFINITY:
-        yield
-        return
-    resource.setrlimit(resource.RLIMIT_DATA, (writable() + ROOM + RATIO * path.stat().st_size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
+    if threading.active_count() > 1 or not path.is_file():
+        return nullcontext()
+    return limited(ROOM + RATIO * path.stat().st_size)
 
 
 def _short(failed: Exception) -> str:

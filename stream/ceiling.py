@@ -55,14 +55,23 @@ def refused_beyond(ceiling_bytes: int) -> Iterator[None]:
 
     Linux only; elsewhere, with no ceiling (0), or with a limit that somebody else has set, nothing is changed.
     """
-    if resource is None or not sys.platform.startswith("linux") or not ceiling_bytes:
+    if not ceiling_bytes:
+        yield
+        return
+    with limited(max(ceiling_bytes - taken(), 0) + max(round(ceiling_bytes * BEYOND), LEAST_BEYOND)):
+        yield
+
+
+@contextmanager
+def limited(room: int) -> Iterator[None]:
+    """Within: this process gets `room` more bytes of memory to write to, and no more; on Linux, and where nobody else has set a limit."""
+    if resource is None or not sys.platform.startswith("linux"):
         yield
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     if soft != resource.RLIM_INFINITY:
         yield
         return
-    room = max(ceiling_bytes - taken(), 0) + max(round(ceiling_bytes * BEYOND), LEAST_BEYOND)
     resource.setrlimit(resource.RLIMIT_DATA, (writable() + room, hard))
     try:
         yield

@@ -25,7 +25,7 @@ import platformdirs
 from numba.core import caching
 from numba.core import config as numba_config
 
-from stream.complete import private_folder
+from stream.complete import complete, private_folder
 from stream.errors import KinegraphError
 from stream.fingerprint import fingerprint
 from stream.owners import refuse_shared
@@ -135,9 +135,8 @@ def _written_down(name: str, source: str) -> Path:
     try:
         refuse_shared(private_folder(folder), "a folder of compiled kernels")
         if not path.exists():
-            draft = path.with_suffix(f".{os.getpid()}")
-            draft.write_text(source, encoding="utf-8")
-            draft.replace(path)
+            with complete(path, shared=True) as draft:
+                draft.write_text(source, encoding="utf-8")
     except OSError as error:
         raise KinegraphError(
             f"compiled kernels cannot be kept in {folder}: {error.strerror}; free some space there"

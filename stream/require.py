@@ -31,6 +31,13 @@ def regular(spec: StreamSpec, port: str = "in") -> float:
     return spec.rate_hz
 
 
+def regular_signal(spec: StreamSpec, port: str = "in", kind: str = "a signal") -> float:
+    """The rate in Hz of a signal: a regular stream of numbers in channels."""
+    if not spec.is_signal or spec.rate_hz is None or spec.dtype.kind not in "iuf":
+        raise InputError(port, spec.describe(), f"{kind} of channels at a regular rate")
+    return spec.rate_hz
+
+
 def samples_in(parameter: str, seconds: float, rate_hz: float) -> int:
     """How many samples a window of `seconds` holds, rounded; at least one."""
     n = round(seconds * rate_hz)

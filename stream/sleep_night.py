@@ -1,9 +1,9 @@
 """The numbers of one night, from its epochs: how long in bed, asleep, awake, how often and how long; by three conventions.
 
 Every number is in minutes, a count, or a percentage; nothing here knows streams. Unknown epochs enter no numerator; what they leave open
-stands in bounds beside the number: `low` were all of them such that it is smallest, `high` the largest.
+is given as bounds beside the number: `low` were all of them such that it is smallest, `high` the largest.
 
-It stands here because both count by it: the statistics of scored streams, and a night's log, whose epochs outlive a power cut.
+It is here because both count by it: the statistics of scored streams, and a night's log, whose epochs outlive a power cut.
 """
 
 from __future__ import annotations

@@ -6,9 +6,10 @@ import asyncio
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 from devices.ble.radio import library, nobody, options, run, uuid, wanted
+from devices.transport.closed_at_end import ClosedAtEnd
 from stream.errors import DeviceError
 from stream.source import Feed
 
@@ -24,7 +25,7 @@ class Notification(NamedTuple):
     data: bytes
 
 
-class BleLink:
+class BleLink(ClosedAtEnd):
     """Finds a device, connects, and keeps what it notifies until it is fetched. bleak's loop runs while this link waits."""
 
     def __init__(self, feed: Feed, device: str, services: Sequence[str] = (), scan_s: float = 10.0) -> None:
@@ -141,9 +142,3 @@ class BleLink:
         with suppress(DeviceError):
             self.run(asyncio.wait_for(self._client.disconnect(), LEAVE_S))
         self._runner.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

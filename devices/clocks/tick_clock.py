@@ -86,9 +86,9 @@ class TickClock:
             last = self._device - self._tick + int(ticks[-1])
         else:
             steps: Times = np.diff(ticks, prepend=self._tick) % self._ticks
-            anew = self._leaps(counters, steps, arrival_ns)
-            if anew.any():
-                return self._begin_anew(int(anew.argmax()), counters, ticks, arrival_ns)
+            leaps = self._leaps(counters, steps, arrival_ns)
+            if leaps.any():
+                return self._restarted_at(int(leaps.argmax()), counters, ticks, arrival_ns)
             lost = self._missing(counters, steps)
             kept = lost >= 0
             number = self._number + np.cumsum(lost + 1)
@@ -122,12 +122,12 @@ class TickClock:
 
     def _leaps(self, counters: Times, steps: Times, arrival_ns: int) -> NDArray[np.bool_]:
         """Before which packets (n,) the device's clock was set or started again: `steps` (n,) in ticks that cannot be."""
-        anew: NDArray[np.bool_] = steps * self._tick_ns > arrival_ns - self._arrival + SLACK_NS
+        leaps: NDArray[np.bool_] = steps * self._tick_ns > arrival_ns - self._arrival + SLACK_NS
         device = np.round((self._device + np.cumsum(steps)) * self._tick_ns)
-        if not anew.any() and self._clock.is_ahead(int(device[-1]), arrival_ns):
+        if not leaps.any() and self._clock.is_ahead(int(device[-1]), arrival_ns):
             made = np.diff(counters, prepend=self._counter) % self._counters * self._packet_ticks
-            anew = (steps - made) * self._tick_ns > JUMP_NS
-        return anew
+            leaps = (steps - made) * self._tick_ns > JUMP_NS
+        return leaps
 
     def _missing(self, counters: Times, steps: Times) -> Times:
         """How many are missing before each; -1: it is the one before again."""
@@ -137,7 +137,7 @@ class TickClock:
             lost += turns.clip(0) * self._counters
         return np.asarray(np.where((lost < 0) & (steps > 0), 0, lost))
 
-    def _begin_anew(self, at: int, counters: Times, ticks: Times, arrival_ns: int) -> Packets:
+    def _restarted_at(self, at: int, counters: Times, ticks: Times, arrival_ns: int) -> Packets:
         """The device started again with packet `at`."""
         before = self.take(counters[:at], ticks[:at], arrival_ns) if at else None
         leapt = round((int(ticks[at]) - self._tick) * self._tick_ns) - (arrival_ns - self._arrival)

@@ -73,7 +73,7 @@ class Connection:
         """Whether the sender's clock is surely this computer's: a host of our name, and a sample that is of just now."""
         return self._at_home and abs(self.lsl.local_clock() - stamp) < FRESH_S
 
-    def connected_anew(self) -> bool:
+    def has_reconnected(self) -> bool:
         """Whether LSL lost the outlet and found it again since this was asked last."""
         return bool(self._inlet.was_clock_reset())
 

@@ -52,21 +52,21 @@ class Pull:
         connection, feed = self._connection, self._feed
         connection.correction()
         feed.ready()
-        heard, anew, known = time.monotonic(), False, False
+        heard, reconnected, known = time.monotonic(), False, False
         while not feed.stopped:
             data, stamps = connection.pull()
             now = time.monotonic()
             if now - heard > QUICKEST_S:
-                anew = connection.connected_anew() or anew
+                reconnected = connection.has_reconnected() or reconnected
             if len(stamps):
-                if anew:
+                if reconnected:
                     feed.problem("reconnected")
                     log.warning("LSL stream is back", name=connection.described.name, host=connection.described.host)
-                if anew or not known:
+                if reconnected or not known:
                     known = self._learn_clock(float(stamps[-1]))
-                self._emit(data, stamps, anew)
+                self._emit(data, stamps, reconnected)
                 time.sleep(0)  # lets go of the interpreter, for which the graph's thread is waiting
-                heard, anew = now, False
+                heard, reconnected = now, False
             elif now - heard > self._lost_after:
                 self._silent(now - heard)
                 heard = now
@@ -93,10 +93,10 @@ class Pull:
         self._stamps.correct(correction, at_once=at_once)
         self._clock.see(correction, self._connection.uncertainty(), time.monotonic())
 
-    def _emit(self, data: Array, stamps: Samples, anew: bool) -> None:
+    def _emit(self, data: Array, stamps: Samples, reconnected: bool) -> None:
         """Hand over what a read brought; last of all, so that the graph's thread need not wait for what we still do."""
         arrival = self._feed.now()
-        mapped = self._stamps.map(stamps, arrival, after_pause=anew)
+        mapped = self._stamps.map(stamps, arrival, after_pause=reconnected)
         times, gaps = mapped.time, mapped.gaps
         samples = self._events(mapped, data) if self._spec.is_event else data.astype(np.float64)
         self._count += len(times)

@@ -52,7 +52,7 @@ class Broker:
             raise ParameterError("broker", self.host, "a host's name or address")
         if set("@/ ") & set(self.host):
             accepts = (
-                "a host's name or address alone; the user's name is `username`, the password stands in `password_file`"
+                "a host's name or address alone; the user's name is `username`, the password comes from `password_file`"
             )
             raise _untold("host", accepts)
         if not 1 <= self.port <= 65535:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from devices.protocols.natnet import (
 )
 from devices.protocols.natnet_build import build_frame, build_models
 from devices.simulators.misbehaviour import GOOD, Misbehaviour, Mishaps
+from devices.transport.closed_at_end import ClosedAtEnd
 
 if TYPE_CHECKING:
     from devices.natnet import NatNet
@@ -83,7 +84,7 @@ class NatNetScene:
         return made
 
 
-class NatNetServer:
+class NatNetServer(ClosedAtEnd):
     """Answers and sends as Motive does: unicast to who asks and keeps asking, or multicast on `group`."""
 
     def __init__(
@@ -154,12 +155,6 @@ class NatNetServer:
         self._stop.set()
         self._thread.join()
         self._socket.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def _free_port() -> int:

@@ -8,18 +8,19 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from devices.protocols import qualisys as protocol
 from devices.protocols.qualisys import AnalogSamples, QualisysDecoder, QualisysFrame
+from devices.transport.closed_at_end import ClosedAtEnd
 
 if TYPE_CHECKING:
     from devices.qualisys import Qualisys
 
 
-class QualisysServer:
+class QualisysServer(ClosedAtEnd):
     """One client at a time, which gets everything. Every 20th frame misses the first marker; those whose number `lose` divides are lost."""
 
     def __init__(
@@ -118,12 +119,6 @@ class QualisysServer:
         self._stop.set()
         self._thread.join()
         self._server.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 @contextmanager

@@ -7,11 +7,12 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import ClassVar, Self, TypeVar
+from typing import ClassVar, TypeVar
 
 from devices.simulators.device_model import Clocked, DeviceModel
 from devices.simulators.lines import Line, line_at
 from devices.simulators.misbehaviour import GOOD, Misbehaviour, Mishaps
+from devices.transport.closed_at_end import ClosedAtEnd
 from stream.errors import ParameterError
 from stream.source import Source
 
@@ -21,7 +22,7 @@ TICK_S = 0.002
 """How finely time passes for a simulated device."""
 
 
-class Server:
+class Server(ClosedAtEnd):
     """Runs a brain on a line until closed."""
 
     def __init__(self, brain: DeviceModel, line: Line, misbehaviour: Misbehaviour = GOOD) -> None:
@@ -56,12 +57,6 @@ class Server:
         self._stop.set()
         self._thread.join()
         self.line.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _work(self) -> None:
         began = time.monotonic()

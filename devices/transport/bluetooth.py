@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from collections import deque
 from contextlib import suppress
-from typing import Self
 
 from devices.ble.link import BleLink
 from devices.ble.radio import uuid
+from devices.transport.closed_at_end import ClosedAtEnd
 from stream.errors import DeviceError
 
 SCHEME = "ble://"
@@ -25,7 +25,7 @@ class _Clock:
         return time.monotonic_ns()
 
 
-class BleTransport:
+class BleTransport(ClosedAtEnd):
     """ "ble://DEVICE/NOTIFY" or "ble://DEVICE/NOTIFY/WRITE": a device's name or address, and the UUIDs of two characteristics."""
 
     def __init__(self, address: str) -> None:
@@ -52,12 +52,6 @@ class BleTransport:
     def close(self) -> None:
         with suppress(DeviceError):
             self._link.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def parse(address: str) -> tuple[str, str, str]:

@@ -8,8 +8,8 @@ import socket
 import time
 from collections.abc import Iterable
 from contextlib import suppress
-from typing import Self
 
+from devices.transport.closed_at_end import ClosedAtEnd
 from stream.errors import DeviceError
 
 MOST = 65536
@@ -27,7 +27,7 @@ def gathered_s(rates_hz: Iterable[float | None]) -> float:
     return GATHER_S if all(hz and hz * GATHER_S >= 2 for hz in rates_hz) else 0.0
 
 
-class UdpTransport:
+class UdpTransport(ClosedAtEnd):
     """Listens at "udp://host:port": 127.0.0.1 hears this computer alone, 0.0.0.0 everybody.
 
     gather_s   how long datagrams are left to gather before they are read, one after the other: fewer rests, after which all is cold
@@ -78,9 +78,3 @@ class UdpTransport:
     def close(self) -> None:
         with suppress(OSError):
             self._socket.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

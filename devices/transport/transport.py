@@ -14,6 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Protocol, Self
 
+from devices.transport.closed_at_end import ClosedAtEnd
 from stream.errors import DeviceError
 
 MOST = 65536
@@ -71,7 +72,7 @@ def present(address: str) -> bool | None:
     return Path(address).exists() if address.startswith("/") else None
 
 
-class SerialTransport:
+class SerialTransport(ClosedAtEnd):
     """A serial port, for this process alone. Where the driver can, FTDI's 16 ms latency timer is set to 1 ms."""
 
     def __init__(self, port: str, baud: int) -> None:
@@ -125,14 +126,8 @@ class SerialTransport:
         with suppress(OSError, ValueError):
             self._port.close()
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-
-class TcpTransport:
+class TcpTransport(ClosedAtEnd):
     """A TCP connection, "tcp://host:port"."""
 
     def __init__(self, address: str, timeout_s: float = 3.0) -> None:
@@ -175,12 +170,6 @@ class TcpTransport:
                     break
         with suppress(OSError):
             self._socket.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def _has_descriptor(port: object) -> bool:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Self
-
+from devices.transport.closed_at_end import ClosedAtEnd
 from stream.errors import DeviceError
 from stream.optional import optional
 
@@ -12,7 +11,7 @@ MOST_WAITING = 10_000
 """Messages that are kept while nobody reads; ZeroMQ leaves out what comes on top."""
 
 
-class ZeroMqTransport:
+class ZeroMqTransport(ClosedAtEnd):
     """Subscribes to "zmq+tcp://host:port" or "zmq+ipc://path": all of it, or "...?topic=TEXT" what begins so; the publisher binds.
 
     Of a message of several parts, the last one is taken: those before it are topics. ZeroMQ itself connects again to a publisher that
@@ -52,9 +51,3 @@ class ZeroMqTransport:
     def close(self) -> None:
         self._socket.close()
         self._context.term()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import errno
 from contextlib import suppress
-from typing import Any, Self
+from typing import Any
 
+from devices.transport.closed_at_end import ClosedAtEnd
 from devices.usb.bus import UsbAddress, failure, find, who
 from stream.errors import DeviceError
 
@@ -16,7 +17,7 @@ WRITE_MS = 1000
 _KIND = {BULK: "bulk", INTERRUPT: "interrupt"}
 
 
-class Pipe:
+class Pipe(ClosedAtEnd):
     """An interface of a USB device, for this process alone. The system's own driver is detached, and put back at the end.
 
     A read is one transfer: of a bulk endpoint as many packets as are there, of an interrupt endpoint one report.
@@ -84,12 +85,6 @@ class Pipe:
                 self._device.attach_kernel_driver(self._interface)
         with suppress(*gone):
             usb.util.dispose_resources(self._device)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _open(self, interface: int | None, endpoint: int | None) -> None:
         import usb.util

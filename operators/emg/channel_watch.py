@@ -8,10 +8,10 @@ import numpy as np
 
 from operators.alarm import ALARM, ALARM_UNITS, ON, OVER, FoundAlarms, alarm_chunk
 from stream.chunk import NEVER, Chunk, Samples, Specs, StreamSpec, Times
-from stream.errors import InputError
 from stream.kernel import kernel
 from stream.operator import Case, Operator, grid
 from stream.params import param
+from stream.require import regular_signal
 
 SAME = "look at the leads and the channel list: two channels show one electrode pair"
 CLIPS = "lower the gain, or see whether the electrode is loose: the peaks are cut off"
@@ -99,17 +99,16 @@ class ChannelWatch(Operator[ChannelWatchState]):
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
-        if not spec.is_signal or spec.rate_hz is None or spec.dtype.kind not in "iuf":
-            raise InputError("in", spec.describe(), "a signal of channels at a regular rate")
+        rate_hz = regular_signal(spec)
         c = spec.shape[0]
         names = list(spec.channels or [f"channel {i + 1}" for i in range(c)])
         square = (c, c)
         self.hold(
             ChannelWatchState(
                 0, NEVER, np.full(c, np.nan), 0, np.zeros(c), np.zeros(square), np.zeros(square), np.zeros(c), nothing(c),
-                np.zeros(square, np.int64), np.zeros(square, np.int64), max(2, round(self.window_s * spec.rate_hz)), names,
+                np.zeros(square, np.int64), np.zeros(square, np.int64), max(2, round(self.window_s * rate_hz)), names,
             ),
-            decision_s={"out": max(2, round(self.window_s * spec.rate_hz)) / spec.rate_hz},
+            decision_s={"out": max(2, round(self.window_s * rate_hz)) / rate_hz},
         )  # fmt: skip
         return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=spec.meta)}
 

@@ -13,11 +13,12 @@ from operators.emg.one_kind import refuse_mixed
 from operators.emg.zero_phase import antialias_phases, highpass_reach, lowpass_phases
 from operators.iir import butterworth, steady_memory
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
-from stream.errors import InputError, ParameterError
+from stream.errors import ParameterError
 from stream.filter import reset_gap
 from stream.operator import Case, Emitted, Operator, grid
 from stream.params import param
 from stream.remembered import remembered
+from stream.require import regular_signal
 
 BLOCK_S = 0.02
 """How much is filtered backwards at a time: twice as much costs 20 ms of look-ahead and saves a third of the work."""
@@ -55,12 +56,12 @@ class EnvelopeState:
 
 @dataclass(frozen=True, slots=True)
 class EnvelopeRun:
-    """Samples start..stop-1 of a chunk, `lost` before them; `anew`: the filters start again."""
+    """Samples start..stop-1 of a chunk, `lost` before them; `restarts`: the filters start again."""
 
     start: int
     stop: int
     lost: int
-    anew: bool
+    restarts: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,12 +94,11 @@ class Envelope(Operator[EnvelopeState]):
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
-        if not spec.is_signal or spec.rate_hz is None or spec.dtype.kind not in "iuf":
-            raise InputError("in", spec.describe(), "a signal of channels at a regular rate")
+        rate_hz = regular_signal(spec)
         refuse_mixed(spec)
-        up, down, rate = self._ratio(spec.rate_hz)
-        self._check(spec.rate_hz, rate)
-        filters = (self._zero if self.phase == "zero" else self._causal)(spec.rate_hz, up, down, rate)
+        up, down, rate = self._ratio(rate_hz)
+        self._check(rate_hz, rate)
+        filters = (self._zero if self.phase == "zero" else self._causal)(rate_hz, up, down, rate)
         n, waits, long = spec.shape[0], filters.ahead + int(filters.step[2]), filters.taps.shape[1]
         ring = waits + long // 2 + down // up + 3
         state = EnvelopeState(
@@ -131,7 +131,7 @@ class Envelope(Operator[EnvelopeState]):
             return Chunk(np.empty(0, np.int64), np.empty((0, len(s.held))), self._until(chunk.until))
         x = np.ascontiguousarray(chunk.data, np.float64)
         runs = [
-            self._run(x[run.start : run.stop], chunk.time[run.start : run.stop], run.lost, run.anew)
+            self._run(x[run.start : run.stop], chunk.time[run.start : run.stop], run.lost, run.restarts)
             for run in self._runs(chunk)
         ]
         marks, out = (
@@ -222,18 +222,18 @@ class Envelope(Operator[EnvelopeState]):
         before = s.last if s.last != NEVER else int(chunk.time[0])
         same = s.filters.step[0] == s.filters.step[1]
         runs = []
-        start, lost, anew = 0, chunk.lost if same or not chunk.lost else -1, False
+        start, lost, restarts = 0, chunk.lost if same or not chunk.lost else -1, False
         while start < len(chunk.time):
-            stop = gap(chunk.time, before, s.limit, start + anew)
+            stop = gap(chunk.time, before, s.limit, start + restarts)
             if stop > start:
-                runs.append(EnvelopeRun(start, stop, lost, anew))
-            start, lost, anew = stop, -1, True
+                runs.append(EnvelopeRun(start, stop, lost, restarts))
+            start, lost, restarts = stop, -1, True
         return runs
 
-    def _run(self, x: Samples, time: Times, lost: int, anew: bool) -> tuple[Times, Samples]:
+    def _run(self, x: Samples, time: Times, lost: int, restarts: bool) -> tuple[Times, Samples]:
         """Consecutive samples to what is then known: per row its stamp and the `lost` before it, and the rows."""
         s, f = self.state, self.state.filters
-        if anew:
+        if restarts:
             self._reset()
         s.last = int(time[-1])
         room = (len(x) + len(s.ahead)) * int(f.step[0]) // int(f.step[1]) + 3

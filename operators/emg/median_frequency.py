@@ -14,6 +14,7 @@ from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
 from stream.params import param
+from stream.require import regular_signal
 
 FREQUENCY = np.dtype(
     [
@@ -58,17 +59,14 @@ class MedianFrequency(Operator[MedianFrequencyState]):
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["signal"]
-        if not spec.is_signal or spec.rate_hz is None or spec.dtype.kind not in "iuf":
-            raise InputError("signal", spec.describe(), "a raw signal of channels at a regular rate")
+        rate_hz = regular_signal(spec, "signal", "a raw signal")
         if not is_closed(specs["closed"].dtype):
             raise InputError("closed", specs["closed"].describe(), "cycles' events (operators.gait.cycles.Cycles)")
-        if not self.low_hz < self.high_hz <= spec.rate_hz / 2:
-            raise ParameterError(
-                "high_hz", self.high_hz, f"above low_hz and up to {spec.rate_hz / 2:g} (half of the rate)"
-            )
+        if not self.low_hz < self.high_hz <= rate_hz / 2:
+            raise ParameterError("high_hz", self.high_hz, f"above low_hz and up to {rate_hz / 2:g} (half of the rate)")
         m = spec.shape[0]
         names = list(spec.channels or [f"channel {i + 1}" for i in range(m)])
-        keep = int(self.longest_s * spec.rate_hz) + 8
+        keep = int(self.longest_s * rate_hz) + 8
         closed = specs["closed"].derive(
             shape=(1, m), dtype=np.dtype(np.float64), channels=tuple(names), units=("",), channel_axis=1
         )

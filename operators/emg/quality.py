@@ -16,6 +16,7 @@ from stream.errors import InputError, ParameterError
 from stream.filter import reset_gap
 from stream.operator import Case, Operator, grid
 from stream.params import param
+from stream.require import regular_signal
 
 QUALITY = np.dtype(
     [
@@ -131,14 +132,13 @@ class SignalQuality(Operator[QualityState]):
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
-        if not spec.is_signal or spec.rate_hz is None or spec.dtype.kind not in "iuf":
-            raise InputError("in", spec.describe(), "a signal of channels at a regular rate")
+        rate_hz = regular_signal(spec)
         refuse_mixed(spec)
-        if spec.rate_hz < 200:
+        if rate_hz < 200:
             raise InputError("in", spec.describe(), "raw EMG at 200 Hz or more")
-        n, c = round(self.window_s * spec.rate_hz), spec.shape[0]
+        n, c = round(self.window_s * rate_hz), spec.shape[0]
         names = list(spec.channels or [f"channel {i + 1}" for i in range(c)])
-        bands = _weights(np.arange(n // 2 + 1, dtype=np.float64) * (spec.rate_hz / n), self.mains_hz)
+        bands = _weights(np.arange(n // 2 + 1, dtype=np.float64) * (rate_hz / n), self.mains_hz)
         self.hold(
             QualityState(
                 np.zeros((n, c)), np.zeros(n, np.int64), 0, np.zeros(c), np.hanning(n), bands, np.zeros((7, c)), np.zeros((3, c)), 0,

@@ -17,6 +17,7 @@ from stream.chunk import NEVER, NS, Chunk, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Operator, grid
 from stream.params import param
+from stream.require import regular_signal
 
 LOOK_AHEAD = 2
 """Samples after a touch-down that a cycle's last points need."""
@@ -237,10 +238,8 @@ class Cycles(Operator[CyclesState]):
 
 def _checked_rate(specs: Specs) -> float:
     """The signal's rate (Hz). Raises InputError for inputs that cycles cannot be cut from."""
-    spec = specs["signal"]
-    if not spec.is_signal or spec.rate_hz is None or spec.dtype.kind not in "iuf":
-        raise InputError("signal", spec.describe(), "a signal of channels at a regular rate")
+    rate_hz = regular_signal(specs["signal"], "signal")
     for port in ("touchdown", "liftoff"):
         if port in specs and "onset" not in (specs[port].dtype.names or ()):
             raise InputError(port, specs[port].describe(), "contact events with a field 'onset'")
-    return spec.rate_hz
+    return rate_hz

@@ -93,10 +93,10 @@ def gaps(trial: Conformance) -> None:
         if after and "gaps" not in trial.excused and not any(o.owed or any(o.lost) for o in outputs):
             raise Broken("gaps", f"{after} samples come after the silence, none of them says that anything is lost")
         if hasattr(trial.case.operator, "reset_gap_s") and "reset" not in trial.excused:
-            _begins_anew(trial, run, tapes, middle)
+            _restarts(trial, run, tapes, middle)
 
 
-def _begins_anew(trial: Conformance, run: Player, tapes: Tapes, middle: int) -> None:
+def _restarts(trial: Conformance, run: Player, tapes: Tapes, middle: int) -> None:
     """Signals after the silence are those of a new instance that begins there."""
     rest = {port: tape.keep(tape.time > middle) for port, tape in tapes.items()}
     rest = {port: replace(tape, lost=np.zeros_like(tape.lost)) for port, tape in rest.items()}

@@ -129,7 +129,7 @@ def test_a_header_tells_where_each_column_stands() -> None:
 # the device's time ---------------------------------------------------------------------------------------------------
 
 
-def test_time_that_begins_anew_at_32_bits_grows_on() -> None:
+def test_time_that_begins_again_at_32_bits_grows_on() -> None:
     wraps = (1 << 32) * 1000
     clock = DeviceTime(DeviceClock(), wraps)
     values = [clock.read((wraps - 5_000_000 + i * 2_000_000) % wraps, i * 2_000_000) for i in range(10)]

@@ -250,7 +250,7 @@ def test_a_stall_loses_nothing_and_stamps_stay_even() -> None:
     assert steps.max() < 20e6 and np.diff(feed.data("timing")["arrival"]).max() > 0.6e9
 
 
-def test_a_counter_that_begins_anew_is_marked_and_time_goes_on() -> None:
+def test_a_counter_that_begins_again_is_marked_and_time_goes_on() -> None:
     with served(CytonModel(), Misbehaviour(reset_every_s=1.1)) as server, reading(Cyton(server.address)) as feed:
         wait_for(lambda: feed.count("emg") >= 700)
     assert feed.problems["counter reset"] >= 1

@@ -63,7 +63,7 @@ class Scripted:
     def has_our_clock(self, stamp: float) -> bool:
         return False
 
-    def connected_anew(self) -> bool:
+    def has_reconnected(self) -> bool:
         return False
 
 

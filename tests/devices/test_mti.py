@@ -132,7 +132,7 @@ def test_a_stall_loses_nothing_and_stamps_stay_even() -> None:
     assert np.diff(feed.time("imu")[30:]).max() < 20e6 and np.diff(feed.data("timing")["arrival"]).max() > 0.6e9
 
 
-def test_counters_that_begin_anew_are_marked_and_time_goes_on() -> None:
+def test_counters_that_begin_again_are_marked_and_time_goes_on() -> None:
     with served(MtiModel(), Misbehaviour(reset_every_s=1.3)) as server:
         _, feed = read(server, 300)
     assert feed.problems["counter reset"] >= 1 and -1 in feed.lost("imu").values()
@@ -225,7 +225,7 @@ def test_a_wrong_answer_is_told(
     assert isinstance(feed.error, DeviceError) and told in str(feed.error)
 
 
-def test_a_sensor_that_falls_silent_or_was_switched_on_anew_is_opened_again() -> None:
+def test_a_sensor_that_falls_silent_or_was_switched_on_again_is_opened_again() -> None:
     class Silent(MtiModel):
         def say(self, seconds: float) -> list[bytes]:
             return super().say(seconds) if self._said < 50 else []

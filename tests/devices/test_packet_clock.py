@@ -69,7 +69,7 @@ def test_repeated_packets_are_left_out() -> None:
     assert three.number.tolist() == [10] and three.lost.tolist() == [0]
 
 
-def test_a_counter_that_begins_anew_is_not_taken_for_loss() -> None:
+def test_a_counter_that_begins_again_is_not_taken_for_loss() -> None:
     clock = PacketClock(8, RATE)
     for i in range(1100):
         before = clock.take(np.array([i % 256], np.uint8), int(at(i)) + 3_000_000)

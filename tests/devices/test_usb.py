@@ -336,7 +336,7 @@ def test_lost_and_repeated_reports_are_counted() -> None:
     assert feed.problems["repeated frame or wrong time"] > 10
 
 
-def test_a_controller_that_starts_anew_and_one_that_is_unplugged() -> None:
+def test_a_controller_that_starts_again_and_one_that_is_unplugged() -> None:
     feed = read(dualsense(), Misbehaviour(reset_every_s=1.2), 600)
     assert feed.error is None and feed.problems["device restarted"] >= 1 and -1 in feed.lost("imu").values()
     feed = read(dualsense(), Misbehaviour(unplug_every_s=1.0), 10**9)

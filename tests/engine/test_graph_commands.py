@@ -213,7 +213,7 @@ def test_parts_lists_what_there_is_and_shows_one(capsys: pytest.CaptureFixture[s
         parts("Xyz")
 
 
-def test_a_description_is_laid_out_anew_for_a_narrow_terminal() -> None:
+def test_a_description_is_laid_out_again_for_a_narrow_terminal() -> None:
     ports = "in     what comes in, in a line that goes on\n       here\nout    what goes out\n- an item\n  of two lines"
     text = f"One sentence that\ngoes on.\n\n{ports}"
     assert reflowed(text, 30).split("\n") == [

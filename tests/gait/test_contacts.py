@@ -299,7 +299,7 @@ def test_lost_markers_are_filled_up_to_the_limit() -> None:
     assert len(strict) >= len(expected) - 5
 
 
-def test_a_marker_that_jumps_starts_anew() -> None:
+def test_a_marker_that_jumps_starts_again() -> None:
     path = walker(1200, 100.0, speed_m_s=1.2, cadence_hz=0.9)
     expected = onsets(feed(MarkerContacts(marker="ANK", reference="HIP"), MARKERS, path), "touchdown")
     path[500:, 1, 0] += 4.0

@@ -123,7 +123,7 @@ def test_missing_values_stay_with_their_channel_and_their_moment():
     np.testing.assert_allclose(rows[far, 1], whole[far, 1], rtol=2e-2, atol=0.05)
 
 
-def test_a_long_gap_starts_anew_and_a_short_one_does_not():
+def test_a_long_gap_starts_again_and_a_short_one_does_not():
     rng = np.random.default_rng(6)
     x = rng.standard_normal((1500, 1)) * 30
     t = stamps(1500)

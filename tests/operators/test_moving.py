@@ -1,4 +1,4 @@
-"""Moving windows against slow references that look at every window anew."""
+"""Moving windows against slow references that look at every window afresh."""
 
 from __future__ import annotations
 

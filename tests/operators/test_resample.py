@@ -164,7 +164,7 @@ def test_the_derivative_misses_what_rests_on_a_bad_sample():
     assert np.flatnonzero(np.isnan(out[:, 0])).tolist() == [46, 47, 48, 49, 50] and np.isfinite(out[:, 1]).all()
 
 
-def test_the_derivative_begins_anew_after_a_gap():
+def test_the_derivative_begins_again_after_a_gap():
     data = noise(100, 2)
     time = np.r_[grid(RATE, 50), grid(RATE, 102)[52:]]
     _, stamps, out, marks = run(Derivative(), data, time=time, lost={50: 2}, cuts=(51, 52))

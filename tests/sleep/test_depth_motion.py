@@ -161,7 +161,7 @@ def test_raw_frames_are_taken_only_if_that_is_said() -> None:
         Motion().open({"frames": blocks_spec(3, 4)})
 
 
-def test_the_night_map_is_the_mean_over_its_frames_and_begins_anew() -> None:
+def test_the_night_map_is_the_mean_over_its_frames_and_begins_again() -> None:
     frames, time = noisy(90), grid(10.0, 90, 100 * NS)
     maps = play(Motion(epoch_s=2.0, step_s=0.0), frames=(SPEC, time, frames))["map"]
     spec = Motion(epoch_s=2.0, step_s=0.0).open({"frames": SPEC})["map"]

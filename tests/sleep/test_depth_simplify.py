@@ -75,7 +75,7 @@ def test_the_basis_holds_as_much_as_a_pca_of_all_blocks(components: int) -> None
     assert finer(out[:94]) == 0, "before a basis is learned there are means"
 
 
-def test_a_changed_scene_is_learned_anew_and_an_unchanged_one_is_not() -> None:
+def test_a_changed_scene_is_learned_again_and_an_unchanged_one_is_not() -> None:
     frames = np.concatenate([scene(300), scene(400, vertical=True, seed=1)])
     time = grid(30.0, 700)
     made = play(Simplify(components=2, learn_s=1.0), **{"in": (RAW, time, frames)})["scene"]

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from devices.outlets.night import archive, figures
-from devices.outlets.night.numbers import CAVEATS, begun_anew, exits, quality, span, table, unseen
+from devices.outlets.night.numbers import CAVEATS, begun_after, exits, quality, span, table, unseen
 from devices.outlets.night.page import draw, render
 from stream.chunk import NS
 from stream.errors import DeviceError
@@ -167,12 +167,12 @@ def test_numbers_of_a_new_session_do_not_pass_for_those_of_the_night(
         log.close()
     ((folder, facts),) = archive.nights(tmp_path)
     epochs = archive.read_epochs(folder)
-    assert bool(begun_anew(facts, epochs)) == told == ("Numbers" in dict(quality(facts, epochs)))
+    assert bool(begun_after(facts, epochs)) == told == ("Numbers" in dict(quality(facts, epochs)))
     assert [what for _, what in facts.switched] == (["lights off"] if dark else [])
     if dark == 30:
         assert facts.switched == [[night.onset(30), "lights off"]]  # just before anybody was in bed
         facts.switched, facts.numbers["onset"] = [], night.onset(257)  # the switch says what it had been before
-        assert begun_anew(facts, epochs)
+        assert begun_after(facts, epochs)
     assert ("of a night that began at 23:20" in render(facts, epochs, None, [])) == told
     assert span(facts, epochs)[0] == (facts.begun if told else night.onset(270) - 15 * 60 * NS)
 

@@ -49,12 +49,12 @@ class Stretch:
 def span(facts: Facts, epochs: LoggedEpochs) -> tuple[int, int]:
     """From when to when the report shows the night."""
     if facts.numbers:
-        begin = facts.begun if begun_anew(facts, epochs) else int(facts.numbers["onset"]) - SHOWN_NS
+        begin = facts.begun if begun_after(facts, epochs) else int(facts.numbers["onset"]) - SHOWN_NS
         return begin, int(facts.numbers["end"]) + SHOWN_NS
     return (int(epochs.onset[0]), int(epochs.end[-1])) if len(epochs) else (facts.begun, facts.begun + NS)
 
 
-def begun_anew(facts: Facts, epochs: LoggedEpochs) -> Stretch | None:
+def begun_after(facts: Facts, epochs: LoggedEpochs) -> Stretch | None:
     """The break after which the numbers begin, though the night had begun before it: another session saw that part. None: there is none."""
     n = facts.numbers
     dark = [int(t) for t, what in facts.switched if what == "lights off"]
@@ -154,7 +154,7 @@ def quality(facts: Facts, epochs: LoggedEpochs) -> list[tuple[str, str]]:
     if facts.breaks:
         whole = [Stretch(int(a), int(b), "") for a, b in facts.breaks]
         told.append(("kinegraph did not run", "; ".join(_when(s, zone) for s in whole[:12])))
-    if begun_anew(facts, epochs):
+    if begun_after(facts, epochs):
         since = clock(int(facts.numbers["onset"]), zone)
         told.append(
             (

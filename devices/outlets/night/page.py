@@ -13,7 +13,7 @@ from pathlib import Path
 from devices.outlets.night import archive
 from devices.outlets.night.archive import Facts, LoggedEpochs, clock, night_zone, zone_of
 from devices.outlets.night.edf import write_edf
-from devices.outlets.night.numbers import CAVEATS, NO_NUMBERS, ReportRow, begun_anew, quality, span, table
+from devices.outlets.night.numbers import CAVEATS, NO_NUMBERS, ReportRow, begun_after, quality, span, table
 from devices.outlets.night.plain import headline, sentence
 from stream.chunk import Samples
 from stream.complete import write_complete
@@ -127,14 +127,14 @@ def line(facts: Facts, epochs: LoggedEpochs) -> str:
         n.get("bed", ""), "time in bed, as it was seen"
     )
     made_up = "  ·  simulated" if facts.session.get("simulated_sources") or facts.meta.get("simulated") else ""
-    anew = f", of a night that began at {clock(facts.begun, zone):%H:%M}" if begun_anew(facts, epochs) else ""
+    since = f", of a night that began at {clock(facts.begun, zone):%H:%M}" if begun_after(facts, epochs) else ""
     new = clock(int(n["end"]), zone_of(facts.timezone))
     changed = (
         f" (the clocks changed that night: by the new time ({new:%Z}) it ended at {new:%H:%M})"
         if new.utcoffset() != end.utcoffset()
         else ""
     )
-    return f"{begin:%H:%M} to {end:%H:%M} {end:%Z}{changed}{anew}  ·  by {by}  ·  numbers by the definitions of {n['convention']}{made_up}"
+    return f"{begin:%H:%M} to {end:%H:%M} {end:%Z}{changed}{since}  ·  by {by}  ·  numbers by the definitions of {n['convention']}{made_up}"
 
 
 def _method(facts: Facts) -> str:
