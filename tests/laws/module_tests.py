@@ -16,7 +16,7 @@ FARTHEST = 6
 """Imports between a test and what it tests."""
 OPERATORS = 3
 """The golden answers of at most so many operators are asked for a module: of those that reach it by the fewest imports."""
-SAMPLE = ("operators.gate.Gate", "operators.iir.Lowpass")
+SAMPLE = ("operators.gate.Gate", "operators.iir.Lowpass", "operators.sleep.scorer.SleepScorer")
 """Whose golden answers are asked for a module that is part of no operator, but of how answers are made."""
 COMMANDS = 2
 """The same for golden answers of commands."""
