@@ -172,6 +172,24 @@ def test_rotation_and_resumption_read_as_one(tmp_path: Path) -> None:
         assert recording.streams["board.emg"].dropped == 0
 
 
+def test_the_size_that_is_told_is_that_of_all_files_so_far(tmp_path: Path) -> None:
+    options = RecordingOptions(rotate_mb=0.02, flush_s=0.0, gather_s=0.005)
+    recorder = Recorder(tmp_path / "s", {}, options, wait=True)
+    numbers = {name: recorder.add_stream(name, spec, "input") for name, spec in SPECS.items()}
+    told, parts = [0], set[int]()
+    for sequence, (name, chunk, arrival) in enumerate(session(seconds=2.0)):
+        recorder.write(numbers[name], chunk, arrival, sequence)
+        if sequence % 10 == 0:
+            recorder.flush()
+            told.append(recorder.status.bytes)
+            parts.add(recorder.part)
+            on_disk = sum(path.stat().st_size for path in (tmp_path / "s").glob("session.*.mcap"))
+            assert told[-1] <= on_disk <= told[-1] + 20_000
+    recorder.close()
+    assert told == sorted(told) and len(parts) > 2
+    assert recorder.status.bytes == sum(path.stat().st_size for path in (tmp_path / "s").glob("session.*.mcap"))
+
+
 def test_a_place_is_taken_once(tmp_path: Path) -> None:
     recorder = record(tmp_path / "s", [])
     with pytest.raises(RecordingError, match="another kinegraph is recording there"):
