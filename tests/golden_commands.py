@@ -35,10 +35,14 @@ RELATIVE = 2e-3
 NUMBER = re.compile(r"(?<![\w.#])[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?", re.ASCII)
 CHANGING = re.compile(
     r'"(?:made_by|versions?|hash|sha256|made|created)": ?"[^"]*"|data:image/png;base64,[A-Za-z0-9+/=]+'
+    r'|(?<=url\(#)[a-z][0-9a-f]+|(?<=id=")[a-z][0-9a-f]{5,}'
 )
-"""What differs from one run, or version, to the next."""
+"""What differs from one run, or version, or processor, to the next: a plot's names of its parts come from the last digits of where they
+are."""
 CLOCK = re.compile(r"^\d\d:\d\d:\d\d ")
 """Before a line of the log."""
+NOTHING = 1e-9
+"""Of an array's largest number, what is taken for 0: what rounding leaves of a difference."""
 TILES = 12
 """A picture is summed up as the brightness of so many tiles by as many."""
 
@@ -305,6 +309,9 @@ def _of_file(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def _array(data: Array) -> str:
+    if data.dtype.kind == "f" and data.size:
+        size = np.abs(data)
+        data = np.where(size <= NOTHING * np.max(size, initial=0.0, where=np.isfinite(size)), 0.0, data)
     columns = " ".join(
         f"{name}={golden._sums(c)}" if c.dtype.kind in "biuf" else f"{name}=#{zlib.crc32(c.tobytes())}"
         for name, c in golden._columns(np.atleast_1d(data))

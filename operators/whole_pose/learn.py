@@ -23,6 +23,8 @@ WIDTH, RIDGE = 1.0, 0.2
 MOST_FRAMES = 40_000
 LEFT_OUT = 1e-3
 """The share of the corrections' variance that is given up for speed."""
+ALIKE = 1e-6
+"""Rows less far apart than this share of their largest number are alike: their squared distances are differences of squares."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +132,7 @@ def learn_pose(
         x, own, y = x[thin], own[thin], y[thin]
     ends, mean = shown_by_region(chosen)[1], y.mean(axis=0)
     scales = np.array(
-        [_scale(x, width), *(_scale(own[:, ends[k] : ends[k + 1]], regional_width) for k in range(REGIONS))]
+        [scale_of(x, width), *(scale_of(own[:, ends[k] : ends[k + 1]], regional_width) for k in range(REGIONS))]
     )
     at = _far_apart(x, min(centres, len(x)))
     centre = (x[at], own[at], ends, scales)
@@ -168,11 +170,11 @@ def _kernels(
         yield whole + _gaussian(own[:, columns], regional[:, columns], scales[1 + k])
 
 
-def _scale(x: Samples, width: float) -> float:
-    """1 / (2 w^2) for a `width` in median distances of the rows of `x`; 0 where these are all alike, or have no columns."""
+def scale_of(x: Samples, width: float) -> float:
+    """1 / (2 w^2) for a `width` in median distances of the rows of `x`; 0 where most are alike but for rounding, or have no columns."""
     sample = x[:: max(1, len(x) // 400)]
     median = float(np.median(_squares(sample, sample)[np.triu_indices(len(sample), 1)] ** 0.5))
-    return 1.0 / (2.0 * (width * median) ** 2) if median > 0.0 else 0.0
+    return 1.0 / (2.0 * (width * median) ** 2) if median > ALIKE * np.abs(sample).max(initial=0.0) else 0.0
 
 
 def _gaussian(x: Samples, at: Samples, scale: float) -> Samples:

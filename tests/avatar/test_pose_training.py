@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from operators.whole_pose.landmarks import NAMES, USUAL
-from operators.whole_pose.learn import learn_pose, lesson_of, lessons_of
+from operators.whole_pose.learn import learn_pose, lesson_of, lessons_of, scale_of
 from operators.whole_pose.regions_kernel import shown_by_region
 from stream import cli
 from stream.chunk import Samples
@@ -204,3 +204,12 @@ def test_a_training_for_noisy_markers_turns_less_with_them(tmp_path: Path) -> No
         dot = np.abs((made[:, 3:].reshape(N, -1, 4) * POSES[:, 3:].reshape(N, -1, 4)).sum(-1))
         off.append(np.arccos(np.minimum(1.0, dot)).mean())
     assert off[1] < off[0]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_region_that_never_moves_has_no_width(seed: int) -> None:
+    """What rounding makes of squared distances was its width once, so that the least movement later was out of all it had learned."""
+    still = np.repeat(np.random.default_rng(seed).normal(0.3, 1.0, (1, 9)), 50, axis=0)
+    moved = np.random.default_rng(seed + 10).normal(size=still.shape)
+    assert scale_of(still + 1e-8 * moved, 1.0) == 0.0
+    assert 1e3 < scale_of(still + 1e-3 * moved, 1.0) < 1e6
