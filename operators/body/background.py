@@ -12,7 +12,7 @@ import structlog
 from numpy.typing import NDArray
 
 from operators.body.background_kernel import cut_out
-from operators.body.camera_moved import disagreement, people_cut_out
+from operators.body.camera_moved import disagreement, floors_of, people_cut_out, stand_on
 from operators.body.floor import FLOOR, floor_of
 from operators.body.names import camera_of
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec
@@ -48,6 +48,7 @@ class BackgroundState:
     earlier   (h, w)  the background of the view before, which may come back
     shown     (2, h, w)  what stood before the background lately, and up to a second earlier
     turned    whether the people stand on a floor at the top of the image
+    floors    (2, 4)  the floor's plane, and that of what would be one in an image turned over; NaN: none, or it is known which one is it
     """
 
     rate_hz: float
@@ -63,6 +64,7 @@ class BackgroundState:
     earlier: NDArray[np.float32]
     shown: NDArray[np.uint16]
     turned: bool
+    floors: Samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +80,8 @@ class Background(Operator[BackgroundState]):
     background, half of that behind and as much before it, or four fifths before it, the camera may have been moved. Nothing is given out
     until its old view is back or a new one has rested for a tenth of a second. People who then stand by themselves in the new view, as high
     and with as much surface as those seen before, are cut out of its background; others are part of it, as at the start. If they stand on
-    a floor at the top of the image, the camera was turned over: nothing is given out until it is turned back.
+    a floor at the top of the image, the camera was turned over, or has hung like that from the start: nothing is given out until it is
+    turned back.
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("out", "floor")
@@ -106,7 +109,20 @@ class Background(Operator[BackgroundState]):
         enough = math.ceil(self.learn_s * rate)
         self.hold(
             BackgroundState(
-                rate, np.array(camera), behind, streak, front, 0, enough, False, 0, False, earlier, shown, False
+                rate,
+                np.array(camera),
+                behind,
+                streak,
+                front,
+                0,
+                enough,
+                False,
+                0,
+                False,
+                earlier,
+                shown,
+                False,
+                np.full((2, 4), np.nan),
             )
         )
         out = spec.derive(settling_s=spec.settling_s + self.learn_s)
@@ -124,11 +140,13 @@ class Background(Operator[BackgroundState]):
             s.frames += 1
             if s.again and s.frames == s.enough:
                 self._settle(frame, out[i])
+            if s.frames >= s.enough:
+                self._stood_on(out[i])
+                if s.frames % max(1, round(s.rate_hz)) == 0 and not (s.moved or (s.turned and s.again)):
+                    s.shown[1], s.shown[0] = s.shown[0], out[i]
             if s.frames < s.enough or s.turned:
                 out[i] = 0
                 continue
-            if s.frames % max(1, round(s.rate_hz)) == 0 and not s.moved:
-                s.shown[1], s.shown[0] = s.shown[0], out[i]
             if not s.told:
                 s.told = True
                 floors += floor_of(s.behind, s.camera, time, upside_down=self.upside_down)
@@ -156,6 +174,20 @@ class Background(Operator[BackgroundState]):
                 log.warning("the depth camera was moved; its background is learned again")
                 s.earlier[:] = s.behind
             self._begin()
+
+    def _stood_on(self, out: Array) -> None:
+        """Of two planes that may be the floor, that is it on which people stand."""
+        s = self.state
+        if not (s.told or s.turned):
+            s.floors[:] = floors_of(s.behind, s.camera, upside_down=self.upside_down)
+        if s.moved or np.isnan(s.floors[1, 3]):
+            return
+        right, wrong = stand_on(out, s.floors, s.camera)
+        if right or wrong:
+            s.floors[:] = np.nan
+        if wrong and not right:
+            s.turned = True
+            log.warning("the depth camera hangs upside down: nobody is seen; turn it, or set upside_down the other way")
 
     def _back(self, frame: Array) -> bool:
         """Go back to the background of the view before if a frame shows that."""

@@ -60,6 +60,23 @@ def people_cut_out(
     return len(found), False
 
 
+def floors_of(behind: NDArray[np.float32], camera: Samples, *, upside_down: bool) -> Samples:
+    """The floor of a background, and what would be one if the image were turned over: (2, 4) normal and height; NaN where there is none."""
+    planes = np.full((2, 4), np.nan)
+    for plane, side in zip(planes, (upside_down, not upside_down), strict=True):
+        for floor in floor_of(behind, camera, 0, upside_down=side):
+            plane[:3], plane[3] = floor["normal"], floor["height_m"]
+    return planes
+
+
+def stand_on(shown: NDArray[np.uint16], planes: Samples, camera: Samples) -> list[bool]:
+    """For each of the planes (2, 4) of `floors_of` whether somebody in `shown` (h, w) stands on it."""
+    people = [mask for mask, size in _things(shown, camera) if _human(size)]
+    depth = shown.astype(np.float32)
+    heights = [_above(depth, camera, plane[:3], float(plane[3])) for plane in planes]
+    return [any(bool(above[mask].min() < 4 * NEAR_M) for mask in people) for above in heights]
+
+
 def _standing(
     before: list[tuple[float, float]], behind: NDArray[np.float32], camera: Samples, *, upside_down: bool
 ) -> tuple[bool, list[NDArray[np.bool_]]] | None:

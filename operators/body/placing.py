@@ -32,6 +32,9 @@ AGREES_M, POSSIBLE_M = 0.22, 0.45
 """A measured depth is believed if it differs by less from the guess; one that makes the bone as long as it is, by less than the second."""
 BONE_SHARE = 0.25
 """A bone may differ this much from its length before its outer end is moved."""
+EDGE, BACK_M, CHEST_M = 0.1, 0.08, 0.3
+"""Of somebody who shows the back: the back reaches beyond shoulders and hips by this share of its width and height, and lies no nearer
+than this before the plane of these (m); what is before the chest is this far behind the back's surface (m)."""
 TWINS_M, FARTHER_M = 0.10, 0.05
 """Left and right landmarks that are nearer to each other in the image hide one another; farther away by less is not farther away."""
 COVERED = np.array([(13, 15), (14, 16), (25, 28), (26, 27)])
@@ -291,20 +294,44 @@ def _hold_bone(
     depth: Samples,
     doubt: Samples,
 ) -> None:
-    """A limb's joint: measured if that makes the bone as long as it is, else where its line of sight is a bone's length away."""
+    """A limb's joint: measured if that makes the bone as long as it is, else where its line of sight is a bone's length away.
+
+    Of an elbow or wrist before the chest the camera sees only the back: it lies behind that, on the farther of the two places.
+    """
     joint, before, bone = chain
     long = lengths[bone]
     guess, measured = trunk + points[joint, 7], points[joint, 2] + INSIDE[joint]
     apart = _apart(points, camera, joint, measured, before, depth[before])
-    if abs(apart - long) < BONE_SHARE * long and abs(measured - guess) < POSSIBLE_M:
+    behind = 13 <= joint <= 16 and _behind_back(points, joint)
+    if not behind and abs(apart - long) < BONE_SHARE * long and abs(measured - guess) < POSSIBLE_M:
         depth[joint], doubt[joint, 0] = measured, 0.0
         if doubt[before, 0] == 0.0 and min(points[joint, 3], points[before, 3]) > 0.7:
             _learn(lengths, counts, bone, apart)
         return
     if not math.isnan(measured):  # what is hidden lies behind what hides it
         guess = max(guess, measured - 0.05)
+    if behind:
+        guess = max(guess, measured + CHEST_M)
     depth[joint], off = _at_length(points, camera, joint, before, depth[before], long, guess)
     doubt[joint, 0], doubt[joint, 1] = 1.0, off
+
+
+@kernel
+def _behind_back(points: Samples, joint: int) -> bool:
+    """Whether an elbow or wrist of somebody who shows the back lies before the chest: what is measured at its pixel is the back."""
+    left, right = points[11, 0], points[12, 0]
+    top, bottom = (points[11, 1] + points[12, 1]) / 2, (points[23, 1] + points[24, 1]) / 2
+    if right <= left or bottom <= top:
+        return False
+    down, aside = (points[joint, 1] - top) / (bottom - top), EDGE * (right - left)
+    if not -EDGE <= down <= 1.0:
+        return False
+    down = max(down, 0.0)
+    first, last = left + down * (points[23, 0] - left), right + down * (points[24, 0] - right)
+    if not first - aside <= points[joint, 0] <= last + aside:
+        return False
+    plane = (1.0 - down) * (points[11, 2] + points[12, 2]) / 2 + down * (points[23, 2] + points[24, 2]) / 2
+    return bool(points[joint, 2] > plane - BACK_M)
 
 
 @kernel

@@ -139,6 +139,36 @@ def test_a_camera_that_is_turned_over_gives_nothing_until_it_is_turned_back(caps
     assert (pixels_of(feed(background, "in", upright[180:], 180))[3:] > 500).all()
 
 
+@pytest.mark.parametrize("said", [False, True])
+def test_a_camera_that_hangs_upside_down_from_the_start_gives_nothing_unless_it_was_said(
+    said: bool, capsys: Any
+) -> None:
+    background = Background(upside_down=said)
+    background.open({"in": DEPTH})
+    upright = seen_from(1.05, 2.7, 4.2, 0, 200)
+    over = pixels_of(feed(background, "in", np.ascontiguousarray(upright[:150, ::-1, ::-1])))
+    assert (over[65:] > 500).all() if said else not over.any()
+    assert ("hangs upside down" in capsys.readouterr().out) is not said
+    turned_back = pixels_of(feed(background, "in", upright[150:], 150))
+    assert said or (turned_back[5:] > 400).any(), "who moves is not seen again once the camera was turned"
+
+
+def test_a_ceiling_is_no_floor_that_somebody_stands_on(capsys: Any) -> None:
+    """A camera that looks up sees no floor, but a ceiling, half a metre above whoever is there."""
+    rows = np.arange(HEIGHT)[:, None]
+    slope = (CAMERA["cy"] - rows) / CAMERA["fy"]
+    empty = np.broadcast_to(np.where(slope > 0.33, 1400 / np.maximum(slope, 0.33), 4200), (HEIGHT, WIDTH)).astype(
+        np.uint16
+    )
+    person = empty.copy()
+    person[40:110, 70:90] = 2500
+    background = Background()
+    background.open({"in": DEPTH})
+    feed(background, "in", np.repeat(empty[None], 45, 0))
+    assert (pixels_of(feed(background, "in", np.repeat(person[None], 30, 0), 45)) > 1000).all()
+    assert "upside down" not in capsys.readouterr().out
+
+
 def test_a_glitch_of_two_frames_changes_no_background() -> None:
     background = Background()
     background.open({"in": DEPTH})
@@ -293,6 +323,22 @@ def test_an_ankle_hidden_behind_the_other_one_is_not_where_that_is() -> None:
     assert places[27, 2] == pytest.approx(2.7, abs=0.08)
     assert places[28, 2] == pytest.approx(2.5, abs=0.02)
     assert doubt[[27, 28], 0].tolist() == [1.0, 0.0]
+
+
+@pytest.mark.parametrize("away", [True, False])
+def test_hands_before_the_chest_of_a_back_are_behind_it(away: bool) -> None:
+    """Arms bent before the chest: seen from behind, the depth at the pixels of elbow and wrist is the back's."""
+    seen, camera = standing(1.0 if away else -1.0)["points"][0], np.array([285.6, 285.6, 159.5, 119.5])
+    side = -1.0 if away else 1.0
+    for k, x, y in ((13, 0.15, -0.22), (15, 0.05, -0.25)):
+        seen[k, :2] = 159.5 + 285.6 * side * x / 2.5, 119.5 + 285.6 * y / 2.5
+    places, doubt = np.empty((34, 3)), np.empty((34, 2))
+    placed(seen, camera, LENGTHS.copy(), np.zeros(len(LENGTHS)), places, doubt)
+    if away:
+        assert places[13, 2] > 2.55 and places[15, 2] > places[13, 2] + 0.1
+        assert doubt[[13, 15], 0].tolist() == [1.0, 1.0]
+    else:
+        assert places[13, 2] == pytest.approx(2.5, abs=0.05)
 
 
 @pytest.mark.parametrize(
