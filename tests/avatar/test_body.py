@@ -260,6 +260,19 @@ def test_a_back_that_is_taken_for_a_front_is_turned_round() -> None:
     assert out == pytest.approx(truth)
 
 
+def test_who_faces_where_is_told_by_shoulders_and_hips_alone() -> None:
+    """A knee that is held up, or placed wrongly, turns nobody round."""
+    heard = []
+    for knee in (0.0, 0.6, -0.6):
+        side, memory, pixels, out = standing(0.3), np.zeros(4), np.full((34, 2), np.nan), np.empty((34, 8))
+        points = side["points"][0].copy()
+        points[25, 5] += knee
+        for _ in range(5):
+            unturned(points, side["facing"][0].copy(), OTHER_SIDE, memory, pixels, out)
+        heard.append(memory)
+    np.testing.assert_array_equal(heard[1:], [heard[0]] * 2)
+
+
 def test_a_single_flip_against_the_heading_so_far_is_undone() -> None:
     front, memory, pixels, out = standing(), np.zeros(4), np.full((34, 2), np.nan), np.empty((34, 8))
     for k in range(30):

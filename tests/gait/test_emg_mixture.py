@@ -199,6 +199,14 @@ def test_two_names_for_one_mode_are_merged() -> None:
     np.testing.assert_allclose(means[1], [50.0, 2.0])
 
 
+def test_two_modes_that_are_one_are_merged_and_one_stays() -> None:
+    weights, means = np.array([0.5, 0.5]), np.array([[40.0, 1.0], [41.0, 1.0]])
+    covariances = np.array([[16.0, 0.0, 0.04], [16.0, 0.0, 0.04]])
+    assert merge_close_modes(weights, means, covariances, 2, 0.5, True) == 1
+    np.testing.assert_allclose(means[0], [40.5, 1.0])
+    assert merge_close_modes(weights, means, covariances, 1, 0.5, True) == 1
+
+
 def test_peaks_of_a_curve_are_found_also_across_touch_down() -> None:
     p = np.arange(100.0)
     curve = sum(

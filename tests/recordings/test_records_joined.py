@@ -42,3 +42,14 @@ def test_records_are_those_of_the_library(tmp_path: Path, monkeypatch: pytest.Mo
     assert isinstance(joined[0]["_Writer__record_builder"], module._Records), "another version of the library?"
     monkeypatch.setattr(module, "_join_once", lambda _: None)
     assert ours == written(tmp_path / "theirs.mcap", live=live)
+
+
+@pytest.mark.parametrize("saved", [False, True])
+def test_a_file_that_is_given_up_holds_what_was_saved_or_is_removed(tmp_path: Path, saved: bool) -> None:
+    file = module.FileSegment(tmp_path / "a.mcap", 0, {"name": "a session"}, CompressionType.ZSTD)
+    assert file.saved == 0
+    if saved:
+        file.save()
+        assert file.saved == (tmp_path / "a.mcap").stat().st_size > 0
+    file.abandon()
+    assert (tmp_path / "a.mcap").exists() == saved
