@@ -68,7 +68,7 @@ class SteerMesh(_Steered):
     quality   how far the markers are from all poses of the training, in kernel widths (the largest of all parts): beyond some 3 the mesh
               goes back to its mean pose, rather than anywhere else
     names     an event when two markers seem to bear each other's names: exchanging them would bring the markers back to the training, in
-              ten samples one after the other; and one when that is cured
+              ten samples one after the other, and no other pair would do as well; and one when that is cured
 
     Where the model says which way its markers face, the mesh turns with them about the vertical, y. The input has the model's markers by
     their names; `markers` names others in their place. A marker that is not seen has moved with the reference markers since it was;

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from devices.simulators.quadruped import LEGS, marked, topology, walking
 from operators.steering.adapt import adapt, limb_frames, matched, nearest_frames
 from operators.steering.choose import Method, best_of, choose, regression_of
+from operators.steering.exchanged import ExchangedNames
 from operators.steering.fit import Steering, fit_steering, fit_straight
 from operators.steering.graph_ranges import graph_matched
 from operators.steering.marker_frame import MarkerFrame, see_from
@@ -395,6 +396,29 @@ def test_two_markers_that_bear_each_others_names_are_named_once_and_again_when_c
         times = [int(grid(30.0, 240).searchsorted(row[0])) for row in told]
         assert [row[1:] for row in told] == [(what, NAMES[pair[0]], NAMES[pair[1]]) for what in ("exchanged", "cured")]
         assert 30 + 9 <= times[0] < 110 and 150 < times[1] <= 181
+
+
+class ModelOfDistances:
+    """Four markers; how far they are from the training with two of them exchanged is as given."""
+
+    markers = ("a", "b", "c", "d")
+
+    def __init__(self, left: dict[tuple[int, int], float]) -> None:
+        self.left = left
+
+    def outside(self, marks: Samples, enough: float = np.inf) -> float:
+        one, other = np.flatnonzero(marks[0, :, 0] != np.arange(4))
+        return self.left.get((int(one), int(other)), 1.0)
+
+
+@pytest.mark.parametrize(("rival", "named"), [(0.1, ("c", "d")), (0.39, None), (0.9, ("a", "b"))])
+def test_a_pair_is_held_against_all_others_and_none_is_named_where_two_are_alike(
+    rival: float, named: tuple[str, str] | None
+) -> None:
+    model = ModelOfDistances({(0, 1): 0.4, (2, 3): rival})
+    marks, names = np.repeat(np.arange(4.0)[:, None], 3, axis=1), ExchangedNames.none()
+    told = [row for k in range(120) if (row := names.see(model, marks, 1.0, k))]  # type: ignore[arg-type]
+    assert [row[1:] for row in told] == ([("exchanged", *named)] if named else [])
 
 
 def test_one_frame_is_too_few_to_learn_from(tmp_path: Path) -> None:
