@@ -158,7 +158,8 @@ def _activity(state: ExerciseState, event: Any, stamp: int) -> str:
         _turn_to(state, -1, NEVER)
     if not event["repeats"] and seconds < SHORT_S:
         return ""
-    what = (name or f"exercise {event['cluster'] + 1}") if event["repeats"] else "other motion"
+    number = f" {event['cluster'] + 1}" if event["cluster"] >= 0 else ""
+    what = (name or f"exercise{number}") if event["repeats"] else "other motion"
     return _past(state, what, int(event["repetitions"]), seconds, bool(event["repeats"]) and event["certainty"] <= 0.0)
 
 

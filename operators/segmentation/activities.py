@@ -39,6 +39,7 @@ from operators.segmentation.layout import (
     NOW,
     OPEN,
     OPENED,
+    OUTINGS,
     PENDING,
     PRICES,
     QUIET,
@@ -200,7 +201,7 @@ def begin(s: Memory) -> None:
         return
     b[BEGUN], b[TOLD], b[RETURNED] = 1, 0, 0
     b[START] = first
-    b[COUNT] = b[PENDING] = b[CYCLES] = b[BOUT] = 0
+    b[COUNT] = b[PENDING] = b[CYCLES] = b[OUTINGS] = b[BOUT] = 0
     s.kinds[:], s.values[PRICES] = 0, 0.0
     b[CLUSTER] = -1
     search_from(s, first)
@@ -262,7 +263,7 @@ def finish(s: Memory, forced: bool) -> None:
     if b[PENDING]:
         settle(s, min(b[TO], last))
     close_bout(s)
-    conclude(s, b[CYCLES])
+    conclude(s, b[CYCLES] + b[OUTINGS])
     hold(s, last, s.times[last % s.times.shape[0]], how(s) + forced)
     b[OPEN] = b[BEGUN] = b[ROWS] = 0
     b[SEED] = b[UNTOLD] = last + 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from operators.segmentation.events import certainty, tell
+from operators.segmentation.excursions import tell_excursions
 from operators.segmentation.layout import (
     ACTIVITY,
     ACTIVITY_EVENT,
@@ -26,6 +27,7 @@ from operators.segmentation.layout import (
     LAG,
     MASS,
     NEXT,
+    OUTINGS,
     PIECES_AT,
     PIECES_FROM,
     PRIMITIVE_EVENT,
@@ -48,7 +50,7 @@ def hold(s: Memory, last: int, to: int, how: int) -> None:
     b = s.books
     b[HELD], b[HELD_FIRST], b[HELD_LAST] = 1, b[START], last
     b[HELD_AT], b[HELD_TO] = b[START_AT], to
-    b[HELD_CYCLES], b[HELD_CLUSTER], b[HELD_HOW] = b[CYCLES], b[CLUSTER], how
+    b[HELD_CYCLES], b[HELD_CLUSTER], b[HELD_HOW] = b[CYCLES] + b[OUTINGS], b[CLUSTER], how
     s.values[HELD_CERTAINTY], s.values[HELD_RADIUS] = certainty(s), s.values[RADIUS]
     b[ACTIVITY] += 1
 
@@ -74,9 +76,12 @@ def let_go(s: Memory) -> None:
 def tell_held(s: Memory, last: int, to: int, how: int) -> None:
     """The held activity ends with frame `last`, stamp `to`, after a part that is no repetition, if there is one."""
     b = s.books
+    count = b[HELD_CYCLES]
+    if b[PIECES_FROM] <= last:
+        count += tell_excursions(s, last, b[ACTIVITY] - 1, count, s.values[HELD_RADIUS])
     if b[PIECES_FROM] <= last:
         tell(s, PRIMITIVE_EVENT, b[PIECES_AT], to, b[ACTIVITY] - 1, 0, -1, how & 1)
-    tell(s, ACTIVITY_EVENT, b[HELD_AT], to, b[ACTIVITY] - 1, b[HELD_CYCLES], b[HELD_CLUSTER], how)
+    tell(s, ACTIVITY_EVENT, b[HELD_AT], to, b[ACTIVITY] - 1, count, b[HELD_CLUSTER], how)
     s.ratings[b[EVENTS] - 1] = s.values[HELD_CERTAINTY]
 
 

@@ -6,11 +6,13 @@ from operators.segmentation.bouts import join
 from operators.segmentation.clusters import alike
 from operators.segmentation.division import divide
 from operators.segmentation.events import stamp, tell
+from operators.segmentation.excursions import tell_excursions
 from operators.segmentation.layout import (
     ACTIVITY,
     ACTIVITY_EVENT,
     BEGIN_EVENT,
     CLUSTER,
+    COUNT,
     CYCLES,
     FARTHEST,
     FROM,
@@ -19,6 +21,7 @@ from operators.segmentation.layout import (
     NEXT,
     NUMBER,
     OPEN,
+    OUTINGS,
     PENDING,
     PIECES_AT,
     PIECES_FROM,
@@ -79,7 +82,16 @@ def settle(s: Memory, last: int) -> None:
 def tell_step(s: Memory, first: int, last: int, side: int) -> None:
     """A repetition, or one side's step of it, is reported."""
     b = s.books
-    tell(s, PRIMITIVE_EVENT, stamp(s, first), stamp(s, last), b[ACTIVITY], b[CYCLES], b[CLUSTER], SIDED * side)
+    tell(
+        s,
+        PRIMITIVE_EVENT,
+        stamp(s, first),
+        stamp(s, last),
+        b[ACTIVITY],
+        b[CYCLES] + b[OUTINGS],
+        b[CLUSTER],
+        SIDED * side,
+    )
 
 
 SIDED = 2
@@ -112,8 +124,12 @@ def told_to(s: Memory, last: int) -> None:
 def piece(s: Memory, last: int, forced: bool) -> None:
     """A part of an activity that is no repetition."""
     b = s.books
-    tell(s, PRIMITIVE_EVENT, b[PIECES_AT], stamp(s, last), b[ACTIVITY], 0, -1, forced)
-    told_to(s, last)
+    found = tell_excursions(s, last, b[ACTIVITY], b[CYCLES] + b[OUTINGS], s.values[RADIUS])
+    b[OUTINGS] += found
+    b[COUNT] += found
+    if b[PIECES_FROM] <= last:
+        tell(s, PRIMITIVE_EVENT, b[PIECES_AT], stamp(s, last), b[ACTIVITY], 0, -1, forced)
+        told_to(s, last)
 
 
 @kernel
@@ -152,6 +168,9 @@ def passage(s: Memory, last: int, how: int) -> None:
     """Frames UNTOLD to `last` are an activity that repeats nothing."""
     b = s.books
     onset, stop = b[UNTOLD_AT], s.times[last % s.times.shape[0]]
-    tell(s, PRIMITIVE_EVENT, onset, stop, b[ACTIVITY], 0, -1, how & 1)
-    tell(s, ACTIVITY_EVENT, onset, stop, b[ACTIVITY], 0, -1, how)
+    b[PIECES_FROM], b[PIECES_AT] = b[UNTOLD], onset
+    found = tell_excursions(s, last, b[ACTIVITY], 0, s.values[RADIUS])
+    if b[PIECES_FROM] <= last:
+        tell(s, PRIMITIVE_EVENT, b[PIECES_AT], stop, b[ACTIVITY], 0, -1, how & 1)
+    tell(s, ACTIVITY_EVENT, onset, stop, b[ACTIVITY], found, -1, how if not found else how & 1)
     b[ACTIVITY] += 1

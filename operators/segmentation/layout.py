@@ -20,7 +20,7 @@ NAMES = [
     "CLUSTER", "NEXT_CLUSTER", "CLOCK", "TURN", "EVENTS", "TOLD", "NOW", "PRESENT", "PATCHY",
     "RECENT", "RESTED", "REST_FROM", "REST_TO", "PEAK_AT", "BELIEVED", "BELIEVED_OF", "LIKE",
     "TRANSITION", "RESUMED", "HELD", "HELD_FIRST", "HELD_LAST", "HELD_AT", "HELD_TO", "HELD_CYCLES", "HELD_CLUSTER", "HELD_HOW",
-    "KEPT",
+    "KEPT", "OUTINGS",
 ]  # fmt: skip
 (
     LAG, WINDOW, LEARN, QUIET, MASS, SETTLE, FIRM, BAND_LEAST, BAND_MOST, EVERY, REST, FIXED,
@@ -31,7 +31,7 @@ NAMES = [
     CLUSTER, NEXT_CLUSTER, CLOCK, TURN, EVENTS, TOLD, NOW, PRESENT, PATCHY,
     RECENT, RESTED, REST_FROM, REST_TO, PEAK_AT, BELIEVED, BELIEVED_OF, LIKE,
     TRANSITION, RESUMED, HELD, HELD_FIRST, HELD_LAST, HELD_AT, HELD_TO, HELD_CYCLES, HELD_CLUSTER, HELD_HOW,
-    KEPT,
+    KEPT, OUTINGS,
 ) = range(len(NAMES))  # fmt: skip
 """
 LAG                       longest cycle, and how far back neighbours are looked for, in frames; as all down to REST
@@ -88,6 +88,7 @@ HELD                      whether an activity has ended whose end is decided wit
 HELD_FIRST, HELD_LAST     its first and last frame, as far as it is known; HELD_AT, HELD_TO: their stamps
 HELD_CYCLES, HELD_CLUSTER its repetitions and cluster; HELD_HOW: the last number of its event
 KEPT                      frames of exemplars entered so far, those moved on counted again
+OUTINGS                   excursions of the open activity, told as repetitions beside its cycles
 """
 SEARCH, TRACK = 0, 1
 (

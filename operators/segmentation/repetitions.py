@@ -40,6 +40,7 @@ from operators.segmentation.layout import (
     MODE,
     NUMBER,
     ORIGIN,
+    OUTINGS,
     PENDING,
     PIECES_AT,
     PIECES_FROM,
@@ -123,12 +124,12 @@ def change(s: Memory, origin: int) -> None:
     close_bout(s)
     if origin - b[PIECES_FROM] > b[FIRM]:
         piece(s, origin - 1, False)
-    conclude(s, b[CYCLES])
+    conclude(s, b[CYCLES] + b[OUTINGS])
     hold(s, b[PIECES_FROM] - 1, b[TOLD_TO], how(s))
     b[SEED] = b[UNTOLD] = b[PIECES_FROM]
     b[UNTOLD_AT] = b[PIECES_AT]
     b[START], b[TOLD] = max(origin, b[SEED]), 0
-    b[COUNT] = b[PENDING] = b[CYCLES] = b[BOUT] = 0
+    b[COUNT] = b[PENDING] = b[CYCLES] = b[OUTINGS] = b[BOUT] = 0
     s.kinds[:], s.values[PRICES] = 0, 0.0
     b[CLUSTER] = -1
 

@@ -17,6 +17,7 @@ SURE, STRAYS, SAME, HOLE = 3, 4.0, 0.4, 8
 DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 0.8, 1.25, 64, 256
 LONGEST_EXEMPLARS = 24
 CHANCE, SMALLER = 0.7, 0.8
+STANDS, EXTENT, HOME, LIKE_IT = 0.75, 2.0, 0.4, 0.5
 
 
 @dataclass
@@ -436,7 +437,7 @@ class Reference:
         return self.returned or self.repeated > self.now
 
     def forget(self) -> None:
-        self.count = self.cycles = self.bouts = 0
+        self.count = self.cycles = self.bouts = self.ventured = 0
         self.bout: list[tuple[int, int]] = []
         self.kinds = [0, 0, 0, 0]
         self.prices: list[float] = []
@@ -458,8 +459,9 @@ class Reference:
         cuts = self.gaps(self.untold, last + 1, self.radius) if self.open or self.repeated > self.now else []
         for stop in [*cuts, last + 1]:
             end = forced if stop > last else 0
-            self.tell("primitive", self.untold, stop - 1, self.activity, 0, -1, end, 0)
-            self.tell_activity(Held(self.untold, stop - 1, 0, -1, end, 0, 0.0, self.radius), self.activity)
+            self.pieces = self.untold
+            count = self.tell_rest_of(stop - 1, self.activity, 0, end, self.radius)
+            self.tell_activity(Held(self.untold, stop - 1, count, -1, end, 0, 0.0, self.radius), self.activity)
             self.activity += 1
             self.untold = stop
 
@@ -472,8 +474,9 @@ class Reference:
     def hold(self, last: int, forced: int) -> None:
         """The open activity has ended: it is told when the next one's start is decided, or when none can follow any more."""
         later = self.cycles - 1
+        made = self.cycles + self.ventured
         certain = max(0.0, 1 - sum(self.prices) / (later * CHANCE * self.radius)) if later > 0 else 0.0
-        self.held = Held(self.start, last, self.cycles, self.cluster, forced, self.how(), certain, self.radius)
+        self.held = Held(self.start, last, made, self.cluster, forced, self.how(), certain, self.radius)
         self.activity += 1
 
     def let_go(self) -> None:
@@ -484,9 +487,9 @@ class Reference:
         cuts = [] if made.cycles else self.gaps(made.first, made.last + 1, made.radius)
         for stop in [*cuts, made.last + 1]:
             ends = stop == made.last + 1
-            if self.pieces < stop:
-                self.tell("primitive", self.pieces, stop - 1, self.activity - 1, 0, -1, made.forced if ends else 0, 0)
             part = made if ends else replace(made, last=stop - 1, forced=0, how=0)
+            more = self.tell_rest_of(stop - 1, self.activity - 1, made.cycles, part.forced, made.radius)
+            part = replace(part, cycles=made.cycles + more)
             self.tell_activity(part, self.activity - 1)
             if not ends:
                 made.first = self.pieces = stop
@@ -577,7 +580,7 @@ class Reference:
             assert self.paths
             self.settle(min(self.pending[1], last))
         self.close_bout()
-        self.conclude(self.cycles)
+        self.conclude(self.cycles + self.ventured)
         self.hold(last, int(forced))
         self.open, self.when = False, 0
         self.seed = self.untold = last + 1
@@ -629,7 +632,7 @@ class Reference:
             self.close_bout()
             if origin - self.pieces > self.p["FIRM"]:
                 self.piece(origin - 1, False)
-            self.conclude(self.cycles)
+            self.conclude(self.cycles + self.ventured)
             self.hold(self.pieces - 1, 0)
             self.seed = self.untold = self.pieces
             self.told = False
@@ -803,7 +806,7 @@ class Reference:
         side = self.leader(first, half, last + 1) if half >= 0 else 0
         steps = [(first, half - 1, side), (half, last, 3 - side)] if side else [(first, last, 0)]
         for a, b, whose in steps:
-            self.tell("primitive", a, b, self.activity, self.cycles, self.cluster, 0, whose)
+            self.tell("primitive", a, b, self.activity, self.cycles + self.ventured, self.cluster, 0, whose)
         other = self.alike(first, last)
         if other >= 0:
             here, there = self.exemplars[self.slot], self.exemplars[other]
@@ -815,8 +818,69 @@ class Reference:
             self.exemplars[other] = None
 
     def piece(self, last: int, forced: bool) -> None:
-        self.tell("primitive", self.pieces, last, self.activity, 0, -1, forced, 0)
+        found = self.tell_rest_of(last, self.activity, self.cycles + self.ventured, forced, self.radius)
+        self.ventured += found
+        self.count += found
         self.pieces = last + 1
+
+    # Excursions
+
+    def tell_rest_of(self, last: int, activity: int, told: int, forced: bool | int, radius: float) -> int:
+        """What is told up to frame `last` where no cycle is: excursions, and parts that are none. How many excursions."""
+        made = self.excursions(self.pieces, last, radius) if self.pieces <= last else []
+        for k, (onset, end) in enumerate(made):
+            onset = max(onset, self.pieces)
+            if onset > self.pieces:
+                self.tell("primitive", self.pieces, onset - 1, activity, 0, -1, 0, 0)
+            self.tell("primitive", onset, end, activity, told + k + 1, -1, 0, 0)
+            self.pieces = end + 1
+        if self.pieces <= last:
+            self.tell("primitive", self.pieces, last, activity, 0, -1, forced, 0)
+            self.pieces = last + 1
+        return len(made)
+
+    def excursions(self, first: int, last: int, radius: float) -> list[tuple[int, int]]:
+        """Those with the larger part and the farthest frame in first..last, and like another one, cut to these frames."""
+        p, present = self.p, int(self.present[self.now])
+        start = max(0, first - p["LAG"], self.now + 1 - 3 * p["LAG"] - p["FIRM"])
+        stop = min(self.now + 1, last + 1 + p["LAG"])
+        stays = {
+            i: sum(self.apart(i, i - k) for k in range(1, p["QUIET"] + 1)) / p["QUIET"]
+            for i in range(max(first, start + p["QUIET"]), last + 1)
+        }
+        pose = min(stays, key=lambda i: stays[i], default=-1)
+        if pose < 0 or stays[pose] >= STANDS * radius:
+            return []
+        far = {i: self.apart(max(i, pose), min(i, pose), present) for i in range(start, stop)}
+        trips: list[tuple[int, int, int]] = []
+        home, away = (np.inf, start), (0.0, -1)
+        for i in far:
+            if np.isinf(far[i]):
+                continue
+            if away[1] < 0:
+                if far[i] <= home[0]:
+                    home = far[i], i
+                elif far[i] >= EXTENT * radius and home[0] <= HOME * far[i]:
+                    away = far[i], i
+            elif far[i] > away[0]:
+                away = far[i], i
+            elif far[i] <= HOME * away[0]:
+                trips.append((home[1], away[1], i))
+                home, away = (far[i], i), (0.0, -1)
+        made = []
+        for onset, farthest, end in trips:
+            others = [j for _, j, _ in trips if j != farthest]
+            least = {j: min(far[j], far[farthest]) for j in others}
+            like = [
+                j
+                for j in others
+                if least[j] >= LIKE_IT * max(far[j], far[farthest])
+                and self.apart(max(farthest, j), min(farthest, j), present) <= LIKE_IT * least[j]
+            ]
+            mine = min(end, last) + 1 - max(onset, first)
+            if first <= farthest <= last and 2 * mine > end + 1 - onset and like:
+                made.append((max(onset, first), min(end, last)))
+        return made
 
     def close_bout(self) -> None:
         """Repetitions that followed one another without a pause as long as a cycle."""

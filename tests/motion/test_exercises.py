@@ -428,3 +428,9 @@ def test_exercises_are_taught_from_one_person_and_named_live_on_another(
         mine = found["name"][(middle > at[0]) & (middle < at[-1])]
         assert len(mine) and set(mine) == {name if name != "wave" else UNKNOWN}
     assert "squat" in (tmp_path / "done.html").read_text()
+
+
+def test_what_repeats_without_a_cluster_has_no_number() -> None:
+    outlet = opened()
+    outlet.process("activity", event("activity", 9.0, repeats=True, cluster=-1, activity=0, repetitions=4))
+    assert "exercise x 4" in shown(outlet)

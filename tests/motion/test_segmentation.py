@@ -692,3 +692,31 @@ def test_half_of_the_next_exercise_is_no_repetition_of_the_last_one_though_still
     assert ((middle > begins[0] - 0.5) & (middle < routine.starts(2)[0])).sum() == 6
     for rest in events["rest"]:
         assert not ((found["onset"] > rest["onset"]) & (found["onset"] < rest["end"])).any()
+
+
+def gestures() -> Any:
+    """From one pose out and back at once, six times, each in a tempo of its own, with pauses too short to be a rest: (n, 6).
+
+    What goes up first and what follows changes places from one to the next, so that no gesture comes near another but at its ends.
+    """
+    rng, made = np.random.default_rng(8), []
+    for k in range(6):
+        n = int(rng.integers(30, 70))
+        up = np.sin(np.pi * np.arange(n) / n) ** 2
+        side = np.sin(2 * np.pi * np.arange(n) / n)
+        lead = 3.0 if k % 2 else -3.0
+        made.append(np.stack([6 * up, 4 * up, lead * side, -lead * side, 2 * up, lead * side], 1))
+        made.append(np.zeros((int(rng.integers(14, 26)), 6)))
+    x = np.concatenate(made)
+    noisy: Any = x + 0.05 * rng.normal(size=x.shape)
+    return noisy
+
+
+def test_gestures_from_a_resting_pose_count_though_no_cycle_brings_them_back() -> None:
+    x = gestures()
+    operator = Segment(**QUICK)
+    events, stamps = played(operator, x)
+    counted = events["primitive"][events["primitive"]["repetition"] > 0]
+    assert len(counted) == 6 and set(counted["cluster"]) == {-1}
+    assert events["activity"]["repetitions"].sum() == 6
+    assert as_frames(x, events, stamps) == told(Reference(x, frames_of(operator), operator.radius_share).run())
