@@ -15,8 +15,9 @@ from operators.features.stack import Stack
 from operators.segmentation import Segment
 from tests.motion.test_segmentation import believed_late, played
 
-LATE = {"13_31": 1, "13_29_12ch_10hz": 1, "13_31_12ch_10hz": 2}
-"""Repetitions that are believed too late: of 4 to 16 frames, found when the activity's cycle was, of motion that hardly repeats."""
+LATE = {"86_03": 1, "13_31": 1, "13_29_12ch_10hz": 1, "13_31_12ch_10hz": 2}
+"""Repetitions that are believed too late: of 4 to 16 frames, found when the activity's cycle was, of motion that hardly repeats;
+or after an excursion, which is not believed before it is final."""
 
 
 def annotated() -> Iterator[tuple[str, Any]]:
@@ -48,7 +49,7 @@ def withdrawn(events: dict[str, Any]) -> int:
     return taken
 
 
-@pytest.mark.parametrize(("recorded", "repetitions", "most"), [(annotated, 148, 20), (gestures, 150, 5)])
+@pytest.mark.parametrize(("recorded", "repetitions", "most"), [(annotated, 149, 20), (gestures, 150, 5)])
 def test_recorded_repetitions_are_believed_within_half_their_length(recorded: Any, repetitions: int, most: int) -> None:
     late, seen, taken = {}, 0, 0
     for name, x in recorded():
