@@ -31,6 +31,8 @@ HOME = 0.4
 """It begins and ends where its distance has fallen to this share of its largest."""
 LIKE_IT = 0.5
 """Excursions are alike if neither goes less than this share as far as the other; their farthest frames lie no further apart than that."""
+MOST = 128
+"""What goes out and back more often within a few of the longest cycles is no gesture: none of it counts."""
 
 
 @kernel
@@ -45,6 +47,8 @@ def excursions(s: Memory, first: int, last: int, radius: float) -> Times:
     pose = resting_pose(s, max(first, start + b[QUIET]), last, radius)
     found = outings(s, start, stop, pose, radius)
     chosen, n = np.empty((len(found), 2), np.int64), 0
+    if len(found) > MOST:
+        return chosen[:0]
     for k in range(len(found)):
         onset, end = max(found[k, 0], first), min(found[k, 2], last)
         mine = first <= found[k, 1] <= last and 2 * (end + 1 - onset) > found[k, 2] + 1 - found[k, 0]

@@ -17,7 +17,7 @@ SURE, STRAYS, SAME, HOLE = 3, 4.0, 0.4, 8
 DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 0.8, 1.25, 64, 256
 LONGEST_EXEMPLARS = 24
 CHANCE, SMALLER = 0.7, 0.8
-STANDS, EXTENT, HOME, LIKE_IT = 0.75, 2.0, 0.4, 0.5
+STANDS, EXTENT, HOME, LIKE_IT, MOST = 0.75, 2.0, 0.4, 0.5, 128
 
 
 @dataclass
@@ -868,7 +868,7 @@ class Reference:
                 trips.append((home[1], away[1], i))
                 home, away = (far[i], i), (0.0, -1)
         made = []
-        for onset, farthest, end in trips:
+        for onset, farthest, end in trips if len(trips) <= MOST else ():
             others = [j for _, j, _ in trips if j != farthest]
             least = {j: min(far[j], far[farthest]) for j in others}
             like = [

@@ -19,6 +19,8 @@ from operators.features.stack import Stack
 from operators.iir import Lowpass
 from operators.resample import Resample
 from operators.segmentation import Segment
+from operators.segmentation.excursions import excursions
+from operators.segmentation.layout import NEXT
 from operators.segmentation.operator import REACH
 from stream.chunk import Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
@@ -720,3 +722,17 @@ def test_gestures_from_a_resting_pose_count_though_no_cycle_brings_them_back() -
     assert len(counted) == 6 and set(counted["cluster"]) == {-1}
     assert events["activity"]["repetitions"].sum() == 6
     assert as_frames(x, events, stamps) == told(Reference(x, frames_of(operator), operator.radius_share).run())
+
+
+@pytest.mark.parametrize(("every", "counts"), [(12, True), (5, False)])
+def test_what_trembles_is_no_gesture(every: int, counts: bool) -> None:
+    """A table that one frame's events do not fit into is memory that is overwritten: beyond a number of excursions none counts."""
+    x = 0.01 * np.random.default_rng(4).normal(size=(1500, 3))
+    x[::every] += 1.0
+    operator = Segment(cycle_s=10.0)
+    operator.open({"in": StreamSpec((3,), rate_hz=RATE)})
+    operator.process("in", Chunk(grid(RATE, len(x)), x, int(grid(RATE, len(x))[-1])))
+    memory = operator.state.memory.with_room(1)
+    last = int(memory.books[NEXT]) - 1
+    found = excursions(memory, last - 800, last, 0.3)
+    assert (len(found) > 40) if counts else not len(found)
