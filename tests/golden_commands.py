@@ -44,7 +44,7 @@ CLOCK = re.compile(r"^\d\d:\d\d:\d\d ")
 NOTHING = 1e-9
 """Of an array's largest number, what is taken for 0: what rounding leaves of a difference."""
 TILES = 12
-"""A picture is summed up as the brightness of so many tiles by as many."""
+"""A picture is summed up as the brightness of TILES by TILES tiles."""
 
 SIGNLESS, FREE = ("basis", "weights"), ("modes", "own", "theirs")
 """Arrays of models that hold singular vectors, or numbers by them: their signs are those of the processor's library; and where singular

@@ -826,7 +826,7 @@ class Reference:
     # Excursions
 
     def tell_rest_of(self, last: int, activity: int, told: int, forced: bool | int, radius: float) -> int:
-        """What is told up to frame `last` where no cycle is: excursions, and parts that are none. How many excursions."""
+        """Report the excursions up to frame `last`, where no cycle is, and the parts that are none; how many excursions there are."""
         made = self.excursions(self.pieces, last, radius) if self.pieces <= last else []
         for k, (onset, end) in enumerate(made):
             onset = max(onset, self.pieces)
