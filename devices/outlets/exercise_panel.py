@@ -21,39 +21,41 @@ FIELDS = {
     "provisional": ("onset", "end", "activity", "repetition"),
     "count": ("activity", "count", "certainty"),
     "believed": ("activity", "name", "sure"),
-    "repetition": ("activity", "repetition", "name", "sure", "duration_s"),
+    "repetition": ("onset", "end", "activity", "repetition", "name", "sure", "duration_s"),
     "activity": ("onset", "end", "activity", "repeats", "repetitions", "cluster", "certainty"),
     "resting": ("onset",),
     "rest": ("onset", "end"),
 }
 """By port: the fields that its events must have."""
-PAST = np.dtype([("what", "<U24"), ("repetitions", "<i4"), ("seconds", "<f8"), ("doubtful", "?")])
-NAMED = np.dtype([("activity", "<i8"), ("name", "<U24")])
+PAST = np.dtype([("what", "<U24"), ("repetitions", "<i4"), ("onset", "<i8"), ("seconds", "<f8"), ("doubtful", "?")])
+NAMED = np.dtype([("activity", "<i8"), ("name", "<U24"), ("first", "<i8"), ("last", "<i8"), ("told", "<i4")])
 RECENT = 8
-"""The names of this many activities are remembered: an activity's end is final when the next one goes on already."""
+"""So many activities are remembered, with their names: an activity's end is final when the next one goes on already."""
 STRIP = 6
 """This many stretches before this one are shown."""
+REST = "rest"
 SHORT_S = 2.0
 """Shorter rests, and what does not repeat and is shorter, are not worth a word."""
 
 
 @dataclass(slots=True)
 class ExerciseState:
-    """What goes on. Times in ns; activity -1: none; rest_since NEVER: nobody rests; last_s: of the newest repetition, NaN: none; sure: of
-    the name; certainty: of the count.
+    """What goes on. Times in ns; activity -1: none; rest_since NEVER: nobody rests; since: when the first repetition began; last_s: how
+    long number `newest` took, NaN: none; sure: of the name; certainty: of the count.
 
-    past (STRIP,): a ring; passed: how many stretches have ended. names (RECENT,): of activities, by number modulo RECENT. began: the first
-    event's time, from which times are counted
+    past (STRIP,): a ring; passed: how many stretches have ended. known (RECENT,): activities by number modulo RECENT: name, how many
+    repetitions are final, when the first one began and the last one ended. began: the first event's time, from which times are counted
     """
 
     past: Array
-    names: Array
+    known: Array
     passed: int = 0
     began: int = NEVER
     activity: int = -1
     since: int = NEVER
     count: int = 0
     final: int = 0
+    newest: int = 0
     last_s: float = np.nan
     sure: float = np.nan
     certainty: float = 0.0
@@ -80,9 +82,9 @@ class ExercisePanel(Outlet[ExerciseState, None]):
         for port, spec in specs.items():
             if not set(FIELDS[port]) <= set(spec.dtype.names or ()):
                 raise InputError(port, spec.describe(), f"events with the fields {', '.join(FIELDS[port])}")
-        names = np.zeros(RECENT, NAMED)
-        names["activity"] = -1
-        self.hold(ExerciseState(np.zeros(STRIP, PAST), names), None)
+        known = np.zeros(RECENT, NAMED)
+        known["activity"] = -1
+        self.hold(ExerciseState(np.zeros(STRIP, PAST), known), None)
         return {}
 
     def process(self, port: str, chunk: Chunk) -> None:
@@ -106,11 +108,12 @@ class ExercisePanel(Outlet[ExerciseState, None]):
 
 
 def ring() -> None:
-    """The terminal's bell, where there is a terminal."""
-    if sys.stderr.isatty():
+    """The terminal's bell, where there is a terminal: past the live view, which keeps what is written until its line ends."""
+    terminal = sys.__stderr__
+    if terminal is not None and terminal.isatty():
         with suppress(OSError):
-            sys.stderr.write("\a")
-            sys.stderr.flush()
+            terminal.write("\a")
+            terminal.flush()
 
 
 def _provisional(state: ExerciseState, event: Any, stamp: int) -> str:
@@ -119,10 +122,19 @@ def _provisional(state: ExerciseState, event: Any, stamp: int) -> str:
         _turn_to(state, int(event["activity"]), int(event["onset"]))
     state.rest_since = NEVER
     if event["repetition"] == 0:
-        state.since = min(state.since, int(event["onset"]))
-    elif not state.final:
-        state.last_s = (int(event["end"]) - int(event["onset"])) / NS
+        state.since = state.since if state.newest else min(state.since, int(event["onset"]))
+    else:
+        _took(state, event, (int(event["end"]) - int(event["onset"])) / NS)
     return ""
+
+
+def _took(state: ExerciseState, event: Any, seconds: float) -> None:
+    """A repetition of the activity that goes on, or one of its two steps: which is the newest, and how long it took."""
+    number = int(event["repetition"])
+    if number == 1:
+        state.since = int(event["onset"]) if number > state.final else min(state.since, int(event["onset"]))
+    if number >= state.newest:
+        state.newest, state.last_s = number, seconds
 
 
 def _count(state: ExerciseState, event: Any, stamp: int) -> str:
@@ -137,30 +149,58 @@ def _count(state: ExerciseState, event: Any, stamp: int) -> str:
 
 def _believed(state: ExerciseState, event: Any, stamp: int) -> str:
     if event["name"]:
-        state.names[event["activity"] % RECENT] = (event["activity"], event["name"])
+        _known(state, int(event["activity"]))["name"] = event["name"]
         if event["activity"] == state.activity:
             state.sure = float(event["sure"])
     return ""
 
 
 def _repetition(state: ExerciseState, event: Any, stamp: int) -> str:
+    """A repetition is final, or one of its two steps: then both together are as long as it took."""
+    one, number = _known(state, int(event["activity"])), int(event["repetition"])
+    onset, end = int(event["onset"]), int(event["end"])
+    step = number == one["told"]
     if event["activity"] == state.activity:
-        state.final = max(state.final, int(event["repetition"]))
-        state.last_s = float(event["duration_s"])
+        _took(state, event, float(event["duration_s"]) + (state.last_s if step and number == state.newest else 0.0))
+        state.final = max(state.final, number)
+    one["first"], one["last"] = (onset if number == 1 and not step else one["first"]), end
+    one["told"] = number
     return _believed(state, event, stamp)
 
 
+def _known(state: ExerciseState, activity: int) -> Any:
+    """What is known of an activity: a row, blank at first."""
+    one = state.known[activity % RECENT]
+    if one["activity"] != activity:
+        one["activity"], one["name"], one["told"] = activity, "", 0
+        one["first"] = one["last"] = NEVER
+    return one
+
+
 def _activity(state: ExerciseState, event: Any, stamp: int) -> str:
-    """A stretch is over: it goes into the strip."""
-    seconds = (int(event["end"]) - int(event["onset"])) / NS
-    name = name_of(state, int(event["activity"]))
+    """A stretch is over: it goes into the strip, from its first repetition to its last one, or without the rests that lie in it."""
+    onset, end = int(event["onset"]), int(event["end"])
+    one = _known(state, int(event["activity"]))
     if event["activity"] == state.activity:
         _turn_to(state, -1, NEVER)
-    if not event["repeats"] and seconds < SHORT_S:
-        return ""
+    if not event["repeats"]:
+        seconds = (end - onset) / NS - rested_s(state, onset, end)
+        return "" if seconds < SHORT_S else _past(state, "other motion", 0, onset, seconds)
+    if one["first"] > NEVER and one["told"] == event["repetitions"]:
+        onset, end = int(one["first"]), int(one["last"])
     number = f" {event['cluster'] + 1}" if event["cluster"] >= 0 else ""
-    what = (name or f"exercise{number}") if event["repeats"] else "other motion"
-    return _past(state, what, int(event["repetitions"]), seconds, bool(event["repeats"]) and event["certainty"] <= 0.0)
+    what, doubtful = one["name"] or f"exercise{number}", bool(event["certainty"] <= 0.0)
+    return _past(state, what, int(event["repetitions"]), onset, (end - onset) / NS, doubtful)
+
+
+def rested_s(state: ExerciseState, onset: int, end: int) -> float:
+    """How much of onset..end somebody rested, of the rests in the strip."""
+    total = 0.0
+    for one in state.past[: state.passed]:
+        if one["what"] == REST:
+            first, last = int(one["onset"]), int(one["onset"]) + round(float(one["seconds"]) * NS)
+            total += max(0, min(last, end) - max(first, onset)) / NS
+    return total
 
 
 def _resting(state: ExerciseState, event: Any, stamp: int) -> str:
@@ -171,7 +211,7 @@ def _resting(state: ExerciseState, event: Any, stamp: int) -> str:
 def _rest(state: ExerciseState, event: Any, stamp: int) -> str:
     state.rest_since = NEVER
     seconds = (int(event["end"]) - int(event["onset"])) / NS
-    return _past(state, "rest", 0, seconds) if seconds >= SHORT_S else ""
+    return _past(state, REST, 0, int(event["onset"]), seconds) if seconds >= SHORT_S else ""
 
 
 HEAR = {
@@ -187,19 +227,19 @@ HEAR = {
 
 def _turn_to(state: ExerciseState, activity: int, since: int) -> None:
     state.activity, state.since = activity, since
-    state.count = state.final = 0
+    state.count = state.final = state.newest = 0
     state.last_s, state.sure, state.certainty = np.nan, np.nan, 0.0
 
 
-def _past(state: ExerciseState, what: str, repetitions: int, seconds: float, doubtful: bool = False) -> str:
-    state.past[state.passed % STRIP] = (what, repetitions, seconds, doubtful)
+def _past(state: ExerciseState, what: str, repetitions: int, onset: int, seconds: float, doubtful: bool = False) -> str:
+    state.past[state.passed % STRIP] = (what, repetitions, onset, seconds, doubtful)
     state.passed += 1
     return f"ended: {past_text(state.past[(state.passed - 1) % STRIP])}"
 
 
 def name_of(state: ExerciseState, activity: int) -> str:
     """What an activity is called; "" if nobody has said."""
-    one = state.names[activity % RECENT]
+    one = state.known[activity % RECENT]
     return str(one["name"]) if one["activity"] == activity else ""
 
 
@@ -230,13 +270,14 @@ def panel(state: ExerciseState) -> Text:
     """What is being done, large enough to be seen from a mat; below it what came before, the newest first."""
     shown = Text()
     if state.rest_since > NEVER:
-        shown.append("rest", style="bold")
+        shown.append(REST, style="bold")
     elif state.activity < 0:
         shown.append("nothing that repeats", style="dim")
     else:
         shown.append(now_line(state), style="bold green")
         shown.append(f"\n{state.final} final, {max(0, state.count - state.final)} may still be corrected", style="dim")
-    past = [state.past[k % STRIP] for k in range(state.passed - 1, max(-1, state.passed - 1 - STRIP), -1)]
-    if past:
-        shown.append("\nbefore: " + " · ".join(past_text(one) for one in past), style="dim")
+    past = state.past[: state.passed]
+    if len(past):
+        order = np.argsort(-past["onset"], kind="stable")
+        shown.append("\nbefore: " + " · ".join(past_text(past[k]) for k in order), style="dim")
     return shown

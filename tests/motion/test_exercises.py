@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
+from rich.file_proxy import FileProxy
 
-from devices.outlets.exercise_panel import FIELDS, ExercisePanel, panel
+from devices.outlets.exercise_panel import FIELDS, ExercisePanel, panel, ring
 from devices.outlets.terminal import LineView
 from devices.outlets.training import TrainingReport
 from operators.segmentation.naming import BELIEVED_NAME, REPETITION, TURNS, NameRepetitions, letters
@@ -92,7 +93,7 @@ def test_the_panel_says_what_is_done_since_when_how_often_and_what_came_before()
     assert seen[after].startswith("nothing that repeats") and "before: squat x 3, 6.0 s" in seen[after]
     assert seen[after + 1].startswith("rest\n")
     final = next(k for k, (port, _) in enumerate(training()) if port == "repetition")
-    assert seen[final].startswith("squat x 3, last 1.9 s, since 0:00, 90% sure")
+    assert seen[final].startswith("squat x 3, last 2.0 s, since 0:00, 90% sure")
     assert seen[-1].startswith("exercise x 1, since") and "before: rest, 4.5 s · squat x 3, 6.0 s" in seen[-1]
 
 
@@ -138,6 +139,68 @@ def test_the_bell_rings_once_for_every_new_repetition(monkeypatch: pytest.Monkey
     for port, chunk in training():
         outlet.process(port, chunk)
     assert len(rung) == 5  # 1, 2, 3, 3 again after a correction, and 1 of the next exercise
+
+
+def test_the_bell_is_heard_past_the_live_view(monkeypatch: pytest.MonkeyPatch) -> None:
+    """While the live view is drawn, what goes to standard error waits for the end of its line, and a bell is no line."""
+
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr("sys.__stderr__", terminal)
+    monkeypatch.setattr("sys.stderr", FileProxy(Console(file=io.StringIO()), terminal))
+    ring()
+    assert terminal.getvalue() == "\a"
+
+
+def final(number: int, onset: float, end: float, side: int = 0, activity: int = 1) -> tuple[str, Chunk]:
+    told = {"activity": activity, "repetition": number, "side": side, "name": "knees", "duration_s": end - onset}
+    return "repetition", event("repetition", end + 3, onset=onset, end=end, **told)
+
+
+def ended(onset: float, end: float, activity: int = 1, repetitions: int = 0) -> tuple[str, Chunk]:
+    told = {"activity": activity, "repeats": repetitions > 0, "repetitions": repetitions, "certainty": 0.5}
+    return "activity", event("activity", end + 9, onset=onset, end=end, **told)
+
+
+def after(*parts: tuple[str, Chunk]) -> str:
+    outlet = opened()
+    for port, chunk in parts:
+        outlet.process(port, chunk)
+    return shown(outlet)
+
+
+def test_the_last_repetition_is_as_long_as_both_of_its_steps() -> None:
+    begun = ("provisional", event("provisional", 3, onset=1, end=3, activity=1, repetition=0))
+    steps = [final(1, 5, 5.9, side=1), final(1, 5.9, 6.7, side=2), final(2, 6.7, 7.5, 1), final(2, 7.5, 8.4, 2)]
+    assert ", last 1.7 s, " in after(begun, *steps[:2]) and ", last 1.7 s, " in after(begun, *steps)
+    newer = ("provisional", event("provisional", 10, onset=8.4, end=10.3, activity=1, repetition=3))
+    assert ", last 1.9 s, " in after(begun, steps[0], newer, *steps[1:])
+
+
+def test_since_when_is_the_first_repetition_not_the_rest_that_the_activity_begins_with() -> None:
+    """An activity may begin with a rest: what is shown of it is from its first repetition to its last."""
+    parts = [
+        ("resting", event("resting", 1, onset=0.5)),
+        ("provisional", event("provisional", 9, onset=1, end=9, activity=1, repetition=0)),
+        ("provisional", event("provisional", 9, onset=5, end=7, activity=1, repetition=1)),
+        ("count", event("count", 9, activity=1, count=1)),
+    ]
+    assert "since 0:04" in after(*parts)
+    repetitions = [final(1, 5.2, 7), final(2, 7, 9.2)]
+    assert "before: knees x 2, 4.0 s\n" in after(*parts, *repetitions, ended(1, 10, repetitions=2)) + "\n"
+
+
+def test_what_came_before_stands_in_its_order_and_rest_is_no_other_motion() -> None:
+    """Rests are told at once, activities seconds later; a stretch that holds nothing but a rest is not worth a word."""
+    rest = ("rest", event("rest", 12, onset=7, end=11.5))
+    assert "before: rest, 4.5 s · exercise 1 x 3, 6.0 s\n" in after(rest, ended(1, 7, repetitions=3)).replace(
+        " \n", "\n"
+    )
+    assert "other" not in after(rest, ended(6.8, 12, activity=2))
+    assert "other motion, 3.5 s" in after(rest, ended(4, 12, activity=2))
 
 
 def turns(kind: int, cycles: int = 4, length: int = 40, seed: int = 0, start: float = 0.0) -> Any:
@@ -321,7 +384,7 @@ def sets() -> list[tuple[str, Chunk]]:
             }
             parts.append(("repetition", event("repetition", onset + 3, **told, **numbers)))
         ends = {
-            "onset": 20.0 * k,
+            "onset": 19.0 * k,  # the second set begins with a rest
             "end": 20.0 * k + 10,
             "activity": k,
             "repetitions": 5,
@@ -349,6 +412,7 @@ def test_the_report_has_sets_repetitions_tempo_and_rest_and_a_row_for_each(tmp_p
     one = next(row for row in cells if row[:2] == ["1", "arms (not sure)"])
     assert ["2", "squat"] in [row[:2] for row in cells]
     assert one[3:11] == ["5", "27.3", "6", "32.0 ankle_l.y", "1.50", "8.0", "both sides at once", "90"]
+    assert [row[2] for row in cells if row[:2] == ["2", "squat"]] == ["0:17"]
     assert rows[0]["sides alike"] == "0.9" and page.count("<circle") == 2 * 3 * 5
     assert "P07 &lt;b&gt;" in page and page.count("<rect") == 10 and "http" not in page
 

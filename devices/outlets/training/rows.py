@@ -89,7 +89,8 @@ def _place(training: Training, word: str) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Exercise:
-    """One set, as the report shows it. Times in s; NaN: not known. durations, ranges, distances: one number per repetition.
+    """One set, as the report shows it. Times in s; NaN: not known. durations, ranges, distances: one number per repetition. start_s: of
+    the first repetition, before which the set may begin with a rest.
 
     tempo: repetitions a minute; even: how much the durations scatter, in per cent; rest_s: after the set; alike: how alike left and right
     move, 0 to 1; doubtful: chance might have made these repetitions; starts: of the repetitions, from the session's start
@@ -98,7 +99,6 @@ class Exercise:
     number: int
     name: str
     start_s: float
-    lasted_s: float
     repetitions: int
     tempo: float
     even: float
@@ -133,8 +133,7 @@ def exercises(training: Training) -> list[Exercise]:
             Exercise(
                 k + 1,
                 _most_often(training, mine["name"]) or f"exercise {one['cluster'] + 1}",
-                (one["onset"] - training.began) / NS,
-                (one["end"] - one["onset"]) / NS,
+                float((spans["onset"][0] if len(spans) else one["onset"]) - training.began) / NS,
                 int(one["repetitions"]),
                 60.0 / mean if mean > 0.0 else np.nan,
                 100.0 * float(durations.std()) / mean if len(durations) > 2 and mean > 0.0 else np.nan,
