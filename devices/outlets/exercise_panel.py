@@ -30,7 +30,7 @@ FIELDS = {
 PAST = np.dtype([("what", "<U24"), ("repetitions", "<i4"), ("onset", "<i8"), ("seconds", "<f8"), ("doubtful", "?")])
 NAMED = np.dtype([("activity", "<i8"), ("name", "<U24"), ("first", "<i8"), ("last", "<i8"), ("told", "<i4")])
 RECENT = 8
-"""So many activities are remembered, with their names: an activity's end is final when the next one goes on already."""
+"""This many activities are remembered, with their names: an activity's end is final when the next one goes on already."""
 STRIP = 6
 """This many stretches before this one are shown."""
 REST = "rest"

@@ -14,7 +14,16 @@ from operators.features.mirror import STACKED
 from operators.inputs.channels import names_of
 from operators.segmentation.outputs import BELIEVED, PRIMITIVE, RADIUS
 from operators.segmentation.recent_frames import RecentFrames, sides_alike, widest
-from operators.segmentation.taught import MOST_LETTERS, MOST_NAMES, UNKNOWN, Taught, fit_for_name, grown, said
+from operators.segmentation.taught import (
+    MOST_LETTERS,
+    MOST_NAMES,
+    UNKNOWN,
+    Taught,
+    fit_for_name,
+    grown,
+    of_what_ended,
+    said,
+)
 from stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.manual import ANNOTATION
@@ -33,8 +42,8 @@ REPETITION = np.dtype(
     ]
 )  # fmt: skip
 SPAN = np.dtype([("onset", "<i8"), ("end", "<i8"), ("activity", "<i8"), ("repetition", "<i4")])
-LATELY_NS = 10 * 10**9
-"""What a person names is what was done last, unless that ended so long ago."""
+DUE, DUE_NS = 1.5, 10**9
+"""An exercise goes on for this many repetitions after its newest one ended, and this long, as it takes a while to see one."""
 REMEMBERED = 16
 """This many final repetitions are remembered, for a name that is said after them."""
 TURNS = Path(__file__).with_name("turns.npz")
@@ -52,7 +61,10 @@ class NamingState:
     model            the exercises by which repetitions are named; None: nothing was shown
     told             (REMEMBERED,) the newest final repetitions, a ring; n_told: how many there were
     lesson, of       a name that was said, and the activity that is it
+    said_at, held    when it was said, ns, while it is not certain what it is of, and the newest activity then; NEVER: it is certain
+    before, formerly the model before it, and what that activity was called; named: by a model
     now, count, last the newest activity of which a repetition was told, that repetition's number, and its end, ns
+    took, called     how long that took, ns; what the activity was called last
     radius           of the newest activity; period: ns; features: their names
     """
 
@@ -63,9 +75,16 @@ class NamingState:
     n_told: int
     lesson: str
     of: int
+    said_at: int
+    held: int
+    before: Taught | None
+    formerly: str
+    named: bool
     now: int
     count: int
     last: int
+    took: int
+    called: str
     radius: float
     period: int
     features: list[str]
@@ -131,7 +150,8 @@ class NameRepetitions(Operator[NamingState]):
                 recent=RecentFrames.of(ring, spec.shape[0]),
                 images=RecentFrames.of(ring if "mirrored" in specs else 1, spec.shape[0]),
                 model=Taught.read(Path(self.model), "in", spec) if self.model else None,
-                told=np.zeros(REMEMBERED, SPAN), n_told=0, lesson="", of=NONE, now=NONE, count=0, last=NEVER, radius=0.0,
+                told=np.zeros(REMEMBERED, SPAN), n_told=0, lesson="", of=NONE, said_at=NEVER, held=NONE, before=None,
+                formerly="", named=False, now=NONE, count=0, last=NEVER, took=0, called="", radius=0.0,
                 period=spec.period_ns, features=list(names_of(spec)),
             ),
             decision_s={"believed": 0.0, "repetition": 0.0},
@@ -156,43 +176,38 @@ class NameRepetitions(Operator[NamingState]):
         name, answer, dtype = ANSWERS[port]
         made: list[tuple[int, Array]] = []
         for stamp, event in zip(chunk.time[rows].tolist(), chunk.data[rows], strict=True):
-            if (row := answer(self, event)) is not None:
-                made.append((stamp, row))
+            made += [(stamp, row) for row in answer(self, event)]
         data = np.concatenate([row for _, row in made]) if made else np.empty(0, dtype)
         stamps = np.array([stamp for stamp, _ in made], np.int64)
         return [(name, Chunk(stamps, data, chunk.until, -1 if chunk.lost and made else 0))]
 
-    def _heard(self, event: Array) -> Array | None:
-        """An annotation: if it names what is being done, the repetitions of it so far are examples, and those that follow."""
+    def _heard(self, event: Array) -> list[Array]:
+        """An annotation: if it names what is being done, the repetitions of it so far are examples, and those that follow.
+
+        What goes on is not certain in a pause, or when it has a name: then the next repetition decides.
+        """
         s = self.state
         name = said(str(event["text"]))
         if not name:
-            return None
+            return []
         known = s.model.names if s.model else []
         if not fit_for_name(name) or (name not in known and len(known) >= MOST_NAMES):
             log.warning("not taught: a name has 1 to 24 letters, and there are at most 32", name=name)
-            return None
-        under_way = s.now != NONE and int(event["onset"]) - s.last < LATELY_NS
-        s.lesson, s.of = name, s.now if under_way else COMING
-        for span in s.told[: min(s.n_told, REMEMBERED)]:
-            if span["activity"] == s.of:
-                self._learn(span)
-        return named(s.of, s.count, name, 1.0) if s.of >= 0 else None
+            return []
+        s.said_at, s.held, s.before, s.formerly = int(event["onset"]), s.now, s.model, s.called
+        s.named = s.model is not None and s.called not in ("", UNKNOWN)
+        goes_on = s.now != NONE and not s.named and s.said_at - s.last < DUE * s.took + DUE_NS
+        s.lesson = name
+        is_of(s, s.now if goes_on else COMING)
+        return [named(s.of, s.count, name, 1.0)] if goes_on else []
 
-    def _learn(self, span: Array) -> None:
-        s = self.state
-        x = s.recent.span(int(span["onset"]), int(span["end"]))
-        if len(x) > 1:
-            s.model = grown(s.model, s.lesson, x, s.radius)
+    def _believed(self, event: Array) -> list[Array]:
+        corrected = self._at(event)
+        x = self.state.recent.span(int(event["onset"]), int(event["end"]))
+        name, _, sure = self._called(x, NONE, int(event["activity"]), True)
+        return [*corrected, named(int(event["activity"]), int(event["repetition"]), name, sure)]
 
-    def _believed(self, event: Array) -> Array:
-        s = self.state
-        self._at(event)
-        x = s.recent.span(int(event["onset"]), int(event["end"]))
-        name, _, sure = self._called(x, NONE, int(event["activity"]))
-        return named(int(event["activity"]), int(event["repetition"]), name, sure)
-
-    def _final(self, event: Array) -> Array:
+    def _final(self, event: Array) -> list[Array]:
         s = self.state
         self._at(event)
         span = np.zeros((), SPAN)
@@ -202,42 +217,50 @@ class NameRepetitions(Operator[NamingState]):
         s.told[s.n_told % REMEMBERED] = span
         s.n_told += 1
         if s.of == event["activity"]:
-            self._learn(span)
+            learn(s, span)
         row: Array = np.zeros(1, REPETITION)
         for field in ("onset", "end", "activity", "repetition", "cluster", "side"):
             row[field] = event[field]
         x = s.recent.span(int(event["onset"]), int(event["end"]))
-        row["name"], row["distance"], row["sure"] = self._called(x, int(event["cluster"]), NONE)
+        row["name"], row["distance"], row["sure"] = self._called(
+            x, int(event["cluster"]), int(event["activity"]), False
+        )
         row["duration_s"] = (event["end"] - event["onset"] + s.period) / 1e9
         row["range"], most = widest(x)
         row["moves"] = STACKED.sub("", s.features[most])[:MOST_LETTERS] if most >= 0 else ""
         row["symmetry"] = self._symmetry(event, before)
         if s.of >= 0 and event["activity"] > s.of:
             s.lesson, s.of = "", NONE
-        return row
+        return [row]
 
-    def _at(self, event: Array) -> None:
-        """A repetition of this activity was told: it is the one under way, and the one that was to be taught next."""
+    def _at(self, event: Array) -> list[Array]:
+        """A repetition of this activity was told: it is the one under way. What is corrected by it."""
         s = self.state
-        if event["activity"] > s.now or s.of == COMING:
-            s.count = 0
+        corrected = decide(s, event)
+        if event["activity"] > s.now:
+            s.count, s.called = 0, ""
         s.now = max(s.now, int(event["activity"]))
         s.count = max(s.count, int(event["repetition"])) if event["activity"] == s.now else s.count
-        s.last = max(s.last, int(event["end"]))
-        if s.of == COMING:
-            s.of = int(event["activity"])
+        if event["end"] > s.last:
+            s.last, s.took = int(event["end"]), int(event["end"] - event["onset"])
+        return corrected
 
-    def _called(self, x: Samples, cluster: int, activity: int) -> tuple[str, float, float]:
-        """A name, the distance from what was shown of it, and how sure that is. An activity that is being taught has its name."""
+    def _called(self, x: Samples, cluster: int, activity: int, believed: bool) -> tuple[str, float, float]:
+        """A name, the distance from what was shown of it, and how sure that is. What is believed of an activity that is being taught
+        has its name."""
         s = self.state
-        if s.lesson and activity == s.of:
-            return s.lesson, np.nan, 1.0
-        if s.model is None:
-            return (letters(cluster) if cluster >= 0 else ""), np.nan, 0.0
-        if not len(x):
-            return UNKNOWN, np.nan, 0.0
-        name, distance, sure = s.model.call(s.model.distances(x))
-        return name, distance if np.isfinite(distance) else np.nan, sure
+        if s.lesson and activity == s.of and believed:
+            answer: tuple[str, float, float] = (s.lesson, np.nan, 1.0)
+        elif s.model is None:
+            answer = (letters(cluster) if cluster >= 0 else ""), np.nan, 0.0
+        elif not len(x):
+            answer = UNKNOWN, np.nan, 0.0
+        else:
+            name, distance, sure = s.model.call(s.model.distances(x))
+            answer = name, distance if np.isfinite(distance) else np.nan, sure
+        if activity == s.now:
+            s.called = answer[0] or s.called
+        return answer
 
     def _symmetry(self, event: Array, before: Array) -> float:
         """Of a repetition; of one that was told as two steps, with the second."""
@@ -260,6 +283,36 @@ ANSWERS = {
     "primitive": ("repetition", NameRepetitions._final, REPETITION),
 }
 """By port: the output that answers, how, and with what."""
+
+
+def is_of(s: NamingState, activity: int) -> None:
+    """The name that was said is that of an activity: its repetitions so far are examples."""
+    s.of = activity
+    for span in s.told[: min(s.n_told, REMEMBERED)]:
+        if span["activity"] == activity:
+            learn(s, span)
+
+
+def decide(s: NamingState, event: Array) -> list[Array]:
+    """A repetition has come: it decides what the name is of that was said before it ended. What had been believed wrongly, corrected."""
+    activity = int(event["activity"])
+    if s.said_at == NEVER or (activity <= s.held and event["end"] <= s.said_at):
+        return []
+    ended = activity <= s.held or of_what_ended(s.said_at, s.last, int(event["onset"]), s.named)
+    mine = s.held if ended else activity
+    taken_back = s.of not in (COMING, mine)
+    if taken_back:
+        s.model = s.before
+    if s.of != mine:
+        is_of(s, mine)
+    s.said_at, s.before = NEVER, None
+    return [named(s.held, 1, s.formerly, 0.0)] if taken_back and s.formerly else []
+
+
+def learn(s: NamingState, span: Array) -> None:
+    x = s.recent.span(int(span["onset"]), int(span["end"]))
+    if len(x) > 1:
+        s.model = grown(s.model, s.lesson, x, s.radius)
 
 
 def letters(cluster: int) -> str:

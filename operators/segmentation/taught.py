@@ -25,6 +25,8 @@ MOST_SHOWN = 5
 """This many repetitions of an exercise are kept."""
 SAID = re.compile(r"this is\b:?\s*(\S.*)", re.IGNORECASE)
 """An annotation that names what is being done."""
+LATELY_NS = 10 * 10**9
+"""A name that is said after an exercise is its name, unless that ended so long ago."""
 REACHES = 2.0
 """A repetition is of an exercise if it lies no further from those shown than REACHES times as far as they do from each other, or than
 the radius that they were found with; and nearer than to any other exercise."""
@@ -157,6 +159,14 @@ def said(text: str) -> str:
     """What an annotation calls the exercise: of "this is: squat" squat; "" where it says nothing of the kind."""
     found = SAID.fullmatch(text.strip())
     return found[1].strip() if found else ""
+
+
+def of_what_ended(said_at: int, ended: int, begins: int, has_name: bool) -> bool:
+    """Whether a name that was said before an exercise had `ended`, or in the pause until the next one `begins`, is that of the former.
+
+    In the pause it is that of the nearer one; of the next one if what ended already has a name, or ended LATELY_NS ago. Times in ns.
+    """
+    return said_at < ended or (not has_name and said_at - ended < min(LATELY_NS, begins - said_at))
 
 
 def _names(model: Model) -> list[str]:

@@ -259,7 +259,9 @@ def live(
     operator = NameRepetitions()
     operator.open(specs)
     operator.process("radius", Chunk(time[:1], np.full(1, 0.3, specs["radius"].dtype), int(time[0])))
-    events = [(last + 5, "provisional", (k, a, first, last)) for k, (a, first, last) in enumerate(told)]
+    events: list[tuple[int, str, Any]] = [
+        (min(last + 5, len(x) - 2), "provisional", (k, a, first, last)) for k, (a, first, last) in enumerate(told)
+    ]
     events += [
         (min(last + 50, len(x) - 1), "primitive", (k, a, first, last)) for k, (a, first, last) in enumerate(told)
     ]
@@ -302,6 +304,31 @@ def test_a_name_that_is_said_before_anything_repeats_is_that_of_what_comes_next(
     x = turns(0, 8, 40)
     _, final = live(x, [(3, 40 * j, 40 * j + 39) for j in range(6)], [(20, "this is: squat")])
     assert [str(row["name"]) for row in final] == ["squat"] * 6
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("pause", [45, 120])
+def test_a_name_that_is_said_as_the_next_exercise_begins_is_not_that_of_the_last(pause: int, known: bool) -> None:
+    """It is said half a second into the first repetition, before anybody can know that there is one."""
+    begins = 240 + pause
+    x = np.concatenate([turns(0, 6, 40), np.zeros((pause, 4)), turns(1, 6, 40), turns(0, 6, 40, seed=3)])
+    told = [(k, at + 40 * j, at + 40 * j + 39) for k, at in enumerate((0, begins, begins + 240)) for j in range(6)]
+    marks = [(100, "this is: arms")] if known else []
+    believed, final = live(x, told, [*marks, (begins + 15, "this is: squat")])
+    names = [str(row["name"]) for row in final]
+    assert names[6:12] == ["squat"] * 6 and set(names[12:]) == {"arms" if known else UNKNOWN}
+    assert not known or "squat" not in names[:6]
+    of_first = [str(row["name"]) for row in believed if row["activity"] == 0]
+    assert of_first[-1] == ("arms" if known else of_first[-1]) != "squat"
+
+
+@pytest.mark.parametrize(("at", "other"), [(260, False), (345, True)])
+def test_in_a_pause_a_name_is_that_of_the_nearer_exercise(at: int, other: bool) -> None:
+    x = np.concatenate([turns(0, 6, 40), np.zeros((120, 4)), turns(1, 6, 40), turns(0, 6, 40, seed=3)])
+    told = [(k, start + 40 * j, start + 40 * j + 39) for k, start in enumerate((0, 360, 600)) for j in range(6)]
+    _, final = live(x, told, [(at, "this is: squat")])
+    names = [str(row["name"]) for row in final]
+    assert names[6:12] == ["squat" if other else UNKNOWN] * 6 and names[12:] == [UNKNOWN if other else "squat"] * 6
 
 
 @pytest.mark.parametrize(("shift", "alike"), [(0, True), (20, True), (None, False)])
@@ -484,6 +511,17 @@ def test_exercises_are_taught_from_one_person_and_named_live_on_another(
         with pytest.raises(KinegraphError, match=message):
             output = made if wrong is told else tmp_path / "other.npz"
             cli.call("teach", [str(tmp_path / "shown"), *wrong, "-o", str(output)])
+    both = [told[0], told[1], told[1].replace("squat", "arms")]
+    with pytest.raises(
+        KinegraphError, match=r"squat and arms: the repetition at .* s cannot be both|arms and squat: the"
+    ):
+        cli.call("teach", [str(tmp_path / "shown"), *both, "-o", str(tmp_path / "other.npz")])
+    assert not (tmp_path / "other.npz").exists()
+    assert not kinegraph("teach", tmp_path / "shown", told[1], told[1], "-o", tmp_path / "twice.npz")
+    assert "squat: 6 examples" in capsys.readouterr().out
+    mixed = f"arms={spans(2)['arms'][0]:.1f}-{spans(2)['squat'][2]:.1f}"
+    assert not kinegraph("teach", tmp_path / "shown", mixed, "-o", tmp_path / "mixed.npz")
+    assert "arms: its repetitions are of 2 kinds" in capsys.readouterr().out
     with Recording.open(session("done", 5, "--set", f"named.model={made}")) as recording:
         found = np.concatenate([entry[0].data for entry in recording.entries("named.repetition")])
         zero = min(s.first for s in recording.streams.values() if s.role == "input" and s.first is not None)
@@ -492,6 +530,18 @@ def test_exercises_are_taught_from_one_person_and_named_live_on_another(
         mine = found["name"][(middle > at[0]) & (middle < at[-1])]
         assert len(mine) and set(mine) == {name if name != "wave" else UNKNOWN}
     assert "squat" in (tmp_path / "done.html").read_text()
+
+
+def test_taught_by_what_was_said_a_name_is_of_what_was_under_way_or_nearer() -> None:
+    from operators.segmentation.commands.teach import _meant
+
+    told = np.zeros(6, PRIMITIVE)
+    told["onset"] = np.array([0, 2, 4, 12, 14, 16]) * NS
+    told["end"], told["activity"] = told["onset"] + 2 * NS, [0, 0, 0, 2, 2, 2]
+    meant = [_meant(told, round(s * NS), {}) for s in (-1.0, 1.0, 6.5, 9.5, 12.5, 18.5, 40.0)]
+    assert meant == [0, 0, 0, 2, 2, 2, None]
+    assert _meant(told, round(6.5 * NS), {0: "arms"}) == 2 and _meant(told, 3 * NS, {0: "arms"}) == 0
+    assert _meant(told[:0], 0, {}) is None
 
 
 def test_what_repeats_without_a_cluster_has_no_number() -> None:

@@ -64,9 +64,8 @@ def teach(
     with Recording.open(recording) as opened:
         spec, time, frames = _features(opened, features)
         told, radius = _repetitions(opened, node)
-        found: dict[str, list[Samples]] = {}
-        for one in wanted or _said(opened, told):
-            found.setdefault(one.name, []).extend(_of(one, told, time, frames, _zero(opened), recording))
+        chosen = _chosen(wanted or _said(opened, told), told, _zero(opened), recording)
+        found = {name: _cut(told[mine], time, frames) for name, mine in chosen.items()}
     model = taught(list(found.items()), radius)
     try:
         model.write(output, spec, recording.name)
@@ -96,30 +95,39 @@ def read_shown(text: str) -> Exemplar:
 
 
 def _said(recording: Recording, told: Array) -> list[Exemplar]:
-    """What annotations name: the activity of which repetitions came last before each, or the next one, where none were under way."""
-    from operators.segmentation.naming import LATELY_NS
+    """What annotations name: the activity that was under way at each, or what ended or began beside it, as while the session ran."""
     from operators.segmentation.taught import fit_for_name, said
 
     marks = [entry[0].data for entry in recording.entries("annotations")] if "annotations" in recording.streams else []
-    zero, made = _zero(recording), []
+    zero, named = _zero(recording), dict[int, str]()
     for mark in [mark for data in marks for mark in data]:
         name = said(str(mark["text"]))
-        if not fit_for_name(name):
-            continue
-        begun = told[told["onset"] <= mark["onset"]]
-        near = (
-            begun
-            if len(begun) and mark["onset"] - begun["end"].max() < LATELY_NS
-            else told[told["onset"] > mark["onset"]]
-        )
-        if len(near):
-            mine = told[told["activity"] == near["activity"][-1 if near is begun else 0]]
-            made.append(Exemplar(name, (mine["onset"].min() - zero) / 1e9, (mine["end"].max() - zero) / 1e9))
-    if not made:
+        if fit_for_name(name) and (number := _meant(told, int(mark["onset"]), named)) is not None:
+            named[number] = name
+    if not named:
         raise KinegraphError(
             f"{recording.path}: no annotation names an exercise; mark it while it is done (this is: squat), or give NAME=FROM-TO"
         )
-    return made
+    spans = [(name, told[told["activity"] == number]) for number, name in named.items()]
+    return [Exemplar(n, (t["onset"].min() - zero) / 1e9, (t["end"].max() - zero) / 1e9) for n, t in spans]
+
+
+def _meant(told: Array, said_at: int, named: dict[int, str]) -> int | None:
+    """The activity that a name said at this time is of; some have a name already."""
+    import numpy as np
+
+    from operators.segmentation.taught import of_what_ended
+
+    before, after = told[told["onset"] <= said_at], told[told["onset"] > said_at]
+    if not len(before):
+        return int(after["activity"][0]) if len(after) else None
+    last = int(before["activity"][-1])
+    ended = int(told["end"][told["activity"] == last].max())
+    after = after[after["activity"] != last]
+    begins = int(after["onset"][0]) if len(after) else np.iinfo(np.int64).max
+    if of_what_ended(said_at, ended, begins, last in named and len(after) > 0):
+        return last
+    return int(after["activity"][0]) if len(after) else None
 
 
 def _zero(recording: Recording) -> int:
@@ -175,18 +183,44 @@ def _repetitions(recording: Recording, node: str) -> tuple[Array, float]:
     return table[table["repetition"] > 0], float(np.median(values)) if len(values) else 0.0
 
 
-def _of(one: Exemplar, told: Array, time: Array, frames: Samples, zero: int, recording: File) -> list[Samples]:
-    """The repetitions of which the middle lies in the seconds given; of two steps each is one."""
+def _chosen(shown: list[Exemplar], told: Array, zero: int, recording: File) -> dict[str, Array]:
+    """By name, which of the repetitions are shown. Raises KinegraphError where one of them would have two names."""
     import numpy as np
 
+    chosen: dict[str, Array] = {}
+    for one in shown:
+        chosen[one.name] = chosen.get(one.name, np.zeros(len(told), bool)) | _within(one, told, zero, recording)
+    names = list(chosen)
+    for k, name in enumerate(names):
+        for other in names[:k]:
+            if len(both := told[chosen[name] & chosen[other]]):
+                at = (both["onset"][0] - zero) / 1e9
+                raise KinegraphError(
+                    f"{other} and {name}: the repetition at {at:.1f} s cannot be both; their seconds must not overlap"
+                )
+        kinds = np.unique(told["cluster"][chosen[name] & (told["cluster"] >= 0)])
+        if len(kinds) > 1:
+            say(
+                f"{name}: its repetitions are of {len(kinds)} kinds, as the segmentation tells them apart; are the seconds right?"
+            )
+    return chosen
+
+
+def _within(one: Exemplar, told: Array, zero: int, recording: File) -> Array:
+    """Which repetitions have their middle in the seconds given; of two steps each is one."""
     middle = ((told["onset"] + told["end"]) / 2.0 - zero) / 1e9
-    mine = told[(middle >= one.first_s) & (middle <= one.last_s)]
-    spans = [np.searchsorted(time, [event["onset"], event["end"] + 1]) for event in mine]
-    made = [np.ascontiguousarray(frames[first:last]) for first, last in spans if last - first > 1]
-    if not made:
+    mine: Array = (middle >= one.first_s) & (middle <= one.last_s)
+    if not mine.any():
         times = ", ".join(f"{m:.1f}" for m in middle[:8])
         raise KinegraphError(
             f"{recording}: no repetition was found between {one.first_s:g} and {one.last_s:g} s"
             + (f"; there are some at {times} s" if times else "; none were found at all")
         )
-    return made
+    return mine
+
+
+def _cut(told: Array, time: Array, frames: Samples) -> list[Samples]:
+    import numpy as np
+
+    spans = [np.searchsorted(time, [event["onset"], event["end"] + 1]) for event in told]
+    return [np.ascontiguousarray(frames[first:last]) for first, last in spans if last - first > 1]
