@@ -9,8 +9,9 @@ from typing import ClassVar
 import numpy as np
 
 from operators.body.confidence import trusted
-from operators.body.names import MARKERS, OTHER_SIDE, SEEN, TAKEN, camera_of, markers_specs
-from operators.body.placing import INSIDE, LENGTHS, placed, unturned
+from operators.body.left_right import SURE, unturned
+from operators.body.names import MARKERS, OTHER_SIDE, SEEN, SIDED, TAKEN, camera_of, markers_specs
+from operators.body.placing import INSIDE, LENGTHS, placed
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError
 from stream.filter import reset_gap
@@ -47,8 +48,9 @@ class Markers(Operator[MarkersState]):
 
     A depth is believed where it was measured and fits the network's guess or the bone's length, which is learned from the frames in which
     both its ends were measured; a marker that something hides is put on its line of sight where the bone is as long as it is. Left and
-    right stay what they are when the person turns: a network that takes a back for a front is corrected by the heading so far and by the
-    body's shape. After a gap the heading is taken from the shape; bones keep their lengths until nobody was seen for `forget_s`.
+    right stay what they are when the person turns: a network that takes a back for a front is corrected by the heading so far, by the
+    body's shape and by depths; while these do not tell which side is left, markers that have another side are missing. After a gap the
+    heading is taken from the shape; bones keep their lengths until nobody was seen for `forget_s`.
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("out", "confidence")
@@ -109,6 +111,7 @@ class Markers(Operator[MarkersState]):
             return
         trust, presence, seconds = np.empty(34), float(seen["presence"]), min((time - s.last) / NS, 1.0)
         trusted(points, places, doubt, s.before, seconds, presence, OTHER_SIDE, trunk, INSIDE, s.camera[0], trust)
+        trust[SIDED] = np.minimum(trust[SIDED], max(s.heading[3], 0.0) / (2.0 * SURE))
         s.last, s.before[:] = time, places
         confidence[:] = trust[TAKEN]
         out[:] = places[TAKEN]

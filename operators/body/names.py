@@ -19,6 +19,8 @@ OTHER_SIDE = np.array(
     [0, 4, 5, 6, 1, 2, 3, 8, 7, 10, 9, 12, 11, 14, 13, 16, 15, 18, 17, 20, 19, 22, 21, 24, 23, 26, 25, 28, 27, 30, 29, 32, 31, 33]
 )  # fmt: skip
 """Which landmark each one is when left and right are exchanged."""
+SIDED = np.flatnonzero(np.arange(len(OTHER_SIDE)) != OTHER_SIDE)
+"""Those that there are left and right."""
 MARKERS = (
     "head", "nose", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
     "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle", "left_heel", "right_heel", "left_toe", "right_toe",
