@@ -99,7 +99,7 @@ class AlignedInput:
         return int(self.time[self.count - 1]) if self.count else NEVER
 
     def take(self, chunk: Chunk) -> None:
-        """Keep a chunk's samples until they are dropped."""
+        """Keep a chunk's samples until they are dropped; infinity as NaN, and any NaN with the bits that it has in recordings."""
         start = self.count
         stop = start + len(chunk.time)
         while stop > len(self.time):

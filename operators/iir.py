@@ -54,6 +54,17 @@ def sections(x: Samples, sos: Samples, z: Samples, out: Samples) -> None:
 
 
 @kernel
+def one_value(x: float, sos: Samples, z: Samples) -> float:
+    """One value through sections (s, 6) with memory (s, 2), for kernels that filter as they go along."""
+    for s in range(sos.shape[0]):
+        y = sos[s, 0] * x + z[s, 0]
+        z[s, 0] = sos[s, 1] * x - sos[s, 4] * y + z[s, 1]
+        z[s, 1] = sos[s, 2] * x - sos[s, 5] * y
+        x = y
+    return x
+
+
+@kernel
 def late_sections(
     x: Samples, sos: Samples, z: Samples, out: Samples, time: Times, delay_ns: int, stamps: Times
 ) -> None:

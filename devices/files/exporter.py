@@ -9,12 +9,12 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
+from devices.files.installed import installed
 from stream.complete import complete, private_folder
-from stream.errors import KinegraphError, RecordingError, explain
+from stream.errors import RecordingError
 
 if TYPE_CHECKING:
     from devices.files.csv_write import Clock
@@ -32,7 +32,7 @@ class Export:
     names      the streams, each of which the format takes
     place      the file, or the folder, that is to be made
     clock      how tables write times: seconds since the recording's first sample, ISO 8601 in UTC, or ns since 1970
-    overwrite  whether what is there already is replaced
+    overwrite  whether what already exists is replaced
     progress   receives how many more samples have been written
     """
 
@@ -53,7 +53,7 @@ class Export:
         if path.is_dir():
             raise RecordingError(f"{path}: is a folder; choose another --out")
         if path.exists() and not self.overwrite:
-            raise RecordingError(f"{path}: is there already; choose another --out, or replace it with --overwrite")
+            raise RecordingError(f"{path}: already exists; choose another --out, or replace it with --overwrite")
 
 
 Written: TypeAlias = "tuple[str, Path, int]"
@@ -79,15 +79,7 @@ class Exporter:
 @cache
 def exporters() -> dict[str, Exporter]:
     """All that are installed, by name; raises KinegraphError for one that cannot be loaded."""
-    found: dict[str, Exporter] = {}
-    for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
-        try:
-            found[entry.name] = entry.load()
-        except (ImportError, AttributeError) as error:
-            raise KinegraphError(
-                f"the exporter {entry.name} ({entry.value}) cannot be loaded: {explain(error)}"
-            ) from None
-    return found
+    return installed(GROUP, "exporter")
 
 
 def chosen(name: str, out: Path | None) -> Exporter:
@@ -121,7 +113,7 @@ def _csv(wanted: Export) -> list[Written]:
 
 
 def _tables(wanted: Export) -> dict[str, Path]:
-    """The file of each stream. Raises RecordingError where one would be lost: two of a name, or one that is there already."""
+    """The file of each stream. Raises RecordingError where one would be lost: two of a name, or one that already exists."""
     folder = wanted.place
     if folder.exists() and not folder.is_dir():
         raise RecordingError(f"--out {folder}: is a file; name a folder for the tables")

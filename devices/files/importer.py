@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from stream.errors import KinegraphError, RecordingError, explain
+from devices.files.installed import installed
+from stream.errors import RecordingError
 
 if TYPE_CHECKING:
     from devices.files.column_table import Wishes
@@ -46,15 +46,7 @@ class Importer:
 @cache
 def importers() -> dict[str, Importer]:
     """All that are installed, by name; raises KinegraphError for one that cannot be loaded."""
-    found: dict[str, Importer] = {}
-    for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
-        try:
-            found[entry.name] = entry.load()
-        except (ImportError, AttributeError) as error:
-            raise KinegraphError(
-                f"the importer {entry.name} ({entry.value}) cannot be loaded: {explain(error)}"
-            ) from None
-    return found
+    return installed(GROUP, "importer")
 
 
 HEAD = 1 << 16

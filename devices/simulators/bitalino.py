@@ -11,6 +11,7 @@ import numpy as np
 
 from devices.protocols import bitalino as protocol
 from devices.protocols.bitalino import GAINS, RATES_HZ, Sensor
+from devices.simulators.due import due
 from devices.simulators.serve import Simulator, in_place
 from devices.simulators.treadmill.signal import Signal, Walker
 from stream.params import param
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from devices.bitalino import Bitalino
 
 MUSCLES = ("TA", "SO", "GM", "VM", "RF", "BF")
-MOST_BEHIND_S = 10.0
 STEADY = {"eda": 5.0, "volt": 1.6}
 """What a sensor that is no amplifier shows, with a slow wave on it, in its unit."""
 
@@ -58,9 +58,7 @@ class BitalinoModel:
             return []
         if self._began is None:
             self._began = seconds
-        due = int((seconds - self._began) * self.rate_hz)
-        first = max(self._said, due - round(MOST_BEHIND_S * self.rate_hz))
-        self._said = max(first, due)
+        first, self._said = due(self._said, seconds - self._began, self.rate_hz)
         return [self.frame(number) for number in range(first, self._said)]
 
     def restart(self) -> None:

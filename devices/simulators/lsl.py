@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from devices.lsl.network import ANY, MACHINE, Network, library, unsettled
 from devices.outlets.lsl_samples import write_channels
+from devices.simulators.due import due
 from devices.simulators.misbehaviour import GOOD, Misbehaviour, Mishaps
 from devices.simulators.serve import TICK_S, Simulator
 from devices.simulators.treadmill.signal import BURSTS, Signal, Walker
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
 GAIT_HZ = 1000.0
 """How finely the footfalls of a stream without a rate are timed."""
 UNITS = {"mV": 1e-3, "V": 1e-6}
-MOST_BEHIND_S = 10.0
-"""What is older when its turn comes is left out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,9 +167,8 @@ class Sender:
             number += 1
             self._stop.wait(max(0.0, began + number * chunk - self._lsl.local_clock()))
             now = self._lsl.local_clock()
-            due = int(now * rate)
-            first = max(said, due - round(MOST_BEHIND_S * rate))
-            packets, said = self.mishaps.spoil(self._walk.say(first, due), now - began), due
+            first, said = due(said, now, rate)
+            packets = self.mishaps.spoil(self._walk.say(first, said), now - began)
             with self._lock:
                 kept = self._pass(kept + packets, now - began)
 

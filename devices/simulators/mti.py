@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from devices.protocols import xbus, xbus_numbers
+from devices.simulators.due import due
 from devices.simulators.misbehaviour import GOOD, Misbehaviour
 from devices.simulators.serve import Server, Simulator
 from devices.simulators.walking_back import Back, Manner
@@ -19,8 +20,6 @@ from stream.params import param
 if TYPE_CHECKING:
     from devices.mti import Mti
 
-MOST_BEHIND_S = 10.0
-"""Measurements of at most this much time are made at once; what is older by then is left out and lost."""
 FASTEST_HZ = {
     xbus.ACCELERATION: 400, xbus.RATE_OF_TURN: 400, xbus.QUATERNION: 400, xbus.MAGNETIC_FIELD: 100,
     xbus.ACCELERATION_HR: 2000, xbus.RATE_OF_TURN_HR: 2000,
@@ -90,9 +89,7 @@ class MtiModel:
             return []
         if self._began is None:
             self._began = seconds
-        due = int((seconds - self._began) * self.rate_hz)
-        first = max(self._said, due - round(MOST_BEHIND_S * self.rate_hz))
-        self._said = max(first, due)
+        first, self._said = due(self._said, seconds - self._began, self.rate_hz)
         return self.packets(first, self._said)
 
     def restart(self) -> None:

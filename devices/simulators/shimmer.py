@@ -12,6 +12,7 @@ from devices.protocols import shimmer as protocol
 from devices.protocols import shimmer_units as units
 from devices.protocols.shimmer import ACK, IN_STREAM, TICKS_HZ
 from devices.protocols.shimmer_units import ShimmerCalibration
+from devices.simulators.due import due
 from devices.simulators.serve import Simulator, in_place
 from devices.simulators.treadmill.signal import Signal, Walker
 from devices.simulators.walking_limb import Limb, Site
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
 MEASURED = ("acceleration", "angular_velocity", "wide_acceleration")
 MUSCLES = ("TA", "GM", "SO", "PL")
-MOST_BEHIND_S = 10.0
 LENGTHS = {0x05: 3, 0x08: 4, 0x09: 2, 0x40: 2, 0x49: 2, 0x4C: 2, 0x63: 4, 0x66: 3, 0xA3: 2}
 """Bytes of the commands that have any behind the first."""
 OUTPUTS = {"acceleration": (0, 1, 2), "wide_acceleration": (4, 5, 6), "angular_velocity": (10, 11, 12),
@@ -103,9 +103,7 @@ class ShimmerModel:
             return []
         if self._began is None:
             self._began = seconds
-        due = int((seconds - self._began) * TICKS_HZ / self.divider)
-        first = max(self._said, due - round(MOST_BEHIND_S * TICKS_HZ / self.divider))
-        self._said = max(first, due)
+        first, self._said = due(self._said, seconds - self._began, TICKS_HZ / self.divider)
         return self.packets(first, self._said)
 
     def restart(self) -> None:

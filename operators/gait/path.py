@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from operators.gait.legs import LIFTOFF, NO_VOTE, SURE, TOUCHDOWN, glide, judge, rest
+from operators.iir import one_value
 from stream.chunk import NEVER, Array, Samples, Times
 from stream.kernel import kernel
 
@@ -34,17 +35,6 @@ WALK = np.dtype(
 (long, and for the body), and of the speed's cube; raw and smooth positions of foot and body; decaying sums of the body's
 velocity and of the relative velocity's second moment xx, xy, yy; the way's direction; how far foot and body are apart; how many more
 samples lay where no leg can be than where one can."""
-
-
-@kernel
-def smooth(x: float, sos: Samples, z: Samples) -> float:
-    """One number through sections (s, 6) with memory (s, 2)."""
-    for s in range(sos.shape[0]):
-        y = sos[s, 0] * x + z[s, 0]
-        z[s, 0] = sos[s, 1] * x - sos[s, 4] * y + z[s, 1]
-        z[s, 1] = sos[s, 2] * x - sos[s, 5] * y
-        x = y
-    return x
 
 
 @kernel
@@ -142,7 +132,7 @@ def advance(
     """Take the raw place of both markers at the time `at`, `since` being the one before; returns which contacts are now certain."""
     step = np.empty(6)
     for c in range(6):
-        value = smooth(walk["raw"][c], sos, z[c])
+        value = one_value(walk["raw"][c], sos, z[c])
         step[c] = value - walk["smooth"][c]
         walk["smooth"][c] = value
     dt = 1e-9 * (at - since)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from operators.iir import one_value
 from stream.chunk import NEVER, NS, Array, Samples, Times
 from stream.kernel import kernel
 
@@ -89,12 +90,7 @@ def find_steps(time: Times, data: Samples, sos: Samples, z: Samples, track: Arra
             state["found_at"] = NEVER
             z[:] = 0.0
         state["last"] = time[i]
-        v = np.sqrt(a) - GRAVITY_M_S2
-        for s in range(sos.shape[0]):
-            y = sos[s, 0] * v + z[s, 0]
-            z[s, 0] = sos[s, 1] * v - sos[s, 4] * y + z[s, 1]
-            z[s, 1] = sos[s, 2] * v - sos[s, 5] * y
-            v = y
+        v = one_value(np.sqrt(a) - GRAVITY_M_S2, sos, z)
         before = state["found_at"]
         if seek(state, rule, time[i], v):
             found[steps, 0], found[steps, 1], found[steps, 2] = i, state["high_at"], before

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from operators.commands.marker_file import marker_file
 from stream.errors import KinegraphError, nearest
-from stream.graph.yaml_lines import parse
 from stream.motion_index import MOST_MARKERS
 
 UPS = ("x", "y", "z", "-x", "-y", "-z")
@@ -42,12 +42,7 @@ class MarkerTable:
 
 def read_table(path: Path) -> MarkerTable:
     """A table from a YAML file. Raises KinegraphError, with the file and what is wrong."""
-    try:
-        said = parse(path.read_text(encoding="utf-8"), str(path)).plain()
-    except OSError as error:
-        raise KinegraphError(f"{path}: cannot be read: {error.strerror}") from None
-    if not isinstance(said, dict) or not isinstance(said.get("markers"), dict) or not said["markers"]:
-        raise KinegraphError(f"{path}: must hold `markers:`, a mapping of each marker to its names in recordings")
+    said = marker_file(path, "each marker to its names in recordings")
     for key in said:
         if key not in KEYS:
             raise KinegraphError(f"{path}: {key!r} is not known; {nearest(str(key), KEYS)}")
@@ -75,7 +70,7 @@ def _ways(path: Path, name: Any, given: Any) -> tuple[tuple[str, ...], ...]:
 def _bones(path: Path, given: Any, markers: dict[str, Any]) -> tuple[tuple[str, str], ...]:
     for bone in given:
         if not (isinstance(bone, list) and len(bone) == 2 and all(end in markers for end in bone)):
-            raise KinegraphError(f"{path}: bones: {bone!r} is no pair of markers of the set")
+            raise KinegraphError(f"{path}: bones: {bone!r} is not a pair of markers of the set")
     return tuple((str(a), str(b)) for a, b in given)
 
 
