@@ -153,7 +153,7 @@ def tried(mutant: Mutant, tree: Path, seconds: float, broken: set[str]) -> tuple
     began = time.monotonic()
     changed = tree / mutant.path
     source = changed.read_bytes()
-    runs = _runs(mutant.path)
+    runs = _runs(mutant.path, mutant.code)
     if not runs:
         return "no tests", 0.0
     while True:
@@ -184,8 +184,11 @@ def _first_failure(runs: list[list[str]], tree: Path, seconds: float, broken: se
     return []
 
 
-def _runs(path: str) -> list[list[str]]:
-    """The arguments of pytest for the tests of a module: golden answers of operators and commands, its own, the laws on operators in it."""
+def _runs(path: str, code: str = "") -> list[list[str]]:
+    """The arguments of pytest for the tests of a module: golden answers of operators and commands, its own, the laws on operators in it.
+
+    For a line of `code` that declares a dataclass, those of how they are declared come first.
+    """
     module = path.removesuffix(".py").replace("/", ".").removesuffix(".__init__")
     found = {use: part.__module__ for use, part in catalogue(("operators",))[0].items()}
     golden = [
@@ -198,7 +201,8 @@ def _runs(path: str) -> list[list[str]]:
     own = own_tests(module)
     uses = [use for use, home in found.items() if home == module]
     laws = [["tests/laws/test_laws.py", "-k", " or ".join(f"{use}-" for use in uses)]] if uses else []
-    return [*([golden] if golden else []), *([commands] if commands else []), *([own] if own else []), *laws]
+    declared = [["tests/house/test_frozen.py"]] if code.startswith("@dataclass(") else []
+    return [*declared, *([golden] if golden else []), *([commands] if commands else []), *([own] if own else []), *laws]
 
 
 def _run(arguments: list[str], tree: Path, seconds: float) -> tuple[list[str], float]:

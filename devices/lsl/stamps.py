@@ -22,7 +22,7 @@ NOTICED_NS = 1000
 """A stamp that runs back by less is a rounding error."""
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Mapped:
     """The samples of one read.
 

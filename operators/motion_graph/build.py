@@ -40,7 +40,7 @@ class Edges:
         return Edges(self.source[mine], self.target[mine], self.leave[mine], self.enter[mine], self.placed[mine])
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Nodes:
     """first, last, cluster, mirrored (k,), as in MotionGraph, and the bounds low, high (k,) of each node's take in frames."""
 

@@ -219,7 +219,7 @@ class GrowingGraph(Operator[GrowingState]):
         ]
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class GraphEvents:
     """Rows with their stamps."""
 

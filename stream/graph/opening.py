@@ -51,7 +51,7 @@ def _in_order(drafts: Mapping[str, Draft | None], problems: Problems) -> list[st
     return names
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class _Opening:
     """The nodes that are open so far."""
 

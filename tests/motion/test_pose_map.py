@@ -10,13 +10,15 @@ import pytest
 
 from devices.outlets.page.wire import decode
 from devices.pose_map import picture
-from operators.pose_map.commands.gather import pieces
+from operators.pose_map.commands import build
+from operators.pose_map.commands.gather import GatheredPoses, as_points, pieces
 from operators.pose_map.commands.marker_table import read_table
 from operators.pose_map.retrieve import ANSWER, EXAMPLE, QUERY, PoseSearch, Retrieve
 from operators.pose_map.som import PoseGrid
 from operators.pose_map.warp_kernel import warp_all
 from stream.chunk import NS, Array, Chunk, Samples, StreamSpec, grid
 from stream.errors import KinegraphError
+from stream.joint_tree import JointTree
 from stream.model import ModelError, read_model, write_model
 from stream.motion_index import KIND, MISSING, MotionIndex
 from tests.support.command_line import Command, kinegraph, refused
@@ -47,6 +49,68 @@ def ring(n: int) -> Array:
 def through(operator: PoseGrid, data: Array, spec: StreamSpec = SPEC) -> dict[str, Array]:
     operator.open({"in": spec})
     return {p: c.data for p, c in operator.process("in", Chunk(grid(50.0, len(data)), data, 10**18))}  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("n", [1, 7, 20_000])
+def test_a_skeleton_becomes_points_frame_by_frame(n: int) -> None:
+    """However many frames there are: two bones that turn about the x axis, by sine and cosine."""
+    tree = JointTree(
+        ("hip", "knee", "foot"), np.array([-1, 0, 1]), np.array([[0, 0, 0], [0, -0.5, 0], [0, -0.25, 0]], float)
+    )
+    angle, poses = np.linspace(-1.0, 2.0, n), np.zeros((n, 15))
+    poses[:, 0] = np.arange(n)
+    poses[:, 3::4] = 1.0
+    poses[:, 3], poses[:, 4] = np.cos(angle / 2), np.sin(angle / 2)
+    spec, joints, parents = as_points("here", tree.spec(50.0), poses)
+    assert (spec.shape, spec.rate_hz, spec.channels, spec.units) == ((3, 3), 50.0, tree.joints, ("m",)) and parents == [
+        -1,
+        0,
+        1,
+    ]
+    for k, far in enumerate((0.0, 0.5, 0.75)):
+        wanted = np.stack([np.arange(n), -far * np.cos(angle), -far * np.sin(angle)], axis=1)
+        assert np.allclose(joints[:, k], wanted, atol=1e-6, rtol=1e-6), k
+
+
+@pytest.mark.parametrize("block", [7, 50, 16_384])
+def test_poses_are_kept_in_steps_that_reach_the_largest(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever is done at once: each number to half a step, and a gap where a number is not known."""
+    monkeypatch.setattr(build, "BLOCK", block)
+    rng = np.random.default_rng(5)
+    parts = [rng.normal(size=(n, 6)).astype(np.float32) for n in (1, 23, 50, 40)]
+    parts[2][::3, 4] = np.nan
+    made, step = build.quantised([GatheredPoses(str(k), one, 0.0, 30.0, {}, ()) for k, one in enumerate(parts)])
+    whole = np.concatenate(parts)
+    assert made.shape == whole.shape and ((made == MISSING) == np.isnan(whole)).all()
+    assert np.nanmax(np.abs(made.astype(float) * step - whole)[~np.isnan(whole)]) <= 0.5001 * step
+    assert np.abs(made[made != MISSING]).max() == 32767
+
+
+@pytest.mark.parametrize("block", [7, 50, 16_384])
+def test_the_principal_plane_is_numpys(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(build, "BLOCK", block)
+    rng, step = np.random.default_rng(6), 0.001
+    poses = np.round(rng.normal(size=(120, 9)) * [900, 500, 300, 100, 50, 20, 10, 5, 1]).astype(np.int16)
+    poses[5::11, 3] = MISSING
+    features = np.array([0, 1, 2, 3, 4, 5])
+    whole = poses[(poses[:, :6] != MISSING).all(axis=1)][:, :6] * step
+    mean, axes, spread, explained = build.principal_plane(poses, features, step)
+    _, deviations, wanted = np.linalg.svd(whole - whole.mean(axis=0), full_matrices=False)
+    assert np.allclose(mean, whole.mean(axis=0)) and np.allclose(np.abs((axes * wanted[:2]).sum(axis=1)), 1.0)
+    assert (axes[np.arange(2), np.abs(axes).argmax(axis=1)] > 0).all()
+    assert np.allclose(spread, deviations[:2] / np.sqrt(len(whole)))
+    assert np.allclose(explained, deviations[:2] ** 2 / (deviations**2).sum())
+
+
+@pytest.mark.parametrize(("known", "used"), [(0.49, [0]), (0.5, [0, 1]), (1.0, [0, 1])])
+def test_a_marker_counts_that_half_of_every_sequence_knows(known: float, used: list[int]) -> None:
+    rare = np.ones((100, 6), np.float32)
+    rare[round(100 * known) :, 4] = np.nan
+    gathered = [
+        GatheredPoses("a", np.ones((10, 6), np.float32), 0.0, 30.0, {}, ()),
+        GatheredPoses("b", rare, 0.0, 30.0, {}, ()),
+    ]
+    assert build.used_markers(("x", "y"), gathered).tolist() == used
 
 
 def test_the_grid_learns_live_and_is_frozen_while_it_is_shown() -> None:

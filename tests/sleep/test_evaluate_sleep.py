@@ -10,6 +10,7 @@ import edfio
 import numpy as np
 import pytest
 
+from operators.sleep.evaluation import command, pictures
 from operators.sleep.evaluation.agreement import Confusion, interval, limits
 from operators.sleep.evaluation.command import _rows, sleep
 from operators.sleep.evaluation.comparison import agreement, pair, total
@@ -204,7 +205,7 @@ def test_the_command_line(tmp_path: Path) -> None:
     assert done.returncode == 0 and "0.833" in done.stdout, done.stdout + done.stderr
     (tmp_path / "b.csv").write_text("time,state\n0,W\n30,snoring\n")
     done = subprocess.run([*command, "sleep", "a.csv", "b.csv"], cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 2 and "b.csv, line 3: 'snoring' is no stage" in done.stderr
+    assert done.returncode == 2 and "b.csv, line 3: 'snoring' is not a stage" in done.stderr
     assert "sleep" in subprocess.run([*command, "--help"], capture_output=True, text=True).stdout
 
 
@@ -255,3 +256,21 @@ def test_nights_that_are_left_out_are_named_with_the_reason(tmp_path: Path, caps
     table.write_text("estimate,reference,person,exclude\na.csv,b.csv,p1,\nc.csv,d.csv,p2,camera fell down\n")
     assert [str(e.name) for e, *_ in _rows(table)] == ["a.csv"]
     assert "left out: c.csv: camera fell down" in capsys.readouterr().out
+
+
+def test_the_report_lists_nights_that_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    table = tmp_path / "nights.csv"
+    table.write_text(
+        "estimate,reference,exclude\na.csv,b.csv,\nc.csv,d.csv,  camera fell down \n,e.csv,no recording\nf.csv,g.csv, \n"
+    )
+    reported: list[tuple[str, str]] = []
+    monkeypatch.setattr(
+        "operators.sleep.evaluation.report.write_report", lambda found, folder: reported.extend(found.left_out) or []
+    )
+    command._report([], [], {}, table, tmp_path)
+    assert reported == [("c.csv", "camera fell down"), ("", "no recording")]
+
+
+def test_ticks_are_drawn_as_the_axes_are_that_they_stand_on() -> None:
+    widths = {key: value for key, value in pictures.STYLE.items() if key.endswith("width")}
+    assert len(widths) == 3 and set(widths.values()) == {pictures.STYLE["axes.linewidth"]}

@@ -170,6 +170,28 @@ def test_a_graph_written_as_python_is_the_same_graph(name: str) -> None:
     assert first.latency_budget_ms == second.latency_budget_ms
 
 
+def test_two_classes_of_one_name_are_imported_under_two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    copy = "from operators import iir\n\n\nclass Lowpass(iir.Lowpass):\n    __slots__ = ()\n"
+    (tmp_path / "another_lowpass.py").write_text(copy, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    from another_lowpass import Lowpass as Another  # type: ignore[import-not-found]
+
+    graph = kg.Graph("two")
+    emg = graph.add("emg", kg.Input(channels=("TA",), rate_hz=1000, units=("uV",)))
+    graph.add("first", Lowpass(cutoff_hz=6), emg)
+    graph.add("second", Another(cutoff_hz=12), emg)
+    program = graph.to_python()
+    assert [line for line in program.splitlines() if "Lowpass" in line and "import" in line] == [
+        "from another_lowpass import Lowpass as Lowpass2",
+        "from operators.iir import Lowpass",
+    ]
+    made: dict[str, Any] = {}
+    exec(program, made)
+    assert {name: type(part) for name, part in made["graph"].nodes.items()} == {
+        "emg": kg.Input, "first": Lowpass, "second": Another
+    }  # fmt: skip
+
+
 def test_a_loaded_graph_keeps_its_comments_and_grows() -> None:
     graph = kg.load("treadmill_emg")
     assert graph.to_yaml() == shipped()["treadmill_emg"].read_text(encoding="utf-8")
@@ -197,7 +219,7 @@ class Unsaid:
             "Lowpass has no parameter 'worke'; did you mean 'worker'?",
         ),
         (lambda g: g.add("x y", Lowpass(6), "emg"), "a node's name is made of letters"),
-        (lambda g: g.add("x", Unsaid(), "emg"), "is no source, operator or outlet"),
+        (lambda g: g.add("x", Unsaid(), "emg"), "is not a source, operator or outlet"),
         (lambda g: g.record("smoth"), "there is no node 'smoth'; did you mean 'smooth'?"),
         (lambda g: kg.Graph(latency_budget_ms=-1), "latency_budget_ms is -1; it must be above 0"),
         (lambda g: kg.Graph(recording={"folder": 3}), "folder is 3; it must be a text"),

@@ -15,7 +15,7 @@ MOST_SAMPLES = 1 << 30
 """A stream with gaps so long that its grid would have more samples is refused."""
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Gathered:
     """A stream: stamps (n,) ns, samples (n, ...)."""
 

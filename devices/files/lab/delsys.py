@@ -28,7 +28,7 @@ UNITS = {"acc": "g", "gyro": "deg/s"}
 DATES = ("%m/%d/%Y %I:%M:%S %p", "%m/%d/%Y %H:%M:%S", "%Y-%m-%d %H:%M:%S", "%d.%m.%Y %H:%M:%S", "%d/%m/%Y %H:%M:%S")
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class TimedChannel:
     """A column: its name, unit and rate as far as the file gives them, and its samples from `start_s` on."""
 

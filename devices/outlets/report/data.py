@@ -35,7 +35,7 @@ class Column:
     note: str = ""
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Muscle:
     """One muscle: its row of the table (a value and a standard deviation per column) and what is to be said of its signal.
 
@@ -51,7 +51,7 @@ class Muscle:
     troubled: float = 0.0
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Rejected:
     """A cycle that was left out of everything."""
 
@@ -60,7 +60,7 @@ class Rejected:
     reason: str
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Noticed:
     """An alarm of the session: since when, for how long (NaN: to the end), with whom, and what."""
 
@@ -70,7 +70,7 @@ class Noticed:
     what: str
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Stream:
     """What came in by one stream, and what did not."""
 
@@ -81,7 +81,7 @@ class Stream:
     lost: int = 0
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Setting:
     """One node of the graph."""
 
@@ -91,7 +91,7 @@ class Setting:
     delay_ms: float = float("nan")
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class LimbPanel:
     """A muscle of several limbs: where each limb's curve stands among the channels, and the limbs' names."""
 
