@@ -136,7 +136,7 @@ class Binary(SerialSource):
         for name in ("start", "stop"):
             if self.port.startswith(BY_MESSAGE) and getattr(self, name):
                 raise ParameterError(
-                    name, list(getattr(self, name)), "left out: nothing can be sent to who sends datagrams"
+                    name, list(getattr(self, name)), "left out: nothing can be sent back to a sender of datagrams"
                 )
         if self.gather_s and not self.port.startswith("udp://"):
             raise ParameterError("gather_s", self.gather_s, "left out: only what comes to a udp:// port is gathered")

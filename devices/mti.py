@@ -249,7 +249,7 @@ class MtiReading:
                 feed.problem("device error", len(run))
                 log.warning("MTi", says=reason(run))
             elif run.mid == xbus.WAKE_UP:
-                raise DeviceError("the sensor was switched on again, and measures what it did when it left the factory")
+                raise DeviceError("the sensor was restarted, and measures what it did when it left the factory")
         return n
 
     def _emit(self, run: XbusRun, packets: Packets, arrival: int, feed: Feed) -> None:

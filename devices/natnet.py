@@ -139,7 +139,7 @@ class NatNetLink:
             self._command.bind((local, 0))
         except OSError as error:
             self._command.close()
-            raise DeviceError(f"{local} is no address of this computer: {error.strerror}") from None
+            raise DeviceError(f"{local} is not an address of this computer: {error.strerror}") from None
         self._sent = 0.0
         self.heard = time.monotonic()
 
@@ -160,7 +160,7 @@ class NatNetLink:
                     return self._listen(protocol.server_info(payload))
         raise DeviceError(
             f"no NatNet server answers at {self._at[0]}:{self._at[1]}; does Motive stream (Settings, Streaming, Enable), on that network "
-            "card, and does no firewall stand between?"
+            "card, and does no firewall block it?"
         )
 
     def _listen(self, info: ServerInfo) -> ServerInfo:

@@ -53,7 +53,7 @@ class Qualisys(Source):
     bodies: tuple[str, ...] = param((), help="rigid bodies, as QTM names them")
     segments: tuple[str, ...] = param((), help="segments of skeletons: Fred:Hips, Fred:Spine, ...")
     analog: tuple[str, ...] = param(
-        (), help="analog channels, as QTM labels them; Device:Label where a label stands twice"
+        (), help="analog channels, as QTM labels them; Device:Label where a label is not unique"
     )
     analog_hz: float = param(1000.0, above=0, most=1_000_000, help="analog samples per second, as set in QTM")
     analog_unit: str = param("V", help="the unit of the analog channels")

@@ -98,7 +98,7 @@ def arrays(path: Path, wanted: tuple[str, ...] | None = None) -> dict[str, Array
     """
     if not zipfile.is_zipfile(path):
         path.open("rb").close()  # raises what tells a missing or unreadable file
-        raise ValueError("it is no NPZ file, or was cut off")
+        raise ValueError("it is not an NPZ file, or was cut off")
     size = path.stat().st_size
     found: dict[str, Array] = {}
     name = ""
@@ -158,11 +158,11 @@ def reading(path: Path, kind: str, error: type[KinegraphError] = RecordingError)
     except (KinegraphError, BrokenPipeError):
         raise
     except MemoryError:
-        raise error(f"{path}: wants more memory than a file of its size may; it is damaged, or made to do so") from None
+        raise error(f"{path}: needs more memory than a file of its size should; it is damaged or malicious") from None
     except OSError as failed:
         raise error(f"{path}: cannot be read ({failed.strerror or failed})") from None
     except Exception as failed:  # noqa: BLE001 - the one place where whatever a damaged file brings up is met
-        raise error(f"{path}: cannot be read as {kind}; it is damaged, or none ({_short(failed)})") from None
+        raise error(f"{path}: cannot be read as {kind}; it is damaged, or of another kind ({_short(failed)})") from None
 
 
 def _ceiling(path: Path) -> AbstractContextManager[None]:

@@ -130,7 +130,7 @@ class StreamSpec:
             descr = [tuple(tuple(part) if isinstance(part, list) else part for part in f) for f in descr]
         dtype, shape = np.lib.format.descr_to_dtype(descr), tuple(record["shape"])
         if dtype.hasobject or not all(isinstance(n, int) and n >= 0 for n in shape) or len(shape) > MOST_AXES:
-            raise ValueError(f"samples of shape {shape} and type {dtype} cannot be")
+            raise ValueError(f"samples of shape {shape} and type {dtype} are impossible")
         return StreamSpec(
             shape=shape,
             dtype=dtype,

@@ -196,7 +196,7 @@ class SampleWise(Operator[S]):
                 return getattr(owner, name)
         known = [n for owner in (self.state, self) for n in getattr(owner, "__dataclass_fields__", ())]
         raise KinegraphError(
-            f"the kernel of {type(self).__name__} is to be given {name!r}, which is no field of its state and no parameter:"
+            f"the kernel of {type(self).__name__} is to be given {name!r}, which is neither a field of its state nor a parameter:"
             f" {nearest(name, known)}"
         )
 

@@ -12,15 +12,15 @@ from stream.errors import KinegraphError
 
 
 def read_json(path: Path, kind: str, error: type[KinegraphError] = KinegraphError, advice: str = "") -> dict[str, Any]:
-    """The object that a file holds; raises `error` for a file that is missing, broken or no object. `kind`: what it must be."""
+    """The object in a file, which must be `kind` ("a calibration"); raises `error` for a file that is missing, broken or no object."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except OSError as failed:
         raise error(f"{path}: cannot be read: {failed.strerror}{advice and '; ' + advice}") from None
     except (ValueError, RecursionError) as failed:
-        raise error(f"{path}: is no {kind} (not JSON: {failed})") from None
+        raise error(f"{path}: is not {kind} (not JSON: {failed})") from None
     if not isinstance(found, dict):
-        raise error(f"{path}: is no {kind} (a JSON {type(found).__name__}, not an object)")
+        raise error(f"{path}: is not {kind} (a JSON {type(found).__name__}, not an object)")
     return found
 
 

@@ -64,7 +64,7 @@ class Topology:
         try:
             facts = spec.meta["mesh"]
             if spec.is_event or len(spec.shape) != 2 or spec.shape[1] != 3:
-                raise ValueError("samples are no (vertices, 3)")
+                raise ValueError("samples are not (vertices, 3)")
             made = Topology(spec.shape[0], _faces(facts), str(facts["name"]))
             if made.hash != facts["topology"]:
                 raise ValueError("the triangles are not those that its hash was made of")

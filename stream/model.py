@@ -147,5 +147,5 @@ def _header(path: Path, entry: Array | None) -> dict[str, Any]:
 
 def _finite(text: str) -> float:
     if not math.isfinite(value := float(text)):
-        raise ValueError(f"its header holds {text}, which is no number of a model's")
+        raise ValueError(f"its header holds {text}, which is not a valid number")
     return value

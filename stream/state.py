@@ -63,7 +63,7 @@ def _pack(name: str, value: Any, packed: dict[str, Array]) -> None:
     else:
         raise TypeError(f"state field {name!r} holds a {type(value).__name__}, which cannot be packed into arrays")
     if name in packed and packed[name].dtype.hasobject:
-        raise TypeError(f"state field {name!r} holds what is no plain number: {value!r:.60}")
+        raise TypeError(f"state field {name!r} holds what is not a plain number: {value!r:.60}")
 
 
 def _unpack(name: str, old: Any, hint: Any, arrays: dict[str, Array]) -> Any:

@@ -48,7 +48,7 @@ def read_csv(path: Path, skip_rows: int | None = None) -> dict[str, FileColumn]:
     """
     text = read_text(path, "CSV")
     if "\0" in text:
-        raise RecordingError(f"{path}: holds zero bytes; it is no text, or was damaged")
+        raise RecordingError(f"{path}: holds zero bytes; it is not text, or was damaged")
     lines = text.split("\n")
     skip = skip_rows or 0
     at = next((i for i, line in enumerate(lines) if i >= skip and line.strip() and not line.startswith("#")), None)
@@ -75,7 +75,7 @@ def read_csv(path: Path, skip_rows: int | None = None) -> dict[str, FileColumn]:
     if twice := sorted(name for name, count in Counter(name for name, _ in names).items() if count > 1):
         raise RecordingError(
             f"{path}: line {at + 1}: every column needs a name of its own beside its unit;"
-            f" {', '.join(map(repr, twice))} stands there more than once"
+            f" {', '.join(map(repr, twice))} appears more than once"
         )
     while not lines[-1].strip():
         lines.pop()
@@ -113,7 +113,7 @@ def read_rows(path: Path) -> Array | None:
             try:
                 made[number - 1, i] = float(cell if cut == "," else cell.replace(",", "."))
             except ValueError:
-                raise RecordingError(f"{path}: line {number}: {cell!r} is no number") from None
+                raise RecordingError(f"{path}: line {number}: {cell!r} is not a number") from None
     return made
 
 
@@ -201,7 +201,9 @@ def _rows(path: Path, lines: list[str], start: int, delimiter: str, header: list
             yield [_value(cell, delimiter) for cell in cells]
         except ValueError:
             i = next(i for i, cell in enumerate(cells) if not _reads(cell, delimiter))
-            raise RecordingError(f"{path}: line {number}: {cells[i]!r} in column {header[i]!r} is no number") from None
+            raise RecordingError(
+                f"{path}: line {number}: {cells[i]!r} in column {header[i]!r} is not a number"
+            ) from None
 
 
 def _value(cell: str, delimiter: str) -> float:

@@ -34,7 +34,7 @@ class MovellaDot(BleSource):
     device: str = param("Movella DOT", help=DEVICE_HELP + "; older sensors are called Xsens DOT")
     mode: protocol.Mode = param("inertial", help="what is measured")
     rate_hz: Literal[1, 4, 10, 12, 15, 20, 30, 60, 120] = param(60, help="packets per second")
-    scan_s: float = param(10.0, above=0, help="how long it is looked for")
+    scan_s: float = param(10.0, above=0, help="how long to search for it")
     latency_s: float = param(
         0.0, least=0, most=1, help="the constant delay from the measurement to its arrival, if you know it"
     )

@@ -49,7 +49,7 @@ class Ganglion(BleSource):
 
     device: str = param("", help=DEVICE_HELP)
     acceleration: bool = param(False, help="switch the accelerometer on")
-    scan_s: float = param(10.0, above=0, help="how long it is looked for")
+    scan_s: float = param(10.0, above=0, help="how long to search for it")
     latency_s: float = param(
         0.0, least=0, most=1, help="the constant delay from the measurement to its arrival, if you know it"
     )
@@ -84,7 +84,7 @@ class Ganglion(BleSource):
                 while len(heard) < protocol.REFERENCE or min(heard.values()) < ROUNDS:
                     if feed.stopped or time.monotonic() - began > MEASURED_S:
                         raise DeviceError(
-                            f"{link.name} told {len(heard)} of {protocol.REFERENCE} impedances in {MEASURED_S:g} s"
+                            f"{link.name} reported {len(heard)} of {protocol.REFERENCE} impedances in {MEASURED_S:g} s"
                         )
                     for note in link.fetch(0.1):
                         if each := protocol.impedance_ohm(note.data):

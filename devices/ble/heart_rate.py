@@ -31,7 +31,7 @@ class HeartRate(BleSource):
     services: ClassVar[tuple[str, ...]] = (protocol.SERVICE,)
 
     device: str = param("", help=DEVICE_HELP)
-    scan_s: float = param(10.0, above=0, help="how long it is looked for")
+    scan_s: float = param(10.0, above=0, help="how long to search for it")
 
     @property
     def chunk_s(self) -> float:

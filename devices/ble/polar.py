@@ -47,7 +47,7 @@ class Polar(BleSource):
     acceleration_hz: Literal[0, 25, 50, 100, 200] = param(0, help="samples of acceleration per second; 0: none")
     range_g: Literal[2, 4, 8] = param(8, help="full scale of the acceleration")
     heart: bool = param(True, help="read heart rate and intervals between beats too")
-    scan_s: float = param(10.0, above=0, help="how long it is looked for")
+    scan_s: float = param(10.0, above=0, help="how long to search for it")
     latency_s: float = param(
         0.0, least=0, most=1, help="the constant delay from the measurement to its arrival, if you know it"
     )
@@ -148,7 +148,7 @@ class PolarReading:
             self._measured(note, feed)
         elif note.characteristic == polar_pmd.CONTROL:
             if note.data[:1] == b"\x01":
-                raise DeviceError(f"{self._name} has stopped measuring by itself")
+                raise DeviceError(f"{self._name} stopped measuring of its own accord")
         else:
             self._heart.take(note, feed)
 

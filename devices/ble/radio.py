@@ -38,7 +38,7 @@ def uuid(text: str) -> str:
     if len(short) in (4, 8):
         short = f"{short:0>8}-0000-1000-8000-00805f9b34fb"
     if len(short) != 36 or set(short) - set("0123456789abcdef-"):
-        raise DeviceError(f"{text!r} is no Bluetooth UUID; write 2a37, or all 36 characters")
+        raise DeviceError(f"{text!r} is not a Bluetooth UUID; write 2a37, or all 36 characters")
     return short
 
 

@@ -51,7 +51,7 @@ class FtmsTreadmill(BleSource):
     device: str = param("", help=DEVICE_HELP)
     control: bool = param(False, help="let an outlet of this graph set speed and incline")
     most_kmh: float = param(12.0, above=0, most=40, help="no faster speed is ever set")
-    scan_s: float = param(10.0, above=0, help="how long it is looked for")
+    scan_s: float = param(10.0, above=0, help="how long to search for it")
 
     @property
     def chunk_s(self) -> float:
@@ -96,7 +96,7 @@ class TreadmillControls:
                 try:
                     low, high, step = ftms.limits(link.ask(where), signed=signed, factor=factor)
                 except struct.error:
-                    raise DeviceError(f"{link.name} does not say its limits; it is not set") from None
+                    raise DeviceError(f"{link.name} does not report its limits; its speed is not set") from None
                 self._limits[op] = (low, min(high, most_kmh) if op == ftms.SPEED else high, step)
 
     def ask(self) -> None:

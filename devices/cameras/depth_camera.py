@@ -72,7 +72,7 @@ class DepthCamera(Source):
         (),
         help="the lens's k1, k2, p1, p2, k3 (4, 5 or 8 numbers, as OpenCV has them) for the spec; left out: not known",
     )
-    recording: Path | None = param(None, help="a recording of the maker's own to play in place of a camera")
+    recording: Path | None = param(None, help="a recording in the maker's format, played instead of a camera")
     lost_after_s: float = param(5.0, above=0, help="after how long without a frame it is opened again")
     latency_s: float = param(0.0, least=0, most=1, help="how long before its stamp a frame really was taken")
 
@@ -151,7 +151,7 @@ class CameraReading:
             return False
         if frame is None:
             if time.monotonic() - self.heard > self.patience_s:
-                raise DeviceError(f"no frame of the {self.of.maker} for {self.patience_s:g} s; it is opened again")
+                raise DeviceError(f"no frame of the {self.of.maker} for {self.patience_s:g} s; it is reopened")
             return True
         self.heard, self.patience_s = time.monotonic(), self.of.lost_after_s
         self._emit(frame, feed)

@@ -77,4 +77,4 @@ ClockSync: TypeAlias = Annotated[bool, typer.Option(help="XDF: apply the clock o
 UntriedFormats: TypeAlias = Annotated[
     bool, typer.Option("--untried", help="also read formats of which no real file was at hand to try: MVNX, Cortex")
 ]
-Overwrite: TypeAlias = Annotated[bool, typer.Option("--overwrite", help="replace a recording that is there already")]
+Overwrite: TypeAlias = Annotated[bool, typer.Option("--overwrite", help="replace a recording that already exists")]

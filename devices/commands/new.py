@@ -112,7 +112,7 @@ def new(
         say(f"`python -m pytest {test}` tries it; `kinegraph check {made[-1]}` shows its graph")
         return
     if output and output.exists():
-        raise KinegraphError(f"{output}: is there already; choose another --out")
+        raise KinegraphError(f"{output}: already exists; choose another --out")
     if what is New.graph:
         _give(_for_recording(File(port)), output)
         return
@@ -155,7 +155,7 @@ def _for_recording(path: File) -> str:
     from stream.recording import Recording
 
     if path.is_file() and path.suffix != ".mcap":
-        raise KinegraphError(f"{path}: is no recording; make one of it: kinegraph import {path} -o {path.stem}.mcap")
+        raise KinegraphError(f"{path}: is not a recording; make one of it: kinegraph import {path} -o {path.stem}.mcap")
     with reading(path, "a recording"), Recording.open(path) as opened:
         specs = {n: s.spec for n, s in opened.streams.items() if s.role == "input" and s.kept != "outline"}
     if not specs:

@@ -104,10 +104,12 @@ def _of_single(action: Action, path: Path, names: list[str], yes: bool) -> None:
     for folder in folders:
         if folder not in broken and not archive.Facts.load(folder).closed and not yes:
             raise KinegraphError(
-                f"the night {folder.name} is not over; stop kinegraph first, or delete what there is of it with --yes"
+                f"the night {folder.name} is not over; stop kinegraph first, or delete it as it is with --yes"
             )
         if not yes and not sys.stdin.isatty():
-            raise KinegraphError(f"nobody is there to be asked, so {folder.name} stays; --yes deletes without asking")
+            raise KinegraphError(
+                f"nobody can be asked for confirmation, so {folder.name} stays; --yes deletes without asking"
+            )
         if yes or typer.confirm(f"Delete the night {folder.name} with all its files?"):
             archive.remove(folder)
             say(f"deleted {folder}")
@@ -162,13 +164,13 @@ def _date(text: str) -> date | None:
     try:
         return date.fromisoformat(text) if text else None
     except ValueError:
-        raise KinegraphError(f"{text!r} is no date; give one such as 2026-11-20") from None
+        raise KinegraphError(f"{text!r} is not a date; give one such as 2026-11-20") from None
 
 
 def _period(text: str) -> tuple[date, date]:
     begin, end = (_date(part) for part in (*text.partition("..")[::2],))
     if begin is None or end is None or end < begin:
-        raise KinegraphError(f"{text!r} is no period; give one such as 2026-11-02..2026-11-15")
+        raise KinegraphError(f"{text!r} is not a period; give one such as 2026-11-02..2026-11-15")
     return begin, end
 
 

@@ -40,7 +40,7 @@ def write_skeleton(kind: str, name: str, folder: Path) -> list[Path]:
     made = {folder / title.format(name): skeleton for skeleton, title in FILES[kind].items()}
     for path in made:
         if path.exists():
-            raise KinegraphError(f"{path}: is there already; choose another name or --out")
+            raise KinegraphError(f"{path}: already exists; choose another name or --out")
     folder.mkdir(parents=True, exist_ok=True)
     for path, skeleton in made.items():
         text = files("devices.commands").joinpath("skeletons", f"{skeleton}.txt").read_text(encoding="utf-8")

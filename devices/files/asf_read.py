@@ -142,7 +142,7 @@ def read_asf(path: Path) -> Skeleton:
             links.append((number, words))
     if not bones or not links:
         raise RecordingError(
-            f"{path}: line {len(lines)}: no bones, or no hierarchy; this is no ASF file, or was cut off"
+            f"{path}: line {len(lines)}: no bones, or no hierarchy; this is not an ASF file, or was cut off"
         )
     _link(made, bones, links)
     if made.radians:
@@ -155,7 +155,7 @@ def _units(where: str, made: Skeleton, words: list[str]) -> None:
     if words[0] == "length":
         made.length_unit = _numbers(where, words[1:], 1)[0]
         if made.length_unit <= 0.0:
-            raise RecordingError(f"{where}: a unit of length of {made.length_unit:g} cannot be")
+            raise RecordingError(f"{where}: a unit of length of {made.length_unit:g} is impossible")
     elif words[0] == "angle":
         made.radians = words[1:2] in (["rad"], ["radians"])
 
@@ -179,7 +179,7 @@ def _bone(where: str, bone: Bone, words: list[str]) -> None:
         for dof in bone.dof:
             if dof not in TURNS and dof not in MOVES:
                 raise RecordingError(
-                    f"{where}: {dof!r} is no degree of freedom; valid are {', '.join((*TURNS, *MOVES))}"
+                    f"{where}: {dof!r} is not a degree of freedom; valid are {', '.join((*TURNS, *MOVES))}"
                 )
         if len(set(bone.dof)) < len(bone.dof):
             raise RecordingError(f"{where}: a bone has each degree of freedom once, not {' '.join(rest)!r}")
@@ -187,7 +187,7 @@ def _bone(where: str, bone: Bone, words: list[str]) -> None:
 
 def _order(where: str, text: str) -> str:
     if sorted(text.lower()) != ["x", "y", "z"]:
-        raise RecordingError(f"{where}: {text!r} is no order of the axes x, y and z")
+        raise RecordingError(f"{where}: {text!r} is not an order of the axes x, y and z")
     return text.lower()
 
 
@@ -201,7 +201,7 @@ def _link(made: Skeleton, bones: dict[str, Bone], links: list[tuple[int, list[st
         for child in children:
             if child not in bones or child in at:
                 known = [name for name in bones if name not in at]
-                raise RecordingError(f"{where}: {child!r} is no bone that is still free; {nearest(child, known)}")
+                raise RecordingError(f"{where}: {child!r} is not a bone that is still free; {nearest(child, known)}")
             at[child] = len(made.bones)
             made.bones.append(bones[child])
             made.parents.append(at[parent])

@@ -137,7 +137,7 @@ def _hierarchy(path: Path, lines: list[str]) -> tuple[list[Joint], int]:
             joint.channels, joint.first = _channels(where, words[1:]), columns
             columns += len(joint.channels)
         else:
-            raise RecordingError(f"{where}: {words[0]!r} is no word of a BVH hierarchy")
+            raise RecordingError(f"{where}: {words[0]!r} is not a word of a BVH hierarchy")
     raise RecordingError(f"{path}: line {len(lines)}: the file ends before MOTION; it was cut off")
 
 
@@ -163,7 +163,7 @@ def _channels(where: str, words: list[str]) -> list[str]:
     named = [word.capitalize() for word in words[1:]]
     for word, name in zip(words[1:], named, strict=True):
         if name not in CHANNELS:
-            raise RecordingError(f"{where}: {word!r} is no channel; {nearest(word, CHANNELS)}")
+            raise RecordingError(f"{where}: {word!r} is not a channel; {nearest(word, CHANNELS)}")
     if len(set(named)) < len(named):
         raise RecordingError(f"{where}: a joint has each channel once, not {' '.join(words[1:])!r}")
     return named
@@ -199,7 +199,7 @@ def _timing(path: Path, lines: list[str], at: int) -> tuple[float, int]:
         )
     period, line = said["frame time"]
     if not 1e-6 < period < 1e6:
-        raise RecordingError(f"{path}: line {line}: a frame time of {period:g} s cannot be")
+        raise RecordingError(f"{path}: line {line}: a frame time of {period:g} s is impossible")
     count = sum(1 for text in lines[at:] if text.strip())
     if count != said["frames"][0]:
         raise RecordingError(

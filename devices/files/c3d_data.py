@@ -75,7 +75,7 @@ def frames_of(path: Path, head: bytes, parameters: Parameters) -> C3dFrames:
         scale=scale,
     )
     if made.markers and not (scale and isfinite(scale)):
-        raise RecordingError(f"{path}: the scale of its markers is {scale:g}; their places cannot be told")
+        raise RecordingError(f"{path}: the scale of its markers is {scale:g}; their positions cannot be determined")
     return _counted(path, made, max(0, last - first + 1) if last < MOST_FRAMES else None, parameters)
 
 

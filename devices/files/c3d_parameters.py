@@ -73,7 +73,7 @@ def read_parameters(head: bytes) -> Parameters:
     begin = (head[0] - 1) * BLOCK if head else -1
     data = head[max(0, begin) : begin + MOST_BLOCKS * BLOCK]
     if begin < 0 or len(head) < BLOCK or len(data) < 4 or data[3] not in (INTEL, DEC, MIPS):
-        raise ValueError(f"its parameters break off at byte {max(0, begin)}")
+        raise ValueError(f"its parameters end abruptly at byte {max(0, begin)}")
     names: dict[int, str] = {}
     found: list[tuple[int, str, Value]] = []
     at = 4
@@ -81,7 +81,7 @@ def read_parameters(head: bytes) -> Parameters:
         try:
             number, name, value, after = _record(data, at)
         except (struct.error, ValueError):
-            raise ValueError(f"its parameters break off at byte {begin + at}") from None
+            raise ValueError(f"its parameters end abruptly at byte {begin + at}") from None
         if value is None:
             names[-number] = name
         else:

@@ -102,9 +102,7 @@ def _events(path: Path, parameters: Parameters, head: bytes, start_ns: int) -> l
     if not any(labels):
         return _header_events(path, parameters.processor, head, start_ns)
     if times.shape != (2, len(labels)) or not np.isfinite(times).all():
-        raise RecordingError(
-            f"{path}: {len(labels)} events, but times for {times.shape[-1]}; they cannot be told apart"
-        )
+        raise RecordingError(f"{path}: {len(labels)} events, but times for {times.shape[-1]}; they cannot be matched")
     onsets = start_ns + np.round((times[0] * 60.0 + times[1]) * 1e6).astype(np.int64) * 1000
     contexts += [""] * (len(labels) - len(contexts))
     return _event_streams(path, labels, contexts, onsets)
@@ -118,7 +116,7 @@ def _header_events(path: Path, processor: int, head: bytes, start_ns: int) -> li
     times = reals(head[304:376], processor)[:count].astype(np.float64)
     labels = [text_of(head[396 + 4 * i : 400 + 4 * i]) or f"event{i + 1}" for i in range(count)]
     if not (np.abs(times) < 1e6).all():
-        raise RecordingError(f"{path}: the times of the header's events are none; the file is damaged")
+        raise RecordingError(f"{path}: the times of the header's events are not numbers; the file is damaged")
     onsets = start_ns + np.round(times * 1e6).astype(np.int64) * 1000
     return _event_streams(path, labels, [""] * count, onsets)
 

@@ -259,10 +259,12 @@ def _times(wishes: Wishes, name: str, named: str, column: FileColumn, rate: floa
         return grid_of(rate, column.data, 0)
     if not told and unit not in UNITS:
         raise RecordingError(
-            f"{column.file}: {named!r} is in {unit!r}, which is no unit of time; say what it is with --time-unit {name}=UNIT"
+            f"{column.file}: {named!r} is in {unit!r}, which is not a unit of time; say what it is with --time-unit {name}=UNIT"
         )
     if unit not in UNITS:
-        raise RecordingError(f"--time-unit {name}: {unit!r} is no unit of time; valid are samples, {', '.join(UNITS)}")
+        raise RecordingError(
+            f"--time-unit {name}: {unit!r} is not a unit of time; valid are samples, {', '.join(UNITS)}"
+        )
     try:
         return to_ns(column.data, unit)
     except ValueError as error:
@@ -286,7 +288,7 @@ def _number(text: str, option: str) -> float:
     try:
         number = float(text)
     except ValueError:
-        raise RecordingError(f"{option}: {text!r} is no number") from None
+        raise RecordingError(f"{option}: {text!r} is not a number") from None
     if not isfinite(number):
         raise RecordingError(f"{option}: {text} must be a finite number")
     return number

@@ -97,7 +97,7 @@ class DepthaiReplay(Source):
             raise DeviceError(str(error)) from None
         try:
             if not file.finished:
-                log.warning("the recording has no end; it is read as far as it is whole", path=self.path)
+                log.warning("the recording was cut off; its complete part is read", path=self.path)
             wanted: set[int] = set()
             topics: dict[int, str] = {}
             for body, channel in _bodies(file, topics, feed):

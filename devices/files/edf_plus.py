@@ -66,10 +66,10 @@ def _header(head: Head, record_ns: int, records: int, signals: Sequence[EdfSigna
     """The header; an annotation record has `size` samples of two bytes."""
     begun = head.begun
     if not FIRST_YEAR <= begun.year <= LAST_YEAR:
-        raise DeviceError(f"EDF cannot tell the year {begun.year}; it knows {FIRST_YEAR} to {LAST_YEAR}")
+        raise DeviceError(f"EDF cannot represent the year {begun.year}; its range is {FIRST_YEAR} to {LAST_YEAR}")
     length = _decimal(record_ns)
     if len(length) > 8:
-        raise DeviceError(f"EDF cannot tell epochs of {length} s: its field has eight places")
+        raise DeviceError(f"EDF cannot represent epochs of {length} s: its field has eight places")
     count = len(signals) + 1
     date = f"{begun.day:02d}-{MONTHS[begun.month - 1]}-{begun.year}"
     fixed = (

@@ -29,13 +29,13 @@ PACKED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_
 def glb_chunks(data: bytes, path: Path, what: str = "glTF file") -> tuple[dict[str, Any], bytes]:
     """The document of a glTF binary, and the bytes that follow it. Raises RecordingError, or ValueError for a document that is no JSON."""
     if len(data) < 20 or data[:4] != b"glTF":
-        raise RecordingError(f"{path}: is no {what}: it does not begin as a glTF binary does")
+        raise RecordingError(f"{path}: is not a {what}: it does not begin as a glTF binary does")
     length, kind = struct.unpack_from("<II", data, 12)
     if kind != 0x4E4F534A or length > min(len(data) - 20, MOST_JSON):
-        raise RecordingError(f"{path}: is no {what}: its first chunk is no JSON, or is cut off")
+        raise RecordingError(f"{path}: is not a {what}: its first chunk is not JSON, or is cut off")
     found = json.loads(data[20 : 20 + length])
     if not isinstance(found, dict) or not isinstance(found.get("nodes"), list):
-        raise RecordingError(f"{path}: is no {what}: it has no nodes")
+        raise RecordingError(f"{path}: is not a {what}: it has no nodes")
     rest = data[20 + length :]
     if len(rest) < 8 or rest[4:8] != b"BIN\0":
         return found, b""
@@ -70,7 +70,7 @@ class Gltf:
         else:
             document = json.loads(data[:MOST_JSON])
         if not isinstance(document, dict) or not str(document.get("asset", {}).get("version", "")).startswith("2."):
-            raise RecordingError(f"{path}: is no file of glTF 2.0")
+            raise RecordingError(f"{path}: is not a file of glTF 2.0")
         if packed := next((one for one in document.get("extensionsRequired", ()) if one in PACKED), None):
             raise RecordingError(f"{path}: its mesh is compressed by {packed}; export it without compression")
         buffers = [

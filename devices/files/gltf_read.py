@@ -36,7 +36,7 @@ def read_gltf(path: Path) -> MovingMesh:
     if not faces:
         raise RecordingError(f"{path}: holds no triangles")
     if stray := {joint for piece in pieces for joint in piece.joints} - set(order):
-        raise ValueError(f"a skin goes by node {min(stray)}, which the scene does not hold")
+        raise ValueError(f"a skin refers to node {min(stray)}, which is not in the scene")
     mesh = MovingMesh(nodes, parents, order, pieces, np.concatenate(faces).astype(np.int32), [])
     if not np.isfinite(mesh.at(np.zeros(1))).all():
         raise RecordingError(f"{path}: holds vertices that are not finite")
@@ -96,7 +96,7 @@ def _add_mesh(file: Gltf, node: int, pieces: list[MeshPrimitive], faces: list[Ar
         first, count = known[key]
         corners = file.numbers(primitive["indices"])[:, 0] if "indices" in primitive else np.arange(count)
         if corners.dtype.kind not in "iu" or (len(corners) and corners.max() >= count):
-            raise ValueError(f"its triangles name vertices that are not there; there are {count}")
+            raise ValueError(f"its triangles refer to vertices that do not exist; there are {count}")
         faces.append(_triangles(corners.astype(np.int64), mode) + first)
 
 
@@ -109,7 +109,7 @@ def _piece(file: Gltf, node: int, mesh: dict[str, Any], primitive: dict[str, Any
         if "POSITION" in target:
             moved[k] = file.numbers(target["POSITION"])
     if places.shape[1] != 3 or not np.isfinite(moved).all():
-        raise ValueError("its vertices are no finite (x, y, z)")
+        raise ValueError("its vertices are not finite (x, y, z)")
     joints, binds = _skin(file, node)
     bones, shares = np.zeros((len(places), 0), np.int64), np.zeros((len(places), 0))
     if joints:
@@ -117,7 +117,7 @@ def _piece(file: Gltf, node: int, mesh: dict[str, Any], primitive: dict[str, Any
         bones = np.hstack([file.numbers(attributes[f"JOINTS_{k}"]) for k in sets]).astype(np.int64)
         shares = np.hstack([file.numbers(attributes[f"WEIGHTS_{k}"]) for k in sets]).astype(float)
         if bones.shape != shares.shape or len(bones) != len(places) or bones.max() >= len(joints):
-            raise ValueError(f"vertices go by joints that are not there; there are {len(joints)}")
+            raise ValueError(f"vertices refer to joints that do not exist; there are {len(joints)}")
         shares = shares / np.maximum(shares.sum(axis=1, keepdims=True), 1e-12)
     return MeshPrimitive(node, places, moved, weights, joints, binds, bones, shares)
 

@@ -108,7 +108,7 @@ def _counted(path: Path, frames: Array, row: int, rate_hz: float) -> tuple[Times
     """Times of frames by their numbers, and how many are missing before each."""
     wrong = np.flatnonzero(~(np.abs(frames) < 2**31) | (frames != np.round(frames)))
     if len(wrong):
-        raise RecordingError(f"{path}: line {row + int(wrong[0])}: {frames[wrong[0]]:g} is no frame number")
+        raise RecordingError(f"{path}: line {row + int(wrong[0])}: {frames[wrong[0]]:g} is not a frame number")
     numbers = frames.astype(np.int64)
     steps = np.diff(numbers)
     lost = np.concatenate([[0], steps // max(int(np.gcd.reduce(steps)), 1) - 1])

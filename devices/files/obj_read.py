@@ -90,13 +90,13 @@ def _mesh(path: Path) -> tuple[Samples, Array]:
                 corners = [c - 1 if c > 0 else len(vertices) + c for c in corners]
                 faces += [(corners[0], corners[i], corners[i + 1]) for i in range(1, len(corners) - 1)]
         except ValueError:
-            raise RecordingError(f"{path}: line {number}: {line.strip()[:60]!r} is no vertex or face") from None
+            raise RecordingError(f"{path}: line {number}: {line.strip()[:60]!r} is not a vertex or face") from None
     made = np.array(vertices, np.float64)
     if made.ndim != 2 or made.shape[1] != 3 or not len(made) or not np.isfinite(made).all():
         raise RecordingError(f"{path}: holds no vertices with three finite coordinates each")
     triangles = np.array(faces, np.int32).reshape(-1, 3)
     if triangles.size and not (triangles.min() >= 0 and triangles.max() < len(made)):
-        raise RecordingError(f"{path}: a face names a vertex that is not there; there are {len(made)}")
+        raise RecordingError(f"{path}: a face refers to a vertex that does not exist; there are {len(made)}")
     return made, triangles
 
 

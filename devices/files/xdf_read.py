@@ -152,7 +152,7 @@ def _series(path: Path, name: str, stream: dict[str, Any], anchor: int, text_wid
     info = stream["info"]
     seconds = np.asarray(stream["time_stamps"], np.float64)
     if not (np.abs(seconds) <= MOST_NS / NS).all():
-        raise RecordingError(f"{path}: stream {name!r} holds times that are none; the file is damaged")
+        raise RecordingError(f"{path}: stream {name!r} holds times that are not numbers; the file is damaged")
     time = np.round(seconds * NS).astype(np.int64) + anchor
     order = np.argsort(time, kind="stable")
     time = time[order]

@@ -109,7 +109,7 @@ def _in_slices(lsl: Any, call: Any, feed: Feed) -> Any:
         except lsl.util.TimeoutError:
             if time.monotonic() > deadline:
                 raise DeviceError(
-                    f"the LSL stream is announced, but does not answer within {OPEN_S:g} s; a firewall?"
+                    f"the LSL stream is announced, but did not answer within {OPEN_S:g} s; a firewall?"
                 ) from None
         except lsl.util.LostError:
             raise DeviceError("the LSL stream was lost while it was being opened") from None

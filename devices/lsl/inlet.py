@@ -55,7 +55,7 @@ class LslInlet(_Probing):
     markers: bool = param(False, help="the stream holds texts, not numbers")
     text_width: int = param(64, least=1, most=4096, help="characters that a marker may have; longer ones are cut")
     probe: bool = param(False, help="look at the stream when the graph is loaded, instead of declaring it")
-    resolve_s: float = param(5.0, above=0, most=600, help="how long the stream is looked for")
+    resolve_s: float = param(5.0, above=0, most=600, help="how long to search for the stream")
     lost_after_s: float = param(5.0, above=0, help="after how long without a sample it is searched for again")
     gap_s: float = param(
         0.5, above=0, help="a longer step between stamps is a gap; an even sender's gaps are seen at two periods"

@@ -71,7 +71,7 @@ def describe(xml: str) -> Described:
     try:
         info = ElementTree.fromstring(xml)
     except ElementTree.ParseError as error:
-        raise DeviceError(f"an LSL stream's description is no XML: {error}") from None
+        raise DeviceError(f"an LSL stream's description is not XML: {error}") from None
     count = int(_text(info, "channel_count") or 0)
     channels = info.findall("desc/channels/channel")
     labels = tuple(_text(c, "label") for c in channels)

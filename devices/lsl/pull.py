@@ -144,7 +144,7 @@ class Pull:
             return
         if not self._feed.stopped:
             raise DeviceError(
-                f"{self._connection.wanted} has brought nothing for {seconds:.1f} s; it is searched for again"
+                f"{self._connection.wanted} has delivered nothing for {seconds:.1f} s; searching for it again"
             )
 
     def _look_after(self, now: float) -> None:

@@ -63,7 +63,7 @@ class Broker:
             raise ParameterError("broker", self.ca_file, "a file that exists")
         for name in (self.password_file, self.ca_file):
             if name and not os.access(name, os.R_OK):
-                raise ParameterError("broker", name, "a file that may be read by who runs kinegraph")
+                raise ParameterError("broker", name, "a file that the user who runs kinegraph may read")
         if self.password_file and not self.username:
             raise ParameterError("broker", self.password_file, "given together with a username")
 
@@ -241,7 +241,7 @@ class BrokerConnection:
         self.dropped += 1
         if self.dropped == 1:
             log.warning(
-                "MQTT messages come faster than they are looked at; some are dropped", topic=message.topic[:200]
+                "MQTT messages arrive faster than they are processed; some are dropped", topic=message.topic[:200]
             )
 
     def _message(self, message: MQTTMessage) -> None:
@@ -260,6 +260,4 @@ class BrokerConnection:
         if why != self._trouble:
             self._trouble = why
             broker = self._broker
-            log.warning(
-                "no MQTT broker; tried again for as long as it takes", host=broker.host, port=broker.port, why=why
-            )
+            log.warning("no MQTT broker; retrying until it answers", host=broker.host, port=broker.port, why=why)

@@ -36,9 +36,7 @@ class AppendFile:
         try:
             self._handle = os.open(path, os.O_RDWR | os.O_CREAT | (os.O_EXCL if fresh else 0), PRIVATE)
         except FileExistsError:
-            raise DeviceError(
-                f"{path} exists already; it is not overwritten unless told to (existing: replace)"
-            ) from None
+            raise DeviceError(f"{path} exists already; it is not overwritten (existing: replace allows it)") from None
         except OSError as error:
             raise DeviceError(f"cannot write {path}: {error.strerror}; choose another path") from None
         if not fresh:

@@ -1,4 +1,4 @@
-"""Poses into a BVH file while they come; what is there already can be opened at any time."""
+"""Poses into a BVH file while they come; what already exists can be opened at any time."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class BvhFile(Outlet[BvhState, BvhRuntime]):
     """Writes a regular stream of poses as BVH, in centimetres; the number of frames in its head is kept up to date.
 
     BVH frames have no times of their own: where samples are missing, the pose before them is written again. A pose that is not finite is
-    replaced by the one before it, too. A file that is there already is not overwritten.
+    replaced by the one before it, too. A file that already exists is not overwritten.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("pose",)

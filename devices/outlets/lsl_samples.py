@@ -89,7 +89,7 @@ def form_of(spec: StreamSpec, events: str, fields: tuple[str, ...]) -> Form:
     """How a stream is sent; raises InputError or ParameterError where it cannot be."""
     if not spec.is_event:
         if fields:
-            raise ParameterError("fields", list(fields), f"left out: the input is no event but {spec.describe()}")
+            raise ParameterError("fields", list(fields), f"left out: the input is not an event but {spec.describe()}")
         return _numbers(spec)
     for name in fields:
         if name not in spec.channels:

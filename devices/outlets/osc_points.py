@@ -39,7 +39,7 @@ class OscPoints(Outlet[OscPointsState, OscPointsRuntime]):
 
     host: str = param("127.0.0.1", help="who receives")
     port: int = param(9000, least=1, most=65535, help="the receiver's UDP port")
-    address: str = param("/markers", help="what stands before the points' names")
+    address: str = param("/markers", help="what precedes the points' names")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]

@@ -65,5 +65,5 @@ class SessionEnd(Outlet[SessionEndState, SessionEndRuntime]):
         if state.over not in (NEVER, FOREVER) and state.over <= chunk.until:
             state.over = FOREVER
             if stop is not None:
-                log.info("the session ends: a trigger says so", pulse=self.pulse)
+                log.info("the session ends on a trigger", pulse=self.pulse)
                 stop()

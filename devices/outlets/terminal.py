@@ -136,7 +136,7 @@ class LineView(TerminalView):
 
 def _nowhere(error: OSError) -> TextIO:
     """What takes the place of a standard output that takes nothing any more; nor does the end of the program complain of it."""
-    log.warning("the session is not shown any more, and goes on", error=error.strerror or str(error))
+    log.warning("the session is no longer shown, but continues", error=error.strerror or str(error))
     nowhere = open(os.devnull, "w")  # noqa: SIM115, PTH123 - for as long as the program runs
     with suppress(OSError, ValueError):
         os.dup2(nowhere.fileno(), sys.stdout.fileno())

@@ -88,7 +88,7 @@ class Frame:
     sync: str | int = param(
         help='the bytes it begins with, in hex: "55 51"; "" where each transfer or packet is a frame, whatever it begins with'
     )
-    fields: tuple[Field, ...] = param(help="what stands between sync and checksum, in order")
+    fields: tuple[Field, ...] = param(help="what comes between sync and checksum, in order")
     name: str = param("", help="the output's name; a frame without data needs none")
     endian: Literal["little", "big"] = param("little", help="byte order of fields and checksum")
     checksum: Kind = param("none", help="over all bytes before it, the first `checksum_from` left out")

@@ -24,7 +24,7 @@ class QualisysError(ValueError):
     """Bytes that are no packet, or one that is cut off."""
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class AnalogSamples:
     """Of one device: its samples (n, channels), in the device's unit, and the running number of the first."""
 
@@ -49,7 +49,7 @@ class QualisysFrame:
     analog: list[AnalogSamples] = field(default_factory=list)
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class AnalogDevice:
     """name, samples per second, and each channel's name and unit."""
 
@@ -183,7 +183,7 @@ def names(xml: str) -> QualisysNames:
     try:
         root = ElementTree.fromstring(xml)
     except ElementTree.ParseError as error:
-        raise QualisysError(f"parameters that are no XML: {error}") from None
+        raise QualisysError(f"parameters that are not XML: {error}") from None
     return QualisysNames(
         _number(root.findtext("./General/Frequency")),
         [(one.findtext("Name") or "").strip() for one in root.findall("./The_3D/Label")],

@@ -56,7 +56,7 @@ class VmcFrame:
         self, bones: Sequence[str], offsets: Samples, blends: Sequence[str] = (), most: int = SAFE_BYTES
     ) -> None:
         if unknown := [bone for bone in bones if bone not in BONES]:
-            raise ValueError(f"{unknown[0]!r} is no bone of a humanoid avatar")
+            raise ValueError(f"{unknown[0]!r} is not a bone of a humanoid avatar")
         if np.shape(offsets) != (len(bones), 3):
             raise ValueError(f"offsets of shape {np.shape(offsets)}; they must be ({len(bones)}, 3)")
         state = struct.pack(">iiii", 1, 3, 0, 1)  # loaded; calibrated; as it is; tracking

@@ -212,7 +212,7 @@ def read_stages(path: Path) -> tuple[str, ...]:
         except (KeyError, ValueError, AttributeError):
             told = ",".join(str(value) for value in row.values())
             raise DeviceError(
-                f"{path}, line {line}: {told!r} is no onset (s) with its stage (W N1 N2 N3 R, 0 to 5, or ?), under a header that says so"
+                f"{path}, line {line}: {told!r} is not an onset (s) and a stage (W N1 N2 N3 R, 0 to 5, or ?) below a header that names both"
             ) from None
         if not isfinite(onset) or (found and onset <= found[-1][0]):
             raise DeviceError(f"{path}, line {line}: onset is {onset:g} s, which is not after the line before")

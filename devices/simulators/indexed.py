@@ -20,7 +20,7 @@ class Indexed(Simulator):
     time_unit: str = param("us", help="unit of the time: ns, us, ms or s")
     drift_ppm: float = param(0.0, help="how much faster the device's clock runs than true time")
     counter_bits: int = param(16, least=1, most=32, help="after how many bits the counter starts again")
-    trailing: str = param("", help="what stands behind the last number")
+    trailing: str = param("", help="what follows the last number")
 
     def brain(self) -> IndexedBrain:
         return IndexedBrain(self)

@@ -169,7 +169,7 @@ def line_at(address: str = "", name: str = "ttySIM") -> Line:
     host, _, port = address.removeprefix("tcp://").rpartition(":")
     if not address.startswith("tcp://") or not host or not port.isdigit():
         raise DeviceError(
-            f"{address!r} is no address to serve; write tcp://host:port, or nothing for a pseudo-terminal"
+            f"{address!r} is not an address to serve; write tcp://host:port, or nothing for a pseudo-terminal"
         )
     return TcpLine(host.strip("[]"), int(port))
 

@@ -177,7 +177,7 @@ class StationLine(TcpLine):
     def __init__(self, address: str) -> None:
         host, _, port = address.removeprefix("tcp://").rpartition(":")
         if not address.startswith("tcp://") or not host or not port.isdigit():
-            raise DeviceError(f"{address!r} is no address to serve; write tcp://host:port")
+            raise DeviceError(f"{address!r} is not an address to serve; write tcp://host:port")
         self.data: list[DataLine] = []
         super().__init__(host.strip("[]"), int(port) or _free(host.strip("[]")))
         self.data = [DataLine(self._host, self._port + i) for i in (1, 2, 3, 4)]

@@ -59,7 +59,7 @@ def parse(address: str) -> tuple[str, str, str]:
     device, *uuids = address.removeprefix(SCHEME).split("/")
     if not device or len(uuids) not in (1, 2):
         raise DeviceError(
-            f"{address!r} is no Bluetooth LE address; write ble://DEVICE/NOTIFY or ble://DEVICE/NOTIFY/WRITE, with the device's "
+            f"{address!r} is not a Bluetooth LE address; write ble://DEVICE/NOTIFY or ble://DEVICE/NOTIFY/WRITE, with the device's "
             "name or address and the UUIDs of its characteristics"
         )
     return device, uuid(uuids[0]), uuid(uuids[1]) if len(uuids) == 2 else ""

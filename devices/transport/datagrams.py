@@ -38,7 +38,7 @@ class UdpTransport(ClosedAtEnd):
         host, _, port = address.removeprefix("udp://").rpartition(":")
         if not host or not port.isdigit() or int(port) > 65535:
             raise DeviceError(
-                f"{address!r} is no address to listen at; write udp://127.0.0.1:PORT, or udp://0.0.0.0:PORT"
+                f"{address!r} is not an address to listen at; write udp://127.0.0.1:PORT, or udp://0.0.0.0:PORT"
             )
         host = host.strip("[]")
         self._socket = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)

@@ -134,7 +134,7 @@ class TcpTransport(ClosedAtEnd):
         self.address = address
         host, _, port = address.removeprefix("tcp://").rpartition(":")
         if not host or not port.isdigit():
-            raise DeviceError(f"{address!r} is no TCP address; write tcp://host:port")
+            raise DeviceError(f"{address!r} is not a TCP address; write tcp://host:port")
         try:
             self._socket = socket.create_connection((host.strip("[]"), int(port)), timeout_s)
         except OSError as error:

@@ -46,7 +46,7 @@ class ZeroMqTransport(ClosedAtEnd):
         return parts[-1]
 
     def write(self, data: bytes) -> None:
-        raise DeviceError(f"{self.address}: nothing can be sent to who publishes")
+        raise DeviceError(f"{self.address}: nothing can be sent to a publisher")
 
     def close(self) -> None:
         self._socket.close()

@@ -35,7 +35,7 @@ class UsbAddress:
         match = _ADDRESS.fullmatch(text)
         if not match:
             raise DeviceError(
-                f"{text!r} is no USB address; write usb://VENDOR, usb://VENDOR:PRODUCT or usb://VENDOR:PRODUCT/SERIAL with "
+                f"{text!r} is not a USB address; write usb://VENDOR, usb://VENDOR:PRODUCT or usb://VENDOR:PRODUCT/SERIAL with "
                 "hexadecimal ids of four digits, as in usb://2639:0003"
             )
         product = match["product"]

@@ -87,7 +87,7 @@ class Background(Operator[BackgroundState]):
     outputs: ClassVar[tuple[str, ...]] = ("out", "floor")
     agrees: ClassVar[str] = "floor: RANSAC, Fischler and Bolles 1981, then least squares"
 
-    learn_s: float = param(1.0, above=0.0, help="how long is looked at before anything is taken for a foreground")
+    learn_s: float = param(1.0, above=0.0, help="how long to observe before anything counts as foreground")
     least_mm: float = param(60.0, above=0.0, help="how far before the background something must stand")
     least_share: float = param(
         0.03, above=0.0, most=0.5, help="and at least this share of the background's depth: noise grows with it"

@@ -100,7 +100,7 @@ class InStep:
             log.warning("images are in step with the depth again")
             return
         log.warning(
-            "images are out of step with the depth whose stamps they bear: the body is followed without them until they are not",
+            "images are out of step with the depth that has their stamps: the body is tracked without them until they are in step again",
             shown_ms=f"{abs(1000 * lag_s):.0f} {'earlier' if lag_s > 0 else 'later'}",
         )
 

@@ -42,7 +42,7 @@ def pose_model(
     """Download BlazePose (Apache-2.0; 41 MB, of which 6 are kept) for operators.body.pose_network.PoseNetwork, and check it."""
     path = default_model()
     if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == SHA256:
-        say(f"{path} is there already")
+        say(f"{path} already exists")
         return
     content = _network_in(Path(package).read_bytes() if package else _downloaded())
     private_folder(path.parent)

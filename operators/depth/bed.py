@@ -72,13 +72,13 @@ class BedRegion(Operator[BedState]):
     acts: ClassVar[tuple[str, ...]] = ("in",)
     optional: ClassVar[tuple[str, ...]] = ("view",)
 
-    sleepers: tuple[str, ...] = param(("sleeper",), help="who lies in the bed: a name for each")
+    sleepers: tuple[str, ...] = param(("sleeper",), help="the sleepers' names")
     regions: tuple[tuple[int, int, int, int], ...] = param(
         (), least=0, help="per sleeper: first row, first column, rows, columns, in pixels; left out: found"
     )
-    learn_s: float = param(30.0, above=0.0, help="how long is looked at before the bed is looked for")
+    learn_s: float = param(30.0, above=0.0, help="how long to observe before searching for the bed")
     lowest_mm: float = param(200.0, above=0.0, help="how high above the floor a bed is at least")
-    highest_mm: float = param(1200.0, above=0.0, help="and, with who lies in it, at most")
+    highest_mm: float = param(1200.0, above=0.0, help="and, with the sleeper in it, at most")
     least_share: float = param(0.08, above=0.0, most=1.0, help="how much of the frame it covers at least")
 
     def open(self, specs: Specs) -> Specs:

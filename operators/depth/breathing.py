@@ -102,7 +102,7 @@ class Breathing(Operator[BreathingState]):
     epoch_s: float = param(30.0, least=10.0, most=300.0, help="length of an epoch, at whole multiples since 1970")
     cell_blocks: int = param(0, least=0, help="side of a cell in blocks; 0: about 27 cells in a row of the frame")
     still_mm_s: float = param(20.0, above=0.0, help="faster than this is movement, not breath")
-    least_confidence: float = param(0.5, least=0.0, most=1.0, help="below this a rate is not told")
+    least_confidence: float = param(0.5, least=0.0, most=1.0, help="below this no rate is reported")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["blocks"]

@@ -72,7 +72,7 @@ class Simplify(Operator[SimplifyState]):
 
     block: int = param(8, least=2, most=16, help="side of a block in pixels")
     components: int = param(1, least=1, help="how many numbers remain of a block")
-    learn_s: float = param(120.0, above=0.0, help="how long blocks are looked at before their components are taken")
+    learn_s: float = param(120.0, above=0.0, help="how long blocks are observed before their components are chosen")
     worse: float = param(1.25, least=1.0, help="how much more the basis must leave over than a new one would")
     least_valid: float = param(0.5, above=0.0, most=1.0, help="share of a block's pixels that must be measured")
 

@@ -95,7 +95,7 @@ class ChannelWatch(Operator[ChannelWatchState]):
     same_share: float = param(0.9, above=0.0, most=1.0, help="share of equal samples from which channels are the same")
     most: float = param(0.9, above=0.0, most=1.0, help="correlation from which channels are alike")
     clipped: int = param(5, least=2, help="a window's highest or lowest value comes this often where it is cut off")
-    above: float = param(0.3, least=0.0, most=1.0, help="by how much it lies above that of the median pair")
+    above: float = param(0.3, least=0.0, most=1.0, help="by how much it exceeds that of the median pair")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]

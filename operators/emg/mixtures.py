@@ -76,7 +76,7 @@ class PeakMixtures(Operator[MixturesState]):
     outputs: ClassVar[tuple[str, ...]] = ("mixture", "modes")
 
     cycles: int = param(20, least=2, most=500, help="how many of the latest cycles")
-    fewest_cycles: int = param(5, least=2, help="from how many cycles on there is a mixture")
+    fewest_cycles: int = param(5, least=2, help="how many cycles a mixture needs")
     joint: tuple[tuple[str, ...], ...] = param((), help="channels that make one mixture together, e.g. [[GM, GL]]")
     circular: bool = param(True, help="whether 100 % of a cycle is 0 % of the next")
     width: int = param(3, least=1, most=25, help="Mariscotti's w: points of the running mean, odd")

@@ -121,7 +121,7 @@ class SignalQuality(Operator[QualityState]):
     window_s: float = param(1.0, least=0.5, most=60.0, help="length of a window")
     mains_hz: Literal[0, 50, 60] = param(0, help="mains frequency; 0: 50 or 60, whichever hums more")
     full_scale: float = param(
-        0.0, least=0.0, help="largest amount the amplifier can give, in the signal's unit; 0: not known"
+        0.0, least=0.0, help="the largest absolute value the amplifier can give, in the signal's unit; 0: unknown"
     )
     least_contrast: float = param(2.0, least=1.0, help="less is baseline noise")
     most_noise: float = param(

@@ -59,7 +59,7 @@ class Bundle(Operator[BundleState]):
 
     takes = "rows"
     k: int = param(32, least=4, most=128, help="how many neighbours")
-    window_s: float = param(60.0, above=0.0, help="how far back neighbours are looked for")
+    window_s: float = param(60.0, above=0.0, help="how far back to search for neighbours")
     variance: float = param(0.975, above=0.0, most=1.0, help="share of the neighbours' variance that is kept")
     ahead: int = param(2, least=2, most=1000, help="frames that are awaited: the delay")
     reset_gap_s: float = reset_gap(60.0)

@@ -47,7 +47,7 @@ class Mirror(SampleWise[MirrorState]):
     `meta["firsts"]` names the first of each pair.
     """
 
-    swap: tuple[tuple[str, str], ...] = param((), help="[channel, channel]: they change places")
+    swap: tuple[tuple[str, str], ...] = param((), help="[channel, channel]: exchanged")
     negate: tuple[str, ...] = param((), help="channels that change their sign; *.x: all that end so")
     sides: bool = param(False, help="the first of each pair is the left one")
 

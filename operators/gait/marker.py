@@ -137,7 +137,7 @@ class MarkerContacts(Contacts[MarkerState]):
         self.state.told = True
         apart = {} if self.state.alone else {"apart_m": round(float(self.state.motion["apart"][0]), 4)}
         log.warning(
-            "markers leap, or are not a leg apart: contacts will be missing or wrong; is their unit right? `unit` sets it",
+            "markers jump, or are not a leg's length apart: contacts will be missing or wrong; is their unit right? `unit` sets it",
             marker=self.marker, reference=self.reference, taken_for=UNITS[self.state.metres], **apart,
         )  # fmt: skip
 

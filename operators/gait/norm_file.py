@@ -67,7 +67,7 @@ def _take(
         muscle = row[columns[0]].strip()
         at, one, two = (float(row[i]) for i in columns[1:])
     except (IndexError, ValueError):
-        raise NormError(f"{where}: {','.join(row)!r} is no muscle with three numbers") from None
+        raise NormError(f"{where}: {','.join(row)!r} is not a muscle with three numbers") from None
     if not (muscle and 0 <= at <= 100 and np.isfinite([one, two]).all()):
         raise NormError(f"{where}: needs a muscle, 0 to 100 % of the cycle, and finite numbers")
     if at in points.setdefault(muscle, {}):

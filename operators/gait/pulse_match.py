@@ -65,7 +65,9 @@ def match_pulses(first: Samples, second: Samples, within_s: float = 0.02, most_p
         slope, offset = (float(v) for v in np.polyfit(second[good] - start, (first[near] - second)[good], 1))
     rest = (first[near] - second - offset - slope * (second - start))[good]
     if abs(slope) > 1e-6 * most_ppm:
-        raise KinegraphError(f"the clocks would drift by {1e6 * slope:.0f} ppm; more than {most_ppm:g} is no clock's")
+        raise KinegraphError(
+            f"the clocks would drift by {1e6 * slope:.0f} ppm; more than {most_ppm:g} is not a clock's"
+        )
     rms, worst = float(np.sqrt((rest**2).mean())), float(np.abs(rest).max())
     return PulseMatch(offset, 1e6 * slope, start, 1000 * rms, 1000 * worst, int(good.sum()), len(first), len(second))
 

@@ -82,7 +82,7 @@ class CycleReview(Operator[ReviewState]):
     optional: ClassVar[tuple[str, ...]] = ("quality", "annotations")
     outputs: ClassVar[tuple[str, ...]] = ("closed", "cycles", "judged")
 
-    leave_out: Literal["bad", "doubtful", "none"] = param("bad", help="the quality from which on a muscle is left out")
+    leave_out: Literal["bad", "doubtful", "none"] = param("bad", help="the quality at which a muscle is left out")
     left_out: tuple[str, ...] = param((), help='cycles and muscles to be left out: "17", "17 TA", "TA"')
     kept: tuple[str, ...] = param((), help="those to be used whatever their quality, named alike")
 

@@ -76,10 +76,10 @@ class Neighbours(Operator[NeighboursState]):
     optional: ClassVar[tuple[str, ...]] = ("weights", "radius")
     outputs: ClassVar[tuple[str, ...]] = ("nearest", "within")
 
-    window_s: float = param(60.0, above=0.0, help="how far back neighbours are looked for")
+    window_s: float = param(60.0, above=0.0, help="how far back to search for neighbours")
     k: int = param(32, least=0, most=1024, help="how many nearest are given with every frame")
     within: float | None = param(None, least=0.0, help="radius, in the features' unit; left out: none until the input")
-    both: bool = param(False, help="also neighbours in whose own radius the frame lies")
+    both: bool = param(False, help="also neighbours whose own radius contains the frame")
     band_s: float = param(1.0, least=0.0, help="frames less far away in time are passed over; 0: only the frame itself")
     weights: tuple[float, ...] | None = param(None, least=0.0, help="one per feature; left out: 1 each")
     reset_gap_s: float = reset_gap(60.0)

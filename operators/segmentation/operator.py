@@ -86,7 +86,7 @@ class Segment(Operator[SegmentState]):
     learn_s: float = param(5.0, above=0.0, help="nothing is decided before this much has been seen")
     quiet_s: float = param(0.4, above=0.0, help="so long without a neighbour ends an activity")
     mass_s: float = param(1.0, above=0.0, help="frames with neighbours that open one, in seconds")
-    settle_s: float = param(2.0, above=0.0, help="after its opening, until its start is looked for")
+    settle_s: float = param(2.0, above=0.0, help="after its opening, until its start is searched for")
     firm_s: float = param(8.0, above=0.0, help="after its opening, until its start is final; no less than 2.86 cycle_s")
     band_s: tuple[float, float] = param((0.4, 0.7), above=0.0, help="bounds of the band around the diagonal")
     rest_s: float = param(1.0, above=0.0, help="who has hardly moved for so long is at rest")

@@ -66,7 +66,7 @@ class Taught:
         if not len(lengths) or (lengths < 1).any() or (lengths > frames.shape[1]).any():
             raise ModelError(f"{path}: array 'lengths' must hold numbers of frames, 1 to {frames.shape[1]}")
         if (exercise < 0).any() or (exercise >= len(names)).any():
-            raise ModelError(f"{path}: array 'exercise' names exercises that are not there")
+            raise ModelError(f"{path}: array 'exercise' names exercises that do not exist")
         return cls(names, frames, lengths, exercise, reach)
 
     def write(self, path: Path, spec: StreamSpec, source: str) -> None:

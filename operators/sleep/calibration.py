@@ -31,7 +31,7 @@ class Calibration:
     @classmethod
     def read(cls, path: Path) -> Calibration:
         """A JSON file with these fields. Raises KinegraphError, which says what is wrong with it."""
-        found = read_json(path, "calibration")
+        found = read_json(path, "a calibration")
         known = [f.name for f in fields(cls)]
         if not set(found) <= set(known) or not {*known} - {"offset"} <= set(found):
             raise KinegraphError(f"{path}: a calibration has the fields {', '.join(known)} (offset may be left out)")

@@ -88,7 +88,7 @@ def from_model(model: Model) -> tuple[Steering, Topology]:
     if "facing" in model.arrays:
         facing, reach = model.array("facing", (None,)), float(model.array("reach", (1,))[0])
     if len(facing) not in (0, 4) or not 0.0 < reach < np.inf:
-        raise ModelError(f"{model.path}: says wrongly which way its mesh faces")
+        raise ModelError(f"{model.path}: gives a wrong direction in which its mesh faces")
     soft, most = np.zeros((0, 0)), 0.0
     if "soft" in model.arrays:
         soft, most = model.array("soft", (count, len(names))), float(model.array("most", (1,))[0])
@@ -100,7 +100,7 @@ def from_model(model: Model) -> tuple[Steering, Topology]:
         or not parts
         or any(n.size and not (n.min() >= 0 and n.max() < limit) for n, limit in numbers)
     ):
-        raise ModelError(f"{model.path}: names vertices or markers that are not there")
+        raise ModelError(f"{model.path}: refers to vertices or markers that do not exist")
     usual, spread = model.array("usual", (len(names), 3)), model.array("spread", (len(names), 3))
     settling = _settling(model, parts, len(names)) if "settling.own" in model.arrays else None
     return Steering(names, vertices, reference, parts, usual, spread, facing, reach, soft, most, graph, settling), mesh
@@ -121,7 +121,7 @@ def _settling(model: Model, parts: tuple[Part, ...], markers: int) -> Settling:
     greedy, most, beta, marked = (float(one) for one in model.array("settling.how", (4,)))
     shapes = SoftShapes(beta, marked) if len(solve) else None
     if n and not (others.min() >= -markers and others.max() < p):
-        raise ModelError(f"{model.path}: holds parts to parts or markers that are not there")
+        raise ModelError(f"{model.path}: attaches parts to parts or markers that do not exist")
     if begins[0] or begins[-1] != n or (np.diff(begins) < 0).any():
         raise ModelError(f"{model.path}: the rows that hold its parts together do not fit")
     turns, weights = model.array("settling.turns", (p,), np.bool_), model.array("settling.weights", (n,))
@@ -142,7 +142,7 @@ def _part(model: Model, k: int, markers: int) -> Part:
     weights, mean = model.array(f"{k}.weights", (n,)), model.array(f"{k}.mean", (n, 3))
     part = Part(vertices, weights, mean, modes, 1.0, features, learned, frame=_frame(model, k, markers))
     if part.frame and (scale < 0.0 or not np.array_equal(features, np.arange(3 * markers))):
-        raise ModelError(f"{model.path}: part {k} does not go by what its frame sees")
+        raise ModelError(f"{model.path}: part {k} does not depend on the markers of its frame")
     if f"{k}.parent" not in model.arrays:
         return part
     parent = int(model.array(f"{k}.parent", (1,), np.int64)[0])
@@ -172,5 +172,5 @@ def _graph(model: Model, markers: int) -> MarkerGraph:
     lengths, shares, still = (model.array(f"graph.{name}", (len(edges),)) for name in ("lengths", "shares", "still"))
     inside = all(one.size == 0 or (one.min() >= 0 and one.max() < markers) for one in (edges, lead))
     if not (len(edges) and inside and (before < np.arange(len(edges))).all() and (before >= -1).all()):
-        raise ModelError(f"{model.path}: its graph of markers names markers or edges that are not there")
+        raise ModelError(f"{model.path}: its graph of markers refers to markers or edges that do not exist")
     return MarkerGraph(lead, edges, before, lengths, shares, still)

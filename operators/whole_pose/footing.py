@@ -151,7 +151,7 @@ class Footing(_Standing):
     uncalibrated_s: float = param(
         3.0, above=0.0, help="so long after being seen first the avatar follows without a calibration"
     )
-    seated: bool = param(False, help="the person sits: the legs are not looked at")
+    seated: bool = param(False, help="the person sits: the legs are ignored")
     turn_rad_s: float = param(20.0, above=0.0, help="no bone turns faster")
 
     def open(self, specs: Specs) -> Specs:

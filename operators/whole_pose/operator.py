@@ -201,7 +201,7 @@ def regression_of(model: Model) -> Regression:
         raise ModelError(f"{model.path}: made by an earlier kinegraph; make it again: kinegraph train pose")
     chosen = model.array("landmarks", (None,), np.int64)
     if len(chosen) and not (chosen.min() >= 0 and chosen.max() < len(NAMES)):
-        raise ModelError(f"{model.path}: names landmarks that there are not")
+        raise ModelError(f"{model.path}: names landmarks that do not exist")
     centres, mean = model.array("centres", (None, 3 * len(chosen))), model.array("mean", (6 * len(BONES) + 3,))
     shown, ends = shown_by_region(chosen)
     regional = model.array("regional", (len(centres), int(ends[-1])))
@@ -209,7 +209,7 @@ def regression_of(model: Model) -> Regression:
     weights, scales = model.array("weights", (len(centres), len(basis))), model.array("scales", (1 + REGIONS,))
     ranks = model.array("ranks", (1 + REGIONS,), np.int64)
     if ranks[0] or ranks[-1] != len(basis) or (np.diff(ranks) < 0).any():
-        raise ModelError(f"{model.path}: says wrongly which weights are for which region of the body")
+        raise ModelError(f"{model.path}: assigns its weights to wrong regions of the body")
     tree = JointTree(BONES, usual_body().parents, model.array("offsets", (len(BONES), 3)))
     return Regression(_room(chosen, centres, scales, shown, regional, ends, ranks, weights, basis, mean), tree)
 

@@ -113,7 +113,7 @@ def _room(places: int, at_work: int, given: int, total: int) -> int:
 
 
 def _cluster(distributed: Any, where: str, count: int, memory_bytes: int) -> Any:
-    """The cluster that is made for this batch; None where one is there already."""
+    """The cluster that is made for this batch; None where one already exists."""
     mebibytes = max(memory_bytes >> 20, 1)
     if where == LOCAL:
         os.environ.setdefault("PYTHONSAFEPATH", "1")  # workers do not import what lies in the current folder

@@ -61,7 +61,7 @@ def read_grid(settings: Iterable[str]) -> dict[str, list[Any]]:
                 f"--set {setting}: it must be NODE.PARAMETER=VALUE[,VALUE...], as in 'smooth.cutoff_hz=4,6,10'"
             )
         if name in grid:
-            raise KinegraphError(f"--set {name} is given twice; its values go into one list: {name}=4,6")
+            raise KinegraphError(f"--set {name} is given twice; put its values into one list: {name}=4,6")
         try:
             grid[name] = parse(f"[{values}]", "").plain()
         except GraphError as error:

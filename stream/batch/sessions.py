@@ -36,7 +36,7 @@ class JobRecording:
     def __init__(self, path: Path) -> None:
         entry = Manifest(path.parent.parent).load(path.stem)
         if entry is None:
-            raise RecordingError(f"{path}: is no entry of a batch's results")
+            raise RecordingError(f"{path}: is not an entry of a batch's results")
         if entry.failed:
             raise RecordingError(f"{entry.describe()}: failed in the batch: {entry.error}")
         self.path, self.entry = path, entry
@@ -179,7 +179,7 @@ def matched(results: Path, wanted: dict[str, Wanted]) -> list[tuple[Path, JobEnt
         hits = [n for n in names if n == name] or [n for n in names if Path(n).stem == Path(name).stem]
         if len(hits) != 1:
             why = f"{', '.join(sorted(hits))} could be meant" if hits else nearest(name, names)
-            raise KinegraphError(f"{results}: {name!r} is no recording of these results; {why}")
+            raise KinegraphError(f"{results}: {name!r} is not a recording of these results; {why}")
         found[hits[0]] = value
     return [(_entry_of(results, entry), entry, found[entry.name]) for entry in entries if entry.name in found]
 

@@ -32,10 +32,10 @@ def recover(
         say(f"{part.path}: {part.messages} messages, {part.samples} samples{damage}")
         if part.missing and part.missing.bytes:
             lost = f"at least {part.missing.seconds:.1f} s" if part.missing.seconds else "how long it was is not known"
-            say(f"  {part.missing.bytes} bytes at its end are no whole record and could not be saved: {lost}")
+            say(f"  {part.missing.bytes} bytes at its end are not a complete record and could not be recovered: {lost}")
         elif part.missing and part.missing.seconds:
             say(
-                f"  at least {part.missing.seconds:.1f} s more had been recorded, as the session's checkpoint knows, and are gone"
+                f"  at least {part.missing.seconds:.1f} s more had been recorded, according to the session's checkpoint, and are lost"
             )
     if not found:
         say(f"{recording}: already complete, nothing to do")

@@ -30,7 +30,7 @@ class Conformance:
         self.tapes = tapes_of(case)
         self.excused = type(case.operator).departures
         if unknown := self.excused.keys() - RULES.keys():
-            raise Broken("cases", f"`departures` names {sorted(unknown)}, which are no rules")
+            raise Broken("cases", f"`departures` names {sorted(unknown)}, which are not rules")
         if not self.tapes or not any(len(tape) for tape in self.tapes.values()):
             raise Broken("cases", "the case has no samples")
         self._leaves_specs_alone()

@@ -143,7 +143,7 @@ class Player:
             raise Broken("state", f"snapshot() raised {_text(error)}") from error
         for name, array in arrays.items():
             if not isinstance(array, np.ndarray) or array.dtype.hasobject:
-                raise Broken("state", f"snapshot()[{name!r}] is no plain array: {array!r:.80}")
+                raise Broken("state", f"snapshot()[{name!r}] is not a plain array: {array!r:.80}")
         return arrays
 
     def unlike(self, other: Player) -> str:

@@ -35,7 +35,7 @@ def catch_up(
     takes what workers send home.
     """
     checkpoint, recording = prior.checkpoint, prior.recording
-    log.info("going on with a broken-off session", folder=str(session_log.folder))
+    log.info("resuming an interrupted session", folder=str(session_log.folder))
     _hush(pipeline, lambda outlet: not outlet.durable)
     pipeline.begin(clock)
     workers.repeat(recorded_drops(recording.log), checkpoint.indices if checkpoint else {})

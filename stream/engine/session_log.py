@@ -68,7 +68,7 @@ class PriorSession:
         """Raises RecordingError where it cannot be resumed with this graph."""
         if is_running(folder):
             raise RecordingError(
-                f"{folder}: another kinegraph is recording there; stop that one before its session is resumed"
+                f"{folder}: another kinegraph is still recording there; stop it before resuming its session"
             )
         self.recording = Recording.open(folder)
         try:
@@ -81,7 +81,7 @@ class PriorSession:
     def _check(self, folder: Path, graph: Graph) -> None:
         if self.recording.finished and self.checkpoint is None:
             raise RecordingError(
-                f"{folder} holds a session that was ended properly; start a new one instead of resuming it"
+                f"{folder} holds a session that ended normally; start a new one instead of resuming it"
             )
         graph_then = self.checkpoint.graph if self.checkpoint else fingerprint(str(self.recording.header.get("graph")))
         if graph_then != fingerprint(graph.text):

@@ -226,7 +226,7 @@ class Runner:
             if self._thread and self._thread.is_alive():
                 if now < self._retry_at + GRACE_S:
                     return
-                log.warning("source does not stop; its thread is given up", node=self.node.name)
+                log.warning("source does not stop; its thread is abandoned", node=self.node.name)
             self.report("source reopened", node=self.node.name, opening=self.openings + 1)
             self.start()
         elif self.state in ("starting", "running") and 0 < self.node.options.silence_s < now - self.last_alive:
@@ -269,7 +269,7 @@ class Runner:
         spec = self.node.specs.get(output)
         if spec is None:
             raise DeviceError(
-                f"source {self.node.name!r} gave samples for an output {output!r}, which it has not: {nearest(output, self.node.specs)}"
+                f"source {self.node.name!r} gave samples for an output {output!r} that it does not have: {nearest(output, self.node.specs)}"
             )
         chunk = conform(spec, chunk)
         time, data = chunk.time, chunk.data
@@ -385,6 +385,6 @@ class StartBarrier(Generic[P]):
             if not runner.ready and waited > deadline:
                 why = f": {runner.error}" if runner.error else ""
                 raise DeviceError(
-                    f"source {runner.node.name!r} gave nothing within {deadline:g} s{why};"
+                    f"source {runner.node.name!r} delivered nothing within {deadline:g} s{why};"
                     " connect it, or set `required: false` or a longer `deadline_s`"
                 )

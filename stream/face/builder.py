@@ -215,7 +215,7 @@ def use_of(part: object) -> str:
     """The shortest dotted path at which a graph finds a part's class. Raises GraphError where it cannot be found by name."""
     cls = type(part)
     if not isinstance(part, Source | Operator):
-        raise GraphError(f"{part!r} is no source, operator or outlet")
+        raise GraphError(f"{part!r} is not a source, operator or outlet")
     module = cls.__module__
     while (above := module.rpartition(".")[0]) and vars(sys.modules[above]).get(cls.__name__) is cls:
         module = above

@@ -33,7 +33,7 @@ class Missing:
         known = [f"at least {self.seconds:.1f} s" if self.seconds else ""]
         known.append(f"{self.samples} samples between its files" if self.samples else "")
         least = ", ".join(filter(None, known)) or "what was recorded after the last whole record, if anything"
-        return least + (f" ({self.bytes} bytes at its end are no whole record)" if self.bytes else "")
+        return least + (f" ({self.bytes} bytes at its end are not a complete record)" if self.bytes else "")
 
     def to_json(self) -> dict[str, Any]:
         return {"bytes": self.bytes, "seconds": round(self.seconds, 3), "samples": self.samples}

@@ -50,7 +50,7 @@ def lock(path: Path) -> FileLock:
         if not lock_path(path).exists():  # what filelock says as well where no file can be made
             raise RecordingError(f"{path}: cannot write there; choose a folder that can be written") from None
         raise RecordingError(
-            f"{path}: another kinegraph is recording there; choose another folder, or stop that one first"
+            f"{path}: another kinegraph is recording there; choose another folder, or stop it first"
         ) from None
     except OSError as error:
         raise RecordingError(
@@ -77,7 +77,7 @@ def refuse_taken(path: Path) -> None:
     """Raise RecordingError where a recording lies already."""
     if parts_of(path):
         raise RecordingError(
-            f"{path}: holds a recording already; name another place with -o (a session that was broken off goes on with `run --resume`)"
+            f"{path}: already holds a recording; name another place with -o (`run --resume` continues an interrupted session)"
         )
 
 

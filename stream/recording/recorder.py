@@ -51,7 +51,7 @@ class Recorder:
     ) -> None:
         """`path` is a session's folder, or a file's name ending in .mcap; `header` the graph, versions and facts (JSON-like).
 
-        Raises RecordingError if nothing can be written there, if another process records there, or if a recording is there already
+        Raises RecordingError if nothing can be written there, if another process records there, or if a recording already exists
         (with `resume`, a further part is added to it).
         """
         self._path, self._options = path, options

@@ -85,7 +85,7 @@ class RecordFile:
             bounded.check_whole(self.unpacked, self.size)
         except bounded.TooLarge as error:
             self._file.close()
-            raise RecordingError(f"{path}: {error}; it is damaged, or made to do harm") from None
+            raise RecordingError(f"{path}: {error}; it is damaged or malicious") from None
         except BaseException:
             self._file.close()
             raise
@@ -231,6 +231,6 @@ def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
     while at < end:
         opcode, length = unpack(data, at) if at + size <= end else (0, 0)
         if not opcode or at + size + length > end:
-            raise ValueError(f"its records break off at byte {at} of {end}")
+            raise ValueError(f"its records end abruptly at byte {at} of {end}")
         yield opcode, at + size, length
         at += size + length

@@ -37,14 +37,14 @@ class Recovered:
 def rewrite(path: Path, output: Path | None, progress: Callable[[int, int], None] | None = None) -> list[Recovered]:
     """Rewrite the recording at `path`: whole to `output`, or only the unfinished parts in their place (kept as *.unfinished).
 
-    Raises RecordingError if nothing can be read, if the recording is running, or if `output` is there already.
+    Raises RecordingError if nothing can be read, if the recording is running, or if `output` already exists.
     """
     if not path.exists():
         raise RecordingError(f"{path}: there is no such recording")
     if is_running(path):
         raise RecordingError(f"{path}: is being recorded now; stop that session first")
     if output is not None and parts_of(output):
-        raise RecordingError(f"{output}: holds a recording already; name another place")
+        raise RecordingError(f"{output}: already holds a recording; name another place")
     done = []
     paths = parts_of(path)
     if not paths:

@@ -35,7 +35,7 @@ def write_recording(
     if not series or not any(len(s.time) for s in series):
         raise RecordingError("there are no samples to record")
     if parts_of(path) and not overwrite:
-        raise RecordingError(f"{path}: holds a recording already; choose another --out, or replace it with --overwrite")
+        raise RecordingError(f"{path}: already holds a recording; choose another --out, or replace it with --overwrite")
     held, _ = claim(path, taken=overwrite)
     draft = draft_of(path)
     try:

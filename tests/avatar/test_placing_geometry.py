@@ -7,20 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from operators.body.placing import (
-    FARTHER_M,
-    INSIDE,
-    LIMBS,
-    TWINS_M,
-    _apart,
-    _at_length,
-    _exchange_legs,
-    _legs_exchanged,
-    _trunk,
-    _upright,
-    _without_hidden,
-    unturned,
-)
+from operators.body.left_right import LIMBS, _exchange_legs, _legs_exchanged, _upright, unturned
+from operators.body.placing import FARTHER_M, INSIDE, TWINS_M, _apart, _at_length, _trunk, _without_hidden
 from stream.chunk import Samples
 
 CAMERA = np.array([500.0, 480.0, 320.0, 200.0])

@@ -266,7 +266,7 @@ def test_answers_do_not_hide_what_came_before_them() -> None:
 
 @pytest.mark.parametrize("text", ["2a3", "xyz", "2a37-"])
 def test_what_is_no_uuid_is_refused(text: str) -> None:
-    with pytest.raises(DeviceError, match="is no Bluetooth UUID"):
+    with pytest.raises(DeviceError, match="is not a Bluetooth UUID"):
         uuid(text)
 
 

@@ -84,7 +84,7 @@ def test_a_port_that_is_taken_is_told() -> None:
 
 @pytest.mark.parametrize("address", ["udp://9000", "udp://127.0.0.1:http", "udp://127.0.0.1:70000"])
 def test_an_address_that_is_none(address: str) -> None:
-    with pytest.raises(DeviceError, match="is no address to listen at"):
+    with pytest.raises(DeviceError, match="is not an address to listen at"):
         connect(address)
 
 

@@ -159,7 +159,7 @@ nodes:
     assert [c.lost for c in parts.seen[name] if c.lost] == [-1]
     with Recording.open(tmp_path / "s") as recording:
         failed = [e for e in recording.log if e["kind"] == "source failed"]
-        assert len(failed) == 1 and "has brought nothing for" in failed[0]["error"]
+        assert len(failed) == 1 and "has delivered nothing for" in failed[0]["error"]
         assert recording.streams["clock"].gaps == 0, "the rest of the graph went on"
 
 
@@ -224,7 +224,7 @@ def test_silent_markers_are_waited_for_as_long_as_their_outlet_answers(name: str
         wait_for(lambda: feed.count("out") == 1)
         del outlet
         wait_for(lambda: feed.error is not None)
-    assert isinstance(feed.error, DeviceError) and "has brought nothing for" in str(feed.error)
+    assert isinstance(feed.error, DeviceError) and "has delivered nothing for" in str(feed.error)
 
 
 @pytest.mark.parametrize(

@@ -115,4 +115,4 @@ def test_what_cannot_be_told_is_shown(kinegraph: Command) -> None:
 def test_a_graph_is_never_overwritten(kinegraph: Command, tmp_path: Path) -> None:
     (tmp_path / "board.yaml").write_text("mine")
     code, _, complaint = kinegraph("new", "device", "/dev/nowhere", "-o", "board.yaml")
-    assert code == 2 and "board.yaml: is there already" in complaint
+    assert code == 2 and "board.yaml: already exists" in complaint

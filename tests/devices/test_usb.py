@@ -69,7 +69,7 @@ def test_addresses() -> None:
     assert UsbAddress.parse("usb://054C:0ce6/A1-2") == UsbAddress(0x54C, 0xCE6, "A1-2")
     assert str(UsbAddress(0x54C, 0xCE6, "A1")) == "usb://054c:0ce6/A1"
     for wrong in ("usb://", "usb://26", "usb://2639:3", "usb://2639/", "2639:0003", "usb://gggg"):
-        with pytest.raises(DeviceError, match="is no USB address; write usb://VENDOR"):
+        with pytest.raises(DeviceError, match="is not a USB address; write usb://VENDOR"):
             UsbAddress.parse(wrong)
 
 

@@ -24,8 +24,8 @@ from tests.support.command_line import BOARD, KINEGRAPH, QUIET, Command, refused
 
 def test_resuming_what_is_not_there_or_not_ours(kinegraph: Command, made: Path, tmp_path: Path) -> None:
     graph = made / "graph.yaml"
-    refused(kinegraph("run", graph, *QUIET, "-o", made / "s"), "holds a recording already")
-    refused(kinegraph("run", graph, *QUIET, "-o", made / "s", "--resume"), "was ended properly")
+    refused(kinegraph("run", graph, *QUIET, "-o", made / "s"), "already holds a recording")
+    refused(kinegraph("run", graph, *QUIET, "-o", made / "s", "--resume"), "ended normally")
     refused(kinegraph("run", graph, *QUIET, "-o", "none", "--resume"), "none: there is no such recording")
     refused(kinegraph("run", graph, *QUIET, "--resume"), "there is no session of 'graph'", "--out")
     (tmp_path / "foreign").mkdir()
@@ -260,7 +260,7 @@ def test_outputs_that_nobody_reads(made: Path, tmp_path: Path) -> None:
     run = f"{KINEGRAPH} run {made / 'graph.yaml'} --view lines -o"
     assert shell(f"{run} a >&- 2>&-", tmp_path).returncode == 0
     done = shell(f"{run} b <&- >/dev/full", tmp_path)
-    assert done.returncode == 0 and "not shown any more" in done.stderr
+    assert done.returncode == 0 and "no longer shown" in done.stderr
     for name in "ab":
         with Recording.open(tmp_path / name) as recording:
             assert recording.finished and recording.streams["rect"].samples == 2000

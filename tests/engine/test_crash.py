@@ -303,7 +303,7 @@ def test_a_session_of_which_the_code_has_changed_is_refused(changed: str, refuse
 def test_a_session_that_ended_well_cannot_be_resumed(config: Path, tmp_path: Path) -> None:
     outcome = Session(load(config), tmp_path / "s", duration_s=1.0).run()
     assert outcome.exit_code == 0
-    with pytest.raises(KinegraphError, match="ended properly"):
+    with pytest.raises(KinegraphError, match="ended normally"):
         Session(load(config), tmp_path / "s", resume=True)
 
 

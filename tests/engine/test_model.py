@@ -99,5 +99,5 @@ def test_a_damaged_byte_is_an_error_or_no_matter(
 def test_a_header_with_a_number_that_none_can_be_is_refused(number: str, tmp_path: Path) -> None:
     text = f'{{"kinegraph": "model", "kind": "pose", "version": 1, "parts": {number}}}'
     np.savez(tmp_path / "a.npz", header=np.frombuffer(text.encode(), np.uint8))
-    with pytest.raises(ModelError, match=r"a\.npz: not a kinegraph model \(its header holds .*no number"):
+    with pytest.raises(ModelError, match=r"a\.npz: not a kinegraph model \(its header holds .*not a valid number"):
         read_model(tmp_path / "a.npz", "pose")

@@ -199,7 +199,7 @@ class Stampless(Rectify):
 @pytest.mark.parametrize(
     ("part", "told"),
     [
-        ("Slip", "the kernel of Slip is to be given 'line', which is no field of its state and no parameter"),
+        ("Slip", "the kernel of Slip is to be given 'line', which is neither a field of its state nor a parameter"),
         ("Stampless", "Stampless leaves samples out .`rows`., so its kernel must be given `stamps`"),
     ],
 )

@@ -92,7 +92,7 @@ def test_a_slip_in_ones_own_operator_is_told_with_both_lines() -> None:
 def test_a_session_that_is_refused_leaves_no_thread(tmp_path: Path) -> None:
     before = parts.threads()
     run(CHAIN % "", tmp_path / "s")
-    with pytest.raises(RecordingError, match="holds a recording already"):
+    with pytest.raises(RecordingError, match="already holds a recording"):
         run(CHAIN % "", tmp_path / "s")
     assert parts.threads() <= before
 
@@ -178,7 +178,7 @@ def test_a_required_source_that_never_starts_ends_the_run_with_its_name() -> Non
     outcome = run(nodes)
     assert isinstance(outcome.error, DeviceError)
     assert outcome.exit_code == 3
-    assert "'bed' gave nothing within 0.3 s" in str(outcome.error)
+    assert "'bed' delivered nothing within 0.3 s" in str(outcome.error)
     assert parts.numbers() == []
 
 
@@ -225,7 +225,7 @@ def test_a_silent_source_does_not_stop_a_merge_and_what_comes_late_is_dropped(tm
 @pytest.mark.parametrize(
     ("slip", "kind", "told"),
     [
-        ("another output", "source failed", "an output 'egm', which it has not: did you mean 'emg'"),
+        ("another output", "source failed", "an output 'egm' that it does not have: did you mean 'emg'"),
         ("a type", "source failed", "parts.py, line "),
         ("seconds", "late samples dropped", "nanoseconds since 1970"),
         ("local time", "stamps lie ahead of the clock", "'ahead_s': 3600.0"),

@@ -25,7 +25,7 @@ TABLES: list[tuple[str | bytes, str]] = [
     ("time,a\n0,1\n2,2\n1,3\n", "line 4: time runs backwards, from 2 s to 1 s"),
     ("time,a\n0,1\n,2\n", "line 3: 't:time' holds no time"),
     ("time,a\n0,1\n1e300,2\n", "line 3: 't:time' holds no time"),
-    ("time,a\n0,x\n", "line 2: 'x' in column 'a' is no number"),
+    ("time,a\n0,x\n", "line 2: 'x' in column 'a' is not a number"),
     ("time,a,a\n0,1,2\n", "every column needs a name of its own"),
     ("time\n0\n1\n", "no column for it beside the time"),
     ("a,b\n1,2\n", "when its samples were taken is not known"),
@@ -93,23 +93,23 @@ def test_what_is_there_is_not_replaced(kinegraph: Command, made: Path, tmp_path:
     assert kinegraph("export", whole, "-o", "tables", "--stream", "rect")[0] == 0
     table = tmp_path / "tables" / "rect.csv"
     table.write_text("mine")
-    refused(kinegraph("export", whole, "-o", "tables", "--stream", "rect"), "rect.csv: is there already", "--overwrite")
+    refused(kinegraph("export", whole, "-o", "tables", "--stream", "rect"), "rect.csv: already exists", "--overwrite")
     assert table.read_text() == "mine"
     assert kinegraph("export", whole, "-o", "tables", "--stream", "rect", "--overwrite")[0] == 0
     assert len(table.read_text()) > 1000
     (tmp_path / "x.xdf").write_text("mine")
-    refused(kinegraph("export", whole, "-o", "x.xdf", "--format", "xdf"), "x.xdf: is there already")
-    refused(kinegraph("export", whole, "-o", "x.xdf"), "x.xdf: is there already")
+    refused(kinegraph("export", whole, "-o", "x.xdf", "--format", "xdf"), "x.xdf: already exists")
+    refused(kinegraph("export", whole, "-o", "x.xdf"), "x.xdf: already exists")
     (tmp_path / "rows").write_text("mine")
     refused(kinegraph("export", whole, "-o", "rows"), "rows: is a file; name a folder")
     assert kinegraph("import", table, "-o", "t.mcap")[0] == 0
     before = (tmp_path / "t.mcap").read_bytes()
-    refused(kinegraph("import", table, "-o", "t.mcap"), "t.mcap: holds a recording already", "--overwrite")
+    refused(kinegraph("import", table, "-o", "t.mcap"), "t.mcap: already holds a recording", "--overwrite")
     assert (tmp_path / "t.mcap").read_bytes() == before
     assert kinegraph("import", table, "-o", "t.mcap", "--unit", "mV", "--overwrite")[0] == 0
     assert "mV" in kinegraph("info", "t.mcap")[1]
-    refused(kinegraph("recover", whole, "-o", "t.mcap"), "holds a recording already")
-    refused(kinegraph("replay", made / "graph.yaml", whole, "-o", "t.mcap"), "holds a recording already")
+    refused(kinegraph("recover", whole, "-o", "t.mcap"), "already holds a recording")
+    refused(kinegraph("replay", made / "graph.yaml", whole, "-o", "t.mcap"), "already holds a recording")
 
 
 def test_nothing_is_verified_where_there_is_nothing_to_compare(kinegraph: Command, made: Path, tmp_path: Path) -> None:

@@ -65,8 +65,8 @@ def test_a_parameter_without_values_is_told_by_the_header(tmp_path: Path, name: 
         (real("ANALOG:RATE", 1e12), "3 frames are announced, 0 are there"),
         (real("ANALOG:RATE", float("inf")), None),
         (real("POINT:RATE", 1e-30), "3 frames are announced, 0 are there"),
-        (Made("POINT", "USED", 7, [], b"\x02\x00"), "its parameters break off at byte"),
-        (Made("POINT", "USED", 2, [255, 255], b"\x02\x00"), "its parameters break off at byte"),
+        (Made("POINT", "USED", 7, [], b"\x02\x00"), "its parameters end abruptly at byte"),
+        (Made("POINT", "USED", 2, [255, 255], b"\x02\x00"), "its parameters end abruptly at byte"),
     ],
 )
 def test_counts_that_cannot_be_are_refused(tmp_path: Path, made: Made, message: str | None) -> None:

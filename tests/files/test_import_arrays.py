@@ -121,7 +121,7 @@ def test_wishes_that_cannot_be(tmp_path: Path) -> None:
     refused(tmp_path, "row 1: time runs backwards, from 0.09 s to 0.08 s", file, "--stream", "s=emg", "--time", "back")
     refused(tmp_path, "not those of samples at 50 Hz", file, "--stream", "s=emg", "--time", "t_s", "--rate", "50")
     refused(tmp_path, "rate s: -5 must be a positive number", file, "--stream", "s=emg", "--rate", "-5")
-    refused(tmp_path, "'fast' is no number", file, "--stream", "s=emg", "--rate", "fast")
+    refused(tmp_path, "'fast' is not a number", file, "--stream", "s=emg", "--rate", "fast")
     refused(tmp_path, "3 names .* for 2 channels", file, "--stream", "s=emg", "--rate", "10", "--names", "a,b,c")
     one = "--stream", "s=emg", "--rate", "10"
     refused(tmp_path, "unit s=V,V,m: 3 units for 2 named channels", file, *one, "--names", "a,b", "--unit", "V,V,m")
@@ -130,7 +130,15 @@ def test_wishes_that_cannot_be(tmp_path: Path) -> None:
     refused(tmp_path, "holds no numbers", file, "--stream", "s=word", "--rate", "10")
     refused(tmp_path, "rate x=...: no such stream is made; valid are 's'", file, "--stream", "s=emg", "--rate", "x=10")
     refused(
-        tmp_path, "time-unit s: 'h' is no unit of time", file, "--stream", "s=emg", "--time", "t_s", "--time-unit", "h"
+        tmp_path,
+        "time-unit s: 'h' is not a unit of time",
+        file,
+        "--stream",
+        "s=emg",
+        "--time",
+        "t_s",
+        "--time-unit",
+        "h",
     )
     refused(
         tmp_path, "row 1: the counter stands still at 1", file, "--stream", "s=emg", "--rate", "10", "--counter", "one"
@@ -146,7 +154,7 @@ def test_wishes_that_cannot_be(tmp_path: Path) -> None:
         cli.call("import", [str(file), "-o", str(tmp_path / "a.csv")])
     with imported(tmp_path, file, "--stream", "s=emg", "--time", "t_s"):
         pass
-    with pytest.raises(RecordingError, match="holds a recording already"):
+    with pytest.raises(RecordingError, match="already holds a recording"):
         cli.call("import", [str(file), "--stream", "s=emg", "--time", "t_s", "-o", str(tmp_path / "made.mcap")])
 
 

@@ -267,6 +267,6 @@ def test_opensim_itself_reads_what_is_exported(tmp_path: Path, walk: dict[str, S
 def test_nothing_is_replaced_unasked(tmp_path: Path, walk: dict[str, Series]) -> None:
     for name in ("walk.xlsx", "walk.mat", "walk.trc", "walk.edf"):
         (tmp_path / name).write_text("mine")
-        with pytest.raises(RecordingError, match="is there already"):
+        with pytest.raises(RecordingError, match="already exists"):
             export(tmp_path, name)
         assert (tmp_path / name).read_text() == "mine"

@@ -102,7 +102,7 @@ def test_a_recorded_pose_is_exported(tmp_path: Path) -> None:
     for words, complaint in (
         (("--stream", "someone.markers", "-o", "a.bvh"), "no stream of poses"),
         (("--stream", "someone.markers", "-o", "a.glb"), "neither poses nor a mesh"),
-        (("--stream", "someone.pose", "-o", "out.bvh"), "is there already"),
+        (("--stream", "someone.pose", "-o", "out.bvh"), "already exists"),
     ):
         done = subprocess.run(
             [KINEGRAPH, "export", "run", *words], cwd=tmp_path, capture_output=True, text=True, timeout=60

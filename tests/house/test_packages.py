@@ -177,7 +177,7 @@ def test_a_skeleton_works_and_its_own_tests_pass(kind: str, name: str, tmp_path:
     assert code == 0 and all(str(Path("made") / title.format(name)) in told for title in FILES[kind].values())
     told = run(tmp_path, sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "made", cwd=tmp_path)
     assert "3 passed" in told
-    refused(kinegraph("new", kind, name, "-o", "made"), "is there already", "--out")
+    refused(kinegraph("new", kind, name, "-o", "made"), "already exists", "--out")
 
 
 @pytest.mark.parametrize("name", ["MyFilter", "class", "json", "operators", "über"])

@@ -247,13 +247,13 @@ def test_the_command_writes_table_and_pictures(tmp_path, capsys):
     ("text", "message"),
     [
         ("start_s,end_s,label\n0,1,walk\n1,x,run\n", "line 3: start_s, end_s"),
-        ("start_s,end_s,label\n0,1,walk\n3,2,run\n", "line 3: an action from 3 to 2 s cannot be"),
+        ("start_s,end_s,label\n0,1,walk\n3,2,run\n", "line 3: an action from 3 to 2 s is impossible"),
         ("start_s,end_s,label\n0,2,walk\n1,3,run\n", "actions overlap"),
         ("begin,end_s,label\n0,2,walk\n", "line 2: start_s, end_s"),
         ("start_s,end_s,label\n", "holds no annotations"),
         ("start_s,end_s,label\n0,5,\n", "holds no annotations"),
         ("start_s,end_s,label\nnan,,\n", "line 2: start_s is nan"),
-        ("start_s,end_s,label,repetitions\n0,5,walk,-3\n", "line 2: -3 repetitions cannot be"),
+        ("start_s,end_s,label,repetitions\n0,5,walk,-3\n", "line 2: -3 repetitions are impossible"),
     ],
 )
 def test_broken_annotations_are_named_by_their_line(tmp_path, text, message):
@@ -277,7 +277,7 @@ LABEL = np.repeat([0, -1, 1], 10)
         ),
         ({"label": LABEL, "t_us": np.arange(9)}, "must be of one length"),
         ({"label": LABEL, "t_us": np.full(30, np.nan)}, "`t_us` must be a row of times that grow"),
-        ({"tag_frame": np.array([3, -4]), "rate": 30.0}, "`tag_frame` names frames that are not there"),
+        ({"tag_frame": np.array([3, -4]), "rate": 30.0}, "`tag_frame` names frames that do not exist"),
         ({"label": np.full(30, -1), "rate": 30.0}, "holds no annotations"),
         ({"x": LABEL}, "there are none of them"),
     ],

@@ -88,7 +88,7 @@ def test_recover(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     capsys.readouterr()
     kinegraph("recover", tmp_path / "s")
     assert "nothing to do" in capsys.readouterr().out
-    with pytest.raises(RecordingError, match="holds a recording already"):
+    with pytest.raises(RecordingError, match="already holds a recording"):
         cli.call("recover", [str(tmp_path / "s"), "-o", str(tmp_path / "out.mcap")])
 
 

@@ -45,19 +45,19 @@ def cut(kinegraph: Command, tmp_path: Path) -> Path:
 
 def test_replay_of_a_cut_recording_says_what_is_missing(kinegraph: Command, cut: Path) -> None:
     told = kinegraph("replay", "graph.yaml", cut, "-q")
-    refused(told, str(cut), "was not closed cleanly", "no whole record", code=INCOMPLETE)
+    refused(told, str(cut), "was not closed cleanly", "not a complete record", code=INCOMPLETE)
     seconds = re.search(r"at least ([\d.]+) s", told[2])
     with Recording.open(cut) as recording:
         assert recording.missing and recording.missing.bytes > 0
         assert seconds and float(seconds[1]) == pytest.approx(recording.missing.seconds, abs=0.05)
         assert recording.missing.seconds > 0
     assert kinegraph("replay", "graph.yaml", "s", "-q")[0] == 0
-    assert "no whole record" in kinegraph("info", cut)[1]
+    assert "not a complete record" in kinegraph("info", cut)[1]
 
 
 def test_recover_says_what_could_not_be_saved(kinegraph: Command, cut: Path) -> None:
     code, shown, _ = kinegraph("recover", cut)
-    assert code == 0 and re.search(r"\d+ bytes at its end .* could not be saved: at least [\d.]+ s", shown), shown
+    assert code == 0 and re.search(r"\d+ bytes at its end .* could not be recovered: at least [\d.]+ s", shown), shown
     with Recording.open(cut) as recording:
         assert recording.finished and recording.missing is None
         line = next(line for line in recording.log if line["kind"] == "recovered")
@@ -170,10 +170,10 @@ def resume(folder: Path, ends: dict[str, int], sequence: int) -> None:
         (Missing(), "what was recorded after the last whole record, if anything"),
         (
             Missing(bytes=12),
-            "what was recorded after the last whole record, if anything (12 bytes at its end are no whole record)",
+            "what was recorded after the last whole record, if anything (12 bytes at its end are not a complete record)",
         ),
         (Missing(seconds=2.04), "at least 2.0 s"),
-        (Missing(bytes=3, samples=7), "7 samples between its files (3 bytes at its end are no whole record)"),
+        (Missing(bytes=3, samples=7), "7 samples between its files (3 bytes at its end are not a complete record)"),
         (Missing(0, 1.5, 7), "at least 1.5 s, 7 samples between its files"),
     ],
 )

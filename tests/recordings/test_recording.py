@@ -196,7 +196,7 @@ def test_a_place_is_taken_once(tmp_path: Path) -> None:
         Recorder(tmp_path / "s", {}, RecordingOptions())
     recorder.close()
     assert [p.name for p in (tmp_path / "s").iterdir()] == ["session.0000.mcap"]
-    with pytest.raises(RecordingError, match="holds a recording already"):
+    with pytest.raises(RecordingError, match="already holds a recording"):
         Recorder(tmp_path / "s", {}, RecordingOptions())
 
 

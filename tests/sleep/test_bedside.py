@@ -84,8 +84,8 @@ def test_a_hypnogram_is_read_from_a_table(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("time,stage\n0,W\n", "line 2: '0,W' is no onset"),
-        ("onset,stage\n0,W\n30,Q\n", "line 3: '30,Q' is no onset"),
+        ("time,stage\n0,W\n", "line 2: '0,W' is not an onset"),
+        ("onset,stage\n0,W\n30,Q\n", "line 3: '30,Q' is not an onset"),
         ("onset,stage\n0,W\n30\n", "line 3"),
         ("onset,stage\n0,W\n60,N2\n30,N2\n", "line 4: onset is 30 s"),
         ("onset,stage\n0,W\nnan,N2\n", "line 3: onset is nan"),

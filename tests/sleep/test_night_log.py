@@ -237,7 +237,7 @@ def test_the_command_lists_draws_and_deletes(
     with pytest.raises(KinegraphError, match="name the night"):
         call("nights", ["delete", "--path", str(tmp_path)])
     monkeypatch.setattr("sys.stdin", io.StringIO())
-    with pytest.raises(KinegraphError, match="nobody is there to be asked, so 2025-12-31 stays; --yes"):
+    with pytest.raises(KinegraphError, match="nobody can be asked for confirmation, so 2025-12-31 stays; --yes"):
         call("nights", ["delete", "last", "--path", str(tmp_path)])
     assert (tmp_path / "2025-12-31").is_dir()
     run("delete", "last", "--yes")

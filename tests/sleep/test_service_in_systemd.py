@@ -139,7 +139,7 @@ def test_the_unit_under_systemd_starts_goes_on_after_a_kill_and_ends_in_order(tm
 
         inside("systemctl", "kill", "-s", "KILL", UNIT)
         told = journal(inside, until="session resumed")
-        assert "going on with a broken-off session" in told
+        assert "resuming an interrupted session" in told
         journal(inside, until="camera.depth 10/s", times=told.count("camera.depth 10/s") + 1)
 
         inside("systemctl", "stop", UNIT)

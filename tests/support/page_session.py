@@ -25,7 +25,7 @@ ADDRESS = re.compile(r"page: (http\S+)")
 
 needs_page = pytest.mark.skipif(
     not BUILT.exists(),
-    reason="the page was not built: `pip install -e .` builds it where the npm registry can be reached",
+    reason="the page has not been built: `pip install -e .` builds it where the npm registry can be reached",
 )
 
 

@@ -42,7 +42,7 @@ def _biosignals(wanted: Export, *, wide: bool) -> list[Written]:
         _write(draft, signals, [one for one in streams if one.spec.is_event], wanted, wide=wide)
     for one in streams:
         if one not in signals and not one.spec.is_event:
-            say(f"{one.name}: left out (it is no signal of a regular rate)", err=True)
+            say(f"{one.name}: left out (it is not a signal of a regular rate)", err=True)
     return [(one.name, wanted.place, len(one.time)) for one in streams if one in signals or one.spec.is_event]
 
 
@@ -97,7 +97,7 @@ def _record(rates: Sequence[float]) -> int:
             return seconds
     told = ", ".join(f"{rate:g}" for rate in sorted(set(rates)))
     raise RecordingError(
-        f"EDF has whole numbers of samples in records of up to {LONGEST_RECORD_S} s, which rates of {told} Hz have not: resample"
+        f"EDF has whole numbers of samples in records of up to {LONGEST_RECORD_S} s, which rates of {told} Hz do not give: resample"
     )
 
 

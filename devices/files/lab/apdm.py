@@ -60,5 +60,5 @@ def read_apdm(path: Path, asked: Asked) -> Understood:
 def _microseconds(text: TextLines, at: int) -> int:
     cell = text.lines[at].partition(",")[0].strip()
     if not cell.isdigit() or len(cell) > 18:
-        raise text.wrong(at, f"{cell!r} is no time in microseconds")
+        raise text.wrong(at, f"{cell!r} is not a time in microseconds")
     return int(cell)

@@ -153,5 +153,5 @@ def _json(path: Path | None) -> dict[str, Any]:
     try:
         told = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
-        raise RecordingError(f"{path}: is no JSON ({error})") from None
+        raise RecordingError(f"{path}: is not JSON ({error})") from None
     return told if isinstance(told, dict) else {}

@@ -46,7 +46,7 @@ def read_forces(path: Path, asked: Asked) -> Understood:
     )
     if lost is not None and (lost < 0).any():
         raise text.wrong(
-            at + 1 + int(np.flatnonzero(lost < 0)[0]), "the samples' numbers run backwards, or stand there twice"
+            at + 1 + int(np.flatnonzero(lost < 0)[0]), "the samples' numbers run backwards, or appear twice"
         )
     made.add("force", np.ascontiguousarray(table[:, 1:]), rate, channels=names, units=units, lost=lost)
     return made

@@ -68,7 +68,7 @@ def _parsed(path: Path) -> ElementTree.Element:
         root = ElementTree.fromstring(data)
     except ElementTree.ParseError as error:
         raise RecordingError(
-            f"{path}: line {error.position[0]}: is no whole XML ({error}); was the file cut off?"
+            f"{path}: line {error.position[0]}: is not complete XML ({error}); was the file cut off?"
         ) from None
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2] if isinstance(element.tag, str) else ""

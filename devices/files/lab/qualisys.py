@@ -43,7 +43,7 @@ def read_qualisys(path: Path, asked: Asked) -> Understood:
     markers = "MARKER_NAMES" in facts or "NO_OF_MARKERS" in facts
     rate = _number(facts, "FREQUENCY") or asked.rate_hz or 0.0
     if rate <= 0:
-        raise RateMissing(f"{path}: FREQUENCY is not told; give --rate HZ")
+        raise RateMissing(f"{path}: FREQUENCY is missing; give --rate HZ")
     header = [] if _numeric(text.cells(at, "\t")) else text.cells(at, "\t")
     table = _table(text, at + bool(header), header)
     drop = sum(name.lower() in OWN_TIME for name in header[:2])

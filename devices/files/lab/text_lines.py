@@ -26,7 +26,7 @@ def decoded(data: bytes) -> str:
         return data.decode("cp1252", errors="replace")
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class TextLines:
     """A text file's lines, without their ends; messages count lines from 1, `lines` from 0."""
 
@@ -41,7 +41,7 @@ class TextLines:
         except OSError as error:
             raise RecordingError(f"{path}: cannot be read ({error.strerror or error})") from None
         if "\0" in text:
-            raise RecordingError(f"{path}: holds zero bytes; it is no text, or was damaged")
+            raise RecordingError(f"{path}: holds zero bytes; it is not text, or was damaged")
         lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
         while lines and not lines[-1].strip():
             lines.pop()

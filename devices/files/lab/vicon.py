@@ -92,7 +92,7 @@ def _samples(
     index = (frames - 1) * per + subs
     steps = np.diff(index)
     if (steps < 1).any():
-        raise text.wrong(at + 6 + int(np.flatnonzero(steps < 1)[0]), "frames run backwards, or stand there twice")
+        raise text.wrong(at + 6 + int(np.flatnonzero(steps < 1)[0]), "frames run backwards, or appear twice")
     if frames[0] != 1:
         made.doubt(f"its first frame is number {frames[0]:.0f}: time counts from frame 1, as that of events does")
     facts = {"start_ns": round(index[0] / rate * NS), "lost": np.concatenate([[0], steps.astype(np.int64) - 1])}

@@ -82,7 +82,7 @@ class MqttOutlet(Outlet[MessageQueueState, MqttRuntime]):
     history: tuple[SentEvents, ...] = param((), help="events that are sent one by one")
     base: str = param("kinegraph", help="what all topics begin with")
     discovery: str = param("homeassistant", help="the prefix of discovery messages; left empty: none are sent")
-    report: ReportNews | None = param(None, help="tell when a night's report is ready, and where it stands")
+    report: ReportNews | None = param(None, help="announce when a night's report is ready, and its address")
     ledger: str = param("", help="a file that remembers over a power cut which events were sent")
 
     def open(self, specs: Specs) -> Specs:

@@ -95,7 +95,7 @@ class NightWriter:
         ahead = now != NEVER and int(epochs.onset[-1]) > now + round(facts.epoch_s * NS)
         if facts.run == self._state.run or not ahead:
             return False
-        log.warning("a night in the log is ahead of the clock; another one begins beside it", night=folder.name)
+        log.warning("a night in the log lies in the future; another one begins beside it", night=folder.name)
         if not facts.closed:
             facts.closed = True
             with suppress(OSError):
@@ -210,7 +210,7 @@ class NightWriter:
         """The open night was deleted while it went on: what follows gets a folder of its own."""
         if self.night is not None and self.night.deleted:
             log.warning(
-                "the night was deleted while it went on; what follows is kept in another folder",
+                "the night was deleted while it was running; the rest is kept in another folder",
                 night=self.night.folder.name,
             )
             self.night.let_go()

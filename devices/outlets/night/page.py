@@ -41,7 +41,7 @@ def draw(folder: Path) -> Path:
         why = "; ".join(f"{name}: {reason}" for name, reason in failed.items())
         made = ", ".join(path.name for path in (page, picture, edf) if path.name not in failed)
         raise archive.NightError(
-            f"of the night {folder.name} not everything could be made: {why} (made: {made or 'nothing'})"
+            f"not every file of the night {folder.name} could be made: {why} (made: {made or 'nothing'})"
         )
     return page
 

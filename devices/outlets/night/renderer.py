@@ -99,11 +99,11 @@ class ReportRenderer:
         failures = self._failures[folder] = self._failures.get(folder, 0) + 1
         if failures > len(AGAIN_S):
             self._left[folder] = None
-            log.error("report given up until the session ends", night=folder.name, why=why, failures=failures)
+            log.error("report postponed until the session ends", night=folder.name, why=why, failures=failures)
             return
         self._due[folder] = time.monotonic() + AGAIN_S[failures - 1]
         if failures == 1:
-            log.error("report not whole; tried again some times", night=folder.name, why=why)
+            log.error("report incomplete; it is tried again a few times", night=folder.name, why=why)
 
 
 def _complaint(process: subprocess.Popen[bytes]) -> str:

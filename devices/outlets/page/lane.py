@@ -238,7 +238,7 @@ class FoxgloveLane(LivePage):
         super().__init__(graph, address or f"127.0.0.1:{FOXGLOVE_PORT}", mode=mode)
         if not is_loopback(self._address.host):
             raise KinegraphError(
-                f"--foxglove is served to this machine alone, not at {self._address.host}: its protocol knows no token"
+                f"--foxglove is served to this machine alone, not at {self._address.host}: its protocol has no token"
             )
 
     def refuse_missing(self) -> None:

@@ -26,11 +26,11 @@ class Marks:
     def __init__(self, recording: Path) -> None:
         """Raises KinegraphError for a file that holds no marks."""
         self.path = recording / "marks.json" if recording.is_dir() else recording.with_suffix(".marks.json")
-        found = read_json(self.path, "file of marks") if self.path.exists() else {"marks": []}
+        found = read_json(self.path, "a file of marks") if self.path.exists() else {"marks": []}
         try:
             self._marks = sorted((int(mark["onset_ns"]), str(mark["text"])[:MOST_TEXT]) for mark in found["marks"])
         except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise KinegraphError(f"{self.path}: is no file of marks ({error!r})") from None
+            raise KinegraphError(f"{self.path}: is not a file of marks ({error!r})") from None
 
     def add(self, onset: int, text: str) -> None:
         """Mark a moment (ns), and write the file. Raises KinegraphError where it cannot be written."""

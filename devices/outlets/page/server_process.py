@@ -97,7 +97,7 @@ class ServerProcess:
             except KinegraphError as error:
                 log.warning("not understood", asked_on_the_page=asked, error=str(error))
             except Exception as error:  # noqa: BLE001 - the session does not end because of its page
-                log.warning("the page asked for something that cannot be", error=str(error))
+                log.warning("the page asked for something impossible", error=str(error))
 
 
 def _yielding(pid: int) -> None:

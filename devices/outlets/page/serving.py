@@ -206,5 +206,5 @@ def refuse_unbuilt() -> None:
         [built(name) for name, _ in FILES.values()]
     except FileNotFoundError:
         raise KinegraphError(
-            "the page was not built: `python -m pip install -e .` builds it (from the npm registry)"
+            "the page has not been built: `python -m pip install -e .` builds it (from the npm registry)"
         ) from None

@@ -114,9 +114,9 @@ def asked(message: str | bytes) -> Asked:
         case Look(streams, begin, end, at, points) if not (len(streams) <= 1000 and 2 <= points <= 10_000):
             raise ValueError("a client asks for too much")
         case Look(_, begin, end, at) if not (-1e9 < begin < end < 1e9 and -1e9 < at < 1e9):
-            raise ValueError("a client asks for a time that cannot be")
+            raise ValueError("a client asks for an impossible time")
         case Analyse(_, _, begin, end) if not -1e9 < begin < end < 1e9:
-            raise ValueError("a client asks for a time that cannot be")
+            raise ValueError("a client asks for an impossible time")
         case Mark(text, at) if not text.strip() or len(text) > MOST_TEXT or (at is not None and not -1e9 < at < 1e9):
             raise ValueError(f"an annotation has 1 to {MOST_TEXT} characters")
         case Tell(node, text) if len(node) > 200 or len(text) > MOST_TEXT:
@@ -124,7 +124,7 @@ def asked(message: str | bytes) -> Asked:
         case SetPace(speed) if not 0 <= speed <= 1000:
             raise ValueError("a speed is from 0 to 1000")
         case StepOn(seconds) if not 0 < seconds <= 1e6:
-            raise ValueError("a step is longer than nothing")
+            raise ValueError("a step must be longer than zero")
         case Seek(to) if not 0 <= to < 1e9:
-            raise ValueError("a client asks for a time that cannot be")
+            raise ValueError("a client asks for an impossible time")
     return found

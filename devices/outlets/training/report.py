@@ -75,7 +75,7 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
     optional: ClassVar[tuple[str, ...]] = ("rest",)
     durable: ClassVar[bool] = True
 
-    path: str = param("reports/training.html", help="the page; the CSV file lies beside it")
+    path: str = param("reports/training.html", help="the page; the CSV file is written beside it")
     title: str = param("Training", help="the page's heading")
 
     def open(self, specs: Specs) -> Specs:

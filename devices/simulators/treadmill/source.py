@@ -63,7 +63,9 @@ class Treadmill(PacedSource):
     cadence_per_min: float = param(
         57.0, least=20, most=120, help="strides per minute (a stride: right touch-down to the next)"
     )
-    stance_percent: float = param(63.0, least=30, most=80, help="how much of a cycle the foot stands")
+    stance_percent: float = param(
+        63.0, least=30, most=80, help="the share of a cycle in which the foot is on the ground"
+    )
     speeds: tuple[BeltSpeed, ...] = param(
         (),
         help="the belt's speeds, e.g. [{from_s: 60, speed_m_s: 1.5}]; cadence and stance follow; 1.2 m/s before the first",

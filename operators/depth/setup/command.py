@@ -59,7 +59,7 @@ def check(
     for problem in looks.problems:
         say(f"NOT WELL: the camera says: {problem}")
     if looks.problems or not all(finding.well for finding in findings):
-        raise KinegraphError("the night would not be seen as it should be; put it right, and check again")
+        raise KinegraphError("the night would not be recorded properly; correct this, and check again")
 
 
 class Looks:

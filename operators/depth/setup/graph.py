@@ -56,7 +56,7 @@ def _one(graph: Graph, kind: type, config: Path) -> Node:
     for node in graph.nodes.values():
         if isinstance(node.part, kind):
             return node
-    raise GraphError(f"{config} has no {kind.__module__}.{kind.__name__}, so it is no bedside graph")
+    raise GraphError(f"{config} has no {kind.__module__}.{kind.__name__}, so it is not a bedside graph")
 
 
 def _written(node: Node) -> dict[str, Any]:

@@ -157,7 +157,7 @@ def _sheet(path: File, scores: dict[str, Scores]) -> None:
 
 
 def _save(folder: File, name: str, overwrite: bool) -> None:
-    """Make the folder; raises where the file is there already."""
+    """Make the folder; raises where the file already exists."""
     if (folder / name).exists() and not overwrite:
         raise KinegraphError(f"{folder / name} exists; --overwrite replaces it, --out names another folder")
     try:

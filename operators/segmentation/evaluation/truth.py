@@ -112,9 +112,9 @@ def _csv(path: Path) -> tuple[Rows, Samples]:
                 f"{path}: line {line}: start_s, end_s (numbers) and label are needed, and repetitions as a number if it is there"
             ) from None
         if not start < end < np.inf:
-            raise KinegraphError(f"{path}: line {line}: an action from {start:g} to {end:g} s cannot be")
+            raise KinegraphError(f"{path}: line {line}: an action from {start:g} to {end:g} s is impossible")
         if count < 0:
-            raise KinegraphError(f"{path}: line {line}: {count:g} repetitions cannot be")
+            raise KinegraphError(f"{path}: line {line}: {count:g} repetitions are impossible")
         if label.strip().lower() not in TRANSITIONS:
             rows.append((start, end, label.strip(), count))
     return rows, np.array(keys)
@@ -158,7 +158,7 @@ def _check(path: Path, found: dict[str, Array]) -> None:
         raise KinegraphError(f"{path}: `label`, `label_cut` and `t_us` must be of one length, where they are there")
     keys = found.get("tag_frame", np.empty(0))
     if (keys < 0).any() or (frames and (keys > frames).any()):
-        raise KinegraphError(f"{path}: `tag_frame` names frames that are not there")
+        raise KinegraphError(f"{path}: `tag_frame` names frames that do not exist")
     names = found.get("label_names")
     if names is not None and "label" in found and found["label"].max(initial=-1) >= names.size:
         raise KinegraphError(f"{path}: `label` goes up to {found['label'].max()}, but `label_names` holds {names.size}")

@@ -116,7 +116,7 @@ def _pair(
     truth = read_hypnogram(reference, epoch_s=epoch_s)
     for path, read in ((estimate, found), (reference, truth)):
         if read.damage:
-            say(f"{path} is damaged, and what is whole of it was read: {read.damage}", err=True)
+            say(f"{path} is damaged, and what is intact was read: {read.damage}", err=True)
     if found.dated and truth.dated and found.zoned != truth.zoned:
         bare, shift = (reference, -3600) if found.zoned else (estimate, 3600)
         note = f"{bare} gives no time zone; UTC is assumed; --offset {shift} if its clock was an hour ahead of UTC"

@@ -153,11 +153,11 @@ def _csv(path: Path, epoch_s: float) -> Hypnogram:
                 end = onset + round(float(row[bare["duration"]] if "duration" in bare else epoch_s) * NS)
         except (ValueError, IndexError):
             raise KinegraphError(
-                f"{path}, line {line}: {','.join(row)!r} is no epoch: a time and a stage must stand there"
+                f"{path}, line {line}: {','.join(row)!r} is not an epoch: it must have a time and a stage"
             ) from None
         if state is None or end <= onset:
             raise KinegraphError(
-                f"{path}, line {line}: {row[label]!r} is no stage; there are W, N1, N2, N3, R, sleep, wake, unknown, ?, 0 to 5"
+                f"{path}, line {line}: {row[label]!r} is not a stage; there are W, N1, N2, N3, R, sleep, wake, unknown, ?, 0 to 5"
             )
         dated = dated and clock
         rows.append((onset, end, state))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from operators.commands.marker_file import marker_file
 from stream.errors import KinegraphError, nearest
 from stream.plain import say
 
@@ -49,9 +50,7 @@ def mesh(
     regression: Annotated[str, typer.Option(help="kernel, or linear as in the thesis")] = "kernel",
     skeleton: Annotated[
         bool,
-        typer.Option(
-            "--skeleton", help="parts hang from one another by joints, turned by quaternions, as in the thesis"
-        ),
+        typer.Option("--skeleton", help="parts are linked by joints and turned by quaternions, as in the thesis"),
     ] = False,
     alignment: Annotated[
         str,
@@ -341,14 +340,7 @@ def _performed(path: File, names: tuple[str, ...]) -> Samples:
 
 def _markers(path: File, vertices: int) -> dict[str, Any]:
     """What the file of markers says, checked against the mesh."""
-    from stream.graph.yaml_lines import parse
-
-    try:
-        said = parse(path.read_text(encoding="utf-8"), str(path)).plain()
-    except OSError as error:
-        raise KinegraphError(f"{path}: cannot be read: {error.strerror}") from None
-    if not isinstance(said, dict) or not isinstance(said.get("markers"), dict) or not said["markers"]:
-        raise KinegraphError(f"{path}: must hold `markers:`, a mapping of names to numbers of vertices")
+    said = marker_file(path, "names to numbers of vertices")
     for name, vertex in said["markers"].items():
         if not isinstance(vertex, int) or isinstance(vertex, bool) or not 0 <= vertex < vertices:
             raise KinegraphError(f"{path}: markers.{name} is {vertex!r}; the mesh has vertices 0 to {vertices - 1}")

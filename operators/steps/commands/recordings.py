@@ -43,7 +43,7 @@ def read_labels(path: Path, target: str) -> dict[str, tuple[str, str]]:
                 )
         name = Path(row["recording"].strip()).stem
         if name in found:
-            raise KinegraphError(f"{path}, line {number}: recording {name!r} stands there twice")
+            raise KinegraphError(f"{path}, line {number}: recording {name!r} appears twice")
         found[name] = row["person"].strip(), row[target].strip()
     if not found:
         raise KinegraphError(f"{path}: there are no labels")
