@@ -444,6 +444,22 @@ def test_the_report_has_sets_repetitions_tempo_and_rest_and_a_row_for_each(tmp_p
     assert "P07 &lt;b&gt;" in page and page.count("<rect") == 10 and "http" not in page
 
 
+def test_a_difference_that_nobody_can_see_looks_like_none(tmp_path: Path) -> None:
+    """Ranges of 103.0 and 103.2 cm lie beside each other; of 80 and 120 cm they take the whole height."""
+    for first, second, most in ((103.0, 103.2, 2.0), (80.0, 120.0, 36.0)):
+        parts = []
+        for n, reach in enumerate((first, second, first)):
+            told = {"onset": 2.0 * n, "end": 2.0 * n + 2, "activity": 0, "repetition": n + 1, "name": "arms"}
+            parts.append(
+                ("repetition", event("repetition", 2.0 * n + 3, duration_s=2.0, range=reach, distance=np.nan, **told))
+            )
+        parts.append(("activity", event("activity", 12, repeats=True, onset=0, end=6, activity=0, repetitions=3)))
+        page, _ = report_of(tmp_path, parts)
+        heights = [float(y) for y in re.findall(r'cy="([0-9.]+)"', page)]
+        assert len(heights) == 6 and 0.0 < max(heights[3:]) - min(heights[3:]) <= most + 0.1
+        assert most < 10 or max(heights[3:]) - min(heights[3:]) > 35.0
+
+
 def test_a_second_report_takes_another_name_and_one_of_nothing_says_so(tmp_path: Path) -> None:
     first, _ = report_of(tmp_path, sets())
     second, rows = report_of(tmp_path, [])

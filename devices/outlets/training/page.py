@@ -15,6 +15,8 @@ from stream.chunk import NEVER, NS
 BAR_WIDTH, BARS_HEIGHT = 9, 46
 """Pixels of a repetition's bar, and of the longest one's height."""
 COURSE_WIDTH, COURSE_HEIGHT = 520, 44
+SCALE = 0.1
+"""The height of a course is at least this share of its values, so that a difference nobody can see looks like none."""
 
 
 def render(title: str, facts: Mapping[str, Any], training: Training, unit: str, table: str) -> str:
@@ -83,10 +85,12 @@ def courses(sets: list[Exercise]) -> list[dict[str, Any]]:
             if not known:
                 continue
             low, high = min(known), max(known)
+            middle = (low + high) / 2.0
+            spread = max(high - low, SCALE * abs(middle)) or 1.0
             dots = [
                 (
                     4 + (COURSE_WIDTH - 8) * t / ended if ended > 0.0 else 4,
-                    4 + (COURSE_HEIGHT - 8) * (high - v) / (high - low or 1.0),
+                    4 + (COURSE_HEIGHT - 8) * (0.5 - (v - middle) / spread),
                 )
                 for t, v in zip(x, values, strict=True)
                 if np.isfinite(v)
