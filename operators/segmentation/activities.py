@@ -56,6 +56,7 @@ from operators.segmentation.layout import (
     SETTLE,
     SINCE,
     START,
+    STOOD,
     TO,
     TOLD,
     TRACK,
@@ -276,7 +277,7 @@ def end(s: Memory) -> None:
     """The stream ends, or a gap follows: what is open closes by force, and all but the exemplars is forgotten."""
     b = s.books
     tell_rest(s)
-    b[RECENT] = 0
+    b[RECENT] = b[STOOD] = 0
     close_all(s, True)
     b[SINCE] = b[NEXT]
     b[REPEATED] = 0

@@ -20,7 +20,7 @@ NAMES = [
     "CLUSTER", "NEXT_CLUSTER", "CLOCK", "TURN", "EVENTS", "TOLD", "NOW", "PRESENT", "PATCHY",
     "RECENT", "RESTED", "REST_FROM", "REST_TO", "PEAK_AT", "BELIEVED", "BELIEVED_OF", "LIKE",
     "TRANSITION", "RESUMED", "HELD", "HELD_FIRST", "HELD_LAST", "HELD_AT", "HELD_TO", "HELD_CYCLES", "HELD_CLUSTER", "HELD_HOW",
-    "KEPT", "OUTINGS",
+    "KEPT", "OUTINGS", "STOOD",
 ]  # fmt: skip
 (
     LAG, WINDOW, LEARN, QUIET, MASS, SETTLE, FIRM, BAND_LEAST, BAND_MOST, EVERY, REST, FIXED,
@@ -31,7 +31,7 @@ NAMES = [
     CLUSTER, NEXT_CLUSTER, CLOCK, TURN, EVENTS, TOLD, NOW, PRESENT, PATCHY,
     RECENT, RESTED, REST_FROM, REST_TO, PEAK_AT, BELIEVED, BELIEVED_OF, LIKE,
     TRANSITION, RESUMED, HELD, HELD_FIRST, HELD_LAST, HELD_AT, HELD_TO, HELD_CYCLES, HELD_CLUSTER, HELD_HOW,
-    KEPT, OUTINGS,
+    KEPT, OUTINGS, STOOD,
 ) = range(len(NAMES))  # fmt: skip
 """
 LAG                       longest cycle, and how far back neighbours are looked for, in frames; as all down to REST
@@ -89,6 +89,7 @@ HELD_FIRST, HELD_LAST     its first and last frame, as far as it is known; HELD_
 HELD_CYCLES, HELD_CLUSTER its repetitions and cluster; HELD_HOW: the last number of its event
 KEPT                      frames of exemplars entered so far, those moved on counted again
 OUTINGS                   excursions of the open activity, told as repetitions beside its cycles
+STOOD                     whether a rest has been told since the start or a gap
 """
 SEARCH, TRACK = 0, 1
 (

@@ -47,7 +47,8 @@ class Segment(Operator[SegmentState]):
     count        at once: activity, and how many repetitions have come in it so far, this one included; certainty: of those that are final
     merge        two clusters are found to be one: from now on `cluster` is `into`, the older one. Clusters never split
     provisional  at once: what is believed of an activity (repetition 0) or a repetition that has just been seen, before it is final
-    rest         final, when it is over: onset, end of a stretch in which hardly anything moves
+    rest         final, when it is over: onset, end of a stretch in which hardly anything moves; the first one, if nothing had moved before,
+                 when the motion is known
     resting      at once: onset of a rest that has begun
     radius       the radius that an activity is opened with
 
@@ -121,7 +122,8 @@ class Segment(Operator[SegmentState]):
             raise InputError(
                 "in",
                 spec.describe(),
-                f"at most {2000 / REACH / self.cycle_s:.4g} Hz with cycle_s {self.cycle_s:g}; 30 Hz suffice",
+                f"at most {2000 / REACH / self.cycle_s:.4g} Hz with cycle_s {self.cycle_s:g}, "
+                f"or cycle_s {2000 / REACH / rate_hz:.3g} at this rate",
             )
         if self.settle_s > self.firm_s:
             raise ParameterError("settle_s", self.settle_s, f"at most firm_s ({self.firm_s:g})")
@@ -207,11 +209,13 @@ class Segment(Operator[SegmentState]):
 def decisions(frames: dict[str, int], period: int) -> dict[str, float]:
     """How long after what an event describes it comes at the latest, by output; rests and gaps that lie between come on top.
 
-    An activity opens at most 3 LAG after the first frame that is found to belong to it, and is decided FIRM later.
+    An activity opens at most 3 LAG after the first frame that is found to belong to it, and is decided FIRM later. A rest is told with the
+    next frame, but the one before the first motion only when that is known.
     """
     longest = (frames["FIRM"] + 3 * frames["LAG"]) * period / 1e9
     late = dict.fromkeys(("activity", "primitive", "bout", "begin", "provisional"), longest)
-    return late | {"resting": (frames["REST"] + 1) * period / 1e9, "rest": period / 1e9}
+    first = frames["REST"] + frames["MASS"] + 2 * frames["EVERY"]
+    return late | {"resting": (frames["REST"] + 1) * period / 1e9, "rest": first * period / 1e9}
 
 
 def _firsts(spec: StreamSpec, mirrored: StreamSpec) -> Times:

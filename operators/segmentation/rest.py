@@ -24,6 +24,7 @@ from operators.segmentation.layout import (
     RESUMED,
     SINCE,
     STILL_SHARE,
+    STOOD,
     TRANSITION,
     WINDOW,
     Memory,
@@ -48,7 +49,7 @@ def rests(s: Memory, x: Samples, stamp: int) -> bool:
         tell_rest(s)
         return False
     if not b[RESTED]:
-        b[REST_FROM] = oldest
+        b[REST_FROM], b[STOOD] = oldest, 1
         i = b[NEXT] - 1
         while i >= b[SINCE] and s.times[i % s.times.shape[0]] >= oldest:
             s.moves[i % s.moves.shape[0]] = -abs(s.moves[i % s.moves.shape[0]])
@@ -108,6 +109,25 @@ def choose_peak(s: Memory, t: int) -> None:
         found[i] = abs(s.moves[(first + i) % s.moves.shape[0]])
     found.sort()
     s.values[PEAK] = found[n - b[MASS]]
+    if not b[STOOD]:
+        tell_first_rest(s, first, t)
+
+
+@kernel
+def tell_first_rest(s: Memory, first: int, t: int) -> None:
+    """Who stood still before anything moved rested, which can only be known now, by what the motion is like.
+
+    It must have gone on for MASS at the least, and at the most until MASS frames of it have been looked at that no rest is averaged into.
+    """
+    b, begins = s.books, t + 1
+    while begins > first and not at_rest(s, begins - 1):
+        begins -= 1
+    onset = begins
+    while onset > first and at_rest(s, onset - 1):
+        onset -= 1
+    if begins - onset > b[REST] and b[MASS] <= t + 1 - begins <= b[REST] + b[MASS] + 2 * b[EVERY]:
+        b[STOOD] = 1
+        tell(s, REST_EVENT, s.times[onset % s.times.shape[0]], s.times[(begins - 1) % s.times.shape[0]], 0, 0, 0, 0)
 
 
 @kernel

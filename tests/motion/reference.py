@@ -127,6 +127,7 @@ class Reference:
         self.moved = self.peak = 0.0
         self.peak_at = 0
         self.resting: list[int] = []
+        self.stood = False
         self.measured: dict[tuple[int, int, int], float] = {}
         self.p, self.share, self.fixed = frames, share, radius
         self.radius, self.band, self.early = radius or 0.0, frames["BAND_MOST"], 0.0
@@ -179,6 +180,7 @@ class Reference:
                 self.resting = []
             return False
         if not self.resting:
+            self.stood = True
             self.tell("resting", max(0, i - n))
             for j in range(len(self.frames)):
                 if self.frames[j] >= max(0, i - n):
@@ -202,6 +204,18 @@ class Reference:
             self.peak_at = t + self.p["EVERY"]
             found = sorted(self.moves[max(0, t - self.p["WINDOW"] + 1) : t + 1])
             self.peak = found[-self.p["MASS"]] if len(found) >= self.p["MASS"] else 0.0
+            if not self.stood and len(found) >= self.p["MASS"]:
+                self.tell_first_rest(max(0, t - self.p["WINDOW"] + 1), t)
+
+    def tell_first_rest(self, first: int, t: int) -> None:
+        """Stillness before the first motion, which has gone on for MASS, but not for long."""
+        still = [self.at_rest(i) for i in range(first, t + 1)]
+        lively = len(still) if True not in still else still[::-1].index(True)
+        before = still[: len(still) - lively]
+        rest = len(before) if False not in before else before[::-1].index(False)
+        if rest > self.p["REST"] and self.p["MASS"] <= lively <= self.p["REST"] + self.p["MASS"] + 2 * self.p["EVERY"]:
+            self.stood = True
+            self.tell("rest", self.frames[t + 1 - lively - rest], self.frames[t - lively])
 
     def take(self, i: int) -> None:
         """Frame `i`, as it came, is the next one to be worked through; it stands for the one before it if too little of it is known."""

@@ -22,7 +22,7 @@ from operators.segmentation import Segment
 from operators.segmentation.excursions import excursions
 from operators.segmentation.layout import NEXT
 from operators.segmentation.operator import REACH
-from stream.chunk import Chunk, StreamSpec
+from stream.chunk import NS, Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.operator import Operator, grid
 from stream.rows import taking
@@ -555,6 +555,33 @@ def test_stillness_before_the_motion_does_not_change_what_is_found(still_s: int)
     (action,) = events["activity"][events["activity"]["repeats"]]
     assert action["repetitions"] == 9
     assert (events["primitive"]["repetition"] > 0).sum() == 9
+
+
+@pytest.mark.parametrize("still_s", [2, 20, 75])
+def test_stillness_before_the_motion_is_told_as_rest(still_s: int) -> None:
+    """As soon as the motion is known, and of more than the window what the window holds; before a gap and behind it."""
+    operator, x = Segment(), stacked(lifts(2, 5, 50, 0, still=round(still_s * RATE)))
+    events, stamps = played(operator, x)
+    first = events["rest"][0]
+    assert (first["end"] - first["onset"]) / 1e9 == pytest.approx(
+        min(still_s, operator.window_s), abs=2.5 if still_s > 60 else 0.7
+    )
+    assert 0 <= (stamps["rest"][0] - first["end"]) / 1e9 <= 3.0 and first["end"] / 1e9 == pytest.approx(
+        still_s, abs=1.0
+    )
+    reference = Reference(x, frames_of(operator), operator.radius_share)
+    assert as_frames(x, events, stamps) == told(reference.run())
+
+
+def test_stillness_behind_a_gap_is_told_as_rest_too() -> None:
+    operator, x = Segment(), stacked(lifts(2, 5, 50, 0, still=300))
+    operator.open({"in": StreamSpec(x.shape[1:], rate_hz=RATE)})
+    time, rests = grid(RATE, len(x)), []
+    for start in (0, 600 * NS):
+        chunk = Chunk(start + time, x, int(start + time[-1]), lost=-1 if start else 0)
+        rests += [r for name, made in operator.process("in", chunk) if name == "rest" for r in made.data]
+    long = [(r["end"] - r["onset"]) / 1e9 for r in rests if r["end"] - r["onset"] > 5 * NS]
+    assert long == pytest.approx([10.0, 10.0], abs=0.7)
 
 
 @pytest.mark.parametrize("cycle_s", [4.0, 7.0, 10.0])
