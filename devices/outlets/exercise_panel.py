@@ -40,8 +40,8 @@ SHORT_S = 2.0
 
 @dataclass(slots=True)
 class ExerciseState:
-    """What goes on. Times in ns; activity -1: none; rest_since NEVER: nobody rests; since: when the first repetition began; last_s: how
-    long number `newest` took, NaN: none; sure: of the name; certainty: of the count.
+    """What goes on. Times in ns; activity -1: none; rest_since NEVER: nobody rests; since: when it began; begun: that is when its
+    first repetition did; last_s: how long the newest repetition took that is final, NaN: none; sure: of the name; certainty: of the count.
 
     past (STRIP,): a ring; passed: how many stretches have ended. known (RECENT,): activities by number modulo RECENT: name, how many
     repetitions are final, when the first one began and the last one ended. began: the first event's time, from which times are counted
@@ -55,7 +55,7 @@ class ExerciseState:
     since: int = NEVER
     count: int = 0
     final: int = 0
-    newest: int = 0
+    begun: bool = False
     last_s: float = np.nan
     sure: float = np.nan
     certainty: float = 0.0
@@ -121,20 +121,16 @@ def _provisional(state: ExerciseState, event: Any, stamp: int) -> str:
     if event["activity"] != state.activity:
         _turn_to(state, int(event["activity"]), int(event["onset"]))
     state.rest_since = NEVER
+    onset = int(event["onset"])
     if event["repetition"] == 0:
-        state.since = state.since if state.newest else min(state.since, int(event["onset"]))
-    else:
-        _took(state, event, (int(event["end"]) - int(event["onset"])) / NS)
+        state.since = state.since if state.begun else min(state.since, onset)
+    elif (
+        not state.final
+    ):  # until one is final: a repetition is believed before it has quite ended, and then looks short
+        state.last_s = (int(event["end"]) - onset) / NS
+        if event["repetition"] == 1:
+            state.since, state.begun = onset, True
     return ""
-
-
-def _took(state: ExerciseState, event: Any, seconds: float) -> None:
-    """A repetition of the activity that goes on, or one of its two steps: which is the newest, and how long it took."""
-    number = int(event["repetition"])
-    if number == 1:
-        state.since = int(event["onset"]) if number > state.final else min(state.since, int(event["onset"]))
-    if number >= state.newest:
-        state.newest, state.last_s = number, seconds
 
 
 def _count(state: ExerciseState, event: Any, stamp: int) -> str:
@@ -161,7 +157,9 @@ def _repetition(state: ExerciseState, event: Any, stamp: int) -> str:
     onset, end = int(event["onset"]), int(event["end"])
     step = number == one["told"]
     if event["activity"] == state.activity:
-        _took(state, event, float(event["duration_s"]) + (state.last_s if step and number == state.newest else 0.0))
+        state.last_s = float(event["duration_s"]) + (state.last_s if step else 0.0)
+        if number == 1 and not step:
+            state.since, state.begun = onset, True
         state.final = max(state.final, number)
     one["first"], one["last"] = (onset if number == 1 and not step else one["first"]), end
     one["told"] = number
@@ -227,7 +225,7 @@ HEAR = {
 
 def _turn_to(state: ExerciseState, activity: int, since: int) -> None:
     state.activity, state.since = activity, since
-    state.count = state.final = state.newest = 0
+    state.count, state.final, state.begun = 0, 0, False
     state.last_s, state.sure, state.certainty = np.nan, np.nan, 0.0
 
 
