@@ -236,6 +236,8 @@ class NameRepetitions(Operator[NamingState]):
     def _at(self, event: Array) -> list[Array]:
         """A repetition of this activity was told: it is the one under way. What is corrected by it."""
         s = self.state
+        if counted_again(s, event):
+            is_of(s, int(event["activity"]))
         corrected = decide(s, event)
         if event["activity"] > s.now:
             s.count, s.called = 0, ""
@@ -307,6 +309,12 @@ def decide(s: NamingState, event: Array) -> list[Array]:
         is_of(s, mine)
     s.said_at, s.before = NEVER, None
     return [named(s.held, 1, s.formerly, 0.0)] if taken_back and s.formerly else []
+
+
+def counted_again(s: NamingState, event: Array) -> bool:
+    """Whether what was believed of the activity that a name was given to is now told of a later one: a stretch had come between."""
+    final = (s.told["activity"][: min(s.n_told, REMEMBERED)] == s.of).any()
+    return bool(s.lesson and 0 <= s.of < event["activity"] and not final and event["onset"] + s.took < s.last)
 
 
 def learn(s: NamingState, span: Array) -> None:

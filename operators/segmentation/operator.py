@@ -209,8 +209,8 @@ class Segment(Operator[SegmentState]):
 def decisions(frames: dict[str, int], period: int) -> dict[str, float]:
     """How long after what an event describes it comes at the latest, by output; rests and gaps that lie between come on top.
 
-    An activity opens at most 3 LAG after the first frame that is found to belong to it, and is decided FIRM later. A rest is told with the
-    next frame, but the one before the first motion only when that is known.
+    An activity opens at most 3 LAG after the first frame that is found to belong to it, and is decided FIRM later. A rest is reported with
+    the next frame, but the one before the first motion only when that is known.
     """
     longest = (frames["FIRM"] + 3 * frames["LAG"]) * period / 1e9
     late = dict.fromkeys(("activity", "primitive", "bout", "begin", "provisional"), longest)

@@ -249,9 +249,12 @@ def test_repetitions_are_called_what_was_shown_whatever_phase_they_are_cut_at(tm
 
 
 def live(
-    x: Any, told: list[tuple[int, int, int]], said: list[tuple[int, str]], image: Any = None
+    x: Any, told: list[tuple[int, int, int]], said: list[tuple[int, str]], image: Any = None, believed: Any = None
 ) -> tuple[list[Any], list[Any]]:
-    """What NameRepetitions believes and says of repetitions (activity, first, last), with a name said at some frames."""
+    """What NameRepetitions believes and says of repetitions (activity, first, last), with a name said at some frames.
+
+    believed  what is believed of them, if something else: (frame at which, activity, first, last)
+    """
     time = grid(30.0, len(x))
     specs = {"in": SPEC, "radius": EVENTS["radius"], "annotations": StreamSpec((), ANNOTATION)}
     specs |= {"provisional": EVENTS["provisional"], "primitive": EVENTS["primitive"]}
@@ -259,8 +262,9 @@ def live(
     operator = NameRepetitions()
     operator.open(specs)
     operator.process("radius", Chunk(time[:1], np.full(1, 0.3, specs["radius"].dtype), int(time[0])))
+    believed = [(last + 5, *one, last) for *one, last in told] if believed is None else believed
     events: list[tuple[int, str, Any]] = [
-        (min(last + 5, len(x) - 2), "provisional", (k, a, first, last)) for k, (a, first, last) in enumerate(told)
+        (min(at, len(x) - 2), "provisional", (k, *one)) for k, (at, *one) in enumerate(believed)
     ]
     events += [
         (min(last + 50, len(x) - 1), "primitive", (k, a, first, last)) for k, (a, first, last) in enumerate(told)
@@ -329,6 +333,17 @@ def test_in_a_pause_a_name_is_that_of_the_nearer_exercise(at: int, other: bool) 
     _, final = live(x, told, [(at, "this is: squat")])
     names = [str(row["name"]) for row in final]
     assert names[6:12] == ["squat" if other else UNKNOWN] * 6 and names[12:] == [UNKNOWN if other else "squat"] * 6
+
+
+def test_a_name_goes_with_repetitions_that_are_believed_of_another_activity_later() -> None:
+    """Said in a pause; what follows is believed to be activity 1, and then told again as activity 2, of which it becomes final."""
+    x = np.concatenate([turns(0, 6, 40), np.zeros((120, 4)), turns(1, 8, 40)])
+    first = [(0, 40 * j, 40 * j + 39) for j in range(6)]
+    second = [(2, 360 + 40 * j, 360 + 40 * j + 39) for j in range(6)]
+    believed = [(b + 5, k, a, b) for k, a, b in first] + [(b + 5, 1, a, b) for _, a, b in second[:3]]
+    believed += [(max(b + 5, second[2][2] + 20), k, a, b) for k, a, b in second]
+    _, final = live(x, [*first, *second], [(100, "this is: arms"), (340, "this is: squat")], believed=believed)
+    assert [str(row["name"]) for row in final[6:]] == ["squat"] * 6
 
 
 @pytest.mark.parametrize(("shift", "alike"), [(0, True), (20, True), (None, False)])
