@@ -148,6 +148,19 @@ def test_a_slow_program_costs_pieces_not_samples(
     assert pieces[-1].series.data[-1].tobytes() == whole[-1].tobytes()
 
 
+def test_a_session_that_failed_says_so_but_not_in_place_of_the_programs_own_error(
+    session: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(self: object) -> None:
+        raise KinegraphError("the board fell down")
+
+    monkeypatch.setattr("stream.face.live.Session.run", fail)
+    with pytest.raises(KinegraphError, match="fell down"), kg.live(session.parent / "graph.yaml"):
+        pass
+    with pytest.raises(ZeroDivisionError), kg.live(session.parent / "graph.yaml"):
+        raise ZeroDivisionError
+
+
 def test_a_live_session_of_nothing(session: Path) -> None:
     with pytest.raises(KinegraphError, match="smoot"):
         kg.live(session.parent / "graph.yaml", ["smoot"])
