@@ -20,8 +20,19 @@ EASE, EASE_M = 0.75, 0.012
 """How much of a foot's distance from its marker is left a sample after it has been released; it shrinks by at least this much."""
 RISE_M_S = 0.02
 """How fast the level at which feet stand may rise: whoever climbs stairs takes it along."""
-STANDS, LOCK, AWAY, WAS, SPEED = 0, 1, 4, 7, 10
-"""Columns of `feet` (2, 12): whether it stands; where; how far it is from its marker; where that was; its speed; whether it has one."""
+NOISY_M, NOISE_M, MOST_NOISE, RISES, HEARS, AFTER_S, KNOWN_S = 0.007, 0.021, 1.5, 0.1, 0.1, 0.5, 2.0
+"""A marker's noise is by how much its level step changes from sample to sample, in its quietest stretches (m). From the first of these it
+is noisy, and limits are wider by as often as it is the second, at most this many times. It rises by this share a second, hears so much
+of each sample, from half a second on, and is known after two."""
+SLOWLY_S, STAYS_M, STRAYS_M, NOISY_LOW_M, NOISY_LIFTED_M = 0.3, 0.04, 0.05, 0.04, 0.06
+"""Of a marker whose noise is NOISE_M: it comes to stand where it is this near to its own mean of so long, and leaves where it is this
+far from where it stands; the heights for both."""
+DRIFTS, DRIFTS_M_S, LEAVES_M_S, NOISY_EASE, NOISY_EASE_M, MOST_EASE_M = 0.05, 0.03, 0.57, 0.5, 0.006, 0.02
+"""Where it stands follows the marker by this share a sample, at most so fast, and it is not let go faster than that (m/s); then, as EASE;
+at most this much a sample."""
+STANDS, LOCK, AWAY, WAS, SPEED, WENT, CHANGE, QUIET, HEARD, SLOW, PUT = 0, 1, 4, 7, 10, 12, 14, 15, 16, 17, 19
+"""Columns of `feet` (2, 22): whether it stands; where; how far it is from its marker; where that was; its speed; whether it has one (11);
+its level step; by how much that changes; the noise; for how long that was heard (s); its mean place, level; where the foot was put."""
 
 
 @kernel
@@ -82,21 +93,48 @@ def same_signs(was: Samples, local: Samples) -> None:
 def plant(side: int, ankle: Samples, dt: float, ground: float, feet: Samples) -> float:
     """Whether the foot of a side stands, by height and speed with hysteresis; `ankle` (3,) becomes where it is to be.
 
-    A foot that stands stays where it is on the ground; the ankle above it may rise, as a foot rolls.
+    A foot that stands stays where it is on the ground; the ankle above it may rise, as a foot rolls. A noisy marker has no speed that tells
+    anything: by it a foot stands while it stays near its own mean, within limits as wide as the noise.
 
     Returns the ground's level. A foot that is released goes back to its marker by degrees, so that nothing leaps.
     """
     foot = feet[side]
     ground = ankle[1] if foot[11] == 0.0 and ground == math.inf else min(ankle[1], ground + RISE_M_S * dt)
     if foot[11] > 0.0:
-        speed = math.sqrt((ankle[0] - foot[WAS]) ** 2 + (ankle[2] - foot[WAS + 2]) ** 2) / dt
+        across, along = ankle[0] - foot[WAS], ankle[2] - foot[WAS + 2]
+        speed = math.sqrt(across**2 + along**2) / dt
         foot[SPEED] += 0.5 * (speed - foot[SPEED])
+        _listen(foot, across, along, dt)
+        foot[SLOW] += (ankle[0] - foot[SLOW]) * dt / (SLOWLY_S + dt)
+        foot[SLOW + 1] += (ankle[2] - foot[SLOW + 1]) * dt / (SLOWLY_S + dt)
     else:
         foot[SPEED] = FAST_M_S
+        foot[SLOW], foot[SLOW + 1] = ankle[0], ankle[2]
     foot[11] = 1.0
     for a in range(3):
         foot[WAS + a] = ankle[a]
-    height = ankle[1] - ground
+    if foot[HEARD] >= KNOWN_S and foot[QUIET] > NOISY_M:
+        _put_noisy(foot, ankle, dt, ankle[1] - ground)
+    else:
+        _put(foot, ankle, ankle[1] - ground)
+    foot[PUT : PUT + 3] = ankle
+    return ground
+
+
+@kernel
+def _listen(foot: Samples, across: float, along: float, dt: float) -> None:
+    """How noisy a foot's marker is, by its level step (m) now and before."""
+    foot[CHANGE] += HEARS * (math.hypot(across - foot[WENT], along - foot[WENT + 1]) - foot[CHANGE])
+    foot[WENT], foot[WENT + 1] = across, along
+    foot[HEARD] = min(foot[HEARD] + dt, 2 * KNOWN_S)
+    if foot[HEARD] >= AFTER_S:
+        quiet = math.inf if foot[QUIET] == 0.0 else foot[QUIET] * (1.0 + RISES * dt)
+        foot[QUIET] = min(quiet, foot[CHANGE])
+
+
+@kernel
+def _put(foot: Samples, ankle: Samples, height: float) -> None:
+    """Put a foot by its height and speed."""
     if foot[STANDS] > 0.0:
         stray = math.sqrt(
             (ankle[0] - foot[LOCK]) ** 2 + (ankle[1] - foot[LOCK + 1]) ** 2 + (ankle[2] - foot[LOCK + 2]) ** 2
@@ -113,13 +151,48 @@ def plant(side: int, ankle: Samples, dt: float, ground: float, feet: Samples) ->
         for a in (0, 2):
             foot[AWAY + a] = foot[LOCK + a] - ankle[a]
             ankle[a] = foot[LOCK + a]
-        return ground
+        return
     away = math.sqrt(foot[AWAY] ** 2 + foot[AWAY + 1] ** 2 + foot[AWAY + 2] ** 2)
     left = max(0.0, min(EASE * away, away - EASE_M))
     for a in range(3):
         foot[AWAY + a] *= left / away if away > 1e-9 else 0.0
         ankle[a] += foot[AWAY + a]
-    return ground
+
+
+@kernel
+def _put_noisy(foot: Samples, ankle: Samples, dt: float, height: float) -> None:
+    """Put a foot whose marker leaps by itself: by how far it is from its own mean, or from where it stands."""
+    wide, stood = min(foot[QUIET] / NOISE_M, MOST_NOISE), foot[STANDS] > 0.0
+    if stood:
+        stray = math.hypot(ankle[0] - foot[LOCK], ankle[2] - foot[LOCK + 2])
+        if stray > STRAYS_M * wide or height > NOISY_LIFTED_M * wide:
+            foot[STANDS] = 0.0
+    elif max(height / NOISY_LOW_M, math.hypot(ankle[0] - foot[SLOW], ankle[2] - foot[SLOW + 1]) / STAYS_M) < wide:
+        foot[STANDS] = 1.0
+        foot[LOCK : LOCK + 3] = foot[PUT : PUT + 3]
+    if foot[STANDS] > 0.0:
+        across, along = ankle[0] - foot[LOCK], ankle[2] - foot[LOCK + 2]
+        apart = math.hypot(across, along)
+        share = min(DRIFTS, DRIFTS_M_S * dt / apart) if apart > 1e-9 else 0.0
+        foot[LOCK] += share * across
+        foot[LOCK + 2] += share * along
+        foot[AWAY + 1] *= NOISY_EASE
+        ankle[1] += foot[AWAY + 1]
+        for a in (0, 2):
+            foot[AWAY + a] = foot[LOCK + a] - ankle[a]
+            ankle[a] = foot[LOCK + a]
+        return
+    away = math.sqrt(foot[AWAY] ** 2 + foot[AWAY + 1] ** 2 + foot[AWAY + 2] ** 2)
+    left = max(0.0, min(NOISY_EASE * away, away - NOISY_EASE_M), away - MOST_EASE_M)
+    step = 0.0
+    for a in range(3):
+        foot[AWAY + a] *= left / away if away > 1e-9 else 0.0
+        step += (ankle[a] + foot[AWAY + a] - foot[PUT + a]) ** 2
+    most = LEAVES_M_S * dt / math.sqrt(step) if stood and step > 1e-18 else 1.0
+    for a in range(3):
+        if most < 1.0:
+            foot[AWAY + a] = foot[PUT + a] + most * (ankle[a] + foot[AWAY + a] - foot[PUT + a]) - ankle[a]
+        ankle[a] += foot[AWAY + a]
 
 
 @kernel

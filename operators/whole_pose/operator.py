@@ -191,7 +191,7 @@ def start(tree: JointTree) -> WholePoseState:
     return WholePoseState(
         seen=np.zeros(m, np.bool_), doubts=np.zeros(m), marks=np.zeros((m, 3)), before=np.zeros((m, 3)), total=np.zeros((m, 3)),
         offsets=tree.offsets.copy(), turns=still.copy(), turns_before=still.copy(), local=still.copy(), local_before=still.copy(),
-        joints=tree.at_rest.copy(), left=np.array([1.0, 0.0, 0.0]), memory=memory, feet=np.zeros((2, 12)), flags=np.ones(bones),
+        joints=tree.at_rest.copy(), left=np.array([1.0, 0.0, 0.0]), memory=memory, feet=np.zeros((2, 22)), flags=np.ones(bones),
     )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from operators.one_euro import OneEuro
 from operators.whole_pose.landmarks import BONE_OF, FROM_BONE, NAMES, USUAL
 from operators.whole_pose.operator import WholePose
 from stream import cli
@@ -162,6 +163,28 @@ def test_a_foot_that_stands_does_not_slide_and_nothing_leaps_when_it_is_lifted()
         lifted = ~stands[1:] & stands[:-1]
         true = np.linalg.norm(np.diff(JOINTS[:, BONES.index(("LeftFoot", "RightFoot")[side])], axis=0), axis=1)
         assert (steps - true)[35:][lifted[35:]].max() < 0.02
+
+
+@pytest.mark.parametrize("noise_m", [0.015, 0.03])
+def test_feet_stand_by_markers_that_leap_and_are_let_go(noise_m: float) -> None:
+    """Filtered noise looks as if the foot went at half a metre a second: nothing was ever held, and feet slid as their markers did."""
+    still, goes = 240, 60
+    x = np.repeat(marks()[:1], still + goes, axis=0)
+    x[still:, :, 2] += 0.05 * np.arange(1, goes + 1)[:, None]
+    noisy = x + np.random.default_rng(3).normal(0.0, noise_m, x.shape)
+    one = OneEuro(cutoff_hz=2.0, beta=1.0)
+    one.open({"in": StreamSpec((39,), rate_hz=30.0)})
+    made = one.process("in", Chunk(grid(30.0, len(noisy)), noisy.reshape(len(noisy), -1), 0))
+    assert made is not None
+    _, joints, quality = played(np.asarray(made.data).reshape(-1, 13, 3))
+    for side in (0, 1):
+        ankle = joints[:, BONES.index(("LeftFoot", "RightFoot")[side])]
+        stands = quality[:, QUALITY + side].astype(bool)
+        both = stands[1:] & stands[:-1]
+        slides = np.linalg.norm(np.diff(ankle, axis=0)[:, [0, 2]], axis=1)
+        assert stands[90:still].mean() > 0.8
+        assert np.median(slides[90 : still - 1][both[90 : still - 1]]) < 0.0015
+        assert stands[still + 10 :].mean() < 0.1, "who walks away has left"
 
 
 def test_depth_cameras_and_laboratories_have_other_axes() -> None:
