@@ -22,7 +22,7 @@ RISE_M_S = 0.02
 """How fast the level at which feet stand may rise: whoever climbs stairs takes it along."""
 NOISY_M, NOISE_M, MOST_NOISE, RISES, HEARS, AFTER_S, KNOWN_S = 0.007, 0.021, 1.5, 0.1, 0.1, 0.5, 2.0
 """A marker's noise is by how much its level step changes from sample to sample, in its quietest stretches (m). From the first of these it
-is noisy, and limits are wider by as often as it is the second, at most this many times. It rises by this share a second, hears so much
+is noisy, and limits are wider by as often as it is the second, at most this many times. It rises by this share a second, takes this share
 of each sample, from half a second on, and is known after two."""
 SLOWLY_S, STAYS_M, STRAYS_M, NOISY_LOW_M, NOISY_LIFTED_M = 0.3, 0.04, 0.05, 0.04, 0.06
 """Of a marker whose noise is NOISE_M: it comes to stand where it is this near to its own mean of so long, and leaves where it is this
