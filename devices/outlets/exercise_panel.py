@@ -43,7 +43,7 @@ class ExerciseState:
     """What goes on. Times in ns; activity -1: none; rest_since NEVER: nobody rests; since: when it began; begun: that is when its
     first repetition did; last_s: how long the newest repetition took that is final, NaN: none; sure: of the name; certainty: of the count.
 
-    past (STRIP,): a ring; passed: how many stretches have ended. known (RECENT,): activities by number modulo RECENT: name, how many
+    past (STRIP,): in any order; passed: how many stretches have ended. known (RECENT,): activities by number modulo RECENT: name, how many
     repetitions are final, when the first one began and the last one ended. began: the first event's time, from which times are counted
     """
 
@@ -230,9 +230,10 @@ def _turn_to(state: ExerciseState, activity: int, since: int) -> None:
 
 
 def _past(state: ExerciseState, what: str, repetitions: int, onset: int, seconds: float, doubtful: bool = False) -> str:
-    state.past[state.passed % STRIP] = (what, repetitions, onset, seconds, doubtful)
+    place = state.passed if state.passed < STRIP else int(state.past["onset"].argmin())
+    state.past[place] = (what, repetitions, onset, seconds, doubtful)
     state.passed += 1
-    return f"ended: {past_text(state.past[(state.passed - 1) % STRIP])}"
+    return f"ended: {past_text(state.past[place])}"
 
 
 def name_of(state: ExerciseState, activity: int) -> str:

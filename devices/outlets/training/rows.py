@@ -125,9 +125,8 @@ def exercises(training: Training) -> list[Exercise]:
         mine = all_[all_["activity"] == one["activity"]]
         spans = whole_repetitions(mine)
         durations = spans["duration_s"]
-        after = sets["onset"][k + 1] if k + 1 < len(sets) else np.iinfo(np.int64).max
-        here = rests[: training.n_rests]
-        here = here[(here["end"] > one["end"]) & (here["onset"] < after)]
+        middle = (rests["onset"][: training.n_rests] + rests["end"][: training.n_rests]) / 2.0
+        here = rests[: training.n_rests][(middle > _last(one, spans)) & (middle < _next(sets, k, all_))]
         mean = float(durations.mean(dtype=np.float64)) if len(durations) else np.nan
         made.append(
             Exercise(
@@ -150,6 +149,19 @@ def exercises(training: Training) -> list[Exercise]:
             )
         )
     return made
+
+
+def _last(one: Any, spans: Array) -> float:
+    """When the last repetition of a set ended, ns; the set itself may end with a rest, and the next one begin with it."""
+    return float(spans["onset"][-1] + spans["duration_s"][-1] * NS) if len(spans) else float(one["end"])
+
+
+def _next(sets: Array, k: int, all_: Array) -> float:
+    """When the first repetition of the set after number k began, ns."""
+    if k + 1 >= len(sets):
+        return np.inf
+    starts = all_["onset"][all_["activity"] == sets["activity"][k + 1]]
+    return float(starts.min() if len(starts) else sets["onset"][k + 1])
 
 
 def whole_repetitions(told: Array) -> Array:
