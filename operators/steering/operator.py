@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from operators.inputs.lengths import length_of, metres
-from operators.inputs.marker_columns import marker_columns
+from operators.inputs.marker_columns import marker_columns, marker_names
 from operators.steering.assemble_kernel import add_part, columns, gather_marks, predict, predict_linear, put
 from operators.steering.exchanged import NAMED, ExchangedNames
 from operators.steering.fit import Steering
@@ -24,6 +24,7 @@ from operators.steering.skeleton import hang
 from operators.steering.soft import faded, pull_mesh
 from operators.steering.stored import KIND, from_model
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
+from stream.errors import InputError, ParameterError, nearest
 from stream.model import read_model
 from stream.operator import Case, Operator, grid
 from stream.params import param
@@ -94,8 +95,7 @@ class SteerMesh(_Steered):
         spec = specs["in"]
         unit = length_of(spec)
         learned, mesh = from_model(read_model(self.model or QUADRUPED, KIND))
-        given = self.markers or {}
-        columns = [marker_columns(spec, given.get(name, name), "markers") for name in learned.markers]
+        columns = self._columns(spec, learned.markers)
         m = len(learned.markers)
         rest = resting(learned, mesh.vertices)
         object.__setattr__(self, "learned", learned)
@@ -129,6 +129,24 @@ class SteerMesh(_Steered):
             "quality": quality,
             "names": names,
         }
+
+    def _columns(self, spec: StreamSpec, wanted: Sequence[str]) -> list[tuple[int, int, int]]:
+        """Where the model's markers stand in the input. Raises InputError, which names all that are not there, and ParameterError."""
+        given, named = self.markers or {}, marker_names(spec)
+        for name in given:
+            if name not in wanted:
+                raise ParameterError(
+                    "markers", dict(given), f"by markers of the model: {name!r}, {nearest(name, wanted)}"
+                )
+        absent = [name for name in wanted if name not in given and name not in named and not name.isdecimal()]
+        if named and absent:
+            raise InputError(
+                "in",
+                f"markers {', '.join(named)}",
+                f"the model's markers, of which {', '.join(absent)} {'are' if len(absent) > 1 else 'is'} not there: connect a "
+                "source that has them, or say in `markers` which of the input's points stand for them",
+            )
+        return [marker_columns(spec, given.get(name, name), "markers") for name in wanted]
 
     def process(self, port: str, chunk: Chunk) -> Sequence[tuple[str, Chunk]]:
         s, n = self.state, len(chunk.time)

@@ -202,8 +202,16 @@ def kinegraph(*arguments: object) -> None:
 
 
 def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ParameterError, match="markers"):
+    with pytest.raises(
+        InputError, match=r"markers a, b, c, d, e; .* of which hoof_fl, .*, croup are not there: .*`markers`"
+    ):
         steered(np.zeros((2, 5, 3)), ("a", "b", "c", "d", "e"))
+    with pytest.raises(InputError, match="of which hoof_hr, croup are not there"):
+        steered(np.zeros((2, 5, 3)), ("a", *NAMES[:3], "withers"), markers={})
+    with pytest.raises(ParameterError, match="markers is 'b'"):
+        steered(np.zeros((2, 6, 3)), ("a", *NAMES[1:]), markers={NAMES[0]: "b"})
+    with pytest.raises(ParameterError, match="by markers of the model: 'hof_fl', did you mean 'hoof_fl'"):
+        steered(np.zeros((2, 6, 3)), markers={"hof_fl": "hoof_fl"})
     with pytest.raises(InputError, match="in m, cm or mm"):
         SteerMesh().open({"in": StreamSpec((6, 3), channels=NAMES, units=("deg",))})
     with pytest.raises(ParameterError, match="a marker of the model"):
