@@ -327,59 +327,6 @@ def test_markers_that_may_be_the_other_side_s_are_missing_until_that_is_known() 
     assert not np.isnan(made["out"][1:][:, limbs]).any()
 
 
-def test_depths_tell_a_back_from_a_front_where_the_shape_does_not() -> None:
-    """Seen from behind, the nose is behind the shoulders, and calves are before the knees; the network says front, the shape nothing."""
-    back, memory, pixels, out = standing(1.0), np.zeros(4), np.full((34, 2), np.nan), np.empty((34, 8))
-    truth = back["points"][0].copy()
-    truth[0, 2] += 0.06
-    truth[[25, 26], 2] += 0.08
-    wrong = truth[OTHER_SIDE].copy()
-    wrong[:, 7] = -wrong[:, 7]
-    for _ in range(5):
-        assert unturned(wrong, np.zeros(2), OTHER_SIDE, memory, pixels, out) == 1
-    assert out == pytest.approx(truth)
-
-
-def test_a_shape_that_is_wrong_at_first_gives_way_to_a_network_that_says_back() -> None:
-    """It takes backs for fronts and hardly ever the reverse. By the shape alone, a back was exchanged for a second."""
-    back, memory, pixels, out = standing(1.0), np.zeros(4), np.full((34, 2), np.nan), np.empty((34, 8))
-    points = back["points"][0].copy()
-    points[[25, 26], 2] += 0.08
-    exchanged = 0
-    for _ in range(30):
-        exchanged += unturned(points, np.array([0.1, -0.35]), OTHER_SIDE, memory, pixels, out) != 0
-    assert exchanged <= 3
-
-
-def test_from_the_side_nothing_is_certain_that_a_mirror_would_show_as_well() -> None:
-    """Half turned away or half towards the camera: a shape that says only to which side speaks for neither."""
-    memory, pixels, out = np.zeros(4), np.full((34, 2), np.nan), np.empty((34, 8))
-    points = standing()["points"][0].copy()
-    points[:, 7] = 0.8 * points[:, 5]
-    points[:, 5] *= 0.6
-    points[:, 0] = 159.5 + 285.6 * points[:, 5] / 2.5
-    points[:, 2] = 2.5 - INSIDE + points[:, 7]
-    points[[11, 12, 23, 24], 2] = np.nan
-    for k in range(40):
-        unturned(points, np.array([0.9, 0.3 if k < 20 else -0.3]), OTHER_SIDE, memory, pixels, out)
-        if k == 19:
-            assert memory[3] < 2.0, "left has been certain without a reason"
-    assert out[11, 0] > out[12, 0], "the left shoulder is on the camera's right"
-
-
-def test_markers_that_may_be_the_other_side_s_are_missing_until_that_is_known() -> None:
-    """A shape that says now one, now the other: the head is given, arms and legs are not; then it makes up its mind."""
-    markers = Markers()
-    markers.open({"in": CLIP})
-    frames = np.repeat(standing(), 40)
-    frames["facing"][:20] = np.array([(0.0, 0.5), (0.0, -0.5)] * 10)
-    made = np.concatenate([chunk.data for chunk in feed(markers, "in", frames)["out"]])
-    head, limbs = MARKERS.index("head"), [MARKERS.index(f"left_{name}") for name in ("shoulder", "wrist", "ankle")]
-    assert np.isnan(made[:2, limbs]).all()
-    assert not np.isnan(made[1:, head]).any()
-    assert not np.isnan(made[25:][:, limbs]).any()
-
-
 def test_a_single_flip_against_the_heading_so_far_is_undone() -> None:
     front, memory, pixels, out = standing(), np.zeros(4), np.full((34, 2), np.nan), np.empty((34, 8))
     for k in range(30):
