@@ -21,6 +21,7 @@ from stream.chunk import Array
 from stream.complete import complete
 from stream.errors import RecordingError
 from stream.recording.versions import release
+from stream.stalls import let_others_go_on
 
 NAME = "checkpoint.npz"
 VERSION = 2
@@ -115,6 +116,7 @@ class CheckpointWriter:
             self._thread.join(timeout_s)
 
     def _save(self, checkpoint: Checkpoint, after: Callable[[], None]) -> None:
+        let_others_go_on()
         try:
             if not self._before():
                 raise OSError("the recording could not be written up to it")

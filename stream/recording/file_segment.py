@@ -35,7 +35,7 @@ from stream.recording.format import (
 )
 from stream.recording.image import CHUNKS, SCHEMA, descriptor
 
-PIECE = 1 << 20
+PIECE = 4 << 20
 """A write call takes pieces until they have this many bytes."""
 TOGETHER, MOST_PIECES = hasattr(os, "writev"), 64
 """Whether the system takes several pieces in one call, and how many: between two calls other threads take the interpreter."""

@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 from stream.recording.file_segments import FileSegments
 from stream.recording.record_writer import RecordWriter
 from stream.recording.rounds import Round, Rounds
+from stream.stalls import let_others_go_on
 
 TURN = 0.8
 """This much of `flush_s` the recorder's thread sleeps, unless much comes; then it writes all that came."""
@@ -66,6 +67,7 @@ class RecorderThread:
         self._thread.join()
 
     def _run(self) -> None:
+        let_others_go_on()
         ended = False
         try:
             while not self._stop.is_set():
