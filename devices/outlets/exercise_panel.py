@@ -124,9 +124,7 @@ def _provisional(state: ExerciseState, event: Any, stamp: int) -> str:
     onset = int(event["onset"])
     if event["repetition"] == 0:
         state.since = state.since if state.begun else min(state.since, onset)
-    elif (
-        not state.final
-    ):  # until one is final: a repetition is believed before it has quite ended, and then looks short
+    elif not state.final:  # a repetition is believed before it has quite ended, and then looks short
         state.last_s = (int(event["end"]) - onset) / NS
         if event["repetition"] == 1:
             state.since, state.begun = onset, True
@@ -249,10 +247,11 @@ def past_text(one: Any) -> str:
 
 
 def now_line(state: ExerciseState) -> str:
-    """What is being done: "squat x 7, last 1.8 s, since 0:14"."""
+    """What is being done: "squat x 7, last 1.8 s, since 0:14"; "motion" before anything of it is counted."""
     if state.activity < 0:
         return "nothing that repeats"
-    parts = [f"{one_line(name_of(state, state.activity)) or 'exercise'} x {state.count}"]
+    name = one_line(name_of(state, state.activity))
+    parts = [f"{name or 'exercise'} x {state.count}" if state.count else name or "motion"]
     if np.isfinite(state.last_s):
         parts.append(f"last {state.last_s:.1f} s")
     if state.since > NEVER and state.began > NEVER:

@@ -94,6 +94,7 @@ def test_the_panel_says_what_is_done_since_when_how_often_and_what_came_before()
     assert seen[after + 1].startswith("rest\n")
     final = next(k for k, (port, _) in enumerate(training()) if port == "repetition")
     assert seen[final].startswith("squat x 3, last 1.9 s, since 0:00, 90% sure")
+    assert seen[-2].startswith("motion, since")
     assert seen[-1].startswith("exercise x 1, since") and "before: rest, 4.5 s · squat x 3, 6.0 s" in seen[-1]
 
 
@@ -546,7 +547,7 @@ def test_exercises_are_taught_from_one_person_and_named_live_on_another(
     made = tmp_path / "exercises.npz"
     told = [f"{name}={at[0]:.1f}-{at[-1]:.1f}" for name, at in spans(2).items() if name != "wave"]
     assert not kinegraph("teach", session("shown", 2), *told, "-o", made)
-    assert "squat: 6 examples" in capsys.readouterr().out
+    assert "squat: 5 of 6 repetitions kept" in capsys.readouterr().out
     for wrong, message in ((told, "exercises.npz exists"), (["rest=0-0.2"], "between 0 and 0.2 s; there are some at")):
         with pytest.raises(KinegraphError, match=message):
             output = made if wrong is told else tmp_path / "other.npz"
@@ -558,7 +559,7 @@ def test_exercises_are_taught_from_one_person_and_named_live_on_another(
         cli.call("teach", [str(tmp_path / "shown"), *both, "-o", str(tmp_path / "other.npz")])
     assert not (tmp_path / "other.npz").exists()
     assert not kinegraph("teach", tmp_path / "shown", told[1], told[1], "-o", tmp_path / "twice.npz")
-    assert "squat: 6 examples" in capsys.readouterr().out
+    assert "squat: 5 of 6 repetitions kept" in capsys.readouterr().out
     mixed = f"arms={spans(2)['arms'][0]:.1f}-{spans(2)['squat'][2]:.1f}"
     assert not kinegraph("teach", tmp_path / "shown", mixed, "-o", tmp_path / "mixed.npz")
     assert "arms: its repetitions are of 2 kinds" in capsys.readouterr().out

@@ -73,7 +73,9 @@ def teach(
         raise KinegraphError(f"{output}: cannot be written: {error.strerror or error}") from None
     for name, all_ in found.items():
         seconds = [len(x) / (spec.rate_hz or 1.0) for x in all_]
-        say(f"{name}: {len(all_)} examples, {min(seconds):.1f} to {max(seconds):.1f} s each")
+        kept = int((model.exercise == model.names.index(name)).sum())
+        of = f" of {len(all_)}" if kept < len(all_) else ""
+        say(f"{name}: {kept}{of} repetitions kept, {min(seconds):.1f} to {max(seconds):.1f} s each")
     say(str(output))
 
 
