@@ -66,7 +66,7 @@ def _train_pose() -> Iterator[str]:
     yield "train pose walk.mcap -o few.npz --centres 50 --markers head,shoulder_l,shoulder_r,hip_l,hip_r --noise-mm 10"
 
 
-def _train_mesh() -> Iterator[str]:
+def _train_steering() -> Iterator[str]:
     from devices.simulators.quadruped import marked, topology
     from tests.avatar.test_steering_adapt import LIMBS, NAMES, REFERENCE, STRIDE, pacing
 
@@ -78,12 +78,12 @@ def _train_mesh() -> Iterator[str]:
     text += f"reference: [{', '.join(REFERENCE)}]\nheading: [croup, withers]\n"
     Path("m.yaml").write_text(text)
     Path("limbs.yaml").write_text(f"{text}limbs: [{', '.join(LIMBS)}]\n")
-    train = "train mesh mesh.mcap --markers m.yaml --parts 6"
+    train = "train steering mesh.mcap --markers m.yaml --parts 6"
     yield f"{train} -o chosen.npz --report chosen.html"
     yield f"{train} -o thesis.npz --pose angles --regression linear --skeleton --alignment greedy --method parts"
     yield f"{train} -o local.npz --method local --modes 2"
     yield f"{train} -o straight.npz --pose directions --method straight"
-    yield "train mesh mesh.mcap --markers limbs.yaml --parts 6 -o limbs.npz --shapes optimised --blend shared"
+    yield "train steering mesh.mcap --markers limbs.yaml --parts 6 -o limbs.npz --shapes optimised --blend shared"
     yield f"{train} -o few.npz --performer walk.mcap"
 
 
@@ -225,7 +225,7 @@ def _nights() -> Iterator[str]:
 
 SCENES: dict[str, tuple[str, Scene]] = {
     "train-pose": ("operators.whole_pose.commands.train", _train_pose),
-    "train-mesh": ("operators.steering.commands.train", _train_mesh),
+    "train-steering": ("operators.steering.commands.train", _train_steering),
     "train-graph": ("operators.motion_graph.commands.train", _train_graph),
     "train-map": ("operators.pose_map.commands.train", _train_map),
     "emg-sessions": ("operators.emg.commands.compare", _emg_sessions),

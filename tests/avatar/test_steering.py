@@ -162,7 +162,7 @@ def test_a_mesh_is_imported_trained_and_steered_by_commands(tmp_path: Path) -> N
     (tmp_path / "markers.yaml").write_text(text)
     arguments = (
         "train",
-        "mesh",
+        "steering",
         tmp_path / "walk.mcap",
         "--markers",
         tmp_path / "markers.yaml",
@@ -185,7 +185,7 @@ def test_a_mesh_is_imported_trained_and_steered_by_commands(tmp_path: Path) -> N
             cli.call(
                 "train",
                 [
-                    "mesh",
+                    "steering",
                     str(tmp_path / "walk.mcap"),
                     "--markers",
                     str(tmp_path / "wrong.yaml"),
@@ -241,7 +241,7 @@ def test_a_model_of_something_else_and_a_recording_of_another_mesh_are_refused(t
     (tmp_path / "m.yaml").write_text("markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}")
     arguments = [tmp_path / "a.mcap", tmp_path / "b.mcap", "--markers", tmp_path / "m.yaml", "-o", tmp_path / "m.npz"]
     with pytest.raises(KinegraphError, match=r"b\.mcap: mesh is another mesh than the one before"):
-        cli.call("train", ["mesh", *map(str, arguments)])
+        cli.call("train", ["steering", *map(str, arguments)])
 
 
 @pytest.mark.parametrize(("config", "source"), [("steer_mesh", "animal"), ("steer_horse", "people")])
@@ -274,7 +274,7 @@ def mesh_files(folder: Path, frames: int, *, holes: bool = False, apart: bool = 
 @pytest.mark.parametrize(("holes", "apart"), [(True, False), (False, True)], ids=["holes", "components"])
 def test_a_mesh_with_holes_or_in_pieces_is_steered_as_a_whole_one(holes: bool, apart: bool, tmp_path: Path) -> None:
     mesh = mesh_files(tmp_path, 12, holes=holes, apart=apart)
-    kinegraph("train", "mesh", mesh, "--markers", tmp_path / "markers.yaml", "-o", tmp_path / "m.npz")
+    kinegraph("train", "steering", mesh, "--markers", tmp_path / "markers.yaml", "-o", tmp_path / "m.npz")
     found, quality = steered(STRIDE[::4, NUMBERS], model=tmp_path / "m.npz")
     assert np.isfinite(found).all() and np.isfinite(quality).all()
     assert np.linalg.norm(found[:, : len(STRIDE[0])] - STRIDE[::4], axis=-1).mean() < 0.01
@@ -282,7 +282,7 @@ def test_a_mesh_with_holes_or_in_pieces_is_steered_as_a_whole_one(holes: bool, a
 
 def test_one_frame_of_a_mesh_teaches_nothing_and_says_so(tmp_path: Path) -> None:
     arguments = [
-        "mesh",
+        "steering",
         str(mesh_files(tmp_path, 1)),
         "--markers",
         str(tmp_path / "markers.yaml"),

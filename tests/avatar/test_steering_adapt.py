@@ -298,7 +298,7 @@ def test_a_report_shows_parts_errors_and_modes(tmp_path: Path) -> None:
     write_recording(tmp_path / "mesh.mcap", [Series("mesh", topology().spec(24.0), grid(24.0, 24), STRIDE)], {})
     text = "markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}\nreference: [withers, croup]\n"
     (tmp_path / "m.yaml").write_text(f"{text}limbs: [{', '.join(LIMBS)}]\n")
-    train = ("train", "mesh", tmp_path / "mesh.mcap", "-o", tmp_path / "m.npz", "--markers", tmp_path / "m.yaml")
+    train = ("train", "steering", tmp_path / "mesh.mcap", "-o", tmp_path / "m.npz", "--markers", tmp_path / "m.yaml")
     kinegraph(*train, "--report", tmp_path / "m.html")
     page = (tmp_path / "m.html").read_text()
     assert page.count("<img") == 3 and "hoof_fl" in page
@@ -323,7 +323,7 @@ def test_the_command_takes_a_performer_and_says_what_is_wrong(tmp_path: Path) ->
     write_recording(tmp_path / "walk.mcap", [Series("walk", spec, grid(30.0, 60), 40.0 * marks)], {})
     text = "markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}\nreference: [withers, croup]\n"
     (tmp_path / "m.yaml").write_text(f"{text}limbs: [{', '.join(LIMBS)}]\nheading: [croup, withers]\n")
-    train = ("train", "mesh", tmp_path / "mesh.mcap", "-o", tmp_path / "m.npz", "--markers", tmp_path / "m.yaml")
+    train = ("train", "steering", tmp_path / "mesh.mcap", "-o", tmp_path / "m.npz", "--markers", tmp_path / "m.yaml")
     kinegraph(*train, "--performer", tmp_path / "walk.mcap")
     assert read_model(tmp_path / "m.npz", KIND).header["performer"] == "walk.mcap"
     kinegraph(*train, "--performer", tmp_path / "walk.mcap", "--ranges", "graph", "--pairing", "swing", "--overwrite")
@@ -425,4 +425,6 @@ def test_one_frame_is_too_few_to_learn_from(tmp_path: Path) -> None:
     write_recording(tmp_path / "one.mcap", [Series("mesh", topology().spec(24.0), grid(24.0, 1), STRIDE[:1])], {})
     (tmp_path / "m.yaml").write_text("markers: {a: 1}\n")
     with pytest.raises(KinegraphError, match="at least 2"):
-        cli.call("train", ["mesh", str(tmp_path / "one.mcap"), "--markers", str(tmp_path / "m.yaml"), "-o", "x.npz"])
+        cli.call(
+            "train", ["steering", str(tmp_path / "one.mcap"), "--markers", str(tmp_path / "m.yaml"), "-o", "x.npz"]
+        )

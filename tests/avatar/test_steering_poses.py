@@ -150,7 +150,8 @@ def test_the_command_takes_the_options_and_says_what_is_wrong(tmp_path: Path) ->
     write_recording(tmp_path / "mesh.mcap", [Series("mesh", topology().spec(24.0), grid(24.0, 24), STRIDE)], {})
     text = "markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}\n"
     (tmp_path / "m.yaml").write_text(text + "reference: [withers, croup]\n")
-    train = ["mesh", str(tmp_path / "mesh.mcap"), "-o", str(tmp_path / "m.npz"), "--markers", str(tmp_path / "m.yaml")]
+    files = (tmp_path / "mesh.mcap", "-o", tmp_path / "m.npz", "--markers", tmp_path / "m.yaml")
+    train = ["steering", *map(str, files)]
     options = ["--pose", "directions", "--regression", "linear", "--skeleton"]
     with pytest.raises(SystemExit) as ended:
         cli.call("train", [*train, *options, "--overwrite"])

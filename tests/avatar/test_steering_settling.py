@@ -227,7 +227,8 @@ def test_the_command_takes_the_options_and_says_what_is_wrong(tmp_path: Path) ->
     write_recording(tmp_path / "mesh.mcap", [Series("mesh", topology().spec(24.0), grid(24.0, 24), STRIDE)], {})
     text = "markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}\nreference: [withers, croup]\n"
     (tmp_path / "m.yaml").write_text(f"{text}limbs: [{', '.join(LIMBS)}]\n")
-    train = ["mesh", str(tmp_path / "mesh.mcap"), "-o", str(tmp_path / "m.npz"), "--markers", str(tmp_path / "m.yaml")]
+    files = (tmp_path / "mesh.mcap", "-o", tmp_path / "m.npz", "--markers", tmp_path / "m.yaml")
+    train = ["steering", *map(str, files)]
     options = ["--alignment", "greedy", "--shapes", "optimised", "--blend", "shared", "--parts", "8"]
     with pytest.raises(SystemExit) as ended:
         cli.call("train", [*train, *options, "--report", str(tmp_path / "m.html")])

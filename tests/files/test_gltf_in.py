@@ -48,7 +48,7 @@ def test_an_exported_mesh_comes_back_and_is_trained_on(tmp_path: Path) -> None:
     names = "".join(f"  {name}: {vertex}\n" for name, vertex in marked().items())
     (tmp_path / "markers.yaml").write_text(f"markers:\n{names}")
     words = ("--markers", tmp_path / "markers.yaml", "--method", "parts", "--parts", 6, "-o", tmp_path / "walk.npz")
-    kinegraph("train", "mesh", tmp_path / "walk.mcap", *words)
+    kinegraph("train", "steering", tmp_path / "walk.mcap", *words)
     assert (tmp_path / "walk.npz").is_file()
 
 

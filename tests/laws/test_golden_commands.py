@@ -1,6 +1,6 @@
 """Golden answers of commands: what they print and write, on made-up recordings, is what is kept in tests/laws/golden/commands.
 
-Where a change is meant: `python -m tests.golden_commands --write train-mesh`, and say in the commit what changed and why.
+Where a change is meant: `python -m tests.golden_commands --write train-steering`, and say in the commit what changed and why.
 """
 
 from __future__ import annotations

@@ -68,8 +68,8 @@ def test_a_module_is_tried_by_golden_answers_of_what_it_is_part_of() -> None:
     assert own_operators("operators.emg.envelope_kernel", found) == ["operators.emg.Envelope"]
     assert own_operators("stream.conformance.play", found) == list(SAMPLE)
     assert not own_operators("stream.commands.info", found)
-    commands = {"train-mesh": "operators.steering.commands.train", "train-map": "operators.pose_map.commands.train"}
-    assert own_commands("operators.steering.fit", commands) == ["train-mesh"]
+    commands = {"train-steering": "operators.steering.commands.train", "train-map": "operators.pose_map.commands.train"}
+    assert own_commands("operators.steering.fit", commands) == ["train-steering"]
 
 
 def test_nine_in_ten_must_be_noticed_of_those_that_change_anything(capsys: pytest.CaptureFixture[str]) -> None:

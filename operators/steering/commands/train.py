@@ -1,4 +1,4 @@
-"""`kinegraph train mesh`: from a recording of a moving mesh, a model that moves it with a few markers."""
+"""`kinegraph train steering`: from a recording of a moving mesh, a model that moves it with a few markers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ASSEMBLIES = {"alignment": ("placed", "greedy"), "shapes": ("predicted", "optimi
 """How parts come to fit one another; the first of each is the default."""
 
 
-def mesh(
+def steering(
     recordings: Annotated[
         list[File],
         typer.Argument(help="recordings of one mesh, or results of `kinegraph batch`", metavar="RECORDING"),
