@@ -38,7 +38,7 @@ REPETITION = np.dtype(
     [
         ("onset", "<i8"), ("end", "<i8"), ("activity", "<i8"), ("repetition", "<i4"), ("cluster", "<i8"), ("side", "<i4"),
         ("name", TEXT), ("sure", "<f8"), ("distance", "<f8"), ("duration_s", "<f8"), ("range", "<f8"), ("moves", TEXT),
-        ("symmetry", "<f8"),
+        ("symmetry", "<f8"), ("whole_s", "<f8"),
     ]
 )  # fmt: skip
 SPAN = np.dtype([("onset", "<i8"), ("end", "<i8"), ("activity", "<i8"), ("repetition", "<i4")])
@@ -103,8 +103,8 @@ class NameRepetitions(Operator[NamingState]):
     believed     at once: activity, repetition, name, sure (0 to 1)
     repetition   final: onset, end, activity, repetition, cluster, side, as told; name and sure; distance (to the nearest repetition of that
                  name that was shown, in the features' unit; NaN without a model), duration_s, range (of the feature that moves most, in its
-                 unit), moves (which one that is) and symmetry (0 to 1: how alike both sides move, at once or in turn; of two steps, with
-                 the second; NaN: not known)
+                 unit), moves (which one that is), symmetry (0 to 1: how alike both sides move, at once or in turn; of two steps, with
+                 the second; NaN: not known) and whole_s (duration_s, of the second of two steps with the first)
 
     `model` is a file that `kinegraph teach` wrote. What lies too far from all that was shown is "unknown". Without a model clusters
     are named by letters: A, B, ... Two repetitions are compared by warping in time, from whichever phase of the cycle is best.
@@ -229,6 +229,9 @@ class NameRepetitions(Operator[NamingState]):
         row["range"], most = widest(x)
         row["moves"] = STACKED.sub("", s.features[most])[:MOST_LETTERS] if most >= 0 else ""
         row["symmetry"] = self._symmetry(event, before)
+        row["whole_s"] = row["duration_s"] + (before["end"] - before["onset"] + s.period) / 1e9 * is_second_step(
+            event, before
+        )
         if s.of >= 0 and event["activity"] > s.of:
             s.lesson, s.of = "", NONE
         return [row]
@@ -269,7 +272,7 @@ class NameRepetitions(Operator[NamingState]):
         s = self.state
         onset = int(event["onset"])
         if event["side"] > 0:
-            if not (before["activity"] == event["activity"] and before["repetition"] == event["repetition"]):
+            if not is_second_step(event, before):
                 return np.nan
             onset = int(before["onset"])
         return sides_alike(s.recent.span(onset, int(event["end"])), s.images.span(onset, int(event["end"])))
@@ -285,6 +288,12 @@ ANSWERS = {
     "primitive": ("repetition", NameRepetitions._final, REPETITION),
 }
 """By port: the output that answers, how, and with what."""
+
+
+def is_second_step(event: Array, before: Array) -> bool:
+    """Whether it and the one before it are the two steps of one repetition."""
+    same = before["activity"] == event["activity"] and before["repetition"] == event["repetition"]
+    return bool(event["side"] > 0 and same)
 
 
 def is_of(s: NamingState, activity: int) -> None:

@@ -366,6 +366,17 @@ def test_how_alike_both_sides_move_is_told_of_every_repetition(shift: int | None
     assert (found > 0.85).all() if alike else (found < 0.5).all()
 
 
+def test_of_two_steps_the_second_tells_how_long_both_took() -> None:
+    operator = NameRepetitions()
+    operator.open({"in": SPEC, "primitive": StreamSpec((), PRIMITIVE)})
+    told = np.zeros(4, PRIMITIVE)
+    told["onset"], told["end"] = np.array([0, 30, 60, 110]) * NS // 30, np.array([29, 59, 99, 129]) * NS // 30
+    told["repetition"], told["side"] = [1, 1, 2, 3], [0, 1, 0, 1]
+    ((_, chunk),) = operator.process("primitive", Chunk(told["end"].copy(), told, int(told["end"][-1])))
+    assert np.allclose(chunk.data["duration_s"], [1.0, 1.0, 40 / 30, 20 / 30], atol=1e-6)
+    assert np.allclose(chunk.data["whole_s"], [1.0, 2.0, 40 / 30, 20 / 30], atol=1e-6)
+
+
 def test_without_a_model_clusters_have_letters_and_what_has_left_the_window_has_no_numbers() -> None:
     x = turns(0, 60)
     found = named(x, [(0, 41), (50, 90)], None)
