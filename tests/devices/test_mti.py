@@ -234,7 +234,7 @@ def test_a_sensor_that_falls_silent_or_was_switched_on_again_is_opened_again() -
         def packets(self, first: int, stop: int) -> list[bytes]:
             return [*super().packets(first, stop), *([xbus.message(xbus.WAKE_UP)] if stop > 50 else [])]
 
-    for brain, told in ((Silent(), "no measurement"), (SwitchedOn(), "switched on again")):
+    for brain, told in ((Silent(), "no measurement"), (SwitchedOn(), "restarted")):
         with served(brain) as server:
             _, feed = read(server, 10**9)
         assert isinstance(feed.error, DeviceError) and told in str(feed.error)

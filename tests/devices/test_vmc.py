@@ -68,7 +68,7 @@ def test_split_frames_hold_the_same_messages() -> None:
 
 
 def test_what_does_not_fit_is_refused() -> None:
-    with pytest.raises(ValueError, match="'Tail' is no bone"):
+    with pytest.raises(ValueError, match="'Tail' is not a bone"):
         VmcFrame(["Hips", "Tail"], np.zeros((2, 3)))
     with pytest.raises(ValueError, match=r"must be \(1, 3\)"):
         VmcFrame(["Hips"], np.zeros((2, 3)))

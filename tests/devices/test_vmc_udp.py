@@ -123,7 +123,7 @@ def test_what_cannot_be_sent_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match="no Hips"):
         VmcOutlet().open({"pose": JointTree(("a", "b"), np.array([-1, 0]), np.zeros((2, 3))).spec(30.0)})
     (tmp_path / "a.vrm").write_bytes(b"glTF" + bytes(30))
-    with pytest.raises(KinegraphError, match="is no VRM avatar"):
+    with pytest.raises(KinegraphError, match="is not a VRM avatar"):
         VmcOutlet(avatar=tmp_path / "a.vrm").open({"pose": TREE.spec(30.0)})
 
 

@@ -168,7 +168,7 @@ def test_two_sessions_on_one_output(kinegraph: Command, made: Path, tmp_path: Pa
     try:
         wait_for(lambda: (tmp_path / "s").is_dir() and (tmp_path / "out.csv").exists())
         refused(kinegraph("run", "g.yaml", *QUIET, "-o", "s", "--for", 1), "another kinegraph is recording there")
-        refused(kinegraph("run", "g.yaml", *QUIET, "-o", "s", "--resume"), "another kinegraph is recording there")
+        refused(kinegraph("run", "g.yaml", *QUIET, "-o", "s", "--resume"), "another kinegraph is still recording there")
         refused(kinegraph("recover", "s"), "is being recorded now")
         code, _, complaint = kinegraph("run", "g.yaml", *QUIET, "-o", "other", "--for", 1)
         assert code == 0 or (code == 3 and "out.csv" in complaint), "another file, or an error that names it"

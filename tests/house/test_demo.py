@@ -84,13 +84,13 @@ def test_somebody_with_only_the_readme_watches_cycles_finds_the_gap_marks_it_and
             assert browser.colours(".cycles canvas") > 5
             assert browser.complaints == []
             assert process.wait(2 * PATIENCE_S) == 0, log.read_text()
-            told("(prints two commands. The first opens .* The second shows)")
+            told("(printing two commands. The first opens .* The second replays)")
             first, second = VIEW.search(log.read_text()), REPLAY.search(log.read_text())
             assert first and second and (tmp_path / first[2]).is_dir(), log.read_text()
         with typed(shlex.split(first[1]), tmp_path) as (process, log):
             browser.open(address(process, log))
             at = find_and_mark(
-                browser, told(r"browser: `(.)` goes to the gap"), told(r"gap; `(.)`, a text and Enter mark")
+                browser, told(r"browser, where `(.)` jumps to the gap"), told(r"gap, and `(.)`, a text and Enter mark")
             )
         with typed([*shlex.split(second[1]), "-q"], tmp_path) as (process, log):
             browser.open(address(process, log))

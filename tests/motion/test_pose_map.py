@@ -310,7 +310,7 @@ BAD = {
     "origin: withers\nahead: withers\nmarkers: {withers: }": "another marker",
     "origin: withers\nahead: sacrum\nup: north\nmarkers: {withers: , sacrum: }": "up is 'north'",
     "origin: withers\nahead: sacrum\nmarkers: {withers: , sacrum: []}": "markers.sacrum",
-    "origin: withers\nahead: sacrum\nmarkers: {withers: , sacrum: }\nbones: [[withers, nose]]": "no pair",
+    "origin: withers\nahead: sacrum\nmarkers: {withers: , sacrum: }\nbones: [[withers, nose]]": "not a pair",
     "origin: withers\nahaed: sacrum\nmarkers: {withers: }": "'ahaed' is not known",
     "markers: 5": "must hold `markers:`",
 }

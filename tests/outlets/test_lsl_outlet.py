@@ -144,7 +144,7 @@ def test_events_go_out_as_one_field_or_as_numbers(name: str) -> None:
         (LslOutlet("x", events="field"), EVENTS, "one of the event's fields"),
         (LslOutlet("x", events="field", fields=("couse",)), EVENTS, "did you mean 'cause'"),
         (LslOutlet("x", events="numbers"), EVENTS, "a field that is one number"),
-        (LslOutlet("x", fields=("a",)), StreamSpec((1,)), "the input is no event"),
+        (LslOutlet("x", fields=("a",)), StreamSpec((1,)), "the input is not an event"),
         (LslOutlet("x"), StreamSpec((480, 640), "<u2"), "1 to 4096 numbers a sample"),
         (LslOutlet("x"), StreamSpec((2,), "<c16"), "real numbers"),
     ],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -202,7 +203,7 @@ def test_amplitudes_in_millivolts_keep_their_figures() -> None:
 
 def test_a_session_without_a_single_cycle_has_a_page() -> None:
     report, _ = sample(accepted=0)
-    report.muscles[0].values = report.muscles[1].values = [(NAN, NAN), (NAN, NAN)]
+    report.muscles[:2] = [replace(muscle, values=[(NAN, NAN), (NAN, NAN)]) for muscle in report.muscles[:2]]
     report.stance_percent = NAN
     nothing = np.full((100, 2), np.nan)
     text = Page(render(report, Curves(nothing, nothing, np.empty((0, 100, 2))))).text

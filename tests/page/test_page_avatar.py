@@ -171,7 +171,7 @@ def test_what_is_no_avatar_is_refused(tmp_path: Path) -> None:
     (tmp_path / "no.vrm").write_bytes(b"glTF")
     with pytest.raises(KinegraphError, match="no such file"):
         checked_avatar(tmp_path / "missing.vrm")
-    with pytest.raises(KinegraphError, match="no VRM avatar"):
+    with pytest.raises(KinegraphError, match="is not a VRM avatar"):
         checked_avatar(tmp_path / "no.vrm")
     assert checked_avatar(None) == AVATAR
 

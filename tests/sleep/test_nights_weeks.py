@@ -164,7 +164,7 @@ def test_the_command_reports_compares_and_exports(kinegraph: Command, fortnight:
     ("more", "told"),
     [
         (["--compare", "2026-11-02..2026-11-08"], "twice"),
-        (["--compare", "x..y", "--compare", "x..y"], "no date"),
+        (["--compare", "x..y", "--compare", "x..y"], "not a date"),
         (["--free", "noday"], "sat,sun"),
         (["--since", "2030-01-01"], "no nights"),
     ],
