@@ -133,6 +133,16 @@ def _listen(foot: Samples, across: float, along: float, dt: float) -> None:
 
 
 @kernel
+def _hold(foot: Samples, ankle: Samples, ease: float) -> None:
+    """The ankle of a foot that stands, over its place; what is left of its height above the marker shrinks to this share."""
+    foot[AWAY + 1] *= ease
+    ankle[1] += foot[AWAY + 1]
+    for a in (0, 2):
+        foot[AWAY + a] = foot[LOCK + a] - ankle[a]
+        ankle[a] = foot[LOCK + a]
+
+
+@kernel
 def _put(foot: Samples, ankle: Samples, height: float) -> None:
     """Put a foot by its height and speed."""
     if foot[STANDS] > 0.0:
@@ -146,11 +156,7 @@ def _put(foot: Samples, ankle: Samples, height: float) -> None:
         for a in range(3):
             foot[LOCK + a] = ankle[a] + foot[AWAY + a]
     if foot[STANDS] > 0.0:
-        foot[AWAY + 1] *= EASE
-        ankle[1] += foot[AWAY + 1]
-        for a in (0, 2):
-            foot[AWAY + a] = foot[LOCK + a] - ankle[a]
-            ankle[a] = foot[LOCK + a]
+        _hold(foot, ankle, EASE)
         return
     away = math.sqrt(foot[AWAY] ** 2 + foot[AWAY + 1] ** 2 + foot[AWAY + 2] ** 2)
     left = max(0.0, min(EASE * away, away - EASE_M))
@@ -176,11 +182,7 @@ def _put_noisy(foot: Samples, ankle: Samples, dt: float, height: float) -> None:
         share = min(DRIFTS, DRIFTS_M_S * dt / apart) if apart > 1e-9 else 0.0
         foot[LOCK] += share * across
         foot[LOCK + 2] += share * along
-        foot[AWAY + 1] *= NOISY_EASE
-        ankle[1] += foot[AWAY + 1]
-        for a in (0, 2):
-            foot[AWAY + a] = foot[LOCK + a] - ankle[a]
-            ankle[a] = foot[LOCK + a]
+        _hold(foot, ankle, NOISY_EASE)
         return
     away = math.sqrt(foot[AWAY] ** 2 + foot[AWAY + 1] ** 2 + foot[AWAY + 2] ** 2)
     left = max(0.0, min(NOISY_EASE * away, away - NOISY_EASE_M), away - MOST_EASE_M)

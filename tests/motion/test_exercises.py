@@ -195,7 +195,7 @@ def test_since_when_is_the_first_repetition_not_the_rest_that_the_activity_begin
 
 
 def test_what_came_before_stands_in_its_order_and_rest_is_no_other_motion() -> None:
-    """Rests are told at once, activities seconds later; a stretch that holds nothing but a rest is not worth a word."""
+    """Rests come at once, activities seconds later; a stretch that holds nothing but a rest is not shown."""
     rest = ("rest", event("rest", 12, onset=7, end=11.5))
     assert "before: rest, 4.5 s · exercise 1 x 3, 6.0 s\n" in after(rest, ended(1, 7, repetitions=3)).replace(
         " \n", "\n"

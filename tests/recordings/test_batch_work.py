@@ -1,4 +1,4 @@
-"""The recorder's thread does not interrupt the session's: how the system is told so, and when not."""
+"""The recorder's thread does not interrupt the session's: when the scheduler treats it as batch work, and when not."""
 
 from __future__ import annotations
 
