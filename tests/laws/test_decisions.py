@@ -16,7 +16,7 @@ from stream.graph.parts import catalogue
 from stream.graph.plan import plan
 from stream.operator import Case, Operator
 from stream.outlet import Outlet
-from tests.laws.decisions import lateness, measured
+from tests.laws.decisions import Holes, lateness, measured
 from tests.support.command_line import Command
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -88,6 +88,17 @@ def test_no_event_of_a_shipped_graph_comes_later_than_check_says(
                 str(edge),
                 max(seconds),
             )
+
+
+def test_time_in_which_samples_were_lost_is_not_held_against_an_operator() -> None:
+    holes = Holes({("active", "in"): 10, ("active", "other"): 10, ("steps", "in"): 0})
+    holes.look("active", "in", np.arange(0, 100, 10))
+    holes.look("active", "in", np.arange(2 * NS, 2 * NS + 100, 10))
+    holes.look("active", "other", np.array([0, NS, NS + 10]))
+    holes.look("steps", "in", np.array([0, 9 * NS]))
+    assert holes.within(0, 3 * NS) == pytest.approx(2.0, abs=1e-6)
+    assert holes.within(NS // 2, NS) == pytest.approx(0.5)
+    assert holes.within(2 * NS, 9 * NS) == 0.0
 
 
 def test_check_prints_when_events_come_beside_the_delay(kinegraph: Command) -> None:

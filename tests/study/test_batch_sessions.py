@@ -163,8 +163,8 @@ def test_poses_and_meshes_are_learned_from_a_batch(tmp_path: Path, kinegraph: Co
         (tmp_path / f"walk{k}.obj").write_text("\n".join(lines))
     kinegraph("import", *sorted(tmp_path.glob("*.obj")), "--rate", 24, "-o", "mesh.mcap")
     Path("markers.yaml").write_text("markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}\n")
-    for kind, more in (("pose", ("--centres", 50)), ("mesh", ("--markers", "markers.yaml"))):
-        name = {"pose": "poses", "mesh": "mesh"}[kind]
+    for kind, more in (("pose", ("--centres", 50)), ("steering", ("--markers", "markers.yaml"))):
+        name = {"pose": "poses", "steering": "mesh"}[kind]
         results_of(tmp_path / kind, [tmp_path / f"{name}.mcap"])
         for given in (f"{name}.mcap", kind):
             told = kinegraph("train", kind, given, *more, "-o", f"{given}.npz")
