@@ -28,13 +28,14 @@ def read_obj(
     """The vertices (vertices, 3) of moving meshes, times `scale` in metres.
 
     Every file without an animation is a frame (30 Hz, if no rate is said) of one stream, called after the first of them; they hold the
-    same mesh. Each animation of a glTF file is a stream of its own, called after its file, and itself where there are several, at the
-    rate of its keys where these are regular and at least 10 Hz, else at 30 Hz. Polygons become fans of triangles; textures and normals
-    are left out. The vertices stay in the file's order. Raises RecordingError.
+    same mesh, and come as `frames_in_order` puts them. Each animation of a glTF file is a stream of its own, called after its file, and
+    itself where there are several, at the rate of its keys where these are regular and at least 10 Hz, else at 30 Hz. Polygons become
+    fans of triangles; textures and normals are left out. The vertices stay in the file's order. Raises RecordingError.
     """
     made: list[Series] = []
     frames: list[Samples] = []
     faces: Array = np.empty((0, 3), np.int32)
+    files = frames_in_order(files)
     first = files[0]
     for path in files:
         moving: MovingMesh | None = None
@@ -59,6 +60,21 @@ def read_obj(
             _series(first.stem, Topology(len(frames[0]), faces, first.stem), rate_hz, np.array(frames), start_ns)
         )
     return made
+
+
+def frames_in_order(files: Sequence[Path]) -> list[Path]:
+    """Files that a shell listed, called alike but for one number, by that number: frame2 before frame10. Others stay as they are."""
+    split = [re.split(r"([0-9]+)", file.name) for file in files]
+    if any(len(parts) != len(split[0]) for parts in split) or len({file.parent for file in files}) > 1:
+        return list(files)
+    differ = [k for k, column in enumerate(zip(*split, strict=True)) if len(set(column)) > 1]
+    names = [file.name for file in files]
+    bare = [re.sub(r"\W", "", name) for name in names]  # many locales pass over signs
+    listed = names == sorted(names) or bare == sorted(bare)
+    if len(differ) != 1 or differ[0] % 2 == 0 or not listed:
+        return list(files)
+    number = {file: int(parts[differ[0]]) for file, parts in zip(files, split, strict=True)}
+    return sorted(files, key=lambda file: number[file])
 
 
 def _animated(path: Path, mesh: MovingMesh, rate_hz: float | None, scale: float, start_ns: int) -> list[Series]:

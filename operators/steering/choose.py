@@ -37,6 +37,7 @@ def choose(
     pull: MarkerPull | None = None,
     how: PoseRegression = USUAL,
     performed: bool = False,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[Steering, Method, dict[Method, float], MarkerPull | None]:
     """A model of a mesh's `frames` (f, vertices, 3), how it was made, what each way's vertices are off by, in percent of the mesh's
     diagonal, in frames left out, and how its markers pull.
@@ -45,7 +46,7 @@ def choose(
     themselves need parts, and so do fewer than eight frames; nothing is left out then, and no marker pulls. Of `method` and `pull`, what
     is given is not chosen; regions (`local`) are tried only where markers lie on this body: not where they are `performed`. The mean of
     both costs as much as both together; their errors differ, and so it is mostly better than either, and taken where it is not clearly
-    worse.
+    worse. `progress` is called with how many models are made, and of how many.
     """
     at = np.array(list(markers.values()), np.int64)
     layout = None if method in ("straight", "local") else Layout.of(frames, faces, at, count)
@@ -65,7 +66,7 @@ def choose(
         return replace(model, soft=felt(apart, at, by), most=by.most) if by else model
 
     if how.shapes and len(frames) >= 2 * FOLDS:
-        shapes, off_by = softest(frames, at, diagonal, lambda rows, before: made(rows, "parts", before))
+        shapes, off_by = softest(frames, at, diagonal, lambda rows, before: made(rows, "parts", before), progress)
         model = made(frames, "parts")
         assert model.settling
         return replace(model, settling=model.settling.by(shapes, diagonal)), "parts", {"parts": off_by}, None
@@ -78,12 +79,15 @@ def choose(
     tried = TRIED if how == USUAL and not performed else TRIED[:-1]
     ways: tuple[Method, ...] = (method,) if method else tried
     off = {way: np.zeros_like(frames) for way in ways}
+    alone: list[Method] = [
+        way for way in tried if way != "both" and (method in (None, way) or (method == "both" and way != "local"))
+    ]
     for fold in range(FOLDS):
         out = np.arange(len(frames)) % FOLDS == fold
         marks, there = frames[out][:, at], dict[Method, Samples]()
-        for way in tried:
-            if way != "both" and (method in (None, way) or (method == "both" and way != "local")):
-                there[way] = made(frames[~out], way, earlier[~out])(marks, frames.shape[1], earlier[out])
+        for k, way in enumerate(alone):
+            progress(fold * len(alone) + k, FOLDS * len(alone) + 1)
+            there[way] = made(frames[~out], way, earlier[~out])(marks, frames.shape[1], earlier[out])
         if method in (None, "both"):
             there["both"] = (there["parts"] + there["straight"]) / 2
         for way in ways:
@@ -91,17 +95,23 @@ def choose(
     found = {way: pulled(off[way], apart, at) for way in ways}
     error = {way: 100.0 * np.linalg.norm(left, axis=-1).mean(axis=1) / diagonal for way, (_, left) in found.items()}
     best = method or best_of(error)
+    progress(FOLDS * len(alone), FOLDS * len(alone) + 1)
     model = soft(made(frames, best), apart, found[best][0])
     return model, best, {way: float(frame.mean()) for way, frame in error.items()}, found[best][0]
 
 
 def softest(
-    frames: Samples, at: Times, diagonal: float, made: Callable[[Samples, Samples], Steering]
+    frames: Samples,
+    at: Times,
+    diagonal: float,
+    made: Callable[[Samples, Samples], Steering],
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[SoftShapes, float]:
     """How shapes are best moved against their neighbours and the markers `at` (m,), and what vertices are then off by (percent of the
     `diagonal`), in frames left out; `made` fits a model to frames and where the markers were before each."""
     earlier, off = backward(frames[:, at]), dict.fromkeys(offered(), 0.0)
     for fold in range(FOLDS):
+        progress(fold, FOLDS)
         out = np.arange(len(frames)) % FOLDS == fold
         model = made(frames[~out], earlier[~out])
         assert model.settling

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from operators.steering.turns import rigid
 from stream.chunk import Array, Samples, Times
 
 ROUNDS = 20
+FITS = 3
+"""How often the mean shape of a part is made of frames turned onto it."""
 DIMENSION = 3
 """Vertices of a rigid part move as an affine image of their places at rest: their trajectories span three dimensions."""
 
@@ -51,6 +55,52 @@ def near_rigid_parts(frames: Samples, edges: Times, count: int) -> Times:
         if (part == before).all():
             break
     return in_one_piece(part, edges)
+
+
+def fewest_parts(
+    frames: Samples,
+    edges: Times,
+    most: int,
+    goal: float,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[int, float]:
+    """How few near-rigid parts, `most` at most, leave no more than `goal`, and what they leave; see `rigid_error`.
+
+    Found by halving: more parts are taken to leave less, which holds but for a few parts.
+    """
+    few, many, left = 1, most, rigid_error(frames, near_rigid_parts(frames, edges, most))
+    tries = most.bit_length()
+    for k in range(tries):
+        if few >= many or left > goal:
+            break
+        progress(k + 1, tries + 1)
+        middle = (few + many) // 2
+        if (off := rigid_error(frames, near_rigid_parts(frames, edges, middle))) <= goal:
+            many, left = middle, off
+        else:
+            few = middle + 1
+    return many, left
+
+
+def rigid_error(frames: Samples, part: Times) -> float:
+    """How far vertices are from where they would be if each part (vertices,) only turned and shifted, in the mean; percent of the diagonal
+    of the first of `frames` (f, vertices, 3)."""
+    total = 0.0
+    for k in range(int(part.max()) + 1):
+        points = frames[:, part == k]
+        mean = points[0]
+        for _ in range(FITS):
+            mean = np.mean([frame @ turn.T + move for frame, (turn, move) in _onto(points, mean)], axis=0)
+        total += sum(
+            float(np.linalg.norm(frame @ turn.T + move - mean, axis=1).sum())
+            for frame, (turn, move) in _onto(points, mean)
+        )
+    diagonal = float(np.linalg.norm(np.ptp(frames[0], axis=0)))
+    return float(100.0 * total / (frames.shape[0] * frames.shape[1] * diagonal))
+
+
+def _onto(points: Samples, mean: Samples) -> Iterator[tuple[Samples, tuple[Samples, Samples]]]:
+    return ((frame, rigid(frame, mean)) for frame in points)
 
 
 def _residuals(moved: Samples, members: Samples) -> Samples:

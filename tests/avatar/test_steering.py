@@ -11,7 +11,7 @@ from devices.simulators.quadruped import AROUND, LEGS, TwoActors, marked, topolo
 from operators.steering.actors import Actors
 from operators.steering.fit import fit_steering
 from operators.steering.operator import QUADRUPED, SteerMesh
-from operators.steering.parts import blend_weights, edges_of, near_rigid_parts
+from operators.steering.parts import blend_weights, edges_of, fewest_parts, near_rigid_parts, rigid_error
 from operators.steering.regression import learn
 from operators.steering.stored import KIND, from_model
 from stream import cli
@@ -59,6 +59,26 @@ def test_rigid_parts_of_a_bar_that_bends_are_found() -> None:
     parts, weights = blend_weights(part, edges, bar, 0.3)
     assert np.allclose(weights.sum(axis=1), 1.0) and weights[0, 1] == 0.0 and 0.3 < weights[19:21, 1].max() <= 0.5
     assert set(np.unique(parts)) == {0, 1}
+
+
+def test_as_few_parts_as_an_error_allows() -> None:
+    edges = edges_of(FACES)
+    left = {count: rigid_error(STRIDE, near_rigid_parts(STRIDE, edges, count)) for count in (1, 5, 12)}
+    assert left[1] > 2 * left[5] > 2 * left[12] > 0.0
+    count, off = fewest_parts(STRIDE, edges, 12, left[5])
+    assert 1 < count <= 5 and off <= left[5] < rigid_error(STRIDE, near_rigid_parts(STRIDE, edges, count - 1))
+    assert fewest_parts(STRIDE, edges, 12, 99.0)[0] == 1
+    assert fewest_parts(STRIDE, edges, 5, left[12]) == (5, left[5])  # not reached
+
+
+def test_nothing_is_left_of_parts_that_only_turn() -> None:
+    box, turn = (
+        np.random.default_rng(1).normal(size=(2, 30, 3)),
+        np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+    )
+    frames = np.array([np.concatenate([box[0], box[1]]), np.concatenate([box[0] @ turn + 1.0, box[1] - 2.0])])
+    part = np.repeat([0, 1], 30)
+    assert rigid_error(frames, part) < 1e-9 < 1.0 < rigid_error(frames, 0 * part)
 
 
 def test_the_regression_leaves_out_as_it_says() -> None:
@@ -179,6 +199,8 @@ def test_a_mesh_is_imported_trained_and_steered_by_commands(tmp_path: Path) -> N
         ("markers: {a: 7, b: 9, c: 7}", "markers 'c' and 'a' are both vertex 7"),
         ("markers: {a: 1}\nlimbs: [b]", "no marker 'b'"),
         ("a: 1", "must hold"),
+        ("markers: {a: 1}\nlimb: [a]", "'limb' is not known; did you mean 'limbs'"),
+        ("markers: {a: 1}\nlimbs: a", r"limbs is 'a'; it must be a list of markers: \[a\]"),
     ):
         (tmp_path / "wrong.yaml").write_text(wrong)
         with pytest.raises(KinegraphError, match=why):

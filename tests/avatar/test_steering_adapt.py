@@ -95,7 +95,13 @@ def test_the_way_is_chosen_by_frames_left_out() -> None:
 
 
 def test_both_is_the_mean_and_taken_where_it_is_not_clearly_worse(tmp_path: Path) -> None:
-    both, way, off, _ = choose(STRIDE[::2], FACES, marked(), REFERENCE, method="both")
+    done: list[tuple[int, int]] = []
+    both, way, off, _ = choose(
+        STRIDE[::2], FACES, marked(), REFERENCE, method="both", progress=lambda *told: done.append(told)
+    )
+    assert done == [
+        (k, 9) for k in range(9)
+    ]  # four times without a quarter of the frames, two models each, and the last of all
     ways = [choose(STRIDE[::2], FACES, marked(), REFERENCE, method=one)[0] for one in ("parts", "straight")]
     assert way == "both" and list(off) == ["both"] and len(both.parts) == sum(len(one.parts) for one in ways)
     header, arrays = to_arrays(unconstrained(both), topology(), ())

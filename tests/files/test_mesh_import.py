@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from devices.files.gltf_write import write_mesh
-from devices.files.obj_read import read_obj
+from devices.files.obj_read import frames_in_order, read_obj
 from devices.simulators.quadruped import topology, walking
 from stream import cli
 from stream.errors import RecordingError
@@ -42,6 +42,38 @@ def test_a_file_a_frame_becomes_a_recording_of_the_same_mesh(write, suffix: str,
         spec, (_, rows) = recording.streams["walk0"].spec, recording.read("walk0")
     assert spec.rate_hz == 24.0 and spec.meta["mesh"]["topology"] == topology().hash  # the vertices keep their order
     assert np.abs(rows - FRAMES).max() < within
+
+
+@pytest.mark.parametrize(
+    ("given", "read"),
+    [
+        (
+            ["walk1.obj", "walk10.obj", "walk2.obj"],
+            ["walk1.obj", "walk2.obj", "walk10.obj"],
+        ),  # as a shell lists walk*.obj
+        (
+            ["walk10.obj", "walk1.obj", "walk2.obj"],
+            ["walk1.obj", "walk2.obj", "walk10.obj"],
+        ),  # in most languages' order
+        (["v2_10.obj", "v2_9.obj"], ["v2_9.obj", "v2_10.obj"]),
+        (["walk2.obj", "walk10.obj", "walk1.obj"], ["walk2.obj", "walk10.obj", "walk1.obj"]),  # an order of one's own
+        (["run10.obj", "walk2.obj"], ["run10.obj", "walk2.obj"]),
+        (["a.obj", "b.obj"], ["a.obj", "b.obj"]),
+        (["a1_10.obj", "a2_2.obj"], ["a1_10.obj", "a2_2.obj"]),  # which number counts is not known
+    ],
+)
+def test_frames_that_a_shell_lists_come_by_their_numbers(given: list[str], read: list[str]) -> None:
+    assert [path.name for path in frames_in_order([Path("mesh", name) for name in given])] == read
+
+
+def test_a_sequence_without_leading_zeros_plays_in_order(tmp_path: Path) -> None:
+    points = np.array([[0.0, 0.0, k] for k in range(1, 12)])
+    for k, point in enumerate(points, 1):
+        (tmp_path / f"f{k}.obj").write_text(
+            "".join(f"v {x} {y} {z}\n" for x, y, z in (point, point + 1, point + 2)) + "f 1 2 3\n"
+        )
+    (series,) = read_obj(sorted(tmp_path.glob("f*.obj")))
+    assert series.name == "f1" and (np.diff(np.asarray(series.data)[:, 0, 2]) == 1).all()
 
 
 def test_what_is_no_mesh_or_another_one_is_named(tmp_path: Path) -> None:

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from stream.mesh import Topology
 
 MOST_FRAMES = 400
+LISTS = ("reference", "limbs", "heading")
+"""What a file of markers may say beside `markers`: lists of some of them."""
 ASSEMBLIES = {"alignment": ("placed", "greedy"), "shapes": ("predicted", "optimised"), "blend": ("borders", "shared")}
 """How parts come to fit one another; the first of each is the default."""
 
@@ -32,6 +34,14 @@ def steering(
     markers: Annotated[File, typer.Option(help="YAML: which vertex each marker stands for; see below")],
     output: Annotated[File, typer.Option("-o", "--out", help="the model to be made")] = File("mesh.npz"),
     parts: Annotated[int, typer.Option(min=1, max=100, help="near-rigid parts, at most")] = 14,
+    part_error: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            help="the fewest parts that leave at most this error, in percent of the mesh's diagonal where each only turns and shifts (at most --parts); "
+            "0: --parts of them",
+        ),
+    ] = 0.0,
     modes: Annotated[int, typer.Option(min=0, max=20, help="how each part's shape may change")] = 4,
     method: Annotated[
         str,
@@ -111,6 +121,7 @@ def steering(
     from operators.steering.choose import choose
     from operators.steering.stored import KIND, to_arrays
     from stream.model import write_model
+    from stream.progress import bar
 
     asked = {"alignment": alignment, "shapes": shapes, "blend": blend}
     ways = {"pose": pose, "regression": regression, "skeleton": skeleton, **asked}
@@ -124,9 +135,12 @@ def steering(
     performed = _performed(performer, tuple(said["markers"])) if performer else None
     say(f"{len(frames)} frames of {topology.vertices} vertices; learning ...")
     given = (topology.faces, said["markers"], said["reference"], said["limbs"], parts, modes, said["heading"])
+    if part_error:
+        given = (*given[:4], _fewest(frames, topology, parts, part_error, method), *given[5:])
     poses = _poses(frames, topology, markers, said, (pose, regression, skeleton), asked)
     way, other_body = ("parts" if parted else method or None), performer is not None
-    model, how, off, pull = choose(frames, *given, way, how=poses, performed=other_body)  # type: ignore[arg-type]
+    with bar("learning") as progress:
+        model, how, off, pull = choose(frames, *given, way, how=poses, performed=other_body, progress=progress)  # type: ignore[arg-type]
     told = {"method": how, **ways}
     if report:
         from operators.steering.commands.report import write_report
@@ -176,6 +190,23 @@ def _refuse(
         raise KinegraphError(
             f"--method {method}: --alignment, --shapes and --blend say how parts come to fit; leave one of them out"
         )
+
+
+def _fewest(frames: Samples, mesh: Topology, most: int, goal: float, method: str) -> int:
+    """How few parts --part-error asks for."""
+    import numpy as np
+
+    from operators.steering.parts import edges_of, fewest_parts, seams_of
+    from stream.progress import bar
+
+    if method in ("straight", "local"):
+        raise KinegraphError(f"--part-error: --method {method} has no parts; leave one of them out")
+    with bar("parts") as progress:
+        edges = np.concatenate([edges_of(mesh.faces), seams_of(frames)])
+        count, left = fewest_parts(frames, edges, most, goal, progress)
+    reached = "" if left <= goal else f", more than {goal:g} %: allow more --parts"
+    say(f"{count} parts leave {left:.3f} % of the mesh's diagonal where each only turns and shifts{reached}")
+    return count
 
 
 def _softly(model: Steering) -> dict[str, float]:
@@ -298,14 +329,12 @@ def _frames(recordings: list[File]) -> tuple[Samples, Topology]:
                     found.append(np.asarray(opened.read(name)[1], np.float64))
     if mesh is None:
         raise KinegraphError(
-            "no stream of a mesh in these recordings; `kinegraph import` makes one of a mesh sequence (.npz)"
+            "no stream of a mesh in these recordings; `kinegraph import` makes one of a moving mesh: OBJ or PLY files, one a frame, or glTF"
         )
     frames = np.concatenate(found)
     frames = frames[np.isfinite(frames).all(axis=(1, 2))]
     if len(frames) < 2:
-        raise KinegraphError(
-            f"{len(frames)} frames of the mesh are finite; at least 2 are needed to learn how it moves"
-        )
+        raise KinegraphError(f"finite frames of the mesh: {len(frames)}; at least 2 are needed to learn how it moves")
     if len(frames) > MOST_FRAMES:
         frames = frames[np.linspace(0, len(frames) - 1, MOST_FRAMES).astype(int)]
     return frames, mesh
@@ -341,13 +370,18 @@ def _performed(path: File, names: tuple[str, ...]) -> Samples:
 def _markers(path: File, vertices: int) -> dict[str, Any]:
     """What the file of markers says, checked against the mesh."""
     said = marker_file(path, "names to numbers of vertices")
+    for key in said:
+        if key not in ("markers", *LISTS):
+            raise KinegraphError(f"{path}: {key!r} is not known; {nearest(str(key), ('markers', *LISTS))}")
     for name, vertex in said["markers"].items():
         if not isinstance(vertex, int) or isinstance(vertex, bool) or not 0 <= vertex < vertices:
             raise KinegraphError(f"{path}: markers.{name} is {vertex!r}; the mesh has vertices 0 to {vertices - 1}")
         if other := next((n for n, v in said["markers"].items() if v == vertex and n != name), ""):
             raise KinegraphError(f"{path}: markers {other!r} and {name!r} are both vertex {vertex}; give each its own")
-    for key in ("reference", "limbs", "heading"):
-        said.setdefault(key, [])
+    for key in LISTS:
+        said[key] = said.get(key) or []
+        if not isinstance(said[key], list):
+            raise KinegraphError(f"{path}: {key} is {said[key]!r}; it must be a list of markers: [{said[key]}]")
         for name in said[key]:
             if name not in said["markers"]:
                 raise KinegraphError(
