@@ -101,13 +101,18 @@ def write_model(
         (np.savez_compressed if compressed else np.savez)(file, **entries)
 
 
-def read_model(path: Path, kind: str) -> Model:
-    """Read a model of this kind, from a place that nobody else may write. Raises ModelError."""
+def read_model(path: Path, kind: str, maker: str = "") -> Model:
+    """Read a model of this kind, from a place that nobody else may write; `maker` is the command that makes one, if not `train KIND`.
+
+    Raises ModelError.
+    """
     _refuse_planted(path)
     try:
         arrays = bounded.arrays(path)
     except FileNotFoundError:
-        raise ModelError(f"{path}: there is no such file; make a model with kinegraph train {kind}") from None
+        raise ModelError(
+            f"{path}: there is no such file; make a model with kinegraph {maker or f'train {kind}'}"
+        ) from None
     except (OSError, *bounded.DAMAGE) as error:
         raise ModelError(f"{path}: not a model that can be read ({error or type(error).__name__})") from None
     header = _header(path, arrays.pop("header", None))

@@ -52,7 +52,7 @@ class Taught:
     @classmethod
     def read(cls, path: Path, port: str, spec: StreamSpec) -> Taught:
         """Raises ModelError, or InputError where the model was made from other features."""
-        model = read_model(path, KIND)
+        model = read_model(path, KIND, "teach")
         model.check_input(port, spec)
         names = _names(model)
         lengths = model.array("lengths", (None,), np.int64)

@@ -12,7 +12,7 @@ import numpy as np
 from operators.inputs.lengths import length_of, metres
 from operators.inputs.marker_columns import marker_columns
 from operators.steering.operator import QUADRUPED
-from operators.steering.stored import KIND, from_model
+from operators.steering.stored import KIND, MAKER, from_model
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError, nearest
 from stream.kernel import kernel
@@ -104,7 +104,7 @@ class Actors(_Cast):
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
         unit = length_of(spec)
-        learned, _ = from_model(read_model(self.model or QUADRUPED, KIND))
+        learned, _ = from_model(read_model(self.model or QUADRUPED, KIND, MAKER))
         rows = []
         for name, (actor, seen_from) in self.limbs.items():
             if name not in learned.markers:

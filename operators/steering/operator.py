@@ -22,7 +22,7 @@ from operators.steering.regression import FAR
 from operators.steering.settling import ROUNDS, settle
 from operators.steering.skeleton import hang
 from operators.steering.soft import faded, pull_mesh
-from operators.steering.stored import KIND, from_model
+from operators.steering.stored import KIND, MAKER, from_model
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
 from stream.model import read_model
@@ -94,7 +94,7 @@ class SteerMesh(_Steered):
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
         unit = length_of(spec)
-        learned, mesh = from_model(read_model(self.model or QUADRUPED, KIND))
+        learned, mesh = from_model(read_model(self.model or QUADRUPED, KIND, MAKER))
         columns = self._columns(spec, learned.markers)
         m = len(learned.markers)
         rest = resting(learned, mesh.vertices)

@@ -19,6 +19,7 @@ from stream.mesh import Topology
 from stream.model import Model, ModelError
 
 KIND = "mesh"
+MAKER = "train steering"
 SETTLING = ("turns", "begins", "others", "own", "theirs", "weights", "spread", "solve")
 FRAME = ("weights", "usual", "shares")
 GRAPH = ("lead", "edges", "before", "lengths", "shares", "still")

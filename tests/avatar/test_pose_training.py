@@ -8,17 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from devices.files.timing import grid_of
 from operators.whole_pose.landmarks import NAMES, USUAL
 from operators.whole_pose.learn import learn_pose, lesson_of, lessons_of, scale_of
 from operators.whole_pose.regions_kernel import shown_by_region
 from stream import cli
-from stream.chunk import Samples
+from stream.chunk import Samples, StreamSpec
 from stream.errors import KinegraphError
 from stream.humanoid import BONES as HUMANOID
 from stream.humanoid import find_bones, to_humanoid
 from stream.joint_tree import JointTree, joints_of
 from stream.model import ModelError, read_model, write_model
 from stream.recording import Recording
+from stream.recording.series import Series, write_recording
 from tests.avatar.test_whole_pose import POSES, RATE, TREE, N, marks, played
 
 DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
@@ -87,12 +89,12 @@ def test_acclaim_files_give_poses_to_learn_from(tmp_path: Path) -> None:
     assert model.header["trained_on"] == ["a: 9_01.pose"] and model.header["landmarks"] == list(USUAL)
 
 
-def c3d(path: Path, names: tuple[str, ...], *, up: str = "z") -> Path:
+def c3d(path: Path, names: tuple[str, ...], *, up: str = "z", labels: tuple[str, ...] = ()) -> Path:
     ezc3d = pytest.importorskip("ezc3d")
     points = marks(names) if up == "y" else marks(names)[..., [0, 2, 1]] * [1.0, -1.0, 1.0]
     made = ezc3d.c3d()
     made["parameters"]["POINT"]["RATE"]["value"] = [RATE]
-    made["parameters"]["POINT"]["LABELS"]["value"] = names
+    made["parameters"]["POINT"]["LABELS"]["value"] = labels or names
     made["parameters"]["POINT"]["UNITS"]["value"] = ("mm",)
     rows = np.ones((4, len(names), N))
     rows[:3] = 1000.0 * points.transpose(2, 1, 0)
@@ -117,6 +119,49 @@ def test_a_c3d_file_that_shows_no_more_than_the_model_will_see_teaches_nothing(t
     kinegraph("import", c3d(tmp_path / "walk.c3d", USUAL), "-o", tmp_path / "walk.mcap")
     with pytest.raises(KinegraphError, match="no markers that show more"):
         cli.call("train", ["pose", str(tmp_path / "walk.mcap"), "-o", str(tmp_path / "pose.npz")])
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[str, str]:
+    """What is said of each stream that is left out, and the error."""
+    with pytest.raises(KinegraphError) as raised:
+        cli.call("train", ["pose", *map(str, arguments)])
+    return capsys.readouterr().err, str(raised.value)
+
+
+def test_positions_of_no_unit_teach_nothing_and_the_cure_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They were taken for metres: a BVH file in cm gave a body of 170 m."""
+    names = (*USUAL, "toe_l", "toe_r")
+    rows = marks(names).reshape(N, -1)
+    spec = StreamSpec((len(names), 3), rate_hz=RATE, channels=names)
+    write_recording(
+        tmp_path / "a.mcap", [Series("dance", spec, grid_of(RATE, np.arange(N), 0), rows.reshape(N, -1, 3))], {}
+    )
+    told, why = refused(capsys, tmp_path / "a.mcap", "-o", tmp_path / "pose.npz")
+    assert "a: dance: its positions have no unit; import it again with --unit dance=cm" in told
+    assert "no stream of poses" in why and not (tmp_path / "pose.npz").exists()
+
+
+def test_what_markers_lack_is_said_and_points_can_be_given_for_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    called = {"head": "TOP", "knee_l": "GENOU_G", "hip_l": "HANCHE_G"}
+    names = (*USUAL, "toe_l", "toe_r", "neck")
+    file = c3d(tmp_path / "walk.c3d", names, labels=tuple(called.get(name, name) for name in names))
+    kinegraph("import", file, "-o", tmp_path / "walk.mcap")
+    training = (tmp_path / "walk.mcap", "-o", tmp_path / "pose.npz", "--centres", "50")
+    told, _ = refused(capsys, *training)
+    assert "walk.markers: it shows no hip_l, knee_l, head; --markers says" in told
+    given = [word for name, label in called.items() for word in ("--landmark", f"{name}={label}")]
+    for wrong, why in (
+        ("hip_x=TOP", "no landmark 'hip_x'"),
+        ("head=TOPP", "no stream has a point 'TOPP'; did you mean 'TOP'"),
+        ("head=", "names no points"),
+    ):
+        assert why in refused(capsys, *training, "--landmark", wrong)[1]
+    kinegraph("train", "pose", *training, *given)
+    assert read_model(tmp_path / "pose.npz", "pose").header["landmarks"] == list(USUAL)
 
 
 @pytest.mark.skipif(not DATA.exists(), reason="KINEGRAPH_DATA names no folder of recordings")

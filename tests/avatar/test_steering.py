@@ -256,6 +256,8 @@ def test_a_model_of_something_else_and_a_recording_of_another_mesh_are_refused(t
     write_model(tmp_path / "pose.npz", "pose", header, arrays)
     with pytest.raises(ModelError, match=r"pose\.npz.*(pose|mesh)"):
         SteerMesh(model=tmp_path / "pose.npz").open({"in": StreamSpec((6, 3), channels=NAMES, units=("m",))})
+    with pytest.raises(ModelError, match="make a model with kinegraph train steering"):
+        SteerMesh(model=tmp_path / "none.npz").open({"in": StreamSpec((6, 3), channels=NAMES, units=("m",))})
     other = Topology(432, topology().faces[:-1], "other")
     for name, mesh in (("a", topology()), ("b", other)):
         series = Series("mesh", mesh.spec(24.0), grid(24.0, 8), STRIDE[:8])

@@ -38,8 +38,8 @@ def steering(
         float,
         typer.Option(
             min=0.0,
-            help="the fewest parts that leave at most this error, in percent of the mesh's diagonal where each only turns and shifts (at most --parts); "
-            "0: --parts of them",
+            help="the fewest parts, at most --parts, that leave at most this error, in percent of the mesh's diagonal, where each only "
+            "turns and shifts; 0: --parts of them",
         ),
     ] = 0.0,
     modes: Annotated[int, typer.Option(min=0, max=20, help="how each part's shape may change")] = 4,

@@ -34,6 +34,14 @@ def pose(
             min=0.0, max=200.0, help="how far the live markers err (deviation), after all filters; a camera's 15 or so"
         ),
     ] = 0.0,
+    landmark: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="which points of a stream of markers make up a landmark, where their names do not say: hip_l=LASI,LPSI; can be given "
+            "again",
+            metavar="NAME=POINTS",
+        ),
+    ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a model that exists")] = False,
 ) -> None:
     """Learn what markers do not show of a pose: how bones are turned, where joints without a marker are.
@@ -60,7 +68,7 @@ def pose(
     if output.exists() and not overwrite:
         raise KinegraphError(f"{output}: exists; choose another --out, or replace it with --overwrite")
     chosen = np.array(sorted(NAMES.index(name) for name in set(names)), np.int64)
-    lessons, told, tree = _lessons(recordings, chosen, noise_mm / 1000.0)
+    lessons, told, tree = _lessons(recordings, chosen, noise_mm / 1000.0, _given(landmark or []))
     learned = learn_pose(lessons, chosen, centres)
     header = {"landmarks": [NAMES[k] for k in chosen], "noise_mm": noise_mm, "trained_on": told}
     write_model(output, "pose", header, {**learned, "landmarks": chosen, "offsets": tree.offsets})
@@ -70,7 +78,25 @@ def pose(
     )
 
 
-def _lessons(recordings: list[File], chosen: object, noise_m: float) -> tuple[list[Lesson], list[str], JointTree]:
+def _given(landmarks: list[str]) -> dict[str, tuple[str, ...]]:
+    """What --landmark says: of a landmark the points that make it up."""
+    from operators.whole_pose.landmarks import NAMES
+
+    given: dict[str, tuple[str, ...]] = {}
+    for one in landmarks:
+        name, _, said = one.partition("=")
+        points = tuple(point.strip() for point in said.split(",") if point.strip())
+        if name not in NAMES:
+            raise KinegraphError(f"--landmark: there is no landmark {name!r}; {nearest(name, NAMES)}")
+        if not points:
+            raise KinegraphError(f"--landmark {one}: names no points; write {name}=POINT,POINT")
+        given[name] = points
+    return given
+
+
+def _lessons(
+    recordings: list[File], chosen: object, noise_m: float, given: dict[str, tuple[str, ...]]
+) -> tuple[list[Lesson], list[str], JointTree]:
     """What every stream of poses teaches, which they are, and the skeleton of the first."""
     import numpy as np
 
@@ -82,11 +108,14 @@ def _lessons(recordings: list[File], chosen: object, noise_m: float) -> tuple[li
 
     lessons: list[Lesson] = []
     told: list[str] = []
+    refused: list[str] = []
+    known: set[str] = set()
     tree: JointTree | None = None
     for path in sessions_at(recordings):
         with open_session(path) as opened:
             for name, stream in opened.streams.items():
                 spec, every = stream.spec, max(1, round((stream.spec.rate_hz or RATE_HZ) / RATE_HZ))
+                known.update(spec.channels)
                 if "skeleton" in spec.meta and len(spec.shape) == 1:
                     rows = opened.read(name)[1][::every]
                     rows = rows[np.isfinite(rows).all(axis=1)]
@@ -94,8 +123,10 @@ def _lessons(recordings: list[File], chosen: object, noise_m: float) -> tuple[li
                         continue
                     body, poses = to_humanoid(JointTree.of(spec, name), rows)
                 elif f"{name}.pose" not in opened.streams:
-                    body, found = usual_body(), solved(spec, *opened.read(name), np.asarray(chosen))
-                    if found is None:
+                    body, found = usual_body(), solved(spec, *opened.read(name), np.asarray(chosen), given)
+                    if isinstance(found, str):
+                        refused.append(f"{name_of(opened)}: {name}: {found}{_cure(found, name)}")
+                    if found is None or isinstance(found, str):
                         continue
                     poses = found[::every]
                 else:
@@ -104,9 +135,24 @@ def _lessons(recordings: list[File], chosen: object, noise_m: float) -> tuple[li
                 lessons += lessons_of(body, poses, np.asarray(chosen), noise_m)
                 told.append(f"{name_of(opened)}: {name}")
                 say(f"{name_of(opened)}: {name}: {len(poses)} poses")
+    for points in given.values():
+        for point in points:
+            if point not in known:
+                raise KinegraphError(f"--landmark: no stream has a point {point!r}; {nearest(point, known)}")
+    for one in refused:
+        say(f"left out: {one}", err=True)
     if tree is None:
         raise KinegraphError(
             "no stream of poses in these recordings, and no markers that show more of a body than the model's landmarks; "
             "`kinegraph import` makes poses of each AMC file and of each BVH file whose --unit is said, and markers of C3D files"
         )
     return lessons, told, tree
+
+
+def _cure(why: str, name: str) -> str:
+    """What could be done about it."""
+    if "no unit" in why:
+        return f"; import it again with --unit {name}=cm, or what they are in"
+    if "names" in why or "shows no " in why:
+        return "; --markers says what the model will be given, --landmark which points make up what it lacks"
+    return ""
