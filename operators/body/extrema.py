@@ -247,6 +247,12 @@ class Extrema(Operator[ExtremaState]):
                 trust[k] = 0.6
 
     @classmethod
+    def warm_up_cases(cls) -> Sequence[Case]:
+        one = np.array([-1])
+        hips_between(1.0, np.ones((1, 1, 3)), one, [0] * len(ENDS), np.zeros(3))  # no made-up body has a head and feet
+        return cls.cases()
+
+    @classmethod
     def cases(cls) -> Sequence[Case]:
         n, random = 60, np.random.default_rng(3)
         frames = np.zeros((n, 60, 48), np.uint16)

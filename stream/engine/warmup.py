@@ -35,6 +35,7 @@ from stream.errors import (
 from stream.graph import Graph, Node, parts
 from stream.metrics import Timing
 from stream.operator import Emitted, Operator, grid
+from stream.plain import TRIAL
 from stream.rows import taking
 from stream.source import Source
 
@@ -67,10 +68,11 @@ def warm_up(pipeline: Pipeline, stopped: Callable[[], bool] = bool) -> None:
         if not isinstance(node.part, Operator) or node.is_outlet:
             continue
         try:
-            if type(node.part) not in seen:
-                seen.add(type(node.part))
-                _run_cases(node.part)
-            _run_made_up(graph, pipeline.stages[node.name])
+            with structlog.contextvars.bound_contextvars(**{TRIAL: True}):
+                if type(node.part) not in seen:
+                    seen.add(type(node.part))
+                    _run_cases(node.part)
+                _run_made_up(graph, pipeline.stages[node.name])
         except BaseException as error:
             if asked_to_end(error) or isinstance(error, KinegraphError):
                 raise

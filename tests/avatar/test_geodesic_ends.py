@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from operators.body import extrema
 from operators.body.extrema import Extrema, hips_between
 from operators.body.geodesic_kernel import extrema_of, middle_of, place_between, walk_back
 from operators.body.names import MARKERS
@@ -102,3 +103,18 @@ def test_depth_alone_sees_a_head_above_an_arm() -> None:
     heads = made["out"].data[:, MARKERS.index("head")]
     assert np.isfinite(heads).all(), "the head is not seen"
     assert (heads[:, 1] < -0.6).all(), "the arm is taken for the head"
+
+
+def test_every_kernel_is_compiled_before_the_camera_opens(monkeypatch: pytest.MonkeyPatch) -> None:
+    called: list[str] = []
+    for name in ("area_around", "extrema_of", "place_between", "surface_at", "walk_back"):
+        kernel = getattr(extrema, name)
+        monkeypatch.setattr(
+            extrema, name, lambda *given, name=name, kernel=kernel: called.append(name) or kernel(*given)
+        )
+    for case in Extrema.warm_up_cases():
+        operator = case.operator.fresh()
+        operator.open({port: spec for port, (spec, _, _) in case.inputs.items()})
+        for port, (_, time, data) in case.inputs.items():
+            operator.process(port, Chunk(time, data, int(time[-1])))
+    assert set(called) == {"area_around", "extrema_of", "place_between", "surface_at", "walk_back"}

@@ -11,9 +11,11 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+import structlog
 from parts import Counting
 
 from stream.chunk import Chunk, Specs, StreamSpec
+from stream.commands import logs
 from stream.engine.pipeline import Pipeline
 from stream.engine.warmup import warm_up
 from stream.graph.load import load_text
@@ -52,6 +54,29 @@ class TwoInputs(Operator[Nothing]):
         events = np.array([(0,), (1,)], mark.dtype)
         signal = (StreamSpec((1,), rate_hz=100.0), grid(100.0, 200), np.ones((200, 1)))
         return [Case(cls(factor=2.0), {"in": signal, "mark": (mark, grid(100.0, 2), events)}, least=200)]
+
+
+@dataclass(frozen=True, slots=True)
+class Alarming(TwoInputs):
+    """Warns of everything."""
+
+    def process(self, port: str, chunk: Chunk) -> Chunk | None:
+        structlog.get_logger("x").warning("the camera was moved")
+        return chunk if port == "in" else None
+
+
+def test_what_is_said_of_made_up_samples_is_not_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    graph = load_text(
+        f"nodes:\n  a: {{use: parts.{Counting.__name__}}}\n  b: {{use: tests.engine.test_warmup.Alarming, from: a}}"
+    )
+    logs.set_up()
+    try:
+        warm_up(Pipeline(graph))
+        assert capsys.readouterr().err == ""
+        structlog.get_logger("x").warning("the camera was moved")
+        assert "the camera was moved" in capsys.readouterr().err
+    finally:
+        structlog.reset_defaults()
 
 
 def test_samples_after_the_last_event_are_met_too() -> None:
@@ -98,7 +123,14 @@ def test_made_up_samples_of_several_inputs_come_in_the_order_of_time() -> None:
     warm_up(Pipeline(load_text(text)))
 
 
-@pytest.mark.parametrize("use", ["operators.emg.mixtures.PeakMixtures", "operators.emg.mixture_drift.MixtureDrift"])
+@pytest.mark.parametrize(
+    "use",
+    [
+        "operators.emg.mixtures.PeakMixtures",
+        "operators.emg.mixture_drift.MixtureDrift",
+        "operators.body.extrema.Extrema",
+    ],
+)
 def test_shorter_cases_for_the_warm_up_compile_all_that_the_cases_do(use: str) -> None:
     command = [sys.executable, "-m", "tests.warm_up_kernels", use]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
@@ -110,4 +142,5 @@ def test_every_operator_with_shorter_cases_for_the_warm_up_is_tried() -> None:
     assert {path.name for path, source in sources.items() if "def warm_up_cases" in source} == {
         "mixtures.py",
         "mixture_drift.py",
+        "extrema.py",
     }
