@@ -358,6 +358,39 @@ def test_the_command_takes_a_performer_and_says_what_is_wrong(tmp_path: Path) ->
         cli.call("train", [str(a) for a in (*train[1:], "--overwrite")])
 
 
+def test_the_limbs_of_a_performer_are_called_as_the_file_of_markers_says(tmp_path: Path) -> None:
+    """The hind hooves are led by the performer's hands: as with one whose points bear the markers' names."""
+    write_recording(tmp_path / "mesh.mcap", [Series("mesh", topology().spec(24.0), grid(24.0, 24), STRIDE)], {})
+    called = {"hoof_hl": "LWRA", "hoof_hr": "RWRA", "hoof_fl": "LTOE"}
+    marks = pacing(np.arange(60) / 30)
+    for name, channels in (("own", NAMES), ("other", tuple(called.get(name, name) for name in NAMES))):
+        spec = StreamSpec((len(NAMES), 3), rate_hz=30.0, channels=channels, units=("m",))
+        write_recording(tmp_path / f"{name}.mcap", [Series("walk", spec, grid(30.0, 60), 0.4 * marks)], {})
+    text = "markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}\nreference: [withers, croup]\n"
+    mapped = f"{text}limbs: [{', '.join(LIMBS)}]\nperformer: {{{', '.join(f'{a}: {b}' for a, b in called.items())}}}\n"
+    (tmp_path / "own.yaml").write_text(f"{text}limbs: [{', '.join(LIMBS)}]\n")
+    (tmp_path / "other.yaml").write_text(mapped)
+    for name in ("own", "other"):
+        kinegraph(
+            "train", "steering", tmp_path / "mesh.mcap", "--markers", tmp_path / f"{name}.yaml", "-o", tmp_path / f"{name}.npz",
+            "--performer", tmp_path / f"{name}.mcap",
+        )  # fmt: skip
+    own, other = (read_model(tmp_path / f"{name}.npz", KIND).arrays for name in ("own", "other"))
+    assert set(own) == set(other) and all(np.array_equal(own[key], other[key]) for key in own)
+    for wrong, why in (
+        (
+            mapped.replace("hoof_hl: LWRA", "hof_hl: LWRA"),
+            "performer: there is no marker 'hof_hl'; did you mean 'hoof_hl'",
+        ),
+        (mapped.replace("LWRA", "LWRB"), "'LWRB': did you mean '.WRA'.*`performer:` in the file of markers"),
+        (f"{text}performer: LTOE\n", "must be a mapping of markers"),
+    ):
+        (tmp_path / "wrong.yaml").write_text(wrong)
+        with pytest.raises(KinegraphError, match=why):
+            given = (tmp_path / "mesh.mcap", "--markers", tmp_path / "wrong.yaml", "-o", tmp_path / "x.npz")
+            cli.call("train", ["steering", *map(str, given), "--performer", str(tmp_path / "other.mcap")])
+
+
 def test_a_mesh_with_holes_in_several_pieces_is_steered_all_the_same() -> None:
     """Two walkers in one mesh, a third of the triangles missing: pieces that no edge joins are parts of their own."""
     both = np.concatenate([STRIDE, STRIDE + np.array([2.0, 0.0, 0.0])], axis=1)

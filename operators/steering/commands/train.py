@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 MOST_FRAMES = 400
 LISTS = ("reference", "limbs", "heading")
 """What a file of markers may say beside `markers`: lists of some of them."""
+KEYS = ("markers", *LISTS, "performer")
 ASSEMBLIES = {"alignment": ("placed", "greedy"), "shapes": ("predicted", "optimised"), "blend": ("borders", "shared")}
 """How parts come to fit one another; the first of each is the default."""
 
@@ -114,6 +115,8 @@ def steering(
 
     heading: [croup, withers]         # optional: the mesh faces from the one to the other, and turns with them (y is up)
 
+    performer: {hoof_fl: LTOE}        # optional: the --performer's points, where they are called otherwise
+
     With --performer the mesh follows somebody of other proportions: frames are paired by the swing and place of each limb, in ranges of
     motion made equal; --ranges and --pairing say how. The model is used by operators.steering.operator.SteerMesh.
     """
@@ -132,7 +135,7 @@ def steering(
     said = _markers(markers, topology.vertices)
     _refuse_method(method, markers, said, ways, performed=performer is not None)
     graph = _body_graph(frames, topology, markers, said, to_other, performer=performer is not None)
-    performed = _performed(performer, tuple(said["markers"])) if performer else None
+    performed = _performed(performer, tuple(said["performer"].values())) if performer else None
     say(f"{len(frames)} frames of {topology.vertices} vertices; learning ...")
     given = (topology.faces, said["markers"], said["reference"], said["limbs"], parts, modes, said["heading"])
     if part_error:
@@ -364,15 +367,30 @@ def _performed(path: File, names: tuple[str, ...]) -> Samples:
                     raise KinegraphError(f"{path}: {name}: all markers are seen in {len(found)} samples; 2 are needed")
                 return found
     missing = next((one for one in names if one not in known), names[0])
-    raise KinegraphError(f"{path}: no stream holds all markers of the mesh; {missing!r}: {nearest(missing, known)}")
+    raise KinegraphError(
+        f"{path}: no stream holds all markers of the mesh; {missing!r}: {nearest(missing, known)}; `performer:` in the file of markers "
+        "maps markers to the points that move them"
+    )
+
+
+def _performers(path: File, given: Any, markers: list[str]) -> dict[str, str]:
+    """By marker the point of the performer that moves it: what `performer` says, else that of the same name."""
+    if not isinstance(given := given or {}, dict):
+        raise KinegraphError(
+            f"{path}: performer is {given!r}; it must be a mapping of markers to the performer's points"
+        )
+    for name in given:
+        if name not in markers:
+            raise KinegraphError(f"{path}: performer: there is no marker {name!r}; {nearest(str(name), markers)}")
+    return {name: str(given.get(name, name)) for name in markers}
 
 
 def _markers(path: File, vertices: int) -> dict[str, Any]:
     """What the file of markers says, checked against the mesh."""
     said = marker_file(path, "names to numbers of vertices")
     for key in said:
-        if key not in ("markers", *LISTS):
-            raise KinegraphError(f"{path}: {key!r} is not known; {nearest(str(key), ('markers', *LISTS))}")
+        if key not in KEYS:
+            raise KinegraphError(f"{path}: {key!r} is not known; {nearest(str(key), KEYS)}")
     for name, vertex in said["markers"].items():
         if not isinstance(vertex, int) or isinstance(vertex, bool) or not 0 <= vertex < vertices:
             raise KinegraphError(f"{path}: markers.{name} is {vertex!r}; the mesh has vertices 0 to {vertices - 1}")
@@ -387,6 +405,7 @@ def _markers(path: File, vertices: int) -> dict[str, Any]:
                 raise KinegraphError(
                     f"{path}: {key}: there is no marker {name!r}; {nearest(str(name), said['markers'])}"
                 )
+    said["performer"] = _performers(path, said.get("performer"), list(said["markers"]))
     if len(said["heading"]) not in (0, 2) or len(set(said["heading"])) != len(said["heading"]):
         raise KinegraphError(
             f"{path}: heading: must name two markers, from the one to the other of which the mesh faces"
