@@ -90,8 +90,11 @@ class StreamSpec:
         return self.units[0] if len(self.units) == 1 else self.units[self.channels.index(channel)]
 
     def derive(self, **changes: Any) -> StreamSpec:
-        """The spec of a stream computed from this one."""
-        return replace(self, **changes)
+        """The spec of a stream computed from this one. What has another shape is no longer the mesh that `meta` describes (stream.mesh)."""
+        made = replace(self, **changes)
+        if made.shape == self.shape or "mesh" not in made.meta or made.meta["mesh"] is not self.meta.get("mesh"):
+            return made
+        return replace(made, meta={key: value for key, value in made.meta.items() if key != "mesh"})
 
     def describe(self) -> str:
         """One line for people: "13 channels float64 at 1000 Hz in uV"."""

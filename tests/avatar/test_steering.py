@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from devices.outlets.page.shown import described, kind_of
 from devices.simulators.quadruped import AROUND, LEGS, TwoActors, marked, topology, walking
+from operators.channels import Select
 from operators.steering.actors import Actors
 from operators.steering.fit import fit_steering
 from operators.steering.operator import QUADRUPED, SteerMesh
@@ -221,6 +223,16 @@ def kinegraph(*arguments: object) -> None:
     with pytest.raises(SystemExit) as ended:
         cli.call(str(arguments[0]), [str(a) for a in arguments[1:]])
     assert not ended.value.code
+
+
+def test_vertices_that_are_chosen_of_a_mesh_are_markers_and_no_mesh() -> None:
+    """They kept the mesh's facts: the page of docs/steering.md's own example broke off, and nothing was shown."""
+    mesh = topology().spec(24.0, meta={"site": "stable"})
+    marked = Select(channels=NUMBERS, rename={str(NUMBERS[0]): "hoof"}).open({"in": mesh})["out"]
+    assert kind_of(mesh) == "mesh" and kind_of(marked) == "points" and marked.meta == {"site": "stable"}
+    assert kind_of(Select().open({"in": mesh})["out"]) == "mesh"
+    before = StreamSpec((6, 3), rate_hz=24.0, channels=NAMES, units=("m",), meta=mesh.meta)  # as recordings hold it
+    assert kind_of(before) == "points" and described("marked", before)["faces"] is None
 
 
 def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:

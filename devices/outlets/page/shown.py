@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeAlias
 from devices.outlets.page.poses import avatar_bones, bones_of
 from devices.outlets.page.wire import MOST_TEXT
 from stream.chunk import StreamSpec
-from stream.errors import KinegraphError, blaming
+from stream.errors import InputError, KinegraphError, blaming
 from stream.filter import SampleWise
 from stream.graph import Edge, Graph
 from stream.graph.page_options import PageOptions
@@ -37,11 +37,22 @@ def kind_of(spec: StreamSpec) -> Kind | None:
         return "pose" if bones_of(spec) else "signal"
     if len(spec.shape) != 2:
         return None
-    if "mesh" in spec.meta:
+    if "mesh" in spec.meta and _is_whole(spec):
         return "mesh"
     if spec.shape[1] == 3 and spec.channel_axis == 0 and (spec.channels or spec.dtype.kind == "f"):
         return "points"
     return "curves" if spec.channels and spec.channel_axis == 1 else "frame"
+
+
+def _is_whole(spec: StreamSpec) -> bool:
+    """Whether these are all vertices of the mesh in the spec. Recordings hold markers, chosen of them by name, that kept its facts."""
+    if not spec.channels:
+        return True
+    try:
+        Topology.of(spec)
+    except InputError:
+        return False
+    return True
 
 
 def is_newest_only(spec: StreamSpec) -> bool:
