@@ -216,6 +216,7 @@ class NameRepetitions(Operator[NamingState]):
         before = s.told[(s.n_told - 1) % REMEMBERED].copy()
         s.told[s.n_told % REMEMBERED] = span
         s.n_told += 1
+        shown = s.model
         if s.of == event["activity"]:
             learn(s, span)
         row: Array = np.zeros(1, REPETITION)
@@ -225,6 +226,8 @@ class NameRepetitions(Operator[NamingState]):
         row["name"], row["distance"], row["sure"] = self._called(
             x, int(event["cluster"]), int(event["activity"]), False
         )
+        if s.model is not shown:  # it has become an example: how far from those before it, not from itself
+            row["distance"] = shown.distance_from(x, str(row["name"][0])) if shown else np.nan
         row["duration_s"] = (event["end"] - event["onset"] + s.period) / 1e9
         row["range"], most = widest(x)
         row["moves"] = STACKED.sub("", s.features[most])[:MOST_LETTERS] if most >= 0 else ""

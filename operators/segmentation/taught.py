@@ -84,6 +84,10 @@ class Taught:
             nearest[name] = min(nearest[name], unlike(x, self.frames[k, :length], far, cost))
         return nearest
 
+    def distance_from(self, x: Samples, name: str) -> float:
+        """How far repetition x (n, features) lies from the nearest one of this name; NaN: none of it was shown."""
+        return float(self.distances(x)[self.names.index(name)]) if name in self.names else math.nan
+
     def call(self, distances: Samples) -> tuple[str, float, float]:
         """What a repetition is called, how far it lies from those shown of that name, and how sure that is, from 0 to 1.
 

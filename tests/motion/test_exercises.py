@@ -320,6 +320,14 @@ def test_a_name_that_is_said_before_anything_repeats_is_that_of_what_comes_next(
     assert [str(row["name"]) for row in final] == ["squat"] * 6
 
 
+def test_a_repetition_that_becomes_an_example_lies_as_far_off_as_it_is_from_those_before_it() -> None:
+    """From itself it is 0 away, and a report of what was taught while it was done said that all were the same."""
+    x = np.concatenate([turns(k, 6, 40, seed=k) for k in (0, 1)])
+    _, final = live(x, [(0, 40 * j, 40 * j + 39) for j in range(6)], [(20, "this is: squat")])
+    distance = [float(row["distance"]) for row in final]
+    assert np.isnan(distance[0]) and min(distance[1:]) > 0.0
+
+
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize("pause", [45, 120])
 def test_a_name_that_is_said_as_the_next_exercise_begins_is_not_that_of_the_last(pause: int, known: bool) -> None:
