@@ -43,6 +43,9 @@ class ExerciseState:
     """What goes on. Times in ns; activity -1: none; rest_since NEVER: nobody rests; since: when it began; begun: that is when its
     first repetition did; last_s: how long the newest repetition took that is final, NaN: none; sure: of the name; certainty: of the count.
 
+    gone: the newest activity that has ended; taken_back: whether what was counted of this one was taken back; behind, behind_since: this one's
+    successor, which nothing is counted of yet, while a correction of this one, earlier, comes; -1: none
+
     past (STRIP,): in any order; passed: how many stretches have ended. known (RECENT,): activities by number modulo RECENT: name, how many
     repetitions are final, when the first one began and the last one ended. began: the first event's time, from which times are counted
     """
@@ -60,6 +63,10 @@ class ExerciseState:
     sure: float = np.nan
     certainty: float = 0.0
     rest_since: int = NEVER
+    gone: int = -1
+    taken_back: bool = False
+    behind: int = -1
+    behind_since: int = NEVER
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +125,8 @@ def ring() -> None:
 
 def _provisional(state: ExerciseState, event: Any, stamp: int) -> str:
     """An activity is believed to have begun, or a repetition to have ended."""
+    if corrects_earlier(state, int(event["activity"])):
+        return ""
     if event["activity"] != state.activity:
         _turn_to(state, int(event["activity"]), int(event["onset"]))
     state.rest_since = NEVER
@@ -134,11 +143,17 @@ def _provisional(state: ExerciseState, event: Any, stamp: int) -> str:
 def _count(state: ExerciseState, event: Any, stamp: int) -> str:
     """This many repetitions so far; a lower number corrects the last one."""
     if event["activity"] != state.activity:
-        if event["count"] == 0:
+        if event["count"] == 0 or corrects_earlier(state, int(event["activity"])):
             return ""
         _turn_to(state, int(event["activity"]), stamp)
+    state.taken_back = event["count"] == 0
     state.count, state.certainty = int(event["count"]), float(event["certainty"])
     return now_line(state)
+
+
+def corrects_earlier(state: ExerciseState, activity: int) -> bool:
+    """Whether what is said of this activity is about an earlier one than is under way, of which something is counted."""
+    return activity <= state.gone or (activity < state.activity and state.count > 0 and not state.taken_back)
 
 
 def _believed(state: ExerciseState, event: Any, stamp: int) -> str:
@@ -177,8 +192,9 @@ def _activity(state: ExerciseState, event: Any, stamp: int) -> str:
     """A stretch is over: it goes into the strip, from its first repetition to its last one, or without the rests that lie in it."""
     onset, end = int(event["onset"]), int(event["end"])
     one = _known(state, int(event["activity"]))
+    state.gone = max(state.gone, int(event["activity"]))
     if event["activity"] == state.activity:
-        _turn_to(state, -1, NEVER)
+        _turn_to(state, state.behind, state.behind_since)
     if not event["repeats"]:
         seconds = (end - onset) / NS - rested_s(state, onset, end)
         return "" if seconds < SHORT_S else _past(state, "other motion", 0, onset, seconds)
@@ -222,6 +238,9 @@ HEAR = {
 
 
 def _turn_to(state: ExerciseState, activity: int, since: int) -> None:
+    waits = activity >= 0 and activity < state.activity and not state.taken_back
+    state.behind, state.behind_since = (state.activity, state.since) if waits else (-1, NEVER)
+    state.taken_back = False
     state.activity, state.since = activity, since
     state.count, state.final, state.begun = 0, 0, False
     state.last_s, state.sure, state.certainty = np.nan, np.nan, 0.0

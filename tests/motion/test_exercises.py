@@ -106,6 +106,42 @@ def test_an_exercise_that_is_final_when_the_next_one_goes_on_keeps_its_name() ->
     assert shown(outlet).startswith("exercise x 1") and "before: squat x 3" in shown(outlet)
 
 
+def test_a_correction_of_what_came_before_does_not_take_the_place_of_what_is_done_now() -> None:
+    """Gestures out of rest are corrected when the activity that holds them is final; the next one goes on by then."""
+    outlet, parts = opened(), training()
+    ended = next(k for k, (port, _) in enumerate(parts) if port == "activity")
+    late = [
+        ("provisional", event("provisional", 17, onset=7, end=9, activity=1, repetition=4)),
+        ("count", event("count", 17, activity=1, count=4, certainty=0.5)),
+    ]
+    for port, chunk in [*parts[:ended], *parts[-2:], *late]:
+        outlet.process(port, chunk)
+    assert shown(outlet).startswith("exercise x 1")
+    outlet.process(*parts[ended])
+    for port, chunk in late:
+        outlet.process(port, chunk)
+    assert shown(outlet).startswith("exercise x 1") and "before: squat x 3" in shown(outlet)
+
+
+def test_what_was_counted_as_the_next_exercise_and_taken_back_goes_on_as_the_last() -> None:
+    outlet, parts = opened(), training()
+    ended = next(k for k, (port, _) in enumerate(parts) if port == "activity")
+    for port, chunk in [*parts[:ended], *parts[-2:]]:
+        outlet.process(port, chunk)
+    outlet.process("count", event("count", 17, activity=2, count=0))
+    outlet.process("count", event("count", 17, activity=1, count=4, certainty=0.5))
+    assert shown(outlet).startswith("squat x 4")
+
+
+def test_motion_that_goes_on_while_the_last_exercise_is_corrected_is_motion_still() -> None:
+    outlet, parts = opened(), training()
+    ended = next(k for k, (port, _) in enumerate(parts) if port == "activity")
+    late = ("count", event("count", 17, activity=1, count=4, certainty=0.5))
+    for port, chunk in [*parts[:ended], parts[-2], late, parts[ended]]:
+        outlet.process(port, chunk)
+    assert shown(outlet).startswith("motion, since 0:09")
+
+
 def test_where_there_is_no_terminal_every_repetition_is_a_line() -> None:
     out = io.StringIO()
     with LineView(Graph("train", {}, ""), out):
