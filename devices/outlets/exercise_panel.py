@@ -43,8 +43,8 @@ class ExerciseState:
     """What goes on. Times in ns; activity -1: none; rest_since NEVER: nobody rests; since: when it began; begun: that is when its
     first repetition did; last_s: how long the newest repetition took that is final, NaN: none; sure: of the name; certainty: of the count.
 
-    gone: the newest activity that has ended; taken_back: whether what was counted of this one was taken back; behind, behind_since: this one's
-    successor, which nothing is counted of yet, while a correction of this one, earlier, comes; -1: none
+    gone: the newest activity that has ended; taken_back: whether all that was counted of this one was taken back; behind, behind_since: the
+    next one, of which nothing is counted yet, while this one is corrected; -1: none
 
     past (STRIP,): in any order; passed: how many stretches have ended. known (RECENT,): activities by number modulo RECENT: name, how many
     repetitions are final, when the first one began and the last one ended. began: the first event's time, from which times are counted

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from operators.segmentation.belief import conclude, foresee, keep_count, look_ahead
+from operators.segmentation.belief import conclude, foresee, give_up, keep_count, look_ahead
 from operators.segmentation.bouts import close_bout
+from operators.segmentation.corrections import forget_returns
 from operators.segmentation.cycles import cycle_length
 from operators.segmentation.distances import choose_band, choose_radius, insert, mark, reflect, typical
 from operators.segmentation.division import hold, let_go, number_of
@@ -73,6 +74,7 @@ from operators.segmentation.repetitions import (
     under_way,
 )
 from operators.segmentation.rest import at_rest, choose_peak, rests, tell_rest
+from operators.segmentation.returning import believe_behind, watch_returns
 from stream.chunk import Samples, Times
 from stream.kernel import kernel
 
@@ -119,7 +121,7 @@ def step(s: Memory, t: int) -> None:
             anticipate(s, t)
             return
         if b[BELIEVED] and t - b[SINCE] + 1 >= b[LEARN] + b[MASS]:
-            conclude(s, 0)
+            give_up(s)
         if b[HELD] and t - b[HELD_LAST] > b[LAG] + b[TRANSITION]:
             let_go(s)
         if t >= b[RADIUS_AT]:
@@ -148,14 +150,19 @@ def step(s: Memory, t: int) -> None:
                     tell_start(s)
                 elif t >= b[START] + 2 * b[LAG]:
                     b[OPEN] = b[BEGUN] = b[ROWS] = b[RADIUS_AT] = 0
-                    conclude(s, 0)
+                    give_up(s)
                     return
+            watch_returns(s, t)
             keep_count(s)
             look_ahead(s, t)
-        elif not foresee(s, grown(s), t, True):
-            foresee(s, b[NOTICED], t, False)
+        else:
+            if not foresee(s, grown(s), t, True):
+                foresee(s, b[NOTICED], t, False)
+            watch_returns(s, t)
         if t - b[LAST] >= b[QUIET] and not under_way(s, t):
             finish(s, False)
+    else:
+        watch_returns(s, t)
 
 
 @kernel
@@ -254,7 +261,7 @@ def finish(s: Memory, forced: bool) -> None:
             take_up(s, b[DONE], length)
     if not b[TOLD] and not counts(s):
         b[OPEN] = b[BEGUN] = b[ROWS] = b[RADIUS_AT] = 0
-        conclude(s, 0)
+        give_up(s)
         return
     if not b[TOLD]:
         tell_start(s)
@@ -264,7 +271,8 @@ def finish(s: Memory, forced: bool) -> None:
     if b[PENDING]:
         settle(s, min(b[TO], last))
     close_bout(s)
-    conclude(s, b[CYCLES] + b[OUTINGS])
+    conclude(s, b[CYCLES] + b[OUTINGS] + believe_behind(s, last))
+    forget_returns(s)
     hold(s, last, s.times[last % s.times.shape[0]], how(s) + forced)
     b[OPEN] = b[BEGUN] = b[ROWS] = 0
     b[SEED] = b[UNTOLD] = last + 1
@@ -304,9 +312,12 @@ def close_all(s: Memory, forced: bool) -> None:
             explore(s, b[DONE])
         finish(s, forced)
     elif b[BELIEVED]:
-        conclude(s, 0)
+        give_up(s)
     let_go(s)
     if b[UNTOLD] <= newest:
         stretch(s, newest, forced)
+    elif b[BELIEVED]:
+        conclude(s, 0)
+    forget_returns(s)
     b[SEED] = b[UNTOLD] = b[NEXT]
     b[RADIUS_AT] = b[ROWS] = 0

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import math
 
+from operators.segmentation.corrections import tell_count, tell_span
 from operators.segmentation.cycles import FAR, TRUSTS, first_dip, longest_lag, release, track
 from operators.segmentation.division import number_of
-from operators.segmentation.events import stamp, tell
+from operators.segmentation.events import stamp
 from operators.segmentation.layout import (
     ACTIVITY,
     AHEAD,
+    BACK,
+    BACK_FROM,
+    BACK_TO,
     BELIEVED,
-    BELIEVED_EVENT,
     BELIEVED_OF,
     BEST_END,
     BEST_START,
     COUNT,
-    COUNT_EVENT,
     FORESEEN,
     FROM,
     GROWN,
@@ -37,16 +39,14 @@ from stream.kernel import kernel
 
 @kernel
 def believe(s: Memory, activity: int, count: int) -> None:
-    """This many repetitions have come in the activity: every number is reported once, and a lower one than the last is a correction."""
+    """This many repetitions have come in the activity, and none in the one of which that was believed until now, unless they were
+    excursions in an earlier one."""
     b = s.books
     if b[BELIEVED_OF] != activity:
-        if b[BELIEVED]:
-            tell(s, COUNT_EVENT, b[BELIEVED_OF], 0, 0, 0, 0, 0)
-        b[BELIEVED_OF], b[BELIEVED] = activity, 0
-    if count < b[BELIEVED]:
-        tell(s, COUNT_EVENT, activity, count, 0, 0, 0, 0)
-    for k in range(b[BELIEVED] + 1, count + 1):
-        tell(s, COUNT_EVENT, activity, k, 0, 0, 0, 0)
+        if b[BELIEVED] and not (b[BACK] and b[BELIEVED_OF] < activity):
+            tell_count(s, b[BELIEVED_OF], 0)
+        b[BELIEVED_OF] = activity
+    tell_count(s, activity, count)
     b[BELIEVED] = count
 
 
@@ -54,18 +54,36 @@ def believe(s: Memory, activity: int, count: int) -> None:
 def conclude(s: Memory, count: int) -> None:
     """The open activity has ended with `count` repetitions: the next one begins with none, or with those that are believed of it."""
     b = s.books
-    believe(s, b[ACTIVITY] if count else b[BELIEVED_OF], count)
+    if count or b[BELIEVED]:
+        believe(s, b[ACTIVITY] if count else b[BELIEVED_OF], count)
     b[BELIEVED] = 0
     if b[AHEAD]:
         b[BELIEVED_OF], b[BELIEVED], b[AHEAD] = b[ACTIVITY] + 1, b[AHEAD], 0
 
 
 @kernel
+def give_up(s: Memory) -> None:
+    """The open activity is none: of what is believed of it excursions remain, in a stretch."""
+    b = s.books
+    if b[BACK]:
+        believe(s, b[ACTIVITY], b[BACK])
+    else:
+        conclude(s, 0)
+
+
+@kernel
+def is_last_return(s: Memory) -> bool:
+    """Whether the best path is the newest excursion that is believed."""
+    b = s.books
+    return bool(b[BACK] and b[BEST_START] <= (b[BACK_FROM] + b[BACK_TO]) // 2)
+
+
+@kernel
 def keep_count(s: Memory) -> None:
-    """The repetitions of the activity that is followed: those accepted, and the best path, unless it is to replace the last one."""
+    """The repetitions of the activity that is followed: those accepted, excursions, and the best path, unless it replaces the last one."""
     b = s.books
     if b[MODE] == TRACK:
-        believe_open(s, b[COUNT] + (b[BEST_END] >= 0 and not replaces(s)))
+        believe_open(s, b[COUNT] + b[BACK] + (b[BEST_END] >= 0 and not replaces(s)))
 
 
 @kernel
@@ -73,7 +91,7 @@ def believe_open(s: Memory, count: int) -> None:
     """This many repetitions have come in the open activity; if that is one more, what was believed of the next activity was wrong."""
     b = s.books
     if b[AHEAD] and count > b[BELIEVED]:
-        tell(s, COUNT_EVENT, b[ACTIVITY] + 1, 0, 0, 0, 0, 0)
+        tell_count(s, b[ACTIVITY] + 1, 0)
         b[AHEAD] = 0
     believe(s, b[ACTIVITY], count)
 
@@ -86,9 +104,10 @@ def expect(s: Memory, i: int) -> None:
     if track(s, i):
         release(s)
     elif fresh < 0 and b[BEST_END] >= 0:
-        number = b[BELIEVED] + 1
-        tell(s, BELIEVED_EVENT, stamp(s, b[BEST_START]), stamp(s, b[BEST_END]), b[ACTIVITY], number, 0, 0)
+        number = b[BELIEVED] + (not is_last_return(s))
+        tell_span(s, stamp(s, b[BEST_START]), stamp(s, b[BEST_END]), b[ACTIVITY], number)
         believe_open(s, number)
+        b[FORESEEN] = max(b[FORESEEN], b[BEST_END])
 
 
 @kernel
@@ -138,7 +157,7 @@ def look_ahead(s: Memory, t: int) -> None:
     if length:
         for k in range(b[AHEAD], (t - first + 1) // length):
             tell_believed(s, first + (k + 1) * length - 1, length, b[ACTIVITY] + 1, k + 1)
-            tell(s, COUNT_EVENT, b[ACTIVITY] + 1, k + 1, 0, 0, 0, 0)
+            tell_count(s, b[ACTIVITY] + 1, k + 1)
             b[AHEAD] = k + 1
 
 
@@ -173,4 +192,4 @@ def comes_back(s: Memory, first: int, t: int, length: int) -> int:
 
 @kernel
 def tell_believed(s: Memory, last: int, length: int, activity: int, number: int) -> None:
-    tell(s, BELIEVED_EVENT, stamp(s, last + 1 - length), stamp(s, last), activity, number, 0, 0)
+    tell_span(s, stamp(s, last + 1 - length), stamp(s, last), activity, number)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from operators.segmentation.corrections import settle_count
 from operators.segmentation.events import certainty, tell
 from operators.segmentation.excursions import tell_excursions
 from operators.segmentation.layout import (
@@ -81,6 +82,7 @@ def tell_held(s: Memory, last: int, to: int, how: int) -> None:
         count += tell_excursions(s, last, b[ACTIVITY] - 1, count, s.values[HELD_RADIUS])
     if b[PIECES_FROM] <= last:
         tell(s, PRIMITIVE_EVENT, b[PIECES_AT], to, b[ACTIVITY] - 1, 0, -1, how & 1)
+    settle_count(s, b[ACTIVITY] - 1, count)
     tell(s, ACTIVITY_EVENT, b[HELD_AT], to, b[ACTIVITY] - 1, count, b[HELD_CLUSTER], how)
     s.ratings[b[EVENTS] - 1] = s.values[HELD_CERTAINTY]
 

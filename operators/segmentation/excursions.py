@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from operators.segmentation.corrections import tell_span
 from operators.segmentation.distances import between
 from operators.segmentation.events import stamp, tell
 from operators.segmentation.layout import (
@@ -122,6 +123,7 @@ def tell_excursions(s: Memory, last: int, activity: int, told: int, radius: floa
         if onset > b[PIECES_FROM]:
             tell(s, PRIMITIVE_EVENT, b[PIECES_AT], stamp(s, onset - 1), activity, 0, -1, 0)
             go_on(s, onset)
+        tell_span(s, b[PIECES_AT], stamp(s, end), activity, told + k + 1)
         tell(s, PRIMITIVE_EVENT, b[PIECES_AT], stamp(s, end), activity, told + k + 1, -1, 0)
         go_on(s, end + 1)
     return len(found)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from operators.segmentation.bouts import join
 from operators.segmentation.clusters import alike
+from operators.segmentation.corrections import forget_returns, settle_count, tell_span
 from operators.segmentation.division import divide
 from operators.segmentation.events import stamp, tell
 from operators.segmentation.excursions import tell_excursions
@@ -58,6 +59,7 @@ def settle(s: Memory, last: int) -> None:
     s.values[FARTHEST] = max(s.values[FARTHEST], s.values[PRICE])
     join(s, stamp(s, b[FROM]), stamp(s, last), last)
     slot = b[SLOT]
+    tell_span(s, stamp(s, b[FROM]), stamp(s, last), b[ACTIVITY], b[CYCLES] + b[OUTINGS])
     kind, half = symmetry(s, slot, b[FROM], last + 1)
     s.kinds[kind] += 1
     if half >= 0:
@@ -140,6 +142,7 @@ def tell_start(s: Memory) -> None:
     first = b[START]
     b[START_AT] = b[UNTOLD_AT] if first == b[UNTOLD] else s.times[first % s.times.shape[0]]
     b[TOLD] = 1
+    forget_returns(s)
     if first > b[UNTOLD]:
         stretch(s, first - 1, False)
     b[PIECES_FROM], b[PIECES_AT] = first, b[START_AT]
@@ -172,5 +175,6 @@ def passage(s: Memory, last: int, how: int) -> None:
     found = tell_excursions(s, last, b[ACTIVITY], 0, s.values[RADIUS])
     if b[PIECES_FROM] <= last:
         tell(s, PRIMITIVE_EVENT, b[PIECES_AT], stop, b[ACTIVITY], 0, -1, how & 1)
+    settle_count(s, b[ACTIVITY], found)
     tell(s, ACTIVITY_EVENT, onset, stop, b[ACTIVITY], found, -1, how if not found else how & 1)
     b[ACTIVITY] += 1

@@ -20,7 +20,7 @@ NAMES = [
     "CLUSTER", "NEXT_CLUSTER", "CLOCK", "TURN", "EVENTS", "TOLD", "NOW", "PRESENT", "PATCHY",
     "RECENT", "RESTED", "REST_FROM", "REST_TO", "PEAK_AT", "BELIEVED", "BELIEVED_OF", "LIKE",
     "TRANSITION", "RESUMED", "HELD", "HELD_FIRST", "HELD_LAST", "HELD_AT", "HELD_TO", "HELD_CYCLES", "HELD_CLUSTER", "HELD_HOW",
-    "KEPT", "OUTINGS", "STOOD",
+    "KEPT", "OUTINGS", "STOOD", "BACK", "BACK_FROM", "BACK_TO",
 ]  # fmt: skip
 (
     LAG, WINDOW, LEARN, QUIET, MASS, SETTLE, FIRM, BAND_LEAST, BAND_MOST, EVERY, REST, FIXED,
@@ -31,7 +31,7 @@ NAMES = [
     CLUSTER, NEXT_CLUSTER, CLOCK, TURN, EVENTS, TOLD, NOW, PRESENT, PATCHY,
     RECENT, RESTED, REST_FROM, REST_TO, PEAK_AT, BELIEVED, BELIEVED_OF, LIKE,
     TRANSITION, RESUMED, HELD, HELD_FIRST, HELD_LAST, HELD_AT, HELD_TO, HELD_CYCLES, HELD_CLUSTER, HELD_HOW,
-    KEPT, OUTINGS, STOOD,
+    KEPT, OUTINGS, STOOD, BACK, BACK_FROM, BACK_TO,
 ) = range(len(NAMES))  # fmt: skip
 """
 LAG                       longest cycle, and how far back neighbours are looked for, in frames; as all down to REST
@@ -90,6 +90,8 @@ HELD_CYCLES, HELD_CLUSTER its repetitions and cluster; HELD_HOW: the last number
 KEPT                      frames of exemplars entered so far, those moved on counted again
 OUTINGS                   excursions of the open activity, told as repetitions beside its cycles
 STOOD                     whether a rest has been told since the start or a gap
+BACK                      excursions that are believed, of what nothing final covers
+BACK_FROM, BACK_TO        the newest one's first and last frame
 """
 SEARCH, TRACK = 0, 1
 (
@@ -149,6 +151,8 @@ class Memory(NamedTuple):
     moves      (ring,)             how much each frame moves: its mean distance to the REST before it; negative: in a rest that was reported
     travels    (clusters,)         how far the exemplars move, from stride to stride
     kinds      (4,)                repetitions of the open activity by their symmetry
+    counted    (8,)                the count reported last, by activity modulo 8, until that is final
+    spans      (64, 4)             what was reported last of a repetition: activity, number, onset and end
     books, values                  the numbers named above
     events     (m, EVENT_WIDTH)    what a call leads to; ratings (m,): of a radius its value, of all else how certain the open
                                    activity's repetitions are. Not part of the state
@@ -177,6 +181,8 @@ class Memory(NamedTuple):
     moves: Samples
     travels: Samples
     kinds: Times
+    counted: Times
+    spans: Times
     books: Times
     values: Samples
     events: Times
@@ -250,6 +256,8 @@ def allocate(
         moves=np.zeros(ring),
         travels=np.zeros(MOST_CLUSTERS),
         kinds=np.zeros(4, np.int64),
+        counted=np.zeros(8, np.int64),
+        spans=np.full((64, 4), -1, np.int64),
         books=books,
         values=values,
     )

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from operators.segmentation.anchor import first_whole, in_phase, lead_in, look_back
-from operators.segmentation.belief import conclude, expect, replaces
+from operators.segmentation.belief import conclude, expect, is_last_return, replaces
 from operators.segmentation.bouts import close_bout, part
 from operators.segmentation.clusters import keep, recognise, use
+from operators.segmentation.corrections import forget_returns, tell_span
 from operators.segmentation.cycles import (
     GAIN,
     LONGEST,
@@ -18,11 +19,11 @@ from operators.segmentation.cycles import (
     track,
 )
 from operators.segmentation.division import hold
-from operators.segmentation.events import stamp, tell
+from operators.segmentation.events import stamp
 from operators.segmentation.final import how, piece, settle, tell_start
 from operators.segmentation.layout import (
     ACTIVITY,
-    BELIEVED_EVENT,
+    BACK,
     BEST,
     BEST_END,
     BEST_START,
@@ -101,6 +102,7 @@ def take_up(s: Memory, i: int, length: int) -> None:
     if b[TOLD] and b[CYCLES] and s.clusters[slot, NUMBER] != b[CLUSTER]:
         change(s, origin)
     b[MODE], b[SLOT], b[LENGTH] = TRACK, slot, s.clusters[slot, SIZE]
+    forget_returns(s)
     b[LIKE], s.values[FARTHEST] = 0, 0.0
     if not b[TOLD]:
         b[START] = look_back(s, i, b[START])
@@ -141,8 +143,9 @@ def pursue(s: Memory, i: int) -> None:
     if track(s, i):
         accept(s)
     elif fresh < 0 and b[BEST_END] >= 0:
-        number = b[COUNT] + (not replaces(s))
-        tell(s, BELIEVED_EVENT, stamp(s, b[BEST_START]), stamp(s, b[BEST_END]), b[ACTIVITY], number, 0, 0)
+        b[BACK] -= is_last_return(s)
+        number = b[COUNT] + b[BACK] + (not replaces(s))
+        tell_span(s, stamp(s, b[BEST_START]), stamp(s, b[BEST_END]), b[ACTIVITY], number)
     length = b[LENGTH]
     since = b[TO] if b[PENDING] else b[ORIGIN]
     if i - since <= slack(length) + LONGEST * length + patience(length):
@@ -179,6 +182,8 @@ def accept(s: Memory) -> None:
     s.values[PRICE] = s.values[BEST]
     b[CLUSTER] = s.clusters[b[SLOT], NUMBER]
     b[COUNT] += 1
+    forget_returns(s)
+    tell_span(s, stamp(s, start), stamp(s, end), b[ACTIVITY], b[COUNT])
     release(s)
 
 

@@ -136,6 +136,10 @@ class Reference:
         self.exemplars: list[Exemplar | None] = [None] * MOST_CLUSTERS
         self.clock = self.turn = self.clusters = self.activity = 0
         self.believed = self.believed_of = self.from_grown = self.ahead = self.foreseen = self.noticed = 0
+        self.counted: dict[int, int] = {}
+        self.spans: dict[int, Event] = {}
+        self.gestures = self.back_from = 0
+        self.back_to = -1
         self.like: list[float] = []
         self.certain: list[float] = []
         self.held: Held | None = None
@@ -265,7 +269,7 @@ class Reference:
                 self.anticipate(t)
                 return
             if self.believed and t + 1 >= p["LEARN"] + p["MASS"]:
-                self.conclude(0)
+                self.give_up()
             if self.held and t - self.held.last > p["LAG"] + p["TRANSITION"]:
                 self.let_go()
             if t >= self.when:
@@ -292,16 +296,21 @@ class Reference:
                         self.tell_start()
                     elif t >= self.start + 2 * p["LAG"]:
                         self.open, self.when = False, 0
-                        self.conclude(0)
+                        self.give_up()
                         return
+                self.watch_returns(t)
                 if self.paths:
                     more = self.paths.best is not None and not self.replaces(self.paths)
-                    self.believe_open(self.count + more)
+                    self.believe_open(self.count + self.gestures + more)
                 self.look_ahead(t)
-            elif not self.foresee(self.grown(), t, grown=True):
-                self.foresee(self.noticed, t)
+            else:
+                if not self.foresee(self.grown(), t, grown=True):
+                    self.foresee(self.noticed, t)
+                self.watch_returns(t)
             if t - self.last >= p["QUIET"] and not self.under_way(t):
                 self.finish(False)
+        else:
+            self.watch_returns(t)
 
     def anticipate(self, t: int) -> None:
         """Before there is enough for a decision: what repeats is believed, by what is typical so far."""
@@ -371,19 +380,32 @@ class Reference:
     # What is believed
 
     def believe(self, activity: int, count: int) -> None:
-        """So many repetitions have come: every number is reported once, and a lower one than the last is a correction."""
-        if self.believed_of != activity:
-            if self.believed:
-                self.tell("count", self.believed_of, 0)
-            self.believed_of, self.believed = activity, 0
-        if count < self.believed:
+        """So many repetitions have come, and none where they were believed until now, but for excursions before."""
+        if self.believed_of != activity and self.believed and not (self.gestures and self.believed_of < activity):
+            self.tell_count(self.believed_of, 0)
+        self.tell_count(activity, count)
+        self.believed_of, self.believed = activity, count
+
+    def tell_count(self, activity: int, count: int) -> None:
+        """Every number is reported once, and a lower one than the last is a correction."""
+        before = self.counted.get(activity, 0)
+        if count < before:
             self.tell("count", activity, count)
-        for k in range(self.believed, count):
+        for k in range(before, count):
             self.tell("count", activity, k + 1)
-        self.believed = count
+        self.counted[activity] = count
+
+    def tell_span(self, onset: int, end: int, activity: int, number: int) -> None:
+        """What is new of where a repetition is."""
+        span = (activity, number, self.frames[onset], self.frames[end])
+        place = (29 * activity + number) % 64
+        if self.spans.get(place) != span:
+            self.spans[place] = span
+            self.tell("provisional", onset, end, activity, number)
 
     def conclude(self, count: int) -> None:
-        self.believe(self.activity if count else self.believed_of, count)
+        if count or self.believed:
+            self.believe(self.activity if count else self.believed_of, count)
         self.believed = 0
         if self.ahead:
             self.believed_of, self.believed, self.ahead = self.activity + 1, self.ahead, 0
@@ -391,9 +413,76 @@ class Reference:
     def believe_open(self, count: int) -> None:
         """If there is one more in the open activity, what was believed of the next one was wrong."""
         if self.ahead and count > self.believed:
-            self.tell("count", self.activity + 1, 0)
+            self.tell_count(self.activity + 1, 0)
             self.ahead = 0
         self.believe(self.activity, count)
+
+    def give_up(self) -> None:
+        """What is open is no activity; excursions that came back in it remain, in a stretch."""
+        if self.gestures:
+            self.believe(self.activity, self.gestures)
+        else:
+            self.conclude(0)
+
+    def forget_returns(self) -> None:
+        self.gestures, self.back_to = 0, -1
+
+    def watch_returns(self, t: int) -> None:
+        """Excursions up to frame `t`, of which nothing has been said."""
+        if self.ahead or (t % max(1, self.p["QUIET"] // 3) and self.back_to >= 0):
+            return
+        q, first, last = self.paths, self.untold, t
+        if self.open and self.told:
+            first = max(self.pieces, self.pending[1] + 1 if self.pending else 0)
+            if q and q.best:
+                last = q.best[1] - 1
+            elif q and t - first < len(q.frames):
+                last = first - 1
+        first = max(first, t - 2 * self.p["LAG"])
+        self.back_to = max(self.back_to, first - 1, 0)
+        if last - first < self.p["MASS"]:
+            return
+        for onset, end in self.excursions(first, last, self.radius):
+            if (onset + end) // 2 <= self.back_to:
+                continue
+            if self.open and self.told:
+                more = int(q is not None and q.best is not None and not self.replaces(q))
+                if q is None and self.believed_of == self.activity:
+                    before = self.believed - self.count
+                    if (onset + end) // 2 > self.foreseen:
+                        self.gestures = max(self.gestures, before)
+                    more = max(0, before - self.gestures - 1)
+                self.came_back(onset, end)
+                self.tell_span(onset, end, self.activity, self.count + self.gestures)
+                self.believe(self.activity, self.count + self.gestures + more)
+            else:
+                self.believe_stretch(onset, end)
+
+    def believe_stretch(self, onset: int, end: int) -> None:
+        """An excursion of an activity that is not decided."""
+        first = self.start if self.open and self.begun else self.noticed
+        inside = self.open and (onset + end) // 2 >= first
+        activity = self.number_of(first) if inside else self.activity
+        if self.believed_of != activity:
+            if self.believed and not self.gestures:
+                return
+            self.believe(activity, 0)
+            self.gestures = 0
+        elif self.believed and (onset + end) // 2 <= self.foreseen:
+            return
+        self.gestures = max(self.gestures, self.believed)
+        self.came_back(onset, end)
+        self.tell_span(onset, end, activity, self.gestures)
+        self.believe(activity, self.gestures)
+
+    def came_back(self, onset: int, end: int) -> None:
+        self.gestures += 1
+        self.back_from, self.back_to = onset, end
+        self.foreseen = max(self.foreseen, end)
+
+    def is_last_return(self, q: Paths) -> bool:
+        """Whether the best path is what was believed as an excursion."""
+        return bool(self.gestures and q.best and q.best[1] <= (self.back_from + self.back_to) // 2)
 
     def replaces(self, q: Paths) -> bool:
         """Whether the best path is to replace the pending repetition, or the other way round."""
@@ -412,7 +501,7 @@ class Reference:
             for k in range(count):
                 last = first + (k + 1) * length - 1
                 if last - self.foreseen > length // 2:
-                    self.tell("provisional", last + 1 - length, last, activity, k + 1)
+                    self.tell_span(last + 1 - length, last, activity, k + 1)
                     self.foreseen = last
             self.believe(activity, max(count, self.believed if self.believed_of == activity else 0))
         return length > 0
@@ -432,8 +521,8 @@ class Reference:
             first = max(self.latest + 1, self.origin)
             length = self.first_dip(self.means(first, t), last_chance=False)[0] if t - first >= len(q.frames) else 0
             for k in range(self.ahead, (t - first + 1) // length if length else 0):
-                self.tell("provisional", first + k * length, first + (k + 1) * length - 1, self.activity + 1, k + 1)
-                self.tell("count", self.activity + 1, k + 1)
+                self.tell_span(first + k * length, first + (k + 1) * length - 1, self.activity + 1, k + 1)
+                self.tell_count(self.activity + 1, k + 1)
                 self.ahead = k + 1
 
     def expect(self, i: int) -> None:
@@ -443,8 +532,10 @@ class Reference:
         if self.track(q, i):
             q.release()
         elif fresh and q.best:
-            self.tell("provisional", q.best[1], q.best[2], self.activity, self.believed + 1)
-            self.believe_open(self.believed + 1)
+            number = self.believed + (not self.is_last_return(q))
+            self.tell_span(q.best[1], q.best[2], self.activity, number)
+            self.believe_open(number)
+            self.foreseen = max(self.foreseen, q.best[2])
 
     def counts(self) -> bool:
         """Motion that does not come back is no activity, unless there were repetitions within a window."""
@@ -465,6 +556,7 @@ class Reference:
             self.held.last, self.untold = self.start - 1, self.start
         self.let_go()
         self.told, self.pieces = True, self.start
+        self.forget_returns()
         if self.start > self.untold:
             self.stretch(self.start - 1, 0)
         self.tell("begin", self.start, self.activity)
@@ -480,6 +572,10 @@ class Reference:
             self.untold = stop
 
     def tell_activity(self, made: Held, number: int) -> None:
+        self.tell_count(number, made.cycles)
+        self.counted[number] = 0
+        if self.believed_of == number:
+            self.believed = 0
         self.certain.append(made.certain)
         self.tell("activity", made.first, made.last, number, made.cycles, made.cluster, made.forced, made.how)
 
@@ -583,7 +679,7 @@ class Reference:
                 self.take_up(self.done, length)
         if not self.told and not self.counts():
             self.open, self.when = False, 0
-            self.conclude(0)
+            self.give_up()
             return
         if not self.told:
             self.tell_start()
@@ -594,7 +690,11 @@ class Reference:
             assert self.paths
             self.settle(min(self.pending[1], last))
         self.close_bout()
-        self.conclude(self.cycles + self.ventured)
+        behind = self.excursions(self.pieces, last, self.radius) if self.pieces <= last else []
+        for k, (onset, end) in enumerate(behind):
+            self.tell_span(onset, end, self.activity, self.cycles + self.ventured + k + 1)
+        self.conclude(self.cycles + self.ventured + len(behind))
+        self.forget_returns()
         self.hold(last, int(forced))
         self.open, self.when = False, 0
         self.seed = self.untold = last + 1
@@ -613,10 +713,13 @@ class Reference:
                 self.explore(self.done)
             self.finish(bool(forced))
         elif self.believed:
-            self.conclude(0)
+            self.give_up()
         self.let_go()
         if self.untold <= self.now:
             self.stretch(self.now, forced)
+        elif self.believed:
+            self.conclude(0)
+        self.forget_returns()
         self.seed = self.untold = self.now + 1
         self.when = 0
 
@@ -653,6 +756,7 @@ class Reference:
             self.start = max(origin, self.seed)
             self.forget()
         self.slot = slot
+        self.forget_returns()
         if self.told:
             origin = self.look_back(i, origin, self.pieces)
         else:
@@ -769,8 +873,9 @@ class Reference:
         if self.track(q, i):
             self.accept()
         elif fresh and q.best:
-            number = self.count + (not self.replaces(q))
-            self.tell("provisional", q.best[1], q.best[2], self.activity, number)
+            self.gestures -= self.is_last_return(q)
+            number = self.count + self.gestures + (not self.replaces(q))
+            self.tell_span(q.best[1], q.best[2], self.activity, number)
         since = self.pending[1] if self.pending else self.origin
         if i - since > q.slack + 2 * len(q.frames) + q.patience:
             if self.pending:
@@ -804,6 +909,8 @@ class Reference:
         assert found
         self.cluster = found.number
         self.count += 1
+        self.forget_returns()
+        self.tell_span(start, end, self.activity, self.count)
         q.release()
 
     def settle(self, last: int) -> None:
@@ -815,6 +922,7 @@ class Reference:
         if self.cycles > 1:
             self.repeated = self.now + 1 + self.p["WINDOW"]
         self.bout.append((first, last))
+        self.tell_span(first, last, self.activity, self.cycles + self.ventured)
         kind, half = self.symmetry(first, last + 1)
         self.kinds[kind] += 1
         side = self.leader(first, half, last + 1) if half >= 0 else 0
@@ -846,6 +954,7 @@ class Reference:
             onset = max(onset, self.pieces)
             if onset > self.pieces:
                 self.tell("primitive", self.pieces, onset - 1, activity, 0, -1, 0, 0)
+            self.tell_span(onset, end, activity, told + k + 1)
             self.tell("primitive", onset, end, activity, told + k + 1, -1, 0, 0)
             self.pieces = end + 1
         if self.pieces <= last:

@@ -13,7 +13,8 @@ import pytest
 from bench.motion import kinect, poses
 from operators.features.stack import Stack
 from operators.segmentation import Segment
-from tests.motion.test_segmentation import believed_late, played
+from tests.motion.test_segmentation import QUICK, believed_late, motion, played
+from tests.motion.test_segmentation import gestures as from_rest
 
 LATE = {"86_03": 1, "13_31": 1, "13_29_12ch_10hz": 1, "13_31_12ch_10hz": 2}
 """Repetitions that are believed too late: of 4 to 16 frames, found when the activity's cycle was, of motion that hardly repeats;
@@ -49,6 +50,41 @@ def withdrawn(events: dict[str, Any]) -> int:
     return taken
 
 
+def assert_corrected(events: dict[str, Any]) -> None:
+    """What was said last of every activity and repetition is what is final."""
+    last = {int(event["activity"]): int(event["count"]) for event in events["count"]}
+    made = {int(event["activity"]): int(event["repetitions"]) for event in events["activity"]}
+    assert {number: count for number, count in last.items() if count} == {n: c for n, c in made.items() if c}
+    believed, final = ({}, {})
+    for event in events["provisional"][events["provisional"]["repetition"] > 0]:
+        believed[int(event["activity"]), int(event["repetition"])] = int(event["onset"]), int(event["end"])
+    for event in events["primitive"][events["primitive"]["repetition"] > 0]:
+        key, onset = (int(event["activity"]), int(event["repetition"])), int(event["onset"])
+        final[key] = final.get(key, (onset,))[0], int(event["end"])
+    assert {key: believed[key] for key in final} == final
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_is_believed_is_corrected_where_it_differs_from_what_is_final(seed: int) -> None:
+    assert_corrected(played(Segment(**QUICK), motion(seed, rests=bool(seed % 2)))[0])
+
+
+def test_gestures_from_a_resting_pose_are_believed_as_they_come_back_to_it() -> None:
+    """Each from the second one on, within half of its length; the first one with the second."""
+    events, stamps = played(Segment(**QUICK), from_rest())
+    counts = [(int(event["activity"]), int(event["count"])) for event in events["count"]]
+    assert counts == [(0, 1), (0, 2), (1, 1), (1, 2), (1, 3), (1, 4)]
+    found, when = events["provisional"], stamps["provisional"]
+    waits = {}
+    for event, stamp in zip(found[::-1], when[::-1], strict=True):
+        waits[int(event["activity"]), int(event["repetition"])] = (stamp - event["end"]) / (
+            event["end"] - event["onset"]
+        )
+    assert waits.pop((0, 1)) < 1.5
+    assert max(wait for (_, number), wait in waits.items() if number) <= 0.5
+    assert_corrected(events)
+
+
 @pytest.mark.parametrize(("recorded", "repetitions", "most"), [(annotated, 149, 20), (gestures, 150, 5)])
 def test_recorded_repetitions_are_believed_within_half_their_length(recorded: Any, repetitions: int, most: int) -> None:
     late, seen, taken = {}, 0, 0
@@ -58,6 +94,7 @@ def test_recorded_repetitions_are_believed_within_half_their_length(recorded: An
         late[name] = sum(wait > 0.5 for wait in waits)
         seen += len(waits)
         taken += withdrawn(events)
+        assert_corrected(events)
     assert {name: n for name, n in late.items() if n > LATE.get(name, 0)} == {}
     assert seen == repetitions
     assert taken <= most
