@@ -29,9 +29,25 @@ def kinegraph(*arguments):
     assert not ended.value.code
 
 
-@pytest.mark.parametrize(
-    "name", ["count_repetitions", "segment_emg", "segment_emg_acc", "segment_imu", "segment_kinect", "segment_mocap"]
-)
+SEGMENT = ["count_repetitions", "segment_emg", "segment_emg_acc", "segment_imu", "segment_kinect", "segment_mocap"]
+SHOWN_BY = {
+    "devices.outlets.exercise_panel.ExercisePanel",
+    "devices.outlets.training.TrainingReport",
+    "devices.outlets.lsl.LslOutlet",
+    "devices.outlets.mqtt.MqttOutlet",
+    "operators.segmentation.naming.NameRepetitions",
+    "stream.manual.Annotations",
+}
+
+
+@pytest.mark.parametrize("name", SEGMENT)
+def test_the_configurations_show_name_report_and_pass_on_what_is_found(name):
+    graph = YAML(typ="safe").load((CONFIGS / f"{name}.yaml").read_text())
+    assert {what["use"] for what in graph["nodes"].values()} >= SHOWN_BY
+    assert "named.repetition" in graph["record"]
+
+
+@pytest.mark.parametrize("name", SEGMENT)
 def test_the_configurations_record_what_is_believed_as_well_as_what_is_final(name):
     graph = YAML(typ="safe").load((CONFIGS / f"{name}.yaml").read_text())
     (node,) = [n for n, what in graph["nodes"].items() if what["use"] == "operators.segmentation.Segment"]
@@ -57,7 +73,7 @@ def test_the_simulated_person_is_the_same_whoever_asks_and_moves_smoothly():
 
 
 def test_muscles_of_a_simulated_walk_repeat_once_a_stride(tmp_path):
-    fast = ("--set", "board.realtime=false", "--set", "board.duration_s=25")
+    fast = ("--set", "board.realtime=false", "--set", "board.duration_s=25", "--set", f"report.path={tmp_path}/r.html")
     kinegraph("run", CONFIGS / "segment_emg.yaml", *fast, "--view", "none", "-o", tmp_path / "walk")
     found = read_found(tmp_path / "walk")
     strides = np.diff(found.primitives[found.repetition > 0], axis=1)
