@@ -107,7 +107,8 @@ class NameRepetitions(Operator[NamingState]):
                  the second; NaN: not known) and whole_s (duration_s, of the second of two steps with the first)
 
     `model` is a file that `kinegraph teach` wrote. What lies too far from all that was shown is "unknown". Without a model clusters
-    are named by letters: A, B, ... Two repetitions are compared by warping in time, from whichever phase of the cycle is best.
+    are named by letters: A, B, ..., what is believed by that of the repetition before it. Two repetitions are compared by warping in
+    time, from whichever phase of the cycle is best.
     An annotation teaches up to 5 repetitions of the activity under way, those that are final already among them, or of the next one where
     none is under way; up to 32 names. `kinegraph teach` makes a model of the recording. A repetition longer than `window_s`, or told later
     than that, is unknown, and its numbers NaN.
@@ -260,7 +261,8 @@ class NameRepetitions(Operator[NamingState]):
         if s.lesson and activity == s.of and believed:
             answer: tuple[str, float, float] = (s.lesson, np.nan, 1.0)
         elif s.model is None:
-            answer = (letters(cluster) if cluster >= 0 else ""), np.nan, 0.0
+            letter = s.called if believed and activity == s.now else ""
+            answer = (letters(cluster) if cluster >= 0 else letter), np.nan, 0.0
         elif not len(x):
             answer = UNKNOWN, np.nan, 0.0
         else:

@@ -356,6 +356,14 @@ def test_a_name_that_is_said_before_anything_repeats_is_that_of_what_comes_next(
     assert [str(row["name"]) for row in final] == ["squat"] * 6
 
 
+def test_without_a_model_what_is_believed_has_the_letter_of_the_activity_once_that_is_known() -> None:
+    """It had none, so that what listens to `believed` alone, such as a broker's entity, never got a name."""
+    x = turns(0, 8, 40)
+    believed, final = live(x, [(3, 40 * j, 40 * j + 39) for j in range(6)], [])
+    assert {str(row["name"]) for row in final} == {"A"}
+    assert [str(row["name"]) for row in believed] == ["", "", *["A"] * 4]
+
+
 def test_a_repetition_that_becomes_an_example_lies_as_far_off_as_it_is_from_those_before_it() -> None:
     """From itself it is 0 away, and a report of what was taught while it was done said that all were the same."""
     x = np.concatenate([turns(k, 6, 40, seed=k) for k in (0, 1)])
