@@ -44,8 +44,8 @@ class Segment(Operator[SegmentState]):
     bout         final: repetitions that follow one another without a pause longer than their cycle: onset, end, activity, bout (1, 2, ...
                  in the activity), repetitions (in it), cluster
     begin        final: onset of an activity that goes on, when its cycle is found, or `firm_s` after it was noticed
-    count        at once: activity, and how many repetitions have come in it so far, this one included; certainty: of those that are final. The last
-                 count of an activity is its `repetitions`
+    count        at once: activity, and how many repetitions have come in it so far, this one included; certainty: of those that are
+                 final. The last count of an activity is its `repetitions`
     merge        two clusters are found to be one: from now on `cluster` is `into`, the older one. Clusters never split
     provisional  at once: what is believed of an activity (repetition 0) or a repetition that has just been seen, before it is final;
                  again, under the same number, where its span is known better. The last one of a repetition has its final span
