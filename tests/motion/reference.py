@@ -138,7 +138,10 @@ class Reference:
         self.believed = self.believed_of = self.from_grown = self.ahead = self.foreseen = self.noticed = 0
         self.counted: dict[int, int] = {}
         self.spans: dict[int, Event] = {}
-        self.gestures = self.back_from = 0
+        self.gestures = self.back_from = self.start = self.pieces = self.count = 0
+        self.begun = self.told = False
+        self.paths: Paths | None = None
+        self.pending: tuple[int, int] | None = None
         self.back_to = -1
         self.like: list[float] = []
         self.certain: list[float] = []
@@ -546,7 +549,7 @@ class Reference:
         self.bout: list[tuple[int, int]] = []
         self.kinds = [0, 0, 0, 0]
         self.prices: list[float] = []
-        self.pending: tuple[int, int] | None = None
+        self.pending = None
         self.cluster = -1
 
     def tell_start(self) -> None:
