@@ -14,8 +14,8 @@ import re
 import sys
 import time
 import zlib
-from collections.abc import Callable, Iterator
-from dataclasses import fields, replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import MISSING, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -24,19 +24,18 @@ import numpy as np
 
 from stream.chunk import FOREVER, Array, Specs, StreamSpec
 from stream.conformance.broken import Broken
-from stream.conformance.case_samples import Tapes, repeat, tapes_of, with_faults
+from stream.conformance.case_samples import Tapes, tapes_of, with_faults
 from stream.conformance.cut import Delivery, steps, whole
 from stream.conformance.play import Output, Player
 from stream.errors import KinegraphError
 from stream.graph.parts import catalogue, find
 from stream.operator import Case, Operator
+from tests.other_samples import otherwise, rounded_off, with_data
 
 HOUSE = Path(__file__).resolve().parent.parent
 ANSWERS = Path(__file__).parent / "laws" / "golden"
 FAULTS = 6
 """On so many drawings of gaps and bad values each case is tried."""
-MANY_BYTES = 4_000_000
-"""What is more than this is not tried three times in a row."""
 WIDTH = 8
 """Numbers of a sample that are summed up one by one; of more, every eighth goes to the same sum."""
 RELATIVE = 2e-6
@@ -55,14 +54,17 @@ Answers = dict[str, str]
 
 def answers(use: str) -> Answers:
     """All golden answers of an operator, by their names."""
+    return dict(given(use))
+
+
+def given(use: str) -> Iterator[tuple[str, str]]:
+    """One golden answer after the other, with its name."""
     cls = find(use)
     assert issubclass(cls, Operator)
-    found: Answers = {}
     for k, case in enumerate(cls.cases()):
         for name, ask in _asked(case, first=k == 0):
             for part, text in _caught(ask).items():
-                found[f"{k} {name} {part}".strip()] = text
-    return found
+                yield f"{k} {name} {part}".strip(), text
 
 
 def _asked(case: Case, *, first: bool) -> Iterator[tuple[str, Callable[[], Answers]]]:
@@ -71,10 +73,12 @@ def _asked(case: Case, *, first: bool) -> Iterator[tuple[str, Callable[[], Answe
     size = max(1, max(len(t) for t in tapes.values()) // 20)
     yield "plain", lambda: _played(case, steps(tapes, size))
     yield "opened", lambda: _opened(case.operator, {port: t.spec for port, t in tapes.items()})
+    if first:
+        yield "declared", lambda: _declared(type(case.operator))
     for k, faulty in enumerate(_faulty(tapes)):
         yield f"fault-{k}", partial(_played, case, whole(faulty))
-    for name, other in _otherwise(tapes):
-        yield name, partial(_played, case, whole(other))
+    for name, other in otherwise(tapes, case.operator):
+        yield name, partial(_played_on, case, other)
     if not first:
         return
     for port, tape in tapes.items():
@@ -83,7 +87,7 @@ def _asked(case: Case, *, first: bool) -> Iterator[tuple[str, Callable[[], Answe
             yield f"{port}-{name}", partial(_opened, case.operator, specs)
     for field, value in _turned(case.operator):
         yield f"{field}={value!r}", partial(_played_with, case, {field: value}, tapes)
-        yield f"{field}={value!r} rounded", partial(_played_with, case, {field: value}, _with_data(tapes, _rounded_off))
+        yield f"{field}={value!r} rounded", partial(_played_with, case, {field: value}, with_data(tapes, rounded_off))
         for faulty in _faulty(tapes)[:1]:
             yield f"{field}={value!r} fault-0", partial(_played_with, case, {field: value}, faulty)
     for field, value in _probed(case.operator):
@@ -94,33 +98,6 @@ def _faulty(tapes: Tapes) -> list[Tapes]:
     """The samples with at least two faults, drawn some times."""
     drawn = (with_faults(random.Random(seed).randint, tapes, 2.0) for seed in range(50))
     return [faulty for faulty, told in drawn if len(told) > 1][:FAULTS]
-
-
-def _otherwise(tapes: Tapes) -> Iterator[tuple[str, Tapes]]:
-    """Other samples at the same times: on which two numbers are often equal, or which lie where those of the case do not."""
-    yield "rounded", _with_data(tapes, _rounded_off)
-    yield "steps", _with_data(tapes, lambda x: np.repeat(x[::3], 3, axis=0)[: len(x)])
-    yield "still", _with_data(tapes, lambda x: np.repeat(x[:1], len(x), axis=0))
-    yield "none", _with_data(tapes, np.zeros_like)
-    yield "small", _with_data(tapes, lambda x: (x * 0.1).astype(x.dtype))
-    yield "large", _with_data(tapes, lambda x: (x * 5).astype(x.dtype))
-    yield "back", _with_data(tapes, lambda x: np.ascontiguousarray(x[::-1]))
-    if sum(tape.data.nbytes for tape in tapes.values()) < MANY_BYTES:
-        yield "again", repeat(tapes, 3)
-
-
-def _with_data(tapes: Tapes, other: Callable[[Array], Array]) -> Tapes:
-    return {
-        port: tape if tape.spec.is_event or not len(tape) else replace(tape, data=other(tape.data))
-        for port, tape in tapes.items()
-    }
-
-
-def _rounded_off(data: Array) -> Array:
-    """To one or two digits, so that numbers are often equal to each other and to thresholds."""
-    size = float(np.nanstd(data.astype(np.float64)))
-    step = 0.5 * 10.0 ** np.floor(np.log10(size)) if 0.0 < size < np.inf else 1.0
-    return (np.round(data / step) * step).astype(data.dtype)
 
 
 def _caught(ask: Callable[[], Answers]) -> Answers:
@@ -135,6 +112,21 @@ def _caught(ask: Callable[[], Answers]) -> Answers:
 def _played(case: Case, delivery: Delivery) -> Answers:
     player = Player(case).play(delivery)
     return {name: " ".join(_summary(output)) for name, output in player.outputs.items()} or {"": "runs"}
+
+
+def _played_on(case: Case, tapes: Tapes) -> Answers:
+    """On samples whose specs may be others than the case's, too."""
+    inputs = {port: (tape.spec, tape.time, tape.data) for port, tape in tapes.items()}
+    return _played(replace(case, inputs=inputs), whole(tapes))
+
+
+def _declared(cls: type[Operator[Any]]) -> Answers:
+    """What its parameters are when nobody gives them, and within which bounds they may be."""
+    told = {}
+    for f in fields(cls):  # type: ignore[arg-type]
+        bounds = {k: v for k, v in sorted(f.metadata.get("kinegraph", {}).items()) if k != "description"}
+        told[f.name] = _rounded(f"{'required' if f.default is MISSING else repr(f.default)} {bounds}")
+    return told
 
 
 def _played_with(case: Case, changes: dict[str, Any], tapes: Tapes) -> Answers:
@@ -304,12 +296,17 @@ def write(use: str, found: Answers) -> None:
 
 def changes(kept: Answers, found: Answers) -> list[str]:
     """What differs, in words, one line an answer."""
-    told = []
-    for name in [*kept, *(n for n in found if n not in kept)]:
-        old, new = kept.get(name, "nothing"), found.get(name, "nothing")
+    return list(changing(kept, found.items()))
+
+
+def changing(kept: Answers, found: Iterable[tuple[str, str]]) -> Iterator[str]:
+    """The same, one after the other as answers come; those that do not come, at the end."""
+    missing = dict(kept)
+    for name, new in found:
+        old = missing.pop(name, "nothing")
         if not alike(old, new):
-            told.append(f"{name}: {_where(old, new)}")
-    return told
+            yield f"{name}: {_where(old, new)}"
+    yield from (f"{name}: {_where(old, 'nothing')}" for name, old in missing.items())
 
 
 def _where(old: str, new: str) -> str:
