@@ -1,4 +1,4 @@
-"""Which test files are a module's own: those that reach it by the fewest imports."""
+"""Which test files are a module's own: those with its name, and those that reach it by the fewest imports."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ HOUSE = Path(__file__).resolve().parents[2]
 OURS = ("stream", "devices", "operators", "tests")
 MOST = 10
 """At most so many test files for one module: the nearest first, among these the ones with the fewest imports of their own."""
+NAMESAKES = 3
+"""Of more modules than these a name says nothing: `report`, `train`."""
 FARTHEST = 6
 """Imports between a test and what it tests."""
 OPERATORS = 3
@@ -51,7 +53,15 @@ def own_tests(module: str) -> list[str]:
             break
         reached |= {other for other, path in _modules().items() if reached & _imports(path)}
     own = [path for begins, paths in OWN.items() if module.startswith(begins) for path in paths]
-    return list(dict.fromkeys([*own, *(str(p.relative_to(HOUSE)) for p in near[:MOST])]))
+    return list(dict.fromkeys([*_named_after(module), *own, *(str(p.relative_to(HOUSE)) for p in near[:MOST])]))
+
+
+def _named_after(module: str) -> list[str]:
+    """The test files that have the module's name, where few other modules have it: they may reach it through a command, by no import."""
+    stem = module.rpartition(".")[2]
+    if sum(other.rpartition(".")[2] == stem for other in _modules()) > NAMESAKES:
+        return []
+    return [str(p.relative_to(HOUSE)) for p in _tests() if p.stem in (f"test_{stem}", f"test_{stem}s")]
 
 
 def own_operators(module: str, found: Mapping[str, str]) -> list[str]:
