@@ -184,3 +184,34 @@ def test_a_source_that_gives_what_cannot_be_ends_the_session_by_name(how: str, w
     assert outcome.exit_code == 4 and "source 'board', output 'out'" in told and words in told, told
     with Recording.open(tmp_path / "s") as recording:
         assert recording.finished and recording.streams["board"].samples == 5
+
+
+UNRECORDED = """
+nodes:
+  board: {use: parts.Counting}
+  bad: {use: tests.engine.test_promises.Breaks, from: board, how: an hour ahead}
+  %s
+  sibling: {use: parts.Collect, from: board, policy: block}
+record: [board]
+"""
+
+
+@pytest.mark.parametrize(
+    ("ours", "reader", "found"),
+    [
+        (False, "rectify: {use: operators.rectify.Rectify, from: bad}", True),
+        (True, "out: {use: parts.Collect, from: bad}", True),
+        (True, "rectify: {use: operators.rectify.Rectify, from: bad}", False),
+    ],
+)
+def test_stamps_ahead_are_found_where_nothing_is_recorded(
+    ours: bool, reader: str, found: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After an operator from outside, and before an outlet; our own operators are trusted between themselves, for the laws try them."""
+    if ours:
+        monkeypatch.setattr("stream.engine.pipeline.is_ours", lambda part: True)
+    parts.seen.clear()
+    outcome = Session(load_text(UNRECORDED % reader, path=__file__), tmp_path / "s").run()
+    assert (outcome.exit_code == 4) == found
+    if found:
+        assert "node 'bad', output 'out'" in str(outcome.error) and "ahead" in str(outcome.error)
