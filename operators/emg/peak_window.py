@@ -67,7 +67,8 @@ class PeakWindow:
         )  # fmt: skip
 
     def note_peaks(self, rows: Array) -> None:
-        """Take local maxima (`operators.gait.cycle.MAXIMUM`); those of a cycle come before its curve."""
+        """Take local maxima (`operators.gait.cycle.MAXIMUM`), but those without a place or a height; a cycle's come before its curve."""
+        rows = rows[np.isfinite(rows["position_pct"]) & np.isfinite(rows["height"])]
         for number in np.unique(rows["number"]).tolist():
             slot = self._slot(number)
             of_cycle = rows[rows["number"] == number]

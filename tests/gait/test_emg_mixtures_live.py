@@ -13,6 +13,9 @@ from operators.emg.refit import Refit
 from operators.gait.cycle import CLOSED, POINTS
 from operators.gait.cycles import Cycles
 from stream.chunk import NS, StreamSpec
+from stream.conformance.case_samples import tapes_of
+from stream.conformance.cut import whole
+from stream.conformance.play import Player
 from tests.gait.test_emg_mixture import as_scikit_learn
 from tests.support.emg_run import drive, enveloped, treadmill
 
@@ -173,3 +176,19 @@ def test_a_wrong_joint_is_refused():
         drive(PeakMixtures(joint=(("GM", "TA"),)), bursts(2))
     with pytest.raises(Exception, match="fewest_cycles"):
         drive(replace(PeakMixtures(), cycles=4, fewest_cycles=5), bursts(2))
+
+
+@pytest.mark.parametrize("field", ["position_pct", "height"])
+def test_a_maximum_without_a_place_or_a_height_is_as_if_it_were_not_there(field: str) -> None:
+    case = PeakMixtures.cases()[0]
+    spec, time, rows = case.inputs["maxima"]
+    bad = rows.copy()
+    bad[field][2::5] = np.nan
+    good = np.arange(len(rows)) % 5 != 2
+    tried = [
+        replace(case, inputs={**case.inputs, "maxima": (spec, *m)}) for m in ((time, bad), (time[good], rows[good]))
+    ]
+    given = [Player(one).play(whole(tapes_of(one))) for one in tried]
+    assert len(given[0].outputs["modes"]) > 20
+    for name, output in given[0].outputs.items():
+        assert output.data.tobytes() == given[1].outputs[name].data.tobytes()
