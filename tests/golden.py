@@ -43,6 +43,8 @@ RELATIVE = 2e-6
 PROBES, LARGE, HUGE = (-1, 0, 0.5), 1000, 1_000_000_000
 """Given to every parameter that is a number: which of them are refused, and in which words. Huge ones only where there is a bound, since
 a window of 30 years is refused by one machine's memory and not by another's."""
+RATES, PERIODS = (0.3, 0.49, 0.5, 1.0), (0.4, 1.0, 2.5)
+"""Given to every parameter in Hz, of the first input's rate, and to every one in seconds, in its periods."""
 MOST = 20
 """So many changes of one operator are printed."""
 SAME = "as: "
@@ -90,7 +92,7 @@ def _asked(case: Case, *, first: bool) -> Iterator[tuple[str, Callable[[], Answe
         yield f"{field}={value!r} rounded", partial(_played_with, case, {field: value}, with_data(tapes, rounded_off))
         for faulty in _faulty(tapes)[:1]:
             yield f"{field}={value!r} fault-0", partial(_played_with, case, {field: value}, faulty)
-    for field, value in _probed(case.operator):
+    for field, value in (*_probed(case.operator), *_by_rate(case)):
         yield f"{field}?{value!r}", partial(_given, case, {field: value})
 
 
@@ -208,6 +210,15 @@ def _probed(operator: Operator[Any]) -> Iterator[tuple[str, Any]]:
             yield from ((f.name, probe) for probe in ((), ("nobody",), -1.0))
         elif isinstance(value, str):
             yield from ((f.name, probe) for probe in ("", "nobody"))
+
+
+def _by_rate(case: Case) -> Iterator[tuple[str, Any]]:
+    """Frequencies and times that an input's rate just allows, or just does not."""
+    rate = next((spec.rate_hz for spec, _, _ in case.inputs.values() if spec.rate_hz), None)
+    if rate:
+        for f in fields(case.operator):  # type: ignore[arg-type]
+            given = RATES if f.name.endswith("_hz") else PERIODS if f.name.endswith("_s") else ()
+            yield from ((f.name, float(f"{part * rate if given is RATES else part / rate:.6g}")) for part in given)
 
 
 def _summary(output: Output) -> Iterator[str]:

@@ -55,6 +55,12 @@ HANGS_S = 15
 """A test that is still running so long after the time for tests was up has been hung by the mutant."""
 WAITS = 10
 """Tests that wait rather than work are ended after so many times the processor time that they may take."""
+ONE_THREAD = dict.fromkeys(
+    ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
+)
+"""Threads of linear algebra wait for each other by turning round: two of them use up the minute in half of it, and do no more."""
+NEAREST = 3
+"""So many of a module's own test files come before the golden answers of commands, which take longer."""
 INTERRUPTED = 2
 """How pytest ends where it began no other test."""
 OPERATORS: dict[type[ast.AST], type[ast.AST]] = {
@@ -199,10 +205,11 @@ def _runs(path: str, code: str = "") -> list[list[str]]:
         for name in own_commands(module, {name: home for name, (home, _) in SCENES.items()})
     ]
     own = own_tests(module)
+    nearest, others = own[:NEAREST], own[NEAREST:]
     uses = [use for use, home in found.items() if home == module]
     laws = [["tests/laws/test_laws.py", "-k", " or ".join(f"{use}-" for use in uses)]] if uses else []
     declared = [["tests/house/test_frozen.py"]] if code.startswith("@dataclass(") else []
-    return [*declared, *([golden] if golden else []), *([commands] if commands else []), *([own] if own else []), *laws]
+    return [*declared, *(tests for tests in (golden, nearest, commands, others) if tests), *laws]
 
 
 def _run(arguments: list[str], tree: Path, seconds: float) -> tuple[list[str], float]:
@@ -211,7 +218,7 @@ def _run(arguments: list[str], tree: Path, seconds: float) -> tuple[list[str], f
     command = [sys.executable, "-m", "pytest", *options, *arguments]
     limited = ["/bin/sh", "-c", f'ulimit -t {ceil(seconds) + HANGS_S} && exec "$@"', "sh", *command]
     environment = {
-        **os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1", "KINEGRAPH_STOP_S": str(seconds)
+        **os.environ, **ONE_THREAD, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1", "KINEGRAPH_STOP_S": str(seconds)
     }  # fmt: skip
     running = subprocess.Popen(
         limited, cwd=tree, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True

@@ -10,6 +10,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from stream.chunk import NS, Array
 from stream.conformance.case_samples import CaseSamples, Tapes, repeat, span
@@ -19,6 +20,7 @@ MANY_BYTES = 4_000_000
 """What is more than this is not tried three times in a row."""
 COARSE_NS = 10_000_000
 """Irregular stamps and times of events are rounded to this, so that they are just so far apart as limits allow."""
+LEANS, ELSEWHERE = Rotation.from_rotvec([0.2, 0.7, -0.13]), np.array([0.31, 0.12, -0.23])
 HOLES = 4
 """Limits in seconds, the first ones of an operator, that gaps are made just as long as."""
 
@@ -35,6 +37,7 @@ def _all(tapes: Tapes, operator: Operator[Any]) -> Iterator[tuple[str, Tapes]]:
         yield name, with_data(tapes, change)
     if sum(tape.data.nbytes for tape in tapes.values()) < MANY_BYTES:
         yield "again", repeat(tapes, 3)
+    yield "leaning", _leaning(tapes)
     if limits := limits_of(operator):
         yield "limits", with_data(tapes, lambda x: _at(x, limits))
     for name, change_event in EVENTS.items():
@@ -205,6 +208,28 @@ EVENTS: dict[str, Callable[[CaseSamples], CaseSamples]] = {
 
 def _with_events(tapes: Tapes, change: Callable[[CaseSamples], CaseSamples]) -> Tapes:
     return {port: change(tape) if tape.spec.is_event and len(tape) else tape for port, tape in tapes.items()}
+
+
+def _leaning(tapes: Tapes) -> Tapes:
+    """Places and poses in space, turned about an axis that is askew, and elsewhere."""
+    return {port: _turned_about(tape) for port, tape in tapes.items()}
+
+
+def _turned_about(tape: CaseSamples) -> CaseSamples:
+    shape, data = tape.spec.shape, tape.data
+    if tape.spec.is_event or not tape.is_float or not len(data):
+        return tape
+    if len(shape) == 2 and shape[1] == 3:
+        turned = data.reshape(len(data), *shape) @ LEANS.as_matrix().T + ELSEWHERE
+        return replace(tape, data=turned.reshape(data.shape).astype(data.dtype))
+    if "skeleton" in tape.spec.meta and len(shape) == 1 and shape[0] % 4 == 3:
+        made = data.copy()
+        made[:, :3] = data[:, :3] @ LEANS.as_matrix().T + ELSEWHERE
+        w, v, a, u = LEANS.as_quat()[3], LEANS.as_quat()[:3], data[:, 3:4], data[:, 4:7]
+        made[:, 3:4] = w * a - u @ v[:, None]
+        made[:, 4:7] = w * u + a * v + np.cross(v, u)
+        return replace(tape, data=made)
+    return tape
 
 
 def _retimed(tape: CaseSamples, when: Callable[[Array], Array], first: int) -> CaseSamples:
