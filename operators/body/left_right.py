@@ -89,7 +89,7 @@ def unturned(
         if best == 1:
             out[k, 7] = -out[k, 7]
     if odds >= 0.0 and _legs_exchanged(out, other_side, before):
-        _exchange_legs(out)
+        exchange_legs(out)
     before[:] = out[:, :2]
     return best
 
@@ -152,7 +152,7 @@ def _legs_exchanged(points: Samples, other_side: NDArray[np.int64], before: Samp
 
 
 @kernel
-def _exchange_legs(points: Samples) -> None:
+def exchange_legs(points: Samples) -> None:
     for k in range(LEGS[0], LEGS[-1], 2):
         for i in range(points.shape[1]):
             points[k, i], points[k + 1, i] = points[k + 1, i], points[k, i]

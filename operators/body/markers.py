@@ -10,8 +10,9 @@ import numpy as np
 
 from operators.body.confidence import trusted
 from operators.body.left_right import SURE, unturned
+from operators.body.legs import own_legs
 from operators.body.names import MARKERS, OTHER_SIDE, SEEN, SIDED, TAKEN, camera_of, markers_specs
-from operators.body.placing import INSIDE, LENGTHS, placed
+from operators.body.placing import INSIDE, LENGTHS
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError
 from stream.filter import reset_gap
@@ -106,7 +107,7 @@ class Markers(Operator[MarkersState]):
         points, places, doubt = np.empty((34, 8)), np.empty((34, 3)), np.empty((34, 2))
         given, facing = (np.ascontiguousarray(seen[name]) for name in ("points", "facing"))
         unturned(given, facing, OTHER_SIDE, s.heading, s.pixels, points)
-        trunk = placed(points, s.camera, s.lengths, s.counts, places, doubt)
+        trunk = own_legs(points, s.camera, s.lengths, s.counts, s.pixels, places, doubt)
         if np.isnan(trunk):
             return
         trust, presence, seconds = np.empty(34), float(seen["presence"]), min((time - s.last) / NS, 1.0)

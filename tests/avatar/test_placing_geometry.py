@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from operators.body.left_right import LIMBS, _exchange_legs, _legs_exchanged, _upright, unturned
-from operators.body.placing import FARTHER_M, INSIDE, TWINS_M, _apart, _at_length, _trunk, _without_hidden
+from operators.body.left_right import LIMBS, _legs_exchanged, _upright, exchange_legs, unturned
+from operators.body.legs import across, own_legs
+from operators.body.placing import FARTHER_M, INSIDE, LENGTHS, TWINS_M, _apart, _at_length, _trunk, _without_hidden
 from stream.chunk import Samples
 
 CAMERA = np.array([500.0, 480.0, 320.0, 200.0])
@@ -165,13 +166,64 @@ def test_legs_that_are_the_other_way_round_than_the_hips_are_exchanged() -> None
     wrong = right.copy()
     wrong[25:33] = right[MIRRORED[25:33]]
     assert _legs_exchanged(wrong, MIRRORED, before)
-    _exchange_legs(wrong)
+    exchange_legs(wrong)
     assert (wrong == right).all()
     for pair in ((25, 26), (27, 28)):
         crossed = right.copy()
         crossed[list(pair)] = right[list(pair[::-1])]
         assert not _legs_exchanged(crossed, MIRRORED, before), "knees and ankles that disagree say nothing"
     assert not _legs_exchanged(seen(body(math.pi / 2)), MIRRORED, before), "from the side legs are not wide apart"
+
+
+def striding(turn: float) -> Samples:
+    """Somebody (34, 3) m in mid-stride, the left leg ahead."""
+    places = body()
+    for side, ahead in ((0, -1.0), (1, 1.0)):
+        places[25 + side] += [0.0, 0.0, 0.12 * ahead]
+        places[[27 + side, 29 + side, 31 + side]] += [0.0, 0.0, 0.3 * ahead]
+    c, s = math.cos(turn), math.sin(turn)
+    return (places - [0.0, 0.0, 3.0]) @ np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]]) + [0.0, 0.0, 3.0]
+
+
+def with_own_legs(points: Samples) -> tuple[Samples, Samples]:
+    """Places and pixels of points (34, 8) on the surface of a body."""
+    points[:, 2] -= INSIDE
+    pixels, places = points[:, :2].copy(), np.empty((34, 3))
+    own_legs(points, CAMERA, LENGTHS.copy(), np.zeros(len(LENGTHS)), pixels, places, np.empty((34, 2)))
+    return places, pixels
+
+
+@pytest.mark.parametrize("degrees", [30, 60, 120, 150, 225, 240, 300])
+def test_legs_of_somebody_striding_at_an_angle_are_their_own_hips(degrees: int) -> None:
+    """The network has followed each leg through to the other hip: in the image nothing is wrong, knees are on each other's side."""
+    places = striding(math.radians(degrees))
+    right = seen(places)
+    wrong = right.copy()
+    exchange_legs(wrong)
+    for given in (right, wrong):
+        found, pixels = with_own_legs(given.copy())
+        assert across(found, 25) > 0.15
+        assert np.abs(found - places).max() < 0.03
+        assert (pixels == right[:, :2]).all(), "the next frame is held against what was taken to be the image"
+
+
+def test_ankles_that_are_crossed_stay_crossed() -> None:
+    places = body(math.radians(30))
+    for k in (27, 29, 31):
+        places[[k, k + 1]] = places[[k + 1, k]]
+    found, _ = with_own_legs(seen(places))
+    assert across(found, 27) < -0.15 and across(found, 25) > 0.15
+
+
+@pytest.mark.parametrize(("crossed_m", "exchanged"), [(0.03, False), (0.07, True)])
+def test_knees_are_on_each_other_s_side_only_where_they_are_so_clearly(crossed_m: float, exchanged: bool) -> None:
+    places = body()
+    for k in range(25, 33):
+        places[k, 0] = (-crossed_m if k % 2 else crossed_m) / 2
+    places[27:33, 0] *= 2.0
+    points = seen(places)
+    _, pixels = with_own_legs(points.copy())
+    assert (pixels[25, 0] == points[26, 0]) == exchanged
 
 
 def test_a_body_that_turns_round_is_read_as_it_is_and_as_it_is_given() -> None:

@@ -1,0 +1,63 @@
+"""Which leg is whose, by where the knees are: each stays on its own hip's side."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from operators.body.left_right import LEGS, exchange_legs
+from operators.body.placing import placed
+from stream.chunk import Samples
+from stream.kernel import kernel
+
+HIPS, KNEES, ANKLES = 23, 25, 27
+"""The left one of each; the right one is the next."""
+CROSSED_M = 0.05
+"""Knees on each other's side by this much along the line of the hips are exchanged. In 11 000 frames of motion capture they were .11 m
+apart on their own sides in 99.9 %; ankles do cross."""
+
+
+@kernel
+def own_legs(
+    points: Samples,
+    camera: Samples,
+    lengths: Samples,
+    counts: Samples,
+    pixels: Samples,
+    places: Samples,
+    doubt: Samples,
+) -> float:
+    """As `placed`, with the legs of `points` (34, 8), and where they are in the image, `pixels` (34, 2), exchanged if knees say so.
+
+    Where one leg passes behind the other the network may come out with the legs exchanged, and the hips as they were. Seen at an angle the
+    image does not show that, depths do. Legs are left as they are where exchanging them does not put the knees right.
+    """
+    known, often = lengths.copy(), counts.copy()
+    trunk = placed(points, camera, lengths, counts, places, doubt)
+    if math.isnan(trunk):
+        return trunk
+    if across(places, KNEES) > -CROSSED_M or across(places, ANKLES) > 0.0:
+        return trunk
+    other_places, other_doubt = np.empty_like(places), np.empty_like(doubt)
+    exchange_legs(points)
+    placed(points, camera, known, often, other_places, other_doubt)
+    if across(other_places, KNEES) < CROSSED_M:
+        exchange_legs(points)
+        return trunk
+    lengths[:], counts[:], places[:], doubt[:] = known, often, other_places, other_doubt
+    for k in range(LEGS[0], LEGS[-1], 2):
+        for i in range(2):
+            pixels[k, i], pixels[k + 1, i] = pixels[k + 1, i], pixels[k, i]
+    return trunk
+
+
+@kernel
+def across(places: Samples, joint: int) -> float:
+    """How far (m) the left one of two joints is to the left of the right one, along the line of the hips."""
+    along, length = 0.0, 1e-12
+    for i in range(3):
+        hips = places[HIPS, i] - places[HIPS + 1, i]
+        along += hips * (places[joint, i] - places[joint + 1, i])
+        length += hips * hips
+    return along / math.sqrt(length)
