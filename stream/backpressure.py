@@ -30,6 +30,23 @@ class FullQueue(Protocol):
         """Drop the oldest chunk for this one, counted and marked in the next that is taken; False where there is room by now."""
 
 
+LIVE_BYTES, OTHER_BYTES, LEAST_CHUNKS = 16 << 20, 4 << 20, 8
+"""A queue whose writer waits holds no more than so much, of a session with live sources and of others, if it has at least so many chunks:
+256 images would be more than what works on them. Nothing is lost by it; what drops or fails does so by its count of chunks alone."""
+
+
+def most_bytes(policy: Policy, *, live: bool) -> int:
+    """How many bytes may wait in a queue of this policy; 0: as many as its chunks are."""
+    if policy != "block":
+        return 0
+    return LIVE_BYTES if live else OTHER_BYTES
+
+
+def held_bytes(chunks: int, chunk_bytes: int, bound: int) -> int:
+    """How much a queue for so many chunks of so many bytes can come to hold, by `most_bytes`."""
+    return chunks * chunk_bytes if not bound else min(chunks * chunk_bytes, max(bound, LEAST_CHUNKS * chunk_bytes))
+
+
 OnFull: TypeAlias = Callable[[FullQueue, Chunk, int], bool]
 """Told of a chunk and its arrival; returns whether the chunk waits now in the place of another. If not, it is left behind the others."""
 

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from stream.backpressure import POLICIES, Policy
+from stream.backpressure import LEAST_CHUNKS, POLICIES, Policy
 from stream.chunk import NEVER, Chunk, add_lost
 from stream.engine.admission import join, joins
 
@@ -31,6 +31,7 @@ class BoundedQueue:
 
     name      what is waiting, for people: "board.emg", or "camera -> blocks"
     limit     how many chunks may wait
+    bound     how many bytes may wait, where more than `LEAST_CHUNKS` do; 0: no matter how many
     policy    what a full queue does (`stream.backpressure`)
     on_drop   told (first, n) of every drop: the dropped samples' running index in this queue and their number
     waiting   what waits: chunks, their arrivals, and the running index of their first samples
@@ -43,9 +44,12 @@ class BoundedQueue:
     """
 
     __slots__ = (
+        "_came_bytes",
+        "_gone_bytes",
         "_lock",
         "_room",
         "arrival_of",
+        "bound",
         "chunks",
         "closed",
         "dropped",
@@ -69,8 +73,11 @@ class BoundedQueue:
         limit: int,
         policy: Policy,
         on_drop: Callable[[int, int], None] | None = None,
+        bound: int = 0,
     ) -> None:
         self.name, self.ready, self.limit, self.policy, self.on_drop = name, ready, limit, policy, on_drop
+        self.bound = bound
+        self._came_bytes = self._gone_bytes = 0
         self.owner: Any = None
         self.arrival_of: Callable[[int], int] = int
         self.dropped = 0
@@ -87,7 +94,7 @@ class BoundedQueue:
         """Leave a chunk, behind what is gathered; waits, drops or fails as the policy says where the queue is full."""
         if self.gathered:
             self.leave_gathered()
-        if len(self.waiting) >= self.limit and POLICIES[self.policy](self, chunk, arrival):
+        if self.full and POLICIES[self.policy](self, chunk, arrival):
             return
         self._leave(chunk, arrival)
 
@@ -98,7 +105,14 @@ class BoundedQueue:
                 earlier, came = self.gathered.popleft()
                 self._leave(earlier, self.arrival_of(came))
 
+    @property
+    def full(self) -> bool:
+        """Whether no further chunk may wait."""
+        n = len(self.waiting)
+        return n >= self.limit or (n >= LEAST_CHUNKS and 0 < self.bound <= self._came_bytes - self._gone_bytes)
+
     def _leave(self, chunk: Chunk, arrival: int) -> None:
+        self._came_bytes += chunk.data.nbytes
         self.waiting.append((chunk, arrival, self.index))  # one thread writes, so this needs no lock
         self.index += len(chunk.time)
         self.chunks += 1
@@ -136,6 +150,7 @@ class BoundedQueue:
             if not self.waiting:
                 return None
             chunk, arrival, _ = self.waiting.popleft()
+            self._gone_bytes += chunk.data.nbytes
             if self.owed:
                 chunk = Chunk(chunk.time, chunk.data, chunk.until, add_lost(self.owed, chunk.lost))
                 self.owed = 0
@@ -156,9 +171,9 @@ class BoundedQueue:
 
     def wait_for_room(self) -> None:
         """Hold up the writer until there is room, or the queue is closed."""
-        while len(self.waiting) >= self.limit and not self.closed:
+        while self.full and not self.closed:
             self._room.clear()
-            if len(self.waiting) >= self.limit:
+            if self.full:
                 self._room.wait(0.5)
 
     def replace_oldest(self, chunk: Chunk, arrival: int) -> bool:
@@ -169,6 +184,8 @@ class BoundedQueue:
                 return False
             oldest, _, index = self.waiting.popleft()
             self.waiting.append((chunk, arrival, self.index))
+            self._gone_bytes += oldest.data.nbytes
+            self._came_bytes += chunk.data.nbytes
             self.index += len(chunk.time)
             self.chunks += 1
             n = len(oldest.time)

@@ -11,6 +11,7 @@ from typing import Generic, Literal, TypeAlias, TypeVar
 
 import structlog
 
+from stream.backpressure import most_bytes
 from stream.chunk import FOREVER, NS, Chunk, empty, utc
 from stream.clock import SessionClock
 from stream.engine.admission import conform, ordered, soundness
@@ -161,9 +162,10 @@ class Runner:
         with blaming(node.name, "fresh"):
             self.source: Source = node.part.fresh()
             self.live = self.source.live
-        options = node.options
+        options, policy = node.options, node.options.policy or "block"
+        bound = most_bytes(policy, live=self.live)
         self.queues = {
-            output: BoundedQueue(str(Edge(node.name, output)), ready, options.queue, options.policy or "block")
+            output: BoundedQueue(str(Edge(node.name, output)), ready, options.queue, policy, bound=bound)
             for output in node.specs
         }
         self.inline: dict[str, Inline] = dict.fromkeys(node.specs, not_inline)

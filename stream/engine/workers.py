@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from queue import SimpleQueue
 from time import perf_counter_ns
 
-from stream.backpressure import Policy
+from stream.backpressure import Policy, most_bytes
 from stream.chunk import NS, Chunk
 from stream.engine.edge import CallSlot, InputPort, Push, given
 from stream.engine.pipeline import Stage
@@ -88,6 +88,7 @@ class Workers:
                 options.queue,
                 policy,
                 lambda i, n: self._on_drop(queue=name, first=i, samples=n),
+                most_bytes(policy, live=not self._waits),
             )
         else:  # back home: never waits, for the graph's thread may itself be waiting for this worker
             queue = BoundedQueue(name, self._home, UNLIMITED, "block")

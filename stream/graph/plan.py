@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from stream.backpressure import held_bytes, most_bytes
 from stream.ceiling import ceiling
 from stream.chunk import StreamSpec
 from stream.errors import GraphError, blaming
@@ -172,13 +173,21 @@ def _step(graph: Graph, node: Node) -> Step:
     if isinstance(part, Source):
         with blaming(node.name, "chunk_s"):
             chunk_s = part.chunk_s
-        held = sum(_chunk_bytes(spec, chunk_s) for spec in node.specs.values()) * node.options.queue
-        return Step(node.name, chunk_s, held)
+        with blaming(node.name, "live"):
+            bound = most_bytes(node.options.policy or "block", live=part.live)
+        chunks = [_chunk_bytes(spec, chunk_s) for spec in node.specs.values()]
+        return Step(node.name, chunk_s, sum(held_bytes(node.options.queue, size, bound) for size in chunks))
     held = node.declared.memory_bytes
     if node.options.worker or node.is_outlet:
-        waiting = graph.input_specs(node).values()
-        held += sum(_chunk_bytes(spec, 0.0) for spec in waiting) * node.options.queue
+        waiting = [_chunk_bytes(spec, 0.0) for spec in graph.input_specs(node).values()]
+        policy = node.options.policy or ("drop_oldest" if node.is_outlet else "block")
+        bound = most_bytes(policy, live=any(_is_live(source.part) for source in graph.sources))
+        held += sum(held_bytes(node.options.queue, size, bound) for size in waiting)
     return Step(node.name, node.declared.delay_s, held)
+
+
+def _is_live(part: object) -> bool:
+    return isinstance(part, Source) and part.live and not part.background
 
 
 def _chunk_bytes(spec: StreamSpec, chunk_s: float) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import parts
 import pytest
 
+from stream.backpressure import LEAST_CHUNKS, LIVE_BYTES, OTHER_BYTES, Policy, held_bytes, most_bytes
 from stream.chunk import Chunk
 from stream.engine.ingress import Ingress
 from stream.engine.queues import BoundedQueue
@@ -66,3 +68,50 @@ def test_a_ready_queue_holds_no_more_than_waits() -> None:
     taken = [queue.take() for _ in range(queue.ready.qsize())]
     assert [item[0].time[0] for item in taken if item] == [47, 48, 49]
     assert queue.index == queue.chunks == 50 and queue.dropped == 50 - 5 - 3
+
+
+def images(n: int, size: int) -> list[Chunk]:
+    return [Chunk(np.array([i]), np.zeros((1, size), np.uint8), i) for i in range(n)]
+
+
+@pytest.mark.parametrize(
+    ("size", "policy", "live", "waits"),
+    [
+        (1 << 18, "block", False, OTHER_BYTES >> 18),
+        (1 << 18, "block", True, LIVE_BYTES >> 18),
+        (1 << 23, "block", True, LEAST_CHUNKS),
+        (100, "block", False, 90),
+        (1 << 18, "drop_oldest", False, 90),
+    ],
+    ids=["of a file", "of a camera", "huge", "small", "that drops"],
+)
+def test_images_wait_by_their_bytes_where_waiting_loses_nothing(
+    size: int, policy: Policy, live: bool, waits: int
+) -> None:
+    """256 images in each queue were several hundred MB in the session of an avatar whose network was slower than its frames came."""
+    queue = BoundedQueue("camera", SimpleQueue(), 90, policy, bound=most_bytes(policy, live=live))
+    chunks = images(100, size)
+    writer = threading.Thread(target=lambda: [queue.put(chunk) for chunk in chunks])
+    writer.start()
+    taken: list[int] = []
+    while policy == "block" and len(taken) < 100:
+        while queue.depth < waits and writer.is_alive():
+            time.sleep(0.001)
+        assert queue.depth <= waits
+        item = queue.take()
+        assert item is not None
+        taken.append(int(item[0].time[0]))
+    writer.join()
+    assert taken == list(range(100 if policy == "block" else 0))
+    assert queue.depth == (0 if policy == "block" else waits)
+    assert held_bytes(90, size, most_bytes(policy, live=live)) == waits * size
+
+
+def test_what_a_queue_dropped_no_longer_counts() -> None:
+    queue = BoundedQueue("camera", SimpleQueue(), 20, "drop_oldest", bound=3 << 20)
+    for chunk in images(100, 1 << 18):
+        queue.put(chunk)
+    full = []
+    while queue.take() is not None:
+        full.append(queue.full)
+    assert full == [True] * 8 + [False] * 12, "until less than 12 of a quarter MiB wait"
