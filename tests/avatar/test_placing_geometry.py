@@ -202,7 +202,7 @@ def test_legs_of_somebody_striding_at_an_angle_are_their_own_hips(degrees: int) 
     exchange_legs(wrong)
     for given in (right, wrong):
         found, pixels = with_own_legs(given.copy())
-        assert across(found, 25) > 0.15
+        assert across(found, 23, 25) > 0.15
         assert np.abs(found - places).max() < 0.03
         assert (pixels == right[:, :2]).all(), "the next frame is held against what was taken to be the image"
 
@@ -212,7 +212,7 @@ def test_ankles_that_are_crossed_stay_crossed() -> None:
     for k in (27, 29, 31):
         places[[k, k + 1]] = places[[k + 1, k]]
     found, _ = with_own_legs(seen(places))
-    assert across(found, 27) < -0.15 and across(found, 25) > 0.15
+    assert across(found, 23, 27) < -0.15 and across(found, 23, 25) > 0.15
 
 
 @pytest.mark.parametrize(("crossed_m", "exchanged"), [(0.03, False), (0.07, True)])
