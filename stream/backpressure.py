@@ -31,19 +31,19 @@ class FullQueue(Protocol):
 
 
 LIVE_BYTES, OTHER_BYTES, LEAST_CHUNKS = 16 << 20, 4 << 20, 8
-"""A queue whose writer waits holds no more than so much, of a session with live sources and of others, if it has at least so many chunks:
-256 images would be more than what works on them. Nothing is lost by it; what drops or fails does so by its count of chunks alone."""
+"""A queue whose writer waits is full at this size, in sessions with live sources and in others, once it has that many chunks: 256 images
+take more memory than all that works on them. Nothing is lost by waiting; a queue that drops or fails has its count of chunks alone."""
 
 
 def most_bytes(policy: Policy, *, live: bool) -> int:
-    """How many bytes may wait in a queue of this policy; 0: as many as its chunks are."""
+    """The bytes at which a queue of this policy is full; 0: only its chunks are counted."""
     if policy != "block":
         return 0
     return LIVE_BYTES if live else OTHER_BYTES
 
 
 def held_bytes(chunks: int, chunk_bytes: int, bound: int) -> int:
-    """How much a queue for so many chunks of so many bytes can come to hold, by `most_bytes`."""
+    """The most that a queue for this number of chunks, each of this size, can hold with a bound by `most_bytes`."""
     return chunks * chunk_bytes if not bound else min(chunks * chunk_bytes, max(bound, LEAST_CHUNKS * chunk_bytes))
 
 
