@@ -24,7 +24,7 @@ demo: .venv/installed
 
 check: .venv/installed-for-tests
 	$(BIN)/ruff check .
-	$(BIN)/mypy & types=$$!; $(BIN)/pytest -q tests/laws/test_laws.py -k "$(OPERATORS)"; laws=$$?; wait $$types && exit $$laws
+	$(BIN)/mypy --num-workers 2 & types=$$!; $(BIN)/pytest -q tests/laws/test_laws.py -k "$(OPERATORS)"; laws=$$?; wait $$types && exit $$laws
 
 mutants: .venv/installed-for-tests
 	$(BIN)/python -m tests.mutation --seed $(SEED)
