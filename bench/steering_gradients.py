@@ -39,7 +39,7 @@ def turns_of(matrices: Samples) -> Samples:
     u, _, w = np.linalg.svd(matrices)
     flip = np.ones(matrices.shape[:-1])
     flip[..., 2] = np.sign(np.linalg.det(u @ w))
-    return (u * flip[..., None, :]) @ w
+    return np.asarray((u * flip[..., None, :]) @ w)
 
 
 class Surface:
@@ -99,8 +99,8 @@ class Turned:
         apart = np.linalg.norm(places[:, None] - places, axis=-1) / surface.diagonal
         self.share = np.repeat(np.exp(-0.5 * apart / reach), 3, axis=1)
         self.x, self.width, self.ridge = self.features(frames[:, surface.at]), width, ridge
-        self.solved = [self.kernel(self.x * s, self.x * s, s) for s in self.share]
-        self.solved = [np.linalg.inv(k + ridge * np.eye(len(k))) for k in self.solved]
+        alike = [self.kernel(self.x * s, self.x * s, s) for s in self.share]
+        self.solved = [np.asarray(np.linalg.inv(k + ridge * np.eye(len(k)))) for k in alike]
 
     def features(self, marks: Samples) -> Samples:
         return np.asarray((marks - marks[:, self.refs].mean(axis=1, keepdims=True)).reshape(len(marks), -1))
@@ -142,7 +142,7 @@ def main() -> None:
     surface = Surface(train[0], faces, at)
 
     def off(made: Samples, truth: Samples) -> Samples:
-        return 100.0 * np.linalg.norm(made - truth, axis=-1) / surface.diagonal
+        return np.asarray(100.0 * np.linalg.norm(made - truth, axis=-1) / surface.diagonal)
 
     found = {}
     for choice in product(WIDTHS, RIDGES, REACHES):
