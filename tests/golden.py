@@ -92,8 +92,9 @@ def _asked(case: Case, *, first: bool) -> Iterator[tuple[str, Callable[[], Answe
         yield f"{field}={value!r} rounded", partial(_played_with, case, {field: value}, with_data(tapes, rounded_off))
         for faulty in _faulty(tapes)[:1]:
             yield f"{field}={value!r} fault-0", partial(_played_with, case, {field: value}, faulty)
-    for field, value in (*_probed(case.operator), *_by_rate(case)):
-        yield f"{field}?{value!r}", partial(_given, case, {field: value})
+    probes = {f"{field}?{value!r}": {field: value} for field, value in (*_probed(case.operator), *_by_rate(case))}
+    for name, given in probes.items():
+        yield name, partial(_given, case, given)
 
 
 def _faulty(tapes: Tapes) -> list[Tapes]:

@@ -135,7 +135,7 @@ class ScoringRule:
         recent = x[: self.past + 1][seen[: self.past + 1]]
         middling = float(((there >= 50) & (there < 100)).sum()) * len(x) / len(there)
         spread = float(recent.std(ddof=1)) if len(recent) > 1 else 0.0
-        now = float(x[self.past])
+        now = max(float(x[self.past]), 0.0)
         score = 7.601 - 0.065 * float(there.mean()) - 1.08 * middling - 0.056 * spread - 0.703 * float(np.log(now + 1))
         return score, score > self.limit if self.wake_at_limit else score >= self.limit
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from operators.sleep.epochs import Epochs
-from operators.sleep.methods import METHODS, MethodName
+from operators.sleep.methods import METHODS, MethodName, rule
 from operators.sleep.scorer import SleepScorer
 from stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
 from tests.sleep.sleep_data import final, run
@@ -55,6 +55,15 @@ def expected(method: str, epoch_s: float, counts: list[float], i: int) -> tuple[
     x = [min(c / 100, 300.0) for c in counts] if method == "cole_kripke_actilife" else counts
     score = sum(w * x[i - past + k] for k, w in enumerate(weights))
     return score, score <= limit if method == "oakley" else score < limit
+
+
+def test_of_a_count_below_zero_no_logarithm_is_taken() -> None:
+    """No device gives one, but an adapter's offset may; NumPy warned, and the epoch had no score."""
+    made = rule("sadeh", 60.0, threshold=None, active_above=np.nan, sigma_epochs=1.0, whole=False)
+    around = np.array([0.0, 3.0, 60.0, 0.0, 5.0, -7.0, 0.0, 0.0, 90.0, 0.0, 1.0])
+    score, asleep = made.score(around, 1.0)
+    assert score == pytest.approx(7.601 - 0.065 * fmean(around) - 1.08 * 2 - 0.056 * stdev(around[:6]))
+    assert asleep == (score >= 0)
 
 
 @pytest.mark.parametrize(("method", "epoch_s"), SCORERS)
