@@ -200,12 +200,6 @@ def test_a_source_that_is_not_required_may_be_missing() -> None:
     assert outcome.error is None
 
 
-def test_samples_that_run_backwards_are_refused_and_counted() -> None:
-    outcome = run(CHAIN % ", trouble: backwards, at: 2002")
-    assert outcome.table["board"]["problems"] == {"time ran backwards": 4}
-    assert len(parts.numbers()) == 4996
-
-
 def test_a_silent_source_does_not_stop_a_merge_and_what_comes_late_is_dropped(tmp_path: Path) -> None:
     nodes = """
   one: {use: parts.Counting, samples: 2500, realtime: true, key: one}
