@@ -13,7 +13,7 @@ from operators.steering.choose import regression_of
 from operators.steering.fit import Layout, Steering, fit_steering
 from operators.steering.pose_parameters import MarkerGraph, PoseKind, backward
 from operators.steering.regression import FAR, Regression, learn
-from operators.steering.skeleton import quaternions, tree_of, turn_of
+from operators.steering.skeleton import joint_of, quaternions, tree_of, turn_of
 from operators.steering.stored import KIND, from_model, to_arrays
 from stream import cli
 from stream.chunk import Samples
@@ -185,3 +185,13 @@ def test_models_whose_graph_or_tree_does_not_fit_are_refused(tmp_path: Path) -> 
         write_model(tmp_path / "bad.npz", KIND, header, {**arrays, name: value})
         with pytest.raises(ModelError):
             from_model(read_model(tmp_path / "bad.npz", KIND))
+
+
+def test_a_joint_is_where_it_is_in_its_part_and_moves_with_the_modes() -> None:
+    rng, vertices = np.random.default_rng(4), 9
+    turns = np.array([turn_of(one) for one in quaternions(np.linalg.qr(rng.normal(size=(12, 3, 3)))[0])])
+    poses = rng.normal(size=(12, 11))
+    there, moves = np.array([0.3, -0.2, 0.5]), rng.normal(size=(2, 3))
+    local = there + np.sqrt(vertices) * poses[:, 9:] @ moves
+    joint = np.einsum("fij,fj->fi", turns, local) + poses[:, 6:9]
+    np.testing.assert_allclose(joint_of(joint, turns, poses, vertices), [there, *moves], atol=1e-5)

@@ -12,7 +12,16 @@ from operators.steps.classifier import SOME, StepClassifier, settles_after, some
 from operators.steps.commands.enrolment import enrolment
 from operators.steps.commands.recordings import grouped
 from operators.steps.commands.train import steps as train_steps
-from operators.steps.commands.validation import Labelled, _thinned, forest, leave_out, trust, uncertain_below, weights
+from operators.steps.commands.validation import (
+    Labelled,
+    Trust,
+    _thinned,
+    forest,
+    leave_out,
+    trust,
+    uncertain_below,
+    weights,
+)
 from operators.steps.forest import Forest, StepModel
 from operators.steps.step_kernel import chosen, describe, feature_names
 from operators.steps.steps import Steps, some_walk
@@ -354,3 +363,11 @@ def test_a_model_that_only_guesses_says_so_and_is_uncertain_at_every_step(tmp_pa
         2
     ]
     assert len(rows) and (rows["told"] == "uncertain").all() and (rows["decided"] == "uncertain").all()
+
+
+@pytest.mark.parametrize(
+    ("subjects", "chance", "better"), [(0.6, 0.05, True), (0.5, 0.01, False), (0.4, 0.01, False), (0.6, 0.06, False)]
+)
+def test_as_good_as_the_largest_class_is_not_better_than_guessing(subjects: float, chance: float, better: bool) -> None:
+    told = Trust("all", 0.9, subjects, 0.5, 3, 5, 0.2, 0.9, chance, [], np.zeros((0, 2)))
+    assert (told.verdict == "better than guessing") == better

@@ -8,6 +8,7 @@ from datetime import datetime
 import numpy as np
 import pytest
 
+import stream.sleep_night
 from operators.sleep.epochs import Epochs
 from operators.sleep.periods import SleepPeriods
 from operators.sleep.scorer import EPOCH, SleepScorer
@@ -209,3 +210,11 @@ def test_an_epoch_of_which_too_little_was_seen_is_unknown() -> None:
     x[620:760] = np.nan
     _, rows = run(Epochs(30.0, "sum"), spec, Chunk(time[keep], x[keep], int(time[-1])))
     assert rows[0] == 300.0 and np.isnan(rows[1]) and rows[2] == 160.0
+
+
+@pytest.mark.parametrize(("moving", "fragmentation"), [([1.0] * 8, 100.0), ([0.0] * 8, 0.0), ([1.0, 0.0] * 4, 150.0)])
+def test_who_never_lies_still_has_no_short_stillness(moving: list[float], fragmentation: float) -> None:
+    """In minutes: the share with movement, and that of stillnesses of a minute at most among all of them."""
+    states = np.full(8, SLEEP, np.int8)
+    given = stream.sleep_night._indices(states, np.array(moving), 1.0, "AASM", 0, 8)
+    assert given == (100 * sum(moving) / 8, fragmentation, fragmentation)
