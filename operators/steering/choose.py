@@ -78,26 +78,42 @@ def choose(
         return soft(made(frames, method), apart, pull), method, {}, pull
     tried = TRIED if how == USUAL and not performed else TRIED[:-1]
     ways: tuple[Method, ...] = (method,) if method else tried
-    off = {way: np.zeros_like(frames) for way in ways}
     alone: list[Method] = [
         way for way in tried if way != "both" and (method in (None, way) or (method == "both" and way != "local"))
     ]
+    models = FOLDS * len(alone) + 1
+    off = left_out(frames, at, ways, alone, made, lambda done: progress(done, models))
+    found = {way: pulled(off[way], apart, at) for way in ways}
+    error = {way: 100.0 * np.linalg.norm(left, axis=-1).mean(axis=1) / diagonal for way, (_, left) in found.items()}
+    best = method or best_of(error)
+    progress(models - 1, models)
+    model = soft(made(frames, best), apart, found[best][0])
+    return model, best, {way: float(frame.mean()) for way, frame in error.items()}, found[best][0]
+
+
+def left_out(
+    frames: Samples,
+    at: Times,
+    ways: Sequence[Method],
+    alone: Sequence[Method],
+    made: Callable[[Samples, Method, Samples], Steering],
+    progress: Callable[[int], None],
+) -> dict[Method, Samples]:
+    """What each way's vertices are off by, (f, vertices, 3), in frames on which it was not trained: every fourth in turn. Models are
+    `made` by the ways that stand `alone`; of "both" they are the mean of two. `progress` is called with how many there are already."""
+    earlier = backward(frames[:, at])
+    off = {way: np.zeros_like(frames) for way in ways}
     for fold in range(FOLDS):
         out = np.arange(len(frames)) % FOLDS == fold
         marks, there = frames[out][:, at], dict[Method, Samples]()
         for k, way in enumerate(alone):
-            progress(fold * len(alone) + k, FOLDS * len(alone) + 1)
+            progress(fold * len(alone) + k)
             there[way] = made(frames[~out], way, earlier[~out])(marks, frames.shape[1], earlier[out])
-        if method in (None, "both"):
+        if "both" in ways:
             there["both"] = (there["parts"] + there["straight"]) / 2
         for way in ways:
             off[way][out] = frames[out] - there[way]
-    found = {way: pulled(off[way], apart, at) for way in ways}
-    error = {way: 100.0 * np.linalg.norm(left, axis=-1).mean(axis=1) / diagonal for way, (_, left) in found.items()}
-    best = method or best_of(error)
-    progress(FOLDS * len(alone), FOLDS * len(alone) + 1)
-    model = soft(made(frames, best), apart, found[best][0])
-    return model, best, {way: float(frame.mean()) for way, frame in error.items()}, found[best][0]
+    return off
 
 
 def softest(

@@ -23,7 +23,7 @@ KEPT = sorted(path.stem for path in ANSWERS.glob("*.txt"))
 def test_it_answers_as_it_did(use: str) -> None:
     """Nothing more is asked once some answers have changed."""
     told = [*islice(changing(read(use), given(use)), MOST)]
-    assert not told, "\n".join([f"answers of {use} changed ({MOST} at most are told):", *told])
+    assert not told, "\n".join([f"answers of {use} changed (the first {MOST} at most):", *told])
 
 
 def test_every_operator_has_golden_answers() -> None:
