@@ -17,6 +17,7 @@ from typing import Any, NoReturn
 
 from stream.compiler_at_work import later, within_llvm
 from stream.complete import be_private
+from stream.entry import loaded
 from stream.errors import Interrupted, KinegraphError, Terminated, nearest
 from stream.plain import say
 
@@ -180,10 +181,15 @@ def _interruptible(function: Any) -> Any:
 
 def overview() -> str:
     """What `kinegraph --help` prints."""
-    rows = {name: text for name, (_, text) in COMMANDS.items()} | {e.name: _first_line(e.load()) for e in added()}
+    rows, broken = {name: text for name, (_, text) in COMMANDS.items()}, list[str]()
+    for entry in added():
+        try:
+            rows[entry.name] = _first_line(loaded(entry, "command"))
+        except KinegraphError as error:
+            broken.append(f"\n{error}")
     width = max(map(len, rows))
     listing = "\n".join(f"  {name:<{width}} {text}" for name, text in rows.items())
-    return f"{USAGE}\ncommands:\n{listing}\n\nkinegraph COMMAND --help says more."
+    return f"{USAGE}\ncommands:\n{listing}\n{''.join(broken)}\nkinegraph COMMAND --help says more."
 
 
 def function_of(name: str) -> Any:
@@ -193,7 +199,7 @@ def function_of(name: str) -> Any:
     others = added()
     for entry in others:
         if entry.name == name:
-            return entry.load()
+            return loaded(entry, "command")
     raise KinegraphError(f"there is no command {name!r}; {nearest(name, [*COMMANDS, *(e.name for e in others)])}")
 
 

@@ -5,17 +5,12 @@ from __future__ import annotations
 from importlib.metadata import entry_points
 from typing import Any
 
-from stream.errors import KinegraphError, explain
+from stream.entry import loaded
 
 
 def installed(group: str, kind: str) -> dict[str, Any]:
     """Everything installed in a group of entry points, by name; raises KinegraphError for one that cannot be loaded."""
     found: dict[str, Any] = {}
     for entry in sorted(entry_points(group=group), key=lambda entry: entry.name):
-        try:
-            found[entry.name] = entry.load()
-        except (ImportError, AttributeError) as error:
-            raise KinegraphError(
-                f"the {kind} {entry.name} ({entry.value}) cannot be loaded: {explain(error)}"
-            ) from None
+        found[entry.name] = loaded(entry, kind)
     return found

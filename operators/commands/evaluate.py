@@ -5,9 +5,9 @@ A kind of evaluation is an entry point of the group `kinegraph.evaluations`, so 
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
-
 import typer
+
+from stream.entry import usable
 
 evaluate = typer.Typer(
     add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, no_args_is_help=True
@@ -19,5 +19,5 @@ def group() -> None:
     """Compare results with a reference."""
 
 
-for entry in entry_points(group="kinegraph.evaluations"):
-    evaluate.command(entry.name, context_settings={"help_option_names": ["-h", "--help"]})(entry.load())
+for name, function in usable("kinegraph.evaluations", "evaluation"):
+    evaluate.command(name, context_settings={"help_option_names": ["-h", "--help"]})(function)

@@ -5,9 +5,9 @@ A kind of model is an entry point of the group `kinegraph.trainings`, so that an
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
-
 import typer
+
+from stream.entry import usable
 
 train = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, no_args_is_help=True)
 
@@ -17,5 +17,5 @@ def group() -> None:
     """Learn a model from recordings."""
 
 
-for entry in entry_points(group="kinegraph.trainings"):
-    train.command(entry.name, context_settings={"help_option_names": ["-h", "--help"]})(entry.load())
+for name, function in usable("kinegraph.trainings", "training"):
+    train.command(name, context_settings={"help_option_names": ["-h", "--help"]})(function)

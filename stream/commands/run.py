@@ -18,6 +18,7 @@ import typer
 
 from stream.commands.graph_options import GraphFile, Settings, TrustedOnly
 from stream.commands.page_options import PageAt, PageAvatar, PageCertificate, PageKey
+from stream.entry import loaded
 from stream.errors import KinegraphError, RecordingError
 from stream.plain import say
 from stream.source import Source
@@ -168,7 +169,7 @@ def _screen(view: str, graph: Any) -> Any:
     if view == "auto":
         view = "live" if sys.stdout.isatty() else "lines"
     for entry in entry_points(group="kinegraph.views", name=view):
-        return entry.load()(graph)
+        return loaded(entry, "view")(graph)
     names = ", ".join(sorted(e.name for e in entry_points(group="kinegraph.views")))
     raise KinegraphError(f"there is no view {view!r}; valid are auto, none, {names}")
 
@@ -176,7 +177,7 @@ def _screen(view: str, graph: Any) -> Any:
 def page_of(graph: Graph, *address: str, name: str = "page", **more: str | Path | None) -> Any:
     """The page of a graph; it comes from the entry-point group `kinegraph.pages`. Raises KinegraphError where there is none."""
     for entry in entry_points(group="kinegraph.pages", name=name):
-        return entry.load()(graph, *address, **more)
+        return loaded(entry, "page")(graph, *address, **more)
     raise KinegraphError("no page is installed: `pip install kinegraph` has one")
 
 
