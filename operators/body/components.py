@@ -108,6 +108,29 @@ def ahead_at_border(
 
 
 @kernel(nogil=True)
+def leaps(
+    frame: NDArray[np.uint16],
+    parts: NDArray[np.int32],
+    labels: NDArray[np.uint8],
+    depths: NDArray[np.uint16],
+    leap: float,
+    nearer: NDArray[np.int64],
+    farther: NDArray[np.int64],
+) -> None:
+    """Of the pixels that every part shares with everybody of the frame before, how many are nearer or farther by `leap` than they were.
+
+    `nearer`, `farther` (parts + 1, people + 1) are written; `labels`, `depths` (h, w) are those of the frame before.
+    """
+    for y in range(parts.shape[0]):
+        for x in range(parts.shape[1]):
+            k, who = parts[y, x], labels[y, x]
+            if k == 0 or who == 0:
+                continue
+            nearer[k, who] += float(frame[y, x]) + leap < float(depths[y, x])
+            farther[k, who] += float(frame[y, x]) > float(depths[y, x]) + leap
+
+
+@kernel(nogil=True)
 def share_out(
     frame: NDArray[np.uint16],
     parts: NDArray[np.int32],

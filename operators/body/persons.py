@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.body.components import ahead_at_border, components, measure, only, overlaps, share_out
+from operators.body.components import ahead_at_border, components, leaps, measure, only, overlaps, share_out
 from operators.body.names import camera_of
 from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
 from stream.errors import InputError
@@ -33,6 +33,7 @@ class PersonsState:
     depths    (h, w)     their depths in mm
     places    (most, 4)  of everyone: middle in pixels and mm (x, y, depth), and of how many pixels; NaN: not there
     seen      (most,)    stamp at which everyone was seen last
+    hidden    (most,)    whether it was somebody else, passing before them, who covered the last that was seen of everyone
     followed  who is followed; 0: nobody
     """
 
@@ -41,6 +42,7 @@ class PersonsState:
     depths: NDArray[np.uint16]
     places: Samples
     seen: NDArray[np.int64]
+    hidden: NDArray[np.bool_]
     followed: int
 
 
@@ -55,8 +57,9 @@ class Persons(Operator[PersonsState]):
     Pixels side by side whose depths differ by less than `apart_mm` are one thing; things of less than `least_share` of the frame are none,
     unless they touch somebody's box: a forearm before the trunk. People keep their numbers by the pixels they share with the frame before,
     and where they touch, each pixel is the nearer one's. What reaches to the image's border and is half a metre before where the person
-    just was, a table that is pushed into the picture, is not the person's but the next one's. Whoever was away for 3 s gives up the
-    number. `person` says who is followed: a number, or 0: the largest, who is followed until gone.
+    just was, a table that is pushed into the picture, is not the person's but the next one's. Whoever passes before somebody keeps apart
+    from them, also while nothing else of them is seen. Whoever was away for 3 s gives up the number. `person` says who is followed: a
+    number, or 0: the largest, who is followed until gone, or hidden by another one for 3 s.
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("out", "labels", "persons")
@@ -74,9 +77,10 @@ class Persons(Operator[PersonsState]):
         places, seen = np.full((self.most, 4), np.nan), np.zeros(self.most, np.int64)
         self.hold(
             PersonsState(
-                np.array(camera), np.zeros(spec.shape, np.uint8), np.zeros(spec.shape, np.uint16), places, seen, 0
+                np.array(camera), np.zeros(spec.shape, np.uint8), np.zeros(spec.shape, np.uint16), places, seen,
+                np.zeros(self.most, np.bool_), 0,
             )
-        )
+        )  # fmt: skip
         labels = spec.derive(dtype=np.dtype(np.uint8), units=("",))
         units = ("ns", "", "px", "px", "m")
         return {"out": spec, "labels": labels, "persons": StreamSpec((), PERSON, units=units, meta=dict(spec.meta))}
@@ -105,15 +109,34 @@ class Persons(Operator[PersonsState]):
         sizes, middles = np.zeros(MOST_PARTS + 1, np.int64), np.zeros((MOST_PARTS + 1, 3))
         least = max(8, round(self.least_share * frame.size))
         count = components(frame, self.apart_mm, max(4, least // 12), parts, sizes, middles)
-        shared = np.zeros((count + 1, self.most + 1), np.int64)
+        shared, nearer, farther = np.zeros((3, count + 1, self.most + 1), np.int64)
         overlaps(parts, s.labels, shared)
+        leaps(frame, parts, s.labels, s.depths, LEAP_MM, nearer, farther)
         ahead = np.zeros(count + 1, np.int64)
         ahead_at_border(frame, parts, s.depths, LEAP_MM, ahead)
         shared[ahead > 0.5 * shared[:, 1:].sum(axis=1), 1:] = 0
+        self._passes(shared, nearer, farther)
         owners = self._owners(time, count, sizes, shared, least)
         self._attach(owners, count, middles)
         share_out(frame, parts, owners, s.places, labels)
         return self._measured(time, frame, labels)
+
+    def _passes(self, shared: NDArray[np.int64], nearer: NDArray[np.int64], farther: NDArray[np.int64]) -> None:
+        """What was somebody else's and passes before a person is not the person's, nor what appears behind one who goes on; whom it hides.
+
+        `shared` (parts + 1, people + 1), the pixels that parts have in common with people of the frame before, is written; `nearer` and
+        `farther` are those of them that are half a metre before or behind the person.
+        """
+        s = self.state
+        kept = np.maximum(shared - nearer - farther, 0)
+        kept[:, 0] = 0
+        passing = kept.max(axis=1, keepdims=True) > np.maximum(kept, nearer)
+        hides = np.where(passing | (shared == 0), nearer, 0).sum(axis=0)[1:]
+        left = np.nan_to_num(s.places[:, 3]) - kept[1:, 1:].sum(axis=0)
+        s.hidden[:] = np.where(np.isnan(s.places[:, 3]), s.hidden, 2 * hides > left)
+        shared -= np.where(passing, np.minimum(nearer, shared), 0)
+        goes_on = kept.sum(axis=0) - kept > kept
+        shared -= np.where(goes_on, np.minimum(farther, shared), 0)
 
     def _owners(self, time: int, count: int, sizes: Array, shared: Array, least: int) -> NDArray[np.int64]:
         """(count + 1, most + 1): whose part it is; several people's where they touch. New people take free numbers, the largest first."""
@@ -161,12 +184,19 @@ class Persons(Operator[PersonsState]):
             place = ((x - cx) / fx * z, (y - cy) / fy * z, z)
             box = (top, left, bottom - top + 1, right - left + 1)
             told.append(np.array((time, who, box, pixels, place), PERSON))
-        sizes = np.nan_to_num(s.places[:, 3])
-        if not s.followed or (
-            not sizes[s.followed - 1] and (sizes.any() or time - s.seen[s.followed - 1] > FORGET_S * NS)
-        ):
-            s.followed = int(sizes.argmax()) + 1 if sizes.any() else 0
+        self._follow(time)
         return told
+
+    def _follow(self, time: int) -> None:
+        """Who is followed from now on: whoever was, while seen; also, while the name is kept, if nobody else is there or somebody hides them."""
+        s = self.state
+        sizes = np.nan_to_num(s.places[:, 3])
+        if s.followed:
+            who = s.followed - 1
+            expected = s.hidden[who] or not sizes.any()
+            if sizes[who] or (expected and time - s.seen[who] <= FORGET_S * NS):
+                return
+        s.followed = int(sizes.argmax()) + 1 if sizes.any() else 0
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

@@ -225,6 +225,38 @@ def test_a_table_that_is_pushed_before_somebody_is_not_the_person() -> None:
     assert not newest[60:].any()
 
 
+@pytest.mark.parametrize("speed", [2, 5, 9])
+def test_who_passes_before_somebody_is_not_taken_for_them(speed: int) -> None:
+    """While the passer hides all of them, too: they are waited for, and followed again once seen."""
+    persons = Persons()
+    persons.open({"in": DEPTH})
+    n = 180 // speed
+    frames = np.zeros((n + 20, HEIGHT, WIDTH), np.uint16)
+    frames[:, 20:115, 70:90] = 2700
+    for k in range(n):
+        left = speed * k - 40
+        frames[10 + k, 15:118, max(0, left) : max(0, left + 40)] = 1500
+    made = feed(persons, "in", frames)
+    assert all(set(np.unique(chunk.data)) <= {0, 2700} for chunk in made["out"]), "the passer is given out"
+    assert not all(chunk.data.any() for chunk in made["out"]), "nobody was hidden"
+    seen = [
+        bool(chunk.data.any()) for chunk, frame in zip(made["out"], frames, strict=True) if (frame == 2700).sum() > 400
+    ]
+    assert all(seen), "who can be seen is not followed"
+
+
+def test_who_stays_before_somebody_is_followed_after_a_while() -> None:
+    persons = Persons()
+    persons.open({"in": DEPTH})
+    frames = np.zeros((160, HEIGHT, WIDTH), np.uint16)
+    frames[:, 20:115, 70:90] = 2700
+    for k in range(10, 160):
+        left = min(5 * (k - 10), 100) - 40
+        frames[k, 15:118, max(0, left) : left + 40] = 1500
+    made = feed(persons, "in", frames)
+    assert not made["out"][60].data.any() and made["out"][-1].data.max() == 1500
+
+
 def standing(facing: float = -1.0) -> np.ndarray:
     """What a frame shows of somebody 2.5 m away: towards the camera (-1) or away from it (1)."""
     seen = np.zeros(1, SEEN)

@@ -304,7 +304,8 @@ def test_a_degraded_scene_breaks_nothing_with_the_network(scene: Scene, rate_hz:
     if scene is displaced:
         assert hidden[7:].mean() < 0.3, "nobody is found again in the new view"
     if scene is crossing:
-        assert hidden.all(axis=1).sum() >= 8, "whoever is hidden is not flagged"
+        assert hidden.all(axis=1).sum() >= 3, "whoever is hidden is not flagged"
+        assert hidden.mean() < 0.25, "the passer is taken for the person"
     if scene is entering:
         assert hidden[: ENTERS_AT - first - 3].all(), "who has left is not flagged"
     if scene is late:
