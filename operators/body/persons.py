@@ -188,7 +188,7 @@ class Persons(Operator[PersonsState]):
         return told
 
     def _follow(self, time: int) -> None:
-        """Who is followed from now on: whoever was, while seen; also, while the name is kept, if nobody else is there or somebody hides them."""
+        """Who is followed from now on: whoever was, while seen, or for 3 s where nobody else is there or somebody hides them."""
         s = self.state
         sizes = np.nan_to_num(s.places[:, 3])
         if s.followed:

@@ -8,7 +8,7 @@ import numpy as np
 
 from devices.simulators import rendered_performer
 from devices.simulators.rendered_performer import POINTS, RenderedPerformer, camera_of
-from stream.chunk import Array, Samples
+from stream.chunk import Array
 from stream.humanoid import BONES
 from tests.avatar.test_degraded_scenes import AvatarChain, Following, Scene, empty_room
 
@@ -62,7 +62,7 @@ def late_returns(told: Following, covered: Array, first: int) -> dict[str, int]:
     for i, point in enumerate(POINTS):
         if covered[:, i].any():
             seen = np.flatnonzero(
-                0 == told.guessed[first + int(np.flatnonzero(covered[:, i])[-1]) + 1 :, FLAGGED_BY[i]]
+                told.guessed[first + int(np.flatnonzero(covered[:, i])[-1]) + 1 :, FLAGGED_BY[i]] == 0
             )
             after = int(seen[0]) if len(seen) else len(told.guessed)
             if after > 10:
