@@ -13,6 +13,7 @@ from operators.inputs.lengths import length_of, metres
 from operators.whole_pose.landmarks import BONE_OF, FROM_BONE, NAMES, PLACES, find_landmarks
 from operators.whole_pose.regions_kernel import REGIONS, Corrections, shown_by_region
 from operators.whole_pose.solve_kernel import GROUND, SIZE, Solver, solve
+from operators.whole_pose.upright import LEAST_S, MOST_S, RATE, SEEN, TOLD, tally_up, warn
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
 from stream.humanoid import BONES, PARENTS, usual_body
@@ -28,7 +29,7 @@ NOTES = ("left foot stands", "right foot stands", "calibrated", "outside")
 
 @dataclass(slots=True)
 class WholePoseState:
-    """What is remembered from one sample to the next; see `Solver`."""
+    """What is remembered from one sample to the next; see `Solver`, and for `tally` (12,) operators/whole_pose/upright.py."""
 
     seen: Array
     doubts: Samples
@@ -45,6 +46,7 @@ class WholePoseState:
     memory: Samples
     feet: Samples
     flags: Samples
+    tally: Samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +109,7 @@ class WholePose(_Solving):
         axes, signs = AXES[self.up]
         size = metres(unit)
         state = start(learned.tree)
+        state.tally[RATE] = spec.rate_hz or 30.0
         object.__setattr__(self, "learned", learned)
         object.__setattr__(self, "needed", round(self.calibrate_s * (spec.rate_hz or 30.0)))
         self.hold(state)
@@ -131,7 +134,7 @@ class WholePose(_Solving):
     def _bind(self, columns: Times, axes: Times, signs: Samples, present: Array) -> None:
         """Gather what the kernel works on: the state's arrays, which stay the same ones, and what does not change."""
         r, m = self.learned, len(NAMES)
-        state = {f.name: getattr(self.state, f.name) for f in fields(WholePoseState)}
+        state = {f.name: getattr(self.state, f.name) for f in fields(WholePoseState) if f.name != "tally"}
         solver = Solver(
             columns=columns, axes=axes, signs=signs, present=present, counts=np.zeros(m), from_bone=FROM_BONE, bone_of=BONE_OF,
             usual=r.tree.offsets, parents=r.tree.parents, learned=r.learned, work=np.zeros((8, 4)), **state,
@@ -145,8 +148,18 @@ class WholePose(_Solving):
             solve(
                 chunk.data, chunk.time, self.solver, self.needed, self.feet, self.turn_rad_s, pose, joints, quality
             )  # fmt: skip
+            self._watch(joints, quality)
         made = zip(self.outputs, (pose, joints, quality), strict=True)
         return [(name, Chunk(chunk.time, data, chunk.until, chunk.lost)) for name, data in made]
+
+    def _watch(self, joints: Samples, quality: Samples) -> None:
+        """Whether `up` is what points up, in the first seconds."""
+        tally = self.state.tally
+        if tally[TOLD] or tally[SEEN] > MOST_S * tally[RATE]:
+            return
+        tally_up(joints, quality, tally)
+        if tally[SEEN] >= LEAST_S * tally[RATE]:
+            tally[TOLD] = float(warn(tally, self.solver.axes, self.solver.signs, self.up))
 
     @classmethod
     def cases(cls) -> Sequence[Case]:
@@ -192,6 +205,7 @@ def start(tree: JointTree) -> WholePoseState:
         seen=np.zeros(m, np.bool_), doubts=np.zeros(m), marks=np.zeros((m, 3)), before=np.zeros((m, 3)), total=np.zeros((m, 3)),
         offsets=tree.offsets.copy(), turns=still.copy(), turns_before=still.copy(), local=still.copy(), local_before=still.copy(),
         joints=tree.at_rest.copy(), left=np.array([1.0, 0.0, 0.0]), memory=memory, feet=np.zeros((2, 22)), flags=np.ones(bones),
+        tally=np.zeros(12),
     )  # fmt: skip
 
 

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from stream.chunk import Samples
     from stream.mesh import Topology
 
-MOST_FRAMES = 400
+MOST_FRAMES, STEEP = 400, 0.9
+"""Of a longer recording as many frames are taken. A heading whose sine of the angle to the ground is above the second is none."""
 LISTS = ("reference", "limbs", "heading")
 """What a file of markers may say beside `markers`: lists of some of them."""
 KEYS = ("markers", *LISTS, "performer")
@@ -135,7 +136,10 @@ def steering(
     said = _markers(markers, topology.vertices)
     _refuse_method(method, markers, said, ways, performed=performer is not None)
     graph = _body_graph(frames, topology, markers, said, to_other, performer=performer is not None)
+    _tell_heading(recordings[0].name, frames[:, [said["markers"][name] for name in said["heading"]]])
     performed = _performed(performer, tuple(said["performer"].values())) if performer else None
+    if performer and performed is not None:
+        _tell_heading(performer.name, performed[:, [list(said["markers"]).index(name) for name in said["heading"]]])
     say(f"{len(frames)} frames of {topology.vertices} vertices; learning ...")
     given = (topology.faces, said["markers"], said["reference"], said["limbs"], parts, modes, said["heading"])
     if part_error:
@@ -192,6 +196,21 @@ def _refuse(
     if parted and method not in ("", "parts"):
         raise KinegraphError(
             f"--method {method}: --alignment, --shapes and --blend say how parts come to fit; leave one of them out"
+        )
+
+
+def _tell_heading(what: str, places: Samples) -> None:
+    """Say so where the two markers of the heading, (f, 2, 3), lie above one another: then y is not what points up."""
+    import numpy as np
+
+    if places.shape[1] != 2:
+        return
+    ahead = places[:, 1] - places[:, 0]
+    steep = np.abs(ahead[:, 1]) / np.maximum(np.linalg.norm(ahead, axis=1), 1e-9)
+    if np.quantile(steep, 0.1) > STEEP:
+        say(
+            f"{what}: the heading's markers lie above one another, so that it has no heading: does y point up? turn it",
+            err=True,
         )
 
 

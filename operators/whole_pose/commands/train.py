@@ -102,6 +102,7 @@ def _lessons(
 
     from operators.whole_pose.from_markers import solved
     from operators.whole_pose.learn import lessons_of
+    from operators.whole_pose.upright import upright_along
     from stream.batch.sessions import name_of, open_session, sessions_at
     from stream.humanoid import to_humanoid, usual_body
     from stream.joint_tree import JointTree
@@ -122,6 +123,11 @@ def _lessons(
                     if not len(rows):
                         continue
                     body, poses = to_humanoid(JointTree.of(spec, name), rows)
+                    if axis := upright_along(body, poses, (spec.rate_hz or RATE_HZ) / every):
+                        say(
+                            f"{name_of(opened)}: {name}: somebody walks upright along {axis}; turn it: y must point up",
+                            err=True,
+                        )
                 elif f"{name}.pose" not in opened.streams:
                     body, found = usual_body(), solved(spec, *opened.read(name), np.asarray(chosen), given)
                     if isinstance(found, str):
