@@ -137,7 +137,7 @@ class WholePose(_Solving):
         state = {f.name: getattr(self.state, f.name) for f in fields(WholePoseState) if f.name != "tally"}
         solver = Solver(
             columns=columns, axes=axes, signs=signs, present=present, counts=np.zeros(m), from_bone=FROM_BONE, bone_of=BONE_OF,
-            usual=r.tree.offsets, parents=r.tree.parents, learned=r.learned, work=np.zeros((8, 4)), **state,
+            usual=r.tree.offsets, parents=r.tree.parents, learned=r.learned, work=np.zeros((9, 4)), **state,
         )  # fmt: skip
         object.__setattr__(self, "solver", solver)
 
@@ -204,7 +204,7 @@ def start(tree: JointTree) -> WholePoseState:
     return WholePoseState(
         seen=np.zeros(m, np.bool_), doubts=np.zeros(m), marks=np.zeros((m, 3)), before=np.zeros((m, 3)), total=np.zeros((m, 3)),
         offsets=tree.offsets.copy(), turns=still.copy(), turns_before=still.copy(), local=still.copy(), local_before=still.copy(),
-        joints=tree.at_rest.copy(), left=np.array([1.0, 0.0, 0.0]), memory=memory, feet=np.zeros((2, 22)), flags=np.ones(bones),
+        joints=tree.at_rest.copy(), left=np.array([1.0, 0.0, 0.0]), memory=memory, feet=np.zeros((2, 25)), flags=np.ones(bones),
         tally=np.zeros(12),
     )  # fmt: skip
 

@@ -23,7 +23,7 @@ from operators.whole_pose.limb_kernel import (
     length_of,
 )
 from operators.whole_pose.marks_kernel import complete_marks, gather, scale_body, stand
-from operators.whole_pose.motion_kernel import limit_turns, put_feet, same_signs
+from operators.whole_pose.motion_kernel import limit_turns, put_feet, same_signs, steady_knees
 from operators.whole_pose.prior_kernel import features_of, geometric_prior, heading, middles, trained_prior
 from operators.whole_pose.regions_kernel import Corrections, regional_of, regress
 from operators.whole_pose.rotation_kernel import from_axes
@@ -172,6 +172,8 @@ def flag(s: Solver) -> None:
 @kernel
 def move(s: Solver, dt: float, first: bool, feet: bool, turn_rad_s: float) -> None:
     """The pose that fits the landmarks, as far as one period lets the bones turn."""
+    if feet:
+        steady_knees(s.marks, s.present, s.left, dt, s.feet, s.work)
     prior(s)
     fit_pose(s.marks, s.present, s.from_bone, s.parents, s.offsets, s.turns, s.joints, s.work)
     if feet:
