@@ -76,7 +76,7 @@ class Session:
         self._began = self._ran_s = 0.0
         self.table: Table = {}
         waits = not any(_is_live(node) for node in graph.sources)
-        self.log = SessionLog(folder, graph, self.clock, self._prior)
+        self.log = SessionLog(folder, graph, self.clock, self._prior, waits=waits)
         self._workers = Workers(self._ready, waits, self._fail, partial(self.log.report, DROPPED))
         self.pipeline = Pipeline(graph, speaking=graph.outlets, bridge=self._workers.bridge, stop=self.stop)
         self._runners = [Runner(node, self._ready, self.clock, self.log.report, self._fail) for node in graph.sources]

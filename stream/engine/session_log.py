@@ -129,22 +129,33 @@ class SessionLog:
     recorder   what records; None without a folder
     """
 
-    def __init__(self, folder: Path | None, graph: Graph, clock: SessionClock, prior: PriorSession | None) -> None:
-        """Nothing is written before `open`."""
+    def __init__(
+        self,
+        folder: Path | None,
+        graph: Graph,
+        clock: SessionClock,
+        prior: PriorSession | None,
+        *,
+        waits: bool = False,
+    ) -> None:
+        """Nothing is written before `open`. `waits`: no source is live, so that the graph can wait for the disk."""
         self.folder, self._graph, self._clock, self._prior = folder, graph, clock, prior
         checkpoint = prior.checkpoint if prior else None
         self.sequence = checkpoint.sequence if checkpoint else -1
         self.arrival = 0
         self.recorder: Recorder | None = None
         self._checkpoints: CheckpointWriter | None = None
-        self._begun = prior is not None
+        self._begun, self._waits = prior is not None, waits
         self._losses: dict[tuple[str, str], Loss] = {}
         self._losing = Lock()
 
     def open(self) -> None:
         """Begin the recording; raises RecordingError where that cannot be."""
         if self.folder is not None:
-            self.recorder = Recorder(self.folder, self._header(), self._graph.recording, resume=self._prior is not None)
+            resume = self._prior is not None
+            self.recorder = Recorder(
+                self.folder, self._header(), self._graph.recording, resume=resume, waits=self._waits
+            )
             self._checkpoints = CheckpointWriter(self.folder, self.recorder.flush)
 
     def _header(self) -> dict[str, Any]:

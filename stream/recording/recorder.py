@@ -37,6 +37,7 @@ class Recorder:
 
     What the disk does not take within `queue_bytes` of memory is dropped and counted; the status and the log say so. With `wait`
     (offline work: an import, a replay to a file) nothing is dropped: the writer waits instead, and the layout depends on the data alone.
+    With `waits` (a session whose sources can wait) it waits too, unless the disk refuses for some seconds.
     """
 
     def __init__(
@@ -47,6 +48,7 @@ class Recorder:
         *,
         resume: bool = False,
         wait: bool = False,
+        waits: bool = False,
         queue_bytes: int = 64 << 20,
     ) -> None:
         """`path` is a session's folder, or a file's name ending in .mcap; `header` the graph, versions and facts (JSON-like).
@@ -55,7 +57,7 @@ class Recorder:
         (with `resume`, a further part is added to it).
         """
         self._path, self._options = path, options
-        self._wait, self._limit = wait, queue_bytes
+        self._wait, self.waits, self._limit = wait, wait or waits, queue_bytes
         self._share = self._much = 0
         self._slots = [RecorderSlot(LOG), RecorderSlot(METRICS)]
         self._queue: SimpleQueue[Handed] = SimpleQueue()
@@ -147,17 +149,19 @@ class Recorder:
         return sum(slot.put - slot.got for slot in self._slots) > self._limit
 
     def _wait_for_room(self) -> bool:
-        """Offline, the writer waits; raises RecordingError where the disk refuses for some seconds."""
+        """Where nothing is live, the writer waits; where the disk refuses for some seconds, offline raises RecordingError."""
         well = time.monotonic()
-        if self._wait and self._rounds.size > self._limit:
+        if self.waits and self._rounds.size > self._limit:
             self._rounds.end()
-        while self._wait and self._thread.alive and self._is_full():
+        while self.waits and self._thread.alive and self._is_full():
             now = time.monotonic()
             well = well if self._writer.error else now
             if now - well > GRACE_S:
-                raise self._incomplete()
+                if self._wait:
+                    raise self._incomplete()
+                return False
             time.sleep(0.002)
-        return self._wait and self._thread.alive
+        return self.waits and self._thread.alive
 
     @property
     def part(self) -> int:

@@ -171,6 +171,30 @@ def test_waiting_writers_lose_nothing_on_a_slow_disk(tmp_path: Path, disk: Disk)
         assert recording.last_samples("board") == 15_000
 
 
+def test_a_session_without_live_sources_waits_for_a_slow_disk(tmp_path: Path, disk: Disk) -> None:
+    disk.delay_s = 0.02
+    recorder = counted_recorder(tmp_path / "s", queue_bytes=100_000, waits=True)
+    feed(recorder, 0, 300)
+    assert recorder.status.dropped == {}
+    recorder.close()
+    with Recording.open(tmp_path / "s") as recording:
+        assert_holes_are_told(recording, 0)
+        assert recording.last_samples("board") == 15_000
+
+
+def test_only_a_session_without_live_sources_has_a_recorder_that_waits(tmp_path: Path) -> None:
+    from stream.engine.session import Session
+    from stream.graph.load import load_text
+
+    for realtime in (False, True):
+        text = f"nodes:\n  board: {{use: devices.simulators.treadmill.Treadmill, realtime: {str(realtime).lower()}, duration_s: 1}}\n"
+        session = Session(load_text(text), tmp_path / str(realtime))
+        session.log.open()
+        recorder = session.log.recorder
+        assert recorder is not None and recorder.waits is not realtime
+        recorder.close()
+
+
 LIMITED = """
 import resource, sys, time
 sys.path.insert(0, sys.argv[1])
