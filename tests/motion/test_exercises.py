@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import io
 import re
 from pathlib import Path
@@ -21,7 +22,8 @@ from operators.segmentation.outputs import OUTPUTS, PRIMITIVE
 from operators.segmentation.taught import UNKNOWN, Taught, taught
 from stream import cli
 from stream.chunk import NS, Chunk, StreamSpec
-from stream.errors import InputError, KinegraphError
+from stream.clock import SessionClock
+from stream.errors import DeviceError, InputError, KinegraphError
 from stream.graph import Graph
 from stream.manual import ANNOTATION
 from stream.model import ModelError
@@ -140,6 +142,17 @@ def test_motion_that_goes_on_while_the_last_exercise_is_corrected_is_motion_stil
     for port, chunk in [*parts[:ended], parts[-2], late, parts[ended]]:
         outlet.process(port, chunk)
     assert shown(outlet).startswith("motion, since 0:09")
+
+
+def test_a_live_session_without_a_view_is_not_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    """`--view none`: nothing is printed; in replay, which has no view either, every repetition is a line."""
+    for live in (True, False):
+        outlet = opened()
+        if live:
+            outlet.keep_time(SessionClock())
+        for port, chunk in training():
+            outlet.process(port, chunk)
+        assert bool(capsys.readouterr().out) is not live
 
 
 def test_where_there_is_no_terminal_every_repetition_is_a_line() -> None:
@@ -475,6 +488,23 @@ def report_of(folder: Path, parts: list[tuple[str, Chunk]]) -> tuple[str, list[d
     outlet.close()
     with Path(outlet.file).with_suffix(".csv").open(newline="") as file:
         return Path(outlet.file).read_text(), list(csv.DictReader(file))
+
+
+def test_a_page_that_could_not_be_written_is_not_told_of_as_left_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    outlet = TrainingReport(path=str(tmp_path / "training.html"))
+    outlet.open({port: EVENTS[port] for port in outlet.inputs})
+    outlet.begin()
+    monkeypatch.setattr("devices.outlets.training.report.write_complete", full)
+    with pytest.raises(DeviceError, match="No space left on device"):
+        outlet.close()
+    assert outlet.file == str(tmp_path / "training.csv")
+    (tmp_path / "training.csv").unlink()
+    assert outlet.file == ""
 
 
 def sets() -> list[tuple[str, Chunk]]:

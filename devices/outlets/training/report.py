@@ -49,13 +49,14 @@ class TrainingState:
 
 
 class TrainingRuntime:
-    """What belongs to a running report but not to its state. `unit`: of ranges and distances."""
+    """What belongs to a running report but not to its state. `unit`: of ranges and distances; `failed`: the page could not be written."""
 
     def __init__(self, unit: str) -> None:
         self.unit = unit
         self.facts: dict[str, Any] = {}
         self.table: AppendFile | None = None
         self.claim: FileLock | None = None
+        self.failed = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +92,10 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
 
     @property
     def file(self) -> str:
+        """The page; where it could not be written, the table, if there is one."""
+        if self.runtime.failed:
+            table = Path(self.path).with_name(f"{Path(self.state.stem).name}.csv")
+            return str(table) if table.exists() else ""
         return str(Path(self.path).with_name(f"{Path(self.state.stem).name}.html")) if self.state.stem else self.path
 
     def meet(self, graph: Graph) -> None:
@@ -134,6 +139,7 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
                 )
                 log.info("report written", page=str(page), table=f"{state.stem}.csv")
         except OSError as error:
+            runtime.failed = True
             raise DeviceError(f"report {page}: cannot be written: {error.strerror or error}") from None
         finally:
             if runtime.table:
