@@ -66,8 +66,8 @@ def marks_of(tree: JointTree, poses: Samples) -> Samples:
     return marks
 
 
-def played(operator: WholePose, names: Sequence[str], marks: Samples) -> tuple[Samples, float]:
-    """The operator's poses of landmarks (n, m, 3), and how long a frame took (us, median), one frame a chunk."""
+def played(operator: WholePose, names: Sequence[str], marks: Samples) -> tuple[Samples, Samples]:
+    """The operator's poses of landmarks (n, m, 3), and how long each frame took (us), one frame a chunk."""
     spec = StreamSpec((len(names), 3), rate_hz=RATE, channels=tuple(names), units=("m",))
     operator.open({"in": spec})
     times, rows = grid(RATE, len(marks)), marks.reshape(len(marks), -1)
@@ -76,7 +76,7 @@ def played(operator: WholePose, names: Sequence[str], marks: Samples) -> tuple[S
         began = time.perf_counter()
         made.append(operator.process("in", Chunk(times[i : i + 1], rows[i : i + 1], int(times[i])))[0][1].data)
         took[i] = time.perf_counter() - began
-    return np.concatenate(made), 1e6 * float(np.median(took))
+    return np.concatenate(made), 1e6 * took
 
 
 def filtered(marks: Samples) -> Samples:
@@ -149,7 +149,8 @@ def measured(
                 marks = filtered(marks + np.random.default_rng(30).normal(0.0, noise_m, marks.shape))
             for method, model in (("geometry, mean turns", body), ("kernel ridge, limbs", path)):
                 operator = WholePose(model=model, calibrate_s=0.0)
-                made, us = played(replace(operator), [NAMES[k] for k in chosen], marks)
+                made, took = played(replace(operator), [NAMES[k] for k in chosen], marks)
+                us = float(np.median(took))
                 found.setdefault(method, []).append(
                     (*errors(tree, made, poses), us, lag_ms(tree, made, poses), len(poses))
                 )

@@ -12,7 +12,6 @@ from rich.text import Text
 
 from devices.outlets.terminal import TerminalView
 from stream.chunk import NEVER, NS, Array, Chunk, Specs
-from stream.clock import SessionClock
 from stream.errors import InputError
 from stream.outlet import Outlet
 from stream.params import param
@@ -70,22 +69,15 @@ class ExerciseState:
     behind_since: int = NEVER
 
 
-@dataclass(slots=True)
-class ExercisePanelRuntime:
-    """`live`: devices are read, not a recording; then what shows the session is its view alone, or nothing."""
-
-    live: bool = False
-
-
 @dataclass(frozen=True, slots=True)
-class ExercisePanel(Outlet[ExerciseState, ExercisePanelRuntime]):
+class ExercisePanel(Outlet[ExerciseState, None]):
     """The exercise that is being done, how often so far and since when, rest, and what came before: live.
 
     provisional, count, activity, rest, resting   of `operators.segmentation.Segment`
     believed, repetition                          of `operators.segmentation.naming.NameRepetitions`: names, and how sure they are
 
     Any streams of events with the same fields will do. `kinegraph run` shows them in its live view; where the output is no terminal, every
-    repetition and everything that has ended is a line. With `--view none` nothing is shown.
+    repetition and everything that has ended is a line.
     """
 
     inputs: ClassVar[tuple[str, ...]] = tuple(FIELDS)
@@ -99,11 +91,8 @@ class ExercisePanel(Outlet[ExerciseState, ExercisePanelRuntime]):
                 raise InputError(port, spec.describe(), f"events with the fields {', '.join(FIELDS[port])}")
         known = np.zeros(RECENT, NAMED)
         known["activity"] = -1
-        self.hold(ExerciseState(np.zeros(STRIP, PAST), known), ExercisePanelRuntime())
+        self.hold(ExerciseState(np.zeros(STRIP, PAST), known), None)
         return {}
-
-    def keep_time(self, clock: SessionClock) -> None:
-        self.runtime.live = True
 
     def process(self, port: str, chunk: Chunk) -> None:
         state, line = self.state, ""
@@ -120,7 +109,7 @@ class ExercisePanel(Outlet[ExerciseState, ExercisePanelRuntime]):
     def _show(self, line: str) -> None:
         if TerminalView.current is not None:
             TerminalView.current.hang_out("exercise", panel(self.state), line)
-        elif line and not self.runtime.live:
+        elif line:
             with suppress(BrokenPipeError):  # nobody reads on
                 say(line, flush=True)
 

@@ -32,7 +32,7 @@ Metrics = Mapping[str, Mapping[str, Any]]
 
 
 class TerminalView:
-    """Shows a session's metrics, and whatever running outlets show, until it is left.
+    """Keeps a session's metrics, and whatever running outlets would show, until it is left. By itself (`--view none`) it shows nothing.
 
     `update` only keeps what it is given; a thread of its own draws, so that the graph never waits for a terminal.
     """

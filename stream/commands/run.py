@@ -112,7 +112,7 @@ def conduct(
 
     with simulated(graph) if simulate else nullcontext():
         screen = _screen(view, graph)
-        views = Views(shown for shown in (screen, *pages) if shown)
+        views = Views((screen, *pages))
         session = Session(graph, folder, resume=resume, duration_s=duration_s, view=views)
         for page in pages:
             page.attach(session)
@@ -121,7 +121,7 @@ def conduct(
             shown.enter_context(Console(session).listening())
             for page in pages:
                 shown.enter_context(page)
-            shown.enter_context(screen or nullcontext())
+            shown.enter_context(screen)
             outcome = session.run()
     _tell_end(outcome)
     _leave(outcome.exit_code)
@@ -164,14 +164,12 @@ def session_folder(graph: Graph, out: Path | None, resume: bool = False) -> Path
 
 def _screen(view: str, graph: Any) -> Any:
     """The view by its name; they come from the entry-point group `kinegraph.views`."""
-    if view == "none":
-        return None
     if view == "auto":
         view = "live" if sys.stdout.isatty() else "lines"
     for entry in entry_points(group="kinegraph.views", name=view):
         return loaded(entry, "view")(graph)
     names = ", ".join(sorted(e.name for e in entry_points(group="kinegraph.views")))
-    raise KinegraphError(f"there is no view {view!r}; valid are auto, none, {names}")
+    raise KinegraphError(f"there is no view {view!r}; valid are auto, {names}")
 
 
 def page_of(graph: Graph, *address: str, name: str = "page", **more: str | Path | None) -> Any:
