@@ -2,7 +2,8 @@
 
 Needs the folder of recordings that KINEGRAPH_DATA names: twelve exercises, done by two people (one of them twice). The repetitions that are
 found in one recording teach, each by the exercise that was annotated for most of it; those found in another are named. Open set: each
-exercise in turn is not taught, and should be `unknown`. `--write` puts the table into docs/segmentation-figures.md.
+exercise in turn is not taught, and should be `unknown`; then each is taught by itself. `--write` puts the tables into
+docs/segmentation-figures.md.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from itertools import permutations
+from itertools import permutations, product
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,8 @@ from stream.errors import KinegraphError
 
 Shown = dict[str, list[Samples]]
 """The repetitions (n, features) found in a recording, by the exercise that they are."""
+Sets = dict[str, dict[str, tuple[Shown, float]]]
+"""By kind and recording: what is found there, and the radius that it was found with."""
 
 
 def repetitions(features: Series, path: Path) -> tuple[Shown, float]:
@@ -68,14 +71,18 @@ def compare(shown: Shown, radius: float, done: Shown) -> list[str]:
     ]  # fmt: skip
 
 
-def naming(folder: Path) -> Section:
-    sets: dict[str, dict[str, tuple[Shown, float]]] = {}
+def exercises(folder: Path) -> Sets:
+    sets: Sets = {}
     for kind, name, pose, _ in poses(folder):
         if kind.startswith("exercises"):
             print(f"{kind}: {name} ...", file=sys.stderr, flush=True)
             sets.setdefault(kind, {})[name.partition("_12ch")[0]] = repetitions(
                 pose.through(Stack()), folder / "mocap6" / f"{name}.npz"
             )
+    return sets
+
+
+def naming(sets: Sets) -> Section:
     rows = []
     for kind, found in sets.items():
         for one, other in permutations(found, 2):
@@ -91,6 +98,34 @@ def naming(folder: Path) -> Section:
     return Section("Names across people", head, rows)
 
 
+def alone(sets: Sets) -> Section:
+    """Every name taught by itself: nothing competes with it then, and all else should be unknown."""
+    rows = []
+    for kind, found in sets.items():
+        right, wrong = [], []
+        for one, other in product(found, repeat=2):
+            shown, radius = found[one]
+            for name in shown:
+                try:
+                    model = taught([(name, shown[name])], radius)
+                except KinegraphError:
+                    continue
+                for what, called in named(model, found[other][0]):
+                    if what != name:
+                        wrong.append(called == name)
+                    elif one != other:
+                        right.append(called == name)
+        rows.append([kind, str(len(right)), str(sum(right)), str(len(wrong)), str(sum(wrong))])
+    head = [
+        "",
+        "repetitions of the taught exercise, in other recordings",
+        "of these named",
+        "repetitions of others",
+        "called by the taught name",
+    ]
+    return Section("One name alone", head, rows)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.naming", description=__doc__)
     parser.add_argument("--write", action="store_true", help="write the table into docs/segmentation-figures.md")
@@ -98,7 +133,8 @@ def main() -> None:
     folder = Path(os.environ.get("KINEGRAPH_DATA", "")) / "segmentation"
     if not os.environ.get("KINEGRAPH_DATA") or not folder.is_dir():
         sys.exit("KINEGRAPH_DATA must name a folder of recordings that holds `segmentation`")
-    sections = [naming(folder)]
+    sets = exercises(folder)
+    sections = [naming(sets), alone(sets)]
     print(whole(sections, "By `python -m bench.naming`."))
     if given.write:
         publish(sections, "By `python -m bench.naming`.", "segmentation-figures.md", *marks("bench.naming"))

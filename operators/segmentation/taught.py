@@ -27,9 +27,10 @@ SAID = re.compile(r"this is\b:?\s*(\S.*)", re.IGNORECASE)
 """An annotation that names what is being done."""
 LATELY_NS = 10 * 10**9
 """A name that is said after an exercise is its name, unless that ended so long ago."""
-REACHES = 2.0
-"""A repetition is of an exercise if it lies no further from those shown than REACHES times as far as they do from each other, or than
-the radius that they were found with; and nearer than to any other exercise."""
+REACHES = 1.5
+"""A repetition is of an exercise if it lies no further from those shown than REACHES times as far as they do from each other (median), or
+than the radius that they were found with; and nearer than to any other exercise. By the median, one of them that is unlike the
+others does not let everything pass."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +146,7 @@ def _reach(mine: list[Samples], radius: float) -> float:
     far, cost = np.empty((longest, longest)), np.empty((2, longest))
     between = [unlike(a, b, far, cost) for i, a in enumerate(mine) for b in mine[:i]]
     within = [d for d in between if d < math.inf]
-    return max(radius, REACHES * max(within)) if within else radius
+    return max(radius, REACHES * float(np.median(within))) if within else radius
 
 
 def _spread(all_: Sequence[Samples]) -> list[Samples]:

@@ -619,6 +619,16 @@ def kinegraph(*arguments: object) -> int | str | None:
     return ended.value.code
 
 
+def test_one_shown_repetition_that_is_unlike_the_others_does_not_let_everything_pass() -> None:
+    """Five of one kind, one of them far away: how far the rest lie from each other says what is of the kind."""
+    phase = np.linspace(0.0, 2.0 * np.pi, 40)[:, None]
+    shown = [np.hstack([np.sin(phase), np.cos(phase)]) * size for size in (1.0, 1.05, 1.1, 1.15, 2.0)]
+    model = taught([("circle", shown)], 0.05)
+    other = np.hstack([np.sin(phase), np.cos(phase)]) * 3.0
+    assert model.call(model.distances(other))[0] == UNKNOWN
+    assert model.call(model.distances(shown[0] * 0.97))[0] == "circle"
+
+
 def test_exercises_are_taught_from_one_person_and_named_live_on_another(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
