@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import json
 import os
 import random
 import shutil
@@ -31,6 +32,7 @@ from threading import Timer
 from xml.etree import ElementTree
 
 from stream.graph.parts import catalogue
+from tests.constants import KEPT
 from tests.golden_commands import SCENES
 from tests.laws.module_tests import own_commands, own_operators, own_tests
 
@@ -154,46 +156,55 @@ def drawn(seed: int, count: int) -> list[Mutant]:
 def tried(mutant: Mutant, tree: Path, seconds: float, broken: set[str]) -> tuple[str, float]:
     """What became of a mutant in this copy of the tree, and after how many seconds by the clock.
 
-    A failure counts if the same tests pass without the mutant. Tests that fail anyway are added to `broken` and left out.
+    A failure counts if the same tests pass without the mutant. Tests that fail anyway are added to `broken` and left out; those that
+    only take longer than there is time are asked again with the next mutant, whose kernels may be compiled already.
     """
     began = time.monotonic()
     changed = tree / mutant.path
     source = changed.read_bytes()
-    runs = _runs(mutant.path, mutant.code)
+    runs = _runs(mutant.path, mutant.code, mutant.line)
     if not runs:
         return "no tests", 0.0
     while True:
         changed.write_bytes(source[: mutant.start] + mutant.after.encode() + source[mutant.stop :])
         try:
-            failed = _first_failure(runs, tree, seconds, broken)
+            failed, _ = _first_failure(runs, tree, seconds, broken)
         finally:
             changed.write_bytes(source)
         took_s = time.monotonic() - began
         if not failed:
             return "survived", took_s
-        if not _first_failure([failed], tree, seconds, broken):
+        still, late = _first_failure([failed], tree, seconds, broken)
+        if not still:
             return "noticed", took_s
-        if "::" not in failed[0]:
+        if late or "::" not in failed[0]:
             return "survived", took_s  # one of these tests takes longer than that, with the mutant and without
         broken.add(failed[0])
 
 
-def _first_failure(runs: list[list[str]], tree: Path, seconds: float, broken: set[str]) -> list[str]:
-    """The arguments of pytest for what failed first, or did not end within this processor time; none if nothing failed."""
+def _first_failure(runs: list[list[str]], tree: Path, seconds: float, broken: set[str]) -> tuple[list[str], bool]:
+    """The arguments of pytest for what failed first, none if all passed; and whether that did not end within this processor time."""
     left_out = [word for name in sorted(broken) for word in ("--deselect", name)]
     for arguments in runs:
         if seconds > 1:
-            failed, used = _run([*arguments, *left_out], tree, seconds)
+            failed, used, ended = _run([*arguments, *left_out], tree, seconds)
             if failed:
-                return failed
+                return failed, ended
             seconds -= used
-    return []
+    return [], False
 
 
-def _runs(path: str, code: str = "") -> list[list[str]]:
+def _declares(path: str, line: int) -> bool:
+    """Whether a line stands outside all functions' bodies: there numbers are declared, which are compared before anything is compiled."""
+    tree = ast.parse((HOUSE / path).read_bytes())
+    functions = (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef))
+    return not any(one.body[0].lineno <= line <= (one.end_lineno or 0) for one in functions)
+
+
+def _runs(path: str, code: str, line: int) -> list[list[str]]:
     """The arguments of pytest for the tests of a module: golden answers of operators and commands, its own, the laws on operators in it.
 
-    For a line of `code` that declares a dataclass, those of how they are declared come first.
+    For a `line` that declares something, those of what is declared come first; for `code` that declares a dataclass, those of how, too.
     """
     module = path.removesuffix(".py").replace("/", ".").removesuffix(".__init__")
     found = {use: part.__module__ for use, part in catalogue(("operators",))[0].items()}
@@ -209,11 +220,14 @@ def _runs(path: str, code: str = "") -> list[list[str]]:
     uses = [use for use, home in found.items() if home == module]
     laws = [["tests/laws/test_laws.py", "-k", " or ".join(f"{use}-" for use in uses)]] if uses else []
     declared = [["tests/house/test_frozen.py"]] if code.startswith("@dataclass(") else []
+    if _declares(path, line) and module in json.loads(KEPT.read_text(encoding="utf-8")):
+        declared.append([f"tests/laws/test_constants.py::test_it_declares_what_it_did[{module}]"])
     return [*declared, *(tests for tests in (golden, nearest, commands, others) if tests), *laws]
 
 
-def _run(arguments: list[str], tree: Path, seconds: float) -> tuple[list[str], float]:
-    """Run these tests; returns the arguments for the one that failed (for all, if they took too long), or none, and the processor time."""
+def _run(arguments: list[str], tree: Path, seconds: float) -> tuple[list[str], float, bool]:
+    """Run these tests; returns the arguments for the one that failed (for all, if they took too long), or none, the processor time, and
+    whether they were ended from outside."""
     options = ["-x", "-q", "--junitxml=junit.xml", "-p", "no:cacheprovider", "-p", "tests.support.stop_in_time"]
     command = [sys.executable, "-m", "pytest", *options, *arguments]
     limited = ["/bin/sh", "-c", f'ulimit -t {ceil(seconds) + HANGS_S} && exec "$@"', "sh", *command]
@@ -228,7 +242,7 @@ def _run(arguments: list[str], tree: Path, seconds: float) -> tuple[list[str], f
     _, status, usage = os.wait4(running.pid, 0)
     hung.cancel()
     running.returncode = os.waitstatus_to_exitcode(status)
-    return _judged(arguments, tree, running.returncode), usage.ru_utime + usage.ru_stime
+    return _judged(arguments, tree, running.returncode), usage.ru_utime + usage.ru_stime, running.returncode < 0
 
 
 def _judged(arguments: list[str], tree: Path, code: int) -> list[str]:

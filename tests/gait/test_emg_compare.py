@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from operators.emg.commands.compare import compare
 from operators.emg.commands.comparison import compare_sessions, scatter, standardised
 from operators.emg.commands.comparison_page import stretches
-from operators.emg.commands.session_cycles import check_alike, joined, read_sessions
+from operators.emg.commands.session_cycles import _leave_out, check_alike, joined, read_sessions
 from operators.emg.commands.train_model import emg_model
 from operators.emg.emg_model import read_references
 from operators.emg.mixtures import PeakMixtures
@@ -165,3 +165,16 @@ def test_two_legs_of_one_session_stand_beside_each_other_muscle_by_muscle(tmp_pa
     with_file = PeakMixtures(cycles=500).open({port: one[0] for port, one in two_legs(4)[2].items()})["mixture"]
     made = read_references(tmp_path / "both.npz", with_file, ["L_TA", "L_SO", "R_SO", "R_TA"])
     assert (made.modes > 0).all() and made.cycles.tolist() == [20, 20, 20, 20], "each leg's own cycles"
+
+
+def test_what_a_review_left_out_is_nan_in_its_cycle_and_muscle_alone():
+    judged = np.array(
+        [(3, "SO", False), (4, "SO", True), (3, "TA", False), (3, "XX", False), (9, "TA", False)],
+        [("number", "i8"), ("name", "U8"), ("used", "?")],
+    )
+    curves = np.ones((3, 5, 2))
+    _leave_out(judged, np.array([2, 3, 4]), curves, StreamSpec((2,), channels=("TA", "SO")))
+    left = np.isnan(curves).all(axis=1)
+    assert np.array_equal(left, [[False, False], [True, True], [False, False]])
+    assert np.array_equal(np.isnan(curves).any(axis=1), left)
+    _leave_out(judged[:1], np.array([2, 3, 4]), np.ones((3, 5, 1)), StreamSpec((1,), channels=("TA",)))

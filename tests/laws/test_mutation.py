@@ -73,6 +73,36 @@ def test_a_module_is_tried_by_golden_answers_of_what_it_is_part_of() -> None:
     assert own_commands("operators.steering.fit", commands) == ["train-steering"]
 
 
+def test_numbers_outside_functions_are_compared_before_anything_is_compiled() -> None:
+    source = (HOUSE / "operators" / "gait" / "textbook.py").read_text(encoding="utf-8").splitlines()
+    table = next(k for k, line in enumerate(source, 1) if line.startswith("WORKS_PCT"))
+    inner = next(k for k, line in enumerate(source, 1) if line.startswith("def side_called")) + 2
+    first = "tests/laws/test_constants.py::test_it_declares_what_it_did[operators.gait.textbook]"
+    assert mutation._runs("operators/gait/textbook.py", "", table)[0] == [first]
+    assert [first] not in mutation._runs("operators/gait/textbook.py", "", inner)
+
+
+@pytest.mark.parametrize("ended", [False, True])
+def test_tests_that_only_take_too_long_are_asked_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ended: bool
+) -> None:
+    """Tests that fail without the mutant are left out from then on, but for those that ran out of time with it and without."""
+    (tmp_path / "module.py").write_text(SOURCE, encoding="utf-8")
+    asked = []
+
+    def run(arguments: list[str], tree: Path, seconds: float) -> tuple[list[str], float, bool]:
+        asked.append(arguments)
+        return ([] if "--deselect" in arguments else ["tests/a.py::test_b"]), 1.0, ended
+
+    monkeypatch.setattr(mutation, "_run", run)
+    monkeypatch.setattr(mutation, "_runs", lambda *_: [["tests/a.py"]])
+    broken: set[str] = set()
+    assert mutation.tried(Mutant("module.py", 5, 0, 1, "4", "(5)"), tmp_path, 60.0, broken)[0] == "survived"
+    assert broken == (set() if ended else {"tests/a.py::test_b"})
+    assert len(asked) == (2 if ended else 3)
+    assert (tmp_path / "module.py").read_text(encoding="utf-8") == SOURCE
+
+
 def test_nine_in_ten_must_be_noticed_of_those_that_change_anything(capsys: pytest.CaptureFixture[str]) -> None:
     made = [Mutant("a.py", k, 0, 1, str(k), f"({k + 1})") for k in range(12)]
     results = {m: "survived" if m.line in (3, 4) else "noticed" for m in made}
