@@ -4,8 +4,8 @@ FOLDER is that of bench.pose. Everybody gets the same 13 landmarks without noise
 kalidokit (npm, MIT) solves no shoulders, hands, neck or feet, so only elbows, wrists, knees and ankles count, and the directions of the
 eight bones between them; the hips are where they are in truth. It expects BlazePose's landmarks of somebody before a camera: sequences are
 turned so that their mean heading faces it, and once more so that every single frame does, which is the best case for it. Its trunk is
-damped as in its own example (hips .7, spine .45, chest .25). How its axes and sides lie on our skeleton is not documented: of all 16
-ways that one counts that has the least error in the sequences tested, so it is flattered a little.
+damped as in its own example (hips .7, spine .45, chest .25). How its axes and sides lie on our skeleton is not documented: the one of
+all 16 ways counts that has the least error in the tested sequences, which flatters it a little.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """`python -m tests.constants [--write]`: the numbers that operators/ and stream/ declare, against those that are kept; what changed.
 
 Kept are constants, defaults of functions, and defaults of dataclasses' fields: thresholds, table entries and sizes that no kernel has to be
-compiled for to be compared. A number that changes on purpose is written anew, and then stands in the change that reviewers read.
+compiled for to be compared. A number that changes on purpose is written again, and reviewers see it in the change.
 """
 
 from __future__ import annotations
