@@ -1,8 +1,9 @@
-"""What a function or a class depends on, as a hash: its own file, and what its code reaches in other files through global names.
+"""What a function or a class depends on, as a hash: a function's code, and what its names stand for, in its own file and in others.
 
-Kernels are cached under it, so an edit recompiles the kernels that it can change and no others. Names are followed to the values that they
-have when the fingerprint is taken: through functions, kernels, intrinsics and modules, of ours and of a user's; constants count by value.
-Of a class files alone count, so that nothing that a program changes while it runs can change the hash.
+Kernels are cached under it, so an edit recompiles the kernels that it can change and no others, in the file that was edited, too. Names are
+followed to the values that they have when the fingerprint is taken: through functions, kernels, intrinsics and modules, of ours and of a
+user's; constants count by value. What is none of these (a class, an object) counts by the file that it stands in, a library's object
+by the file that names it. Of a class files alone count, so that nothing that a program changes while it runs can change the hash.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import sysconfig
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
-from types import CodeType, FunctionType, ModuleType
+from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ _LIBRARIES = tuple(
 
 
 def fingerprint(function: Callable[..., Any]) -> str:
-    """A hash of the sources and constants that `function` depends on. Take it when the function's module is imported whole."""
+    """A hash of the code and constants that `function` depends on. Take it when the function's module is imported whole."""
     home = function.__module__.partition(".")[0]
     facts: set[str] = set()
     waiting: list[object] = [function]
@@ -40,18 +41,24 @@ def fingerprint(function: Callable[..., Any]) -> str:
         known.add(id(thing))
         seen.append(thing)
         if isinstance(thing, FunctionType):
-            facts.add(_source(thing))
-            found = list(_reached(thing))
+            facts.add(_code_of(thing))
+            found = dict(_reached(thing))
+            facts.update(
+                f"{thing.__module__}.{thing.__qualname__} {name} = {_told(value)}" for name, value in found.items()
+            )
+            if not all(_is_known(value, home) for value in found.values()):
+                facts.add(_source(thing))
         else:
-            found = [thing]
-        for value in found:
+            found = {"": thing}
+        for value in found.values():
             if constant := _constant(value):
                 facts.add(constant)
             elif isinstance(value, tuple | list | frozenset | set):
                 waiting += value
             elif _is_followed(value, home):
                 waiting += _inside(value)
-                facts.add(_file(_module_of(value)))
+                if _function_in(value) is None:
+                    facts.add(_file(_module_of(value)))
     return hashlib.sha256("\n".join(sorted(facts)).encode()).hexdigest()[:20]
 
 
@@ -76,7 +83,7 @@ def _leads(thing: object, home: str) -> tuple[frozenset[str], frozenset[object]]
         return frozenset(), frozenset()
     if isinstance(thing, FunctionType):
         later = (_hash_of(path) for path in _imported_later(thing, home))
-        named = (value for value in _reached(thing) if isinstance(value, FunctionType | type | Dispatcher))
+        named = (value for _, value in _reached(thing) if isinstance(value, FunctionType | type | Dispatcher))
         return frozenset((_source(thing), *later)), frozenset(named)
     if isinstance(thing, type):
         members = (getattr(m, "__func__", None) or getattr(m, "fget", m) for m in vars(thing).values())
@@ -94,17 +101,18 @@ def _imported_later(function: FunctionType, home: str) -> Iterator[str]:
             yield str(place / "__init__.py" if place.is_dir() else place.with_suffix(".py"))
 
 
-def _reached(function: FunctionType) -> Iterator[object]:
+def _reached(function: FunctionType) -> Iterator[tuple[str, object]]:
     """What the names in a function's code, defaults and closure stand for. A module's names are those that the code asks of modules."""
     names = set(_names(function.__code__))
-    reached = [function.__globals__[name] for name in names if name in function.__globals__]
-    for value in reached:
-        yield value
-        if isinstance(value, ModuleType):
-            yield from (vars(value)[name] for name in names if name in vars(value) and not _is_library(value))
-    yield from function.__defaults__ or ()
-    for cell in function.__closure__ or ():
-        yield cell.cell_contents
+    for name in names & function.__globals__.keys():
+        value = function.__globals__[name]
+        yield name, value
+        if isinstance(value, ModuleType) and not _is_library(value):
+            yield from ((f"{name}.{n}", vars(value)[n]) for n in names & vars(value).keys())
+    yield from ((f"default {k}", value) for k, value in enumerate(function.__defaults__ or ()))
+    yield from ((f"default {name}", value) for name, value in (function.__kwdefaults__ or {}).items())
+    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+    yield from ((f"closure {name}", cell.cell_contents) for name, cell in cells)
 
 
 def _names(code: CodeType) -> Iterator[str]:
@@ -121,10 +129,36 @@ def _constant(value: object) -> str | None:
     return f"{type(value).__name__} {value!r}" if isinstance(value, _PLAIN) else None
 
 
-def _inside(value: object) -> list[object]:
-    """The functions in a kernel or intrinsic, or the function itself; of any other object, the constants of its module."""
+def _told(value: object) -> str:
+    """Which value a name stands for: a constant itself, of others what they are called; no address, and no order of a set."""
+    if constant := _constant(value):
+        return constant
+    if isinstance(value, tuple | list):
+        return f"{type(value).__name__}({', '.join(map(_told, value))})"
+    if isinstance(value, frozenset | set):
+        return f"set({', '.join(sorted(map(_told, value)))})"
+    function = _function_in(value)
+    named = value if function is None else function
+    return f"{_module_of(named)}.{getattr(named, '__qualname__', type(named).__qualname__)}"
+
+
+def _is_known(value: object, home: str) -> bool:
+    """Whether all that can change of a value is found by its name, its constants, its functions, or the file that it stands in."""
+    if isinstance(value, tuple | list | frozenset | set):
+        return all(_is_known(v, home) for v in value)
+    named = isinstance(value, ModuleType | type | FunctionType | BuiltinFunctionType | Dispatcher | np.ufunc)
+    return named or _constant(value) is not None or _is_followed(value, home)
+
+
+def _function_in(value: object) -> FunctionType | None:
+    """The function in a kernel or an intrinsic, or the function itself."""
     function = getattr(value, "py_func", None) or getattr(value, "_defn", None) or value
-    if isinstance(function, FunctionType):
+    return function if isinstance(function, FunctionType) else None
+
+
+def _inside(value: object) -> list[object]:
+    """The function in a kernel or intrinsic, or the function itself; of any other object, the constants of its module."""
+    if (function := _function_in(value)) is not None:
         return [function]
     module = sys.modules.get(_module_of(value))
     return [] if module is None else [v for v in vars(module).values() if isinstance(v, (*_PLAIN, np.ndarray))]
@@ -152,8 +186,22 @@ def _is_library(module: ModuleType) -> bool:
 
 def _source(function: FunctionType) -> str:
     """The hash of a function's file; of its code alone, where there is no file (a notebook's cell)."""
-    code = function.__code__
-    return _hash_of(code.co_filename) or f"{code.co_code.hex()} {code.co_consts!r}"
+    return _hash_of(function.__code__.co_filename) or _code_of(function)
+
+
+@cache
+def _code_of(function: FunctionType) -> str:
+    """A function's code, wherever it stands: what it does, in which names and numbers."""
+    return f"{function.__module__}.{function.__qualname__} {hashlib.sha256(_written(function.__code__).encode()).hexdigest()}"
+
+
+def _written(code: CodeType) -> str:
+    constants = (
+        _written(c) if isinstance(c, CodeType) else repr(sorted(map(repr, c))) if isinstance(c, frozenset) else repr(c)
+        for c in code.co_consts
+    )
+    names = (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars)
+    return f"{code.co_code.hex()} {code.co_flags} {code.co_argcount} {names} ({', '.join(constants)})"
 
 
 def _file(name: str) -> str:

@@ -1,8 +1,9 @@
 """The one compiler: `@kernel` turns a function of arrays into machine code, cached so that no stale code is ever used.
 
-Numba's own disk cache watches one file, so an edit in a kernel that another file's kernel calls goes unseen. Here the folder in which a
-kernel is kept is named by its fingerprint (`stream.fingerprint`): a hash of all that its code depends on, of ours and of a user's. An edit
-opens new folders for the kernels that it can change; folders that were not used for a month are removed.
+Numba's own disk cache watches one file, so an edit in a kernel that another file's kernel calls goes unseen, and an edit of a file compiles
+all kernels in it. Here the folder in which a kernel is kept is named by its fingerprint (`stream.fingerprint`): a hash of all that its code
+depends on, of ours and of a user's; where its file lies and what else stands in it does not count. An edit opens new folders for the
+kernels that it can change; folders that were not used for a month are removed.
 """
 
 from __future__ import annotations
@@ -17,27 +18,23 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from threading import Lock
 from typing import Any, ParamSpec, TypeVar, overload
 
 import numba
 import platformdirs
 from numba.core import caching
-from numba.core import config as numba_config
 
 from stream.complete import complete, private_folder
 from stream.errors import KinegraphError
 from stream.fingerprint import fingerprint
 from stream.owners import refuse_shared
 
-config: Any = numba_config
 FunctionCache: Any = caching.FunctionCache
+CompileResultCacheImpl: Any = caching.CompileResultCacheImpl
 P = ParamSpec("P")
 R = TypeVar("R")
 
 _MONTH_S = 30 * 24 * 3600
-_choosing = Lock()
-"""Numba's folder is one setting for the whole process."""
 
 
 @overload
@@ -74,16 +71,42 @@ class _Kept:
     def __getattr__(self, name: str) -> Any:
         if self._opened is None:
             _load_numba()
-            folder = cache_folder() / f"{self._function.__module__}-{fingerprint(self._function)}"
-            refuse_shared(private_folder(folder), "a folder of compiled kernels")
-            os.utime(folder)
-            with _choosing:
-                before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
-                try:
-                    self._opened = FunctionCache(self._function)
-                finally:
-                    config.CACHE_DIR = before
+            self._opened = _KernelCache(self._function)
         return getattr(self._opened, name)
+
+
+class _Place:
+    """Where numba keeps a kernel: the folder of its fingerprint, which tells all that a file's age and a line's number would."""
+
+    def __init__(self, function: Callable[..., Any], file: str) -> None:
+        folder = cache_folder() / f"{function.__module__}-{fingerprint(function)}"
+        refuse_shared(private_folder(folder), "a folder of compiled kernels")
+        os.utime(folder)
+        self._folder, self._py_file = str(folder), file
+
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], file: str) -> _Place:
+        return cls(function, file)
+
+    def get_cache_path(self) -> str:
+        return self._folder
+
+    def ensure_cache_path(self) -> None:
+        private_folder(Path(self._folder))
+
+    def get_source_stamp(self) -> str:
+        return ""
+
+    def get_disambiguator(self) -> str:
+        return "kernel"
+
+
+class _KernelFiles(CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes = (_Place,)
+
+
+class _KernelCache(FunctionCache):  # type: ignore[misc]
+    _impl_class = _KernelFiles
 
 
 @cache

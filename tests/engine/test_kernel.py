@@ -171,3 +171,54 @@ def test_every_process_takes_the_same_fingerprints() -> None:
         for _ in range(2)
     }
     assert len(told) == 1 and len(told.pop()) > 60
+
+
+BESIDE = """
+from stream.kernel import kernel
+{more}
+A, B = {a}, {b}
+
+@kernel
+def outer(x):
+    return A * x + B
+
+@kernel
+def beside(x):
+    return x - {c}
+"""
+
+
+def test_an_edit_beside_a_kernel_compiles_nothing(tmp_path: Path) -> None:
+    """In its own file, too: another function, or lines that move it."""
+    cache = tmp_path / "cache"
+    write(tmp_path / "one_gain.py", BESIDE.format(more="", a=2.0, b=1.0, c=1))
+    assert run(tmp_path, "one_gain", cache)[1] > 0
+    write(tmp_path / "one_gain.py", BESIDE.format(more="# moved\n\n", a=2.0, b=1.0, c=2))
+    assert run(tmp_path, "one_gain", cache) == (7.0, 0)
+
+
+def test_the_same_file_elsewhere_compiles_nothing(tmp_path: Path) -> None:
+    for where in ("here", "there"):
+        write(tmp_path / where / "one_gain.py", BESIDE.format(more="", a=2.0, b=1.0, c=1))
+    assert run(tmp_path / "here", "one_gain", tmp_path / "cache")[1] > 0
+    assert run(tmp_path / "there", "one_gain", tmp_path / "cache") == (7.0, 0)
+
+
+def test_which_constant_and_which_function_a_name_stands_for_counts(tmp_path: Path) -> None:
+    """Two constants exchanged, and a library's function instead of another by the same name."""
+    cache = tmp_path / "cache"
+    write(tmp_path / "one_gain.py", BESIDE.format(more="", a=2.0, b=1.0, c=1))
+    assert run(tmp_path, "one_gain", cache)[0] == 7.0
+    write(tmp_path / "one_gain.py", BESIDE.format(more="", a=1.0, b=2.0, c=1))
+    assert run(tmp_path, "one_gain", cache)[0] == 5.0
+    named = "from math import {} as f\nfrom stream.kernel import kernel\n\n@kernel\ndef outer(x):\n    return f(x)\n"
+    write(tmp_path / "library_gain.py", named.format("floor"))
+    assert run(tmp_path, "library_gain", cache)[0] == 3.0
+    write(tmp_path / "library_gain.py", named.format("sqrt"))
+    assert run(tmp_path, "library_gain", cache)[0] == 3.0**0.5
+    for default, value in ((2.0, 6.0), (4.0, 12.0)):
+        write(
+            tmp_path / "default_gain.py",
+            f"from stream.kernel import kernel\n\n@kernel\ndef outer(x, by={default}):\n    return x * by\n",
+        )
+        assert run(tmp_path, "default_gain", cache)[0] == value
