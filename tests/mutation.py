@@ -218,11 +218,13 @@ def _runs(path: str, code: str, line: int) -> list[list[str]]:
     own = own_tests(module)
     nearest, others = own[:NEAREST], own[NEAREST:]
     uses = [use for use, home in found.items() if home == module]
-    laws = [["tests/laws/test_laws.py", "-k", " or ".join(f"{use}-" for use in uses)]] if uses else []
+    laws = [
+        f"tests/laws/test_laws.py::test_laws_{how}[{use}]" for use in uses for how in ("without_chance", "by_chance")
+    ]
     declared = [["tests/house/test_frozen.py"]] if code.startswith("@dataclass(") else []
     if _declares(path, line) and module in json.loads(KEPT.read_text(encoding="utf-8")):
         declared.append(["tests/laws/test_constants.py"])
-    return [*declared, *(tests for tests in (golden, nearest, commands, others) if tests), *laws]
+    return [*declared, *(tests for tests in (golden, nearest, commands, others, laws) if tests)]
 
 
 def _run(arguments: list[str], tree: Path, seconds: float) -> tuple[list[str], float, bool]:

@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
@@ -14,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stream.conformance import Broken, Conformance, checks, trials
+from stream.conformance import Conformance, checks, trials
 from stream.graph.parts import catalogue
 from stream.operator import Operator
 from stream.outlet import Outlet
@@ -31,31 +32,22 @@ def _found() -> tuple[dict[str, type[Operator[Any]]], dict[str, str]]:
 
 
 FOUND, FAILED = _found()
+each_operator = pytest.mark.parametrize("use", FOUND)
 
 
 @cache
-def _makers(use: str) -> list[Callable[[], Conformance]]:
-    return trials(FOUND[use])
+def _trials(use: str) -> list[Conformance]:
+    """An operator on each of its cases, made where they are asked for: some take seconds. One without cases fails."""
+    return [make() for make in trials(FOUND[use])]
 
 
-def _cases() -> list[tuple[str, int]]:
-    """(operator, case); one without cases has case -1, which fails."""
-    pairs = []
-    for use in FOUND:
-        try:
-            pairs += [(use, k) for k in range(len(_makers(use)))]
-        except Broken:
-            pairs.append((use, -1))
-    return pairs
-
-
-CASES = _cases()
-each_case = pytest.mark.parametrize(("use", "k"), CASES, ids=[f"{use}-{k}" for use, k in CASES])
-
-
-@cache
-def _trial(use: str, k: int) -> Conformance:
-    return _makers(use)[k]()
+@contextmanager
+def _named(case: str) -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:
+        error.add_note(f"on {case}")
+        raise
 
 
 def test_every_module_was_searched() -> None:
@@ -63,16 +55,22 @@ def test_every_module_was_searched() -> None:
     assert FOUND, "there must be operators"
 
 
-@each_case
-def test_laws_without_chance(use: str, k: int) -> None:
-    for check in checks(_trial(use, k)).values():
-        check()
+@each_operator
+def test_laws_without_chance(use: str) -> None:
+    for k, trial in enumerate(_trials(use)):
+        with _named(f"case {k}"):
+            for check in checks(trial).values():
+                check()
 
 
-@each_case
-def test_laws_by_chance(use: str, k: int) -> None:
-    trial = _trial(use, k)
+@each_operator
+def test_laws_by_chance(use: str) -> None:
+    for k, trial in enumerate(_trials(use)):
+        with _named(f"case {k}"):
+            _tried_by_chance(trial)
 
+
+def _tried_by_chance(trial: Conformance) -> None:
     @settings(max_examples=EXAMPLES, database=None)
     @given(data=st.data())
     def attempt(data: st.DataObject) -> None:
