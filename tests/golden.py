@@ -15,8 +15,9 @@ import sys
 import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import MISSING, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -60,47 +61,69 @@ def answers(use: str) -> Answers:
 
 
 def given(use: str) -> Iterator[tuple[str, str]]:
-    """One golden answer after the other, with its name."""
+    """One golden answer after the other, with its name; on all cases what costs little comes first, so that most changes are soon found."""
     cls = find(use)
     assert issubclass(cls, Operator)
-    for k, case in enumerate(cls.cases()):
-        for name, ask in _asked(case, first=k == 0):
-            for part, text in _caught(ask).items():
-                yield f"{k} {name} {part}".strip(), text
+    asked = [_Asked(k, case, tapes_of(case)) for k, case in enumerate(cls.cases())]
+    for questions in (_Asked.opened, _Asked.plain, _Asked.faults, _Asked.otherwise, _Asked.turned):
+        for one in asked:
+            for name, ask in questions(one):
+                for part, text in _caught(ask).items():
+                    yield f"{one.place} {name} {part}".strip(), text
 
 
-def _asked(case: Case, *, first: bool) -> Iterator[tuple[str, Callable[[], Answers]]]:
-    """Each question on a case; some are asked on the first one only."""
-    tapes = tapes_of(case)
-    size = max(1, max(len(t) for t in tapes.values()) // 20)
-    yield "plain", lambda: _played(case, steps(tapes, size))
-    yield "opened", lambda: _opened(case.operator, {port: t.spec for port, t in tapes.items()})
-    if first:
-        yield "declared", lambda: _declared(type(case.operator))
-    for k, faulty in enumerate(_faulty(tapes)):
-        yield f"fault-{k}", partial(_played, case, whole(faulty))
-    for name, other in otherwise(tapes, case.operator):
-        yield name, partial(_played_on, case, other)
-    if not first:
-        return
-    for port, tape in tapes.items():
-        for name, spec in _other_specs(tape.spec):
-            specs = {p: spec if p == port else t.spec for p, t in tapes.items()}
-            yield f"{port}-{name}", partial(_opened, case.operator, specs)
-    for field, value in _turned(case.operator):
-        yield f"{field}={value!r}", partial(_played_with, case, {field: value}, tapes)
-        yield f"{field}={value!r} rounded", partial(_played_with, case, {field: value}, with_data(tapes, rounded_off))
-        for faulty in _faulty(tapes)[:1]:
-            yield f"{field}={value!r} fault-0", partial(_played_with, case, {field: value}, faulty)
-    probes = {f"{field}?{value!r}": {field: value} for field, value in (*_probed(case.operator), *_by_rate(case))}
-    for name, given in probes.items():
-        yield name, partial(_given, case, given)
+Questions = Iterator[tuple[str, Callable[[], Answers]]]
 
 
-def _faulty(tapes: Tapes) -> list[Tapes]:
-    """The samples with at least two faults, drawn some times."""
-    drawn = (with_faults(random.Random(seed).randint, tapes, 2.0) for seed in range(50))
-    return [faulty for faulty, told in drawn if len(told) > 1][:FAULTS]
+@dataclass(slots=True)
+class _Asked:
+    """A case, and the questions on it, by what they cost; some are asked on the first case only."""
+
+    place: int
+    case: Case
+    tapes: Tapes
+    _faults: list[Tapes] | None = None
+
+    def opened(self) -> Questions:
+        """What needs no sample."""
+        yield "opened", lambda: _opened(self.case.operator, {port: t.spec for port, t in self.tapes.items()})
+        if self.place:
+            return
+        yield "declared", lambda: _declared(type(self.case.operator))
+        for port, tape in self.tapes.items():
+            for name, spec in _other_specs(tape.spec):
+                specs = {p: spec if p == port else t.spec for p, t in self.tapes.items()}
+                yield f"{port}-{name}", partial(_opened, self.case.operator, specs)
+        probed = (*_probed(self.case.operator), *_by_rate(self.case))
+        for name, given in {f"{field}?{value!r}": {field: value} for field, value in probed}.items():
+            yield name, partial(_given, self.case, given)
+
+    def plain(self) -> Questions:
+        size = max(1, max(len(t) for t in self.tapes.values()) // 20)
+        yield "plain", lambda: _played(self.case, steps(self.tapes, size))
+
+    def faults(self) -> Questions:
+        for k, faulty in enumerate(self._faulty()):
+            yield f"fault-{k}", partial(_played, self.case, whole(faulty))
+
+    def otherwise(self) -> Questions:
+        for name, other in otherwise(self.tapes, self.case.operator):
+            yield name, partial(_played_on, self.case, other)
+
+    def turned(self) -> Questions:
+        for field, value in () if self.place else _turned(self.case.operator):
+            yield f"{field}={value!r}", partial(_played_with, self.case, {field: value}, self.tapes)
+            rounded = with_data(self.tapes, rounded_off)
+            yield f"{field}={value!r} rounded", partial(_played_with, self.case, {field: value}, rounded)
+            for faulty in self._faulty()[:1]:
+                yield f"{field}={value!r} fault-0", partial(_played_with, self.case, {field: value}, faulty)
+
+    def _faulty(self) -> list[Tapes]:
+        """The samples with at least two faults, drawn some times."""
+        if self._faults is None:
+            drawn = (with_faults(random.Random(seed).randint, self.tapes, 2.0) for seed in range(50))
+            self._faults = [*islice((faulty for faulty, told in drawn if len(told) > 1), FAULTS)]
+        return self._faults
 
 
 def _caught(ask: Callable[[], Answers]) -> Answers:
@@ -297,9 +320,11 @@ def read(use: str) -> Answers:
 
 
 def write(use: str, found: Answers) -> None:
+    """Keep the answers, in the order of those that were kept before, so that only what changed is seen to change."""
     ANSWERS.mkdir(exist_ok=True)
     first: dict[str, str] = {}
     lines = []
+    found = {**{name: found[name] for name in read(use) if name in found}, **found}
     for name, text in found.items():
         lines.append(f"{name} | {SAME + first[text] if text in first and len(text) > len(SAME + name) else text}\n")
         first.setdefault(text, name)

@@ -5,6 +5,9 @@ answers of the operators and commands that it is part of, the tests nearest to i
 most a minute of processor time, however busy the machine is. Survivors are listed; exit code 1 if fewer than nine in ten were noticed. A
 survivor that changes nothing that anyone could see is named in equivalent_mutants.txt, with the reason.
 
+What is unchanged is compiled before, outside of the minute: golden-answer tests run once on the unchanged tree, when they are first to be
+asked. Kernels are cached by their code, so with a mutant only those are compiled that its change reaches.
+
 In pieces: `--skip 10 --count 20` tries the second ten, and `--tree FOLDER` keeps the copy, so that the next piece finds its kernels
 compiled.
 """
@@ -13,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import compileall
 import json
 import os
 import random
@@ -21,14 +25,14 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import ceil
 from pathlib import Path
+from py_compile import PycInvalidationMode
 from queue import SimpleQueue
-from threading import Timer
+from threading import Lock, Timer
 from xml.etree import ElementTree
 
 from stream.graph.parts import catalogue
@@ -63,6 +67,9 @@ ONE_THREAD = dict.fromkeys(
 """Threads of linear algebra wait for each other by turning round: two of them use up the minute in half of it, and do no more."""
 NEAREST = 3
 """So many of a module's own test files come before the golden answers of commands, which take longer."""
+COMPILES_S = 600
+"""Processor time for a golden-answer test on the unchanged tree, with nothing compiled."""
+GOLDEN = ("tests/laws/test_golden_answers.py::", "tests/laws/test_golden_commands.py::")
 INTERRUPTED = 2
 """How pytest ends where it began no other test."""
 OPERATORS: dict[type[ast.AST], type[ast.AST]] = {
@@ -153,45 +160,67 @@ def drawn(seed: int, count: int) -> list[Mutant]:
     return random.Random(seed).sample(every, min(count, len(every)))
 
 
-def tried(mutant: Mutant, tree: Path, seconds: float, broken: set[str]) -> tuple[str, float]:
-    """What became of a mutant in this copy of the tree, and after how many seconds by the clock.
+@dataclass(slots=True)
+class Unchanged:
+    """Golden-answer tests on the unchanged tree, each run once a session: what they need is compiled then, and what fails is `broken`."""
+
+    broken: set[str]
+    _begun: dict[str, Lock] = field(default_factory=dict)
+    _ended: set[str] = field(default_factory=set)
+
+    def compiled(self, mutant: Mutant, tree: Path) -> None:
+        """Return when those that this mutant is to be tried by have run, in this copy of the tree or in another one."""
+        named = (
+            name for run in _runs(mutant.path, mutant.code, mutant.line) for name in run if name.startswith(GOLDEN)
+        )
+        for name in named:
+            with self._begun.setdefault(name, Lock()):
+                if name in self._ended:
+                    continue
+                failed, _, late = _run([name], tree, COMPILES_S)
+                if failed and not late:
+                    self.broken.add(name)
+                self._ended.add(name)
+
+
+def tried(mutant: Mutant, tree: Path, seconds: float, broken: set[str]) -> tuple[str, float, str]:
+    """What became of a mutant in this copy of the tree, after how many seconds of processor time, and which test noticed it.
 
     A failure counts if the same tests pass without the mutant. Tests that fail anyway are added to `broken` and left out; those that
     only take longer than there is time are asked again with the next mutant, whose kernels may be compiled already.
     """
-    began = time.monotonic()
     changed = tree / mutant.path
     source = changed.read_bytes()
     runs = _runs(mutant.path, mutant.code, mutant.line)
     if not runs:
-        return "no tests", 0.0
+        return "no tests", 0.0, ""
     while True:
         changed.write_bytes(source[: mutant.start] + mutant.after.encode() + source[mutant.stop :])
         try:
-            failed, _ = _first_failure(runs, tree, seconds, broken)
+            failed, used = _first_failure(runs, tree, seconds, broken)
         finally:
             changed.write_bytes(source)
-        took_s = time.monotonic() - began
         if not failed:
-            return "survived", took_s
-        still, late = _first_failure([failed], tree, seconds, broken)
+            return "survived", used, ""
+        still, _, late = _run(failed, tree, seconds)
         if not still:
-            return "noticed", took_s
+            return "noticed", used, failed[0]
         if late or "::" not in failed[0]:
-            return "survived", took_s  # one of these tests takes longer than that, with the mutant and without
+            return "survived", used, ""  # one of these tests takes longer than that, with the mutant and without
         broken.add(failed[0])
 
 
-def _first_failure(runs: list[list[str]], tree: Path, seconds: float, broken: set[str]) -> tuple[list[str], bool]:
-    """The arguments of pytest for what failed first, none if all passed; and whether that did not end within this processor time."""
+def _first_failure(runs: list[list[str]], tree: Path, seconds: float, broken: set[str]) -> tuple[list[str], float]:
+    """The arguments of pytest for what failed first within this processor time, none if all passed; and how much of it was used."""
     left_out = [word for name in sorted(broken) for word in ("--deselect", name)]
+    total = 0.0
     for arguments in runs:
-        if seconds > 1:
-            failed, used, ended = _run([*arguments, *left_out], tree, seconds)
+        if seconds - total > 1:
+            failed, used, _ = _run([*arguments, *left_out], tree, seconds - total)
+            total += used
             if failed:
-                return failed, ended
-            seconds -= used
-    return [], False
+                return failed, total
+    return [], total
 
 
 def _declares(path: str, line: int) -> bool:
@@ -205,26 +234,25 @@ def _runs(path: str, code: str, line: int) -> list[list[str]]:
     """The arguments of pytest for the tests of a module: golden answers of operators and commands, its own, the laws on operators in it.
 
     For a `line` that declares something, those of what is declared come first; for `code` that declares a dataclass, those of how, too.
+    Then golden answers of the nearest operator and the nearest tests, in one process, since imports take seconds in each; all others in
+    a second one.
     """
     module = path.removesuffix(".py").replace("/", ".").removesuffix(".__init__")
     found = {use: part.__module__ for use, part in catalogue(("operators",))[0].items()}
-    golden = [
-        f"tests/laws/test_golden_answers.py::test_it_answers_as_it_did[{use}]" for use in own_operators(module, found)
-    ]
-    commands = [
-        f"tests/laws/test_golden_commands.py::test_it_answers_as_it_did[{name}]"
-        for name in own_commands(module, {name: home for name, (home, _) in SCENES.items()})
-    ]
+    answers, commands = (f"{place}test_it_answers_as_it_did" for place in GOLDEN)
+    golden = [f"{answers}[{use}]" for use in own_operators(module, found)]
+    scenes = {name: home for name, (home, _) in SCENES.items()}
+    golden_commands = [f"{commands}[{name}]" for name in own_commands(module, scenes)]
     own = own_tests(module)
-    nearest, others = own[:NEAREST], own[NEAREST:]
     uses = [use for use, home in found.items() if home == module]
     laws = [
         f"tests/laws/test_laws.py::test_laws_{how}[{use}]" for use in uses for how in ("without_chance", "by_chance")
     ]
-    declared = [["tests/house/test_frozen.py"]] if code.startswith("@dataclass(") else []
+    declared = ["tests/house/test_frozen.py"] if code.startswith("@dataclass(") else []
     if _declares(path, line) and module in json.loads(KEPT.read_text(encoding="utf-8")):
-        declared.append(["tests/laws/test_constants.py"])
-    return [*declared, *(tests for tests in (golden, nearest, commands, others, laws) if tests)]
+        declared.append("tests/laws/test_constants.py")
+    first = [*declared, *golden[:1], *own[:NEAREST]]
+    return [run for run in (first, [*golden[1:], *golden_commands, *own[NEAREST:], *laws]) if run]
 
 
 def _run(arguments: list[str], tree: Path, seconds: float) -> tuple[list[str], float, bool]:
@@ -271,6 +299,8 @@ def copy_to(place: Path) -> Path:
         else:
             place.mkdir(parents=True, exist_ok=True)
             shutil.copy2(source, place / name)
+    checked = PycInvalidationMode.CHECKED_HASH  # a mutant may be as old and as long as what it changes
+    compileall.compile_dir(place, quiet=2, invalidation_mode=checked)
     return place
 
 
@@ -292,6 +322,7 @@ def main() -> int:
     chosen = [m for m in drawn(given.seed, given.count)[given.skip :] if any(text in str(m) for text in given.only)]
     results: dict[Mutant, str] = {}
     broken: set[str] = set()
+    unchanged = Unchanged(broken)
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder, ThreadPoolExecutor(given.jobs) as pool:
         trees: SimpleQueue[Path] = SimpleQueue()
         for k in range(given.jobs):
@@ -300,10 +331,11 @@ def main() -> int:
         def one(mutant: Mutant) -> None:
             tree = trees.get()
             try:
-                results[mutant], seconds = tried(mutant, tree, given.seconds, broken)
+                unchanged.compiled(mutant, tree)
+                results[mutant], seconds, by = tried(mutant, tree, given.seconds, broken)
             finally:
                 trees.put(tree)
-            print(f"{len(results):3} {results[mutant]:<9} {seconds:4.0f} s  {mutant}", flush=True)
+            print(f"{len(results):3} {results[mutant]:<9} {seconds:4.0f} s  {mutant}  {by}", flush=True)
 
         list(pool.map(one, chosen))
     for name in sorted(broken):

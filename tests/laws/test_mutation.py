@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -78,8 +80,41 @@ def test_numbers_outside_functions_are_compared_before_anything_is_compiled() ->
     table = next(k for k, line in enumerate(source, 1) if line.startswith("WORKS_PCT"))
     inner = next(k for k, line in enumerate(source, 1) if line.startswith("def side_called")) + 2
     first = "tests/laws/test_constants.py"
-    assert mutation._runs("operators/gait/textbook.py", "", table)[0] == [first]
-    assert [first] not in mutation._runs("operators/gait/textbook.py", "", inner)
+    assert mutation._runs("operators/gait/textbook.py", "", table)[0][0] == first
+    assert not any(first in run for run in mutation._runs("operators/gait/textbook.py", "", inner))
+
+
+def test_the_nearest_operators_answers_and_the_nearest_tests_come_first_in_one_process(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(mutation, "_declares", lambda *_: False)
+    first, others = mutation._runs("operators/depth/motion.py", "", 1)
+    assert first[0] == "tests/laws/test_golden_answers.py::test_it_answers_as_it_did[operators.depth.motion.Motion]"
+    assert first[1] == "tests/sleep/test_depth_motion.py"
+    assert others[-1] == "tests/laws/test_laws.py::test_laws_by_chance[operators.depth.motion.Motion]"
+
+
+@pytest.mark.parametrize("code", [0, 1, -9])
+def test_what_is_unchanged_is_compiled_once_however_many_mutants_come_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int
+) -> None:
+    """Golden answers only; those that fail without any mutant are left out, but not those that take long."""
+    answers = f"{mutation.GOLDEN[0]}test_it_answers_as_it_did[operators.Some]"
+    asked = []
+
+    def run(arguments: list[str], tree: Path, seconds: float) -> tuple[list[str], float, bool]:
+        asked.append(arguments)
+        assert seconds == mutation.COMPILES_S
+        time.sleep(0.01)
+        return (arguments if code else []), 1.0, code < 0
+
+    monkeypatch.setattr(mutation, "_run", run)
+    monkeypatch.setattr(mutation, "_runs", lambda *_: [[answers, "tests/a.py"]])
+    unchanged = mutation.Unchanged(set())
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda k: unchanged.compiled(Mutant("module.py", k, 0, 1, "4", "(5)"), tmp_path), range(8)))
+    assert asked == [[answers]]
+    assert unchanged.broken == ({answers} if code > 0 else set())
 
 
 @pytest.mark.parametrize("ended", [False, True])
