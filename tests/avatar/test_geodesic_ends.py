@@ -51,13 +51,15 @@ def test_a_head_that_an_arm_cuts_off_is_an_end() -> None:
     assert any(row < 6 for row, _ in ends), "nothing above the arm is found"
 
 
-def test_a_few_pixels_beside_the_body_are_none() -> None:
-    depth = figure()
-    depth[20:22, 38:41] = 2000
+@pytest.mark.parametrize(("pixels", "noise"), [(6, True), (11, True), (12, False)])
+def test_a_few_pixels_beside_the_body_are_none(pixels: int, noise: bool) -> None:
+    depth, beside = figure(), np.zeros((60, 48), bool)
+    beside[20:23, 38:42] = (np.arange(12) < pixels).reshape(3, 4)
+    depth[beside] = 2000
     points = surface(depth)
     ends, distance, _ = searched(points)
-    assert all(column < 37 for _, column in ends)
-    assert np.isnan(points[20:22, 38:41]).all() and np.isinf(distance.reshape(60, 48)[20:22, 38:41]).all()
+    assert not noise or all(column < 37 for _, column in ends)
+    assert np.isnan(points[beside]).all() == noise and np.isinf(distance.reshape(60, 48)[beside]).all() == noise
 
 
 def test_a_way_back_does_not_lead_over_a_leap() -> None:

@@ -253,3 +253,15 @@ def test_a_belt_at_another_speed_is_another_stage_and_an_uneven_one_is_not():
 def test_a_joint_mixture_of_two_limbs_is_refused():
     with pytest.raises(ParameterError, match="channels of one limb"):
         drive(PeakMixtures(joint=(("L_TA", "R_TA"),)), two_legs(4)[2])
+
+
+def test_a_stage_is_judged_when_a_session_that_begins_with_it_is():
+    """Windows are counted from the stage's first cycle on, whatever was left of one before."""
+    both = staged(moved(bursts(90), 78), ["a"] * 41 + ["b"] * 49)
+    alone = {
+        port: (spec, time[keep], rows[keep])
+        for port, (spec, time, rows) in both.items()
+        for keep in ((rows if port == "maxima" else both["closed"][2])["number"] > 41,)
+    }
+    found, wanted = (drifted(inputs)["change"] for inputs in (both, alone))
+    assert found[1].tolist() == wanted[1].tolist() and len(wanted[1]) == 1
