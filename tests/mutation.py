@@ -162,32 +162,41 @@ def drawn(seed: int, count: int) -> list[Mutant]:
 
 @dataclass(slots=True)
 class Unchanged:
-    """Golden-answer tests on the unchanged tree, each run once a session: what they need is compiled then, and what fails is `broken`."""
+    """What is known of tests on the unchanged tree: which are `passing`, which are `broken`. Golden answers run on it once a session."""
 
-    broken: set[str]
+    broken: set[str] = field(default_factory=set)
+    passing: set[str] = field(default_factory=set)
     _begun: dict[str, Lock] = field(default_factory=dict)
     _ended: set[str] = field(default_factory=set)
 
     def compiled(self, mutant: Mutant, tree: Path) -> None:
-        """Return when those that this mutant is to be tried by have run, in this copy of the tree or in another one."""
-        named = (
-            name for run in _runs(mutant.path, mutant.code, mutant.line) for name in run if name.startswith(GOLDEN)
-        )
-        for name in named:
-            with self._begun.setdefault(name, Lock()):
-                if name in self._ended:
-                    continue
-                failed, _, late = _run([name], tree, COMPILES_S)
-                if failed and not late:
-                    self.broken.add(name)
-                self._ended.add(name)
+        """Return when the golden answers that this mutant is tried by have run, in this copy of the tree or in another one."""
+        for run in _runs(mutant.path, mutant.code, mutant.line):
+            for name in (one for one in run if one.startswith(GOLDEN)):
+                with self._begun.setdefault(name, Lock()):
+                    if name not in self._ended:
+                        self.passes([name], tree, COMPILES_S)
+                        self._ended.add(name)
+
+    def passes(self, arguments: list[str], tree: Path, seconds: float) -> bool | None:
+        """Whether tests that are asked by these arguments pass; None where that takes longer than this, or no one test has failed."""
+        if self.passing.issuperset(arguments):
+            return True
+        failed, _, late = _run(arguments, tree, seconds)
+        if not failed:
+            self.passing.update(arguments if len(arguments) == 1 else ())
+            return True
+        if late or len(failed) > 1 or "::" not in failed[0]:
+            return None
+        self.broken.add(failed[0])
+        return False
 
 
-def tried(mutant: Mutant, tree: Path, seconds: float, broken: set[str]) -> tuple[str, float, str]:
+def tried(mutant: Mutant, tree: Path, seconds: float, unchanged: Unchanged) -> tuple[str, float, str]:
     """What became of a mutant in this copy of the tree, after how many seconds of processor time, and which test noticed it.
 
-    A failure counts if the same tests pass without the mutant. Tests that fail anyway are added to `broken` and left out; those that
-    only take longer than there is time are asked again with the next mutant, whose kernels may be compiled already.
+    A failure counts if the same tests pass without the mutant. Tests that fail anyway are left out from then on; those that only take
+    longer than there is time are asked again with the next mutant, whose kernels may be compiled already.
     """
     changed = tree / mutant.path
     source = changed.read_bytes()
@@ -197,17 +206,16 @@ def tried(mutant: Mutant, tree: Path, seconds: float, broken: set[str]) -> tuple
     while True:
         changed.write_bytes(source[: mutant.start] + mutant.after.encode() + source[mutant.stop :])
         try:
-            failed, used = _first_failure(runs, tree, seconds, broken)
+            failed, used = _first_failure(runs, tree, seconds, unchanged.broken)
         finally:
             changed.write_bytes(source)
         if not failed:
             return "survived", used, ""
-        still, _, late = _run(failed, tree, seconds)
-        if not still:
-            return "noticed", used, failed[0]
-        if late or "::" not in failed[0]:
-            return "survived", used, ""  # one of these tests takes longer than that, with the mutant and without
-        broken.add(failed[0])
+        match unchanged.passes(failed, tree, seconds):
+            case True:
+                return "noticed", used, failed[0]
+            case None:
+                return "survived", used, ""  # one of these tests takes longer than that, with the mutant and without
 
 
 def _first_failure(runs: list[list[str]], tree: Path, seconds: float, broken: set[str]) -> tuple[list[str], float]:
@@ -321,8 +329,7 @@ def main() -> int:
     equivalent = {line.rpartition("  # ")[0].strip() for line in EQUIVALENT.read_text(encoding="utf-8").splitlines()}
     chosen = [m for m in drawn(given.seed, given.count)[given.skip :] if any(text in str(m) for text in given.only)]
     results: dict[Mutant, str] = {}
-    broken: set[str] = set()
-    unchanged = Unchanged(broken)
+    unchanged = Unchanged()
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder, ThreadPoolExecutor(given.jobs) as pool:
         trees: SimpleQueue[Path] = SimpleQueue()
         for k in range(given.jobs):
@@ -332,13 +339,13 @@ def main() -> int:
             tree = trees.get()
             try:
                 unchanged.compiled(mutant, tree)
-                results[mutant], seconds, by = tried(mutant, tree, given.seconds, broken)
+                results[mutant], seconds, by = tried(mutant, tree, given.seconds, unchanged)
             finally:
                 trees.put(tree)
             print(f"{len(results):3} {results[mutant]:<9} {seconds:4.0f} s  {mutant}  {by}", flush=True)
 
         list(pool.map(one, chosen))
-    for name in sorted(broken):
+    for name in sorted(unchanged.broken):
         print(f"fails without any mutant, and was left out: {name}")
     return told(results, equivalent)
 

@@ -110,11 +110,29 @@ def test_what_is_unchanged_is_compiled_once_however_many_mutants_come_at_once(
 
     monkeypatch.setattr(mutation, "_run", run)
     monkeypatch.setattr(mutation, "_runs", lambda *_: [[answers, "tests/a.py"]])
-    unchanged = mutation.Unchanged(set())
+    unchanged = mutation.Unchanged()
     with ThreadPoolExecutor(4) as pool:
         list(pool.map(lambda k: unchanged.compiled(Mutant("module.py", k, 0, 1, "4", "(5)"), tmp_path), range(8)))
     assert asked == [[answers]]
     assert unchanged.broken == ({answers} if code > 0 else set())
+    assert unchanged.passing == ({answers} if not code else set())
+
+
+def test_what_passes_without_a_mutant_is_not_asked_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "module.py").write_text(SOURCE, encoding="utf-8")
+    asked = []
+
+    def run(arguments: list[str], tree: Path, seconds: float) -> tuple[list[str], float, bool]:
+        asked.append(arguments)
+        return (["tests/a.py::test_b"] if "(5)" in (tree / "module.py").read_text(encoding="utf-8") else []), 3.0, False
+
+    monkeypatch.setattr(mutation, "_run", run)
+    monkeypatch.setattr(mutation, "_runs", lambda *_: [["tests/a.py"]])
+    unchanged = mutation.Unchanged()
+    for _ in range(2):
+        told_so = mutation.tried(Mutant("module.py", 5, 0, 1, "4", "(5)"), tmp_path, 60.0, unchanged)
+        assert told_so == ("noticed", 3.0, "tests/a.py::test_b")
+    assert asked == [["tests/a.py"], ["tests/a.py::test_b"], ["tests/a.py"]]
 
 
 @pytest.mark.parametrize("ended", [False, True])
@@ -131,11 +149,23 @@ def test_tests_that_only_take_too_long_are_asked_again(
 
     monkeypatch.setattr(mutation, "_run", run)
     monkeypatch.setattr(mutation, "_runs", lambda *_: [["tests/a.py"]])
-    broken: set[str] = set()
-    assert mutation.tried(Mutant("module.py", 5, 0, 1, "4", "(5)"), tmp_path, 60.0, broken)[0] == "survived"
-    assert broken == (set() if ended else {"tests/a.py::test_b"})
+    unchanged = mutation.Unchanged()
+    assert mutation.tried(Mutant("module.py", 5, 0, 1, "4", "(5)"), tmp_path, 60.0, unchanged)[0] == "survived"
+    assert unchanged.broken == (set() if ended else {"tests/a.py::test_b"})
     assert len(asked) == (2 if ended else 3)
     assert (tmp_path / "module.py").read_text(encoding="utf-8") == SOURCE
+
+
+def test_tests_that_cannot_be_collected_without_a_mutant_either_say_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "module.py").write_text(SOURCE, encoding="utf-8")
+    named = ["tests/a.py::test_b", "tests/c.py"]
+    monkeypatch.setattr(mutation, "_run", lambda *_: ([*named, "--collect-only"], 1.0, False))
+    monkeypatch.setattr(mutation, "_runs", lambda *_: [named])
+    unchanged = mutation.Unchanged()
+    assert mutation.tried(Mutant("module.py", 5, 0, 1, "4", "(5)"), tmp_path, 60.0, unchanged)[0] == "survived"
+    assert not unchanged.broken and not unchanged.passing
 
 
 def test_nine_in_ten_must_be_noticed_of_those_that_change_anything(capsys: pytest.CaptureFixture[str]) -> None:

@@ -241,6 +241,14 @@ def test_a_table_of_nights_names_who_slept_where_it_is_known(tmp_path: Path) -> 
     ]
 
 
+@pytest.mark.parametrize("field", ["both_sleep", "both_wake", "false_sleep", "false_wake", "unknown"])
+def test_the_interval_of_a_count_that_all_persons_share_is_their_sum(field: str) -> None:
+    nights = [Confusion(10, 20, 30, 40, 50)] * 3 + [Confusion(1, 2, 3, 4, 5)] * 3
+    low, high = interval(nights, ["a", "b", "c"] * 2, lambda pooled: float(getattr(pooled, field)))
+    wanted = 3 * (getattr(nights[0], field) + getattr(nights[3], field))
+    assert (low, high) == (wanted, wanted)
+
+
 def test_the_interval_of_pooled_numbers_is_that_of_persons_not_of_epochs() -> None:
     good, bad = Confusion(90, 9, 1, 0, 0), Confusion(50, 5, 5, 40, 0)
     alike = interval([good] * 6, list("abcdef"), lambda c: c.sensitivity)
