@@ -161,7 +161,10 @@ def _inside(value: object) -> list[object]:
     if (function := _function_in(value)) is not None:
         return [function]
     module = sys.modules.get(_module_of(value))
-    return [] if module is None else [v for v in vars(module).values() if isinstance(v, (*_PLAIN, np.ndarray))]
+    own = (
+        {} if module is None else {k: v for k, v in vars(module).items() if not k.startswith("__")}
+    )  # not where its file lies
+    return [v for v in own.values() if isinstance(v, (*_PLAIN, np.ndarray))]
 
 
 def _module_of(value: object) -> str:

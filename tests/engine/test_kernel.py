@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import textwrap
@@ -13,6 +14,7 @@ import pytest
 
 from stream.kernel import kernel
 
+HOUSE = Path(__file__).resolve().parents[2]
 RUN = """
 import sys
 sys.path.insert(0, {folder!r})
@@ -159,18 +161,26 @@ def test_an_edit_elsewhere_compiles_nothing(tmp_path: Path) -> None:
     assert run(tmp_path, "outer_gain", cache) == (31.0, 0)
 
 
-def test_every_process_takes_the_same_fingerprints() -> None:
-    """No address, order of a set or time of day may get into one: the cache would never be found again."""
+def test_every_process_takes_the_same_fingerprints(tmp_path: Path) -> None:
+    """No address, order of a set or time of day may get into one, nor where the tree lies: the cache would never be found again."""
     code = (
-        "import operators.neighbours.operator as o, operators.iir as i\n"
+        "import operators.neighbours.operator as o, operators.neighbours.layout as l, operators.iir as i\n"
+        "import operators.segmentation.operator as s, operators.segmentation.exemplars as e, stream\n"
         "from stream.fingerprint import fingerprint as f\n"
-        "print([f(v.py_func) for m in (o, i) for n, v in sorted(vars(m).items()) if hasattr(v, 'py_func')])"
+        "print([f(v.py_func) for m in (o, l, i, s, e) for n, v in sorted(vars(m).items()) if hasattr(v, 'py_func')])\n"
+        "print(stream.__path__)"
     )
-    told = {
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-        for _ in range(2)
-    }
-    assert len(told) == 1 and len(told.pop()) > 60
+    for package in ("stream", "operators"):
+        shutil.copytree(HOUSE / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    environment = {**os.environ, "PYTHONPATH": ""}
+    told = [
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=place, env=environment
+        ).stdout.splitlines()
+        for place in (HOUSE, HOUSE, tmp_path)
+    ]
+    assert told[0][0] == told[1][0] == told[2][0] and len(told[0][0]) > 60
+    assert str(tmp_path) in told[2][1] and told[0][1] == told[1][1] != told[2][1]
 
 
 BESIDE = """
