@@ -5,12 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import permutations
 from typing import ClassVar
 
 import numpy as np
 
 from operators.body.bones import possible
+from operators.body.ends import (
+    CUT_M,
+    ENDS,
+    MOST_ENDS,
+    ROUND_M,
+    USUAL,
+    border_of,
+    cheapest,
+    costs,
+    cut_off,
+    head_cut_off,
+    outside,
+)
 from operators.body.facing import CELLS, facing_of, shape_of, weights
 from operators.body.geodesic_kernel import (
     area_around,
@@ -28,11 +40,6 @@ from stream.filter import reset_gap
 from stream.operator import Case, Operator, grid
 from stream.params import param
 
-ENDS = ("head", "left hand", "right hand", "left foot", "right foot")
-USUAL = np.array([(0.0, 0.72), (0.35, 0.1), (-0.35, 0.1), (0.12, -0.85), (-0.12, -0.85)])
-"""Where the ends are from the middle of a body that stands, to its left and upwards (m, for 1.75 m)."""
-MEMORY = np.array([0.4, 0.8, 0.8, 0.5, 0.5])
-"""How much where an end was counts against where it usually is: a head and feet that were mistaken for another must be found again."""
 JOINTS = (
     ((0.10, "head", 0.09),),
     ((0.13, "left_wrist", 0.025), (0.38, "left_elbow", 0.035)),
@@ -41,24 +48,16 @@ JOINTS = (
     ((0.03, "right_toe", 0.02), (0.15, "right_ankle", 0.04), (0.55, "right_knee", 0.055)),
 )
 """By end: how far back along the surface a marker lies (m, for 1.75 m), which one, how far inside the body."""
-MOST_ENDS = 6
-"""How many ends are searched for: knees and elbows may lie farther out than the head."""
-ORDERS = np.array(list(permutations(range(MOST_ENDS + 1), len(ENDS))))
-"""Every way to give the ends to what was found; the last number: it is none of them."""
 INSIDE = {"shoulder": (0.08, 0.08), "hip": (0.11, 0.04)}
 """How far inside the trunk its middle is there (m, for 1.75 m): seen from the front, and how much farther from the side."""
 HIPS_AT, WAYS = 0.42, (1.3, 2.6)
 """The hips lie so far along the way from head to foot, as a share of it; and how long such a way is (m, for 1.75 m)."""
 NEAR_AXIS_M = 0.10
 """The trunk's surface is what is seen within this distance of its axis."""
-ROUND_M, UNLIKE = 0.18, 0.4
-AREAS, HEADS, TIPS = (0.014, 0.019, 0.030, 0.036), (1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 1.0, 1.0)
-"""The visible surface within ROUND_M of an end (m2, for 1.75 m), and by how much it rules out a head, a hand or foot: hands and feet show
-0.005 to 0.016, heads 0.019 to 0.030, knees mostly more; what it costs to take one for the other (m)."""
 MOST_WIDTH = 160
 LEAST_PIXELS = 60
-FAR_M, LEAP_M, REMEMBERED_S = 0.55, 0.35, 0.5
-"""An end farther from where it is expected is not taken for it; one that leaps farther from a frame to the next is doubtful."""
+LEAP_M, REMEMBERED_S = 0.35, 0.5
+"""An end that leaps farther from a frame to the next is doubtful; of a body that does, nothing that was remembered holds."""
 KEEPS = 0.8
 TOWARDS = (0.0, -0.3)
 """What speaks for facing the camera as long as nothing is known."""
@@ -73,6 +72,7 @@ class ExtremaState:
     heading  (2,)    x and z of where the person faces
     before   (5, 3)  where the ends were when they were seen last (m; NaN: never)
     seen     (5,)    when that was (ns)
+    middle   (3,)    where its middle was then (m)
     last     stamp of the newest frame that showed somebody
     """
 
@@ -80,6 +80,7 @@ class ExtremaState:
     heading: Samples
     before: Samples
     seen: Array
+    middle: Samples
     last: int
 
 
@@ -112,7 +113,9 @@ class Extrema(Operator[ExtremaState]):
         if camera is None:
             raise InputError("in", "a stream of unknown geometry", "one whose spec says `camera`: fx, fy, cx, cy")
         n = len(ENDS)
-        self.hold(ExtremaState(np.array(camera), np.zeros(2), np.full((n, 3), np.nan), np.zeros(n, np.int64), 0))
+        self.hold(
+            ExtremaState(np.array(camera), np.zeros(2), np.full((n, 3), np.nan), np.zeros(n, np.int64), np.zeros(3), 0)
+        )
         return markers_specs(spec)
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
@@ -142,18 +145,35 @@ class Extrema(Operator[ExtremaState]):
         at = points.reshape(-1, 3)[found[:count]]
         middle *= 1.0 + INSIDE["hip"][0] * size / middle[2]
         areas = np.array([area_around(points, place, ROUND_M * size, s.camera / step) for place in at]) / size**2
-        named = self._named(time, at, areas, middle, size)
+        border = border_of(points)
+        cut = cut_off(border, at, CUT_M * size)
+        areas[cut] = np.nan
+        self._moved_on(middle)
+        usual = middle + size * (USUAL[:, :1] * self._left() - USUAL[:, 1:] * np.array([0.0, 1.0, 0.0]))
+        fresh = (time - s.seen < REMEMBERED_S * NS) & (s.seen > 0)
+        named = cheapest(costs(at, areas, usual, s.before, fresh, size))
+        if named[0] >= 0 and head_cut_off(border, at[named[0]], usual[0]):
+            named[0] = -1
         for end, k in enumerate(named):
             if k < 0:
                 continue
             doubtful = math.dist(s.before[end], at[k]) > LEAP_M if s.seen[end] else False
             s.before[end], s.seen[end] = at[k], time
+            if cut[k]:
+                continue
             self._joints(end, points, parent, int(found[k]), 0.4 if doubtful else 0.7, size, out, confidence)
         across = self._across(size, points, middle, out)
         ends = [int(found[k]) if k >= 0 else -1 for k in named]
         self._trunk(size, points, hips_between(size, points, parent, ends, middle), across, out, confidence)
-        confidence[~possible(size, out)] = 0.0
+        confidence[~possible(size, out) | outside(out, s.camera, depth.shape)] = 0.0
         out[confidence < 0.5] = np.nan
+
+    def _moved_on(self, middle: Samples) -> None:
+        """Forget where the ends were when the body, of this `middle` (3,), is somewhere else at once."""
+        s = self.state
+        if math.dist(s.middle, middle) > LEAP_M:
+            s.seen[:] = 0
+        s.middle[:] = middle
 
     def _face(self, depth: Array) -> None:
         """Where the body faces, by its shape, smoothed."""
@@ -167,26 +187,6 @@ class Extrema(Operator[ExtremaState]):
         x, z = self.state.heading
         length = math.hypot(x, z)
         return np.array([-z / length, 0.0, x / length]) if length > 0.0 else np.array([1.0, 0.0, 0.0])
-
-    def _named(self, time: int, at: Samples, areas: Samples, middle: Samples, size: float) -> list[int]:
-        """By end the number of what was found there; -1: it was not found."""
-        s, n = self.state, len(ENDS)
-        usual = middle + size * (USUAL[:, :1] * self._left() - USUAL[:, 1:] * np.array([0.0, 1.0, 0.0]))
-        fresh = (time - s.seen < REMEMBERED_S * NS) & (s.seen > 0)
-        cost = np.full((n, MOST_ENDS + 1), FAR_M * size)
-        for k, place in enumerate(at):
-            apart = np.linalg.norm(usual - place, axis=1)
-            since = np.linalg.norm(s.before - place, axis=1)
-            cost[:, k] = np.where(fresh, MEMORY * np.nan_to_num(since) + (1 - MEMORY) * apart, 0.8 * apart)
-            cost[:, k] += UNLIKE * size * unlike(areas[k])
-        return self._cheapest(cost, ORDERS)
-
-    @staticmethod
-    def _cheapest(cost: Samples, orders: Array) -> list[int]:
-        """The cheapest way to name what was found; what costs as much as not being found, the last column, is not."""
-        ends = np.arange(len(ENDS))
-        best = orders[int(np.minimum(cost, cost[:, -1:])[ends, orders].sum(axis=1).argmin())]
-        return [int(k) if cost[e, k] < cost[e, -1] else -1 for e, k in enumerate(best)]
 
     def _joints(
         self,
@@ -281,9 +281,3 @@ def hips_between(size: float, points: Samples, parent: Array, ends: Sequence[int
             if WAYS[0] * size < long < WAYS[1] * size:
                 ways.append(place * (1.0 + INSIDE["hip"][0] * size / place[2]))
     return np.mean(ways, axis=0) if ways else middle
-
-
-def unlike(area: float) -> Samples:
-    """By how much the surface around an end (m2) rules out each of ENDS: 0 to 1."""
-    head, tip = np.interp(area, AREAS, HEADS), np.interp(area, AREAS, TIPS)
-    return np.array([head, tip, tip, tip, tip])

@@ -86,7 +86,9 @@ def chair(k: int, depth: Array, image: Array) -> tuple[Array, Array]:
 def side(k: int, depth: Array, image: Array) -> tuple[Array, Array]:
     """The person stands half out of the picture."""
     shift = depth.shape[1] // 2 - 8
-    return np.roll(depth, shift, axis=1), np.roll(image, shift, axis=1)
+    bare, dark = empty_room(k, depth)
+    bare[:, shift:], dark[:, shift:] = depth[:, :-shift], image[:, :-shift]
+    return bare, dark
 
 
 def crossing(k: int, depth: Array, image: Array) -> tuple[Array, Array]:
@@ -302,7 +304,8 @@ def test_a_degraded_scene_breaks_nothing_with_the_network(scene: Scene, rate_hz:
         assert _legs(hidden).all(), "the legs are not flagged"
         assert hidden[:, BONES.index("Head")].mean() < 0.6, "who is seen above the table is flagged"
     if scene is displaced:
-        assert hidden[7:].mean() < 0.3, "nobody is found again in the new view"
+        seen = [b for b, bone in enumerate(BONES) if not bone.endswith(("Leg", "Foot", "Toes"))]
+        assert hidden[7:, seen].mean() < 0.1, "nobody is found again in the new view"  # the feet are outside in it
     if scene is crossing:
         assert hidden.all(axis=1).sum() >= 3, "whoever is hidden is not flagged"
         assert hidden.mean() < 0.25, "the passer is taken for the person"
