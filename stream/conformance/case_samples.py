@@ -93,10 +93,10 @@ def _later(tape: CaseSamples, since: int, shift: int) -> CaseSamples:
     data = tape.data.copy()
     for name in tape.spec.dtype.names or ():
         if tape.spec.unit_of(name) == "ns":
-            data[name] = np.where(data[name] >= since, data[name] + shift, data[name])
-    return replace(
-        tape, time=np.where(tape.time >= since, tape.time + shift, tape.time), data=data, lost=tape.lost.copy()
-    )
+            data[name][data[name] >= since] += shift
+    time = tape.time.copy()
+    time[time >= since] += shift
+    return replace(tape, time=time, data=data, lost=tape.lost.copy())
 
 
 def pause(tapes: Tapes, at: int, shift: int, *, known: bool = False, told: bool = False) -> Tapes:
