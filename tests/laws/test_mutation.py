@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -166,6 +167,15 @@ def test_tests_that_cannot_be_collected_without_a_mutant_either_say_nothing(
     unchanged = mutation.Unchanged()
     assert mutation.tried(Mutant("module.py", 5, 0, 1, "4", "(5)"), tmp_path, 60.0, unchanged)[0] == "survived"
     assert not unchanged.broken and not unchanged.passing
+
+
+def test_the_clock_fails_no_test_on_a_busy_machine(tmp_path: Path) -> None:
+    """Whatever time our settings give a test."""
+    support = tmp_path / "tests" / "support"
+    shutil.copytree(HOUSE / "tests" / "support", support, ignore=lambda _, names: {*names} - {"stop_in_time.py"})
+    (tmp_path / "pyproject.toml").write_text("[tool.pytest.ini_options]\ntimeout = 0.2\n", encoding="utf-8")
+    (tmp_path / "test_slow.py").write_text("import time\ndef test_slow():\n    time.sleep(0.5)\n", encoding="utf-8")
+    assert mutation._run(["test_slow.py"], tmp_path, 60.0)[0] == []
 
 
 def test_nine_in_ten_must_be_noticed_of_those_that_change_anything(capsys: pytest.CaptureFixture[str]) -> None:
