@@ -23,7 +23,7 @@ from operators.segmentation.layout import (
     UNTOLD,
     Memory,
 )
-from operators.segmentation.rest import at_rest
+from operators.segmentation.rest import at_rest, reported_at_rest
 from stream.kernel import kernel
 
 HOLE = 8
@@ -34,20 +34,26 @@ HOLE = 8
 def lead_in(s: Memory, start: int, length: int) -> int:
     """The first of the frames before `start` that come back about a cycle of `length` frames later, as those after it do.
 
-    When the activity began, what they come back to had not been seen yet.
+    When the activity began, what they come back to had not been seen yet. In one that goes on, only a rest says where motion began: `start`
+    itself, unless they lead back to one.
     """
     b = s.books
     first, hole = start, max(b[QUIET], length // HOLE)
     shortest, longest = max(1, 2 * length // 3), min(b[LAG], 3 * length // 2)
+    least = max(b[SEED], b[OPENED] - 2 * b[LAG])
+    if b[TOLD]:
+        least = max(least, b[PIECES_FROM], start - b[LAG])
     i = start - 1
-    while i >= max(b[SEED], b[OPENED] - 2 * b[LAG]) and first - i <= hole:
+    while i >= least and first - i <= hole:
+        if b[TOLD] and reported_at_rest(s, i):
+            return int(first)
         if s.near[i % s.near.shape[0]] != 2 and not at_rest(s, i):
             for k in range(shortest, min(longest, b[NEXT] - 1 - i) + 1):
                 if s.rows[(i + k) % s.rows.shape[0], k] <= s.values[RADIUS]:
                     first = i
                     break
         i -= 1
-    return int(first)
+    return int(start if b[TOLD] else first)
 
 
 @kernel

@@ -94,10 +94,11 @@ def take_up(s: Memory, i: int, length: int) -> None:
     slot, met = recognise(s, origin, i, length)
     known = slot >= 0
     if not known:
+        first = lead_in(s, origin if b[TOLD] else b[START], length)
         if not b[TOLD]:
-            b[START] = lead_in(s, b[START], length)
-            origin = max(b[START], i + 1 - 2 * length)
-        slot = keep(s, in_phase(s, origin if b[TOLD] else b[START], origin, i + 1 - length), length)
+            b[START] = first
+            origin = max(first, i + 1 - 2 * length)
+        slot = keep(s, in_phase(s, first, origin, i + 1 - length), length)
     use(s, slot)
     if b[TOLD] and b[CYCLES] and s.clusters[slot, NUMBER] != b[CLUSTER]:
         change(s, origin)

@@ -743,10 +743,11 @@ class Reference:
         slot, met = self.recognise(origin, i, length)
         new = slot < 0
         if new:
+            first = self.lead_in(origin if self.told else self.start, length)
             if not self.told:
-                self.start = self.lead_in(self.start, length)
-                origin = max(self.start, i + 1 - 2 * length)
-            slot = self.keep(self.in_phase(origin if self.told else self.start, origin, i + 1 - length), length)
+                self.start = first
+                origin = max(first, i + 1 - 2 * length)
+            slot = self.keep(self.in_phase(first, origin, i + 1 - length), length)
         found = self.use(slot)
         if self.told and self.cycles and found.number != self.cluster:
             self.close_bout()
@@ -808,14 +809,19 @@ class Reference:
         return 0, returned
 
     def lead_in(self, start: int, length: int) -> int:
-        """The first of the frames before `start` that come back a cycle later, between 2/3 and 3/2 of one."""
+        """The first of the frames before `start` that come back a cycle later, between 2/3 and 3/2 of one; once told: if from a rest."""
         p, first, i = self.p, start, start - 1
-        while i >= max(self.seed, self.opened - 2 * p["LAG"]) and first - i <= max(p["QUIET"], length // HOLE):
+        least = max(self.seed, self.opened - 2 * p["LAG"])
+        if self.told:
+            least = max(least, self.pieces, start - p["LAG"])
+        while i >= least and first - i <= max(p["QUIET"], length // HOLE):
+            if self.told and i in self.rested:
+                return first
             lags = range(max(1, 2 * length // 3), min(p["LAG"], 3 * length // 2, self.now - i) + 1)
             if self.good[i] and not self.at_rest(i) and any(self.apart(i + k, i) <= self.radius for k in lags):
                 first = i
             i -= 1
-        return first
+        return start if self.told else first
 
     def in_phase(self, start: int, first: int, last: int) -> int:
         """Where the frames first..last are at the phase of `start`."""

@@ -704,10 +704,9 @@ def test_most_of_what_repeats_by_chance_in_four_channels_is_not_sure(name: str) 
     assert by_chance / 2 <= 0.25 * real
 
 
-def test_half_of_the_next_exercise_is_no_repetition_of_the_last_one_though_stillness_comes_before_it() -> None:
-    """Squats, a rest of 1.5 s, knees raised: the stillness with half a knee raise after it passed for a seventh squat."""
-    routine = Routine(Exerciser(noise_mm=6.0, jitter_ms=0.0, seed=0))
-    begins = routine.starts(1)
+def two_exercises(seed: int, noise_mm: float = 6.0) -> tuple[Routine, Any]:
+    """What somebody does, arms, squats and knees raised, with rests of 1.5 s between them, and the features of it (n, 75)."""
+    routine = Routine(Exerciser(noise_mm=noise_mm, jitter_ms=0.0, seed=seed))
     x = np.array([routine.joints(i) for i in range(round(RATE * (routine.starts(2)[-1] + 2.0)))])
     pose = Pose()
     spec = StreamSpec(x.shape[1:], rate_hz=RATE, channels=JOINTS, units=("m",))
@@ -715,12 +714,33 @@ def test_half_of_the_next_exercise_is_no_repetition_of_the_last_one_though_still
     time = grid(RATE, len(x))
     take = taking(pose, {pose.inputs[0]: spec})
     (made,) = chunks_of(pose.process(pose.inputs[0], take(pose.inputs[0], Chunk(time, x, int(time[-1])))))
-    events, _ = played(Segment(), stacked(made.data))
+    return routine, stacked(made.data)
+
+
+def test_half_of_the_next_exercise_is_no_repetition_of_the_last_one_though_stillness_comes_before_it() -> None:
+    """Squats, a rest of 1.5 s, knees raised: the stillness with half a knee raise after it passed for a seventh squat."""
+    routine, x = two_exercises(0)
+    begins = routine.starts(1)
+    events, _ = played(Segment(), x)
     found = events["primitive"][events["primitive"]["repetition"] > 0]
     middle = (found["onset"] + found["end"]) / 2e9 + 1 / 3
     assert ((middle > begins[0] - 0.5) & (middle < routine.starts(2)[0])).sum() == 6
     for rest in events["rest"]:
         assert not ((found["onset"] > rest["onset"]) & (found["onset"] < rest["end"])).any()
+
+
+@pytest.mark.parametrize(("seed", "noise_mm"), [(7, 6.0), (10, 6.0), (13, 1.0)])
+def test_an_exercise_is_cut_at_its_start_though_it_follows_a_known_one_in_the_same_activity(
+    seed: int, noise_mm: float
+) -> None:
+    """Its cycle was cut at whatever phase it had been found at: six times both knees were five, and half of one on both sides."""
+    routine, x = two_exercises(seed, noise_mm)
+    events, _ = played(Segment(), x)
+    starts = routine.starts(2)
+    found = events["primitive"][events["primitive"]["repetition"] > 0]
+    onset = found["onset"] / 1e9 + 1 / 3
+    mine = onset[(onset > starts[0] - 0.5) & (onset < starts[-1])]
+    assert len(mine) == 6 and np.abs(mine - starts[:-1]).max() < 0.25
 
 
 def gestures() -> Any:
