@@ -157,14 +157,15 @@ def _function_in(value: object) -> FunctionType | None:
 
 
 def _inside(value: object) -> list[object]:
-    """The function in a kernel or intrinsic, or the function itself; of any other object, the constants of its module."""
+    """The function in a kernel or intrinsic, or the function itself; of any other object, the constants of its module.
+
+    Names like `__file__` are none of these: where a module's file lies does not count.
+    """
     if (function := _function_in(value)) is not None:
         return [function]
     module = sys.modules.get(_module_of(value))
-    own = (
-        {} if module is None else {k: v for k, v in vars(module).items() if not k.startswith("__")}
-    )  # not where its file lies
-    return [v for v in own.values() if isinstance(v, (*_PLAIN, np.ndarray))]
+    named = {} if module is None else vars(module)
+    return [v for k, v in named.items() if isinstance(v, (*_PLAIN, np.ndarray)) and not k.startswith("__")]
 
 
 def _module_of(value: object) -> str:
