@@ -164,6 +164,19 @@ def test_the_surer_way_is_taken_and_what_it_misses_is_filled() -> None:
         Surer().open({"first": few, "second": few})
 
 
+def test_the_other_way_is_left_only_after_as_many_samples_as_it_was_taken_after() -> None:
+    """The samples that spoke for it do not count twice."""
+    surer, n = Surer(patience=3), 9
+    surer.open({"first": MARKED, "second": MARKED})
+    times, seen = grid(RATE, n), np.zeros((n, len(MARKERS), 3))
+    seen[1:4] = np.nan  # then seen again: for the fourth to the sixth of these it is not believed yet
+    made = []
+    for k, t in enumerate(times.tolist()):
+        surer.process("second", Chunk(np.array([t]), np.ones((1, len(MARKERS), 3)), t))
+        made.append(surer.process("first", Chunk(np.array([t]), seen[k : k + 1], t)).data[0, 0, 0])  # type: ignore[union-attr]
+    assert made == [0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
+
+
 def turned(n: int, degrees: float) -> tuple[Samples, Samples]:
     """Poses (n, 91) and joints (n, 22, 3) of someone who stands turned, 1 m under the axes' middle, 3 m away."""
     tree = usual_body()
