@@ -54,6 +54,8 @@ TRIED: list[tuple[str, float, list[str], set[str]]] = [
 """A shipped graph, for how long its simulated devices run (0.0: to the end of its own source), settings, nodes that give events."""
 AT_ONCE_S = 0.1
 """What a device has sent meanwhile comes in one read, of a busy machine."""
+CLOCK_JUMPED = "device clock jumped"
+"""Logged where a device's time and the computer's have parted."""
 ALIKE = {"bedside_sleep": "bedside_simulated", "bedside_two": "bedside_simulated"}
 """Graphs that ask for a camera at its own pace all night: every operator of theirs that gives events is in another one."""
 SPOKEN = dict.fromkeys(("avatar", "avatar_oak"), "its prompts are of the sample that leads to them")
@@ -73,12 +75,22 @@ def test_every_shipped_graph_that_says_when_events_come_is_tried() -> None:
 
 @pytest.mark.parametrize(("config", "for_s", "settings", "seen"), TRIED)
 def test_no_event_of_a_shipped_graph_comes_later_than_check_says(
-    config: str, for_s: float, settings: list[str], seen: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    config: str,
+    for_s: float,
+    settings: list[str],
+    seen: set[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     graph = load(CONFIGS / f"{config}.yaml", overrides=read(settings))
     planned = {(d.origin.node, d.origin.output): d for d in plan(graph).decisions}
     late = measured(graph, for_s=for_s)
+    if for_s and CLOCK_JUMPED in capsys.readouterr().out:
+        pytest.skip(
+            "this machine is so busy that a simulated device lost seconds: what was before and after cannot be compared"
+        )
     at_once_s = AT_ONCE_S if for_s else 0.0
     assert seen <= {node for node, output in late if (node, output) in planned and late[node, output]}
     for key, seconds in late.items():
