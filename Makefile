@@ -1,5 +1,5 @@
 # make demo: a treadmill session on a simulated signal that loses a second, live in the terminal and in a browser, with a report at the end.
-# make check: lint, types, and the laws on three operators; 20 s, without any cache a minute and a half (make check OPERATORS="Envelope or Cycles": on others).
+# make check: lint, types, and the laws on three operators; 15 s, without any cache 55 s (make check OPERATORS="Envelope or Cycles": on others).
 # make test: everything that is checked before a change goes in.
 # make mutants: 100 random changes to operators/ and stream/, of which the tests must notice at least 90 %; a while (SEED=2 draws others).
 # make test-peers: software written elsewhere reads what kinegraph writes; installed for the purpose.
