@@ -16,7 +16,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, overload
 
@@ -57,36 +57,37 @@ def kernel(function: Callable[P, R] | None = None, /, *, nogil: bool = False) ->
 def _compile(function: Callable[P, R], nogil: bool) -> Callable[P, R]:
     cache_folder()
     compiled: Any = numba.njit(nogil=nogil, error_model="numpy")(function)
-    compiled._cache = _Kept(function)
+    compiled._cache = _Kept(function, nogil)
     return compiled  # type: ignore[no-any-return]
 
 
 class _Kept:
     """Numba's cache of one kernel, opened at the first compilation: only then is all imported that the kernel depends on."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
+    def __init__(self, function: Callable[..., Any], nogil: bool) -> None:
+        self._function, self._nogil = function, nogil
         self._opened: Any = None
 
     def __getattr__(self, name: str) -> Any:
         if self._opened is None:
             _load_numba()
-            self._opened = _KernelCache(self._function)
+            self._opened = _KernelCache(self._function, self._nogil)
         return getattr(self._opened, name)
 
 
 class _Place:
     """Where numba keeps a kernel: the folder of its fingerprint, which tells all that a file's age and a line's number would."""
 
-    def __init__(self, function: Callable[..., Any], file: str) -> None:
-        folder = cache_folder() / f"{function.__module__}-{fingerprint(function)}"
+    def __init__(self, function: Callable[..., Any], nogil: bool) -> None:
+        name = f"{function.__module__}-{fingerprint(function)}{'-nogil' if nogil else ''}"
+        folder = cache_folder() / name
         refuse_shared(private_folder(folder), "a folder of compiled kernels")
         os.utime(folder)
-        self._folder, self._py_file = str(folder), file
+        self._folder, self._py_file = str(folder), function.__code__.co_filename
 
-    @classmethod
-    def from_function(cls, function: Callable[..., Any], file: str) -> _Place:
-        return cls(function, file)
+    def from_function(self, _function: Callable[..., Any], _file: str) -> _Place:
+        """Asked by numba, which would otherwise choose among places."""
+        return self
 
     def get_cache_path(self) -> str:
         return self._folder
@@ -102,11 +103,15 @@ class _Place:
 
 
 class _KernelFiles(CompileResultCacheImpl):  # type: ignore[misc]
-    _locator_classes = (_Place,)
+    def __init__(self, function: Callable[..., Any], nogil: bool) -> None:
+        self._locator_classes = (_Place(function, nogil),)
+        super().__init__(function)
 
 
 class _KernelCache(FunctionCache):  # type: ignore[misc]
-    _impl_class = _KernelFiles
+    def __init__(self, function: Callable[..., Any], nogil: bool) -> None:
+        self._impl_class = partial(_KernelFiles, nogil=nogil)
+        super().__init__(function)
 
 
 @cache

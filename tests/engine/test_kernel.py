@@ -232,3 +232,13 @@ def test_which_constant_and_which_function_a_name_stands_for_counts(tmp_path: Pa
             f"from stream.kernel import kernel\n\n@kernel\ndef outer(x, by={default}):\n    return x * by\n",
         )
         assert run(tmp_path, "default_gain", cache)[0] == value
+
+
+def test_a_kernel_that_gives_up_the_interpreter_lock_is_another_one(tmp_path: Path) -> None:
+    """Its code is the same, but not what was compiled around it."""
+    text = "from stream.kernel import kernel\n\n@kernel{}\ndef outer(x):\n    return x + 1.0\n"
+    write(tmp_path / "free_gain.py", text.format(""))
+    assert run(tmp_path, "free_gain", tmp_path / "cache")[1] > 0
+    write(tmp_path / "free_gain.py", text.format("(nogil=True)"))
+    assert run(tmp_path, "free_gain", tmp_path / "cache")[1] > 0
+    assert run(tmp_path, "free_gain", tmp_path / "cache")[1] == 0
