@@ -8,65 +8,41 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from rich.text import Text
 
+from devices.outlets.exercise_screen import (
+    NAMED,
+    PAST,
+    RECENT,
+    REST,
+    STRIP,
+    ExerciseState,
+    name_of,
+    now_line,
+    panel,
+    past_text,
+    rested_s,
+)
 from devices.outlets.terminal import TerminalView
-from stream.chunk import NEVER, NS, Array, Chunk, Specs
+from stream.chunk import NEVER, NS, Chunk, Specs
 from stream.errors import InputError
 from stream.outlet import Outlet
 from stream.params import param
-from stream.plain import one_line, say
+from stream.plain import say
 
 FIELDS = {
     "provisional": ("onset", "end", "activity", "repetition"),
     "count": ("activity", "count", "certainty"),
-    "believed": ("activity", "name", "sure"),
+    "believed": ("activity", "repetition", "name", "sure"),
     "repetition": ("onset", "end", "activity", "repetition", "name", "sure", "duration_s"),
     "activity": ("onset", "end", "activity", "repeats", "repetitions", "cluster", "certainty"),
     "resting": ("onset",),
     "rest": ("onset", "end"),
 }
 """By port: the fields that its events must have."""
-PAST = np.dtype([("what", "<U24"), ("repetitions", "<i4"), ("onset", "<i8"), ("seconds", "<f8"), ("doubtful", "?")])
-NAMED = np.dtype([("activity", "<i8"), ("name", "<U24"), ("first", "<i8"), ("last", "<i8"), ("told", "<i4")])
-RECENT = 8
-"""This many activities are remembered, with their names: an activity's end is final when the next one goes on already."""
-STRIP = 6
-"""This many stretches before this one are shown."""
-REST = "rest"
+UNKNOWN = "unknown"
+"""What a repetition is called that is like none that was shown."""
 SHORT_S = 2.0
 """Shorter rests, and what does not repeat and is shorter, are not worth a word."""
-
-
-@dataclass(slots=True)
-class ExerciseState:
-    """What goes on. Times in ns; activity -1: none; rest_since NEVER: nobody rests; since: when it began; begun: that is when its
-    first repetition did; last_s: how long the newest repetition took that is final, NaN: none; sure: of the name; certainty: of the count.
-
-    gone: the newest activity that has ended; taken_back: whether all that was counted of this one was taken back; behind, behind_since: the
-    next one, of which nothing is counted yet, while this one is corrected; -1: none
-
-    past (STRIP,): in any order; passed: how many stretches have ended. known (RECENT,): activities by number modulo RECENT: name, how many
-    repetitions are final, when the first one began and the last one ended. began: the first event's time, from which times are counted
-    """
-
-    past: Array
-    known: Array
-    passed: int = 0
-    began: int = NEVER
-    activity: int = -1
-    since: int = NEVER
-    count: int = 0
-    final: int = 0
-    begun: bool = False
-    last_s: float = np.nan
-    sure: float = np.nan
-    certainty: float = 0.0
-    rest_since: int = NEVER
-    gone: int = -1
-    taken_back: bool = False
-    behind: int = -1
-    behind_since: int = NEVER
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +67,7 @@ class ExercisePanel(Outlet[ExerciseState, None]):
                 raise InputError(port, spec.describe(), f"events with the fields {', '.join(FIELDS[port])}")
         known = np.zeros(RECENT, NAMED)
         known["activity"] = -1
-        self.hold(ExerciseState(np.zeros(STRIP, PAST), known), None)
+        self.hold(ExerciseState(np.zeros(STRIP, PAST), known, named="believed" in specs), None)
         return {}
 
     def process(self, port: str, chunk: Chunk) -> None:
@@ -142,13 +118,18 @@ def _provisional(state: ExerciseState, event: Any, stamp: int) -> str:
 
 def _count(state: ExerciseState, event: Any, stamp: int) -> str:
     """This many repetitions so far; a lower number corrects the last one."""
+    if event["activity"] > state.gone:
+        _known(state, int(event["activity"]))["counted"] = event["count"]
     if event["activity"] != state.activity:
         if event["count"] == 0 or corrects_earlier(state, int(event["activity"])):
             return ""
         _turn_to(state, int(event["activity"]), stamp)
     state.taken_back = event["count"] == 0
-    state.count, state.certainty = int(event["count"]), float(event["certainty"])
-    return now_line(state)
+    state.paused = state.paused and state.rest_since > NEVER
+    state.unsaid = bool(state.named and event["count"] > state.count and not name_of(state, state.activity))
+    state.count = int(event["count"])
+    state.doubtful = state.final > 1 and bool(event["certainty"] <= 0.0)
+    return "" if state.unsaid else now_line(state)
 
 
 def corrects_earlier(state: ExerciseState, activity: int) -> bool:
@@ -157,11 +138,23 @@ def corrects_earlier(state: ExerciseState, activity: int) -> bool:
 
 
 def _believed(state: ExerciseState, event: Any, stamp: int) -> str:
+    """What a repetition is called that is not final yet: one that has not quite ended is less like what was shown. So if those of the
+    activity that are final have a name, this one is not unknown, nor less sure."""
+    one = _known(state, int(event["activity"]))
+    if not one["told"] or event["repetition"] <= one["told"] or event["name"] not in (one["name"], UNKNOWN):
+        _call(state, one, event)
+    if state.unsaid and event["activity"] == state.activity:
+        state.unsaid = False
+        return now_line(state)
+    return ""
+
+
+def _call(state: ExerciseState, one: Any, event: Any) -> None:
+    """An activity of which one is known is called as this event says."""
     if event["name"]:
-        _known(state, int(event["activity"]))["name"] = event["name"]
+        one["name"] = event["name"]
         if event["activity"] == state.activity:
             state.sure = float(event["sure"])
-    return ""
 
 
 def _repetition(state: ExerciseState, event: Any, stamp: int) -> str:
@@ -176,14 +169,15 @@ def _repetition(state: ExerciseState, event: Any, stamp: int) -> str:
         state.final = max(state.final, number)
     one["first"], one["last"] = (onset if number == 1 and not step else one["first"]), end
     one["told"] = number
-    return _believed(state, event, stamp)
+    _call(state, one, event)
+    return ""
 
 
 def _known(state: ExerciseState, activity: int) -> Any:
     """What is known of an activity: a row, blank at first."""
     one = state.known[activity % RECENT]
     if one["activity"] != activity:
-        one["activity"], one["name"], one["told"] = activity, "", 0
+        one["activity"], one["name"], one["told"], one["counted"] = activity, "", 0, 0
         one["first"] = one["last"] = NEVER
     return one
 
@@ -205,18 +199,8 @@ def _activity(state: ExerciseState, event: Any, stamp: int) -> str:
     return _past(state, what, int(event["repetitions"]), onset, (end - onset) / NS, doubtful)
 
 
-def rested_s(state: ExerciseState, onset: int, end: int) -> float:
-    """How much of onset..end somebody rested, of the rests in the strip."""
-    total = 0.0
-    for one in state.past[: state.passed]:
-        if one["what"] == REST:
-            first, last = int(one["onset"]), int(one["onset"]) + round(float(one["seconds"]) * NS)
-            total += max(0, min(last, end) - max(first, onset)) / NS
-    return total
-
-
 def _resting(state: ExerciseState, event: Any, stamp: int) -> str:
-    state.rest_since = int(event["onset"])
+    state.rest_since, state.paused = int(event["onset"]), True
     return ""
 
 
@@ -243,7 +227,8 @@ def _turn_to(state: ExerciseState, activity: int, since: int) -> None:
     state.taken_back = False
     state.activity, state.since = activity, since
     state.count, state.final, state.begun = 0, 0, False
-    state.last_s, state.sure, state.certainty = np.nan, np.nan, 0.0
+    state.last_s, state.sure = np.nan, np.nan
+    state.doubtful = state.paused = state.unsaid = False
 
 
 def _past(state: ExerciseState, what: str, repetitions: int, onset: int, seconds: float, doubtful: bool = False) -> str:
@@ -251,50 +236,3 @@ def _past(state: ExerciseState, what: str, repetitions: int, onset: int, seconds
     state.past[place] = (what, repetitions, onset, seconds, doubtful)
     state.passed += 1
     return f"ended: {past_text(state.past[place])}"
-
-
-def name_of(state: ExerciseState, activity: int) -> str:
-    """What an activity is called; "" if nobody has said."""
-    one = state.known[activity % RECENT]
-    return str(one["name"]) if one["activity"] == activity else ""
-
-
-def past_text(one: Any) -> str:
-    """A stretch that has ended: "squat x 6, 12.9 s", "C x 2, 3.1 s, not sure"."""
-    times = f" x {one['repetitions']}" if one["repetitions"] else ""
-    return f"{one_line(one['what'])}{times}, {one['seconds']:.1f} s" + (", not sure" if one["doubtful"] else "")
-
-
-def now_line(state: ExerciseState) -> str:
-    """What is being done: "squat x 7, last 1.8 s, since 0:14"; "motion" before anything of it is counted."""
-    if state.activity < 0:
-        return "nothing that repeats"
-    name = one_line(name_of(state, state.activity))
-    parts = [f"{name or 'exercise'} x {state.count}" if state.count else name or "motion"]
-    if np.isfinite(state.last_s):
-        parts.append(f"last {state.last_s:.1f} s")
-    if state.since > NEVER and state.began > NEVER:
-        seconds = max(0, (state.since - state.began) // NS)
-        parts.append(f"since {seconds // 60}:{seconds % 60:02d}")
-    if np.isfinite(state.sure) and state.sure > 0.0:
-        parts.append(f"{state.sure:.0%} sure")
-    if state.final > 1 and state.certainty <= 0.0:
-        parts.append("not sure that it repeats")
-    return ", ".join(parts)
-
-
-def panel(state: ExerciseState) -> Text:
-    """What is being done, large enough to be seen from a mat; below it what came before, the newest first."""
-    shown = Text()
-    if state.rest_since > NEVER:
-        shown.append(REST, style="bold")
-    elif state.activity < 0:
-        shown.append("nothing that repeats", style="dim")
-    else:
-        shown.append(now_line(state), style="bold green")
-        shown.append(f"\n{state.final} final, {max(0, state.count - state.final)} may still be corrected", style="dim")
-    past = state.past[: state.passed]
-    if len(past):
-        order = np.argsort(-past["onset"], kind="stable")
-        shown.append("\nbefore: " + " · ".join(past_text(past[k]) for k in order), style="dim")
-    return shown

@@ -4,262 +4,28 @@ from __future__ import annotations
 
 import csv
 import errno
-import io
 import re
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from rich.console import Console
-from rich.file_proxy import FileProxy
 
-from devices.outlets.exercise_panel import FIELDS, ExercisePanel, panel, ring
-from devices.outlets.terminal import LineView
 from devices.outlets.training import TrainingReport
-from operators.segmentation.naming import BELIEVED_NAME, REPETITION, TURNS, NameRepetitions, letters
-from operators.segmentation.outputs import OUTPUTS, PRIMITIVE
+from operators.segmentation.naming import TURNS, NameRepetitions, letters
+from operators.segmentation.outputs import PRIMITIVE
 from operators.segmentation.taught import UNKNOWN, Taught, taught
 from stream import cli
 from stream.chunk import NS, Chunk, StreamSpec
-from stream.commands.run import _screen
 from stream.errors import DeviceError, InputError, KinegraphError
 from stream.graph import Graph
 from stream.manual import ANNOTATION
 from stream.model import ModelError
 from stream.operator import grid
-from stream.state import pack, size_of, unpack
+from stream.state import size_of
+from tests.support.exercise_events import EVENTS, event
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
-EVENTS = {name: StreamSpec((), dtype) for name, (dtype, _) in OUTPUTS.items()}
-EVENTS |= {"believed": StreamSpec((), BELIEVED_NAME), "repetition": StreamSpec((), REPETITION)}
-
-
-def event(port: str, stamp_s: float, **fields: Any) -> Chunk:
-    """An event of this port at this time; times are given in seconds."""
-    made = np.zeros(1, EVENTS[port].dtype)
-    for name, value in fields.items():
-        made[name] = round(value * NS) if name in ("onset", "end") else value
-    time = np.array([round(stamp_s * NS)])
-    return Chunk(time, made, int(time[0]))
-
-
-def training() -> list[tuple[str, Chunk]]:
-    """Three squats, named, one of them taken back and told again; rest; arms under way."""
-    parts = [("provisional", event("provisional", 3, onset=1, end=3, activity=1, repetition=0))]
-    for k in (1, 2, 3):
-        end = 1 + 2 * k
-        parts += [
-            ("provisional", event("provisional", end, onset=end - 2, end=end, activity=1, repetition=k)),
-            ("believed", event("believed", end, activity=1, repetition=k, name="squat", sure=0.8)),
-            ("count", event("count", end, activity=1, count=k, certainty=0.5)),
-        ]
-    parts += [
-        ("count", event("count", 8, activity=1, count=2)),
-        ("count", event("count", 8.5, activity=1, count=3)),
-        (
-            "repetition",
-            event("repetition", 9, onset=1, end=3, activity=1, repetition=1, name="squat", sure=0.9, duration_s=1.9),
-        ),
-        (
-            "activity",
-            event("activity", 10, onset=1, end=7, activity=1, repeats=True, repetitions=3, cluster=0, certainty=0.5),
-        ),
-        ("resting", event("resting", 10.5, onset=7.5)),
-        ("rest", event("rest", 12, onset=7.5, end=12)),
-        ("provisional", event("provisional", 16, onset=12, end=16, activity=2, repetition=0)),
-        ("count", event("count", 16.5, activity=2, count=1)),
-    ]
-    return parts
-
-
-def opened(bell: bool = False) -> ExercisePanel:
-    made = ExercisePanel(bell=bell)
-    made.open({port: EVENTS[port] for port in FIELDS})
-    return made
-
-
-def shown(outlet: ExercisePanel) -> str:
-    console = Console(width=120, file=io.StringIO(), record=True)
-    console.print(panel(outlet.state))
-    return console.export_text()
-
-
-def test_the_panel_says_what_is_done_since_when_how_often_and_what_came_before() -> None:
-    outlet, seen = opened(), []
-    for port, chunk in training():
-        outlet.process(port, chunk)
-        seen.append(shown(outlet))
-    assert "squat x 3, last 2.0 s, since 0:00, 80% sure" in "".join(seen) and "1 final, 2 may still" in "".join(seen)
-    after = next(k for k, (port, _) in enumerate(training()) if port == "activity")
-    assert seen[after].startswith("nothing that repeats") and "before: squat x 3, 6.0 s" in seen[after]
-    assert seen[after + 1].startswith("rest\n")
-    final = next(k for k, (port, _) in enumerate(training()) if port == "repetition")
-    assert seen[final].startswith("squat x 3, last 1.9 s, since 0:00, 90% sure")
-    assert seen[-2].startswith("motion, since")
-    assert seen[-1].startswith("exercise x 1, since") and "before: rest, 4.5 s · squat x 3, 6.0 s" in seen[-1]
-
-
-def test_an_exercise_that_is_final_when_the_next_one_goes_on_keeps_its_name() -> None:
-    outlet, parts = opened(), training()
-    ended = next(k for k, (port, _) in enumerate(parts) if port == "activity")
-    for port, chunk in [*parts[:ended], *parts[-2:], parts[ended]]:
-        outlet.process(port, chunk)
-    assert shown(outlet).startswith("exercise x 1") and "before: squat x 3" in shown(outlet)
-
-
-def test_a_correction_of_what_came_before_does_not_take_the_place_of_what_is_done_now() -> None:
-    """Gestures out of rest are corrected when the activity that holds them is final; the next one goes on by then."""
-    outlet, parts = opened(), training()
-    ended = next(k for k, (port, _) in enumerate(parts) if port == "activity")
-    late = [
-        ("provisional", event("provisional", 17, onset=7, end=9, activity=1, repetition=4)),
-        ("count", event("count", 17, activity=1, count=4, certainty=0.5)),
-    ]
-    for port, chunk in [*parts[:ended], *parts[-2:], *late]:
-        outlet.process(port, chunk)
-    assert shown(outlet).startswith("exercise x 1")
-    outlet.process(*parts[ended])
-    for port, chunk in late:
-        outlet.process(port, chunk)
-    assert shown(outlet).startswith("exercise x 1") and "before: squat x 3" in shown(outlet)
-
-
-def test_what_was_counted_as_the_next_exercise_and_taken_back_goes_on_as_the_last() -> None:
-    outlet, parts = opened(), training()
-    ended = next(k for k, (port, _) in enumerate(parts) if port == "activity")
-    for port, chunk in [*parts[:ended], *parts[-2:]]:
-        outlet.process(port, chunk)
-    outlet.process("count", event("count", 17, activity=2, count=0))
-    outlet.process("count", event("count", 17, activity=1, count=4, certainty=0.5))
-    assert shown(outlet).startswith("squat x 4")
-
-
-def test_motion_that_goes_on_while_the_last_exercise_is_corrected_is_motion_still() -> None:
-    outlet, parts = opened(), training()
-    ended = next(k for k, (port, _) in enumerate(parts) if port == "activity")
-    late = ("count", event("count", 17, activity=1, count=4, certainty=0.5))
-    for port, chunk in [*parts[:ended], parts[-2], late, parts[ended]]:
-        outlet.process(port, chunk)
-    assert shown(outlet).startswith("motion, since 0:09")
-
-
-def test_a_session_that_is_to_show_nothing_prints_no_repetition(capsys: pytest.CaptureFixture[str]) -> None:
-    """`--view none`: nothing is printed; in replay, which has no view, every repetition is a line."""
-    for view in (_screen("none", Graph("train", {}, "")), nullcontext()):
-        outlet = opened()
-        with view:
-            for port, chunk in training():
-                outlet.process(port, chunk)
-        assert bool(capsys.readouterr().out) is isinstance(view, nullcontext)
-
-
-def test_where_there_is_no_terminal_every_repetition_is_a_line() -> None:
-    out = io.StringIO()
-    with LineView(Graph("train", {}, ""), out):
-        outlet = opened()
-        for port, chunk in training():
-            outlet.process(port, chunk)
-    lines = out.getvalue().splitlines()[1:]
-    assert [line.split(",")[0] for line in lines if line.startswith("squat")] == [
-        f"squat x {n}" for n in (1, 2, 3, 2, 3)
-    ]
-    assert "ended: squat x 3, 6.0 s" in lines and "ended: rest, 4.5 s" in lines and "" not in lines
-
-
-def test_the_panel_goes_on_from_a_snapshot_and_takes_any_stream_with_its_fields() -> None:
-    outlet, other = opened(), opened()
-    parts = training()
-    for port, chunk in parts[:9]:
-        outlet.process(port, chunk)
-    unpack(other.state, pack(outlet.state))
-    for port, chunk in parts[9:]:
-        outlet.process(port, chunk)
-        other.process(port, chunk)
-    assert shown(outlet) == shown(other)
-    with pytest.raises(InputError, match="events with the fields onset, end, activity"):
-        ExercisePanel().open(dict.fromkeys(FIELDS, EVENTS["rest"]))
-
-
-def test_the_bell_rings_once_for_every_new_repetition(monkeypatch: pytest.MonkeyPatch) -> None:
-    rung: list[int] = []
-    monkeypatch.setattr("devices.outlets.exercise_panel.ring", lambda: rung.append(1))
-    outlet = opened(bell=True)
-    for port, chunk in training():
-        outlet.process(port, chunk)
-    assert len(rung) == 5  # 1, 2, 3, 3 again after a correction, and 1 of the next exercise
-
-
-def test_the_bell_is_heard_past_the_live_view(monkeypatch: pytest.MonkeyPatch) -> None:
-    """While the live view is drawn, what goes to standard error waits for the end of its line, and a bell is no line."""
-
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
-    terminal = Terminal()
-    monkeypatch.setattr("sys.__stderr__", terminal)
-    monkeypatch.setattr("sys.stderr", FileProxy(Console(file=io.StringIO()), terminal))
-    ring()
-    assert terminal.getvalue() == "\a"
-
-
-def final(number: int, onset: float, end: float, side: int = 0, activity: int = 1) -> tuple[str, Chunk]:
-    told = {"activity": activity, "repetition": number, "side": side, "name": "knees", "duration_s": end - onset}
-    return "repetition", event("repetition", end + 3, onset=onset, end=end, **told)
-
-
-def ended(onset: float, end: float, activity: int = 1, repetitions: int = 0) -> tuple[str, Chunk]:
-    told = {"activity": activity, "repeats": repetitions > 0, "repetitions": repetitions, "certainty": 0.5}
-    return "activity", event("activity", end + 9, onset=onset, end=end, **told)
-
-
-def after(*parts: tuple[str, Chunk]) -> str:
-    outlet = opened()
-    for port, chunk in parts:
-        outlet.process(port, chunk)
-    return shown(outlet)
-
-
-def test_the_last_repetition_is_as_long_as_both_of_its_steps() -> None:
-    begun = ("provisional", event("provisional", 3, onset=1, end=3, activity=1, repetition=0))
-    steps = [final(1, 5, 5.9, side=1), final(1, 5.9, 6.7, side=2), final(2, 6.7, 7.5, 1), final(2, 7.5, 8.4, 2)]
-    assert ", last 1.7 s, " in after(begun, *steps[:2]) and ", last 1.7 s, " in after(begun, *steps)
-    newer = ("provisional", event("provisional", 10, onset=8.4, end=9.3, activity=1, repetition=3))
-    assert ", last 1.7 s, " in after(begun, *steps, newer)  # it is believed before it has quite ended
-
-
-def test_since_when_is_the_first_repetition_not_the_rest_that_the_activity_begins_with() -> None:
-    """An activity may begin with a rest: what is shown of it is from its first repetition to its last."""
-    parts = [
-        ("resting", event("resting", 1, onset=0.5)),
-        ("provisional", event("provisional", 9, onset=1, end=9, activity=1, repetition=0)),
-        ("provisional", event("provisional", 9, onset=5, end=7, activity=1, repetition=1)),
-        ("count", event("count", 9, activity=1, count=1)),
-    ]
-    assert "since 0:04" in after(*parts)
-    repetitions = [final(1, 5.2, 7), final(2, 7, 9.2)]
-    assert "before: knees x 2, 4.0 s\n" in after(*parts, *repetitions, ended(1, 10, repetitions=2)) + "\n"
-
-
-def test_what_came_before_stands_in_its_order_and_rest_is_no_other_motion() -> None:
-    """Rests come at once, activities seconds later; a stretch that holds nothing but a rest is not shown."""
-    rest = ("rest", event("rest", 12, onset=7, end=11.5))
-    assert "before: rest, 4.5 s · exercise 1 x 3, 6.0 s\n" in after(rest, ended(1, 7, repetitions=3)).replace(
-        " \n", "\n"
-    )
-    assert "other" not in after(rest, ended(6.8, 12, activity=2))
-    pairs = [
-        [
-            ("rest", event("rest", 20 * k + 9, onset=20 * k + 7, end=20 * k + 12)),
-            ended(20 * k, 20 * k + 7, k, repetitions=3),
-        ]
-        for k in range(6)
-    ]
-    parts = [part for pair in pairs for part in pair][:-1]
-    strip = " ".join(after(*parts).partition("before: ")[2].split())
-    assert strip == " · ".join(["rest, 5.0 s", *2 * ["rest, 5.0 s", "exercise 1 x 3, 7.0 s"], "rest, 5.0 s"])
 
 
 def turns(kind: int, cycles: int = 4, length: int = 40, seed: int = 0, start: float = 0.0) -> Any:
@@ -686,9 +452,3 @@ def test_taught_by_what_was_said_a_name_is_of_what_was_under_way_or_nearer() -> 
     assert meant == [0, 0, 0, 2, 2, 2, None]
     assert _meant(told, round(6.5 * NS), {0: "arms"}) == 2 and _meant(told, 3 * NS, {0: "arms"}) == 0
     assert _meant(told[:0], 0, {}) is None
-
-
-def test_what_repeats_without_a_cluster_has_no_number() -> None:
-    outlet = opened()
-    outlet.process("activity", event("activity", 9.0, repeats=True, cluster=-1, activity=0, repetitions=4))
-    assert "exercise x 4" in shown(outlet)
