@@ -46,6 +46,8 @@ PROBES, LARGE, HUGE = (-1, 0, 0.5), 1000, 1_000_000_000
 a window of 30 years is refused by one machine's memory and not by another's."""
 RATES, PERIODS = (0.3, 0.49, 0.5, 1.0), (0.4, 1.0, 2.5)
 """Given to every parameter in Hz, of the first input's rate, and to every one in seconds, in its periods."""
+FEW = 4
+"""Times are exact where on average so many of them lie as long after one that was given."""
 MOST = 20
 """So many changes of one operator are printed."""
 SAME = "as: "
@@ -136,8 +138,17 @@ def _caught(ask: Callable[[], Answers]) -> Answers:
 
 
 def _played(case: Case, delivery: Delivery) -> Answers:
-    player = Player(case).play(delivery)
-    return {name: " ".join(_summary(output)) for name, output in player.outputs.items()} or {"": "runs"}
+    player, given = Player(case).play(delivery), _times_given(delivery)
+    return {name: " ".join(_summary(output, given)) for name, output in player.outputs.items()} or {"": "runs"}
+
+
+def _times_given(delivery: Delivery) -> Array:
+    """Every time that an operator is given: stamps, ends of chunks, and what events say."""
+    found = [np.zeros(1, np.int64)]
+    for _, chunk in delivery:
+        found += [chunk.time, [chunk.until] if abs(chunk.until) < FOREVER - 1 else []]
+        found += [np.ravel(chunk.data[n]) for n in chunk.data.dtype.names or () if chunk.data.dtype[n].base == np.int64]
+    return np.unique(np.concatenate(found).astype(np.int64))
 
 
 def _played_on(case: Case, tapes: Tapes) -> Answers:
@@ -245,20 +256,34 @@ def _by_rate(case: Case) -> Iterator[tuple[str, Any]]:
             yield from ((f.name, float(f"{part * rate if given is RATES else part / rate:.6g}")) for part in given)
 
 
-def _summary(output: Output) -> Iterator[str]:
-    """How many samples and chunks there were, where samples are missing; then sums over stamps, ends of chunks and every number."""
+def _summary(output: Output, given: Array) -> Iterator[str]:
+    """How many samples and chunks there were, where samples are missing; then sums over stamps, ends of chunks and every number.
+
+    Of times that follow those which are `given` at few distances, every nanosecond counts: nothing is computed there that processors do
+    differently.
+    """
     times, data = output.time, output.data
     lost = np.asarray(output.lost, np.int64)
     yield f"n={len(times)} lost={int(lost.clip(0).sum())}/{int((lost < 0).sum())}"
     if len(times):
         yield f"from={int(times[0])}"
         yield f"time={_sums(times - times[0])}"
+        yield from _exact("stamps", times, given)
         yield f"lost-at={_sums(lost)}"
     until = np.array([chunk.until for chunk, *_ in output.kept if abs(chunk.until) < FOREVER - 1], np.int64)
     if len(until):
         yield f"until={len(output.kept)}:{_sums(until - (times[0] if len(times) else until[0]))}"
+        yield from _exact("ends", until, np.union1d(given, times))
     for name, column in _columns(data):
+        if data.dtype.names and column.dtype == np.int64:
+            yield from _exact(f"exact-{name}", column[(column > 0) & (column < FOREVER - 1)], given)
         yield f"{name}={_sums(column)}" if column.dtype.kind in "biuf" else f"{name}=#{_digest(column)}"
+
+
+def _exact(name: str, times: Array, given: Array) -> Iterator[str]:
+    after = times - given[np.searchsorted(given, times, "right") - 1]
+    if len(times) >= FEW and len(np.unique(after)) <= len(times) // FEW:
+        yield f"{name}=#{_digest(times)}"
 
 
 def _columns(data: Array) -> Iterator[tuple[str, Array]]:

@@ -188,6 +188,15 @@ def test_frames_without_depth_invent_nobody(frame: np.ndarray) -> None:
     assert not any(chunk.data.any() for chunk in made["out"])
 
 
+def test_more_parts_than_are_told_apart_are_no_people() -> None:
+    persons = Persons()
+    persons.open({"in": DEPTH})
+    frame = np.zeros((HEIGHT, WIDTH), np.uint16)
+    for k in range(100):
+        frame[10 * (k // 10) : 10 * (k // 10) + 6, 12 * (k % 10) : 12 * (k % 10) + 6] = 2000
+    assert not any(chunk.data.any() for chunk in feed(persons, "in", frame[None])["out"])
+
+
 def test_two_people_who_pass_each_other_keep_their_names() -> None:
     persons = Persons()
     persons.open({"in": DEPTH})

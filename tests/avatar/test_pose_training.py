@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from devices.files.timing import grid_of
+from operators.whole_pose.from_markers import solved
 from operators.whole_pose.landmarks import NAMES, USUAL
 from operators.whole_pose.learn import learn_pose, lesson_of, lessons_of, scale_of
 from operators.whole_pose.regions_kernel import shown_by_region
 from stream import cli
-from stream.chunk import Samples, StreamSpec
+from stream.chunk import Samples, StreamSpec, grid
 from stream.errors import KinegraphError
 from stream.humanoid import BONES as HUMANOID
 from stream.humanoid import find_bones, to_humanoid
@@ -113,6 +114,17 @@ def test_c3d_files_that_show_more_than_the_model_will_see_give_poses_to_learn_fr
     truth = played(marks((*USUAL, "toe_l", "toe_r")), (*USUAL, "toe_l", "toe_r"), calibrate_s=0.0)[1]
     made = played(marks(), model=tmp_path / "pose.npz", calibrate_s=0.0)[1]
     assert np.linalg.norm(made[60:] - truth[60:], axis=-1).mean() < 0.02
+
+
+@pytest.mark.parametrize("columns", [[0, 1, 2], [0, 2, 1]], ids=["y", "z"])
+def test_poses_of_markers_stand_upright_whichever_axis_points_up(columns: list[int]) -> None:
+    names = (*NAMES[:13], "toe_l", "toe_r", "hand_l", "hand_r", "neck", "root")
+    marked = marks(names)[..., columns] * ([1.0, 1.0, 1.0] if columns[1] == 1 else [1.0, -1.0, 1.0])
+    spec = StreamSpec((len(names), 3), rate_hz=RATE, channels=names, units=("m",))
+    poses = solved(spec, grid(RATE, N), marked, np.arange(13))
+    assert isinstance(poses, np.ndarray)
+    up = 1.0 - 2.0 * (poses[:, 4] ** 2 + poses[:, 6] ** 2)  # y of the hips' own y axis
+    assert (up > 0.9).all()
 
 
 def test_a_c3d_file_that_shows_no_more_than_the_model_will_see_teaches_nothing(tmp_path: Path) -> None:

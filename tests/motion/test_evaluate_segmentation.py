@@ -277,6 +277,7 @@ LABEL = np.repeat([0, -1, 1], 10)
         ),
         ({"label": LABEL, "t_us": np.arange(9)}, "must be of one length"),
         ({"label": LABEL, "t_us": np.full(30, np.nan)}, "`t_us` must be a row of times that grow"),
+        ({"label": LABEL, "t_us": np.arange(30).clip(1)}, "`t_us` must be a row of times that grow"),
         ({"tag_frame": np.array([3, -4]), "rate": 30.0}, "`tag_frame` names frames that do not exist"),
         ({"label": np.full(30, -1), "rate": 30.0}, "holds no annotations"),
         ({"x": LABEL}, "there are none of them"),
