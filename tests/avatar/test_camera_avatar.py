@@ -221,6 +221,22 @@ def test_who_was_calibrated_stands_on_the_floor_and_faces_the_front() -> None:
     assert np.allclose(out[-1, 3:7], [1.0, 0.0, 0.0, 0.0], atol=1e-6)
 
 
+@pytest.mark.parametrize(("size", "scale"), [(0.5, 0.5), (0.05, 1.0)], ids=["a child", "no legs to speak of"])
+def test_a_step_is_as_long_as_the_avatar_s_legs_make_it(size: float, scale: float) -> None:
+    n, tree = 60, usual_body()
+    poses, joints = turned(n, 0.0)
+    joints *= size
+    poses[:, :3] = joints[:, 0]
+    poses[30:, 0] += 0.3
+    joints[30:, :, 0] += 0.3
+    quality = np.zeros((n, len(BONES) + len(NOTES)))
+    quality[:, len(BONES) + 2] = 1.0
+    out, _ = footed(poses, joints, quality)
+    assert np.allclose(out[-1, 0] - out[20, 0], 0.3 / scale, atol=1e-6)
+    if scale == size:
+        assert np.allclose(out[20, 1], tree.offsets[0, 1], atol=1e-6)
+
+
 def test_without_a_calibration_the_avatar_follows_after_a_while() -> None:
     poses, joints = turned(120, 0.0)
     out, asked = footed(poses, joints, np.zeros((120, len(BONES) + len(NOTES))), uncalibrated_s=2.0)

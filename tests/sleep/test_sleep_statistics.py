@@ -229,3 +229,16 @@ def test_who_never_lies_still_has_no_short_stillness(moving: list[float], fragme
     states = np.full(8, SLEEP, np.int8)
     given = stream.sleep_night._indices(states, np.array(moving), 1.0, "AASM", 0, 8)
     assert given == (100 * sum(moving) / 8, fragmentation, fragmentation)
+
+
+def test_no_more_nights_wait_for_their_scores_than_there_is_room_for() -> None:
+    """The rows of the first sixteen come; the rest is passed over, and nothing ends."""
+    spec, stamps, rows = scores(["sleep"] * 200)
+    switched = np.arange(1, 41) * 4 * MINUTE
+    lights = StreamSpec((1,))
+    statistics = SleepStatistics("AASM")
+    statistics.open({"epochs": spec, "lights": lights})
+    off = (np.arange(40) % 2 == 1).astype(float)[:, None]
+    first = statistics.process("lights", Chunk(switched, off, int(switched[-1])))
+    found = statistics.process("epochs", Chunk(stamps, rows, int(rows["end"][-1])))
+    assert len(first) == 0 and found.data["onset"].tolist() == switched[:32:2].tolist()
