@@ -48,6 +48,14 @@ RATES, PERIODS = (0.3, 0.49, 0.5, 1.0), (0.4, 1.0, 2.5)
 """Given to every parameter in Hz, of the first input's rate, and to every one in seconds, in its periods."""
 FEW = 4
 """Times are exact where on average so many of them lie as long after one that was given."""
+TOLD: dict[str, Any] = {
+    "side": "left",
+    "label": "made up",
+    "device": "made up",
+    "height_unit": "cm",
+    "limb_names": ["left", "right"],
+}
+"""What a source may have said of its stream: which operators pass on, some refuse, and some go by."""
 MOST = 20
 """So many changes of one operator are printed."""
 SAME = "as: "
@@ -199,6 +207,8 @@ def _other_specs(spec: StreamSpec) -> Iterator[tuple[str, StreamSpec]]:
     yield "rate", spec.derive(rate_hz=2.0 * (spec.rate_hz or 5.0))
     yield "slow", spec.derive(rate_hz=0.5)
     yield "unit", spec.derive(units=("furlong",))
+    yield "bare", spec.derive(meta={})
+    yield "told", spec.derive(meta={**spec.meta, **TOLD})
     if not spec.is_event:
         yield "int16", spec.derive(dtype=np.dtype(np.int16))
         yield "nameless", spec.derive(channels=(), units=spec.units[:1])
