@@ -65,6 +65,17 @@ def test_mean_curves_that_differ_do_so_where_they_do(three):
     assert len(same.places) < 10 and {36, 52} <= set(other.places) and 75 not in other.places
 
 
+def test_a_muscle_of_which_one_session_knows_nothing_is_unknown_there_alone(tmp_path):
+    made = [bursts(20, seed=seed) for seed in (1, 2)]
+    spec, time, curves = made[1]["cycles"]
+    made[1]["cycles"] = spec, time, np.where(np.arange(2) == 1, np.nan, curves)
+    sessions = [session(tmp_path / f"{name}.mcap", inputs) for name, inputs in zip("ab", made, strict=True)]
+    found = compare_sessions([read_sessions(path)[0] for path in sessions], PeakMixtures())
+    for curves in (found.means, found.sds):
+        assert np.isfinite(curves["TA"]).all()
+        assert np.isfinite(curves["SO"][0]).all() and np.isnan(curves["SO"][1]).all()
+
+
 def test_scatter_is_told_in_both_readings():
     curves = np.array([[3.0] * 100, [1.0] * 100, [2.0] * 100])
     assert scatter(curves, curves.mean(axis=0)) == pytest.approx((20 / 3, 40 / 9, np.sqrt(200.0), 20 / 3))
