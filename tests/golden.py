@@ -41,6 +41,8 @@ WIDTH = 8
 """Numbers of a sample that are summed up one by one; of more, every eighth goes to the same sum."""
 RELATIVE = 2e-6
 """How far a sum may be off, relative to the root mean square of what is summed: processors round functions differently."""
+NOTHING = 1e-15
+"""What rounding leaves of numbers that cancel each other."""
 PROBES, LARGE, HUGE = (-1, 0, 0.5), 1000, 1_000_000_000
 """Given to every parameter that is a number: which of them are refused, and in which words. Huge ones only where there is a bound, since
 a window of 30 years is refused by one machine's memory and not by another's."""
@@ -342,7 +344,7 @@ def _near(one: str, other: str, relative: float = RELATIVE) -> bool:
     if name != same or len(first) != len(second) or len(first) < 3 or first[:-2] != second[:-2]:
         return False
     x, y = np.array([first[-2:], second[-2:]], np.float64)
-    return bool((np.abs(x - y) <= relative * max(x[0], y[0])).all())
+    return bool((np.abs(x - y) <= max(relative * max(x[0], y[0]), NOTHING)).all())
 
 
 def read(use: str) -> Answers:

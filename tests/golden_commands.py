@@ -34,6 +34,7 @@ RELATIVE = 2e-3
 NUMBER = re.compile(r"(?<![\w.#])[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?", re.ASCII)
 CHANGING = re.compile(
     r'"(?:made_by|versions?|hash|sha256|made|created)": ?"[^"]*"|data:image/png;base64,[A-Za-z0-9+/=]+'
+    r'|(?<="bytes": )\d+|\d+\.\d MB|(?<=^replayed 15\.0 s) .*'
     r'|(?<=url\(#)[a-z][0-9a-f]+|(?<=id=")[a-z][0-9a-f]{5,}'
 )
 """What differs from one run, or version, or processor, to the next: a plot's names of its parts come from the last digits of where they
@@ -219,6 +220,59 @@ def _nights() -> Iterator[str]:
     yield "evaluate sleep n.mcap psg.csv -o night"
 
 
+def _teach() -> Iterator[str]:
+    from tests.motion.test_evaluate_segmentation import recording
+
+    recording(Path("walk.mcap"))
+    yield "teach walk.mcap walk=0-5.1 run=5.4-9.97 -o two.npz"
+    yield "teach walk.mcap walk=0-3.4 walk=5-9.97 -o one.npz"
+    for wrong in ("walk=5-4", "walk=20-30", "walk=5.1-5.2", "walk", "=0-5", "walk=0-x", "walk=0-5 run=4-8"):
+        yield f"teach walk.mcap {wrong} -o wrong.npz"
+    yield "teach walk.mcap walk=0-5 -o two.npz"
+    yield "teach walk.mcap -o said.npz"
+    yield "teach walk.mcap walk=0-5 -o other.npz --features nothing"
+    yield "teach walk.mcap walk=0-5 -o other.npz --node nobody"
+
+
+def _graphs() -> Iterator[str]:
+    rng = np.random.default_rng(4)
+    time_ = np.delete(grid(100.0, 1500, start_ns=3 * NS), slice(400, 430))
+    lost = np.zeros(len(time_), np.int64)
+    lost[400] = 30
+    emg = StreamSpec((2,), rate_hz=100.0, channels=("TA", "SO"), units=("uV",))
+    pulse = np.zeros(7, [("onset", "<i8"), ("text", "<U8")])
+    pulse["onset"], pulse["text"] = 3 * NS + np.arange(7) * 2 * NS, [f"p{k}" for k in range(7)]
+    series = [
+        Series("a.emg", emg, time_, rng.normal(size=(len(time_), 2)), lost),
+        Series("a.pulse", StreamSpec((), pulse.dtype, units=("ns", "")), pulse["onset"].copy(), pulse),
+    ]
+    write_recording(Path("a.mcap"), series, {"session": {"subject": "S1", "speed_m_s": 1.2}})
+    source = "nodes:\n  a: {use: devices.files.recorded_streams.RecordedStreams, path: a.mcap, of: a, speed: 0}\n"
+    chain = """  low: {use: operators.iir.Lowpass, from: a.emg, cutoff_hz: 6}
+  rms: {use: operators.moving.MovingRms, from: a.emg, window_s: 0.5}
+  loud: {use: operators.threshold.Threshold, from: rms, level: 1.0, channel: TA, release: 0.9}
+  gate: {use: operators.gate.Gate, from: {in: low, pulses: a.pulse}, start: p2}
+  table: {use: devices.outlets.csv_file.CsvFile, from: gate, path: gate.csv}
+record: [low, rms, loud.onset, loud.interval, gate]
+"""
+    Path("g.yaml").write_text(source + chain)
+    Path("bad.yaml").write_text(source + chain.replace("cutoff_hz: 6", "cutoff_hz: 60"))
+    Path("port.yaml").write_text(source + chain.replace("a.pulse", "a.pulses"))
+    Path("typo.yaml").write_text(source + chain.replace("window_s", "windows_s"))
+    yield "info a.mcap"
+    yield "info a.mcap --json"
+    yield "check g.yaml"
+    for wrong in ("bad", "port", "typo", "none"):
+        yield f"check {wrong}.yaml"
+    yield "check g.yaml --set low.cutoff_hz=12 --set rms.window_s=0.01"
+    for form in ("tree", "mermaid", "dot"):
+        yield f"draw g.yaml --format {form}"
+    yield "parts wavelet"
+    yield "replay g.yaml a.mcap -o made.mcap -q"
+    yield "info made.mcap --graph"
+    yield "replay g.yaml a.mcap -q --set loud.min_duration_s=-1"
+
+
 SCENES: dict[str, tuple[str, Scene]] = {
     "train-pose": ("operators.whole_pose.commands.train", _train_pose),
     "train-steering": ("operators.steering.commands.train", _train_steering),
@@ -230,6 +284,8 @@ SCENES: dict[str, tuple[str, Scene]] = {
     "evaluate-segmentation": ("operators.segmentation.evaluation.command", _evaluate_segmentation),
     "sessions": ("operators.gait.commands.pulses", _sessions),
     "electrodes": ("operators.emg.commands.check_electrodes", _electrodes),
+    "teach": ("operators.segmentation.commands.teach", _teach),
+    "graphs": ("stream.commands.check", _graphs),
     "nights": ("operators.sleep.evaluation.command", _nights),
 }
 """By name, the module of the command, and what it is called with."""
@@ -277,7 +333,7 @@ def call(words: list[str]) -> tuple[object, str, str]:
 def _lines(text: str, folder: str) -> Iterator[str]:
     for line in text.replace(folder, "FOLDER").splitlines():
         if line.strip():
-            yield " ".join(CLOCK.sub("", line).split())
+            yield " ".join(CHANGING.sub("", CLOCK.sub("", line)).split())
 
 
 def _of_file(path: Path) -> Iterator[tuple[str, str]]:

@@ -42,6 +42,10 @@ def _all(tapes: Tapes, operator: Operator[Any]) -> Iterator[tuple[str, Tapes]]:
         yield "limits", with_data(tapes, lambda x: _at(x, limits))
     for name, change_event in EVENTS.items():
         yield name, _with_events(tapes, change_event)
+    yield "first-channels", _some_channels(tapes, slice(None, -2))
+    yield "last-channels", _some_channels(tapes, slice(2, None))
+    yield "fewer-channels", _some_channels(tapes, slice(None, None, 2))
+    yield "upper-channels", _some_channels(tapes, slice(None, 7))
     yield "slower", _stretched(tapes, 2, 1)
     yield "faster", _stretched(tapes, 1, 2)
     yield "coarse", _coarse(tapes)
@@ -157,6 +161,23 @@ def _at(data: Array, limits: list[float]) -> Array:
     wanted = np.array(limits)[np.arange(len(other[::3])) // 3 % len(limits)]
     other[::3] = np.broadcast_to(wanted.reshape(-1, *(1,) * (data.ndim - 1)), other[::3].shape)
     return other
+
+
+def _some_channels(tapes: Tapes, kept: slice) -> Tapes:
+    """Only these of the named channels, where at least two are left."""
+    return {port: _channels_of(tape, kept) for port, tape in tapes.items()}
+
+
+def _channels_of(tape: CaseSamples, kept: slice) -> CaseSamples:
+    spec, axis = tape.spec, tape.spec.channel_axis
+    if spec.is_event or len(spec.channels[kept]) < 2 or len(spec.channels) != spec.shape[axis]:
+        return tape
+    data = tape.data.reshape(len(tape), *spec.shape)[(slice(None),) * (axis + 1) + (kept,)]
+    shape = data.shape[1:]
+    units = spec.units if len(spec.units) == 1 else spec.units[kept]
+    flat = data if tape.data.ndim == 1 + len(shape) else data.reshape(len(tape), -1)
+    made = spec.derive(shape=shape, channels=spec.channels[kept], units=units)
+    return replace(tape, spec=made, data=np.ascontiguousarray(flat))
 
 
 def _each(*kinds: str) -> Callable[[CaseSamples], list[str]]:

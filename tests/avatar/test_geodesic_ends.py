@@ -123,7 +123,7 @@ def test_every_kernel_is_compiled_before_the_camera_opens(monkeypatch: pytest.Mo
 
 
 def test_the_farthest_pixel_may_be_the_first_one() -> None:
-    """Of a strip that is measured from its last pixel, each further end is half of what is left away, and the pixel in the corner is first."""
+    """A strip that is measured from its last pixel: first comes the pixel in the corner, then the middle."""
     points = np.zeros((2, 8, 3))
     points[..., 0], points[..., 1] = 0.05 * np.arange(8), 0.05 * np.arange(2)[:, None]
     points[..., 2] = 1.0

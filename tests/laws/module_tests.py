@@ -66,23 +66,23 @@ def _named_after(module: str) -> list[str]:
 
 def own_operators(module: str, found: Mapping[str, str]) -> list[str]:
     """The operators (by `use`, with the module of each in `found`) that a module is part of: those in it, else those nearest to it."""
-    return _nearest(module, found)[:OPERATORS] or [use for use in SAMPLE if module in _trial()]
+    return _nearest(module, found, OPERATORS) or [use for use in SAMPLE if module in _trial()]
 
 
 def own_commands(module: str, found: Mapping[str, str]) -> list[str]:
     """The same for golden answers of commands, by their names, with the command's module of each in `found`."""
-    return _nearest(module, found)[:COMMANDS]
+    return _nearest(module, found, COMMANDS)
 
 
-def _nearest(module: str, found: Mapping[str, str]) -> list[str]:
-    """Those whose module reaches this one by the fewest imports."""
-    reached = {module}
-    for _ in range(FARTHEST):
-        near = sorted(name for name, home in found.items() if home in reached)
-        if near:
-            return near
+def _nearest(module: str, found: Mapping[str, str], most: int) -> list[str]:
+    """Those whose module reaches this one by the fewest imports; those in the module itself have none beside them."""
+    reached, near = {module}, list[str]()
+    for k in range(FARTHEST):
+        near += sorted(name for name, home in found.items() if home in reached and name not in near)
+        if len(near) >= most or (near and not k):
+            break
         reached |= {other for other, path in _modules().items() if reached & _imports(path)}
-    return []
+    return near[:most]
 
 
 @cache

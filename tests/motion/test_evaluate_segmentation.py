@@ -66,6 +66,12 @@ def test_a_blind_cut_every_second_and_none_at_all_score_what_is_known():
 
 
 def test_boundaries_are_matched_one_to_one():
+    none, one = np.empty(0), np.array([1.0])
+    assert boundary_f1(none, one) == boundary_f1(one, none) == (0.0, 0.0, 0.0) and boundary_f1(none, none) == (
+        1.0,
+        1.0,
+        1.0,
+    )
     assert boundary_f1(np.array([10.0, 10.2, 30.0]), np.array([10.1, 20.0])) == pytest.approx((0.4, 1 / 3, 0.5))
     assert (
         boundary_f1(np.array([9.0]), np.array([10.0]))[0] == 1.0
