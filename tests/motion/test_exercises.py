@@ -273,6 +273,16 @@ def test_a_page_that_could_not_be_written_is_not_told_of_as_left_behind(
     assert outlet.file == ""
 
 
+def test_a_report_that_could_not_be_begun_is_not_told_of_as_left_behind(tmp_path: Path) -> None:
+    """Where its folder cannot be made, say."""
+    outlet = TrainingReport(path=str(tmp_path / "there" / "training.html"))
+    outlet.open({port: EVENTS[port] for port in outlet.inputs})
+    (tmp_path / "there").write_text("a file")
+    with pytest.raises((DeviceError, OSError)):
+        outlet.begin()
+    assert outlet.file == ""
+
+
 def sets() -> list[tuple[str, Chunk]]:
     parts = []
     for k in range(2):
@@ -326,6 +336,23 @@ def test_the_report_has_sets_repetitions_tempo_and_rest_and_a_row_for_each(tmp_p
     assert [row[2] for row in cells if row[:2] == ["2", "squat"]] == ["0:17"]
     assert rows[0]["sides alike"] == "0.9" and page.count("<circle") == 2 * 3 * 5
     assert "P07 &lt;b&gt;" in page and page.count("<rect") == 10 and "http" not in page
+
+
+def test_the_course_is_as_wide_as_the_session_and_sides_are_shown_where_they_are_known(tmp_path: Path) -> None:
+    """Both sets are over after half of the session: no dot lies in the right half of its row."""
+    end = ("rest", event("rest", 54, onset=30, end=54))
+    (tmp_path / "long").mkdir()
+    page, _ = report_of(tmp_path / "long", [*sets(), end])
+    wide = float(re.findall(r'viewBox="0 0 (\d+) 44"', page)[0])
+    places = [float(x) for x in re.findall(r'<circle cx="([\d.]+)"', page)]
+    assert 0.4 * wide < max(places) < 0.6 * wide and min(places) < 0.05 * wide
+    assert ">Sides<" in page
+    unknown = [(port, chunk) for port, chunk in sets()]
+    for port, chunk in unknown:
+        if port == "activity":
+            chunk.data["symmetry"] = 0
+    (tmp_path / "unknown").mkdir()
+    assert ">Sides<" not in report_of(tmp_path / "unknown", unknown)[0]
 
 
 def test_a_difference_that_nobody_can_see_looks_like_none(tmp_path: Path) -> None:

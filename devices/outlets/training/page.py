@@ -14,7 +14,7 @@ from stream.chunk import NEVER, NS
 
 BAR_WIDTH, BARS_HEIGHT = 9, 46
 """Pixels of a repetition's bar, and of the longest one's height."""
-COURSE_WIDTH, COURSE_HEIGHT = 520, 44
+COURSE_WIDTH, COURSE_HEIGHT = 760, 44
 SCALE = 0.1
 """The height of a course is at least this share of its values, so that a difference nobody can see looks like none."""
 
@@ -42,8 +42,9 @@ def render(title: str, facts: Mapping[str, Any], training: Training, unit: str, 
         number=number,
         minutes=minutes,
         bars=bars,
-        courses=courses(sets),
+        courses=courses(sets, lasted),
         mean=lambda values: float(np.nanmean(values)) if np.isfinite(values).any() else np.nan,
+        handed=any(one.symmetry for one in sets),
         sided=any(np.isfinite(one.alike) for one in sets),
         doubtful=any(one.doubtful for one in sets),
         shown=any(np.isfinite(one.distances).any() for one in sets),
@@ -68,12 +69,11 @@ def bars(values: tuple[float, ...]) -> dict[str, Any]:
     }
 
 
-def courses(sets: list[Exercise]) -> list[dict[str, Any]]:
+def courses(sets: list[Exercise], lasted: float) -> list[dict[str, Any]]:
     """By exercise, how the duration, the range and (where it was shown) the distance of its repetitions went over the session.
 
-    Of each the dots' places in pixels, the whole session wide, and the numbers at the top and at the bottom.
+    Of each the dots' places in pixels, the whole session, `lasted` seconds, wide, and the numbers at the top and at the bottom.
     """
-    ended = max((one.starts[-1] for one in sets if one.starts), default=0.0)
     made = []
     for name in dict.fromkeys(one.name for one in sets):
         mine = [one for one in sets if one.name == name]
@@ -89,7 +89,7 @@ def courses(sets: list[Exercise]) -> list[dict[str, Any]]:
             spread = max(high - low, SCALE * abs(middle)) or 1.0
             dots = [
                 (
-                    4 + (COURSE_WIDTH - 8) * t / ended if ended > 0.0 else 4,
+                    4 + (COURSE_WIDTH - 8) * t / lasted if lasted > 0.0 else 4,
                     4 + (COURSE_HEIGHT - 8) * (0.5 - (v - middle) / spread),
                 )
                 for t, v in zip(x, values, strict=True)

@@ -26,7 +26,7 @@ from stream.state import pack
 
 KINDS = {
     "activity": ("sets", SET.names or ()),
-    "repetition": ("repetitions", (*(REPETITION.names or ()), "side")),
+    "repetition": ("repetitions", (*(REPETITION.names or ()), "sure", "side")),
     "rest": ("rests", REST.names or ()),
 }
 """By port: where its events are kept, and the fields that they must have."""
@@ -49,14 +49,13 @@ class TrainingState:
 
 
 class TrainingRuntime:
-    """What belongs to a running report but not to its state. `unit`: of ranges and distances; `failed`: the page could not be written."""
+    """What belongs to a running report but not to its state. `unit`: of ranges and distances."""
 
     def __init__(self, unit: str) -> None:
         self.unit = unit
         self.facts: dict[str, Any] = {}
         self.table: AppendFile | None = None
         self.claim: FileLock | None = None
-        self.failed = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,11 +91,12 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
 
     @property
     def file(self) -> str:
-        """The page; where it could not be written, the table, if there is one."""
-        if self.runtime.failed:
-            table = Path(self.path).with_name(f"{Path(self.state.stem).name}.csv")
-            return str(table) if table.exists() else ""
-        return str(Path(self.path).with_name(f"{Path(self.state.stem).name}.html")) if self.state.stem else self.path
+        """The page; where it could not be written, the table, if there is one; "" before there is anything."""
+        for suffix in (".html", ".csv") if self.state.stem else ():
+            made = Path(self.path).with_name(f"{Path(self.state.stem).name}{suffix}")
+            if made.exists():
+                return str(made)
+        return ""
 
     def meet(self, graph: Graph) -> None:
         self.runtime.facts = dict(graph.session)
@@ -139,7 +139,6 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
                 )
                 log.info("report written", page=str(page), table=f"{state.stem}.csv")
         except OSError as error:
-            runtime.failed = True
             raise DeviceError(f"report {page}: cannot be written: {error.strerror or error}") from None
         finally:
             if runtime.table:

@@ -16,7 +16,7 @@ MOST_LETTERS = 24
 REPETITION = np.dtype(
     [
         ("activity", "<i8"), ("repetition", "<i4"), ("onset", "<i8"), ("duration_s", "<f4"), ("range", "<f4"),
-        ("distance", "<f4"), ("sure", "<f4"), ("symmetry", "<f4"), ("name", "<i2"), ("moves", "<i2"),
+        ("distance", "<f4"), ("symmetry", "<f4"), ("name", "<i2"), ("moves", "<i2"),
     ]
 )  # fmt: skip
 """As it is kept, in few bytes: names by their place among the words."""
@@ -111,7 +111,6 @@ class Exercise:
     starts: tuple[float, ...]
     alike: float
     doubtful: bool
-    sure: float
 
 
 SYMMETRY = {0: "", 1: "both sides at once", 2: "sides in turn", 3: "one side, or unlike"}
@@ -145,7 +144,6 @@ def exercises(training: Training) -> list[Exercise]:
                 tuple(((spans["onset"] - training.began) / NS).tolist()),
                 float(np.nanmean(spans["symmetry"])) if np.isfinite(spans["symmetry"]).any() else np.nan,
                 bool(one["certainty"] <= 0.0),
-                float(np.mean(mine["sure"])) if len(mine) else np.nan,
             )
         )
     return made
