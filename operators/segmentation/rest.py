@@ -118,6 +118,8 @@ def tell_first_rest(s: Memory, first: int, t: int) -> None:
     """Who stood still before anything moved rested, which can only be known now, by what the motion is like.
 
     It must have gone on for MASS at the least, and at the most until MASS frames of it have been looked at that no rest is averaged into.
+    Stillness that does not reach back to the first frame is judged then: by the motion's first frames alone, which move little, noise may
+    look like motion.
     """
     b, begins = s.books, t + 1
     while begins > first and not at_rest(s, begins - 1):
@@ -125,7 +127,8 @@ def tell_first_rest(s: Memory, first: int, t: int) -> None:
     onset = begins
     while onset > first and at_rest(s, onset - 1):
         onset -= 1
-    if begins - onset > b[REST] and b[MASS] <= t + 1 - begins <= b[REST] + b[MASS] + 2 * b[EVERY]:
+    least = b[MASS] if onset == first else b[REST] + b[MASS] + b[EVERY]
+    if begins - onset > b[REST] and least <= t + 1 - begins <= b[REST] + b[MASS] + 2 * b[EVERY]:
         b[STOOD] = 1
         tell(s, REST_EVENT, s.times[onset % s.times.shape[0]], s.times[(begins - 1) % s.times.shape[0]], 0, 0, 0, 0)
 

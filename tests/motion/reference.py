@@ -220,7 +220,9 @@ class Reference:
         lively = len(still) if True not in still else still[::-1].index(True)
         before = still[: len(still) - lively]
         rest = len(before) if False not in before else before[::-1].index(False)
-        if rest > self.p["REST"] and self.p["MASS"] <= lively <= self.p["REST"] + self.p["MASS"] + 2 * self.p["EVERY"]:
+        settled = self.p["REST"] + self.p["MASS"] + self.p["EVERY"]
+        least = self.p["MASS"] if rest == len(before) else settled
+        if rest > self.p["REST"] and least <= lively <= settled + self.p["EVERY"]:
             self.stood = True
             self.tell("rest", self.frames[t + 1 - lively - rest], self.frames[t - lively])
 

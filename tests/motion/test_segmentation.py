@@ -573,6 +573,17 @@ def test_stillness_before_the_motion_is_told_as_rest(still_s: int) -> None:
     assert as_frames(x, events, stamps) == told(reference.run())
 
 
+def test_all_of_the_stillness_before_the_motion_is_told_though_the_motion_begins_slowly() -> None:
+    """By its first frames alone a single one of those before it, a little noisier, looked like motion: of 18 s 4 were told."""
+    operator = Segment()
+    x = seen(Routine(Exerciser(noise_mm=1.0, jitter_ms=0.0, seed=3, pause_s=18.0)), 23.0)
+    events, stamps = played(operator, x)
+    first = events["rest"][0]
+    assert first["onset"] < 1.5 * NS and first["end"] / 1e9 == pytest.approx(18.0, abs=0.7)
+    assert stamps["rest"][0] - first["end"] <= 3 * NS
+    assert as_frames(x, events, stamps) == told(Reference(x, frames_of(operator), operator.radius_share).run())
+
+
 def test_stillness_behind_a_gap_is_told_as_rest_too() -> None:
     operator, x = Segment(), stacked(lifts(2, 5, 50, 0, still=300))
     operator.open({"in": StreamSpec(x.shape[1:], rate_hz=RATE)})
@@ -707,14 +718,19 @@ def test_most_of_what_repeats_by_chance_in_four_channels_is_not_sure(name: str) 
 def two_exercises(seed: int, noise_mm: float = 6.0) -> tuple[Routine, Any]:
     """What somebody does, arms, squats and knees raised, with rests of 1.5 s between them, and the features of it (n, 75)."""
     routine = Routine(Exerciser(noise_mm=noise_mm, jitter_ms=0.0, seed=seed))
-    x = np.array([routine.joints(i) for i in range(round(RATE * (routine.starts(2)[-1] + 2.0)))])
+    return routine, seen(routine, routine.starts(2)[-1] + 2.0)
+
+
+def seen(routine: Routine, seconds: float) -> Any:
+    """The features (n, 75) of what somebody does in this time."""
+    x = np.array([routine.joints(i) for i in range(round(RATE * seconds))])
     pose = Pose()
     spec = StreamSpec(x.shape[1:], rate_hz=RATE, channels=JOINTS, units=("m",))
     pose.open({pose.inputs[0]: spec})
     time = grid(RATE, len(x))
     take = taking(pose, {pose.inputs[0]: spec})
     (made,) = chunks_of(pose.process(pose.inputs[0], take(pose.inputs[0], Chunk(time, x, int(time[-1])))))
-    return routine, stacked(made.data)
+    return stacked(made.data)
 
 
 def test_half_of_the_next_exercise_is_no_repetition_of_the_last_one_though_stillness_comes_before_it() -> None:
