@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from devices.outlets.training import TrainingReport
+from operators.segmentation.commands.teach import _cut
 from operators.segmentation.naming import TURNS, NameRepetitions, letters
 from operators.segmentation.outputs import PRIMITIVE
 from operators.segmentation.taught import UNKNOWN, Taught, taught
@@ -420,6 +421,20 @@ def test_one_shown_repetition_that_is_unlike_the_others_does_not_let_everything_
     other = np.hstack([np.sin(phase), np.cos(phase)]) * 3.0
     assert model.call(model.distances(other))[0] == UNKNOWN
     assert model.call(model.distances(shown[0] * 0.97))[0] == "circle"
+
+
+def test_steps_of_both_sides_are_kept_however_many_were_shown() -> None:
+    """Nine steps, five of which are kept: every second one would be five of the same side, and no step of the other is like them."""
+    told = np.zeros(9, PRIMITIVE)
+    told["side"], told["repetition"] = 1 + np.arange(9) % 2, 1 + np.arange(9) // 2
+    told["onset"], told["end"] = np.arange(9) * NS, np.arange(1, 10) * NS - 1
+    time = grid(30.0, 270, 0)
+    frames = np.where(time[:, None] // NS % 2 == 0, 1.0, -1.0) * np.ones(4)
+    made = taught([("knees", _cut(told, time, frames))], 0.3)
+    kept = [float(x[0, 0]) for x in made.frames]
+    assert len(kept) == 5 and set(kept) == {1.0, -1.0}
+    whole = told[["onset", "end"]][:3]
+    assert [len(x) for x in _cut(whole, time, frames)] == [30, 30, 30]
 
 
 def test_exercises_are_taught_from_one_person_and_named_live_on_another(

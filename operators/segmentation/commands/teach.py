@@ -66,6 +66,7 @@ def teach(
         told, radius = _repetitions(opened, node)
         chosen = _chosen(wanted or _said(opened, told), told, _zero(opened), recording)
         found = {name: _cut(told[mine], time, frames) for name, mine in chosen.items()}
+        steps = {name for name, mine in chosen.items() if _sides(told[mine]).all()}
     model = taught(list(found.items()), radius)
     try:
         model.write(output, spec, recording.name)
@@ -75,7 +76,8 @@ def teach(
         seconds = [len(x) / (spec.rate_hz or 1.0) for x in all_]
         kept = int((model.exercise == model.names.index(name)).sum())
         of = f" of {len(all_)}" if kept < len(all_) else ""
-        say(f"{name}: {kept}{of} repetitions kept, {min(seconds):.1f} to {max(seconds):.1f} s each")
+        what = "steps" if name in steps else "repetitions" if len(all_) > 1 else "repetition"
+        say(f"{name}: {kept}{of} {what} kept, {min(seconds):.1f} to {max(seconds):.1f} s each")
     say(str(output))
 
 
@@ -221,8 +223,18 @@ def _within(one: Exemplar, told: Array, zero: int, recording: File) -> Array:
     return mine
 
 
-def _cut(told: Array, time: Array, frames: Samples) -> list[Samples]:
+def _sides(told: Array) -> Array:
+    """Which step of a repetition each is; 0: a whole one."""
     import numpy as np
 
+    sides: Array = told["side"] if "side" in (told.dtype.names or ()) else np.zeros(len(told), np.int32)
+    return sides
+
+
+def _cut(told: Array, time: Array, frames: Samples) -> list[Samples]:
+    """The frames of each; steps of one side before those of the other, so that some of both are kept where not all are."""
+    import numpy as np
+
+    told = told[np.argsort(_sides(told), kind="stable")]
     spans = [np.searchsorted(time, [event["onset"], event["end"] + 1]) for event in told]
     return [np.ascontiguousarray(frames[first:last]) for first, last in spans if last - first > 1]
