@@ -99,3 +99,11 @@ def test_the_report_has_ten_of_each_with_its_name(trained: tuple[Path, Routine])
     for number in range(len(DONE)):
         taken = [float(row["duration (s)"]) for row in rows[TEN * number : TEN * (number + 1)]]
         assert np.median(taken) == pytest.approx(np.median(np.diff(routine.starts(number))), rel=0.1)
+
+
+def test_a_rest_lasts_as_long_as_somebody_stands_also_before_a_camera_with_little_noise(tmp_path: Path) -> None:
+    """Stillness that never reaches the segmentation is a gap: of 12 s of rest 2 were told."""
+    routine = Routine(Exerciser(seed=3, noise_mm=1.0, exercises=DONE, repetitions=4, pause_s=12.0))
+    little = {"kinect.seed": 3, "kinect.noise_mm": 1, "kinect.repetitions": 4, "kinect.pause_s": 12}
+    _, rests = found(session(tmp_path / "still", routine, **little), "segment.rest")
+    assert (rests["end"] - rests["onset"])[:3] / NS == pytest.approx([12.0, 12.0, 12.0], abs=1.0)
