@@ -242,8 +242,8 @@ def _runs(path: str, code: str, line: int) -> list[list[str]]:
     """The arguments of pytest for the tests of a module: golden answers of operators and commands, its own, the laws on operators in it.
 
     For a `line` that declares something, those of what is declared come first; for `code` that declares a dataclass, those of how, too.
-    Then golden answers of the nearest operator and the nearest tests, in one process, since imports take seconds in each; all others in
-    a second one.
+    Then golden answers of the nearest operators and the nearest tests, in one process, since imports take seconds in each; all others
+    in a second one.
     """
     module = path.removesuffix(".py").replace("/", ".").removesuffix(".__init__")
     found = {use: part.__module__ for use, part in catalogue(("operators",))[0].items()}
@@ -259,8 +259,8 @@ def _runs(path: str, code: str, line: int) -> list[list[str]]:
     declared = ["tests/house/test_frozen.py"] if code.startswith("@dataclass(") else []
     if _declares(path, line) and module in json.loads(KEPT.read_text(encoding="utf-8")):
         declared.append("tests/laws/test_constants.py")
-    first = [*declared, *golden[:1], *own[:NEAREST]]
-    return [run for run in (first, [*golden[1:], *golden_commands, *own[NEAREST:], *laws]) if run]
+    first = [*declared, *golden, *own[:NEAREST]]
+    return [run for run in (first, [*golden_commands, *own[NEAREST:], *laws]) if run]
 
 
 def _run(arguments: list[str], tree: Path, seconds: float) -> tuple[list[str], float, bool]:
