@@ -445,3 +445,27 @@ def test_chance_comes_to_all_that_was_recorded(graph: MotionGraph) -> None:
     assert often.min() >= 3 and often.max() <= 36
     inner = graph.core[graph.source] & graph.core[graph.target]
     assert np.mean(far) < 0.8 * graph.distance[inner].mean()
+
+
+@pytest.mark.parametrize(
+    ("spans", "clusters", "nodes"),
+    [
+        ([(0, 20), (20, 40), (40, 60)], [-1, -1, -1], [(0, 60, -1)]),  # what does not repeat and touches is one
+        ([(0, 20), (21, 40)], [-1, -1], [(0, 20, -1), (21, 40, -1)]),  # but not across a gap
+        ([(0, 20), (20, 40)], [-1, 3], [(0, 20, -1), (20, 40, 3)]),
+        (
+            [(0, 20), (20, 25), (25, 45)],
+            [3, 4, 5],
+            [(0, 25, 3), (25, 45, 5)],
+        ),  # what is too short goes to what is before it
+        ([(0, 5), (5, 25)], [3, 4], [(0, 25, 4)]),
+        ([(0, 5), (6, 26)], [3, 4], [(6, 26, 4)]),
+    ],
+)
+def test_what_touches_is_one_node_where_it_is_short_or_does_not_repeat(
+    spans: list[tuple[int, int]], clusters: list[int], nodes: list[tuple[int, int, int]]
+) -> None:
+    still = np.repeat(walking(1)[:1], 60, axis=0)  # any node can follow any other one
+    whole = Take("a", 0, still, np.array(spans), np.array(clusters))
+    graph = build_graph(TREE, [whole], [], RATE, 0.06, 4, mirror=False)
+    assert list(zip(graph.first.tolist(), graph.last.tolist(), graph.cluster.tolist(), strict=True)) == nodes
