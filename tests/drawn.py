@@ -28,7 +28,7 @@ NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
 def saved(figures: list[str]) -> Any:
-    """What is to stand in for `Figure.savefig`: it saves, and adds to `figures` what the figure shows."""
+    """A replacement for `Figure.savefig` that saves as usual and adds to `figures` what the figure shows."""
     save = Figure.savefig
 
     def saving(figure: Figure, *arguments: Any, **named: Any) -> None:
