@@ -74,12 +74,14 @@ class ExercisePanel(Outlet[ExerciseState, None]):
         state, line = self.state, ""
         if state.began == NEVER and chunk.until > NEVER:
             state.began = int(chunk.time[0]) if len(chunk) else chunk.until
-        before = state.count
+        rung = 0
         for stamp, event in zip(chunk.time, chunk.data, strict=True):
+            activity, count = state.activity, state.count
             line = HEAR[port](state, event, int(stamp)) or line
+            rung += state.count > (count if state.activity == activity else 0)
         if len(chunk):
             self._show(line)
-        if self.bell and state.count > before:
+        for _ in range(rung if self.bell else 0):
             ring()
 
     def _show(self, line: str) -> None:

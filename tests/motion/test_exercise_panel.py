@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from contextlib import nullcontext
 
+import numpy as np
 import pytest
 from rich.console import Console
 from rich.file_proxy import FileProxy
@@ -135,6 +136,18 @@ def test_the_bell_rings_once_for_every_new_repetition(monkeypatch: pytest.Monkey
     for port, chunk in training():
         outlet.process(port, chunk)
     assert len(rung) == 5  # 1, 2, 3, 3 again after a correction, and 1 of the next exercise
+
+
+def test_the_bell_rings_for_each_of_two_repetitions_that_are_counted_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first one is believed with the second, and both come in one chunk; so do the first of the next exercise."""
+    rung: list[int] = []
+    monkeypatch.setattr("devices.outlets.exercise_panel.ring", lambda: rung.append(1))
+    outlet = opened(bell=True)
+    for activity, counts in ((1, (1, 2)), (1, (3, 4, 5)), (2, (1, 2)), (2, (1,))):
+        told = [event("count", 5, activity=activity, count=k) for k in counts]
+        data = np.concatenate([one.data for one in told])
+        outlet.process("count", Chunk(np.concatenate([one.time for one in told]), data, told[-1].until))
+    assert len(rung) == 7
 
 
 def test_the_bell_is_heard_past_the_live_view(monkeypatch: pytest.MonkeyPatch) -> None:
