@@ -3,7 +3,17 @@
 from __future__ import annotations
 
 from operators.segmentation.events import tell
-from operators.segmentation.layout import BACK, BACK_TO, BELIEVED, BELIEVED_EVENT, BELIEVED_OF, COUNT_EVENT, Memory
+from operators.segmentation.layout import (
+    ACTIVITY,
+    BACK,
+    BACK_TO,
+    BELIEVED,
+    BELIEVED_EVENT,
+    BELIEVED_OF,
+    COUNT_EVENT,
+    EVENTS,
+    Memory,
+)
 from stream.kernel import kernel
 
 APART = 29
@@ -21,12 +31,15 @@ def tell_span(s: Memory, onset: int, end: int, activity: int, number: int) -> No
 
 @kernel
 def tell_count(s: Memory, activity: int, count: int) -> None:
-    """This many repetitions have come in the activity: every number is reported once, and a lower one than the last is a correction."""
-    place = activity % s.counted.shape[0]
+    """This many repetitions have come in the activity: every number is reported once, and a lower one than the last is a correction. None
+    of an activity that is merely believed is certain."""
+    place, first = activity % s.counted.shape[0], s.books[EVENTS]
     if count < s.counted[place]:
         tell(s, COUNT_EVENT, activity, count, 0, 0, 0, 0)
     for k in range(s.counted[place] + 1, count + 1):
         tell(s, COUNT_EVENT, activity, k, 0, 0, 0, 0)
+    if activity != s.books[ACTIVITY]:
+        s.ratings[first : s.books[EVENTS]] = 0.0
     s.counted[place] = count
 
 

@@ -82,9 +82,10 @@ def tell_held(s: Memory, last: int, to: int, how: int) -> None:
         count += tell_excursions(s, last, b[ACTIVITY] - 1, count, s.values[HELD_RADIUS])
     if b[PIECES_FROM] <= last:
         tell(s, PRIMITIVE_EVENT, b[PIECES_AT], to, b[ACTIVITY] - 1, 0, -1, how & 1)
+    told = b[EVENTS]
     settle_count(s, b[ACTIVITY] - 1, count)
     tell(s, ACTIVITY_EVENT, b[HELD_AT], to, b[ACTIVITY] - 1, count, b[HELD_CLUSTER], how)
-    s.ratings[b[EVENTS] - 1] = s.values[HELD_CERTAINTY]
+    s.ratings[told : b[EVENTS]] = s.values[HELD_CERTAINTY]
 
 
 @kernel

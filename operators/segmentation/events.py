@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from operators.segmentation.layout import (
+    BEGUN,
     CYCLES,
     EVENTS,
     NOW,
+    OPEN,
     PRICES,
     RADIUS,
     RADIUS_EVENT,
@@ -35,9 +37,9 @@ def tell(s: Memory, kind: int, a: int, c: int, d: int, e: int, f: int, g: int) -
 @kernel
 def certainty(s: Memory) -> float:
     """How certain the open activity's repetitions are, by how near they come to the exemplar, which as a rule is one of them: 1, the
-    same; 0, chance comes as near."""
+    same; 0, chance comes as near, or no activity is open."""
     later = s.books[CYCLES] - 1
-    if later < 1 or s.values[RADIUS] <= 0.0:
+    if not (s.books[OPEN] and s.books[BEGUN]) or later < 1 or s.values[RADIUS] <= 0.0:
         return 0.0
     return float(max(0.0, 1.0 - s.values[PRICES] / (later * CHANCE * s.values[RADIUS])))
 
