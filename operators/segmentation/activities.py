@@ -49,6 +49,7 @@ from operators.segmentation.layout import (
     RADIUS_EVENT,
     RECENT,
     REPEATED,
+    REST,
     RESTED,
     RETURNED,
     ROWS,
@@ -62,6 +63,7 @@ from operators.segmentation.layout import (
     TOLD,
     TRACK,
     TRANSITION,
+    UNSEEN,
     UNTOLD,
     UNTOLD_AT,
     Memory,
@@ -73,7 +75,7 @@ from operators.segmentation.repetitions import (
     take_up,
     under_way,
 )
-from operators.segmentation.rest import at_rest, choose_peak, rests, tell_rest
+from operators.segmentation.rest import at_rest, choose_peak, rests, tell_rest, unseen
 from operators.segmentation.returning import believe_behind, watch_returns
 from stream.chunk import Samples, Times
 from stream.kernel import kernel
@@ -97,10 +99,9 @@ def follow(s: Memory, x: Samples, mirrored: Samples, time: Times, first: int, ga
         if gap and i == first:
             end(s)
         if rests(s, x[i], time[i]):
-            if s.books[RESTED] == s.books[TRANSITION] + 1 and not s.books[OPEN]:
-                let_go(s)
-            if s.books[RESTED] == s.books[LAG]:
-                stand(s)
+            leave_out(s, s.books[RESTED])
+        elif unseen(s, x[i]):
+            leave_out(s, s.books[UNSEEN] - s.books[REST])
         else:
             t = insert(s, x[i], time[i])
             if mirrored.shape[0]:
@@ -108,6 +109,15 @@ def follow(s: Memory, x: Samples, mirrored: Samples, time: Times, first: int, ga
             step(s, t)
         i += 1
     return i
+
+
+@kernel
+def leave_out(s: Memory, count: int) -> None:
+    """A frame is not worked through, as so many in a row: after a transition no activity can meet the one before, after LAG all ends."""
+    if count == s.books[TRANSITION] + 1 and not s.books[OPEN]:
+        let_go(s)
+    if count == s.books[LAG]:
+        stand(s)
 
 
 @kernel
@@ -285,7 +295,7 @@ def end(s: Memory) -> None:
     """The stream ends, or a gap follows: what is open closes by force, and all but the exemplars is forgotten."""
     b = s.books
     tell_rest(s)
-    b[RECENT] = b[STOOD] = 0
+    b[RECENT] = b[STOOD] = b[UNSEEN] = 0
     close_all(s, True)
     b[SINCE] = b[NEXT]
     b[REPEATED] = 0
@@ -293,7 +303,7 @@ def end(s: Memory) -> None:
 
 @kernel
 def stand(s: Memory) -> None:
-    """Somebody has rested for as long as a cycle may last: what is open closes. What the motion was like stays known."""
+    """Somebody has rested, or not been seen, for as long as a cycle may last: what is open closes. What the motion was like stays known."""
     close_all(s, False)
 
 

@@ -20,7 +20,7 @@ NAMES = [
     "CLUSTER", "NEXT_CLUSTER", "CLOCK", "TURN", "EVENTS", "TOLD", "NOW", "PRESENT", "PATCHY",
     "RECENT", "RESTED", "REST_FROM", "REST_TO", "PEAK_AT", "BELIEVED", "BELIEVED_OF", "LIKE",
     "TRANSITION", "RESUMED", "HELD", "HELD_FIRST", "HELD_LAST", "HELD_AT", "HELD_TO", "HELD_CYCLES", "HELD_CLUSTER", "HELD_HOW",
-    "KEPT", "OUTINGS", "STOOD", "BACK", "BACK_FROM", "BACK_TO",
+    "KEPT", "OUTINGS", "STOOD", "BACK", "BACK_FROM", "BACK_TO", "UNSEEN",
 ]  # fmt: skip
 (
     LAG, WINDOW, LEARN, QUIET, MASS, SETTLE, FIRM, BAND_LEAST, BAND_MOST, EVERY, REST, FIXED,
@@ -31,7 +31,7 @@ NAMES = [
     CLUSTER, NEXT_CLUSTER, CLOCK, TURN, EVENTS, TOLD, NOW, PRESENT, PATCHY,
     RECENT, RESTED, REST_FROM, REST_TO, PEAK_AT, BELIEVED, BELIEVED_OF, LIKE,
     TRANSITION, RESUMED, HELD, HELD_FIRST, HELD_LAST, HELD_AT, HELD_TO, HELD_CYCLES, HELD_CLUSTER, HELD_HOW,
-    KEPT, OUTINGS, STOOD, BACK, BACK_FROM, BACK_TO,
+    KEPT, OUTINGS, STOOD, BACK, BACK_FROM, BACK_TO, UNSEEN,
 ) = range(len(NAMES))  # fmt: skip
 """
 LAG                       longest cycle, and how far back neighbours are looked for, in frames; as all down to REST
@@ -83,7 +83,7 @@ FORESEEN                  the last frame of the newest repetition that is believ
 AHEAD                     repetitions believed of the activity after the open one
 LIKE                      repetitions told since the exemplar was taken up
 TRANSITION                frames between two activities, at the most, that are divided between them
-RESUMED                   the first frame after the last rest that was longer
+RESUMED                   the first frame after the last rest that was longer, or after nothing was known for longer
 HELD                      whether an activity has ended whose end is decided with the next one's start
 HELD_FIRST, HELD_LAST     its first and last frame, as far as it is known; HELD_AT, HELD_TO: their stamps
 HELD_CYCLES, HELD_CLUSTER its repetitions and cluster; HELD_HOW: the last number of its event
@@ -92,6 +92,7 @@ OUTINGS                   excursions of the open activity, told as repetitions b
 STOOD                     whether a rest has been told since the start or a gap
 BACK                      excursions that are believed, of what nothing final covers
 BACK_FROM, BACK_TO        the newest one's first and last frame
+UNSEEN                    frames in a row, up to the newest, of which nothing was known
 """
 SEARCH, TRACK = 0, 1
 (

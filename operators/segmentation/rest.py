@@ -1,4 +1,5 @@
-"""Rest: frames in which nothing has moved for a while, of all that has moved lately, are left out of everything and told apart."""
+"""Rest: frames in which nothing has moved for a while, of all that has moved lately, are left out of everything and told apart; and
+those in which nothing is seen for a while, of which nothing is told."""
 
 from __future__ import annotations
 
@@ -26,6 +27,7 @@ from operators.segmentation.layout import (
     STILL_SHARE,
     STOOD,
     TRANSITION,
+    UNSEEN,
     WINDOW,
     Memory,
 )
@@ -61,6 +63,20 @@ def rests(s: Memory, x: Samples, stamp: int) -> bool:
 
 
 @kernel
+def unseen(s: Memory, x: Samples) -> bool:
+    """Whether nothing of frame `x` (features,) is known, nor was of the REST frames before it, or ever: so it is not worked through."""
+    b = s.books
+    for d in range(x.shape[0]):
+        if math.isfinite(x[d]):
+            if b[UNSEEN] > b[REST] + b[TRANSITION]:
+                b[RESUMED] = b[NEXT]
+            b[UNSEEN] = 0
+            return False
+    b[UNSEEN] += 1
+    return bool(b[NEXT] == b[SINCE] or b[UNSEEN] > b[REST])
+
+
+@kernel
 def tell_rest(s: Memory) -> None:
     """A rest, if there was one, is over."""
     b = s.books
@@ -73,7 +89,8 @@ def tell_rest(s: Memory) -> None:
 
 @kernel
 def moved(s: Memory, x: Samples) -> float:
-    """Mean distance of frame `x` to those of the last REST frames, rests included; where nothing of it is known, as of the one before."""
+    """Mean distance of frame `x` to those of the last REST frames, rests included; where less than half of them are known, as of
+    the one before."""
     b = s.books
     total, count = 0.0, 0
     for k in range(min(b[REST], b[RECENT])):
@@ -89,7 +106,7 @@ def moved(s: Memory, x: Samples) -> float:
             count += 1
     if not b[RECENT]:
         return 0.0
-    return total / count if count else s.values[MOVED]
+    return total / count if count and 2 * count >= min(b[REST], b[RECENT]) else s.values[MOVED]
 
 
 @kernel

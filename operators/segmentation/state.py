@@ -9,7 +9,7 @@ import structlog
 
 from operators.features.mirror import STACKED
 from operators.inputs.continuity import Continuity
-from operators.segmentation.layout import FIRM, LEARN, NEXT, NOW, PRESENT, WINDOW, Remembered
+from operators.segmentation.layout import FIRM, LEARN, NEXT, NOW, PRESENT, RECENT, WINDOW, Remembered
 from stream.chunk import NS, Array, Samples
 
 log = structlog.get_logger(__name__)
@@ -43,15 +43,16 @@ class SegmentState(Continuity):
     def say_missing(self, learnt: int) -> None:
         """Which features are left out, as nothing has come of them for a window, or since the start: said once each."""
         books = self.memory.books
-        if books[PRESENT] == self.width or books[NEXT] < learnt * books[LEARN]:
+        if books[PRESENT] == self.width or max(books[NEXT], books[RECENT]) < learnt * books[LEARN]:
             return
         missing = books[NEXT] - self.memory.known > books[WINDOW]
         fresh = missing & ~self.absent
         self.absent[:] = missing
         if fresh.any():
             names = dict.fromkeys(STACKED.sub("", self.names[k]) for k in np.flatnonzero(fresh))
+            left = "features are left out of the comparison" if not missing.all() else "nothing can be compared"
             log.warning(
-                "features are left out of the comparison: no value has come for as long as the window, or since the start",
+                f"{left}: no value has come for as long as the window, or since the start",
                 features=", ".join(names), left=int(self.width - missing.sum()), of=self.width, t_ns=int(books[NOW]),
             )  # fmt: skip
 

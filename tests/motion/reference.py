@@ -147,6 +147,7 @@ class Reference:
         self.certain: list[float] = []
         self.held: Held | None = None
         self.resumed = -1
+        self.blind = 0
 
     def run(self, *, end: bool = True) -> list[Event]:
         self.seed = self.untold = self.when = self.repeated = self.opened = self.last = 0
@@ -155,17 +156,33 @@ class Reference:
         for i in range(len(self.came)):
             self.frame = i
             if self.rests(i):
-                if len(self.resting) == self.p["TRANSITION"] + 1 and not self.open:
-                    self.let_go()
-                if len(self.resting) == self.p["LAG"]:
-                    self.close_all(0)
+                self.leave_out(len(self.resting))
+            elif self.unseen(i):
+                self.leave_out(self.blind - self.p["REST"])
             else:
                 self.now = len(self.frames)
                 self.take(i)
                 self.step(self.now)
-        if end and len(self.x):
+        if end and self.frames:
             self.end()
         return self.events
+
+    def leave_out(self, count: int) -> None:
+        """A frame is left out, as so many in a row."""
+        if count == self.p["TRANSITION"] + 1 and not self.open:
+            self.let_go()
+        if count == self.p["LAG"] and self.frames:
+            self.close_all(0)
+
+    def unseen(self, i: int) -> bool:
+        """Whether frame `i` is left out, as nothing has been known for long, or ever."""
+        if self.known[i].any():
+            if self.blind > self.p["REST"] + self.p["TRANSITION"]:
+                self.resumed = len(self.frames)
+            self.blind = 0
+            return False
+        self.blind += 1
+        return not self.frames or self.blind > self.p["REST"]
 
     def tell(self, kind: str, *what: int) -> None:
         """An event; frames that were worked through are told by what number they came with."""
@@ -196,11 +213,11 @@ class Reference:
         return True
 
     def movement(self, i: int) -> float:
-        """Mean distance to the REST frames before, over what is known in both."""
+        """Mean distance to the REST frames before, over what is known in both; as before, where that is less than half of them."""
         before = self.came[max(0, i - self.p["REST"]) : i]
         far = self.distances(before - self.came[i], 0)
         far = far[np.isfinite(far)]
-        return (float(far.mean()) if len(far) else self.moved) if i else 0.0
+        return (float(far.mean()) if len(far) and 2 * len(far) >= len(before) else self.moved) if i else 0.0
 
     def at_rest(self, i: int) -> bool:
         return self.moves[i] < STILL * self.peak

@@ -159,6 +159,35 @@ def test_a_feature_that_never_comes_is_said(capture: list[dict[str, Any]]) -> No
     assert not capture
 
 
+def test_who_is_out_of_sight_does_nothing() -> None:
+    """All values missing for long: 20 s of that were told as an activity."""
+    operator, x = Segment(**QUICK), walking(9)
+    for blind in (40, 120, 400):
+        gone = np.full((blind, x.shape[1]), np.nan)
+        seen = np.concatenate([gone, x, gone, x, gone])
+        events, stamps = played(operator, seen)
+        assert as_frames(seen, events, stamps) == told(
+            Reference(seen, frames_of(operator), operator.radius_share).run()
+        )
+        counted = events["primitive"][events["primitive"]["repetition"] > 0]
+        assert abs(len(counted) - 18) <= 2 and not len(events["rest"])
+        if blind == 400:
+            seconds = (events["activity"]["end"] - events["activity"]["onset"]) / 1e9
+            assert seconds.sum() < 2 * len(x) / RATE + 4.0
+
+
+def test_nothing_that_is_ever_seen_is_no_activity_and_said_at_once(capture: list[dict[str, Any]]) -> None:
+    """A skeleton whose hips are never found has no pose: a session of that was told as one activity."""
+    operator = Segment(**QUICK)
+    operator.open({"in": StreamSpec((6,), rate_hz=RATE)})
+    time = grid(RATE, 600)
+    for part in np.array_split(np.arange(600), 20):
+        operator.process("in", Chunk(time[part], np.full((30, 6), np.nan), int(time[part][-1])))
+        assert bool(capture) == (part[-1] + 1 >= QUICK["learn_s"] * RATE)
+    assert "nothing can be compared" in capture[0]["event"] and len(capture) == 1
+    assert not any(len(chunk) for _, chunk in operator.close())
+
+
 @pytest.fixture
 def capture() -> Any:
     with capture_logs() as logs:
@@ -662,6 +691,17 @@ def test_a_count_that_was_too_high_is_corrected() -> None:
         last = {int(event["activity"]): int(event["count"]) for event in events["count"]}
         made = {int(event["activity"]): int(event["repetitions"]) for event in events["activity"]}
         assert {number: count for number, count in last.items() if count} == {n: c for n, c in made.items() if c}
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_is_merely_believed_of_an_activity_is_not_as_certain_as_the_one_before_it(seed: int) -> None:
+    """A count says how certain those are that are final; it said so of the activity that had ended."""
+    events, stamps = played(Segment(**QUICK), motion(seed))
+    final = events["primitive"]
+    for at, told in zip(stamps["count"], events["count"], strict=True):
+        mine = (final["activity"] == told["activity"]) & (final["repetition"] > 0) & (stamps["primitive"] <= at)
+        assert len(set(final["repetition"][mine])) > 1 or told["certainty"] == 0.0
+    assert (events["count"]["certainty"] > 0.0).any()
 
 
 def restless(seed: int) -> Any:
