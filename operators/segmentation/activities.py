@@ -113,7 +113,7 @@ def follow(s: Memory, x: Samples, mirrored: Samples, time: Times, first: int, ga
 
 @kernel
 def leave_out(s: Memory, count: int) -> None:
-    """A frame is not worked through, as so many in a row: after a transition no activity can meet the one before, after LAG all ends."""
+    """The newest `count` frames were not worked through: after a transition no activity can meet the one before, after LAG all ends."""
     if count == s.books[TRANSITION] + 1 and not s.books[OPEN]:
         let_go(s)
     if count == s.books[LAG]:

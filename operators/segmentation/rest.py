@@ -1,5 +1,5 @@
 """Rest: frames in which nothing has moved for a while, of all that has moved lately, are left out of everything and told apart; and
-those in which nothing is seen for a while, of which nothing is told."""
+those in which nothing is seen for a while, of which there are no events."""
 
 from __future__ import annotations
 
