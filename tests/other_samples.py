@@ -42,6 +42,7 @@ def _all(tapes: Tapes, operator: Operator[Any]) -> Iterator[tuple[str, Tapes]]:
         yield "limits", with_data(tapes, lambda x: _at(x, limits))
     for name, change_event in EVENTS.items():
         yield name, _with_events(tapes, change_event)
+    yield "staged", {port: _staged(tape) for port, tape in tapes.items()}
     yield "first-channels", _some_channels(tapes, slice(None, -2))
     yield "last-channels", _some_channels(tapes, slice(2, None))
     yield "fewer-channels", _some_channels(tapes, slice(None, None, 2))
@@ -229,6 +230,20 @@ EVENTS: dict[str, Callable[[CaseSamples], CaseSamples]] = {
 
 def _with_events(tapes: Tapes, change: Callable[[CaseSamples], CaseSamples]) -> Tapes:
     return {port: change(tape) if tape.spec.is_event and len(tape) else tape for port, tape in tapes.items()}
+
+
+def _staged(tape: CaseSamples) -> CaseSamples:
+    """Numbered cycles in stages of a walk: half of them slow, then fast, the last eighth in no stage."""
+    names = {*(tape.spec.dtype.names or ())}
+    if not {"onset", "end", "number"} <= names or "stage" in names or not len(tape):
+        return tape
+    data = np.zeros(len(tape), np.dtype([*tape.spec.dtype.descr, ("stage", "<U32"), ("speed_m_s", "<f8")]))
+    for name in names:
+        data[name] = tape.data[name]
+    stage = np.searchsorted([0.5, 0.875], np.arange(len(tape)) / len(tape), side="right")
+    data["stage"], data["speed_m_s"] = np.array(["slow", "fast", ""])[stage], np.array([1.0, 1.5, np.nan])[stage]
+    units = tuple(tape.spec.unit_of(name) for name in tape.spec.channels)
+    return replace(tape, spec=tape.spec.derive(dtype=data.dtype, channels=(), units=(*units, "", "m/s")), data=data)
 
 
 def _leaning(tapes: Tapes) -> Tapes:
