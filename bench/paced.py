@@ -95,8 +95,8 @@ def _section(taking: list[Entry], seconds: float) -> Section:
         section.rows.append([e.label, *map(short, ratios), *map(short, times), short(100 * float(np.median(e.cpu)))])
     session, unrecorded = by_style[SESSION], by_style[UNRECORDED]
     section.goals = [
-        Goal("paced p50 latency against the bare loop", session.ms(50) / bare.ms(50), 1.5, "times"),
-        Goal("paced p99 latency against the bare loop", session.ms(99) / bare.ms(99), 1.5, "times"),
+        Goal("paced p50 latency, a whole session, against the bare loop", session.ms(50) / bare.ms(50), 1.5, "times"),
+        Goal("paced p99 latency, a whole session, against the bare loop", session.ms(99) / bare.ms(99), 1.5, "times"),
         Goal("paced CPU, nothing recorded, against the bare loop", unrecorded.cpu_times(bare), 1.5, "times"),
         Goal(
             "paced CPU, recorded, against a bare loop that records", session.cpu_times(by_style[RECORDED]), 1.5, "times"

@@ -11,10 +11,10 @@ BEGIN = "<!-- bench: begin (written by `make bench`) -->"
 END = "<!-- bench: end -->"
 HEADLINES = (
     "cost of a message, fed",
-    "chain at 10 samples, against the bare loop",
-    "fastest peer against ours, any chunk size",
-    "paced p99 latency against the bare loop",
-    "start to first sample",
+    "chain at 10 samples, fed, against the bare loop",
+    "chain at 10 samples, a whole recorded session, against the bare loop",
+    "paced p50 latency, a whole session, against the bare loop",
+    "paced p99 latency, a whole session, against the bare loop",
 )
 """The goals that stand in the README."""
 
