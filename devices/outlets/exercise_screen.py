@@ -20,6 +20,8 @@ RECENT = 8
 STRIP = 6
 """This many stretches before this one are shown."""
 REST = "rest"
+DOUBTED = 0.35
+"""A name that is less sure is shown with a question mark: an exercise that was not shown may come as near."""
 
 
 @dataclass(slots=True)
@@ -83,10 +85,12 @@ def past_text(one: Any) -> str:
 
 
 def now_line(state: ExerciseState) -> str:
-    """What is being done: "squat x 7, last 1.8 s, since 0:14"; "motion" before anything of it is counted."""
+    """What is being done: "squat x 7, last 1.8 s, since 0:14", "squat? x 7" where the name is hardly sure; "motion" before anything of
+    it is counted."""
     if state.activity < 0:
         return "nothing that repeats"
     name = one_line(name_of(state, state.activity))
+    name += "?" if name and 0.0 < state.sure < DOUBTED else ""
     parts = [f"{name or 'exercise'} x {state.count}" if state.count else name or "motion"]
     if np.isfinite(state.last_s):
         parts.append(f"last {state.last_s:.1f} s")

@@ -263,6 +263,15 @@ def test_how_sure_a_name_is_does_not_fall_with_every_repetition_that_has_not_qui
     assert after(*THREE, said).startswith("arms up x 3, ") and "100% sure" in after(*THREE, said)
 
 
+def test_a_name_that_is_hardly_sure_is_a_question() -> None:
+    """An exercise that had not been shown was called "squat", 29 % sure, until its first repetition was final."""
+    assert after(*repeated(1, 1, 1, 3, "squat", 0.29)).startswith("squat? x 1, ")
+    assert after(*repeated(1, 1, 1, 3, "squat", 0.4)).startswith("squat x 1, ")
+    assert after(*THREE[:3], confirmed(1, 1, 3, "arms", 0.2)).startswith("arms? x 1, ")
+    for name in ("unknown", "A", ""):  # of letters nothing says how sure they are
+        assert "?" not in after(*repeated(1, 1, 1, 3, name, 0.0))
+
+
 def test_while_somebody_rests_and_until_something_repeats_the_last_count_stays_in_view() -> None:
     rest = ("resting", event("resting", 9, onset=8)), ("rest", event("rest", 12, onset=8, end=11.5))
     resting, moving = after(*THREE, rest[0]), after(*THREE, *rest)
