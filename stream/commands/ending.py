@@ -112,6 +112,7 @@ class Ending:
     def _hear(self, number: int) -> None:
         if number == HANG_UP:  # a shell that is closed may well say it twice
             _forget(self._terminals)
+            self._note(number)
             self._session.stop()
         elif number == signal.SIGINT and self._ours:
             self._ours = False
@@ -121,6 +122,7 @@ class Ending:
                 self._table = self._session.table
                 self._session.in_hand()  # what it finds now, and at the second signal still, is stuck
                 self._raises = Terminated if number == signal.SIGTERM else Interrupted
+                self._note(number)
                 self._session.stop()
                 if self._session.warming:  # nothing is open yet that would have to be closed in order
                     self._interrupt()
@@ -128,6 +130,10 @@ class Ending:
                 self._break_off(call)
             else:
                 self._interrupt()
+
+    def _note(self, number: int) -> None:
+        """So that nobody wonders later why the session is shorter than planned: a time limit around it ends it by a signal, too."""
+        self._session.log.report("asked to end", by=signal.Signals(number).name)
 
     def _interrupt(self) -> None:
         """Nothing is stuck, so that the main thread itself can end what it does: by a signal of ours, which is heard here, too."""

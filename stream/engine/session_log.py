@@ -24,7 +24,7 @@ from stream.recording.checkpoint import Checkpoint, CheckpointWriter, fingerprin
 from stream.recording.image import is_picture
 from stream.recording.place import is_running, parts_of
 
-QUIET = {"device", "source ended", "session resumed", "source reopened"}
+QUIET = {"device", "source ended", "session resumed", "source reopened", "asked to end"}
 """Reports that are news, not warnings."""
 LOSSES = {"late samples dropped", "source queue dropped", DROPPED}
 """Reports that may come with every chunk."""

@@ -449,6 +449,8 @@ def test_a_signal_ends_a_session_cleanly(number: int, tmp_path: Path) -> None:
     recording = recorded(folder)
     assert recording.finished
     assert recording.streams["board.emg"].samples > 100
+    asked = [entry["by"] for entry in recording.log if entry["kind"] == "asked to end"]
+    assert asked == [signal.Signals(number).name] and "asked to end" in errors
 
 
 def test_a_source_that_floods_waits_and_loses_nothing() -> None:
