@@ -120,16 +120,18 @@ def test_footfalls_are_the_simulated_ones(walk: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("phase", "duty", "name"),
+    ("phase", "duty", "tolerance", "name"),
     [
-        ((0, 50, 75, 25), 65, "walk"), ((0, 50, 25, 75), 65, "walk"), ((0, 50, 50, 0), 42, "trot"), ((0, 52, 2, 51), 60, "pace"),
-        ((0, 15, 60, 75), 40, "gallop"),
-        ((0, 15, 60, 75), 60, "unknown"), ((0, 50, 25, 75), 45, "unknown"), ((0, 50, 37, 87), 60, "unknown"),
+        ((0, 50, 75, 25), 65, 12.5, "walk"), ((0, 50, 25, 75), 65, 12.5, "walk"), ((0, 50, 50, 0), 42, 12.5, "trot"),
+        ((0, 52, 2, 51), 60, 12.5, "pace"), ((0, 15, 60, 75), 40, 12.5, "gallop"),
+        ((0, 15, 60, 75), 60, 12.5, "unknown"), ((0, 50, 25, 75), 45, 12.5, "unknown"), ((0, 50, 37, 87), 60, 12.5, "unknown"),
+        ((0, 50, 19.5, 69.5), 60, 20.0, "unknown"), ((0, 50, 20.5, 70.5), 60, 20.0, "walk"),
     ],
 )  # fmt: skip
-def test_gaits_of_four_hooves_are_named(phase: tuple[int, ...], duty: int, name: str) -> None:
+def test_gaits_of_four_hooves_are_named(phase: tuple[float, ...], duty: int, tolerance: float, name: str) -> None:
+    """In the last two what is allowed of a pace and of a walk overlaps; at the end of a pace it is neither for sure."""
     hooves = ("left hind", "right hind", "left fore", "right fore")
-    assert gait_name(hooves, np.array(phase, float), np.full(4, float(duty)), 0.0, 12.5)[0] == name
+    assert gait_name(hooves, np.array(phase, float), np.full(4, float(duty)), 0.0, tolerance)[0] == name
 
 
 @pytest.mark.skipif(not DATA, reason="KINEGRAPH_DATA (the folder of real recordings) is not set")

@@ -168,10 +168,14 @@ def test_a_name_that_is_said_as_the_next_exercise_begins_is_not_that_of_the_last
     assert of_first[-1] == ("arms" if known else of_first[-1]) != "squat"
 
 
-@pytest.mark.parametrize(("at", "other"), [(260, False), (345, True)])
-def test_in_a_pause_a_name_is_that_of_the_nearer_exercise(at: int, other: bool) -> None:
-    x = np.concatenate([turns(0, 6, 40), np.zeros((120, 4)), turns(1, 6, 40), turns(0, 6, 40, seed=3)])
-    told = [(k, start + 40 * j, start + 40 * j + 39) for k, start in enumerate((0, 360, 600)) for j in range(6)]
+@pytest.mark.parametrize(("pause", "at", "other"), [(120, 260, False), (120, 345, True), (45, 275, True)])
+def test_in_a_pause_a_name_is_that_of_the_nearer_exercise(pause: int, at: int, other: bool) -> None:
+    """In the last case the repetition before the pause becomes final after the name was said, and settles nothing."""
+    begins = 240 + pause
+    x = np.concatenate([turns(0, 6, 40), np.zeros((pause, 4)), turns(1, 6, 40), turns(0, 6, 40, seed=3)])
+    told = [
+        (k, start + 40 * j, start + 40 * j + 39) for k, start in enumerate((0, begins, begins + 240)) for j in range(6)
+    ]
     _, final = live(x, told, [(at, "this is: squat")])
     names = [str(row["name"]) for row in final]
     assert names[6:12] == ["squat" if other else UNKNOWN] * 6 and names[12:] == [UNKNOWN if other else "squat"] * 6

@@ -7,6 +7,7 @@ import pytest
 
 from operators.depth.activity import EPOCH_SEEN
 from operators.depth.bed import BedRegion
+from operators.depth.change import change, distance
 from operators.depth.motion import LONGEST_EPOCH, Motion, map_of
 from operators.depth.night_map import NightMap
 from operators.depth.simplify import SCENE
@@ -123,6 +124,15 @@ def test_no_number_stands_where_nothing_was_seen() -> None:
         Motion(epoch_s=1.0, step_s=0.0), frames=(SPEC, grid(10.0, 40, 100 * NS), frames[9:10].repeat(40, axis=0))
     )["map"]
     assert len(frozen) == 4 and not frozen["frames"].any() and np.isnan(frozen["map"]).all()
+
+
+def test_one_pixel_that_was_measured_is_enough_for_a_region_of_one() -> None:
+    frame, last = np.array([[7, 0, 9]], np.uint16), np.array([[3, 5, 0]], np.uint16)
+    three = np.array([[0, k, 1, 1] for k in range(3)])
+    found, before = np.empty(3), np.empty(3)
+    distance(frame, last, three, 0.9, before)
+    change(frame, last, three, np.arange(4), 0.9, np.zeros((1, 3), np.uint32), np.zeros((1, 3), np.uint16), found)
+    assert found.tolist()[:1] == [4.0] and np.isnan(found[1:]).all() and np.array_equal(found, before, equal_nan=True)
 
 
 def test_another_basis_is_no_movement() -> None:
