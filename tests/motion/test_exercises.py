@@ -337,7 +337,8 @@ def test_the_report_has_sets_repetitions_tempo_and_rest_and_a_row_for_each(tmp_p
     assert ["arms", "1", "5"] in cells and ["squat", "1", "5"] in cells
     one = next(row for row in cells if row[:2] == ["1", "arms (not sure)"])
     assert ["2", "squat"] in [row[:2] for row in cells]
-    assert one[3:11] == ["5", "27.3", "6", "32.0 ankle_l.y", "1.50", "8.0", "both sides at once", "90"]
+    # the last of the five, before the rest, is left out of how uneven they are: 6 % with it
+    assert one[3:11] == ["5", "27.3", "5", "32.0 ankle_l.y", "1.50", "8.0", "both sides at once", "90"]
     assert [row[2] for row in cells if row[:2] == ["2", "squat"]] == ["0:17"]
     assert rows[0]["sides alike"] == "0.9" and page.count("<circle") == 2 * 3 * 5
     assert "P07 &lt;b&gt;" in page and page.count("<rect") == 10 and "http" not in page

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from stream.chunk import NEVER, NS, Array
+from stream.chunk import NEVER, NS, Array, Samples
 
 MOST_SETS, MOST_REPETITIONS, MOST_RESTS, MOST_WORDS = 500, 20_000, 2000, 500
 """Of a longer session this many rows are kept, the first ones; the rest are counted, and the CSV file has them all. Names and
@@ -92,7 +92,8 @@ class Exercise:
     """One set, as the report shows it. Times in s; NaN: not known. durations, ranges, distances: one number per repetition. start_s: of
     the first repetition, before which the set may begin with a rest.
 
-    tempo: repetitions a minute; even: how much the durations scatter, in per cent; rest_s: after the set; alike: how alike left and right
+    tempo: repetitions a minute; even: how much the durations scatter, in per cent, without the last one if a
+    rest follows, as a movement that fades away looks shorter than it is; rest_s: after the set; alike: how alike left and right
     move, 0 to 1; doubtful: chance might have made these repetitions; starts: of the repetitions, from the session's start
     """
 
@@ -134,7 +135,7 @@ def exercises(training: Training) -> list[Exercise]:
                 float((spans["onset"][0] if len(spans) else one["onset"]) - training.began) / NS,
                 int(one["repetitions"]),
                 60.0 / mean if mean > 0.0 else np.nan,
-                100.0 * float(durations.std()) / mean if len(durations) > 2 and mean > 0.0 else np.nan,
+                _unevenness(durations[:-1] if len(here) else durations),
                 float((here["end"] - here["onset"]).sum()) / NS if len(here) else np.nan,
                 SYMMETRY.get(int(one["symmetry"]), ""),
                 _most_often(training, mine["moves"]),
@@ -147,6 +148,13 @@ def exercises(training: Training) -> list[Exercise]:
             )
         )
     return made
+
+
+def _unevenness(durations: Samples) -> float:
+    """How much durations scatter, in per cent of their mean; NaN: there are fewer than three."""
+    return (
+        100.0 * float(durations.std() / durations.mean()) if len(durations) > 2 and durations.mean() > 0.0 else np.nan
+    )
 
 
 def _last(one: Any, spans: Array) -> float:
