@@ -1,9 +1,11 @@
-"""Which test files are a module's own: those with its name, and those that reach it by the fewest imports."""
+"""Which test files are a module's own: those with its name, those that take what few others take, and those that reach it by the fewest
+imports."""
 
 from __future__ import annotations
 
 import ast
 import tomllib
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
@@ -14,6 +16,8 @@ MOST = 10
 """At most so many test files for one module: the nearest first, among these the ones with the fewest imports of their own."""
 NAMESAKES = 3
 """Of more modules than these a name says nothing: `report`, `train`."""
+AKIN, RARE = 8, 3
+"""At most so many test files for names that they and the module import (or that stand in it), and at most so many test files at all."""
 FARTHEST = 6
 """Imports between a test and what it tests."""
 OPERATORS = 3
@@ -53,7 +57,41 @@ def own_tests(module: str) -> list[str]:
             break
         reached |= {other for other, path in _modules().items() if reached & _imports(path)}
     own = [path for begins, paths in OWN.items() if module.startswith(begins) for path in paths]
-    return list(dict.fromkeys([*_named_after(module), *own, *(str(p.relative_to(HOUSE)) for p in near[:MOST])]))
+    found = [str(p.relative_to(HOUSE)) for p in (*_akin(module), *near[:MOST])]
+    return list(dict.fromkeys([*_named_after(module), *own, *found]))
+
+
+def _akin(module: str) -> list[Path]:
+    """The test files that import names which the module has or imports, and hardly any other test; the most such names first.
+
+    What raises `PromiseError`, say, is best known to those who expect one, by however many imports they come to it.
+    """
+    if (path := _modules().get(module)) is None:
+        return []
+    rare = {name for name in (*_names(path), *_defined(path)) if _takers()[name] <= RARE}
+    by_test = {p: sum(1.0 / _takers()[name] for name in rare & _names(p)) for p in _tests()}
+    near = sorted((p for p, much in by_test.items() if much), key=lambda p: (-by_test[p], p))
+    return near[:AKIN]
+
+
+@cache
+def _names(path: Path) -> frozenset[tuple[str, str]]:
+    """The names that a file imports from our packages, each with the module in which it stands."""
+    imports = [node for node in ast.walk(ast.parse(path.read_bytes())) if isinstance(node, ast.ImportFrom)]
+    ours = [node for node in imports if (node.module or "").partition(".")[0] in OURS]
+    return frozenset((_home(node.module or "", a.name), a.name) for node in ours for a in node.names)
+
+
+def _defined(path: Path) -> Iterator[tuple[str, str]]:
+    for node in ast.parse(path.read_bytes()).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield _name(path), node.name
+
+
+@cache
+def _takers() -> Counter[tuple[str, str]]:
+    """How many test files import each name."""
+    return Counter(name for p in _tests() for name in _names(p))
 
 
 def _named_after(module: str) -> list[str]:

@@ -60,6 +60,7 @@ def test_the_same_seed_draws_the_same_mutants() -> None:
         ("operators.whole_pose.commands.train", "tests/avatar/test_pose_training.py"),
         ("stream.face.script", "tests/study/test_face.py"),
         ("stream.engine.session", "tests/engine/test_session.py"),
+        ("stream.engine.edge", "tests/engine/test_promises.py"),
     ],
 )
 def test_a_module_is_tried_by_its_own_tests(module: str, first: str) -> None:
