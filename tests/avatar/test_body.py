@@ -328,6 +328,22 @@ def test_depths_tell_a_back_from_a_front_where_the_shape_does_not() -> None:
     assert out == pytest.approx(truth)
 
 
+def test_measured_depths_of_shoulders_and_hips_count_for_left_having_been_left() -> None:
+    """Who is half turned, with the left side farther away: depths that say so speak for it, those that say the reverse do not."""
+    odds = []
+    for apart in (0.2, -0.2):
+        side, memory, pixels, out = standing(0.3), np.zeros(4), np.full((34, 2), np.nan), np.empty((34, 8))
+        points = side["points"][0].copy()
+        points[[11, 23], 7] += 0.05
+        points[[12, 24], 7] -= 0.05
+        points[[12, 24], 2] = 2.0
+        points[[11, 23], 2] = 2.0 + apart
+        for _ in range(2):
+            assert unturned(points, side["facing"][0].copy(), OTHER_SIDE, memory, pixels, out) == 0
+        odds.append(memory[3])
+    assert odds[0] > odds[1] + 0.2
+
+
 def test_a_shape_that_is_wrong_at_first_gives_way_to_a_network_that_says_back() -> None:
     """It takes backs for fronts and hardly ever the reverse. By the shape alone, a back was exchanged for a second."""
     back, memory, pixels, out = standing(1.0), np.zeros(4), np.full((34, 2), np.nan), np.empty((34, 8))
