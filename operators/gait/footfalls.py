@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from operators.gait.gait_name import gait_name
-from operators.gait.limb_cycles import some_limbs
+from operators.gait.limb_cycles import some_hooves, some_limbs
 from operators.gait.limbs import LIMB, check_named
 from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
@@ -124,7 +124,11 @@ class Footfalls(Operator[FootfallState]):
     def cases(cls) -> list[Case]:
         made = some_limbs(8)
         inputs = {port: made[port] for port in cls.inputs}
-        return [Case(cls(), inputs, least=30), Case(cls(reference="right", late_s=0.1), inputs, least=30)]
+        return [
+            Case(cls(), inputs, least=30),
+            Case(cls(reference="right", late_s=0.1), inputs, least=30),
+            Case(cls(reference="left hind", tolerance_pct=20.0), some_hooves(36), least=100),
+        ]
 
     def _stride(self, onset: int, stamp: int) -> None:
         """The reference limb has touched down."""

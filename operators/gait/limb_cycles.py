@@ -129,3 +129,20 @@ def some_limbs(seed: int) -> dict[str, tuple[StreamSpec, Array, Array]]:
         order = np.argsort(onset, kind="stable")
         made[port] = (spec, onset[order] + late, rows[order])
     return made
+
+
+def some_hooves(strides: int) -> dict[str, tuple[StreamSpec, Array, Array]]:
+    """Made-up contacts of four hooves: from a pace over walk and trot to a walk again, and in the last quarter of the strides a gallop."""
+    names, n = ["left hind", "right hind", "left fore", "right fore"], np.arange(strides)
+    gallops = n >= strides * 3 // 4
+    hind, lag, duty = np.where(gallops, 0.15, 0.5), 0.025 * n, np.where(gallops, 0.4, 0.62)
+    phases = np.stack([np.zeros(strides), hind, lag % 1.0, (hind + lag) % 1.0], axis=1)
+    spec = StreamSpec((), LIMB_CONTACT, units=("ns", ""), meta={"limb_names": names})
+    made = {}
+    for port, after in (("touchdown", 0.0), ("liftoff", duty[:, None])):
+        onset = (1e9 * (1.0 + n[:, None] + phases + after)).round().astype(np.int64).ravel()
+        rows = np.zeros(len(onset), LIMB_CONTACT)
+        rows["onset"], rows["limb"] = onset, np.tile(names, strides)
+        order = np.argsort(onset, kind="stable")
+        made[port] = (spec, onset[order] + 30_000_000, rows[order])
+    return made
