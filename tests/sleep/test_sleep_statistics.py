@@ -52,6 +52,15 @@ def test_what_ends_before_anything_was_scored_takes_no_promise_back() -> None:
     assert promised == [MINUTE, 2 * MINUTE, 2 * MINUTE]
 
 
+def test_just_as_much_sleep_as_begins_a_period_begins_one() -> None:
+    for asleep, begins in ((5, 0), (4, 5)):
+        spec, _, rows = scores(["sleep"] * asleep + ["wake"] + ["sleep"] * 200 + ["wake"] * 10)
+        made = SleepPeriods()
+        made.open({"in": spec})
+        told = made.process("in", Chunk(rows["onset"].copy(), rows, int(rows["end"][-1])))
+        assert told.data["onset"].tolist() == [begins * MINUTE]
+
+
 @needs_data
 @pytest.mark.parametrize("name", SETTINGS)
 def test_actilifes_sleep_periods_and_all_their_numbers(name: str) -> None:
