@@ -288,7 +288,7 @@ def test_a_report_that_could_not_be_begun_is_not_told_of_as_left_behind(tmp_path
     assert outlet.file == ""
 
 
-def sets() -> list[tuple[str, Chunk]]:
+def sets(sure: float = 0.7) -> list[tuple[str, Chunk]]:
     parts = []
     for k in range(2):
         for n in range(5):
@@ -298,7 +298,7 @@ def sets() -> list[tuple[str, Chunk]]:
                 "range": 30.0 + n,
                 "moves": "ankle_l.y",
                 "distance": 1.5,
-                "sure": 0.7,
+                "sure": sure,
                 "symmetry": 0.9,
             }
             told = {
@@ -342,6 +342,13 @@ def test_the_report_has_sets_repetitions_tempo_and_rest_and_a_row_for_each(tmp_p
     assert [row[2] for row in cells if row[:2] == ["2", "squat"]] == ["0:17"]
     assert rows[0]["sides alike"] == "0.9" and page.count("<circle") == 2 * 3 * 5
     assert "P07 &lt;b&gt;" in page and page.count("<rect") == 10 and "http" not in page
+
+
+@pytest.mark.parametrize(("sure", "name"), [(0.18, "squat?"), (0.36, "squat"), (0.0, "squat")])
+def test_a_name_that_is_hardly_sure_is_a_question_in_the_report(tmp_path: Path, sure: float, name: str) -> None:
+    page, rows = report_of(tmp_path, sets(sure))
+    assert f">{name}<" in page and ("Name?" in page) is (name == "squat?")
+    assert {row["exercise"] for row in rows} == {"arms", "squat"}
 
 
 def test_the_course_is_as_wide_as_the_session_and_sides_are_shown_where_they_are_known(tmp_path: Path) -> None:

@@ -47,6 +47,7 @@ def render(title: str, facts: Mapping[str, Any], training: Training, unit: str, 
         handed=any(one.symmetry for one in sets),
         sided=any(np.isfinite(one.alike) for one in sets),
         doubtful=any(one.doubtful for one in sets),
+        questioned=any(one.name.endswith("?") for one in sets),
         shown=any(np.isfinite(one.distances).any() for one in sets),
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
     )

@@ -26,7 +26,7 @@ from stream.state import pack
 
 KINDS = {
     "activity": ("sets", SET.names or ()),
-    "repetition": ("repetitions", (*(REPETITION.names or ()), "sure", "side")),
+    "repetition": ("repetitions", (*(REPETITION.names or ()), "side")),
     "rest": ("rests", REST.names or ()),
 }
 """By port: where its events are kept, and the fields that they must have."""

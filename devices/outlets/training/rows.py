@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from devices.outlets.exercise_screen import DOUBTED
 from stream.chunk import NEVER, NS, Array, Samples
 
 MOST_SETS, MOST_REPETITIONS, MOST_RESTS, MOST_WORDS = 500, 20_000, 2000, 500
@@ -16,7 +17,7 @@ MOST_LETTERS = 24
 REPETITION = np.dtype(
     [
         ("activity", "<i8"), ("repetition", "<i4"), ("onset", "<i8"), ("duration_s", "<f4"), ("range", "<f4"),
-        ("distance", "<f4"), ("symmetry", "<f4"), ("name", "<i2"), ("moves", "<i2"),
+        ("distance", "<f4"), ("symmetry", "<f4"), ("sure", "<f4"), ("name", "<i2"), ("moves", "<i2"),
     ]
 )  # fmt: skip
 """As it is kept, in few bytes: names by their place among the words."""
@@ -92,9 +93,9 @@ class Exercise:
     """One set, as the report shows it. Times in s; NaN: not known. durations, ranges, distances: one number per repetition. start_s: of
     the first repetition, before which the set may begin with a rest.
 
-    tempo: repetitions a minute; even: how much the durations scatter, in per cent, without the last one if a
-    rest follows, as a movement that fades away looks shorter than it is; rest_s: after the set; alike: how alike left and right
-    move, 0 to 1; doubtful: chance might have made these repetitions; starts: of the repetitions, from the session's start
+    name: with a question mark where it is hardly sure; tempo: repetitions a minute; even: how much the durations scatter, in per cent,
+    without the last one if a rest follows, as a movement that fades away looks shorter than it is; rest_s: after the set; alike: how alike
+    left and right move, 0 to 1; doubtful: chance might have made these repetitions; starts: of the repetitions, from the session's start
     """
 
     number: int
@@ -131,7 +132,7 @@ def exercises(training: Training) -> list[Exercise]:
         made.append(
             Exercise(
                 k + 1,
-                _most_often(training, mine["name"]) or f"exercise {one['cluster'] + 1}",
+                _called(training, mine) or f"exercise {one['cluster'] + 1}",
                 float((spans["onset"][0] if len(spans) else one["onset"]) - training.began) / NS,
                 int(one["repetitions"]),
                 60.0 / mean if mean > 0.0 else np.nan,
@@ -148,6 +149,13 @@ def exercises(training: Training) -> list[Exercise]:
             )
         )
     return made
+
+
+def _called(training: Training, mine: Array) -> str:
+    """The name that most repetitions of a set bear, with a question mark where they are hardly sure of it."""
+    name = _most_often(training, mine["name"])
+    sure = mine["sure"][mine["name"] == _place(training, name)] if name else np.zeros(0)
+    return f"{name}?" if len(sure) and 0.0 < float(np.median(sure)) < DOUBTED else name
 
 
 def _unevenness(durations: Samples) -> float:
