@@ -215,8 +215,14 @@ def _other_specs(spec: StreamSpec) -> Iterator[tuple[str, StreamSpec]]:
         yield "int16", spec.derive(dtype=np.dtype(np.int16))
         yield "nameless", spec.derive(channels=(), units=spec.units[:1])
         yield "frame", spec.derive(shape=(*spec.shape, 2), channels=(), units=spec.units[:1])
-        event = np.dtype([("onset", np.int64), ("name", "S8")])
-        yield "event", StreamSpec((), event)
+    else:
+        fields = spec.dtype.descr
+        yield "signal", StreamSpec((2,), rate_hz=100.0, channels=("a", "b"), units=("uV",))
+        yield "less", spec.derive(dtype=np.dtype(fields[:-1]), channels=(), units=spec.units[: len(fields) - 1])
+        units = spec.units if len(spec.units) == 1 else (*spec.units, "")
+        yield "more", spec.derive(dtype=np.dtype([*fields, ("added", "<f8")]), channels=(), units=units)
+    event = np.dtype([("onset", np.int64), ("name", "S8")])
+    yield "event", StreamSpec((), event)
     if spec.is_signal:
         units = spec.units if len(spec.units) == 1 else ()
         yield "one", spec.derive(shape=(1,), channels=spec.channels[:1], units=units or spec.units[:1])

@@ -17,6 +17,7 @@ CHAIN = "".join(f"  n{i}: {{use: operators.rectify.Rectify, from: n{i - 1}}}\n" 
 GRAPHS: list[tuple[str | bytes, list[str]]] = [
     ("", ["a graph is a mapping", "not empty"]),
     (b"\x00" * 4096, ["is not allowed in YAML"]),
+    ("\n\nnodes:\n  board: \x01\n", ["g.yaml:4:", "is not allowed in YAML"]),
     (bytes(range(128, 256)), ["not UTF-8 text"]),
     (GRAPH.encode("utf-16"), ["not UTF-8 text"]),
     ("nodes:\n\tboard: 1\n", ["g.yaml:2:", "a tab"]),

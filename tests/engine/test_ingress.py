@@ -379,3 +379,14 @@ def test_chunks_may_enter_together_only_where_they_come_live_and_none_is_dropped
     port = IngressPort(runner, "out", edge)
     assert port.may_join is (live and policy == "block")
     assert port.watched is live and port.awaited and port.queue.owner is port  # type: ignore[comparison-overlap]
+
+
+def test_a_stream_that_has_gone_stale_is_reported_once_until_it_comes_back() -> None:
+    options, queue = SimpleNamespace(stale_s=2.0, patience_s=0.5), SimpleNamespace(policy="block", depth=0, name="emg")
+    source, node = SimpleNamespace(background=False), SimpleNamespace(options=options)
+    runner: Any = SimpleNamespace(live=True, queues={"out": queue}, node=node, source=source)
+    edge: Any = SimpleNamespace(readers=[1], spec=SPEC)
+    port, told = IngressPort(runner, "out", edge), list[str]()
+    made = [port.nothing_for(age, START + k, lambda what, **_: told.append(what)) for k, age in enumerate((1, 1, 3, 4))]
+    assert told == ["silent source advanced", "stream is stale"]
+    assert [chunk.until - START for chunk in made if chunk is not None] == [k - 500_000_000 for k in range(4)]

@@ -89,6 +89,12 @@ def test_as_mne() -> None:
     assert (
         gap["description"] == "BAD_gap" and gap["onset"] == pytest.approx(1.0) and gap["duration"] == pytest.approx(0.3)
     )
+    one = gappy()
+    kept = np.r_[0:40, 41:100]
+    (gap,) = kg.Series("emg", one.spec, one.time[kept], one.data[kept]).to_mne().annotations
+    assert gap["onset"] == pytest.approx(0.4) and gap["duration"] == pytest.approx(0.01), (
+        "a single sample is a gap, too"
+    )
     events = kg.Series("none", kg.StreamSpec((1,)), np.zeros(3, np.int64), np.zeros((3, 1)))
     with pytest.raises(KinegraphError, match="regular"):
         events.to_mne()
