@@ -112,8 +112,7 @@ class Ending:
     def _hear(self, number: int) -> None:
         if number == HANG_UP:  # a shell that is closed may well say it twice
             _forget(self._terminals)
-            self._session.stop()
-            self._note(number)
+            self._session.stop(signal.Signals(number).name)
         elif number == signal.SIGINT and self._ours:
             self._ours = False
         elif number in self._before:
@@ -122,20 +121,13 @@ class Ending:
                 self._table = self._session.table
                 self._session.in_hand()  # what it finds now, and at the second signal still, is stuck
                 self._raises = Terminated if number == signal.SIGTERM else Interrupted
-                self._session.stop()
+                self._session.stop(signal.Signals(number).name)
                 if self._session.warming:  # nothing is open yet that would have to be closed in order
                     self._interrupt()
-                self._note(number)
             elif (call := self._session.in_hand()) and call.lasts_s >= STUCK_S:
                 self._break_off(call)
             else:
                 self._interrupt()
-
-    def _note(self, number: int) -> None:
-        """So that nobody wonders later why the session is shorter than planned: a time limit around it ends it by a signal, too. The
-        session has been stopped before, for whoever reads the log may be gone, and this thread has to hear the next signal."""
-        with suppress(Exception):
-            self._session.log.report("asked to end", by=signal.Signals(number).name)
 
     def _interrupt(self) -> None:
         """Nothing is stuck, so that the main thread itself can end what it does: by a signal of ours, which is heard here, too."""

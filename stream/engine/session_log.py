@@ -224,7 +224,9 @@ class SessionLog:
             self.recorder.lull()
 
     def report(self, kind: str, **facts: Any) -> None:
-        """Something worth knowing happened: to the log, and into the recording."""
+        """Something worth knowing happened: into the recording, and to the log, which nobody may read any more."""
+        if self.recorder:
+            self.recorder.log(kind, self._clock.now(), **facts)
         if kind in LOSSES:
             with self._losing:  # what a source's queue drops is reported on its own thread
                 self._losses.setdefault((kind, facts.get("stream") or facts["queue"]), Loss()).add(facts)
@@ -232,8 +234,6 @@ class SessionLog:
         else:
             tell = log.error if "failed" in kind else log.info if kind in QUIET else log.warning
             tell(kind, **facts)
-        if self.recorder:
-            self.recorder.log(kind, self._clock.now(), **facts)
 
     def _tell_losses(self, now: float) -> None:
         with self._losing:
