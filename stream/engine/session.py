@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
@@ -74,8 +73,7 @@ class Session:
         self._ready: ReadyQueue = SimpleQueue()
         self._stopping = self._broken_off = self._down = self.warming = False
         self._error: Exception | None = None
-        self._asked_by = ""
-        self._began = self._ran_s = 0.0
+        self._began, self._ran_s, self._asked_by = 0.0, 0.0, ""
         self.table: Table = {}
         waits = not any(_is_live(node) for node in graph.sources)
         self.log = SessionLog(folder, graph, self.clock, self._prior, waits=waits)
@@ -84,8 +82,7 @@ class Session:
         self._runners = [Runner(node, self._ready, self.clock, self.log.report, self._fail) for node in graph.sources]
         self._ingress = Ingress(self._ready, self._runners, self.pipeline, self.log, self.clock, self._fail)
         self.now, self.turn = self._ingress.time.now, self._ingress.turn
-        self._watchdog = Watchdog(self.pipeline.slots.values())
-        self._memory = MemoryWatch(graph.memory_mb, self.pipeline)
+        self._watchdog, self._memory = Watchdog(self.pipeline.slots.values()), MemoryWatch(graph.memory_mb, self.pipeline)
 
     def stop(self, by: str = "") -> None:
         """End the session cleanly, and say `by` which signal that was asked; may be called from any thread and from a signal handler."""
@@ -115,9 +112,7 @@ class Session:
                     self._loop()
                 finally:
                     self._ran_s = time.monotonic() - self._began
-                if self._asked_by:  # so that nobody wonders later why it is shorter than planned: a time limit around it is a signal, too
-                    with suppress(OSError, ValueError):  # whoever reads the log may be gone
-                        self.log.report("asked to end", by=self._asked_by)
+                self.log.asked_to_end(self._asked_by)
         except Exception as error:  # noqa: BLE001 - told to the caller in the outcome, after everything is closed
             self._error = self._memory.of(error)
         finally:

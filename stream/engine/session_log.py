@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock
@@ -234,6 +235,12 @@ class SessionLog:
         else:
             tell = log.error if "failed" in kind else log.info if kind in QUIET else log.warning
             tell(kind, **facts)
+
+    def asked_to_end(self, by: str) -> None:
+        """A signal did, if any: so that nobody wonders later why a session is short. A time limit around it sends one, too."""
+        if by:
+            with suppress(OSError, ValueError):  # there may be no terminal any more
+                self.report("asked to end", by=by)
 
     def _tell_losses(self, now: float) -> None:
         with self._losing:
