@@ -81,8 +81,8 @@ class Session:
         self.pipeline = Pipeline(graph, speaking=graph.outlets, bridge=self._workers.bridge, stop=self.stop)
         self._runners = [Runner(node, self._ready, self.clock, self.log.report, self._fail) for node in graph.sources]
         self._ingress = Ingress(self._ready, self._runners, self.pipeline, self.log, self.clock, self._fail)
-        self.now, self.turn = self._ingress.time.now, self._ingress.turn
-        self._watchdog, self._memory = Watchdog(self.pipeline.slots.values()), MemoryWatch(graph.memory_mb, self.pipeline)
+        self.now, self._watchdog = self._ingress.time.now, Watchdog(self.pipeline.slots.values())
+        self.turn, self._memory = self._ingress.turn, MemoryWatch(graph.memory_mb, self.pipeline)
 
     def stop(self, by: str = "") -> None:
         """End the session cleanly, and say `by` which signal that was asked; may be called from any thread and from a signal handler."""
