@@ -453,6 +453,34 @@ def test_a_signal_ends_a_session_cleanly(number: int, tmp_path: Path) -> None:
     assert asked == [signal.Signals(number).name] and "asked to end" in errors
 
 
+@pytest.mark.skipif(os.name == "nt", reason="signals as POSIX has them")
+@pytest.mark.parametrize("sent", ["SIGTERM", "SIGHUP"])
+def test_a_session_whose_log_nobody_reads_any_more_ends_all_the_same(sent: str, tmp_path: Path) -> None:
+    """As behind a terminal that was closed: what is said of the signal cannot be written."""
+    config, folder = tmp_path / "graph.yaml", tmp_path / "s"
+    config.write_text("nodes:\n  board: {use: devices.simulators.treadmill.Treadmill}\n")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "stream", "run", str(config), "-o", str(folder), "--view", "none"],
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    try:
+        deadline = time.monotonic() + 60
+        while not list(folder.glob("*.mcap")) and time.monotonic() < deadline:
+            time.sleep(0.1)
+        time.sleep(1.0)
+        assert process.stdout and process.stderr
+        process.stdout.close()
+        process.stderr.close()
+        process.send_signal(getattr(signal, sent))
+        process.wait(30)
+    finally:
+        process.kill()
+        process.wait(30)
+    recording = recorded(folder)
+    assert recording.finished and recording.streams["board.emg"].samples > 100
+    assert [entry["by"] for entry in recording.log if entry["kind"] == "asked to end"] == [sent]
+
+
 def test_a_source_that_floods_waits_and_loses_nothing() -> None:
     nodes = """
   hose: {use: parts.Counting, samples: 200000, chunk: 3, queue: 8}
