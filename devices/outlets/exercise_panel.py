@@ -141,9 +141,13 @@ def corrects_earlier(state: ExerciseState, activity: int) -> bool:
 
 def _believed(state: ExerciseState, event: Any, stamp: int) -> str:
     """What a repetition is called that is not final yet: one that has not quite ended is less like what was shown. So if those of the
-    activity that are final have a name, this one is not unknown, nor less sure."""
+    activity that are final have a name, this one is not unknown, nor less sure; and before any is final, unknown is no answer yet."""
     one = _known(state, int(event["activity"]))
-    if not one["told"] or event["repetition"] <= one["told"] or event["name"] not in (one["name"], UNKNOWN):
+    if one["told"]:
+        says = event["repetition"] <= one["told"] or event["name"] not in (one["name"], UNKNOWN)
+    else:
+        says = event["name"] != UNKNOWN or one["name"] != ""
+    if says:
         _call(state, one, event)
     if state.unsaid and event["activity"] == state.activity:
         state.unsaid = False

@@ -272,6 +272,17 @@ def test_a_name_that_is_hardly_sure_is_a_question() -> None:
         assert "?" not in after(*repeated(1, 1, 1, 3, name, 0.0))
 
 
+def test_unknown_is_no_answer_before_a_repetition_is_final() -> None:
+    """The first line of an exercise that had been shown read "unknown x 2": what has not quite ended is less like what was shown."""
+    first = [*repeated(1, 1, 1, 3, "unknown", 0.0), *repeated(1, 2, 3, 5, "unknown", 0.0)]
+    assert after(*first).startswith("exercise x 2, ")
+    assert after(*first, *repeated(1, 3, 5, 7, "squat", 0.6)).startswith("squat x 3, ")
+    assert after(*first, confirmed(1, 1, 3, "unknown", 0.0), *repeated(1, 3, 5, 7, "unknown", 0.0)).startswith(
+        "unknown x 3"
+    )
+    assert after(*repeated(1, 1, 1, 3, "squat", 0.6), *repeated(1, 2, 3, 5, "unknown", 0.0)).startswith("unknown x 2")
+
+
 def test_while_somebody_rests_and_until_something_repeats_the_last_count_stays_in_view() -> None:
     rest = ("resting", event("resting", 9, onset=8)), ("rest", event("rest", 12, onset=8, end=11.5))
     resting, moving = after(*THREE, rest[0]), after(*THREE, *rest)
