@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,8 +11,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from devices.simulators.quadruped import LEGS, marked, topology, walking
-from operators.steering.adapt import adapt, limb_frames, matched, nearest_frames
+from operators.steering.adapt import _ahead, _change, adapt, limb_frames, matched, nearest_frames
 from operators.steering.choose import Method, best_of, choose, regression_of
+from operators.steering.commands import report
 from operators.steering.exchanged import ExchangedNames
 from operators.steering.fit import Steering, fit_steering, fit_straight
 from operators.steering.graph_ranges import graph_matched
@@ -320,6 +322,30 @@ def test_a_report_shows_parts_errors_and_modes(tmp_path: Path) -> None:
             [*(str(word) for word in train[1:]), "-o", str(tmp_path / "n.npz"), "--report", str(tmp_path / "m.html")],
         )
     assert (tmp_path / "m.html").stat().st_mtime_ns == kept
+
+
+def test_more_parts_than_colours_begin_with_the_first_colour_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = fit_steering(STRIDE, FACES, marked(), REFERENCE, LIMBS)
+    one, mine = model.parts[0], np.arange(len(model.parts[0].vertices))
+    parts = tuple(replace(one, weights=np.where(mine == k, 2.0, 0.5)) for k in range(22))
+    shown: list[Samples] = []
+    monkeypatch.setattr(report, "picture", lambda points, faces, colours: shown.append(colours) or "")
+    report.write_report(
+        tmp_path / "m.html", "m", replace(model, parts=parts), "parts", {}, STRIDE[:3], FACES, lambda _: model
+    )
+    colours = shown[0][one.vertices]
+    assert np.array_equal(colours[20:22], colours[:2]) and len(np.unique(colours[:20], axis=0)) == 20
+
+
+@pytest.mark.parametrize("changes, missing", [(_ahead, -1), (_change, 0)])
+def test_the_change_that_no_frame_tells_is_that_beside_it(changes: Callable[[Samples], Samples], missing: int) -> None:
+    assert changes(np.array([1.0])).tolist() == [0.0]
+    for angles in ([1.0, 3.0], [1.0, 3.0, 4.0], [0.0, 1.0, 3.0, 6.0]):
+        told = list(np.diff(angles))
+        told.insert(missing % len(angles), told[missing])
+        assert changes(np.array(angles)).tolist() == told
 
 
 def test_the_command_takes_a_performer_and_says_what_is_wrong(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from devices.outlets.page.wire import decode
 from devices.pose_map import picture
 from operators.pose_map.commands import build
-from operators.pose_map.commands.gather import GatheredPoses, as_points, pieces
+from operators.pose_map.commands.gather import GatheredPoses, PoseReading, as_points, pieces
 from operators.pose_map.commands.marker_table import read_table
 from operators.pose_map.retrieve import ANSWER, EXAMPLE, QUERY, PoseSearch, Retrieve
 from operators.pose_map.som import PoseGrid
@@ -22,7 +22,7 @@ from stream.joint_tree import JointTree
 from stream.model import ModelError, read_model, write_model
 from stream.motion_index import KIND, MISSING, MotionIndex
 from tests.support.command_line import Command, kinegraph, refused
-from tests.support.horses_made import NAMES, YAML, horse, index_of, record
+from tests.support.horses_made import NAMES, TABLE, YAML, horse, index_of, record
 
 __all__ = ["kinegraph"]
 
@@ -70,6 +70,15 @@ def test_a_skeleton_becomes_points_frame_by_frame(n: int) -> None:
     for k, far in enumerate((0.0, 0.5, 0.75)):
         wanted = np.stack([np.arange(n), -far * np.cos(angle), -far * np.sin(angle)], axis=1)
         assert np.allclose(joints[:, k], wanted, atol=1e-6, rtol=1e-6), k
+
+
+def test_a_long_take_is_normalised_as_its_pieces_are() -> None:
+    """However many poses are normalised at once: every pose is placed and turned by itself."""
+    spec = StreamSpec((len(NAMES), 3), rate_hz=60.0, channels=NAMES, units=("m",))
+    data = horse("walk", 20_000 / 60.0)[:20_000]
+    whole = PoseReading._normalised("here", TABLE, spec, data)
+    pieces = [PoseReading._normalised("here", TABLE, spec, data[i : i + 1000]) for i in range(0, len(data), 1000)]
+    assert np.array_equal(whole, np.concatenate(pieces), equal_nan=True)
 
 
 @pytest.mark.parametrize("block", [7, 50, 16_384])
