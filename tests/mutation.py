@@ -38,7 +38,7 @@ from xml.etree import ElementTree
 from stream.graph.parts import catalogue
 from tests.constants import KEPT
 from tests.golden_commands import SCENES
-from tests.laws.module_tests import own_commands, own_operators, own_tests
+from tests.laws.module_tests import own_commands, own_operators, own_tests, same_package
 
 HOUSE = Path(__file__).resolve().parent.parent
 COPIED = (
@@ -242,13 +242,14 @@ def _runs(path: str, code: str, line: int) -> list[list[str]]:
     """The arguments of pytest for the tests of a module: golden answers of operators and commands, its own, the laws on operators in it.
 
     For a `line` that declares something, those of what is declared come first; for `code` that declares a dataclass, those of how, too.
-    Then golden answers of the nearest operators and the nearest tests, in one process, since imports take seconds in each; all others
-    in a second one.
+    Then golden answers of the nearest operators, those of other packages, which may take long to compile, after the nearest tests; in
+    one process, since imports take seconds in each. All others come in a second one.
     """
     module = path.removesuffix(".py").replace("/", ".").removesuffix(".__init__")
     found = {use: part.__module__ for use, part in catalogue(("operators",))[0].items()}
     answers, commands = (f"{place}test_it_answers_as_it_did" for place in GOLDEN)
-    golden = [f"{answers}[{use}]" for use in own_operators(module, found)]
+    near = own_operators(module, found)
+    apart = [use for use in near[1:] if not same_package(found[use], module)]
     scenes = {name: home for name, (home, _) in SCENES.items()}
     golden_commands = [f"{commands}[{name}]" for name in own_commands(module, scenes)]
     own = own_tests(module)
@@ -259,7 +260,8 @@ def _runs(path: str, code: str, line: int) -> list[list[str]]:
     declared = ["tests/house/test_frozen.py"] if code.startswith("@dataclass(") else []
     if _declares(path, line) and module in json.loads(KEPT.read_text(encoding="utf-8")):
         declared.append("tests/laws/test_constants.py")
-    first = [*declared, *golden, *own[:NEAREST]]
+    golden, later = ([f"{answers}[{use}]" for use in near if (use in apart) == late] for late in (False, True))
+    first = [*declared, *golden, *own[:NEAREST], *later]
     return [run for run in (first, [*golden_commands, *own[NEAREST:], *laws]) if run]
 
 

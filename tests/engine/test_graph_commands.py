@@ -123,6 +123,11 @@ def test_the_schema_takes_every_way_to_write_a_node(text: str) -> None:
     assert faults(nodes(text)) == []
 
 
+def test_a_graph_may_have_one_node_and_must_have_one() -> None:
+    assert faults("nodes: {board: {use: graph_parts.Board}}") == []
+    assert faults("nodes: {}") != []
+
+
 BY_LOAD_ALONE = (
     "there is no", "no output", "no module", "cycle:", "connected twice", "an outlet", "below 500", "(onset)", "/dev", "given twice",
     "graph_parts has no", "must be a source", "is not a dataclass", "hold", "other", "ZeroDivision", "must be renamed", "record names",

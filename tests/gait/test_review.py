@@ -15,6 +15,7 @@ from operators.gait.cycles import Cycles
 from operators.gait.ensemble import CycleEnsemble
 from operators.gait.review import CycleReview
 from operators.gait.statistics import CycleStatistics
+from operators.gait.verdicts import WINDOWS, Windows
 from stream.chunk import NS, StreamSpec
 from stream.engine.replay import Replay
 from stream.engine.session import Session
@@ -134,6 +135,22 @@ def test_what_is_typed_in_a_session_of_the_shipped_graph_counts_in_its_replay(tm
         assert len(rows) and not rows["used"][rows["name"] == "TA"].any() and rows["used"][rows["name"] == "SO"].all()
         graph = load("treadmill_emg", recorded={n: s.spec for n, s in recording.streams.items()}, overrides=overrides)
         assert Replay(graph, recording).run().differing == []
+
+
+def test_a_window_of_all_muscles_takes_one_place_of_the_latest() -> None:
+    """Of 256 windows the first is still there, however many muscles each was judged for; of one more it is not."""
+    event = np.zeros((), [("onset", "<i8"), ("end", "<i8"), ("flag", "U16"), ("reason", "U16")])
+    windows = Windows.none(2)
+    for k in range(WINDOWS + 1):
+        if k == WINDOWS:
+            assert windows.of(0, 1)[0].tolist() == [2, 1] and windows.of(0, 1)[1].tolist() == ["off", "noisy"]
+        for muscle, (flag, why) in enumerate(
+            (("bad", "off"), ("doubtful", "noisy")) if k == 0 else (("good", ""),) * 2
+        ):
+            event["onset"], event["end"], event["flag"], event["reason"] = 10 * k, 10 * k + 10, flag, why
+            windows.add(event, muscle)
+    assert windows.of(0, 1)[0].tolist() == [0, 0]
+    assert windows.of(2500, 2501)[0].tolist() == [0, 0] and windows.seen == WINDOWS + 1
 
 
 def test_a_cycle_stays_left_out_when_its_seconds_are_long_gone() -> None:

@@ -16,8 +16,9 @@ MOST = 10
 """At most so many test files for one module: the nearest first, among these the ones with the fewest imports of their own."""
 NAMESAKES = 3
 """Of more modules than these a name says nothing: `report`, `train`."""
-AKIN, RARE = 8, 3
-"""At most so many test files for names that they and the module import (or that stand in it), and at most so many test files at all."""
+AKIN, RARE, SPREAD = 8, 3, 20
+"""At most so many test files for names that they and the module import (or that stand in it); of names that at most so many test files
+import at all, and at most so many modules: `kernel` and `Times` say nothing of either."""
 FARTHEST = 6
 """Imports between a test and what it tests."""
 OPERATORS = 3
@@ -68,7 +69,8 @@ def _akin(module: str) -> list[Path]:
     """
     if (path := _modules().get(module)) is None:
         return []
-    rare = {name for name in (*_names(path), *_defined(path)) if _takers()[name] <= RARE}
+    told = {name for name in _names(path) if _users()[name] <= SPREAD}
+    rare = {name for name in (*told, *_defined(path)) if _takers()[name] <= RARE}
     by_test = {p: sum(1.0 / _takers()[name] for name in rare & _names(p)) for p in _tests()}
     near = sorted((p for p, much in by_test.items() if much), key=lambda p: (-by_test[p], p))
     return near[:AKIN]
@@ -94,6 +96,12 @@ def _takers() -> Counter[tuple[str, str]]:
     return Counter(name for p in _tests() for name in _names(p))
 
 
+@cache
+def _users() -> Counter[tuple[str, str]]:
+    """How many modules import each name."""
+    return Counter(name for p in _modules().values() for name in _names(p))
+
+
 def _named_after(module: str) -> list[str]:
     """The test files that have the module's name, where few other modules have it: they may reach it through a command, by no import."""
     stem = module.rpartition(".")[2]
@@ -113,14 +121,20 @@ def own_commands(module: str, found: Mapping[str, str]) -> list[str]:
 
 
 def _nearest(module: str, found: Mapping[str, str], most: int) -> list[str]:
-    """Those whose module reaches this one by the fewest imports; those in the module itself have none beside them."""
+    """Those whose module reaches this one by the fewest imports, of these those of its own package first; those in the module itself have
+    none beside them."""
     reached, near = {module}, list[str]()
     for k in range(FARTHEST):
-        near += sorted(name for name, home in found.items() if home in reached and name not in near)
+        new = [name for name, home in found.items() if home in reached and name not in near]
+        near += sorted(new, key=lambda name: (not same_package(found[name], module), name))
         if len(near) >= most or (near and not k):
             break
         reached |= {other for other, path in _modules().items() if reached & _imports(path)}
     return near[:most]
+
+
+def same_package(one: str, other: str) -> bool:
+    return one.rpartition(".")[0] == other.rpartition(".")[0]
 
 
 @cache

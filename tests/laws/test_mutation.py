@@ -86,6 +86,9 @@ def test_numbers_outside_functions_are_compared_before_anything_is_compiled() ->
     assert not any(first in run for run in mutation._runs("operators/gait/textbook.py", "", inner))
 
 
+NEIGHBOURS, BUNDLE = "operators.neighbours.Neighbours", "operators.features.bundle.Bundle"
+
+
 def test_the_nearest_operators_answers_and_the_nearest_tests_come_first_in_one_process(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -94,6 +97,11 @@ def test_the_nearest_operators_answers_and_the_nearest_tests_come_first_in_one_p
     assert first[0] == "tests/laws/test_golden_answers.py::test_it_answers_as_it_did[operators.depth.motion.Motion]"
     assert first[1] == "tests/sleep/test_depth_motion.py"
     assert others[-1] == "tests/laws/test_laws.py::test_laws_by_chance[operators.depth.motion.Motion]"
+    first, _ = mutation._runs(
+        "operators/neighbours/seal.py", "", 1
+    )  # part of another package's, too, which takes the minute to compile
+    own, other = (f"{mutation.GOLDEN[0]}test_it_answers_as_it_did[{use}]" for use in (NEIGHBOURS, BUNDLE))
+    assert first.index(own) < first.index("tests/motion/test_neighbours.py") < first.index(other)
 
 
 @pytest.mark.parametrize("code", [0, 1, -9])
