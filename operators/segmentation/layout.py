@@ -106,6 +106,8 @@ how certain those of the activity are whose end is held, and its radius; the rad
 
 STILL = 0.12
 """Who has moved less than this share of what the window's liveliest frames do, is at rest."""
+NOISE = 1.5
+"""So many times the squares of what frames differ by from one to the next, is noise: more than once, as noise adds up to more at times."""
 TRAVELS = 0.5
 """A repetition moves at least this share of how far its exemplar does, from stride to stride: who stands, repeats nothing."""
 
@@ -149,7 +151,7 @@ class Memory(NamedTuple):
     firsts     (features,)         1: the first of a pair that changes places in the mirror
     leads      (clusters,)         how much more the firsts have moved in the first steps of a cluster's cycles than in the second ones
     recent     (REST, features)    the newest frames as they came, by RECENT modulo REST, and their stamps recent_at (REST,)
-    moves      (ring,)             how much each frame moves: its mean distance to the REST before it; negative: in a rest that was reported
+    moves      (ring,)             how much each frame moves: see `moved` in rest.py; negative: in a rest that was reported
     travels    (clusters,)         how far the exemplars move, from stride to stride
     kinds      (4,)                repetitions of the open activity by their symmetry
     counted    (8,)                the count reported last, by activity modulo 8, until that is final

@@ -13,6 +13,7 @@ from operators.segmentation.layout import (
     MASS,
     MOVED,
     NEXT,
+    NOISE,
     PEAK,
     PEAK_AT,
     RECENT,
@@ -39,7 +40,8 @@ from stream.kernel import kernel
 def rests(s: Memory, x: Samples, stamp: int) -> bool:
     """Whether frame `x` (features,) belongs to a rest: so it is not worked through. A rest that it ends is reported.
 
-    Frames of the rest that were worked through, before it was known to be one, have a negative number in `moves` from then on.
+    Frames of the rest that were worked through, before it was known to be one, have a negative number in `moves` from then on. It begins
+    with the first of them that lies behind the last rest.
     """
     b = s.books
     s.values[MOVED] = moved(s, x)
@@ -51,12 +53,15 @@ def rests(s: Memory, x: Samples, stamp: int) -> bool:
         tell_rest(s)
         return False
     if not b[RESTED]:
-        b[REST_FROM], b[STOOD] = oldest, 1
+        b[REST_FROM] = stamp
         i = b[NEXT] - 1
         while i >= b[SINCE] and s.times[i % s.times.shape[0]] >= oldest:
             s.moves[i % s.moves.shape[0]] = -abs(s.moves[i % s.moves.shape[0]])
+            if not b[STOOD] or s.times[i % s.times.shape[0]] > b[REST_TO]:
+                b[REST_FROM] = s.times[i % s.times.shape[0]]
             i -= 1
-        tell(s, RESTING_EVENT, oldest, 0, 0, 0, 0, 0)
+        b[STOOD] = 1
+        tell(s, RESTING_EVENT, b[REST_FROM], 0, 0, 0, 0, 0)
     b[RESTED] += 1
     b[REST_TO] = stamp
     return True
@@ -89,24 +94,42 @@ def tell_rest(s: Memory) -> None:
 
 @kernel
 def moved(s: Memory, x: Samples) -> float:
-    """Mean distance of frame `x` to those of the last REST frames, rests included; where less than half of them are known, as of
-    the one before."""
+    """Mean distance of frame `x` to those of the last REST frames, rests included, less what they differ by from one to the next: that is
+    noise, and no motion where it adds up to nothing (asked from half of REST on). Where less than half of them are known, as of the one
+    before."""
     b = s.books
-    total, count = 0.0, 0
-    for k in range(min(b[REST], b[RECENT])):
-        row = s.recent[(b[RECENT] - k) % s.recent.shape[0]]
-        squares, common = 0.0, 0.0
-        for d in range(x.shape[0]):
-            apart = x[d] - row[d]
-            if math.isfinite(apart):
-                squares += apart * apart
-                common += 1.0
-        if common:
-            total += math.sqrt(squares / common)
-            count += 1
     if not b[RECENT]:
         return 0.0
-    return total / count if count and 2 * count >= min(b[REST], b[RECENT]) else s.values[MOVED]
+    total, count, steps, pairs = 0.0, 0, 0.0, 0
+    later, frames = x, min(b[REST], b[RECENT])
+    for k in range(frames):
+        row = s.recent[(b[RECENT] - k) % s.recent.shape[0]]
+        apart, step = mean_square(x, row), mean_square(later, row)
+        if apart == apart:
+            total += math.sqrt(apart)
+            count += 1
+        if step == step:
+            steps += step
+            pairs += 1
+        later = row
+    if not count or 2 * count < frames:
+        before: float = s.values[MOVED]
+        return before
+    mean, noise = total / count, NOISE * steps / pairs if pairs and 2 * frames >= b[REST] else 0.0
+    least = s.values[STILL_SHARE] * s.values[STILL_SHARE] * noise
+    return math.sqrt(max(least, mean * mean - noise))
+
+
+@kernel
+def mean_square(x: Samples, y: Samples) -> float:
+    """Of the difference of two frames (features,), over what is known of both; NaN where nothing is."""
+    total, common = 0.0, 0.0
+    for d in range(x.shape[0]):
+        apart = x[d] - y[d]
+        if math.isfinite(apart):
+            total += apart * apart
+            common += 1.0
+    return total / common if common else math.nan
 
 
 @kernel

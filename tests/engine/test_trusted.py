@@ -125,7 +125,9 @@ def test_a_model_of_ones_own_in_a_folder_as_of_temporary_files_is_believed(tmp_p
     assert read_model(path, "pose").kind == "pose"
 
 
-@pytest.mark.parametrize("command", [("check", "--trusted-only"), ("check",), ("run", *QUIET, "--no-record", "--for", "1")])
+@pytest.mark.parametrize(
+    "command", [("check", "--trusted-only"), ("check",), ("run", *QUIET, "--no-record", "--for", "1")]
+)
 def test_a_file_of_an_optional_librarys_name_beside_the_graph_is_not_run(
     kinegraph: Command, tmp_path: Path, command: tuple[str, ...]
 ) -> None:

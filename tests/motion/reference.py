@@ -6,13 +6,14 @@ exemplars that were kept: every distance is asked for through `Reference.apart`,
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 Event = tuple[Any, ...]
-KNOWN, SHARED, FAR, STILL, TRAVELS = 2, 4, 100.0, 0.12, 0.5
+KNOWN, SHARED, FAR, STILL, NOISE, TRAVELS = 2, 4, 100.0, 0.12, 1.5, 0.5
 SURE, STRAYS, SAME, HOLE = 3, 4.0, 0.4, 8
 DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 0.8, 1.25, 64, 256
 LONGEST_EXEMPLARS = 24
@@ -127,6 +128,7 @@ class Reference:
         self.moved = self.peak = 0.0
         self.peak_at = 0
         self.resting: list[int] = []
+        self.rest_from, self.rest_to = 0, -1
         self.stood = False
         self.measured: dict[tuple[int, int, int], float] = {}
         self.p, self.share, self.fixed = frames, share, radius
@@ -198,26 +200,34 @@ class Reference:
         self.moved = self.movement(i)
         if i < n or self.moved >= STILL * self.peak:
             if self.resting:
-                self.tell("rest", max(0, self.resting[0] - n), self.resting[-1])
+                self.tell("rest", self.rest_from, self.resting[-1])
                 if len(self.resting) > self.p["TRANSITION"]:
                     self.resumed = len(self.frames)
                 self.resting = []
             return False
         if not self.resting:
             self.stood = True
-            self.tell("resting", max(0, i - n))
-            for j in range(len(self.frames)):
-                if self.frames[j] >= max(0, i - n):
-                    self.rested.add(j)
+            lately = [j for j in range(len(self.frames)) if self.frames[j] >= max(0, i - n)]
+            self.rested.update(lately)
+            behind = [self.frames[j] for j in lately if self.frames[j] > self.rest_to]
+            self.rest_from = behind[0] if behind else i
+            self.tell("resting", self.rest_from)
         self.resting.append(i)
+        self.rest_to = i
         return True
 
     def movement(self, i: int) -> float:
-        """Mean distance to the REST frames before, over what is known in both; as before, where that is less than half of them."""
-        before = self.came[max(0, i - self.p["REST"]) : i]
-        far = self.distances(before - self.came[i], 0)
-        far = far[np.isfinite(far)]
-        return (float(far.mean()) if len(far) and 2 * len(far) >= len(before) else self.moved) if i else 0.0
+        """Mean distance to the REST frames before, over what is known in both, less their noise; as before, where less than half of them
+        are known."""
+        if not i:
+            return 0.0
+        near = self.came[max(0, i - self.p["REST"]) : i + 1]
+        far, steps = self.distances(near[:-1] - near[-1], 0), self.distances(np.diff(near, axis=0), 0)
+        far, steps = far[np.isfinite(far)], steps[np.isfinite(steps)]
+        if not len(far) or 2 * len(far) < len(near) - 1:
+            return self.moved
+        noise = NOISE * float((steps**2).mean()) if len(steps) and 2 * (len(near) - 1) >= self.p["REST"] else 0.0
+        return math.sqrt(max(STILL**2 * noise, float(far.mean()) ** 2 - noise))
 
     def at_rest(self, i: int) -> bool:
         return self.moves[i] < STILL * self.peak
@@ -723,7 +733,7 @@ class Reference:
 
     def end(self) -> None:
         if self.resting:
-            self.tell("rest", max(0, self.resting[0] - self.p["REST"]), self.resting[-1])
+            self.tell("rest", self.rest_from, self.resting[-1])
         self.close_all(1)
 
     def close_all(self, forced: int) -> None:

@@ -578,6 +578,21 @@ def test_a_pause_is_rest_and_no_repetition(seed: int) -> None:
     assert (told > 2.5).sum() >= 9 and (told[:9] < 5.0).all()
 
 
+@pytest.mark.parametrize(
+    ("exercise", "noise_mm", "pause_s"), [("squat", 6.0, 20.0), ("knees", 6.0, 8.0), ("squat", 10.0, 20.0)]
+)
+def test_who_stands_before_a_noisy_camera_rests(exercise: str, noise_mm: float, pause_s: float) -> None:
+    """From one frame to the next noise moves more than squats or knees do: no rest was told, and standing was counted (3 to 5 of ten)."""
+    routine = Routine(Exerciser(exercises=(exercise,), noise_mm=noise_mm, pause_s=pause_s, jitter_ms=0.0, seed=1))
+    sets = [routine.starts(k)[[0, -1]] for k in range(3)]
+    events, _ = played(Segment(), seen(routine, float(sets[-1][1]) + 3.0))
+    found, rest = events["primitive"][events["primitive"]["repetition"] > 0], events["rest"]
+    middle = (found["onset"] + found["end"]) / 2e9 - grid(RATE, 1)[0] / 1e9 + 1 / 3
+    assert len(found) == 18 and all(((middle > begin) & (middle < end)).sum() == 6 for begin, end in sets)
+    assert (rest["end"] - rest["onset"] > 0.75e9 * pause_s).sum() == 3 and len(rest) <= 8
+    assert (rest["onset"][1:] > rest["end"][:-1]).all()
+
+
 @pytest.mark.parametrize("still_s", [2, 20, 60])
 def test_stillness_before_the_motion_does_not_change_what_is_found(still_s: int) -> None:
     events, _ = played(Segment(), stacked(lifts(2, 9, 50, 0, still=round(still_s * RATE))))
@@ -832,7 +847,9 @@ def test_what_trembles_is_no_gesture(every: int, counts: bool) -> None:
     """A table that one frame's events do not fit into is memory that is overwritten: beyond a number of excursions none counts."""
     x = 0.01 * np.random.default_rng(4).normal(size=(1500, 3))
     x[::every] += 1.0
-    operator = Segment(cycle_s=10.0)
+    operator = Segment(
+        cycle_s=10.0, rest_s=60.0
+    )  # what comes back from one frame to the next would be noise, and no motion
     operator.open({"in": StreamSpec((3,), rate_hz=RATE)})
     operator.process("in", Chunk(grid(RATE, len(x)), x, int(grid(RATE, len(x))[-1])))
     memory = operator.state.memory.with_room(1)
