@@ -43,7 +43,7 @@ def plate(
         wrench[3] += origin[1] * fz - origin[2] * fy
         wrench[4] += origin[2] * fx - origin[0] * fz
         wrench[5] += origin[0] * fy - origin[1] * fx
-        for r in range(6):
+        for r in range(wrench.shape[0]):
             out[i, r] = finite(wrench[r]) if fine else math.nan
         carries = fine and abs(fz) >= least[0] and abs(fz) > 0.0
         out[i, 6] = finite(-wrench[4] / fz) if carries else math.nan

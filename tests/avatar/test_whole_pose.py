@@ -9,6 +9,7 @@ import pytest
 
 from operators.one_euro import OneEuro
 from operators.whole_pose.landmarks import BONE_OF, FROM_BONE, NAMES, USUAL
+from operators.whole_pose.limb_kernel import two_bones
 from operators.whole_pose.operator import WholePose
 from stream import cli
 from stream.chunk import Chunk, Samples, StreamSpec
@@ -211,6 +212,19 @@ def test_feet_stand_by_markers_that_leap_and_are_let_go(noise_m: float) -> None:
         assert stands[90:still].mean() > 0.8
         assert np.median(slides[90 : still - 1][both[90 : still - 1]]) < 0.0015
         assert stands[still + 10 :].mean() < 0.1, "who walks away has left"
+
+
+@pytest.mark.parametrize("reached", [0.4, 0.9])
+def test_two_bones_reach_on_the_side_of_the_pole_in_the_room_that_is_given(reached: float) -> None:
+    """Two bones of .3 and .25 m; beyond their length they point where they should end. What lies behind their room is another's."""
+    room, middle, end = np.full((4, 4), 7.0), np.empty(3), np.empty(3)
+    start, goal = np.array([0.1, 1.0, -0.2]), np.array([0.1, 1.0 - reached, -0.2])
+    pole, down = np.array([0.0, 0.3, 1.0]), np.array([0.0, -0.55, 0.0])
+    two_bones(start, goal, goal + pole, 0.3, 0.25, middle, end, room[:2])
+    assert (room[2:] == 7.0).all()
+    assert np.linalg.norm(middle - start) == pytest.approx(0.3) and np.linalg.norm(end - middle) == pytest.approx(0.25)
+    assert np.allclose(end, goal if reached < 0.55 else start + down, atol=1e-3)
+    assert middle[0] == pytest.approx(0.1) and middle[2] > start[2]
 
 
 def test_depth_cameras_and_laboratories_have_other_axes() -> None:

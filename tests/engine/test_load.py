@@ -12,9 +12,12 @@ import pytest
 
 from stream.chunk import StreamSpec
 from stream.errors import GraphError, KinegraphError
-from stream.graph import Edge, Graph, overrides
+from stream.graph import Edge, Graph, NodeOptions, overrides
+from stream.graph.draft import build_from
 from stream.graph.load import load, load_text
 from stream.graph.parts import catalogue
+from stream.graph.problems import Problems
+from stream.graph.yaml_lines import Located
 
 GOOD = """\
 name: walking
@@ -412,6 +415,18 @@ def test_a_module_that_cannot_be_imported_says_why(tmp_path: Path, code: str, wo
     for word in words:
         assert word in str(caught.value)
     assert "faulty" not in sys.modules
+
+
+@pytest.mark.parametrize(
+    ("given", "problems"), [({"queue": 7}, 0), ({"queue": 0}, 1), ({"queue": 0, "silence_s": -1.0}, 2)]
+)
+def test_what_one_value_is_wrong_of_is_not_made_and_all_wrong_ones_are_told(
+    given: dict[str, Any], problems: int
+) -> None:
+    found = Problems("g.yaml")
+    made = build_from(NodeOptions, {key: Located(value, 3) for key, value in given.items()}, found)
+    assert len(found) == problems and (made is None) == bool(problems)
+    assert made is None or made.queue == 7
 
 
 def test_an_error_names_the_file_or_else_the_graph() -> None:

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from stream.graph import RecordingOptions
 from stream.operator import grid
 from stream.recording import Recorder, Recording
 from stream.recording.quota import keep_quota
+from stream.recording.record_writer import RecordWriter
 from tests.recordings.test_recording import START, assert_recorded, record, same, session
 from tests.support.disks import Disk
 
@@ -144,6 +146,30 @@ def test_closing_on_a_disk_that_stays_full_ends_and_leaves_a_readable_file(
         assert not recording.finished
         assert_holes_are_told(recording, 0)
         assert 0 < recording.last_samples("board") < 1250
+
+
+class RefusingSegments:
+    """Files that refuse to be written so many times."""
+
+    def __init__(self, times: int) -> None:
+        self.left, self.lines = times, list[bytes]()
+
+    def save(self, *, sync: bool) -> None:
+        self.left -= 1
+        if self.left >= 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    def add(self, topic: int, arrival: int, stamp: int, batch: int, body: bytes) -> None:
+        self.lines.append(body)
+
+
+def test_one_that_must_stop_tries_again_before_it_gives_up(tmp_path: Path) -> None:
+    stop, segments = Event(), RefusingSegments(3)
+    writer = RecordWriter(tmp_path, [], segments, stop, live=True)  # type: ignore[arg-type]
+    assert writer.done == 0
+    stop.set()
+    writer.save()
+    assert writer.error == "" and len(segments.lines) == 1 and b"disk refused" in segments.lines[0]
 
 
 def test_a_slow_disk_drops_and_counts(tmp_path: Path, disk: Disk) -> None:
