@@ -107,7 +107,7 @@ how certain those of the activity are whose end is held, and its radius; the rad
 STILL = 0.12
 """Who has moved less than this share of what the window's liveliest frames do, is at rest."""
 NOISE = 1.5
-"""So many times the squares of what frames differ by from one to the next, is noise: more than once, as noise adds up to more at times."""
+"""Noise is this many times the squares of what frames differ by from one to the next: more than once, as it adds up to more at times."""
 TRAVELS = 0.5
 """A repetition moves at least this share of how far its exemplar does, from stride to stride: who stands, repeats nothing."""
 
