@@ -170,6 +170,8 @@ def tell_first_rest(s: Memory, first: int, t: int) -> None:
     least = b[MASS] if onset == first else b[REST] + b[MASS] + b[EVERY]
     if begins - onset > b[REST] and least <= t + 1 - begins <= b[REST] + b[MASS] + 2 * b[EVERY]:
         b[STOOD] = 1
+        for i in range(onset, begins):
+            s.moves[i % s.moves.shape[0]] = -abs(s.moves[i % s.moves.shape[0]])
         tell(s, REST_EVENT, s.times[onset % s.times.shape[0]], s.times[(begins - 1) % s.times.shape[0]], 0, 0, 0, 0)
 
 

@@ -251,6 +251,7 @@ class Reference:
         least = self.p["MASS"] if rest == len(before) else settled
         if rest > self.p["REST"] and least <= lively <= settled + self.p["EVERY"]:
             self.stood = True
+            self.rested.update(range(t + 1 - lively - rest, t + 1 - lively))
             self.tell("rest", self.frames[t + 1 - lively - rest], self.frames[t - lively])
 
     def take(self, i: int) -> None:
