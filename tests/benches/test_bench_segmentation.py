@@ -11,6 +11,7 @@ import numpy as np
 
 from bench import batch
 from bench.bundling import pairs, warped
+from bench.rests import behind, counted
 from operators.segmentation.evaluation.found import Found
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -76,3 +77,18 @@ def test_the_bench_of_speed_runs():
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "| kinegraph, bundled: a frame, mean |" in done.stdout and "window of 15 s" in done.stdout
+
+
+def test_what_is_found_behind_standing_counts_from_there():
+    """A cut where the motion begins is no mistake; an activity that spans it begins with it."""
+    spans = np.array([[0.0, 20.4], [20.4, 26.0], [26.0, 31.0]])
+    found = Found(spans, np.zeros(3, bool), spans, np.array([-1, 0, 1]), np.array([0, 1, 1]))
+    late = behind(found, 20.0)
+    np.testing.assert_allclose(late.activities, [[0.4, 6.0], [6.0, 11.0]])
+    assert late.cluster.tolist() == [0, 1] and len(late.boundaries()) == 1
+    assert behind(found, 0.0).activities.tolist() == spans.tolist()
+
+
+def test_sets_with_standing_between_are_counted_where_they_are_done():
+    assert counted("wave", 1, 1.5, 1.0, 0) and counted("squat", 10, 30.0, 6.0, 1)
+    assert not counted("squat", 1, 8.0, 60.0, 0), "noise beyond the motion: nothing can be counted"
