@@ -122,7 +122,7 @@ def counted(exercise: str, repetitions: int, pause: float, noise: float, seed: i
     late = np.random.default_rng((seed, 9)).uniform(-0.003, 0.003, len(frames))
     stamps = np.round((frames / RATE + 0.02 + late) * NS).astype(np.int64)
     series = Series(StreamSpec((20, 3), channels=JOINTS, units=("m",)), stamps, joints)
-    features = series.through(Pose(), Align(rate_hz=RATE, max_distance_s=0.2), FillGaps(limit_s=0.2), Stack())
+    features = series.through(FillGaps(limit_s=0.2), Pose(), Align(rate_hz=RATE, max_distance_s=0.2), Stack())
     found = events(features, Segment())["primitive"]
     found = found[found["repetition"] > 0]
     if repetitions == 1:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -16,7 +16,10 @@ from stream.finite import finite
 from stream.kernel import kernel
 from stream.operator import Case, Emitted, Operator, grid
 from stream.params import param
-from stream.require import numeric, regular
+from stream.require import numeric
+
+ANY = 1 << 40
+"""Samples: no limit to a run."""
 
 
 @kernel
@@ -26,38 +29,46 @@ def fill(
     last: int,
     furthest: int,
     most: int,
+    longest: int,
     linear: bool,
     left: Samples,
+    left_at: Times,
     runs: Times,
     work: Samples,
 ) -> int:
     """Append `x` (n, c) to the rows that wait at the head of `work` (p + n, c), and fill its runs of bad values.
 
+    time            (p + n,)  stamps of all rows
     last, furthest  the stamp of the sample before `x`; beyond this distance in time nothing is filled
     most            the longest run, in samples, that is filled
-    left            (c,)  each channel's newest good value before its run
+    longest         the longest time between the good values beside a run that is filled, which then lies on a line by its stamps; 0: no
+                    limit but `most`, and a line by the samples' numbers
+    left, left_at   (c,)  each channel's newest good value before its run, and its stamp
     runs            (c,)  how long each channel's run of bad values is up to now; `most` + 1: too long, or nothing good came before it
 
     Returns how many of the newest rows may yet be filled.
     """
     start = work.shape[0] - x.shape[0]
-    for i in range(x.shape[0]):
+    for i in range(start, work.shape[0]):
         far = time[i] - last > furthest
         last = time[i]
         for c in range(x.shape[1]):
-            if far:
+            if far or 0 < longest < time[i] - left_at[c]:
                 runs[c] = most + 1
-            v = work[start + i, c] = finite(x[i, c])
+            v = work[i, c] = finite(x[i - start, c])
             run = runs[c]
             if v != v:
                 runs[c] = min(run + 1, most + 1)
                 continue
             if 0 < run <= most:
                 for k in range(1, run + 1):
-                    share = k / (run + 1) if linear else 0.0
-                    work[start + i - run - 1 + k, c] = left[c] + share * (v - left[c])
-            left[c] = v
-            runs[c] = 0
+                    share = 0.0
+                    if linear and longest:
+                        share = (time[i - run - 1 + k] - left_at[c]) / (time[i] - left_at[c])
+                    elif linear:
+                        share = k / (run + 1)
+                    work[i - run - 1 + k, c] = left[c] + share * (v - left[c])
+            left[c], left_at[c], runs[c] = v, time[i], 0
     keep = 0
     for c in range(x.shape[1]):
         if runs[c] <= most:
@@ -68,7 +79,9 @@ def fill(
 @dataclass(slots=True)
 class FillState(Continuity):
     most: int
+    longest: int
     left: Samples
+    left_at: Times
     runs: Times
     pending: Samples
     stamps: Times
@@ -78,11 +91,12 @@ class FillState(Continuity):
 
 @dataclass(frozen=True, slots=True)
 class FillGaps(Operator[FillState]):
-    """Gaps of up to `limit_s` in a regular stream are filled from the values on both sides; longer ones are left as they are.
+    """Gaps of up to `limit_s` are filled from the values on both sides; longer ones are left as they are.
 
-    Lost samples (`lost`, with their number judged by the stamps) are put back at even distances, and then nothing is lost there; values
-    that are not finite are filled channel by channel. A run of both kinds counts as one. A run that is too long, or that nothing good
-    precedes, stays NaN; across a gap in time that is too long nothing is filled.
+    Values that are not finite are filled channel by channel. In a regular stream lost samples (`lost`, with their number judged by the
+    stamps) are put back at even distances, and then nothing is lost there; a run of both kinds counts as one. In an irregular stream
+    `limit_s` is the time between the good values on both sides, and nothing is filled across lost samples. A run that is too long, or that
+    nothing good precedes, stays NaN; across a gap in time that is too long nothing is filled.
 
     method  linear: a straight line between the neighbours; hold: the value before the run
     delay   a sample that may yet be filled waits for the next good one, so `limit_s` at most; without bad samples there is none
@@ -95,16 +109,21 @@ class FillGaps(Operator[FillState]):
 
     def open(self, specs: Specs) -> Specs:
         spec = numeric(specs["in"])
-        rate_hz = regular(spec)
-        most = math.floor(self.limit_s * rate_hz + 1e-6)
-        if most < 1:
-            raise ParameterError("limit_s", self.limit_s, f"at least {1 / rate_hz:g} (one sample at {rate_hz:g} Hz)")
-        seen = watch(specs["in"], reset_gap_s=(most + 0.5) / rate_hz)
+        most, gap_s = ANY, self.limit_s
+        if spec.rate_hz is not None:
+            most = math.floor(self.limit_s * spec.rate_hz + 1e-6)
+            gap_s = (most + 0.5) / spec.rate_hz
+            if most < 1:
+                least = f"at least {1 / spec.rate_hz:g} (one sample at {spec.rate_hz:g} Hz)"
+                raise ParameterError("limit_s", self.limit_s, least)
+        seen = watch(spec, reset_gap_s=gap_s)
         c = seen["width"]
         state = FillState(
             **seen,
             most=most,
+            longest=0 if spec.rate_hz else seen["limit_ns"],
             left=np.zeros(c),
+            left_at=np.zeros(c, np.int64),
             runs=np.full(c, most + 1),
             pending=np.zeros((0, *spec.shape)),
             stamps=np.zeros(0, np.int64),
@@ -121,7 +140,7 @@ class FillGaps(Operator[FillState]):
         x = chunk.data
         if not chunk.lost:
             return self._fill(chunk, time, x)
-        missing = state.missing(chunk)
+        missing = state.missing(chunk) if state.period_ns else 0
         if missing and not state.breaks(chunk):
             return self._fill(chunk, *self._put_back(time, x, missing))
         before = self._give_up(int(time[0]) - 1)
@@ -139,7 +158,8 @@ class FillGaps(Operator[FillState]):
             time = np.concatenate([state.stamps, time])
         furthest = state.limit_ns + state.period_ns
         linear = self.method == "linear"
-        keep = fill(x, time[waiting:], state.last.item(0), furthest, state.most, linear, state.left, state.runs, work)
+        last, longest = state.last.item(0), state.longest
+        keep = fill(x, time, last, furthest, state.most, longest, linear, state.left, state.left_at, state.runs, work)
         state.last[0] = time[-1]
         lost = state.lost
         data = work.reshape(total, *state.nothing.shape[1:])
@@ -198,8 +218,10 @@ class FillGaps(Operator[FillState]):
             data[start : start + length, start % 2] = np.nan
         marker = StreamSpec((2,), rate_hz=100.0, units=("mm",))
         points = StreamSpec((2, 3), rate_hz=100.0, units=("m",))
+        irregular = grid(100.0, 400) + rng.integers(0, 9_000_000, 400)
         hidden = np.where(rng.random((400, 2, 1)) < 0.05, np.nan, rng.normal(size=(400, 2, 3)))
         return [
             Case(cls(limit_s=0.1), {"in": (marker, grid(100.0, 400), data)}, least=400),
             Case(cls(limit_s=0.03, method="hold"), {"in": (points, grid(100.0, 400), hidden)}, least=400),
+            Case(cls(limit_s=0.05), {"in": (replace(points, rate_hz=None), irregular, hidden)}, least=400),
         ]

@@ -19,16 +19,19 @@ import ast
 import compileall
 import json
 import os
-import random
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from hashlib import sha256
+from heapq import nsmallest
 from math import ceil
+from operator import itemgetter
 from pathlib import Path
 from py_compile import PycInvalidationMode
 from queue import SimpleQueue
@@ -66,7 +69,7 @@ ONE_THREAD = dict.fromkeys(
 )
 """Threads of linear algebra wait for each other by turning round: two of them use up the minute in half of it, and do no more."""
 NEAREST = 3
-"""So many of a module's own test files come before the golden answers of commands, which take longer."""
+"""This many of a module's own test files come before the golden answers of commands, which take longer."""
 COMPILES_S = 600
 """Processor time for a golden-answer test on the unchanged tree, with nothing compiled."""
 GOLDEN = ("tests/laws/test_golden_answers.py::", "tests/laws/test_golden_commands.py::")
@@ -154,10 +157,16 @@ def _changed(node: ast.AST) -> ast.expr | None:
 
 
 def drawn(seed: int, count: int) -> list[Mutant]:
-    """Mutants drawn from all there are; the same ones for the same seed and sources."""
+    """Mutants drawn from all there are; the same ones for the same seed, as long as their own lines stay as they are.
+
+    Every mutant has its lot, by the seed and its key (and which of those with this key it is): a change elsewhere moves none of them.
+    """
     files = sorted(p for package in ("operators", "stream") for p in (HOUSE / package).rglob("*.py"))
-    every = [mutant for path in files for mutant in mutants(path)]
-    return random.Random(seed).sample(every, min(count, len(every)))
+    lots, times = [], Counter[str]()
+    for mutant in (one for path in files for one in mutants(path)):
+        lots.append((sha256(f"{seed} {mutant.key} {times[mutant.key]}".encode()).digest(), mutant))
+        times[mutant.key] += 1
+    return [mutant for _, mutant in nsmallest(count, lots, key=itemgetter(0))]
 
 
 @dataclass(slots=True)
@@ -323,7 +332,7 @@ def main() -> int:
     parser.add_argument(
         "--only", nargs="+", metavar="TEXT", default=[""], help="mutants in whose line one of these stands"
     )
-    parser.add_argument("--skip", type=int, default=0, help="leave out so many of those drawn, the first ones")
+    parser.add_argument("--skip", type=int, default=0, help="leave out this many of those drawn, the first ones")
     parser.add_argument("--jobs", type=int, default=1, help="how many at once")
     parser.add_argument(
         "--tree", type=Path, metavar="FOLDER", help="keep the copies of the tree here, and use them again"

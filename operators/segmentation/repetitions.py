@@ -61,6 +61,7 @@ from operators.segmentation.layout import (
     UNTOLD_AT,
     Memory,
 )
+from operators.segmentation.rest import reported_at_rest
 from stream.kernel import kernel
 
 
@@ -162,7 +163,8 @@ def pursue(s: Memory, i: int) -> None:
 
 @kernel
 def accept(s: Memory) -> None:
-    """The best path is a repetition: the one before it ends where it starts. Of two that start within half a cycle the cheaper one is."""
+    """The best path is a repetition: the one before it ends where it starts, or at the rest between. Of two that start within half a cycle
+    the cheaper one is."""
     b = s.books
     start, end = b[BEST_START], b[BEST_END]
     close = replaces(s)
@@ -173,10 +175,11 @@ def accept(s: Memory) -> None:
     if close:
         b[COUNT] -= 1
     elif b[PENDING]:
-        settle(s, start - 1 if start - 1 - b[TO] <= slack(b[LENGTH]) else min(b[TO], start - 1))
+        settle(s, before_rest(s, start - 1) if start - 1 - b[TO] <= slack(b[LENGTH]) else min(b[TO], start - 1))
         part(s, start)
     b[LAST] = max(b[LAST], end)
     start = max(start, b[PIECES_FROM])
+    start = after_rest(s, start)
     if start > b[PIECES_FROM]:
         piece(s, start - 1, False)
     b[PENDING], b[FROM], b[TO] = 1, start, end
@@ -186,6 +189,30 @@ def accept(s: Memory) -> None:
     forget_returns(s)
     tell_span(s, stamp(s, start), stamp(s, end), b[ACTIVITY], b[COUNT])
     release(s)
+
+
+@kernel
+def before_rest(s: Memory, last: int) -> int:
+    """The last frame of the pending repetition, which may go on from its path's end to frame `last`, but not into a rest."""
+    for i in range(s.books[TO] + 1, last + 1):
+        if reported_at_rest(s, i):
+            return int(i - 1)
+    return last
+
+
+@kernel
+def after_rest(s: Memory, start: int) -> int:
+    """The first frame of a repetition whose path starts at frame `start`, soon after a rest: the one behind that. What follows the last
+    repetition and is at rest is no part of the activity."""
+    b, first = s.books, start
+    while first > max(b[PIECES_FROM], start - slack(b[LENGTH])) and not reported_at_rest(s, first - 1):
+        first -= 1
+    if first == b[PIECES_FROM] or not reported_at_rest(s, first - 1):
+        first = start
+    while b[PIECES_FROM] < first and reported_at_rest(s, b[PIECES_FROM]):
+        b[PIECES_FROM] += 1
+        b[PIECES_AT] = s.times[b[PIECES_FROM] % s.times.shape[0]]
+    return int(first)
 
 
 @kernel

@@ -51,6 +51,18 @@ def test_the_same_seed_draws_the_same_mutants() -> None:
     assert drawn(1, 20) == drawn(1, 20) != drawn(2, 20)
 
 
+def test_what_changes_elsewhere_leaves_a_draw_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.mutation.HOUSE", tmp_path)
+    (tmp_path / "stream").mkdir()
+    module = tmp_path / "stream" / "module.py"
+    module.write_text(SOURCE, encoding="utf-8")
+    before = [m.key for m in drawn(1, 5)]
+    module.write_text(f"{SOURCE}\n\ndef more(n):\n    return n * (n + 7)\n", encoding="utf-8")
+    (tmp_path / "stream" / "another.py").write_text("LIMIT = 3\n", encoding="utf-8")
+    after = [m.key for m in drawn(1, 11)]
+    assert [key for key in after if key in before] == before and len(after) == 11
+
+
 @pytest.mark.parametrize(
     ("module", "first"),
     [

@@ -936,11 +936,17 @@ class Reference:
             self.count -= 1
         elif self.pending:
             until = self.pending[1]
-            self.settle(start - 1 if start - 1 - until <= q.slack else min(until, start - 1))
+            before = next((i - 1 for i in range(until + 1, start) if i in self.rested), start - 1)
+            self.settle(before if start - 1 - until <= q.slack else min(until, start - 1))
             if start - self.bout[-1][1] - 1 > len(q.frames):
                 self.close_bout()
         self.last = max(self.last, end)
         start = max(start, self.pieces)
+        rested = [i for i in range(self.pieces, start) if i in self.rested]
+        if rested and start - 1 - rested[-1] <= q.slack:
+            start = rested[-1] + 1
+        while self.pieces < start and self.pieces in rested:
+            self.pieces += 1
         if start > self.pieces:
             self.piece(start - 1, False)
         self.pending, self.price, self.latest = (start, end), price, end
@@ -953,8 +959,10 @@ class Reference:
         q.release()
 
     def settle(self, last: int) -> None:
-        assert self.pending
+        assert self.pending and self.paths
         first = self.pending[0]
+        while last - first > self.paths.slack and last in self.rested:
+            last -= 1
         self.like.append(self.price)
         self.prices.append(self.price)
         self.pending, self.cycles, self.pieces = None, self.cycles + 1, last + 1

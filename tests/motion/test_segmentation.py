@@ -593,6 +593,21 @@ def test_who_stands_before_a_noisy_camera_rests(exercise: str, noise_mm: float, 
     assert (rest["onset"][1:] > rest["end"][:-1]).all()
 
 
+@pytest.mark.parametrize(("exercise", "noise_mm"), [("squat", 1.0), ("squat", 6.0), ("arms", 6.0)])
+def test_a_repetition_ends_where_a_short_rest_begins(exercise: str, noise_mm: float) -> None:
+    """Between sets 4 s apart the last squat took 6.1 s instead of 2.1: a rest too short to end the activity lay within it."""
+    routine = Routine(Exerciser(exercises=(exercise,), noise_mm=noise_mm, pause_s=4.0, jitter_ms=0.0, seed=3))
+    events, _ = played(Segment(), seen(routine, float(routine.starts(2)[-1]) + 3.0))
+    parts, rests = events["primitive"], events["rest"][1:]
+    found = parts[parts["repetition"] > 0]
+    took = found["end"] - found["onset"]
+    assert len(found) == 18 and len(rests) >= 3 and took.max() <= 1.25 * np.median(took)
+    for rest in rests:
+        assert not ((found["onset"] <= rest["end"]) & (found["end"] >= rest["onset"])).any()
+    holes = found["onset"][1:] - found["end"][:-1]
+    assert (holes > 3 * NS).sum() == 2
+
+
 @pytest.mark.parametrize("still_s", [2, 20, 60])
 def test_stillness_before_the_motion_does_not_change_what_is_found(still_s: int) -> None:
     events, _ = played(Segment(), stacked(lifts(2, 9, 50, 0, still=round(still_s * RATE))))

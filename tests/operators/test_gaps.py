@@ -11,7 +11,7 @@ from operators.gaps import FillGaps
 from stream.chunk import FOREVER, Chunk, StreamSpec
 from stream.errors import ParameterError
 from stream.operator import grid
-from tests.support.one_stream import RATE, noise, run, same
+from tests.support.one_stream import RATE, noise, run, same, signal_spec
 
 
 def filled(data, most, linear=True):
@@ -107,3 +107,38 @@ def test_what_waits_at_the_end_comes_out():
 def test_a_limit_below_one_sample_is_refused():
     with pytest.raises(ParameterError, match=r"limit_s is 0\.001; it must be at least 0\.005"):
         run(FillGaps(limit_s=0.001), noise(10))
+
+
+def filled_by_stamps(data, time, longest_ns):
+    """Every run of bad values between two good ones no further apart than that, on the line between them."""
+    out = data.copy()
+    for column in out.T:
+        good = np.flatnonzero(np.isfinite(column))
+        for a, b in pairwise(good):
+            if b - a > 1 and time[b] - time[a] <= longest_ns:
+                column[a + 1 : b] = np.interp(time[a + 1 : b], time[[a, b]], column[[a, b]])
+    return out
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_in_an_irregular_stream_values_lie_on_a_line_by_their_stamps(seed):
+    rng = np.random.default_rng(seed)
+    data = np.where(rng.random((500, 3)) < 0.3, np.nan, noise(500, seed=seed))
+    time = np.cumsum(rng.integers(20_000_000, 60_000_000, 500))
+    reference = filled_by_stamps(data, time, 150_000_000)
+    assert 0 < np.isnan(reference).sum() < np.isnan(data).sum() / 2
+    for cuts in ((), rng.integers(0, 500, 60).tolist(), range(500)):
+        _, stamps, out, marks = run(
+            FillGaps(limit_s=0.15), data, spec=signal_spec(data.shape[1], None), time=time, cuts=cuts
+        )
+        assert np.allclose(out, reference, equal_nan=True, atol=1e-12) and np.array_equal(stamps, time) and not marks
+
+
+def test_in_an_irregular_stream_nothing_is_filled_across_lost_samples():
+    data = noise(100)
+    data[49:51, 0] = data[70, 1] = np.nan
+    time = np.arange(100) * 10_000_000 + np.arange(100) % 3
+    _, _, out, marks = run(
+        FillGaps(limit_s=0.1), data, spec=signal_spec(data.shape[1], None), time=time, lost={50: 2}, cuts=(45, 55)
+    )
+    assert marks == {50: 2} and np.isnan(out[49:51, 0]).all() and np.isnan(out).sum() == 2
