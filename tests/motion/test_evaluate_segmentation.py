@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from operators.segmentation.evaluation.found import ACTIVITY, Found, _events, merged, read_found, second_steps
-from operators.segmentation.evaluation.picture import NEAREST, _matrix, distances
+from operators.segmentation.evaluation.picture import NEAREST, _colour, _matrix, distances
 from operators.segmentation.evaluation.scores import boundary_f1, covering, intervals, score
 from operators.segmentation.evaluation.truth import Truth, read_truth
 from stream import cli
@@ -115,6 +115,11 @@ def test_repetitions_overlap_and_key_points():
 
 def test_clusters_take_the_number_they_were_merged_into():
     assert merged(np.array([5, 7, -1, 3]), [(7, 5), (5, 3)]).tolist() == [3, 3, -1, 3]
+
+
+def test_twenty_clusters_have_colours_of_their_own_neighbours_strong_ones():
+    assert len({_colour(k) for k in range(20)}) == 20
+    assert [_colour(k) for k in (0, 1, 10)] == ["#1f77b4", "#ff7f0e", "#aec7e8"]
 
 
 def test_distances_are_numpys():

@@ -229,7 +229,11 @@ def test_files_that_are_none(tmp_path: Path, name: str, text: str, told: str) ->
 def test_the_picture_shows_every_night() -> None:
     truth = np.repeat(np.array([WAKE, SLEEP, WAKE], np.int8), [20, 400, 20])
     pairs = [pair(f"n{k}", f"p{k % 2}", hypnogram(np.roll(truth, k)), hypnogram(truth)) for k in range(4)]
-    assert len(draw(pairs).axes) == 3 + 4 and total(pairs).epochs == 4 * 440
+    figure = draw(pairs)
+    assert len(figure.axes) == 3 + 4 and total(pairs).epochs == 4 * 440
+    nights = figure.axes[3:]
+    assert all(axes.get_shared_x_axes().joined(axes, nights[0]) for axes in nights)
+    assert [bool(axes.get_xlabel()) for axes in nights] == [False, False, False, True]
 
 
 def test_a_table_of_nights_names_who_slept_where_it_is_known(tmp_path: Path) -> None:
