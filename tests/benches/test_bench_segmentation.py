@@ -8,9 +8,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from bench import batch
 from bench.bundling import pairs, warped
+from bench.missing import off_by, seen
 from bench.rests import behind, counted
 from operators.segmentation.evaluation.found import Found
 
@@ -92,3 +94,13 @@ def test_what_is_found_behind_standing_counts_from_there():
 def test_sets_with_standing_between_are_counted_where_they_are_done():
     assert counted("wave", 1, 1.5, 1.0, 0) and counted("squat", 10, 30.0, 6.0, 1)
     assert not counted("squat", 1, 8.0, 60.0, 0), "noise beyond the motion: nothing can be counted"
+
+
+def test_a_fifth_of_every_joints_values_is_lost_and_costs_no_repetition():
+    joints, spans = seen(0, "a fifth of every joint's values")
+    assert (
+        np.isnan(joints.data).mean() == pytest.approx(0.2, abs=0.01)
+        and np.isnan(joints.data).any(axis=(1, 2)).mean() > 0.95
+    )
+    assert len(spans) == 3 and off_by(0, "a fifth of every joint's values") == [0, 0, 0]
+    assert min(off_by(0, "a fifth of every joint's values", fills=False)) > 1
