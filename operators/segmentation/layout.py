@@ -151,6 +151,7 @@ class Memory(NamedTuple):
     firsts     (features,)         1: the first of a pair that changes places in the mirror
     leads      (clusters,)         how much more the firsts have moved in the first steps of a cluster's cycles than in the second ones
     recent     (REST, features)    the newest frames as they came, by RECENT modulo REST, and their stamps recent_at (REST,)
+    steps      (REST,)             mean square of how much each of them differs from the one before it; NaN: nothing is known of both
     moves      (ring,)             how much each frame moves: see `moved` in rest.py; negative: in a rest that was reported
     travels    (clusters,)         how far the exemplars move, from stride to stride
     kinds      (4,)                repetitions of the open activity by their symmetry
@@ -181,6 +182,7 @@ class Memory(NamedTuple):
     leads: Samples
     recent: Samples
     recent_at: Times
+    steps: Samples
     moves: Samples
     travels: Samples
     kinds: Times
@@ -256,6 +258,7 @@ def allocate(
         leads=np.zeros(MOST_CLUSTERS),
         recent=np.full((frames["REST"], width), np.nan),
         recent_at=np.zeros(frames["REST"], np.int64),
+        steps=np.full(frames["REST"], np.nan),
         moves=np.zeros(ring),
         travels=np.zeros(MOST_CLUSTERS),
         kinds=np.zeros(4, np.int64),

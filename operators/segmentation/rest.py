@@ -101,17 +101,16 @@ def moved(s: Memory, x: Samples) -> float:
     if not b[RECENT]:
         return 0.0
     total, count, steps, pairs = 0.0, 0, 0.0, 0
-    later, frames = x, min(b[REST], b[RECENT])
+    frames, ring = min(b[REST], b[RECENT]), s.recent.shape[0]
+    s.steps[(b[RECENT] + 1) % ring] = mean_square(x, s.recent[b[RECENT] % ring])
     for k in range(frames):
-        row = s.recent[(b[RECENT] - k) % s.recent.shape[0]]
-        apart, step = mean_square(x, row), mean_square(later, row)
+        apart, step = mean_square(x, s.recent[(b[RECENT] - k) % ring]), s.steps[(b[RECENT] + 1 - k) % ring]
         if apart == apart:
             total += math.sqrt(apart)
             count += 1
         if step == step:
             steps += step
             pairs += 1
-        later = row
     if not count or 2 * count < frames:
         before: float = s.values[MOVED]
         return before
