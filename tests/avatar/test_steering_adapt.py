@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from operators.steering.operator import SteerMesh
 from operators.steering.pose_parameters import MarkerGraph
 from operators.steering.regions import Regions
 from operators.steering.regression import learn
+from operators.steering.soft import faded
 from operators.steering.stored import KIND, from_model, to_arrays
 from stream import cli
 from stream.chunk import Chunk, Samples, StreamSpec
@@ -493,3 +495,8 @@ def test_one_frame_is_too_few_to_learn_from(tmp_path: Path) -> None:
         cli.call(
             "train", ["steering", str(tmp_path / "one.mcap"), "--markers", str(tmp_path / "m.yaml"), "-o", "x.npz"]
         )
+
+
+def test_markers_pull_wholly_up_to_one_kernels_width_and_less_beyond() -> None:
+    assert [faded(outside) for outside in (0.0, 1.0)] == [1.0, 1.0]
+    assert faded(2.0) == pytest.approx(math.exp(-1.0)) and faded(3.0) == pytest.approx(math.exp(-2.0))

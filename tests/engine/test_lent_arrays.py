@@ -27,6 +27,11 @@ nodes:
   mean: {use: operators.moving.MovingMean, from: guest, window_s: 0.05}
   scale: {use: operators.scale.Scale, from: mean, gain: 0.5}
 """
+DIRECT = """
+nodes:
+  board: {use: devices.simulators.treadmill.Treadmill, realtime: false}
+  guest: {use: tests.engine.test_lent_arrays.Guest, from: board.emg}
+"""
 START = 10**18
 kept: list[Chunk] = []
 
@@ -90,3 +95,18 @@ def test_it_cannot_write_to_it_now_or_later(how: str, rows: bool, monkeypatch: p
     with pytest.raises(RunError, match=r"node 'guest': .* is read-only"):
         answers(how, monkeypatch, rows=rows)
     assert len(kept) == 30
+
+
+@pytest.mark.parametrize("rows", [True, False])
+def test_stamps_that_come_in_steps_are_put_together_before_the_first_operator(
+    rows: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(row, "POSSIBLE", rows)
+    made = Pipeline(load_text(DIRECT, path=__file__))
+    made.compile()
+    kept.clear()
+    width = made.entries["board.emg"].spec.shape[0]
+    for i in range(3):
+        time = (START + np.arange(i * 20, i * 20 + 20) * 10**6)[::2]
+        made.feed("board.emg", Chunk(time, np.ones((10, width)), int(time[-1])))
+        assert kept[-1].time.flags.c_contiguous and np.array_equal(kept[-1].time, time)

@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from operators.segmentation.evaluation.found import ACTIVITY, Found, _events, merged, read_found, second_steps
-from operators.segmentation.evaluation.picture import NEAREST, _colour, _matrix, distances
+from operators.segmentation.evaluation.picture import NEAREST, _colour, _matrix, _ticks, distances
 from operators.segmentation.evaluation.scores import boundary_f1, covering, intervals, score
 from operators.segmentation.evaluation.truth import Truth, read_truth
 from stream import cli
@@ -323,3 +323,7 @@ def test_a_boundary_exactly_the_tolerance_away_is_matched_whatever_rounding_make
     assert late - early > 1.0
     assert boundary_f1(early, late)[0] == boundary_f1(late, early)[0] == 1.0
     assert boundary_f1(early, late + 0.001)[0] == 0.0
+
+
+def test_the_axis_has_twenty_ticks_at_most_until_they_are_ten_minutes_apart():
+    assert [_ticks(s) for s in (20, 20.1, 100, 601, 6000, 6001, 90_000)] == [1, 2, 5, 60, 300, 600, 600]
