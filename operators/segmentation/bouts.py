@@ -8,30 +8,31 @@ from operators.segmentation.layout import (
     BOUT,
     BOUT_AT,
     BOUT_COUNT,
-    BOUT_END,
     BOUT_EVENT,
     BOUT_TO,
     CLUSTER,
     LENGTH,
+    PERIOD,
     Memory,
 )
 from stream.kernel import kernel
 
 
 @kernel
-def join(s: Memory, onset: int, end: int, last: int) -> None:
-    """A repetition is reported, with these stamps; it ended with frame `last`."""
+def join(s: Memory, onset: int, end: int) -> None:
+    """A repetition is reported, with these stamps."""
     b = s.books
     if not b[BOUT_COUNT]:
         b[BOUT_AT] = onset
     b[BOUT_COUNT] += 1
-    b[BOUT_TO], b[BOUT_END] = end, last
+    b[BOUT_TO] = end
 
 
 @kernel
 def part(s: Memory, start: int) -> None:
-    """The next repetition starts with frame `start`: if that is more than a cycle later, the bout is over."""
-    if start - s.books[BOUT_END] - 1 > s.books[LENGTH]:
+    """The next repetition starts with frame `start`: if that is more than a cycle later, rests included, the bout is over."""
+    pause = s.times[start % s.times.shape[0]] - s.books[BOUT_TO]
+    if pause > (s.books[LENGTH] + 1.5) * s.books[PERIOD]:
         close_bout(s)
 
 

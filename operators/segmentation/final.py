@@ -62,7 +62,7 @@ def settle(s: Memory, last: int) -> None:
     b[PENDING] = 0
     b[LIKE] += 1
     s.values[FARTHEST] = max(s.values[FARTHEST], s.values[PRICE])
-    join(s, stamp(s, b[FROM]), stamp(s, last), last)
+    join(s, stamp(s, b[FROM]), stamp(s, last))
     slot = b[SLOT]
     tell_span(s, stamp(s, b[FROM]), stamp(s, last), b[ACTIVITY], b[CYCLES] + b[OUTINGS])
     kind, half = symmetry(s, slot, b[FROM], last + 1)

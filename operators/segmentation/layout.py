@@ -16,22 +16,22 @@ NAMES = [
     "NEXT", "SINCE", "SEED", "UNTOLD", "UNTOLD_AT", "BAND", "RADIUS_AT", "ROWS", "OPEN", "OPENED", "LAST", "BEGUN",
     "RETURNED", "REPEATED", "START", "START_AT", "ACTIVITY", "NOTICED", "GROWN", "AHEAD", "FORESEEN",
     "MODE", "ORIGIN", "DONE", "SLOT", "LENGTH", "FREE", "BEST_START", "BEST_END", "COUNT", "PENDING", "FROM", "TO", "CYCLES",
-    "PIECES_FROM", "PIECES_AT", "TOLD_TO", "BOUT", "BOUT_COUNT", "BOUT_AT", "BOUT_TO", "BOUT_END",
+    "PIECES_FROM", "PIECES_AT", "TOLD_TO", "BOUT", "BOUT_COUNT", "BOUT_AT", "BOUT_TO",
     "CLUSTER", "NEXT_CLUSTER", "CLOCK", "TURN", "EVENTS", "TOLD", "NOW", "PRESENT", "PATCHY",
     "RECENT", "RESTED", "REST_FROM", "REST_TO", "PEAK_AT", "BELIEVED", "BELIEVED_OF", "LIKE",
     "TRANSITION", "RESUMED", "HELD", "HELD_FIRST", "HELD_LAST", "HELD_AT", "HELD_TO", "HELD_CYCLES", "HELD_CLUSTER", "HELD_HOW",
-    "KEPT", "OUTINGS", "STOOD", "BACK", "BACK_FROM", "BACK_TO", "UNSEEN",
+    "KEPT", "OUTINGS", "STOOD", "BACK", "BACK_FROM", "BACK_TO", "UNSEEN", "PERIOD",
 ]  # fmt: skip
 (
     LAG, WINDOW, LEARN, QUIET, MASS, SETTLE, FIRM, BAND_LEAST, BAND_MOST, EVERY, REST, FIXED,
     NEXT, SINCE, SEED, UNTOLD, UNTOLD_AT, BAND, RADIUS_AT, ROWS, OPEN, OPENED, LAST, BEGUN,
     RETURNED, REPEATED, START, START_AT, ACTIVITY, NOTICED, GROWN, AHEAD, FORESEEN,
     MODE, ORIGIN, DONE, SLOT, LENGTH, FREE, BEST_START, BEST_END, COUNT, PENDING, FROM, TO, CYCLES,
-    PIECES_FROM, PIECES_AT, TOLD_TO, BOUT, BOUT_COUNT, BOUT_AT, BOUT_TO, BOUT_END,
+    PIECES_FROM, PIECES_AT, TOLD_TO, BOUT, BOUT_COUNT, BOUT_AT, BOUT_TO,
     CLUSTER, NEXT_CLUSTER, CLOCK, TURN, EVENTS, TOLD, NOW, PRESENT, PATCHY,
     RECENT, RESTED, REST_FROM, REST_TO, PEAK_AT, BELIEVED, BELIEVED_OF, LIKE,
     TRANSITION, RESUMED, HELD, HELD_FIRST, HELD_LAST, HELD_AT, HELD_TO, HELD_CYCLES, HELD_CLUSTER, HELD_HOW,
-    KEPT, OUTINGS, STOOD, BACK, BACK_FROM, BACK_TO, UNSEEN,
+    KEPT, OUTINGS, STOOD, BACK, BACK_FROM, BACK_TO, UNSEEN, PERIOD,
 ) = range(len(NAMES))  # fmt: skip
 """
 LAG                       longest cycle, and how far back neighbours are looked for, in frames; as all down to REST
@@ -66,7 +66,6 @@ TOLD_TO                   stamp of the frame before that
 CYCLES                    repetitions of the open activity, told
 BOUT, BOUT_COUNT          bouts of the open activity that were reported; repetitions in the one under way
 BOUT_AT, BOUT_TO          its first repetition's onset and its last one's end, stamps
-BOUT_END                  the frame of that end
 CLUSTER, NEXT_CLUSTER     cluster of the pending repetition; number of the next new one
 CLOCK, TURN               counts uses of exemplars; whose turn it is to be compared
 EVENTS, NOW               rows written to the table of events; the stamp of what is decided now
@@ -93,6 +92,7 @@ STOOD                     whether a rest has been told since the start or a gap
 BACK                      excursions that are believed, of what nothing final covers
 BACK_FROM, BACK_TO        the newest one's first and last frame
 UNSEEN                    frames in a row, up to the newest, of which nothing was known
+PERIOD                    nominal time from one frame to the next, in ns
 """
 SEARCH, TRACK = 0, 1
 (

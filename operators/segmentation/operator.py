@@ -115,7 +115,7 @@ class Segment(Operator[SegmentState]):
         return specs_of(spec)
 
     def _frames(self, spec: StreamSpec) -> dict[str, int]:
-        """All times as numbers of frames. Raises InputError and ParameterError."""
+        """All times as numbers of frames, and how long one is. Raises InputError and ParameterError."""
         numeric(spec)
         if not spec.is_signal or not 1 <= spec.shape[0] <= 4096:
             raise InputError("in", spec.describe(), "a signal of 1 to 4096 features")
@@ -144,6 +144,7 @@ class Segment(Operator[SegmentState]):
         frames["FIRM"] = max(frames["FIRM"], 2 * frames["LAG"])
         frames["TRANSITION"] = min(round(self.transition_s * rate_hz), frames["LAG"])
         frames["EVERY"] = max(1, round(0.5 * rate_hz))
+        frames["PERIOD"] = spec.period_ns
         return frames
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:

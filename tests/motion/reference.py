@@ -938,7 +938,7 @@ class Reference:
             until = self.pending[1]
             before = next((i - 1 for i in range(until + 1, start) if i in self.rested), start - 1)
             self.settle(before if start - 1 - until <= q.slack else min(until, start - 1))
-            if start - self.bout[-1][1] - 1 > len(q.frames):
+            if self.frames[start] - self.frames[self.bout[-1][1]] - 1 > len(q.frames):
                 self.close_bout()
         self.last = max(self.last, end)
         start = max(start, self.pieces)

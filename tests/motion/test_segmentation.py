@@ -595,7 +595,8 @@ def test_who_stands_before_a_noisy_camera_rests(exercise: str, noise_mm: float, 
 
 @pytest.mark.parametrize(("exercise", "noise_mm"), [("squat", 1.0), ("squat", 6.0), ("arms", 6.0)])
 def test_a_repetition_ends_where_a_short_rest_begins(exercise: str, noise_mm: float) -> None:
-    """Between sets 4 s apart the last squat took 6.1 s instead of 2.1: a rest too short to end the activity lay within it."""
+    """Between sets 4 s apart the last squat took 6.1 s instead of 2.1: a rest too short to end the activity lay within it, and
+    all three sets were one bout."""
     routine = Routine(Exerciser(exercises=(exercise,), noise_mm=noise_mm, pause_s=4.0, jitter_ms=0.0, seed=3))
     events, _ = played(Segment(), seen(routine, float(routine.starts(2)[-1]) + 3.0))
     parts, rests = events["primitive"], events["rest"][1:]
@@ -606,6 +607,7 @@ def test_a_repetition_ends_where_a_short_rest_begins(exercise: str, noise_mm: fl
         assert not ((found["onset"] <= rest["end"]) & (found["end"] >= rest["onset"])).any()
     holes = found["onset"][1:] - found["end"][:-1]
     assert (holes > 3 * NS).sum() == 2
+    assert events["bout"]["repetitions"].tolist() == [6, 6, 6]
 
 
 @pytest.mark.parametrize("still_s", [2, 20, 60])
