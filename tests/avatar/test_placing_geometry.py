@@ -10,6 +10,7 @@ import pytest
 from operators.body.left_right import LIMBS, _legs_exchanged, _upright, exchange_legs, unturned
 from operators.body.legs import across, own_legs
 from operators.body.placing import FARTHER_M, INSIDE, LENGTHS, TWINS_M, _apart, _at_length, _trunk, _without_hidden
+from operators.body.probe import box_of
 from stream.chunk import Samples
 
 CAMERA = np.array([500.0, 480.0, 320.0, 200.0])
@@ -245,3 +246,10 @@ def test_a_body_that_turns_round_is_read_as_it_is_and_as_it_is_given() -> None:
                 assert np.allclose(out[:, :3], right[:, :3]), (exchanged, k)
         assert set(readings[30:100]) <= ({1, 2} if exchanged else {0})
         assert np.hypot(memory[0], memory[1]) > 0.8 and set(LIMBS.tolist()) < set(range(34))
+
+
+def test_the_box_of_a_person_holds_first_and_last_pixel() -> None:
+    depth = np.zeros((20, 30), np.uint16)
+    depth[3:9, 10:25], box = 2000, np.empty(4)
+    box_of(depth, box)
+    assert box.tolist() == [17.5, 6.0, 15.0, 6.0]

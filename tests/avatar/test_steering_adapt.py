@@ -18,7 +18,7 @@ from operators.steering.commands import report
 from operators.steering.exchanged import ExchangedNames
 from operators.steering.fit import Steering, fit_steering, fit_straight
 from operators.steering.graph_ranges import graph_matched
-from operators.steering.marker_frame import MarkerFrame, see_from
+from operators.steering.marker_frame import MarkerFrame, _largest, see_from
 from operators.steering.operator import SteerMesh
 from operators.steering.pose_parameters import MarkerGraph
 from operators.steering.regions import Regions
@@ -500,3 +500,15 @@ def test_one_frame_is_too_few_to_learn_from(tmp_path: Path) -> None:
 def test_markers_pull_wholly_up_to_one_kernels_width_and_less_beyond() -> None:
     assert [faded(outside) for outside in (0.0, 1.0)] == [1.0, 1.0]
     assert faded(2.0) == pytest.approx(math.exp(-1.0)) and faded(3.0) == pytest.approx(math.exp(-2.0))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_eigenvectors_are_numpys(seed: int) -> None:
+    made = np.random.default_rng(seed).normal(size=(4, 4))
+    given, vectors = made + made.T, np.empty((4, 4))
+    turned = given.copy()
+    _largest(turned, vectors)
+    order = np.argsort(np.diag(turned))
+    values, expected = np.linalg.eigh(given)
+    assert np.allclose(np.diag(turned)[order], values, atol=1e-12)
+    assert np.allclose(np.abs((vectors[:, order] * expected).sum(axis=0)), 1.0, atol=1e-12)
