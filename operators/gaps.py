@@ -199,11 +199,11 @@ class FillGaps(Operator[FillState]):
         return made
 
     def _promise(self, until: int) -> int:
-        """No later output lies at or before this: not before what waits, and not inside a gap that may yet be filled."""
+        """No later output lies at or before this: not before what waits, and not inside a gap into which samples may yet be put back."""
         state = self.state
         if len(state.stamps):
             return int(state.stamps[0]) - 1
-        if until != FOREVER and until - state.last.item(0) <= state.limit_ns + state.period_ns:
+        if state.period_ns and until != FOREVER and until - state.last.item(0) <= state.limit_ns + state.period_ns:
             return min(until, state.last.item(0))
         return until
 

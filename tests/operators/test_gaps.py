@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from operators.gaps import FillGaps
-from stream.chunk import FOREVER, Chunk, StreamSpec
+from stream.chunk import FOREVER, NS, Chunk, StreamSpec
 from stream.errors import ParameterError
 from stream.operator import grid
 from tests.support.one_stream import RATE, noise, run, same, signal_spec
@@ -142,3 +142,10 @@ def test_in_an_irregular_stream_nothing_is_filled_across_lost_samples():
         FillGaps(limit_s=0.1), data, spec=signal_spec(data.shape[1], None), time=time, lost={50: 2}, cuts=(45, 55)
     )
     assert marks == {50: 2} and np.isnan(out[49:51, 0]).all() and np.isnan(out).sum() == 2
+
+
+def test_in_an_irregular_stream_nothing_is_put_back_so_time_goes_on_at_once():
+    operator = FillGaps(limit_s=0.1)
+    operator.open({"in": StreamSpec((1,))})
+    chunk = operator.process("in", Chunk(np.array([NS]), np.ones((1, 1)), NS + 50_000_000))
+    assert len(chunk) == 1 and chunk.until == NS + 50_000_000
