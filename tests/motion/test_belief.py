@@ -16,8 +16,8 @@ from operators.segmentation import Segment
 from tests.motion.test_segmentation import QUICK, believed_late, motion, played
 from tests.motion.test_segmentation import gestures as from_rest
 
-LATE = {"13_31": 1, "13_29_12ch_10hz": 2, "13_31_12ch_10hz": 2}
-"""Repetitions that are believed too late: of 4 to 21 frames, found when the activity's cycle was, of motion that hardly repeats."""
+LATE = {"13_31": 1, "13_29_12ch_10hz": 1, "13_31_12ch_10hz": 2}
+"""Repetitions that are believed too late: of 4 to 16 frames, found when the activity's cycle was, of motion that hardly repeats."""
 
 
 def annotated() -> Iterator[tuple[str, Any]]:
