@@ -14,9 +14,9 @@ from stream.motion_graph import MotionGraph
 
 @dataclass(frozen=True, slots=True)
 class Measures:
-    """nodes, edges (of the core, without the recordings' own), dead_ends: nodes outside of it; coverage: share of the recorded time of
-    nodes in the core; branching: edges out of a core node, mean; reach_s: from the end of a core node to the start of a node of each other
-    cluster (-1: transitions are no goals), median and 95th percentile."""
+    """nodes; core: those in it; edges: of the core, without the recordings' own; coverage: share of the recorded time of nodes in the core;
+    branching: edges out of a core node, mean; clusters: in the core; reach_s: from the end of a core node to the start of a node of each
+    other cluster (-1: transitions are no goals), median and 95th percentile."""
 
     nodes: int
     core: int
