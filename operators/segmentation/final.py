@@ -17,7 +17,6 @@ from operators.segmentation.layout import (
     CYCLES,
     FARTHEST,
     FROM,
-    LENGTH,
     LIKE,
     MERGE_EVENT,
     NEXT,
@@ -42,7 +41,6 @@ from operators.segmentation.layout import (
     WINDOW,
     Memory,
 )
-from operators.segmentation.rest import reported_at_rest
 from operators.segmentation.separation import gaps
 from operators.segmentation.symmetry import leader, symmetry
 from stream.kernel import kernel
@@ -50,11 +48,8 @@ from stream.kernel import kernel
 
 @kernel
 def settle(s: Memory, last: int) -> None:
-    """The pending repetition ends at `last`, or before a rest in which that lies: it is reported, and compared with another cluster's
-    exemplar."""
+    """The pending repetition ends at `last`: it is reported, and compared with another cluster's exemplar."""
     b = s.books
-    while last - b[FROM] > b[LENGTH] // 2 and reported_at_rest(s, last):
-        last -= 1
     b[CYCLES] += 1
     s.values[PRICES] += s.values[PRICE]
     if b[CYCLES] > 1:

@@ -9,13 +9,17 @@ import numpy as np
 
 from operators.segmentation.events import tell
 from operators.segmentation.layout import (
+    BEST_END,
     EVERY,
     MASS,
+    MODE,
     MOVED,
     NEXT,
     NOISE,
+    OPEN,
     PEAK,
     PEAK_AT,
+    PENDING,
     RECENT,
     REST,
     REST_EVENT,
@@ -27,6 +31,8 @@ from operators.segmentation.layout import (
     SINCE,
     STILL_SHARE,
     STOOD,
+    TO,
+    TRACK,
     TRANSITION,
     UNSEEN,
     WINDOW,
@@ -41,7 +47,7 @@ def rests(s: Memory, x: Samples, stamp: int) -> bool:
     """Whether frame `x` (features,) belongs to a rest: so it is not worked through. A rest that it ends is reported.
 
     Frames of the rest that were worked through, before it was known to be one, have a negative number in `moves` from then on. It begins
-    with the first of them that lies behind the last rest.
+    with the first of them that lies behind the last rest, and behind the repetition that ended with it.
     """
     b = s.books
     s.values[MOVED] = moved(s, x)
@@ -54,8 +60,8 @@ def rests(s: Memory, x: Samples, stamp: int) -> bool:
         return False
     if not b[RESTED]:
         b[REST_FROM] = stamp
-        i = b[NEXT] - 1
-        while i >= b[SINCE] and s.times[i % s.times.shape[0]] >= oldest:
+        i, ended = b[NEXT] - 1, last_repeated(s)
+        while i > ended and s.times[i % s.times.shape[0]] >= oldest:
             s.moves[i % s.moves.shape[0]] = -abs(s.moves[i % s.moves.shape[0]])
             if not b[STOOD] or s.times[i % s.times.shape[0]] > b[REST_TO]:
                 b[REST_FROM] = s.times[i % s.times.shape[0]]
@@ -65,6 +71,17 @@ def rests(s: Memory, x: Samples, stamp: int) -> bool:
     b[RESTED] += 1
     b[REST_TO] = stamp
     return True
+
+
+@kernel
+def last_repeated(s: Memory) -> int:
+    """The last frame of the newest repetition of the open activity that is not final; the one before all frames, if there is none."""
+    b, last = s.books, s.books[SINCE] - 1
+    if b[OPEN] and b[PENDING]:
+        last = max(last, b[TO])
+    if b[OPEN] and b[MODE] == TRACK:
+        last = max(last, b[BEST_END])
+    return int(last)
 
 
 @kernel

@@ -207,7 +207,9 @@ class Reference:
             return False
         if not self.resting:
             self.stood = True
-            lately = [j for j in range(len(self.frames)) if self.frames[j] >= max(0, i - n)]
+            ends = [self.pending[1]] if self.open and self.pending else []
+            ends += [self.paths.best[2]] if self.open and self.paths and self.paths.best else []
+            lately = [j for j in range(max(ends, default=-1) + 1, len(self.frames)) if self.frames[j] >= max(0, i - n)]
             self.rested.update(lately)
             behind = [self.frames[j] for j in lately if self.frames[j] > self.rest_to]
             self.rest_from = behind[0] if behind else i
@@ -959,10 +961,8 @@ class Reference:
         q.release()
 
     def settle(self, last: int) -> None:
-        assert self.pending and self.paths
+        assert self.pending
         first = self.pending[0]
-        while last - first > self.paths.slack and last in self.rested:
-            last -= 1
         self.like.append(self.price)
         self.prices.append(self.price)
         self.pending, self.cycles, self.pieces = None, self.cycles + 1, last + 1
