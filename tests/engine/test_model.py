@@ -101,3 +101,12 @@ def test_a_header_with_a_number_that_none_can_be_is_refused(number: str, tmp_pat
     np.savez(tmp_path / "a.npz", header=np.frombuffer(text.encode(), np.uint8))
     with pytest.raises(ModelError, match=r"a\.npz: not a kinegraph model \(its header holds .*not a valid number"):
         read_model(tmp_path / "a.npz", "pose")
+
+
+def test_as_many_arrays_as_are_allowed_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bounded, "_MANY_ARRAYS", 3)
+    np.savez(tmp_path / "three.npz", a=np.ones(2), b=np.ones(3), c=np.ones(4))
+    np.savez(tmp_path / "four.npz", a=np.ones(2), b=np.ones(3), c=np.ones(4), d=np.ones(5))
+    assert set(bounded.arrays(tmp_path / "three.npz")) == {"a", "b", "c"}
+    with pytest.raises(ValueError, match="it holds 4 arrays; at most 3 are read"):
+        bounded.arrays(tmp_path / "four.npz")

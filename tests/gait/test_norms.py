@@ -78,7 +78,7 @@ def test_each_cycle_is_held_against_the_bands(tmp_path: Path) -> None:
             furthest = int(np.abs(over).argmax())
             assert (row["name"], row["above_pct"], row["below_pct"]) == (name, above, below)
             assert (row["outside_pct"], row["beyond"]) == (above + below, over[furthest])
-            assert row["furthest_pct"] == furthest or not over.any()
+            assert row["furthest_pct"] == furthest if over.any() else np.isnan(row["furthest_pct"])
     assert next(told, None) is None and len(rows) > 25
     assert np.isnan(made["low"][2][:, :, 1]).all() and (made["high"][2][:, :, 0] == 60).all()
     for text, says in (
@@ -89,6 +89,11 @@ def test_each_cycle_is_held_against_the_bands(tmp_path: Path) -> None:
             drive(NormativeBands(str(written(tmp_path, text))), inputs)
     with pytest.raises(ParameterError, match="cannot be read"):
         drive(NormativeBands(str(tmp_path / "none.csv")), inputs)
+
+
+def test_a_cycle_within_its_band_is_furthest_from_it_nowhere(tmp_path: Path) -> None:
+    rows = drive(NormativeBands(str(written(tmp_path, HEAD + "TA,0,-1e9,1e9\n"))), some_cycles(20, 3, 4))["against"][2]
+    assert len(rows) > 10 and not rows["beyond"].any() and np.isnan(rows["furthest_pct"]).all()
 
 
 GRAPH = """

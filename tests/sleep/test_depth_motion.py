@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from operators.depth.activity import EPOCH_SEEN
-from operators.depth.bed import BedRegion
+from operators.depth.bed import LARGE, BedRegion, _extent
 from operators.depth.change import change, distance
 from operators.depth.motion import LONGEST_EPOCH, Motion, map_of
 from operators.depth.night_map import NightMap
@@ -278,3 +278,10 @@ def test_a_region_that_is_set_lies_in_the_frame() -> None:
     made = play(BedRegion(regions=((0, 200, 10, 40),)), **{"in": (spec, grid(5.0, 30), room(np.s_[0:0, 0:0]))})["out"]
     assert [tuple(event)[2:] for event in made] == [(0, 200, 10, 40, False)]
     assert BedRegion().open({"in": spec})["out"].meta["simplified"] == META["simplified"]
+
+
+@pytest.mark.parametrize(("rows", "inset"), [(LARGE, 0), (LARGE + 1, 1)])
+def test_the_outermost_rows_of_a_large_bed_are_left_out(rows: int, inset: int) -> None:
+    filled = np.zeros(40, np.int64)
+    filled[3 : 3 + rows] = 9
+    assert _extent(filled) == (3 + inset, 3 + rows - inset)
