@@ -133,14 +133,20 @@ def test_the_core_is_strongly_connected_and_the_rest_is_named(graph: MotionGraph
     m = measure(graph)
     assert m.clusters == 2 and m.core <= m.nodes and 0.5 < m.coverage <= 1.0 and m.branching > 1.0
     assert np.isfinite(travel_s(graph)[graph.core]).all()
-    seconds, there = travel_s(graph), set(graph.cluster[graph.core].tolist())
+
+
+def test_the_reach_is_of_ways_to_other_clusters(graph: MotionGraph, monkeypatch: pytest.MonkeyPatch) -> None:
+    seconds = np.random.default_rng(5).exponential(size=(len(graph.first), len(graph.names)))
+    seconds[::7] = np.inf
+    monkeypatch.setattr("operators.motion_graph.measures.travel_s", lambda _: seconds)
+    there = set(graph.cluster[graph.core].tolist())
     ways = [
         seconds[k, c]
         for k in np.flatnonzero(graph.core)
         for c in range(seconds.shape[1])
         if c in there and c != graph.cluster[k] and np.isfinite(seconds[k, c])
     ]
-    assert ways and m.reach_s == pytest.approx((np.median(ways), np.quantile(ways, 0.95)))
+    assert ways and measure(graph).reach_s == pytest.approx((np.median(ways), np.quantile(ways, 0.95)))
 
 
 def test_motion_that_never_comes_back_is_refused_and_told_what_would_close_it() -> None:
