@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from stream.chunk import Chunk, StreamSpec
+from stream.arrays import series
+from stream.chunk import NS, Chunk, StreamSpec
 from stream.series import Series
 
 SPEC = StreamSpec((2,), rate_hz=10.0)
@@ -41,3 +42,9 @@ def test_where_nothing_was_lost_nothing_is_said_of_it() -> None:
     for series in (joined((3, 0), (0, 0), (2, 0)), joined((0, 0)), joined()):
         assert series.lost is None and len(series) == len(series.data)
     assert joined().data.shape == (0, 2)
+
+
+def test_numbers_in_a_row_are_one_channel_and_events_in_a_row_are_events() -> None:
+    events = np.zeros(5, [("onset", "<i8"), ("end", "<i8")])
+    assert series(np.zeros(5), rate_hz=10.0).data.shape == (5, 1)
+    assert series(events, time=np.arange(5) * NS).data.shape == (5,)

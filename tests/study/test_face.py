@@ -20,8 +20,6 @@ import kinegraph as kg
 import operators
 from operators import Cycles, Lowpass, Rectify, Threshold
 from operators.body.network import default_model
-from stream.arrays import series
-from stream.chunk import NS
 from stream.conformance import Broken
 from stream.errors import GraphError, InputError, KinegraphError, ParameterError
 from stream.graph.shipped import shipped
@@ -343,9 +341,3 @@ def test_an_operator_is_held_to_the_laws() -> None:
     ]
     with pytest.raises(Broken):
         kg.try_(wrong[0], examples=20)
-
-
-def test_numbers_in_a_row_are_one_channel_and_events_in_a_row_are_events() -> None:
-    events = np.zeros(5, [("onset", "<i8"), ("end", "<i8")])
-    assert series(np.zeros(5), rate_hz=10.0).data.shape == (5, 1)
-    assert series(events, time=np.arange(5) * NS).data.shape == (5,)
