@@ -39,8 +39,8 @@ def test_losses_of_chunks_without_samples_are_added_to_the_next() -> None:
 
 
 def test_where_nothing_was_lost_nothing_is_said_of_it() -> None:
-    for series in (joined((3, 0), (0, 0), (2, 0)), joined((0, 0)), joined()):
-        assert series.lost is None and len(series) == len(series.data)
+    for one in (joined((3, 0), (0, 0), (2, 0)), joined((0, 0)), joined()):
+        assert one.lost is None and len(one) == len(one.data)
     assert joined().data.shape == (0, 2)
 
 
