@@ -12,8 +12,11 @@ from operators.segmentation.anchor import lead_in
 from operators.segmentation.belief import foresee
 from operators.segmentation.cycles import advance, last_cycle, sum_up
 from operators.segmentation.distances import insert, mark
-from operators.segmentation.division import divide
+from operators.segmentation.division import divide, let_go
+from operators.segmentation.excursions import outings
 from operators.segmentation.layout import (
+    ACTIVITY,
+    BEGIN_EVENT,
     BELIEVED,
     BELIEVED_EVENT,
     BELIEVED_OF,
@@ -26,6 +29,7 @@ from operators.segmentation.layout import (
     HELD_CYCLES,
     HELD_FIRST,
     HELD_LAST,
+    HELD_RADIUS,
     HELD_TO,
     LAST,
     OPENED,
@@ -185,3 +189,28 @@ def test_what_is_its_own_mirror_image_has_no_sides_that_take_turns_even_if_its_k
         assert symmetry(s, 0, 5, 35) == (AT_ONCE, -1)
     mirrored[5:20], mirrored[20:35] = x[20:35], x[5:20]
     assert symmetry(s, 0, 5, 35) == (IN_TURN, 20)
+
+
+def test_distances_are_over_what_both_frames_have() -> None:
+    rng = np.random.default_rng(11)
+    x = rng.normal(size=(20, 6))
+    x[np.arange(20), rng.integers(0, 6, 20)] = np.nan
+    made = memory(x)
+    for t in range(1, 20):
+        for k in range(1, t + 1):
+            apart = x[t] - x[t - k]
+            assert made.rows[t, k] == pytest.approx(np.sqrt(np.nanmean(apart**2)))
+
+
+def test_where_nothing_stands_still_there_is_no_excursion() -> None:
+    assert outings(memory(circle(30)), 0, 30, -1, 1.0).shape == (0, 3)
+
+
+def test_a_held_activity_that_falls_into_two_begins_twice() -> None:
+    x = np.concatenate([circle(40), circle(40, right=1.7)])
+    made = memory(x)
+    made.books[[ACTIVITY, HELD, HELD_CYCLES, HELD_FIRST, HELD_LAST, HELD_TO]] = 5, 1, 0, 0, 79, 79
+    made.values[HELD_RADIUS] = 1.0
+    let_go(made)
+    told = made.events[: made.books[EVENTS]]
+    assert told[told[:, 0] == BEGIN_EVENT, 2:4].tolist() == [[40, 5]] and made.books[ACTIVITY] == 6
