@@ -1,8 +1,9 @@
 """`python -m bench.cuts`: boundaries of activities beside other libraries' on the same recordings, by the same scorer; Markdown.
 
-ruptures (KernelCPD, PELT), claspy (ClaSP) and stumpy (FLUSS), in an environment of their own, see a whole recording, each channel as it is.
-The number of cuts is given to those that accept it; what they can be set to is set once for all recordings, with the annotations in
-hand: the best mean F1 counts. kinegraph has its defaults and sees the recording as it comes. Needs the folder that KINEGRAPH_DATA names.
+ruptures (KernelCPD, PELT), claspy (ClaSP) and stumpy (FLUSS), in an environment of their own, see a whole recording, each channel as it
+is; claspy's ClaSS and stumpy's FLOSS, which stream, see it frame by frame. The number of cuts is given to those that accept it; what they
+can be set to is set once for all recordings, with the annotations in hand: the best mean F1 counts. kinegraph has its defaults and sees
+the recording as it comes. Needs the folder that KINEGRAPH_DATA names.
 `--write` puts the table into docs/segmentation-figures.md.
 """
 
