@@ -40,9 +40,9 @@ def as_found(cuts: list[int], frames: int) -> Found:
 
 
 def others(recordings: dict[str, tuple[Series, Truth, int]]) -> dict[str, Any]:
-    """What contenders/offline_cuts.py prints. Raises EngineError where the libraries do not install."""
+    """What contenders/library_cuts.py prints. Raises EngineError where the libraries do not install."""
     python = environment("cuts", ["ruptures", "claspy", "stumpy"])
-    script = Path(__file__).parent / "contenders" / "offline_cuts.py"
+    script = Path(__file__).parent / "contenders" / "library_cuts.py"
     with tempfile.TemporaryDirectory() as folder:
         for name, (pose, _, cuts) in recordings.items():
             np.savez(Path(folder) / f"{name}.npz", x=pose.data, cuts=cuts)

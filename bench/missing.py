@@ -11,19 +11,14 @@ import sys
 
 import numpy as np
 
-from bench.motion import RATE, Series, events
+from bench.motion import Series, before_camera, events, features
 from bench.report import Section, marks, publish, whole
-from devices.simulators.exerciser import JOINTS, Exerciser, Routine
-from operators.align import Align
-from operators.features.pose import Pose
-from operators.features.stack import Stack
-from operators.gaps import FillGaps
+from devices.simulators.exerciser import JOINTS, Exerciser
 from operators.segmentation import Segment
-from stream.chunk import NS, Array, StreamSpec
+from stream.chunk import NS
 
 EXERCISES = ("arms", "squat", "knees")
 TIMES, PAUSE_S, NOISE_MM = 10, 4.0, 6.0
-FILLED_S = 0.2
 LOSSES = {
     "nothing is missing": (0.0, 0.0),
     "a wrist throughout": (0.0, 0.0),
@@ -39,27 +34,21 @@ LOSSES = {
 
 def seen(seed: int, lost: str) -> tuple[Series, list[tuple[float, float]]]:
     """The joints that come, and from when to when each exercise is done."""
+    exerciser = Exerciser(exercises=EXERCISES, repetitions=TIMES, pause_s=PAUSE_S, noise_mm=NOISE_MM, seed=seed)
+    rng = np.random.default_rng((seed, 9))
+    joints, spans = before_camera(exerciser, len(EXERCISES), rng)
     frames, values = LOSSES[lost]
-    routine = Routine(
-        Exerciser(exercises=EXERCISES, repetitions=TIMES, pause_s=PAUSE_S, noise_mm=NOISE_MM, jitter_ms=3.0, seed=seed)
-    )
-    spans = [(float(starts[0]), float(starts[-1])) for starts in map(routine.starts, range(len(EXERCISES)))]
-    count, rng = int((spans[-1][1] + PAUSE_S - 0.1) * RATE), np.random.default_rng((seed, 9))
-    joints: Array = np.array([routine.joints(k) for k in range(count)])
-    stamps = np.round((np.arange(count) / RATE + 0.02 + rng.uniform(-0.003, 0.003, count)) * NS).astype(np.int64)
-    joints[rng.random(count) < frames] = np.nan
-    joints[rng.random(joints.shape[:2]) < values] = np.nan
+    joints.data[rng.random(len(joints.data)) < frames] = np.nan
+    joints.data[rng.random(joints.data.shape[:2]) < values] = np.nan
     if "wrist" in lost:
-        joints[:, JOINTS.index("wrist_r")] = np.nan
-    return Series(StreamSpec((len(JOINTS), 3), channels=JOINTS, units=("m",)), stamps, joints), spans
+        joints.data[:, JOINTS.index("wrist_r")] = np.nan
+    return joints, spans
 
 
 def off_by(seed: int, lost: str, *, fills: bool = True) -> list[int]:
     """How many repetitions more or fewer than were done are counted in the time of each exercise."""
     joints, spans = seen(seed, lost)
-    if fills:
-        joints = joints.through(FillGaps(limit_s=FILLED_S))
-    parts = events(joints.through(Pose(), Align(rate_hz=RATE, max_distance_s=0.2), Stack()), Segment())["primitive"]
+    parts = events(features(joints, fills=fills), Segment())["primitive"]
     parts = parts[parts["repetition"] > 0]
     middle = (parts["onset"] + parts["end"]) / 2 / NS
     return [abs(int(((middle >= a - 0.5) & (middle < b + 0.5)).sum()) - TIMES) for a, b in spans]

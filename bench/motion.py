@@ -8,9 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from devices.simulators.exerciser import JOINTS, Exerciser, Routine
 from operators.align import Align
 from operators.features.mirror import Mirror
 from operators.features.pose import Pose
+from operators.features.stack import Stack
+from operators.gaps import FillGaps
 from operators.segmentation import Segment
 from operators.segmentation.evaluation.found import Found, merged, second_steps
 from operators.segmentation.evaluation.truth import Truth, read_truth
@@ -110,6 +113,25 @@ def poses(folder: Path) -> Iterable[tuple[str, str, Series, Truth]]:
     for path in sorted(folder.glob("mocap6/*12ch*.npz")):
         slow = regular(np.load(path)["x"], 10.0)
         yield "exercises, 12 channels", path.stem, slow.through(Align(rate_hz=RATE)), read_truth(path)
+
+
+def before_camera(
+    exerciser: Exerciser, sets: int, rng: np.random.Generator
+) -> tuple[Series, list[tuple[float, float]]]:
+    """The joints of somebody's first sets as a depth camera gives them, frames up to 3 ms early or late; from when to when each set is."""
+    routine = Routine(exerciser)
+    spans = [(float(starts[0]), float(starts[-1])) for starts in map(routine.starts, range(sets))]
+    count = int((spans[-1][1] + min(exerciser.pause_s, 5.0) - 0.1) * RATE)
+    joints = np.array([routine.joints(k) for k in range(count)])
+    stamps = np.round((np.arange(count) / RATE + 0.02 + rng.uniform(-0.003, 0.003, count)) * NS).astype(np.int64)
+    return Series(StreamSpec((len(JOINTS), 3), channels=JOINTS, units=("m",)), stamps, joints), spans
+
+
+def features(joints: Series, *, fills: bool = True) -> Series:
+    """What the nodes of segment_kinect make of joints."""
+    if fills:
+        joints = joints.through(FillGaps(limit_s=0.2))
+    return joints.through(Pose(), Align(rate_hz=RATE, max_distance_s=0.2), Stack())
 
 
 def kinect(path: Path) -> Series:

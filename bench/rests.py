@@ -16,18 +16,15 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.motion import RATE, Series, events, kinect, poses, regular, segment
+from bench.motion import RATE, before_camera, events, features, kinect, poses, regular, segment
 from bench.report import Section, marks, publish, whole
-from devices.simulators.exerciser import EXERCISES, JOINTS, Exerciser, Routine
-from operators.align import Align
-from operators.features.pose import Pose
+from devices.simulators.exerciser import EXERCISES, Exerciser
 from operators.features.stack import Stack
-from operators.gaps import FillGaps
 from operators.segmentation import Segment
 from operators.segmentation.evaluation.found import Found
 from operators.segmentation.evaluation.scores import TOLERANCE_S, score
 from operators.segmentation.evaluation.truth import read_truth
-from stream.chunk import NS, Array, StreamSpec
+from stream.chunk import NS, Array
 
 STILL_S = (0, 20, 60)
 NOISES = {
@@ -115,15 +112,9 @@ def between(draws: int) -> Section:
 def counted(exercise: str, repetitions: int, pause: float, noise: float, seed: int) -> bool:
     """Whether all that is done is counted, in the time in which it is done, through the nodes of segment_kinect."""
     exerciser = Exerciser(exercises=(exercise,), repetitions=repetitions, pause_s=pause, noise_mm=noise, seed=seed)
-    routine, sets = Routine(exerciser), TIMES if repetitions == 1 else 3
-    spans = [routine.starts(k)[[0, -1]] for k in range(sets)]
-    frames = np.arange(int((spans[-1][1] + min(pause, 5.0) - 0.1) * RATE))
-    joints = np.array([routine.joints(k) for k in frames.tolist()])
-    late = np.random.default_rng((seed, 9)).uniform(-0.003, 0.003, len(frames))
-    stamps = np.round((frames / RATE + 0.02 + late) * NS).astype(np.int64)
-    series = Series(StreamSpec((20, 3), channels=JOINTS, units=("m",)), stamps, joints)
-    features = series.through(FillGaps(limit_s=0.2), Pose(), Align(rate_hz=RATE, max_distance_s=0.2), Stack())
-    found = events(features, Segment())["primitive"]
+    sets = TIMES if repetitions == 1 else 3
+    joints, spans = before_camera(exerciser, sets, np.random.default_rng((seed, 9)))
+    found = events(features(joints), Segment())["primitive"]
     found = found[found["repetition"] > 0]
     if repetitions == 1:
         return len(found) == sets

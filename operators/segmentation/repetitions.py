@@ -205,10 +205,10 @@ def after_rest(s: Memory, start: int) -> int:
     """The first frame of a repetition whose path starts at frame `start`, soon after a rest: the one behind that. What follows the last
     repetition and is at rest is no part of the activity."""
     b, first = s.books, start
-    while first > max(b[PIECES_FROM], start - slack(b[LENGTH])) and not reported_at_rest(s, first - 1):
-        first -= 1
-    if first == b[PIECES_FROM] or not reported_at_rest(s, first - 1):
-        first = start
+    for i in range(start - 1, max(b[PIECES_FROM], start - 1 - slack(b[LENGTH])) - 1, -1):
+        if reported_at_rest(s, i):
+            first = i + 1
+            break
     while b[PIECES_FROM] < first and reported_at_rest(s, b[PIECES_FROM]):
         b[PIECES_FROM] += 1
         b[PIECES_AT] = s.times[b[PIECES_FROM] % s.times.shape[0]]

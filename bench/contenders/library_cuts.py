@@ -1,4 +1,4 @@
-"""Other libraries' cuts of a recording: `python offline_cuts.py FOLDER`, in an environment that has ruptures, claspy and stumpy.
+"""Other libraries' cuts of a recording: `python library_cuts.py FOLDER`, in an environment that has ruptures, claspy and stumpy.
 
 FOLDER holds recordings, each NAME.npz with `x` (n, c) and `cuts`, how many there are. Prints JSON: by method and setting, by recording,
 the frames at which it cuts, or null where it fails. A method that cannot be told a number has `settings` instead. Those that stream are
