@@ -1,6 +1,7 @@
 # make demo: a treadmill session on a simulated signal that loses a second, live in the terminal and in a browser, with a report at the end.
-# make check: lint, types, and the laws on three operators; 15 s, without any cache 55 s (make check OPERATORS="Envelope or Cycles": on others).
-# make test: everything that is checked before a change goes in.
+# make check: lint, types, the laws on three operators (make check OPERATORS="Envelope or Cycles": on others), a quick test of each subject.
+# make test: everything that guards a change.
+# make nightly: make test and all that takes long: hard nights, long sessions, fuzzing by the minute, peers, every page in the browser.
 # make mutants: 100 random changes to operators/ and stream/, of which the tests must notice at least 90 %; a while (SEED=2 draws others).
 # make test-peers: software written elsewhere reads what kinegraph writes; installed for the purpose.
 # make site: the documentation as a site, in site/. make dist: wheel and sdist, in dist/.
@@ -13,7 +14,7 @@ OPERATORS ?= iir.Lowpass or threshold.Threshold or align.Align
 SEED ?= 1
 BIN := .venv/bin
 
-.PHONY: demo check test mutants test-peers bench fuzz soak nights audit licences site dist clean
+.PHONY: demo check test nightly mutants test-peers bench fuzz soak nights audit licences site dist clean
 
 demo: .venv/installed
 	$(BIN)/kinegraph run configs/treadmill_emg.yaml --set treadmill.duration_s=$(SECONDS_OF_DEMO) \
@@ -24,15 +25,20 @@ demo: .venv/installed
 
 check: .venv/installed-for-tests
 	$(BIN)/ruff check .
-	$(BIN)/mypy --num-workers 2 & types=$$!; $(BIN)/pytest -q tests/laws/test_laws.py -k "$(OPERATORS)"; laws=$$?; wait $$types && exit $$laws
+	$(BIN)/mypy --num-workers 2
+	$(BIN)/pytest -q tests/laws/test_laws.py -k "$(OPERATORS)"
+	$(BIN)/pytest -q -m "quick and not nightly"
 
 mutants: .venv/installed-for-tests
 	$(BIN)/python -m tests.mutation --seed $(SEED)
 
 test: .venv/installed-for-tests
-	$(BIN)/ruff check .
-	cache=$$(mktemp -d) && trap 'rm -rf "$$cache"' EXIT && export KINEGRAPH_CACHE="$$cache" && \
-		{ $(BIN)/mypy & types=$$!; } && $(BIN)/python -m tests.compile_kernels && wait $$types && $(BIN)/pytest -n 3 --dist loadgroup --reruns 2 --durations=40
+	$(BIN)/python -m tests.compile_kernels
+	$(BIN)/pytest -n 2 --dist loadgroup
+
+nightly: .venv/installed-for-tests
+	$(BIN)/python -m tests.compile_kernels
+	KINEGRAPH_FUZZ_S=$(FUZZ_S) $(BIN)/pytest -n 2 --dist loadgroup -m "nightly or not nightly"
 
 test-peers: .venv/installed-for-tests
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,oak,peers]'

@@ -1,35 +1,38 @@
-"""`python -m tests.compile_kernels`: run every operator once on its own cases, so that tests find all kernels compiled; tells the time.
+"""`python -m tests.compile_kernels`: runs every operator once on its own case, in as many processes as there are cores.
 
-Compile time is so told apart from the tests' own, and two test processes do not compile the same thing at once.
+Two test processes that start without a cache would otherwise compile the same kernels side by side.
 """
 
 from __future__ import annotations
 
 import importlib
-import inspect
-import pkgutil
+import multiprocessing
+import os
 import time
-from typing import Any
 
-import operators
 from stream.engine.warmup import _run_cases
+from stream.graph.parts import catalogue, find
 from stream.operator import Operator
+
+SLOWEST = ("Segment", "WholePose", "Neighbours", "PoseGrid", "MotionMap", "SteerMesh", "PeakMixtures", "Extrema")
+"""These compile longest and start first, so that the last process does not end alone."""
 
 
 def main() -> None:
     began = time.perf_counter()
-    parts: set[type[Operator[Any]]] = set()
-    for found in pkgutil.walk_packages(operators.__path__, "operators."):
-        module = importlib.import_module(found.name)
-        parts |= {
-            part
-            for _, part in inspect.getmembers(module, inspect.isclass)
-            if issubclass(part, Operator) and part.__module__ == found.name
-        }
-    for part in sorted(parts, key=lambda p: p.__qualname__):
-        if cases := part.cases():
-            _run_cases(cases[0].operator)
-    print(f"compiled the kernels of {len(parts)} operators in {time.perf_counter() - began:.1f} s")
+    found, _ = catalogue(("operators",))
+    uses = sorted(found, key=lambda use: (use.rpartition(".")[2] not in SLOWEST, use))
+    with multiprocessing.get_context("spawn").Pool(min(os.cpu_count() or 1, 8)) as pool:
+        for _ in pool.imap_unordered(compile_kernels, uses):
+            pass
+    print(f"compiled the kernels of {len(uses)} operators in {time.perf_counter() - began:.0f} s")
+
+
+def compile_kernels(use: str) -> None:
+    importlib.import_module("stream.graph.load")
+    part = find(use)
+    if issubclass(part, Operator) and (cases := part.cases()):
+        _run_cases(cases[0].operator)
 
 
 if __name__ == "__main__":

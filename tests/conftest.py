@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+from collections import Counter
 
+import pytest
 import structlog
 from hypothesis import HealthCheck, settings
 
@@ -37,6 +39,20 @@ os.environ["KINEGRAPH_LSL"] = f"machine:tests-{os.getpid()}"
 def pytest_runtest_teardown() -> None:
     """A command that ran within a test has bound the log to what was standard error then, which is closed for the tests that follow."""
     structlog.reset_defaults()
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """The ten slowest files, and what all took."""
+    took: Counter[str] = Counter()
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            if isinstance(report, pytest.TestReport):
+                took[report.nodeid.partition("::")[0]] += report.duration
+    if len(took) > 1:
+        terminalreporter.section("slowest files")
+        for file, seconds in took.most_common(10):
+            terminalreporter.write_line(f"{seconds:7.1f} s  {file}")
+        terminalreporter.write_line(f"{took.total():7.1f} s  all {len(took)} files, of all processes together")
 
 
 def pytest_report_header() -> str:
