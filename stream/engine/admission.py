@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import msgspec
 import numpy as np
 
-from stream.chunk import FOREVER, NS, STAMP, Chunk, StreamSpec, Times, add_lost
+from stream.chunk import FOREVER, NS, STAMP, Array, Chunk, StreamSpec, Times, add_lost
 from stream.kernel import kernel
 from stream.promise import END, MOST_LOST
 
@@ -65,11 +65,13 @@ def soundness(spec: StreamSpec) -> Callable[[Chunk], bool]:
 
 
 def conform(spec: StreamSpec, chunk: Chunk) -> Chunk:
-    """The chunk in arrays of the declared dtypes. Its shape may be another; memory is put in order by the edge it enters."""
+    """The chunk in arrays of the declared dtypes, its stamps side by side in memory. Its shape may be another; samples are put in order by
+    the edge they enter."""
     time, data = chunk.time, chunk.data
     if (
         time.__class__ is np.ndarray
         and time.dtype is STAMP
+        and time.flags.carray
         and data.__class__ is np.ndarray
         and data.dtype is spec.dtype
     ):
@@ -154,9 +156,13 @@ def join(chunks: Sequence[Chunk]) -> Chunk:
     """Chunks of one stream, each of which `joins` the one before it, as one."""
     if len(chunks) == 1:
         return chunks[0]
+    time, data = _joined([chunk.time for chunk in chunks]), _joined([chunk.data for chunk in chunks])
+    return Chunk(time, data.reshape(len(time), *chunks[0].data.shape[1:]), chunks[-1].until, chunks[0].lost)
+
+
+def _joined(arrays: list[Array]) -> Array:
+    """Arrays of one dtype, one after the other in memory of their own; flat where they are in order already, which is ten times as fast."""
     try:
-        data = np.frombuffer(bytearray().join([chunk.data for chunk in chunks]), chunks[0].data.dtype)  # type: ignore[misc]
+        return np.frombuffer(bytearray().join(arrays), arrays[0].dtype)  # type: ignore[arg-type]
     except (BufferError, ValueError, TypeError):  # such as rows that are not in order
-        data = np.concatenate([chunk.data for chunk in chunks], dtype=chunks[0].data.dtype)
-    time = np.frombuffer(bytearray().join([chunk.time for chunk in chunks]), STAMP)  # type: ignore[misc]
-    return Chunk(time, data.reshape(-1, *chunks[0].data.shape[1:]), chunks[-1].until, chunks[0].lost)
+        return np.concatenate(arrays, dtype=arrays[0].dtype)

@@ -16,6 +16,7 @@ import psutil
 
 from stream.chunk import Array, Chunk, Times
 from stream.source import Source
+from tests.support.queued import check_queued
 
 
 class Kept:
@@ -86,8 +87,8 @@ class Kept:
 
 @contextmanager
 def reading(source: Source) -> Iterator[Kept]:
-    """Within: the source is being read; at the end it is stopped, and must stop."""
-    source.specs()
+    """Within: the source is being read; at the end it is stopped, and must stop. What it gave would be the same from a queue."""
+    specs = source.specs()
     source.prepare()
     feed = Kept()
 
@@ -105,6 +106,8 @@ def reading(source: Source) -> Iterator[Kept]:
         feed.stop()
         thread.join(5)
         assert not thread.is_alive(), "the source does not stop"
+    for output, chunks in feed.chunks.items():
+        check_queued(specs[output], chunks)
 
 
 def free_udp_port() -> int:
